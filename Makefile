@@ -8,10 +8,10 @@ THREADS := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MKL_NUM_THREADS=1
 # A file's tests stay together, for what they share.
 PYTEST := $(THREADS) $(BIN)/python -m pytest -q --numprocesses auto --maxprocesses 4 --dist loadfile
 
-.PHONY: demo test check slow browser docs paper-small wasm wasm-check wheels wheels-check clean
+.PHONY: demo test lint check slow browser docs paper-small wasm wasm-check wheels wheels-check clean
 
 # An editable install takes Python from here, and the kernel from when it was built.
-$(VENV)/.installed: pyproject.toml constraints.txt CMakeLists.txt $(wildcard native/src/* native/include/* native/wasm/foten.*)
+$(VENV)/.installed: pyproject.toml constraints.txt CMakeLists.txt $(wildcard native/src/* native/training/* native/include/* native/wasm/foten.*)
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[dev]'
 	touch $@
@@ -22,9 +22,9 @@ demo: $(VENV)/.installed
 test: $(VENV)/.installed
 	$(PYTEST)
 
-# Status 5 of pytest: nothing was selected.
+# Every night in .github/workflows/nightly.yml; TESTS chooses some. Status 5 of pytest: nothing was selected.
 slow: $(VENV)/.installed
-	$(PYTEST) -m 'slow and not gpu' || { test $$? -eq 5 && echo 'no test is marked slow'; }
+	$(PYTEST) -m 'slow and not gpu' $(TESTS) || { test $$? -eq 5 && echo 'no test is marked slow'; }
 
 $(VENV)/.docs: $(VENV)/.installed
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt mkdocs-material 'mkdocstrings[python]' # of the extra docs, as above
@@ -53,10 +53,13 @@ $(VENV)/.browser: $(VENV)/.installed
 browser: $(VENV)/.browser
 	$(PYTEST) -m 'browser and not slow' tests/test_studio_page.py tests/test_capture_page.py tests/test_study_page.py
 
-check: $(VENV)/.installed
+lint: $(VENV)/.installed
+	$(BIN)/clang-format --dry-run -Werror native/*/*.[ch]
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
 	$(BIN)/mypy
+
+check: lint
 	$(PYTEST)
 
 $(VENV)/.wasm: $(VENV)/.installed
@@ -79,9 +82,10 @@ wheels: $(VENV)/.wheels
 	$(BIN)/python native/wheels.py
 	$(BIN)/python native/wasm/pack.py
 
-# The wheel of this machine, built and installed where no compiler is; those of other systems in 'make slow', after 'make wheels' once.
+# The wheel of this machine by its own compiler: what its libraries export, and that it renders where no compiler is. Those of a release
+# in 'make slow', after 'make wheels' once.
 wheels-check: $(VENV)/.installed $(VENV)/.wheels
-	$(PYTEST) -m slow -k without_a_compiler tests/test_wheels.py
+	$(PYTEST) -m 'slow or not slow' -k 'at_hand or exports_its_own or not_what_it_says' tests/test_wheels.py
 
 clean:
 	rm -rf $(VENV) demo build dist

@@ -32,8 +32,7 @@ from foten.baselines.dftnet import Dftnet
 from foten.baselines.gan import Gan
 from foten.baselines.gan_fit import STEPS, fit_adversarial
 from foten.baselines.sizes import TRAINABLE
-from foten.datasets.simulate import simulate
-from foten.experiments.results import PAPER
+from foten.experiments.comparison import PAPER
 from foten.models.foten.fit import log_spectra
 from foten.models.texture_file import Texture
 from foten.recording.preprocess import PreprocessConfig, preprocess
@@ -41,6 +40,7 @@ from foten.recording.recording import Recording
 from foten.recording.split import split_blocks
 from foten.runtime.native import NativeState, NativeTexture
 from foten.runtime.onnx_predictor import GRAPH, OnnxPredictor
+from foten.simulation.simulate import simulate
 from foten.training.blocks import ScaledBlocks, scaled_blocks
 from foten.training.config import OWN_RECIPES, RECIPES
 from foten.training.job import TrainingJob

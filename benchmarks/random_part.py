@@ -28,13 +28,13 @@ import torch
 from torch import Tensor
 
 from foten.baselines.sizes import trainable_sizes
-from foten.datasets.simulate import simulate
 from foten.models.foten_plus.closed_loop_training import EXCERPT_S, N_EXCERPTS
 from foten.models.foten_plus.likelihood import CHUNK, mixtures
 from foten.models.foten_plus.network import InnovationNetwork, negative_log_likelihood
 from foten.models.foten_plus.sizes import FotenPlusSizes
 from foten.runtime.bench import time_steps
 from foten.runtime.native import NativeState, NativeTexture
+from foten.simulation.simulate import simulate
 from foten.training.config import recipe_of
 from foten.training.job import TrainingJob
 from foten.training.pipeline import train

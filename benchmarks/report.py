@@ -6,8 +6,7 @@ import argparse
 from collections.abc import Sequence
 from pathlib import Path
 
-from foten.atomic_write import atomic_write
-from foten.experiments.tables import written
+from foten.reporting.table import Table
 
 
 def add_csv(parser: argparse.ArgumentParser) -> None:
@@ -17,8 +16,8 @@ def add_csv(parser: argparse.ArgumentParser) -> None:
 
 def report(cells: Sequence[Sequence[str]], path: Path | None) -> None:
     """Print a table, its heading first, and write it to a path where one is given."""
-    print(written(cells, "md"), end="")
+    table = Table.of(cells[0], cells[1:])
+    print(table.markdown(), end="")
     if path is not None:
         path.parent.mkdir(parents=True, exist_ok=True)
-        with atomic_write(path) as part:
-            part.write_text(written(cells, "csv"), encoding="utf-8")
+        table.write(path, "csv")

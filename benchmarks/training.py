@@ -28,10 +28,10 @@ from foten.training.networks import build
 
 from foten.baselines.sizes import TRAINABLE
 from foten.datasets.hdf5 import write_recording
-from foten.datasets.simulate import simulate
 from foten.recording.preprocess import preprocess
 from foten.recording.recording import Recording
 from foten.recording.split import split_blocks
+from foten.simulation.simulate import simulate
 from foten.training.blocks import scaled_blocks
 from foten.training.config import RECIPES, TrainConfig
 from foten.training.loop import Epoch

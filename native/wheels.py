@@ -26,7 +26,11 @@ lief.logging.disable()  # it reports what a file does not have, as stamps of tim
 
 ROOT = Path(__file__).parents[1]
 KERNEL = "foten/runtime/kernel"
-BESIDE = ("foten.h", "foten.mjs", "foten.wasm")  # the library, whatever the system
+BESIDE = ("foten.h", "foten.mjs", "foten.wasm")  # the libraries, whatever the system
+INSTRUCTION_SETS = {
+    **dict.fromkeys(("X86_64", "AMD64"), ("portable", "avx2", "avx512")),
+    **dict.fromkeys(("AARCH64", "ARM64"), ("portable", "neon")),
+}
 
 # What the linker adds to every library of macOS.
 OF_THE_LINKER = {"__mh_dylib_header", "___dso_handle"}
@@ -40,35 +44,52 @@ class Target:
 
     zig: str  # as Zig names it, with the oldest version of the system or its C library
     tags: tuple[str, ...]  # as wheels name it
-    file_name: str  # of the kernel in the wheel
+    suffix: str  # of libraries
     kind: str  # format and processor, as lief names them
+
+    @property
+    def file_name(self) -> str:
+        """Name of the public library's file."""
+        return f"libfoten.{self.suffix}"
 
 
 # The oldest systems that Zig and NumPy both know: glibc 2.17, macOS 11, Windows with the universal C runtime.
 TARGETS = (
-    Target("x86_64-linux-gnu.2.17", ("manylinux_2_17_x86_64", "manylinux2014_x86_64"), "libfoten.so", "ELF X86_64"),
-    Target("aarch64-linux-gnu.2.17", ("manylinux_2_17_aarch64", "manylinux2014_aarch64"), "libfoten.so", "ELF AARCH64"),
-    Target("x86_64-macos.11.0", ("macosx_11_0_x86_64",), "libfoten.dylib", "MACHO X86_64"),
-    Target("aarch64-macos.11.0", ("macosx_11_0_arm64",), "libfoten.dylib", "MACHO ARM64"),
-    Target("x86_64-windows-gnu", ("win_amd64",), "libfoten.dll", "PE AMD64"),
+    Target("x86_64-linux-gnu.2.17", ("manylinux_2_17_x86_64", "manylinux2014_x86_64"), "so", "ELF X86_64"),
+    Target("aarch64-linux-gnu.2.17", ("manylinux_2_17_aarch64", "manylinux2014_aarch64"), "so", "ELF AARCH64"),
+    Target("x86_64-macos.11.0", ("macosx_11_0_x86_64",), "dylib", "MACHO X86_64"),
+    Target("aarch64-macos.11.0", ("macosx_11_0_arm64",), "dylib", "MACHO ARM64"),
+    Target("x86_64-windows-gnu", ("win_amd64",), "dll", "PE AMD64"),
 )
 
 
 def zig() -> Path:
-    """Return the path of Zig in the package ziglang."""
+    """Path of Zig in the package ziglang."""
     import ziglang
 
     return Path(ziglang.__file__).with_name("zig.exe" if os.name == "nt" else "zig")
 
 
 def declared() -> set[str]:
-    """Return the names of the functions that foten.h declares."""
+    """Names of the functions that foten.h declares."""
     header = (ROOT / "native" / "include" / "foten.h").read_text(encoding="utf-8")
     return set(re.findall(r"^FOTEN_API [^(]*?(\w+)\(", header, flags=re.MULTILINE))
 
 
+def functions_of(target: Target) -> dict[str, set[str]]:
+    """Names of the functions that each library of a wheel exports, by its file's name.
+
+    The public one those of `foten.h`, training's each of its own once for an instruction set.
+    """
+    source = (ROOT / "native" / "training" / "training_kernel.c").read_text(encoding="utf-8")
+    names = re.findall(r"^EXPORTED\((\w+)\)", source, flags=re.MULTILINE)
+    sets = INSTRUCTION_SETS[target.kind.split()[1]]
+    training = {f"{name}_{isa}" for name in names for isa in sets}
+    return {target.file_name: declared(), f"libfoten_training.{target.suffix}": training}
+
+
 def committed() -> str:
-    """Return when the last commit was made [s since 1970], for the same bytes from the same sources; where git is not, 1980."""
+    """Time of the last commit [s since 1970], for the same bytes from the same sources; where git is not, 1980."""
     command = ["git", "log", "-1", "--format=%ct"]
     try:
         return subprocess.run(command, cwd=ROOT, check=True, capture_output=True, text=True).stdout.strip()
@@ -98,6 +119,7 @@ def built(target: Target, source: Path, out: Path) -> Path:
 class Library:
     """What a library says of itself, whatever the system."""
 
+    size: int  # bytes
     kind: str  # as that of a target
     oldest: tuple[int, ...]  # version of the C library, or of macOS, that it asks for at least; () on Windows
     needed: frozenset[str]
@@ -106,7 +128,7 @@ class Library:
 
 
 def read_library(content: bytes) -> Library:
-    """Return what is in an ELF, Mach-O or PE file, or raise ValueError where it is none."""
+    """Read an ELF, Mach-O or PE file, or raise ValueError where it is none."""
     binary = lief.parse(content)
     if isinstance(binary, lief.ELF.Binary):
         asked = [symbol.name for of in binary.symbols_version_requirement for symbol in of.get_auxiliary_symbols()]
@@ -129,40 +151,48 @@ def read_library(content: bytes) -> Library:
         machine, signed = binary.header.machine.name, False
     else:
         raise ValueError("this is no library of Linux, macOS or Windows")
-    return Library(f"{binary.format.name} {machine}", oldest, frozenset(needed), frozenset(exported), signed)
+    return Library(
+        len(content), f"{binary.format.name} {machine}", oldest, frozenset(needed), frozenset(exported), signed
+    )
 
 
 def _version(text: str) -> tuple[int, ...]:
-    """Return the first two numbers of GLIBC_2.2.5 or macosx_11_0_arm64; () where there are none, as in win_amd64."""
+    """First two numbers of GLIBC_2.2.5 or macosx_11_0_arm64; () where there are none, as in win_amd64."""
     numbers = re.match(r"[A-Za-z]+_([0-9]+)[._]([0-9]+)", text)
     return tuple(map(int, numbers.groups())) if numbers else ()
 
 
-def check(target: Target, wheel: Path) -> str:
-    """Return a line about a wheel, or raise ValueError where it is not what its name says."""
+def check_functions(target: Target, wheel: Path) -> dict[str, Library]:
+    """A wheel's libraries by their files' names, or raise ValueError where they are others or export other functions."""
+    functions = functions_of(target)
+    expected = sorted([*BESIDE, *functions])
     with zipfile.ZipFile(wheel) as archive:
         names = sorted(name for name in archive.namelist() if name.startswith(f"{KERNEL}/"))
-        if names != sorted(f"{KERNEL}/{name}" for name in (*BESIDE, target.file_name)):
-            raise ValueError(
-                f"{wheel.name} has {', '.join(names)}, expected {', '.join(BESIDE)} and {target.file_name} in {KERNEL}"
-            )
-        content = archive.read(f"{KERNEL}/{target.file_name}")
-    library = read_library(content)
-    promised = _version(target.tags[0])
-    if library.kind != target.kind:
-        raise ValueError(f"{wheel.name} is for {library.kind}, expected {target.kind}")
-    if library.oldest > promised:
-        raise ValueError(f"{wheel.name} needs a system of version {library.oldest}, its tag promises {promised}")
-    if library.exported != declared():
-        wrong = ", ".join(sorted(library.exported ^ declared()))
-        raise ValueError(f"{wheel.name} exports other functions than foten.h declares: {wrong}")
-    if strange := sorted(name for name in library.needed if not re.fullmatch(SYSTEM_LIBRARIES, name)):
-        raise ValueError(f"{wheel.name} needs libraries that not every system has: {', '.join(strange)}")
-    if target.kind == "MACHO ARM64" and not library.signed:
-        raise ValueError(f"{wheel.name} is not signed, which Apple silicon does not load")
-    size = wheel.stat().st_size / 1e6
-    oldest = ".".join(map(str, library.oldest)) or "any"
-    return f"{wheel.name}: {size:.2f} MB, kernel {len(content) / 1e3:.0f} kB, needs version {oldest}"
+        if names != [f"{KERNEL}/{name}" for name in expected]:
+            raise ValueError(f"{wheel.name} has {', '.join(names)}, expected {', '.join(expected)} in {KERNEL}")
+        libraries = {name: read_library(archive.read(f"{KERNEL}/{name}")) for name in functions}
+    for name, library in libraries.items():
+        if library.kind != target.kind:
+            raise ValueError(f"{name} of {wheel.name} is for {library.kind}, expected {target.kind}")
+        if wrong := ", ".join(sorted(library.exported ^ functions[name])):
+            raise ValueError(f"{name} of {wheel.name} exports other functions than its sources declare: {wrong}")
+    return libraries
+
+
+def check(target: Target, wheel: Path) -> str:
+    """Check a wheel and say a line about it, or raise ValueError where it is not what its name says."""
+    libraries, promised = check_functions(target, wheel), _version(target.tags[0])
+    for name, library in libraries.items():
+        what = f"{name} of {wheel.name}"
+        if library.oldest > promised:
+            raise ValueError(f"{what} needs a system of version {library.oldest}, its tag promises {promised}")
+        if strange := sorted(name for name in library.needed if not re.fullmatch(SYSTEM_LIBRARIES, name)):
+            raise ValueError(f"{what} needs libraries that not every system has: {', '.join(strange)}")
+        if target.kind == "MACHO ARM64" and not library.signed:
+            raise ValueError(f"{what} is not signed, which Apple silicon does not load")
+    sizes = ", ".join(f"{name} {library.size / 1e3:.0f} kB" for name, library in libraries.items())
+    oldest = ".".join(map(str, max(library.oldest for library in libraries.values()))) or "any"
+    return f"{wheel.name}: {wheel.stat().st_size / 1e6:.2f} MB, {sizes}, needs version {oldest}"
 
 
 def main() -> None:

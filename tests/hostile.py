@@ -58,8 +58,10 @@ class Result:
 
     @property
     def clean(self) -> bool:
-        """Return whether it did its work, or refused the file in one line."""
+        """Return whether it did its work, or refused the file in one line, and printed nothing that a terminal would obey."""
         if "Traceback" in self.err or "Warning" in self.err:
+            return False
+        if not (self.out + self.err).replace("\n", "").isprintable():
             return False
         return self.status == 0 or (self.status == 2 and self.err.count("\n") == 1 and self.err[-1] == "\n")
 

@@ -76,6 +76,16 @@ def test_figures_that_cannot_be_are_refused(texture: Texture) -> None:
         Renderer(texture, rate=8000, actuator=ActuatorProfile(resonance_hz=70.0, gain=1e-310))
 
 
+def test_new_figures_go_on_from_what_the_filter_remembers(texture: Texture) -> None:
+    """Figures that are set again change nothing, and other ones make no step: from rest the filter would ring for 100 ms."""
+    profile = ActuatorProfile(resonance_hz=70.0, gain=1.0)
+    same, set_again = (Renderer(texture, rate=8000, seed=5, actuator=profile) for _ in range(2))
+    whole = same.render(100.0, 1.0, 4000)
+    before = set_again.render(100.0, 1.0, 2000)
+    set_again.native_state.set_actuator(profile.native())
+    np.testing.assert_array_equal(np.concatenate([before, set_again.render(100.0, 1.0, 2000)]), whole)
+
+
 def test_refused_figures_change_nothing(texture: Texture) -> None:
     """They were taken over before they were looked at, and muted the rendering."""
     renderers = [Renderer(texture, rate=2000, seed=5) for _ in range(2)]

@@ -8,12 +8,12 @@ from scipy.spatial import Delaunay
 
 from foten.dsp.ar import burg, levinson, solved, spectral_radius, stabilised
 from foten.dsp.lattice import LEAK, polynomial, reflections_of
-from foten.dsp.lsf import LEAST_GAP, line_spectral_frequencies, polynomial_of, spread_out
+from foten.dsp.lsf import MIN_GAP_RAD, line_spectral_frequencies, polynomial_of, spread_out
 from foten.dsp.mesh import Mesh
 
 
 def taps_of(poles: list[complex]) -> np.ndarray:
-    """Return the taps, oldest first, of the process with these poles."""
+    """Taps, oldest first, of the process with these poles."""
     return -np.poly(poles).real[:0:-1]
 
 
@@ -108,7 +108,7 @@ def test_burg_finds_a_sharp_resonance_in_a_short_piece() -> None:
 
 
 def stable(p: int, seed: int) -> np.ndarray:
-    """Return a polynomial of p zeros between 0.3 and 0.98 from the middle, in pairs and one at most alone."""
+    """Polynomial of p zeros between 0.3 and 0.98 from the middle, in pairs and one at most alone."""
     rng = np.random.default_rng(seed)
     zeros = rng.uniform(0.3, 0.98, p // 2) * np.exp(1j * rng.uniform(0.1, 3.0, p // 2))
     zeros = np.concatenate([zeros, zeros.conj(), rng.uniform(-0.9, 0.9, p % 2)])
@@ -152,7 +152,7 @@ def test_spread_angles_are_apart(p: int, seed: int) -> None:
     rng = np.random.default_rng(seed)
     angles = np.sort(rng.choice([0.0, 0.3, 0.301, 3.1, 3.14, np.pi], (3, p)), axis=1)
     gaps = np.diff(np.pad(spread_out(angles), ((0, 0), (1, 1)), constant_values=((0, 0), (0.0, np.pi))), axis=1)
-    assert gaps.min() > LEAST_GAP * (1 - 1e-9)
+    assert gaps.min() > MIN_GAP_RAD * (1 - 1e-9)
     far = np.linspace(0.0, np.pi, p + 2)[1:-1]
     np.testing.assert_allclose(spread_out(far), far, rtol=1e-12)
 

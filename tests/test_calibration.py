@@ -177,7 +177,7 @@ def test_no_excitation_is_larger_than_what_was_left_to_explain(
     halved: tuple[ClosedLoop, Residuals, Calibrated],
 ) -> None:
     """At the training samples, in σ and in acceleration, whichever is less; the definition draws none that is."""
-    loop, residuals, calibrated = halved
+    _, residuals, calibrated = halved
     in_sigma, in_acceleration = calibrated.excitation.innovation_limit
     left = np.abs(residuals.innovation[: residuals.n_train])
     assert in_acceleration == pytest.approx(GAIN * left.max(), rel=1e-6)

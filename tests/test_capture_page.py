@@ -5,7 +5,6 @@ The pen's clock runs 50 ppm fast and 80 ms late.
 
 from __future__ import annotations
 
-import signal
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -18,20 +17,21 @@ import scipy.signal
 
 from foten.datasets.hdf5 import load_recording
 from foten.datasets.importing import read_stroke
-from foten.datasets.simulated_capture import BEGIN_S, CUE_S, FULL_SCALE, SOUND_HZ, SimulatedCapture, simulate_capture
 from foten.dsp import Array
 from foten.evaluate.evaluate import evaluate
 from foten.models.texture_file import read_texture
 from foten.recording.inspection import inspect_recording
 from foten.recording.recording import Recording
-from foten.studio.capture import in_order
+from foten.simulation.simulated_capture import BEGIN_S, CUE_S, FULL_SCALE, SOUND_HZ, SimulatedCapture, simulate_capture
+from foten.studio.capture_session import in_order
 from foten.training.train_capture import train_recording
-from test_studio import started
-from test_studio_page import CHROMIUM, SHOTS, SIZES, playwright, until
+from test_studio_page import CHROMIUM, SHOTS, SIZES, chromium, look, until
+from test_studio_server import serving
 
 pytestmark = [pytest.mark.browser, pytest.mark.skipif(CHROMIUM is None, reason="needs Chromium: apt install chromium")]
 DELAY_S, DRIFT = 0.08, 50e-6  # of the pen's clock
 EVENTS_HZ = 200.0
+FAKE_MICROPHONE = ("--use-fake-device-for-media-stream", "--use-fake-ui-for-media-stream")
 CAPTURE = "window.studio.capture"
 BUSY_MS = 200.0  # between two turns of the page, of which each is 5 ms: above, the machine is too busy to be timed
 
@@ -111,10 +111,8 @@ def performance() -> SimulatedCapture:
 
 @pytest.fixture
 def studio_link(tmp_path: Path) -> Iterator[str]:
-    process, link = started("--captures", str(tmp_path / "captures"))
-    yield link
-    process.send_signal(signal.SIGTERM)
-    process.communicate(timeout=30)
+    with serving("--captures", str(tmp_path / "captures")) as (_, link):
+        yield link
 
 
 @pytest.fixture
@@ -122,11 +120,8 @@ def browser(tmp_path: Path, performance: SimulatedCapture) -> Iterator[Any]:
     """A browser whose microphone hears the performance."""
     performance.write(tmp_path / "performance", np.random.default_rng(0))
     microphone = f"--use-file-for-fake-audio-capture={tmp_path / 'performance' / 'sound.wav'}%noloop"
-    flags = ["--no-sandbox", "--use-fake-device-for-media-stream", "--use-fake-ui-for-media-stream", microphone]
-    with playwright.sync_playwright() as started_playwright:
-        browser = started_playwright.chromium.launch(executable_path=CHROMIUM, args=flags)
+    with chromium(*FAKE_MICROPHONE, microphone) as browser:
         yield browser
-        browser.close()
 
 
 def lag_s(recording: Recording, sound: Array, rate_hz: int, performance: SimulatedCapture) -> float:
@@ -159,25 +154,18 @@ def judged(path: Path, recording: Recording) -> float:
 @pytest.fixture(scope="module")
 def quiet_browser() -> Iterator[Any]:
     """A browser whose microphone beeps once a second."""
-    with playwright.sync_playwright() as started_playwright:
-        flags = ["--no-sandbox", "--use-fake-device-for-media-stream", "--use-fake-ui-for-media-stream"]
-        browser = started_playwright.chromium.launch(executable_path=CHROMIUM, args=flags)
+    with chromium(*FAKE_MICROPHONE) as browser:
         yield browser
-        browser.close()
 
 
 @pytest.mark.parametrize(("size", "dark"), [*((size, False) for size in SIZES), ("desktop", True), ("phone", True)])
 def test_it_can_be_read_and_used_by_all(quiet_browser: Any, studio_link: str, size: str, dark: bool) -> None:
-    axe = pytest.importorskip(
-        "axe_playwright_python.sync_playwright", reason="needs axe-core: pip install '.[browser]'"
-    )
     page = opened_capture(quiet_browser, studio_link, SIZES[size], dark)
     page.click("#capture-one")
     until(page, "document.querySelectorAll('#inputs option').length > 0")
     for step in ("set-up", "tap-in", "stroke", "training", "failed"):
         page.evaluate(f"(step) => {{ {CAPTURE}.enter(step); {CAPTURE}.draw(); }}", step)
-        shot(page, f"capture-{size}-{'dark' if dark else 'light'}-{step}")
-        assert axe.Axe().run(page).response["violations"] == []
+        assert look(page, f"capture-{size}-{'dark' if dark else 'light'}-{step}") == []
     page.context.close()
 
 

@@ -91,7 +91,7 @@ def test_listeners_are_asked_where_they_are_asked_for(
 ) -> None:
     """Under a long stroke of a simulated truth, beside two true ones; here with next to no training and a short one."""
     monkeypatch.setattr("foten.evaluate.listener_network.N_STEPS", 2)
-    monkeypatch.setattr("foten.experiments.truth.LONG_S", 46.0)
+    monkeypatch.setattr("foten.experiments.simulator_reference.LONG_S", 46.0)
     capsys.readouterr()
     assert _status(["evaluate", str(texture), str(recording), "--json", "--listener"]) == 0
     scores = json.loads(capsys.readouterr().out)["listener"]
@@ -102,7 +102,7 @@ def test_listeners_are_asked_where_they_are_asked_for(
     assert 40 < scores["listener_s"] < 46
     assert _status(["evaluate", str(texture), str(recording), "--listener"]) == 0
     assert "Listener: area under its curve over 4" in capsys.readouterr().out
-    monkeypatch.setattr("foten.experiments.truth.LONG_S", 20.0)
+    monkeypatch.setattr("foten.experiments.simulator_reference.LONG_S", 20.0)
     assert _status(["evaluate", str(texture), str(recording), "--listener"]) == 0
     assert "Listener, not computed: areas under its curve (20 s to listen to" in capsys.readouterr().out
     assert _status(["evaluate", str(texture), str(recording)]) == 0

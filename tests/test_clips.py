@@ -7,6 +7,7 @@ import json
 import shutil
 import struct
 import subprocess
+from fractions import Fraction
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -18,12 +19,14 @@ import scipy.io.wavfile
 from conftest import exported
 from foten.cli.command_line import _status
 from foten.dsp import Array
+from foten.dsp.resample import interpolate
 from foten.export.ahap import write_ahap
 from foten.export.android import write_android
 from foten.export.c_header import identifier, write_c_header
-from foten.export.clip import RATE_HZ, Clip, clip_of, envelopes_of
+from foten.export.clip import RATE_HZ, Clip, _reduced, clip_of, envelopes_of
 from foten.export.haptic import write_haptic
 from foten.export.hjif import write_hjif
+from foten.export.samples import write_wav
 from foten.models.texture_file import read_texture, write_texture
 from foten.runtime.binding import ABI, c_flags
 from foten.runtime.renderer import EXAMPLE, Renderer
@@ -65,13 +68,31 @@ def test_the_envelopes_of_a_tone_are_its_level_and_its_frequency(hertz: float) -
     assert 0.8 / 2**0.5 * 0.95 < level.mean() <= 0.81
 
 
-def test_the_level_falls_within_the_release() -> None:
-    clip = tone(200.0)
-    clip.drive[8000:] = 0.0
-    amplitude = envelopes_of(clip).amplitude
-    at = np.interp([0.99, 1.1, 1.6], *amplitude.T)
-    assert at[1] == pytest.approx(at[0] * np.exp(-1), rel=0.15)
-    assert at[2] < 0.01
+def test_the_level_rises_at_once_holds_and_falls_within_the_release() -> None:
+    """It is held for 1.5 ms, which are two steps, and falls by e in 0.1 s; an offset has no level."""
+    t = np.arange(16_000) / RATE_HZ
+    burst = 0.7 * np.sign(np.sin(2 * np.pi * 500 * t + 0.1)) * ((t >= 0.5) & (t < 1.0))
+    amplitude = envelopes_of(Clip(0.2 + burst, RATE_HZ, 1.0, ABOUT)).amplitude
+    np.testing.assert_allclose(np.interp([0.49, 0.501, 0.99], *amplitude.T), [0.0, 0.7, 0.7], atol=0.01)
+    falling = np.array([0.0, 0.02, 0.05, 0.1])
+    # The points that are left describe the curve to 1 %, and steps of 1 ms another.
+    np.testing.assert_allclose(np.interp(1.002 + falling, *amplitude.T), 0.7 * np.exp(-falling / 0.1), rtol=0.02)
+
+
+def test_the_frequency_is_that_of_what_skin_feels() -> None:
+    """Above 1 kHz a spectrum does not count."""
+    clip = Clip(tone(200.0, size=0.3).drive + tone(3000.0, size=0.6).drive, RATE_HZ, 1.0, ABOUT)
+    np.testing.assert_allclose(envelopes_of(clip).hertz(np.linspace(0.3, 1.7, 9)), 200.0, atol=20.0)  # leakage of 3 kHz
+
+
+def test_a_wav_of_a_drive_at_full_scale_is_cut_and_does_not_wrap(tmp_path: Path) -> None:
+    """Between the samples of a square wave the interpolated sound exceeds 1 by a tenth: wrapped, that is a click at −1."""
+    clip = Clip(np.sign(np.sin(2 * np.pi * 100 * np.arange(4000) / RATE_HZ + 0.01)), RATE_HZ, 1.0, ABOUT)
+    sound = interpolate(clip.drive, Fraction(6))
+    assert np.abs(sound).max() > 1.05
+    write_wav(clip, tmp_path / "a.wav")
+    _, written = scipy.io.wavfile.read(tmp_path / "a.wav")
+    np.testing.assert_allclose(written / 32767, np.clip(sound, -1, 1), atol=0.5 / 32767)  # half a step of 16 bits
 
 
 def test_envelopes_are_no_denser_than_60_points_a_second(mesh: Clip) -> None:
@@ -91,6 +112,17 @@ def test_what_is_reduced_stays_near_what_was_there() -> None:
     clip = Clip(np.linspace(0.0, 0.9, 16000) * np.sign(np.sin(2 * np.pi * 500 * t + 0.1)), RATE_HZ, 1.0, ABOUT)
     amplitude = envelopes_of(clip).amplitude
     np.testing.assert_allclose(np.interp(t[100:], *amplitude.T), np.linspace(0.0, 0.9, 16000)[100:], atol=0.01)
+
+
+def test_the_points_that_matter_least_go_first() -> None:
+    """Oracle: Visvalingam and Whyatt's rule, every triangle measured anew at each step."""
+    points = np.stack([np.arange(40.0), np.random.default_rng(0).standard_normal(40)], axis=1)
+    expected = points
+    while len(expected) > 12:
+        before, here, after = expected[:-2], expected[1:-1], expected[2:]
+        across, up = (here - before).T, (after - before).T
+        expected = np.delete(expected, 1 + np.abs(across[0] * up[1] - up[0] * across[1]).argmin(), axis=0)
+    np.testing.assert_array_equal(_reduced(points, 12), expected)
 
 
 def check_ahap(document: dict[str, Any], seconds: float) -> None:
@@ -155,7 +187,7 @@ CHANNEL = "id description gain mixing_coefficient body_part_mask frequency_sampl
 
 
 def synthesized(document: dict[str, Any]) -> Array:
-    """Return what the reference synthesizer makes of a file, at its own rate, once its members are checked."""
+    """Output of the reference synthesizer for a file, at its own rate, once its members are checked."""
     assert set(FILE.split()) == set(document)
     assert document["version"] == "2023"
     assert document["level"] in (1, 2)
@@ -289,7 +321,7 @@ def ran(*arguments: str | Path) -> int:
 
 
 def comment(path: Path) -> dict[str, Any]:
-    """Return the comment of a WAV file, once the sizes of its chunks add up."""
+    """Comment of a WAV file, once the sizes of its chunks add up."""
     data = path.read_bytes()
     assert data[:4] == b"RIFF"
     assert struct.unpack("<I", data[4:8])[0] == len(data) - 8

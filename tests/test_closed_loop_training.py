@@ -11,7 +11,6 @@ import pytest
 import torch
 
 from conftest import PLUS, perturbed
-from foten.datasets.simulate import simulate
 from foten.dsp.lattice import analyse
 from foten.dsp.tones import tone
 from foten.models.definitions import model_of
@@ -24,6 +23,7 @@ from foten.models.foten_plus.linear_model import LinearModel, fit_level, fit_lin
 from foten.models.foten_plus.network import InnovationNetwork
 from foten.models.foten_plus.sizes import FotenPlusSizes
 from foten.recording.preprocess import PreprocessConfig
+from foten.simulation.simulate import simulate
 from foten.training.blocks import ScaledBlocks
 from foten.training.config import TrainConfig
 from foten.training.job import TrainingJob

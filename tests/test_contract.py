@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -14,10 +13,11 @@ import pytest
 from torch import Tensor, nn
 
 from conftest import sizes_with
-from foten.baselines.sizes import TRAINABLE
+from foten.baselines.graph import graph_of
+from foten.baselines.graph_model import model_of_graph
+from foten.baselines.sizes import BASELINES, TRAINABLE, NoiseModelSizes
 from foten.cli.command_line import _status
 from foten.datasets.hdf5 import write_recording
-from foten.datasets.simulate import simulate
 from foten.evaluate.evaluate import evaluate
 from foten.evaluate.report.tables import to_text
 from foten.models.render_definition import render
@@ -28,14 +28,13 @@ from foten.runtime.bench import INSTRUCTION_SETS, time_all
 from foten.runtime.native import NativeTexture
 from foten.runtime.onnx_predictor import OnnxPredictor
 from foten.runtime.renderer import Renderer
-from foten.training import calibration as closed_loop
+from foten.simulation.simulate import simulate
+from foten.training import calibration
 from foten.training.config import OWN_RECIPES, TrainConfig
 from foten.training.job import TrainingJob
 from foten.training.pipeline import train
-from foten.training.texture_builder import graph_of
 
-IN_GRAPHS = [key for key, kind in TRAINABLE.items() if kind.in_graph]
-FROM_NOISE = [key for key, kind in TRAINABLE.items() if kind.from_noise]
+FROM_NOISE = [key for key, kind in BASELINES.items() if issubclass(kind, NoiseModelSizes)]
 
 SMALL = {
     **{"d_model": 8, "n_heads": 2, "n_layers": 1, "d_feedforward": 16, "head": (16, 8), "spectral_width": 8},
@@ -55,20 +54,15 @@ def textures(recording: Recording) -> dict[str, Texture]:
     """Return every model, trained for a moment; few closed loops settle its level, which take graphs seconds."""
     made = {}
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(closed_loop, "N_CALIBRATIONS", 1)
-        patch.setattr(closed_loop, "N_RUNS", 2)
+        patch.setattr(calibration, "N_CALIBRATIONS", 1)
+        patch.setattr(calibration, "N_RUNS", 2)
         for key in TRAINABLE:
             short = {"epochs": 2, "batch": 64, "threads": 1, "max_order": 8, "tones": False}
-            short |= {"volatility": key in ("foten-plus", "foten", "fnn")} | ({"batch": 8} if key == "gan" else {})
+            short |= {"batch": 8} if key == "gan" else {}
             own = {"window": 42, "frame": 16, "stride": 1} if key == "gan" else SMALL
             config = TrainConfig(**(OWN_RECIPES.get(key, {}) | short))
             made[key] = train(TrainingJob(recording, key, sizes_with(key, own), config, SHORT)).texture
     return made
-
-
-def network_of(texture: Texture) -> Callable[[np.ndarray], np.ndarray] | None:
-    """Return what the reference runs of a graph: ONNX Runtime."""
-    return OnnxPredictor(texture.sizes, texture.tensors).predict if texture.sizes.in_graph else None
 
 
 def test_each_loads_without_pytorch_is_judged_and_renders(
@@ -116,7 +110,7 @@ print(json.dumps(judged))
         # The change of rate lets a cut wave overshoot a little.
         assert of["peak"] < 1.3 * bound, key
         assert np.isfinite(of["free_run"]), key
-        if TRAINABLE[key].from_noise:  # it predicts no sample
+        if key in FROM_NOISE:  # it predicts no sample
             assert of["one_step"] is None, key
             assert of["nll"] is None, key
         else:
@@ -132,7 +126,7 @@ def test_the_kernel_renders_what_the_reference_renders(textures: dict[str, Textu
     """
     texture = textures[key]
     speed, force = np.linspace(20, 160, 64), np.linspace(0.4, 1.5, 64)
-    expected = render(texture, speed, force, seed=5, network=network_of(texture))[0]
+    expected = render(texture, speed, force, seed=5, model=model_of_graph(texture) if key in BASELINES else None)[0]
     rendered = Renderer(texture, seed=5).render(speed, force)
     scale = texture.scaling.sd[0] * np.maximum(1.0, np.abs(expected / texture.scaling.sd[0]))
     assert (np.abs(rendered - expected) / scale).max() < 2 * CLOSED_LOOP_TOLERANCE
@@ -163,7 +157,7 @@ def test_what_is_bad_is_refused(textures: dict[str, Texture], key: str) -> None:
             texture_from_bytes(damaged)
 
 
-@pytest.mark.parametrize("key", IN_GRAPHS)
+@pytest.mark.parametrize("key", BASELINES)
 def test_a_damaged_graph_is_refused_in_one_line(textures: dict[str, Texture], key: str) -> None:
     texture = textures[key]
     for graph in (texture.tensors["graph"][:-200], np.zeros(10, dtype=np.uint8)):

@@ -5,7 +5,7 @@ from foten.dsp.dft321 import dft321
 
 
 def direct(axes: np.ndarray) -> np.ndarray:
-    """Return DFT321 by its definition: sums over n and k, no fast transform."""
+    """DFT321 by its definition: sums over n and k, no fast transform."""
     n = axes.shape[1]
     turn = np.exp(-2j * np.pi * np.outer(np.arange(n), np.arange(n)) / n)
     spectra = [turn @ axis for axis in axes]

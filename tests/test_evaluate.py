@@ -12,11 +12,15 @@ from scipy.signal import lfilter
 from conftest import SCALING, SMALL, exported, sizes_with
 from foten.evaluate.evaluate import Judgement, evaluate
 from foten.evaluate.free_run import synthesize_linear
-from foten.evaluate.one_step import ORDERS, Linear, best_linear
+from foten.evaluate.one_step import ORDERS, Linear, best_linear, excitation_scores
+from foten.models.conditions import FADE_FORCE, FADE_SPEED
+from foten.models.texture_file import Texture
 from foten.recording.preprocess import PreprocessConfig, preprocess
 from foten.recording.recording import Channel, Recording
 from foten.recording.split import Split
 from foten.recording.trace import Trace
+from foten.recording.windows import targets
+from foten.runtime.native import NativeTexture
 
 PREPROCESS = PreprocessConfig(trim_ms=0, block_ms=1000)
 N_BLOCKS, BLOCK, FIRST = 16, 1000, 320
@@ -25,7 +29,7 @@ SPLIT = Split(tuple(range(8)), (8, 9, 10, 11), (12, 13, 14, 15), N_BLOCKS, BLOCK
 
 @pytest.fixture(scope="module")
 def recording() -> Recording:
-    """Return a recording that echoes after 30 samples in half of its training and in its test blocks, and nowhere else.
+    """Recording that echoes after 30 samples in half of its training and in its test blocks, and nowhere else.
 
     So an order of 40 is best on the test blocks, and a lower one on the validation blocks.
     """
@@ -62,7 +66,7 @@ def trace(recording: Recording) -> Trace:
 
 
 def design(block: np.ndarray, order: int, scheduled: bool) -> np.ndarray:
-    """Return history, oldest first, and one, then both times speed and times force of the sample before; (BLOCK − order, …)."""
+    """History, oldest first, and one, then both times speed and times force of the sample before; (BLOCK − order, …)."""
     rows = []
     for n in range(order, BLOCK):
         known = np.append(block[n - order : n, 0], 1.0)
@@ -72,7 +76,7 @@ def design(block: np.ndarray, order: int, scheduled: bool) -> np.ndarray:
 
 
 def least_squares(trace: Trace, chosen: tuple[int, ...], order: int, scheduled: bool = False) -> Linear:
-    """Return AR(order) by NumPy's least squares over whole blocks."""
+    """AR(order) by NumPy's least squares over whole blocks."""
     blocks = SCALING.scale(trace.stacked()).reshape(N_BLOCKS, BLOCK, 3)[list(chosen)]
     rows = np.concatenate([design(block, order, scheduled) for block in blocks])
     target = blocks[:, order:, 0].ravel()
@@ -82,7 +86,7 @@ def least_squares(trace: Trace, chosen: tuple[int, ...], order: int, scheduled: 
 
 
 def error(trace: Trace, chosen: tuple[int, ...], fitted: Linear) -> float:
-    """Return the mean absolute one-step error over the scored samples of some blocks, scaled."""
+    """Mean absolute one-step error over the scored samples of some blocks, scaled."""
     blocks = SCALING.scale(trace.stacked()).reshape(N_BLOCKS, BLOCK, 3)[list(chosen)]
     skipped = FIRST - fitted.window
     missed = [
@@ -127,6 +131,25 @@ def test_the_best_ar_is_chosen_on_the_validation_blocks(judged: Judgement, trace
     assert (best["order"], best["scheduled"]) == chosen
     assert best["mae_scaled"] == pytest.approx(error(trace, SPLIT.test, kinds[chosen]), rel=1e-6)
     assert best["mae_scaled"] > 1.1 * error(trace, SPLIT.test, kinds[tempting])
+
+
+def test_the_excitation_is_scored_where_the_tool_moves_and_touches(recording: Recording, texture: Texture) -> None:
+    """Lifted and moving, or pressed and at rest, a recording is its sensor's noise: neither is scored."""
+    t = np.arange(recording["speed"].samples.size) / 1000
+    hand = {"speed": np.where(t % 1 < 0.6, 80.0, 0.0), "force": np.where(t % 1 > 0.4, 1.0, 0.0)}
+    half = Recording({**recording.channels, **{name: Channel(samples, 1000.0) for name, samples in hand.items()}})
+    judged = evaluate(texture, half, trim_ms=0, block_ms=1000)
+    samples, n = (
+        texture.scaling.scale(judged.trace.stacked()),
+        targets(judged.blocks, BLOCK, FIRST).reshape(-1, BLOCK - FIRST),
+    )
+    moving, touching = judged.trace.speed[n] >= FADE_SPEED, judged.trace.force[n] >= FADE_FORCE
+    scored, more = (
+        excitation_scores(NativeTexture(texture.to_bytes()), samples, n, counted)["nll"]
+        for counted in (moving & touching, moving | touching)
+    )
+    assert judged.document["one_step"]["nll"] == pytest.approx(scored)
+    assert abs(more - scored) > 0.01
 
 
 def test_the_best_linear_predictor_never_sees_other_blocks(trace: Trace) -> None:

@@ -7,21 +7,18 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from foten.experiments.innovations import KINDS, innovations
-from scipy.integrate import quad
 
 from conftest import TINY, experiment, exported
 from foten.cli.command_line import _status
 from foten.datasets.hdf5 import write_recording
-from foten.datasets.simulate import simulate
 from foten.experiments.experiment import MEASURES, Experiment, Method, experiment_path, read_experiment
 from foten.experiments.onset import onset
 from foten.experiments.results import by_recipe, read_records
-from foten.experiments.run import _judged, _measures
+from foten.experiments.run import _measures, _result
 from foten.experiments.stability import into, proven, stability
 from foten.models.foten_plus.sizes import FotenPlusSizes
 from foten.models.texture_file import Texture
-from foten.recording.trace import Trace
+from foten.simulation.simulate import simulate
 
 
 def test_ar_is_run_once_whatever_the_grid(tmp_path: Path) -> None:
@@ -204,7 +201,7 @@ def test_a_texture_is_bounded_and_forgets(texture: Texture) -> None:
 
 
 def test_the_proven_bound_grows_with_the_level(texture: Texture) -> None:
-    tensors = {**texture.tensors, "lattice.level.highest": 2 * texture.tensors["lattice.level.highest"]}
+    tensors = {**texture.tensors, "lattice.level.sigma_max": 2 * texture.tensors["lattice.level.sigma_max"]}
     assert proven(dataclasses.replace(texture, tensors=tensors)) == pytest.approx(2 * proven(texture))
     assert proven(exported("foten")) is None
 
@@ -224,32 +221,16 @@ def test_a_first_stroke_is_as_a_settled_one(texture: Texture) -> None:
     assert abs(excess) < 4 * figures["click_standard_error"]
 
 
-@pytest.mark.parametrize("kind", KINDS)
-def test_a_density_integrates_to_one(kind: str) -> None:
-    density, start = KINDS[kind]
-    total, _ = quad(lambda u: float(np.exp(density(np.array([u]), *start))[0]), -60, 60, limit=400, points=[0.0])
-    assert total == pytest.approx(1.0, abs=1e-4)  # a Student t of 4.7 degrees of freedom has 3e-7 beyond
-
-
-def test_innovations_are_of_excited_textures_without_tones(texture: Texture) -> None:
-    rng = np.random.default_rng(0)
-    n = texture.card["split"]["n_blocks"] * texture.card["split"]["block"]
-    low, high = texture.trained_range("speed")
-    trace = Trace(
-        texture.scaling.sd[0] * rng.standard_normal(n), np.full(n, (low + high) / 2), np.ones(n), 1000.0,
-        texture.card["split"]["block"],
-    )  # fmt: skip
-    nats = innovations(texture, trace)
-    assert set(nats) == set(KINDS)
-    assert nats["heavy_tailed"] == pytest.approx(nats["gaussian"], abs=0.02)  # Gaussian noise has no tails to gain by
-    assert innovations(exported("foten"), trace) == {}
-
-
 def test_every_measure_that_a_file_may_name_is_there(texture: Texture, monkeypatch: pytest.MonkeyPatch) -> None:
-    own = [name for name in MEASURES if name != "listener"]  # which the evaluation asks
-    for name in own:
-        monkeypatch.setattr(f"foten.experiments.run.{name}", lambda *_, name=name: {"named": name})
-    assert _measures(MEASURES, texture, None, None) == {name: {"named": name} for name in own}  # type: ignore[arg-type]
+    functions = {
+        name: f"{module}.{name}" for name, module in MEASURES.items() if module.startswith("foten.experiments")
+    }
+    functions["validation_listener"] = "foten.experiments.run.validation_listener"
+    assert {*functions, "listener"} == set(MEASURES)  # the listener is asked by the evaluation
+    for name, function in functions.items():
+        monkeypatch.setattr(function, lambda *_, name=name: {"named": name})
+    expected = {name: {"named": name} for name in functions}
+    assert _measures([*MEASURES], texture, None, None) == expected  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("measures", [(), ("stability", "listener")])
@@ -265,9 +246,9 @@ def test_the_listener_is_asked_where_a_file_names_it(
         asked["evaluation"] = listener
         raise EnoughError
 
-    monkeypatch.setattr("foten.experiments.run.truth_for", lambda *_, listener: asked.update(truth=listener))
+    monkeypatch.setattr("foten.experiments.run.reference_for", lambda *_, listener: asked.update(reference=listener))
     monkeypatch.setattr("foten.experiments.run.evaluate", evaluated)
     run = next(iter(Experiment("t", ("linear-hum",), (Method("foten", measures=measures),)).runs()))
     with pytest.raises(EnoughError):
-        _judged(run, simulate("linear-hum", 4), texture, 0.0)
-    assert asked == {"truth": "listener" in measures, "evaluation": "listener" in measures}
+        _result(run, simulate("linear-hum", 4), texture, 0.0)
+    assert asked == {"reference": "listener" in measures, "evaluation": "listener" in measures}

@@ -11,7 +11,6 @@ import pytest
 import torch
 
 from conftest import PLUS, SMALL, perturbed, sizes_with
-from foten.datasets.simulate import simulate
 from foten.models.excitation import Excitation
 from foten.models.foten_plus import fit as foten_plus
 from foten.models.foten_plus.fit import (
@@ -37,6 +36,7 @@ from foten.recording.trace import Trace
 from foten.runtime.loops import predict_blocks
 from foten.runtime.native import NativeTexture
 from foten.runtime.renderer import Renderer
+from foten.simulation.simulate import simulate
 from foten.training.blocks import ScaledBlocks, scaled_blocks
 from foten.training.calibration import Calibrated
 from foten.training.config import TrainConfig

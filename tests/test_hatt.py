@@ -12,18 +12,18 @@ from scipy.signal import lfilter, welch
 
 from foten.cli.command_line import _status
 from foten.datasets.hatt import read_models
-from foten.datasets.simulate import simulate
 from foten.evaluate.evaluate import evaluate
 from foten.models.piecewise_ar.local_models import imported_texture
 from foten.models.texture_file import read_texture
 from foten.runtime.renderer import Renderer
+from foten.simulation.simulate import simulate
 
 CORNERS = [(0.0, 0.0), (200.0, 0.0), (0.0, 4.0), (200.0, 4.0), (90.0, 1.0)]
 TRIANGLES = [(1, 2, 5), (2, 4, 5), (4, 3, 5), (3, 1, 5)]
 
 
 def resonance(frequency_hz: float, radius: float, rate_hz: float) -> np.ndarray:
-    """Return 1, a₁, a₂ with poles at a frequency."""
+    """1, a₁, a₂ with poles at a frequency."""
     return np.array([1.0, -2 * radius * np.cos(2 * np.pi * frequency_hz / rate_hz), radius * radius])
 
 

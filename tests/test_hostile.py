@@ -1,11 +1,15 @@
 """Whatever is in a file, a command does its work or refuses it in one line: no traceback, no crash, no hang."""
 
+import json
 from pathlib import Path
+from typing import Any
 
 import pytest
+from safetensors.numpy import save
 
 from conftest import exported
 from foten.baselines.sizes import TRAINABLE
+from foten.cli.command_line import _status
 from foten.models.texture_file import Texture
 from hostile import KINDS, Generator, run_commands, run_hostile
 
@@ -34,6 +38,41 @@ def test_hostile_files_are_refused_in_one_line(generator: Generator, tmp_path: P
 @pytest.mark.parametrize("first", range(N_ALWAYS, N_SLOW, BATCH))
 def test_more_hostile_files_are_refused_in_one_line(generator: Generator, tmp_path: Path, first: int) -> None:
     _check(generator, range(first, min(first + BATCH, N_SLOW)), tmp_path)
+
+
+EVIL = "\x1b[2J\x1b]0;mine\x07\r\n\u202e\ud800" + "x" * 1_000_000
+
+
+@pytest.mark.parametrize(
+    ("fields", "arguments"),
+    [
+        ({"texture": EVIL, "licence": EVIL}, ["info"]),
+        ({"texture": EVIL}, ["play", "--to", "null", "--seconds", "0.02"]),
+        ({"texture": EVIL}, ["export", "--to", "c", "-o", "t.h"]),
+        ({"units": {"acceleration": EVIL, "speed": "mm/s", "force": "N"}}, ["info"]),
+        ({"licence": [EVIL]}, ["info"]),
+        ({"model": EVIL}, ["info"]),
+    ],
+)
+def test_what_a_card_says_reaches_a_terminal_printable_and_short(
+    texture: Texture,
+    fields: dict[str, Any],
+    arguments: list[str],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """It came raw: escapes that a terminal obeys, and a million characters."""
+    monkeypatch.chdir(tmp_path)
+    path = tmp_path / "t.foten"
+    path.write_bytes(save(dict(texture.tensors), metadata={"foten": json.dumps({**texture.card, **fields})}))
+    status = _status([*arguments, str(path)])
+    out, err = capsys.readouterr()
+    assert status == (0 if "texture" in fields else 2)
+    assert out + err
+    for line in (out + err).split("\n"):
+        assert line.isprintable()
+        assert len(line) < 2100
 
 
 def test_the_same_number_gives_the_same_file(generator: Generator, tmp_path: Path) -> None:

@@ -20,28 +20,24 @@ MODULES = sorted(
     for path in ROOT.rglob("*.py")
 )
 
-# `Who may import whom` of the architecture. Every package may import itself, the version, and what imports nothing of ours.
-MAY_IMPORT: dict[str, set[str]] = {
-    "atomic_write": set(),
-    "untrusted": set(),
-    "dsp": set(),
-    "recording": {"dsp"},
-    "models": {"dsp", "recording"},
-    "datasets": {"dsp", "recording"},
-    "runtime": {"dsp", "models", "recording"},
-    "training": {"models", "baselines", "dsp", "recording", "datasets", "runtime"},
-    "baselines": {"models", "training", "dsp", "recording", "runtime"},
-    "evaluate": {"dsp", "recording", "models", "runtime"},
-    "export": {"dsp", "models", "runtime"},
-    "study": set(),
-    "studio": {"recording", "models", "runtime", "export", "study"},
-}
+DOCUMENT = Path(__file__).parent.parent / "docs" / "architecture.md"
+
+
+def table() -> dict[str, set[str] | None]:
+    """What each package may import, as docs/architecture.md has it; None for everything."""
+    _, rows, _ = re.split(r"<!-- /?imports -->\n", DOCUMENT.read_text(encoding="utf-8"))
+    cells = [[cell.strip() for cell in row.strip("|").split("|")] for row in rows.splitlines()[2:]]
+    return {
+        package.strip("`"): None if names == "everything" else {name.strip(" `") for name in names.split(",") if name}
+        for package, names in cells
+    }
+
+
+MAY_IMPORT = table()
 FOR_ALL = {"atomic_write", "untrusted"}
-EVERYTHING = {"experiments", "cli", ""}  # the last is the package itself, whose names are looked up lazily
+EVERYTHING = {"", *(package for package, names in MAY_IMPORT.items() if names is None)}  # "": foten itself, lazily
 WITH_TORCH = {"training", "baselines", "experiments", "cli"}
-TRAINED = re.compile(
-    r"foten\.models\.\w+\.(?!definition$|innovation_network$|sizes$|ten_sizes$|local_models$)\w+"
-)  # by PyTorch
+TRAINED = re.compile(r"foten\.models\.\w+\.(?!definition$|innovation_network$|sizes$)\w+")  # by PyTorch
 FRAMEWORK_FREE = {
     "foten.training",
     "foten.baselines",
@@ -111,16 +107,28 @@ def of_project(modules: Iterator[str]) -> set[str]:
     return {package(name) for name in modules if name.startswith("foten.")}
 
 
+def test_of_the_command_line_alone_the_study_is_known() -> None:
+    assert {package(module) for module in MODULES if "study" in of_project(imported(source(module)))} == {
+        "study",
+        "cli",
+    }
+
+
 def test_every_package_has_its_row() -> None:
-    assert {package(module) for module in MODULES} <= MAY_IMPORT.keys() | EVERYTHING
+    assert {package(module) for module in MODULES} == MAY_IMPORT.keys() | FOR_ALL | {""}
 
 
 @pytest.mark.parametrize("module", MODULES)
 def test_a_module_imports_what_its_layer_may(module: str) -> None:
     layer = package(module)
-    if layer in EVERYTHING:
+    if layer in EVERYTHING | FOR_ALL:
         return
-    allowed = MAY_IMPORT[layer] | FOR_ALL | {layer} | ({"training", "baselines"} if may_train(module) else set())
+    allowed = (
+        MAY_IMPORT[layer]
+        | FOR_ALL
+        | {layer}
+        | ({"training", "baselines", "datasets", "runtime"} if may_train(module) else set())
+    )
     beyond = of_project(imported(source(module))) - allowed
     assert not beyond, f"{module} imports {', '.join(sorted(beyond))}"
 
@@ -174,7 +182,7 @@ for name in sys.argv[1:]:
 
 def test_training_says_what_it_lacks_without_pytorch() -> None:
     """The other side of the test above: the block works."""
-    code = "import sys; sys.modules['torch'] = None\ntry:\n    import foten.training.networks\nexcept ImportError as e: print(e.name)"
+    code = "import sys; sys.modules['torch'] = None\ntry:\n    import foten.training.loop\nexcept ImportError as e: print(e.name)"
     assert run(code).strip() == "torch"
 
 

@@ -23,7 +23,7 @@ FORCE = np.linspace(0, 3, 400)
 
 @pytest.fixture
 def recording(tmp_path: Path) -> Path:
-    """Return a small recording of ours."""
+    """Small recording of ours."""
     path = tmp_path / "a.h5"
     write_recording(Recording({"force": Channel(FORCE, 100.0)}), path)
     return path
@@ -47,7 +47,7 @@ def test_a_library_that_dies_is_a_sentence(tmp_path: Path, recording: Path, monk
     monkeypatch.syspath_prepend(tmp_path)
     start = (
         f"import sys; sys.path[:] = {sys.path!r}; from foten.datasets import isolated; "
-        f"isolated.READERS.update({readers!r}); isolated.LONGEST_S = 1; isolated.serve()"
+        f"isolated.READERS.update({readers!r}); isolated.MAX_CPU_S = 1; isolated.serve()"
     )
     monkeypatch.setattr(isolated, "_START", start.replace("{", "{{").replace("}", "}}"))
     monkeypatch.setattr(isolated, "_running", [])

@@ -27,7 +27,6 @@ from test_rendering import with_card
 
 ROOT = Path(__file__).parents[1]
 WASM = ROOT / "native" / "wasm"
-MUTATIONS = 3000
 
 # That of the extra `dev` lies beside this Python, which need not be in the path.
 CMAKE = shutil.which("cmake", path=os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]]))
@@ -90,7 +89,7 @@ def accelerations(table: str) -> np.ndarray:
 
 
 @pytest.mark.skipif(shutil.which("cc") is None, reason="needs a C compiler")
-@pytest.mark.parametrize("source", ["src/kernel.c", "training/innovations.c"])
+@pytest.mark.parametrize("source", ["src/kernel.c", "training/training_kernel.c"])
 @pytest.mark.parametrize(("kernel", "rows"), [("neon", 8), ("simd128", 5)])
 def test_kernels_for_other_processors_compile_without_a_warning(
     tmp_path: Path, kernel: str, rows: int, source: str
@@ -125,12 +124,13 @@ def test_nothing_is_allocated_while_rendering(build: Path, corpus: list[Path]) -
 
 
 @needs_cmake
-def test_damaged_files_do_no_harm(sanitized: Path, corpus: list[Path]) -> None:
+@pytest.mark.parametrize("n", [3000, pytest.param(1_000_000, marks=pytest.mark.slow)])
+def test_damaged_files_do_no_harm(sanitized: Path, corpus: list[Path], n: int) -> None:
     """Mutants of each kind of file under AddressSanitizer and UndefinedBehaviorSanitizer; both end the program with a report."""
     assert len(corpus) == len(KINDS)
     ran(
         sanitized / "fuzz_file",
-        str(MUTATIONS),
+        str(n),
         *corpus,
         UBSAN_OPTIONS="halt_on_error=1",
         ASAN_OPTIONS="allocator_may_return_null=1",

@@ -44,6 +44,23 @@ def test_a_dense_signal_is_averaged_over_each_period() -> None:
     np.testing.assert_allclose(at_rate(3 * times_s, times_s, 1000.0, 999)[1:], 3 * np.arange(1, 999) / 1000)
 
 
+def test_a_dense_signal_stays_averaged_beside_a_hole_in_it() -> None:
+    """Whether a signal is dense is the usual step's to say: one hole of 20 s makes their mean longer than a sample."""
+    times_s = np.concatenate([np.arange(10_000), np.arange(10_000) + 210_000]) / 10_000.0
+    noise = np.random.default_rng(1).standard_normal(times_s.size)
+    assert at_rate(noise, times_s, 1000.0, 1000)[5:-5].std() == pytest.approx(10**-0.5, rel=0.1)
+
+
+def test_the_ends_of_a_dense_signal_are_held() -> None:
+    """Before its first sample and after its last, and in the periods that it covers by half."""
+    times_s = 0.1 + np.arange(10_000) / 10_000.0
+    np.testing.assert_allclose(at_rate(np.full(10_000, 3.0), times_s, 1000.0, 1500), 3.0, rtol=1e-9)  # of sums to 3
+
+
+def test_a_speed_that_a_filter_takes_below_zero_is_none() -> None:
+    np.testing.assert_array_equal(speed_of(np.array([[-3.0, 0.0, 4.0]])), [0.0, 0.0, 4.0])
+
+
 def test_a_line_is_interpolated_exactly_and_its_ends_are_held() -> None:
     times_s = np.arange(12) / 120.0 + 0.01
     found = at_rate(3.0 + 5.0 * times_s, times_s, 1000.0, 150)

@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 from scipy.signal import butter, freqz, lfilter
 
-from foten.datasets.linear_family import LINEAR_FAMILY, LinearParameters, linear_truth, one_step_bounds
-from foten.datasets.simulate import simulate
+from foten.simulation.linear_family import LINEAR_FAMILY, LinearParameters, linear_truth, one_step_bounds
+from foten.simulation.simulate import simulate
 
 KEYS = list(LINEAR_FAMILY)
 HIGHPASS = butter(2, 20, "high", fs=1000)
@@ -14,13 +14,13 @@ ONE = (np.array([100.0]), np.array([1.0]))  # the reference speed [mm/s] and for
 
 
 def lagged_covariance(x: np.ndarray, window: int) -> np.ndarray:
-    """Return means of x[n-i] x[n-j] for i, j = 0 … window, shape (window + 1, window + 1)."""
+    """Means of x[n-i] x[n-j] for i, j = 0 … window, shape (window + 1, window + 1)."""
     lags = np.lib.stride_tricks.sliding_window_view(x, window + 1)[:, ::-1]
     return np.asarray(lags.T @ lags) / len(lags)
 
 
 def least_squares(x: np.ndarray, window: int) -> tuple[np.ndarray, float]:
-    """Return the AR coefficients fitted by least squares and the rms of what is left."""
+    """AR coefficients fitted by least squares and the rms of what is left."""
     covariance = lagged_covariance(x, window)
     a = np.linalg.solve(covariance[1:, 1:], covariance[1:, 0])
     return a, float(np.sqrt(covariance[0, 0] - a @ covariance[1:, 0]))

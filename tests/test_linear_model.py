@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from conftest import PLUS, SCALING, exported, untrained, untrained_tensors
-from foten.datasets.simulate import TEXTURES, simulate
 from foten.dsp.tones import tone
 from foten.models.foten_plus import linear_model
 from foten.models.foten_plus.definition import Tones
@@ -20,6 +19,7 @@ from foten.recording.split import Split, split_blocks
 from foten.recording.trace import Trace
 from foten.runtime.loops import predict_blocks
 from foten.runtime.native import NativeTexture
+from foten.simulation.simulate import TEXTURES, simulate
 from foten.training.blocks import ScaledBlocks, scaled_blocks
 from foten.training.config import TrainConfig
 

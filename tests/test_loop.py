@@ -145,10 +145,10 @@ def test_an_interrupt_before_anything_was_validated_goes_on_to_the_caller() -> N
 
 @pytest.mark.parametrize("wrong", [math.nan, math.inf])
 def test_what_is_not_finite_is_named(wrong: float) -> None:
-    with pytest.raises(ValueError, match="^the training loss is not finite; is the acceleration full of outliers"):
+    with pytest.raises(ValueError, match=r"^the training loss is not finite; is the acceleration full of outliers"):
         run_loop(counting(lambda weight: 1.0, train_loss=wrong), CONFIG, Monitor())
     steps = list[float]()
-    with pytest.raises(ValueError, match="^the validation loss is not finite; is the acceleration full of outliers"):
+    with pytest.raises(ValueError, match=r"^the validation loss is not finite; is the acceleration full of outliers"):
         run_loop(counting(lambda weight: steps.append(weight) or wrong), CONFIG, Monitor())  # type: ignore[func-returns-value]
     assert steps == [0.0]  # nothing is trained of it
 

@@ -2,21 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from functools import cache
 from typing import Any, get_args
 
 import numpy as np
 import pytest
 from scipy.signal import lfilter
+from scipy.special import log_ndtr, ndtri_exp
 
-from conftest import PLUS, SCALING, exported, sizes_with, untrained
-from foten.baselines.sizes import TRAINABLE
+from conftest import PLUS, SCALING, exported, packed, sizes_with, untrained
 from foten.dsp.lattice import LEAK, polynomial
 from foten.dsp.noise import innovation_likelihood
 from foten.models.definitions import model_of
 from foten.models.excitation import Excitation
 from foten.models.foten_plus.definition import FotenPlus
+from foten.models.foten_plus.innovation_network import Mixture
 from foten.models.foten_plus.sizes import FotenPlusSizes
 from foten.models.model_sizes import ModelSizes
 from foten.models.piecewise_ar.definition import PiecewiseAr
@@ -25,8 +25,6 @@ from foten.models.stream import Model, run
 from foten.models.texture_file import CLOSED_LOOP_TOLERANCE, ONE_STEP_TOLERANCE, Texture
 from foten.runtime.loops import predict_blocks, run_loops
 from foten.runtime.native import NativeState, NativeTexture, PredictionPart
-from foten.training.texture_builder import in_float64
-from test_innovations import standardised
 from test_piecewise_ar import LOCAL
 from test_reference import CASES, sizes_for
 
@@ -51,9 +49,8 @@ def case(key: str, variant: str) -> tuple[Texture, Model]:
         texture = exported(key, sizes_for(key, variant))
         return texture, model_of(texture.sizes, texture.tensors)
     sizes = sizes_with(key, GRAPHS[key])
-    network: Callable[[np.ndarray], np.ndarray] = in_float64(untrained(key, sizes))
-    texture = exported(key, sizes)
-    return texture, model_of(sizes, texture.tensors, network)
+    texture, graph = exported(key, sizes), packed(untrained(key, sizes), sizes)
+    return texture, graph.definition(graph.sizes, texture.tensors)
 
 
 def in_float64_alone(sizes: ModelSizes) -> bool:
@@ -102,7 +99,17 @@ def test_the_kernels_loop_is_the_references(key: str, variant: str) -> None:
             error = np.abs(out - expected) / np.maximum(1.0, np.abs(expected))
             assert error[:, :64].max() < first, (noise is None, limit)
             assert error.max() < later, (noise is None, limit)
-            assert np.abs(expected).max() > 0.01 or (TRAINABLE[key].from_noise and noise is None)
+            assert np.abs(expected).max() > 0.01 or (not texture.predicts_samples and noise is None)
+
+
+def standardised(mixture: Mixture, values: np.ndarray) -> np.ndarray:
+    """The z of which values are the quantiles at Φ(z), by SciPy."""
+    logs = np.log(mixture.weight)
+    below, above = (
+        np.logaddexp.reduce(logs + log_ndtr(sign * (values[:, None] - mixture.mean) / mixture.scale), axis=1)
+        for sign in (1, -1)
+    )
+    return np.where(below < above, 1, -1) * ndtri_exp(np.minimum(below, above))
 
 
 def followed(
@@ -113,8 +120,7 @@ def followed(
     if isinstance(model, FotenPlus):
         in_loop = model.sizes.network_in_loop and not model.sizes.n_tones
         corrected = part == "model" or (part == "rendering" and in_loop)
-        stream = model._analysed(blocks[:, :m], model.lattice, model.network if corrected else None, settled=False)
-        stream.volatility = Volatilities()  # type: ignore[assignment]
+        stream = model._analysed(blocks[:, :m], model.lattice, model.network if corrected else None, calibrated=False)
         conditions, predictions, units = model.with_path(blocks[:, :, 1:]), [], []
         for t in range(m, n):
             predictions.append(stream.predict())
@@ -127,8 +133,7 @@ def followed(
         missed = (blocks[:, m:, 0] - samples).T
         if not corrected:
             scores = [
-                (p.scale, *innovation_likelihood(miss, p.scale, p.tail))
-                for p, miss in zip(predictions, missed, strict=True)
+                (p.scale, *innovation_likelihood(miss, p.scale)) for p, miss in zip(predictions, missed, strict=True)
             ]
         else:
             scores = []
@@ -144,7 +149,7 @@ def followed(
             local.infer(blocks[:, t, 0], blocks[:, t, 1:], known=True)
         samples, scales = (np.stack(some, axis=1) for some in zip(*(p[:2] for p in local_predictions), strict=True))
         scales = np.maximum(scales, 1e-9)
-        return samples, scales, *innovation_likelihood(blocks[:, m:, 0] - samples, scales, np.zeros_like(scales))
+        return samples, scales, *innovation_likelihood(blocks[:, m:, 0] - samples, scales)
     windows = np.lib.stride_tricks.sliding_window_view(blocks, m, axis=1)[:, : n - m].swapaxes(2, 3)
     flat = windows.reshape(-1, m, 3)
     shape = (len(blocks), n - m)
@@ -152,20 +157,11 @@ def followed(
     excitation: Excitation | None = model.excitation  # type: ignore[attr-defined]
     if excitation is None:
         return samples, None, None, None
-    scales, tails = (of(flat[:, -1, 1:]).reshape(shape) for of in (excitation.sigma, excitation.tail))
-    return samples, scales, *innovation_likelihood(blocks[:, m:, 0] - samples, scales, tails)
+    scales = excitation.sigma(flat[:, -1, 1:]).reshape(shape)
+    return samples, scales, *innovation_likelihood(blocks[:, m:, 0] - samples, scales)
 
 
-class Volatilities:
-    """The usual volatility, which no sample changes."""
-
-    def factor(self) -> float:
-        return 1.0
-
-
-@pytest.mark.parametrize(
-    ("key", "variant"), [(key, variant) for key, variant in EVERY if not TRAINABLE[key].from_noise]
-)
+@pytest.mark.parametrize(("key", "variant"), [(key, variant) for key, variant in EVERY if key not in ("dftnet", "gan")])
 def test_the_kernel_predicts_recorded_samples_as_the_reference(key: str, variant: str) -> None:
     """Seam: sample, scale of what is random, and how likely what came was, each part of the model by itself."""
     texture, model = case(key, variant)
@@ -255,14 +251,8 @@ def test_a_sample_goes_by_the_condition_before_it(key: str, variant: str) -> Non
 
 
 def linear_texture(**tensors: np.ndarray) -> Texture:
-    """Return a lattice of constant reflections without network in the loop, volatility and tails: a filter of white noise."""
-    sizes = FotenPlusSizes(**{**PLUS, "order": 6, "network_in_loop": False})
-    silent = {
-        "excitation.tail.weight": np.zeros((1, 5)),
-        "excitation.tail.bias": np.array([-40.0]),
-        "excitation.volatility": np.zeros(2),
-    }
-    return exported("foten-plus", sizes, silent | tensors)
+    """A lattice of constant reflections without network in the loop: a filter of white noise."""
+    return exported("foten-plus", FotenPlusSizes(**{**PLUS, "order": 6, "network_in_loop": False}), tensors)
 
 
 def test_under_a_constant_condition_the_lattice_is_an_all_pole_filter() -> None:
@@ -289,7 +279,7 @@ def test_no_excitation_is_larger_than_the_largest_innovation(variant: str, large
     """In units of σ and in scaled acceleration; a network that predicts nothing leaves the excitation alone."""
     key = "foten" if variant == "excited" else "foten-plus"
     sizes = sizes_for(key, variant)
-    bound = {"excitation.largest": np.array(largest)}
+    bound = {"excitation.innovation_limit": np.array(largest)}
     if key == "foten":
         shapes = sizes.tensor_shapes()
         bound |= {name: np.zeros(shapes[name]) for name in ("head_3.weight", "head_3.bias")}
@@ -301,7 +291,7 @@ def test_no_excitation_is_larger_than_the_largest_innovation(variant: str, large
     out = run_loops(native, windows, condition, noise)
     tolerance = 1e-9 if in_float64_alone(sizes) or key == "foten" else CLOSED_LOOP_TOLERANCE
     np.testing.assert_allclose(out, expected, rtol=tolerance, atol=tolerance)
-    free = exported(key, sizes, bound | {"excitation.largest": np.array([1e6, 1e6])})
+    free = exported(key, sizes, bound | {"excitation.innovation_limit": np.array([1e6, 1e6])})
     unbounded = run_loops(NativeTexture(free.to_bytes()), windows, condition, noise)
     assert np.abs(out - unbounded).max() > 0.05
     if key == "foten":
@@ -365,8 +355,7 @@ def test_nothing_makes_it_grow(tones: bool, in_loop: bool, gain_before: bool) ->
         residual_gain_before_filter=gain_before,
         network_in_loop=in_loop,
     )
-    volatile = {"excitation.volatility": np.zeros(2)} if in_loop else {}  # which is nothing to a network
-    texture = exported("foten-plus", family, {"excitation.largest": np.array([9.0, 1e6]), **volatile})
+    texture = exported("foten-plus", family, {"excitation.innovation_limit": np.array([9.0, 1e6])})
     model = model_of(family, texture.tensors)
     assert isinstance(model, FotenPlus)
     rng = np.random.default_rng(2)
@@ -380,12 +369,10 @@ def test_nothing_makes_it_grow(tones: bool, in_loop: bool, gain_before: bool) ->
     expected = run(stream, condition, noise)
     assert np.isfinite(expected).all()
     energy = np.square(stream.states).sum(axis=0)
-    # σ times the largest volatility times the largest shock that the noise can give, or that the network may draw.
+    # σ times the largest noise, or the largest innovation that the network may draw.
     known = np.concatenate([windows[:, -1:, 1:], condition[..., :2]], axis=1)  # of each sample the one before
-    flat, sd = known.reshape(-1, 2), float(texture.tensors["excitation.volatility"][1])
-    tail, largest = model.excitation.tail(flat).max(), model.excitation.largest[0]
-    shock = largest if in_loop else min(5.68 * float(np.exp(0.5 * tail * 5.68**2)), largest)
-    innovation = float(model.excitation.sigma(flat).max()) * np.exp(3 * sd - sd * sd) * shock
+    flat, limit = known.reshape(-1, 2), model.excitation.innovation_limit[0]
+    innovation = float(model.excitation.sigma(flat).max()) * (limit if in_loop else min(5.68, limit))
     before, after = model.excited_lattice.gains(model.excited_lattice.level(flat))
     innovation *= float(before.max())
     left = LEAK ** (2 * n)

@@ -23,7 +23,7 @@ def tone(hz: float, n: int = 4000, rate_hz: float = RATE_HZ) -> np.ndarray:
 
 
 def gfc_by_eq_13(measured: np.ndarray, reconstructed: np.ndarray) -> float:
-    """Return Eq. 13 as sums over bins of a direct transform."""
+    """Eq. 13 as sums over bins of a direct transform."""
     n = measured.size
     turn = np.exp(-2j * np.pi * np.outer(np.arange(n // 2 + 1), np.arange(n)) / n)
     a_d, a_m = np.abs(turn @ measured), np.abs(turn @ reconstructed)

@@ -41,14 +41,15 @@ def test_a_texture_predicts_each_sample_from_its_history() -> None:
     np.testing.assert_allclose(predicted, expected, rtol=ONE_STEP_TOLERANCE, atol=ONE_STEP_TOLERANCE)
 
 
-def steady_volatility(sizes: FotenPlusSizes | FotenSizes) -> Texture:
-    """Return a texture whose excitation has tails, and no volatility; or whose network's innovations are not scaled."""
-    h = {"excitation.tail.weight": np.zeros((1, 5)), "excitation.tail.bias": np.array([-1.0])}
-    tensors = {**h, "excitation.volatility": np.zeros(2)}
+def unscaled(sizes: FotenPlusSizes | FotenSizes) -> Texture:
+    """A texture whose network's innovations, where one is in the loop, are not scaled."""
+    tensors: dict[str, np.ndarray] = {}
     if isinstance(sizes, FotenPlusSizes) and sizes.network_in_loop:
         shapes = sizes.tensor_shapes()
-        unscaled = ("excitation.out.weight", "excitation.out.bias", "excitation.power_law.weight")
-        tensors |= {name: np.zeros(shapes[name]) for name in unscaled}
+        tensors = {
+            f"excitation.{name}": np.zeros(shapes[f"excitation.{name}"])
+            for name in ("out.weight", "out.bias", "exponents")
+        }
     return exported("foten" if isinstance(sizes, FotenSizes) else "foten-plus", sizes, tensors)
 
 
@@ -61,8 +62,8 @@ def steady_volatility(sizes: FotenPlusSizes | FotenSizes) -> Texture:
     ],
 )
 def test_scores_of_a_texture_on_its_own_loop_are_those_of_the_noise(sizes: FotenPlusSizes | FotenSizes) -> None:
-    """Recovery: the errors of the prediction that a rendering uses, taken back through scale and tails, are what was drawn."""
-    texture = steady_volatility(sizes)
+    """Recovery: the errors of the prediction that a rendering uses, taken back through the scale, are what was drawn."""
+    texture = unscaled(sizes)
     native, rng = NativeTexture(texture.to_bytes()), np.random.default_rng(2)
     m, k = texture.window, 3000
     condition = np.cumsum(0.02 * rng.standard_normal((1, k, 3)), axis=1).clip(-1, 1)
@@ -90,7 +91,7 @@ def test_scores_are_of_the_prediction_that_a_rendering_uses() -> None:
     n = np.array([[60], [180]]) + np.arange(50)
     nlls = []
     for in_loop in (False, True):
-        texture = steady_volatility(FotenPlusSizes(**{**PLUS, "network_in_loop": in_loop}))
+        texture = unscaled(FotenPlusSizes(**{**PLUS, "network_in_loop": in_loop}))
         native = NativeTexture(texture.to_bytes())
         scores = excitation_scores(native, samples, n, np.ones(n.shape, dtype=bool))
         rows = np.stack([samples[row[0] - texture.window : row[-1] + 1] for row in n])

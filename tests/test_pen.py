@@ -12,10 +12,11 @@ from foten.cli.command_line import _status
 from foten.datasets.hdf5 import load_recording
 from foten.datasets.importing import import_capture
 from foten.datasets.options import ImportOptions
-from foten.datasets.pen import PenEvents, joined, knocks_of, landings_of, pen_channels
-from foten.datasets.simulated_capture import simulate_capture
+from foten.datasets.pen import joined, knocks_of, landings_of, pen_channels
 from foten.dsp import Array
+from foten.recording.capture_folder import PenEvents
 from foten.runtime.stylus import PressureCalibration
+from foten.simulation.simulated_capture import simulate_capture
 
 RATE_HZ = 48_000.0
 TAPS = (0.8, 1.3, 1.9, 20.4, 20.9, 21.5)  # by the pen's clock [s]
@@ -24,7 +25,7 @@ TAPS = (0.8, 1.3, 1.9, 20.4, 20.9, 21.5)  # by the pen's clock [s]
 def captured(
     delay_s: float = 0.08, drift: float = 50e-6, rate_hz: float = 200.0, seed: int = 0, noise: float = 0.003
 ) -> tuple[PenEvents, Array]:
-    """Return a capture: taps, four strokes with a rough sound, taps; the sound starts `delay_s` before the pen's clock."""
+    """Capture: taps, four strokes with a rough sound, taps; the sound starts `delay_s` before the pen's clock."""
     rng = np.random.default_rng(seed)
     touches = [(at, at + 0.07) for at in TAPS] + [(4.0 + 3.8 * i, 7.2 + 3.8 * i) for i in range(4)]
     times = np.arange(0.0, 23.0, 1.0 / rate_hz) + rng.uniform(-0.2, 0.2, int(23.0 * rate_hz)) / rate_hz
@@ -64,6 +65,21 @@ def test_short_touches_in_place_are_taps_and_strokes_are_none() -> None:
     np.testing.assert_allclose(landings[is_tap], TAPS, atol=0.0036)  # half of a step of 5 ms, and its jitter
     assert (np.abs(landings[is_tap] - TAPS) <= off_by[is_tap]).all()
     assert (~is_tap).sum() == 4
+
+
+@pytest.mark.parametrize(("lasts_s", "path_mm", "is_tap"), [(0.2, 0.0, True), (0.5, 0.0, False), (0.2, 10.0, False)])
+def test_a_tap_is_short_and_stays_in_place(lasts_s: float, path_mm: float, is_tap: bool) -> None:
+    times = np.arange(200) / 200.0
+    touching = (times >= 0.3) & (times < 0.3 + lasts_s)
+    x = path_mm * np.clip((times - 0.3) / lasts_s, 0.0, 1.0)
+    events = PenEvents(times, x, np.zeros(200), 0.5 * touching)
+    assert landings_of(events)[2].tolist() == [is_tap]
+
+
+def test_noise_that_grows_twice_as_loud_at_once_does_not_knock() -> None:
+    noise = np.random.default_rng(2).standard_normal(int(2 * RATE_HZ))
+    noise[int(RATE_HZ) :] *= 2.0
+    assert knocks_of(noise, RATE_HZ).size == 0
 
 
 def test_a_knock_is_where_it_begins() -> None:

@@ -10,11 +10,10 @@ import pytest
 
 from foten.cli.command_line import _status
 from foten.datasets.hdf5 import write_recording
-from foten.datasets.simulate import simulate
-from foten.dsp.lsf import LEAST_GAP
+from foten.dsp.lsf import MIN_GAP_RAD
 from foten.dsp.segmentation import MAX_ORDER
 from foten.evaluate.evaluate import evaluate
-from foten.experiments.truth import truth_for
+from foten.experiments.simulator_reference import reference_for
 from foten.models.piecewise_ar.fit import ORDERS, local_models
 from foten.models.piecewise_ar.sizes import PiecewiseArSizes
 from foten.models.texture_file import read_texture
@@ -23,6 +22,7 @@ from foten.recording.recording import Channel, Recording
 from foten.recording.split import split_blocks
 from foten.runtime.loops import predict_blocks
 from foten.runtime.native import NativeState, NativeTexture
+from foten.simulation.simulate import simulate
 from foten.training.blocks import scaled_blocks
 from foten.training.config import TrainConfig
 from foten.training.job import Trained, TrainingJob
@@ -47,7 +47,7 @@ def trained(recording: Recording) -> Trained:
 
 def test_it_predicts_like_a_linear_predictor(recording: Recording, trained: Trained) -> None:
     """Beside AR(20) by least squares on the same blocks, and the least that any predictor can reach."""
-    document = evaluate(trained.texture, recording, truth_for(recording, trained.texture)).document
+    document = evaluate(trained.texture, recording, reference_for(recording, trained.texture)).document
     error, references = document["one_step"]["mae_scaled"], document["references"]
     assert error < 1.05 * references["ar"]["mae_scaled"]
     assert error > 0.97 * references["bound"]["mae_scaled"]
@@ -124,7 +124,7 @@ def test_models_in_one_place_are_one(recording: Recording) -> None:
     (both,) = np.flatnonzero(np.abs(models.points - [50.005, 1]).sum(axis=1) < 0.01)
     assert models.variance[both] == pytest.approx(2.5, rel=0.05)
     np.testing.assert_allclose(models.lsf[both], np.pi * np.arange(1, 5) / 5, atol=0.05)
-    assert np.diff(models.lsf, axis=1).min() >= 0.99 * LEAST_GAP
+    assert np.diff(models.lsf, axis=1).min() >= 0.99 * MIN_GAP_RAD
 
 
 def test_a_hand_that_hardly_moves_is_refused() -> None:

@@ -13,7 +13,6 @@ import pytest
 
 from conftest import PLUS, sizes_with
 from foten.baselines.sizes import TRAINABLE
-from foten.datasets.simulate import simulate
 from foten.models.foten.sizes import FotenSizes
 from foten.models.foten_plus import closed_loop_training, likelihood
 from foten.models.foten_plus import fit as foten_plus
@@ -22,6 +21,7 @@ from foten.models.texture_file import Texture, texture_from_bytes
 from foten.recording.preprocess import PreprocessConfig
 from foten.recording.recording import Recording
 from foten.runtime.renderer import Renderer
+from foten.simulation.simulate import simulate
 from foten.training.blocks import ScaledBlocks
 from foten.training.config import TrainConfig
 from foten.training.job import Trained, TrainingJob

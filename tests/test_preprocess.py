@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from foten.dsp.dft321 import dft321
-from foten.recording.preprocess import PreprocessConfig, condition, fitting_options, preprocess
+from foten.recording.preprocess import PreprocessConfig, condition, fitting_options, preprocess, pressing
 from foten.recording.recording import Channel, Recording
 
 SHORT = PreprocessConfig(trim_ms=500.0, block_ms=500.0)
@@ -15,7 +15,7 @@ SHORT = PreprocessConfig(trim_ms=500.0, block_ms=500.0)
 def recording(
     acceleration: Mapping[str, np.ndarray], seconds: float = 6.0, rate_hz: float = 1000.0, **channels: Channel
 ) -> Recording:
-    """Return acceleration at `rate_hz` with a steady hand unless channels say otherwise."""
+    """Acceleration at `rate_hz` with a steady hand unless channels say otherwise."""
     n = round(seconds * rate_hz)
     rest = {"speed": Channel(np.full(n, 80.0), rate_hz), "force": Channel(np.full(n, 1.0), rate_hz)}
     if any(name.startswith("position") for name in channels):
@@ -148,6 +148,43 @@ def test_pressing_counts_positive(name: str) -> None:
     assert through(pressing).mean() == pytest.approx(1.0, abs=0.05)
 
 
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_the_sign_of_pressing_is_that_of_most_samples(sign: float) -> None:
+    """A short spike the other way has more weight than all of them in the mean."""
+    samples = np.full(1000, sign)
+    samples[:10] = -200.0 * sign
+    np.testing.assert_array_equal(pressing(Channel(samples, 1000.0)), sign * samples)
+
+
+@pytest.mark.parametrize(
+    ("name", "noise", "wrong", "message"),
+    [
+        ("force", -0.4, -0.6, r"force runs from -0.6 to 1 N, expected 0 or more; is the sensor not zeroed\?"),
+        (
+            "speed",
+            -4.0,
+            -6.0,
+            r"speed is negative in 1 of 6000 samples, down to -6 mm/s; is it one axis of a velocity\?",
+        ),
+    ],
+)
+def test_a_magnitude_may_be_negative_by_its_noise_alone(name: str, noise: float, wrong: float, message: str) -> None:
+    samples = np.ones(6000)
+    samples[300] = noise
+    preprocess(recording({"acceleration": tone(100.0)}, **{name: Channel(samples, 1000.0)}), SHORT)
+    spoilt = samples.copy()
+    spoilt[300] = wrong
+    with pytest.raises(ValueError, match=message):
+        preprocess(recording({"acceleration": tone(100.0)}, **{name: Channel(spoilt, 1000.0)}), SHORT)
+
+
+@pytest.mark.parametrize("name", ["speed", "force"])
+def test_a_trace_ends_where_the_first_channel_does(name: str) -> None:
+    """Of 6 s of acceleration and 4 s of the other: 3 s between the trims, and 2 s that nothing covers."""
+    trace = preprocess(recording({"acceleration": tone(100.0)}, **{name: Channel(np.full(4000, 2.0), 1000.0)}), SHORT)
+    assert (len(trace) + trace.n_dropped, trace.n_uncovered) == (3000, 2000)
+
+
 def test_speed_and_force_are_never_negative() -> None:
     step = np.where(np.arange(6000) < 3000, 200.0, 0.0)  # a second-order low-pass undershoots by 4 %
     trace = preprocess(
@@ -253,6 +290,8 @@ def test_what_is_missing_is_named(missing: str, message: str) -> None:
         ({"lowpass_hz": 0.0}, "lowpass_hz is 0 Hz"),
         ({"rate_hz": 40.0}, "half the rate, 20 Hz"),
         ({"highpass_order": 3}, "order is 3"),
+        ({"highpass_order": 22}, "highpass_order is 22, expected 20 at most"),
+        ({"lowpass_hz": float("nan")}, "lowpass_hz is nan, expected a finite number"),
     ],
 )
 def test_a_config_is_checked(fields: dict[str, Any], message: str) -> None:

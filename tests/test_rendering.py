@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import math
 from dataclasses import asdict
 from itertools import pairwise
 from typing import Any
@@ -17,7 +16,6 @@ from conftest import PLUS, SCALING, SMALL, exported
 from foten.dsp.lattice import polynomial
 from foten.models.conditions import EXTRAPOLATION_LIMIT, FADE_FORCE, FADE_SPEED
 from foten.models.definitions import model_of
-from foten.models.excitation import HEAVIEST_TAIL
 from foten.models.foten.sizes import FotenSizes
 from foten.models.foten_plus.definition import FotenPlus
 from foten.models.foten_plus.sizes import FotenPlusSizes
@@ -253,12 +251,6 @@ def test_any_stroke_gives_a_finite_bounded_vibration(
             assert (np.abs(out) <= bound * growth * (1 + FLOAT32)).all()
 
 
-def heavy_tails() -> dict[str, np.ndarray]:
-    """Return tails of h = 0.12, alike everywhere."""
-    h = 0.12 / HEAVIEST_TAIL
-    return {"excitation.tail.weight": np.zeros((1, 5)), "excitation.tail.bias": np.array([math.log(h / (1 - h))])}
-
-
 @pytest.mark.parametrize(
     "sizes",
     [
@@ -271,14 +263,14 @@ def heavy_tails() -> dict[str, np.ndarray]:
 def test_a_stroke_begins_as_if_its_condition_had_always_been_there(sizes: dict[str, Any]) -> None:
     """As loud and of the same colour from the first sample on, over many streams, as half a second later."""
     family = FotenPlusSizes(**{**PLUS, "network_in_loop": False, **sizes})
-    texture = exported("foten-plus", family, heavy_tails())
+    texture = exported("foten-plus", family)
     out = streams(texture, 3000, *steady(640, *LOW)) - SCALING.mean[0]
 
     def correlations(at: int) -> np.ndarray:
         return np.array([(out[:, at] * out[:, at + lag]).mean() for lag in range(8)])
 
     settled = np.mean([correlations(at) for at in range(500, 630, 10)], axis=0)
-    # Over 3000 streams a mean square has a standard error of 2.6 %, with tails and volatility of 4 %.
+    # Over 3000 streams a mean square has a standard error of 2.6 %: six of them.
     np.testing.assert_allclose(correlations(0), settled, atol=0.16 * settled[0])
     first = np.mean([correlations(at) for at in range(12)], axis=0)
     np.testing.assert_allclose(first, settled, atol=0.09 * settled[0])
@@ -292,15 +284,14 @@ def test_a_stroke_of_a_network_in_the_loop_begins_settled(family: str) -> None:
     else:
         # Trained, its innovations are of unit size, as those of a recording are.
         sizes = FotenPlusSizes(**PLUS, order=6)
-        weight, tail = exported("foten-plus", sizes).tensors["network.out.weight"], np.array([-40.0])
-        unit = {"excitation.tail.bias": tail}
+        weight, unit = exported("foten-plus", sizes).tensors["network.out.weight"], dict[str, np.ndarray]()
         for name in ("network", "rendering_network"):
             unit |= {f"{name}.out.weight": 0.1 * weight, f"{name}.out.bias": np.zeros(9)}
         texture = exported("foten-plus", sizes, unit)
     out = streams(texture, 1000, *steady(120)) - SCALING.mean[0]
     out -= out[:, 60:].mean()
     settled = np.square(out[:, 60:]).mean()
-    # 1000 streams: 4.5 %, with volatility 6 %.
+    # Over 1000 streams a mean square has a standard error of 4.5 %.
     assert np.square(out[:, 0]).mean() == pytest.approx(settled, rel=0.2)
     assert np.square(out[:, :10]).mean() == pytest.approx(settled, rel=0.15)
 
@@ -379,8 +370,7 @@ def test_the_level_follows_the_excitation(gain_before_filter: bool) -> None:
     model = model_of(sizes, texture.tensors)
     assert isinstance(model, FotenPlus)
     scaled = (np.array([[80.0, 1.0]]) - SCALING.mean[1:]) / SCALING.sd[1:]
-    h = float(model.excitation.tail(scaled)[0])
-    unit = model.lattice.level(scaled)[0] * model.excitation.sigma(scaled)[0] * (1 - 2 * h) ** -0.75
+    unit = model.lattice.level(scaled)[0] * model.excitation.sigma(scaled)[0]
     out = streams(texture, 64, *steady(450))[:, 150:] - SCALING.mean[0]
     # 64·300·(1 − 0.95²) = 1800 independent samples: the RMS is known to 1/√(2·1800) = 1.7 %; three of them.
     assert np.sqrt(np.square(out).mean()) == pytest.approx(unit * SCALING.sd[0], rel=0.05)

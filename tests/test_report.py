@@ -12,7 +12,6 @@ from html.parser import HTMLParser
 import numpy as np
 import pytest
 
-from foten.datasets.simulate import simulate
 from foten.evaluate.evaluate import FREE_RUN_KEYS, Judgement, evaluate
 from foten.evaluate.free_run import free_run, scored
 from foten.evaluate.one_step import fit_linear, one_step
@@ -25,6 +24,7 @@ from foten.models.texture_file import Texture
 from foten.recording.scaling import fit_scaling
 from foten.recording.trace import Trace
 from foten.recording.windows import targets
+from foten.simulation.simulate import simulate
 
 N_BLOCKS, TRAIN, TEST = 8, (0, 1, 2, 5), (3, 4, 6, 7)
 ONE_STEP = ("mae_scaled", "mae_m_s2", "gfc")
@@ -202,14 +202,14 @@ def test_the_tables_show_the_numbers_of_the_document(judged, written):
             _check(cell, document[run][key])
     named = {"one_step": document["one_step"]} | {f"references.{k}": v for k, v in document["references"].items()}
     for key, scores in named.items():
-        error, _, ratio, physical, fit = rows[key]
+        error, ratio, physical, fit = rows[key]
         for cell, figure in ((error, "mae_scaled"), (physical, "mae_m_s2"), (fit, "gfc")):
             _check(cell, scores[figure])
         if scores["mae_scaled"] is not None:
             expected = 100 * (scores["mae_scaled"] / document["references"]["ar"]["mae_scaled"] - 1)
             assert float(ratio["text"].replace("−", "-").partition(" %")[0]) == pytest.approx(expected, abs=0.051)
     low, high = document["one_step"]["intervals"]["mae_scaled"]
-    assert f"{low:.3f} … {high:.3f}" in written
+    assert f"{low:.4f} … {high:.4f}" in written
     assert json.dumps(document["one_step"]["mae_m_s2"]) in written  # the raw document, in full
 
 
@@ -218,8 +218,8 @@ def test_a_terminal_shows_the_same_names_and_numbers(judged):
     lines = to_text(document).splitlines()
     for key, (name, _) in REFERENCES.items():
         error = document["references"][key]["mae_scaled"]
-        shown = [line.removeprefix(name).split()[-3:] for line in lines if re.match(re.escape(name) + "(:|  )", line)]
-        assert [row[0] for row in shown] == ([] if error is None else [f"{error:.4f}"])
+        shown = [re.split("  +", line)[1] for line in lines if re.match(re.escape(name) + "(:|  )", line)]
+        assert shown == ([] if error is None else [f"{error:.4f}"])
     (distance,) = (line for line in lines if line.startswith("log-spectral distance [dB]"))
     shown = [float(cell) for cell in distance.split()[-4:]]
     assert shown == pytest.approx([document[run]["lsd_db"] for run in RUNS], abs=0.0501)
@@ -231,7 +231,8 @@ def test_a_terminal_shows_no_key_and_gathers_what_is_missing(judged):
     assert not re.search(r"\w_\w|references\.", text)
     assert text.splitlines()[-2:] == [
         "One step, not computed: the model without its network (foten has no linear part); AR(20) following speed and force "
-        "(fewer than two training windows for each coefficient); bound of a window (known for simulated textures alone).",
+        "(fewer than two training windows for each coefficient); bound GFC (a bound on the error says nothing of the spectrum); "
+        "bound of a window (known for simulated textures alone).",
         "Free run, not computed: level correlation without excitation (the level does not vary).",
     ]
     text = to_text(_without(judged, "free_run_ar", "ceiling").document)
@@ -247,7 +248,7 @@ def test_what_is_unknown_is_a_dash_with_its_reason(judged, written):
     expected = {
         "references.lattice": (0, "foten has no linear part"),
         "references.ar_scheduled": (0, "fewer than two training windows for each coefficient"),
-        "references.bound": (4, "a bound on the error says nothing of the spectrum"),
+        "references.bound": (3, "a bound on the error says nothing of the spectrum"),
         "free_run.level_corr": (2, "the level does not vary"),
     }
     for row, (column, why) in expected.items():
@@ -531,8 +532,19 @@ def test_relative_units_are_called_so_in_terminal_and_page(judged, texture) -> N
     assert "error [relative]" in to_text(relative.document)
     assert "m/s²" not in to_text(relative.document)
     shown = re.sub(r'"data:[^"]*"', "", page(relative, texture))
-    assert "error [relative]" in shown
+    assert "error <i>[relative]</i>" in shown
     assert "m/s²" not in shown
+
+
+def test_a_page_names_a_texture_printable_and_short(judged, texture) -> None:
+    """Its card is in the page too, as JSON."""
+    evil = "\x1b[2J\u202e" + "x" * 1_000_000
+    card = {**texture.card, "texture": evil, "notes": evil, "licence": evil}
+    shown = page(replace(judged, document={**judged.document, "texture": evil}), Texture(card, texture.tensors))
+    before_the_card = shown[: shown.index('id="raw"')]
+    assert "x" * 100 in before_the_card
+    assert "x" * 2001 not in before_the_card
+    assert not {"\x1b", "\u202e"} & set(before_the_card)
 
 
 def test_a_texture_says_its_unit(texture) -> None:

@@ -7,7 +7,6 @@ import pytest
 from scipy.stats import norm
 
 from foten.models.foten_plus.innovation_network import Mixture
-from foten.runtime.binding import library
 from foten.training import training_kernel as kernel
 from foten.training.rollout import MAX_ADJOINT, PARTS, Rollout, RolloutInputs, RolloutState, repeated
 
@@ -48,7 +47,7 @@ def test_gradients_are_those_of_finite_differences(
 
     In float32 a central difference of 1e-2 is good to a per cent of the largest.
     """
-    monkeypatch.setattr(kernel, "_function", lambda name: getattr(library(), f"{name}_{of_isa}"))
+    monkeypatch.setattr(kernel, "_function", lambda name: getattr(kernel.training_library(), f"{name}_{of_isa}"))
     rng = np.random.default_rng(3)
     inputs, state = streams(3, 12, p, rng, gain_before)
     at, of = weights(1, rng), rng.standard_normal((3, 12)).astype(np.float32)

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from foten.dsp.segmentation import LEAST_SPANS, pieces_of
+from foten.dsp.segmentation import MIN_PIECE_SAMPLES, pieces_of
 
 THREE = ((512, (0.9,)), (256, (1.69, -0.81)), (256, (1.32, -0.81)))
 
 
 def played(pieces: tuple[tuple[int, tuple[float, ...]], ...], seed: int) -> np.ndarray:
-    """Return autoregressions one after the other, each going on from the samples before."""
+    """Autoregressions one after the other, each going on from the samples before."""
     rng, x = np.random.default_rng(seed), [0.0, 0.0]
     for n, taps in pieces:
         for _ in range(n):
@@ -21,7 +21,7 @@ def played(pieces: tuple[tuple[int, tuple[float, ...]], ...], seed: int) -> np.n
 
 
 def described(x: np.ndarray, cuts: tuple[int, ...], max_order: int) -> float:
-    """Return the description length as the source writes it, with Yule–Walker by solving its equations."""
+    """Description length as the source writes it, with Yule–Walker by solving its equations."""
     edges = (0, *cuts, x.size)
     m, total = len(cuts), 0.0
     for begin, end in pairwise(edges):
@@ -31,7 +31,7 @@ def described(x: np.ndarray, cuts: tuple[int, ...], max_order: int) -> float:
         for p in range(max_order + 1):
             taps = np.linalg.solve(r[np.abs(np.subtract.outer(range(p), range(p)))], r[1 : p + 1]) if p else np.empty(0)
             error = r[0] - taps @ r[1 : p + 1]
-            if n >= LEAST_SPANS[p]:
+            if n >= MIN_PIECE_SAMPLES[p]:
                 told.append(np.log(max(p, 1)) + (p + 2) / 2 * np.log(n) + n / 2 * np.log(2 * np.pi * error))
         total += min(told, default=np.inf)
     return total + (np.log(m) if m else 0.0) + (m + 1) * np.log(x.size)

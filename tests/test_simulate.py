@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 from scipy.signal import butter, sosfiltfilt, welch
 
-from foten.datasets.simulate import (
+from foten.recording.recording import AXES, Recording
+from foten.simulation.simulate import (
     CONTACT,
     GRID_MM,
     LINEAR_FAMILY,
@@ -19,26 +20,25 @@ from foten.datasets.simulate import (
     simulate,
     vibration,
 )
-from foten.datasets.stroking import Stroking, stroking
-from foten.recording.recording import AXES, Recording
+from foten.simulation.stroking import Stroking, stroking
 
 GRAVITY = 9.81
 
 
 def steady(speed: float, force: float, seconds: float = 8.0) -> Stroking:
-    """Return a stroke at constant speed [mm/s] and force [N], on a very long plate."""
+    """Stroke at constant speed [mm/s] and force [N], on a very long plate."""
     n = round(seconds * 10_000)
     position = np.column_stack([np.arange(n) * speed / 10_000, np.zeros(n)])
     return Stroking(10_000.0, position, np.tile([speed, 0.0], (n, 1)), np.full(n, force), np.zeros((n, 2)))
 
 
 def level(samples: np.ndarray) -> float:
-    """Return the rms of three axes together, after the first 0.2 s."""
+    """Rms of three axes together, after the first 0.2 s."""
     return float(np.sqrt(np.mean(np.sum(samples[2000:] ** 2, axis=1))))
 
 
 def vibrations(recording: Recording) -> np.ndarray:
-    """Return the recorded axes from 20 Hz up [m/s²], shape (n, 3)."""
+    """Recorded axes from 20 Hz up [m/s²], shape (n, 3)."""
     samples = np.stack([channel.samples for channel in recording.axes("acceleration")], axis=1)
     rate_hz = recording["acceleration_x"].rate_hz
     return np.asarray(sosfiltfilt(butter(4, 20, "high", fs=rate_hz, output="sos"), samples, axis=0))
@@ -90,10 +90,10 @@ def test_the_tone_of_a_mesh_moves_with_speed(key: str, speed: float) -> None:
 @pytest.mark.parametrize("key", ["steel-mesh-1", "jeans"])
 def test_the_waveform_of_a_cell_is_that_of_the_texture_in_every_realisation(key: str) -> None:
     parameters = TEXTURES[key]
-    regular = dataclasses.replace(parameters, lattice_share=1.0, jitter=0.0)
+    regular = dataclasses.replace(parameters, lattice_share=1.0, period_jitter=0.0)
 
     def coupling(seed: int) -> complex:
-        """Return the phase of the second harmonic against that of the first, on which no start depends."""
+        """Phase of the second harmonic against that of the first, on which no start depends."""
         path_mm = 400 * parameters.wavelength_mm
         roughness = _roughness(regular, path_mm, np.random.default_rng(seed))[: round(path_mm / GRID_MM)]
         turns = np.arange(roughness.size) * GRID_MM / parameters.wavelength_mm

@@ -14,7 +14,7 @@ BLOCK = 10
 
 
 def trace(n_blocks: int, seed: int = 0) -> Trace:
-    """Return a trace whose blocks each have their own speed and force."""
+    """Trace whose blocks each have their own speed and force."""
     rng = np.random.default_rng(seed)
     speed, force = rng.uniform(10, 200, n_blocks), rng.uniform(0.2, 3, n_blocks)
     ripple = np.tile(np.linspace(-1, 1, BLOCK), n_blocks)
@@ -59,15 +59,24 @@ def test_the_extremes_of_speed_and_force_train(n_blocks: int, seed: int) -> None
         assert {int(means.argmin()), int(means.argmax())} <= train
 
 
-def test_every_third_of_speed_is_tested() -> None:
-    """Regrouping is there to spread the test over the conditions; a plain draw misses a third now and then."""
+@pytest.mark.parametrize(("n_blocks", "n_groups"), [(8, 2), (16, 2), (18, 3), (45, 3)])
+def test_every_group_of_speed_and_of_force_within_it_is_held_out(n_blocks: int, n_groups: int) -> None:
+    """Oracle: the cells from the means. Dealt in turn, each gives a block as soon as there are as many to hold out as cells."""
     for seed in range(20):
-        given_trace = trace(45, seed)
-        thirds = np.array_split(np.argsort(given_trace.blocks(given_trace.speed).mean(axis=1)), 3)
-        _, validation, test = parts(split_blocks(given_trace, seed=seed))
-        for part in (validation, test):
-            # Nine of each over three groups of speed: three when dealt in turn, one less where the cut falls.
-            assert min(len(part & set(third.tolist())) for third in thirds) >= 2
+        of_seed = trace(n_blocks, seed)
+        speed, force = (of_seed.blocks(channel).mean(axis=1) for channel in (of_seed.speed, of_seed.force))
+        extremes = {int(i) for means in (speed, force) for i in (means.argmin(), means.argmax())}
+        split = split_blocks(of_seed, seed=seed)
+        held_out = {*split.validation, *split.test}
+        cells = [
+            {int(i) for i in cell} - (extremes if n_blocks - len(extremes) >= len(held_out) else set())
+            for group in np.array_split(np.argsort(speed), n_groups)
+            for cell in np.array_split(group[np.argsort(force[group])], n_groups)
+        ]
+        empty = sum(not cell & held_out for cell in cells if cell)
+        assert empty == max(0, sum(map(bool, cells)) - len(held_out))
+        if n_blocks == 45:
+            assert all(cell & set(split.test) and cell & set(split.validation) for cell in cells)
 
 
 def test_contiguous_parts_are_one_stretch_each_in_order() -> None:

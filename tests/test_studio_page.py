@@ -10,7 +10,6 @@ import contextlib
 import csv
 import re
 import shutil
-import signal
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -30,7 +29,7 @@ from foten.runtime.renderer import EXAMPLE, Renderer
 from foten.runtime.stroke import tabled_stroke
 from foten.runtime.stylus import Stylus
 from foten.studio.levels import gains_db
-from test_studio import started
+from test_studio_server import serving
 
 playwright = pytest.importorskip("playwright.sync_api", reason="needs Playwright: pip install '.[browser]'")
 CHROMIUM = next(
@@ -59,18 +58,33 @@ def shelf(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def link(shelf: Path) -> Iterator[str]:
-    process, link = started(str(shelf))
-    yield link
-    process.send_signal(signal.SIGTERM)
-    process.communicate(timeout=30)
+    with serving(str(shelf)) as (_, link):
+        yield link
+
+
+@contextlib.contextmanager
+def chromium(*flags: str) -> Iterator[Any]:
+    with playwright.sync_playwright() as started_playwright:
+        browser = started_playwright.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox", *flags])
+        yield browser
+        browser.close()
+
+
+def look(page: Any, name: str) -> list[Any]:
+    """Take a screenshot for people, and return what axe-core complains of."""
+    axe = pytest.importorskip(
+        "axe_playwright_python.sync_playwright", reason="needs axe-core: pip install '.[browser]'"
+    )
+    SHOTS.mkdir(parents=True, exist_ok=True)
+    page.screenshot(path=SHOTS / f"{name}.png")
+    violations = axe.Axe().run(page).response["violations"]
+    return [(violation["id"], [node["html"] for node in violation["nodes"]]) for violation in violations]
 
 
 @pytest.fixture(scope="module")
 def browser() -> Iterator[Any]:
-    with playwright.sync_playwright() as started_playwright:
-        browser = started_playwright.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
+    with chromium() as browser:
         yield browser
-        browser.close()
 
 
 @contextlib.contextmanager
@@ -276,13 +290,7 @@ def test_methods_are_compared_blind_and_equally_loud(browser: Any, link: str, sh
         assert served["gains_db"] == pytest.approx(list(expected.values()), abs=1e-9)
         page.click("#blind >> text=Reveal")
         assert "A foten-plus · B foten-plus" in page.inner_text("#message")
-
-
-def test_another_texture_ends_a_comparison(browser: Any, link: str) -> None:
-    with opened(browser, link) as page:
-        page.click("#compare")
-        until(page, "document.querySelectorAll('#blind [role=radio]').length === 2")
-        page.click("#textures .swatch >> text=Towel")
+        page.click("#textures .swatch >> text=Towel")  # another texture ends the comparison
         until(page, "document.querySelector('#now-name').textContent === 'Towel'")
         assert page.locator("#blind").is_hidden()
         assert page.evaluate(f"{STATE}.sound.gains.size") == 0
@@ -301,30 +309,18 @@ def dropped(page: Any, path: Path) -> None:
     )
 
 
-def test_a_texture_that_is_dropped_can_be_stroked(browser: Any, link: str, tmp_path: Path) -> None:
-    texture = read_texture(EXAMPLE)
-    path = tmp_path / "mine.foten"
-    write_texture(type(texture)({**texture.card, "texture": "my denim"}, texture.tensors), path)
-    with opened(browser, link) as page:
-        dropped(page, path)
-        until(page, "document.querySelector('#now-name').textContent === 'My denim'")
-        taken = recorded(page, lambda: Pen(page).stroke(page))
-        assert np.abs(taken["samples"]).max() > 0.2
-
-
 @pytest.mark.parametrize("damage", ["truncated", "text", "tensors"])
 def test_a_hostile_file_that_is_dropped_is_refused_in_a_line(
     browser: Any, link: str, tmp_path: Path, damage: str
 ) -> None:
-    data = bytearray(EXAMPLE.read_bytes())
-    if damage == "truncated":
-        data = data[:5000]
-    elif damage == "text":
-        data = bytearray(b"<script>alert(1)</script>" * 400)
-    else:
-        data[-4000:] = bytes(4000)
+    data = EXAMPLE.read_bytes()
+    damaged = {
+        "truncated": data[:5000],
+        "text": b"<script>alert(1)</script>" * 400,
+        "tensors": data[:-4000] + bytes(4000),
+    }
     path = tmp_path / "hostile.foten"
-    path.write_bytes(data)
+    path.write_bytes(damaged[damage])
     with opened(browser, link) as page:
         dropped(page, path)
         page.wait_for_selector("#message:not([hidden])")
@@ -356,14 +352,16 @@ def test_the_server_renders_where_it_is_asked_to(browser: Any, link: str, shelf:
         assert abs(levels[0] - levels[1]) < 3  # dB
 
 
-def test_a_texture_that_is_dropped_is_rendered_here_where_the_server_rendered_before(
-    browser: Any, link: str, tmp_path: Path
+@pytest.mark.parametrize("server_rendered_before", [False, True])
+def test_a_texture_that_is_dropped_is_rendered_here(
+    browser: Any, link: str, tmp_path: Path, server_rendered_before: bool
 ) -> None:
     texture = read_texture(EXAMPLE)
     path = tmp_path / "mine.foten"
     write_texture(type(texture)({**texture.card, "texture": "my denim"}, texture.tensors), path)
     with opened(browser, link) as page:
-        at_the_server(page)
+        if server_rendered_before:
+            at_the_server(page)
         dropped(page, path)
         until(page, "document.querySelector('#now-name').textContent === 'My denim'")
         until(page, f"{STATE}.sound.server === null")
@@ -373,10 +371,9 @@ def test_a_texture_that_is_dropped_is_rendered_here_where_the_server_rendered_be
 
 
 def test_a_page_whose_server_is_gone_renders_by_itself(browser: Any, shelf: Path) -> None:
-    process, link = started(str(shelf))
-    with opened(browser, link) as page:
+    with serving(str(shelf)) as (process, link), opened(browser, link) as page:
         at_the_server(page)
-        process.send_signal(signal.SIGTERM)
+        process.terminate()
         process.communicate(timeout=30)
         until(page, f"{STATE}.sound.server === null")
         assert "the server is gone" in page.inner_text("#message")
@@ -458,38 +455,26 @@ def test_the_keys_stroke_too(browser: Any, link: str) -> None:
 @pytest.mark.parametrize("dark", [False, True], ids=["light", "dark"])
 @pytest.mark.parametrize("size", SIZES)
 def test_it_is_accessible_and_looks_as_the_screenshots_show(browser: Any, link: str, size: str, dark: bool) -> None:
-    """Checked by axe-core; the pictures are for people to look at."""
-    axe = pytest.importorskip(
-        "axe_playwright_python.sync_playwright", reason="needs axe-core: pip install '.[browser]'"
-    )
-    SHOTS.mkdir(parents=True, exist_ok=True)
     name = f"studio-{size}-{'dark' if dark else 'light'}"
     with opened(browser, link, size, dark, tap=False) as page:
         until(page, "[...document.querySelectorAll('#textures .swatch')].every((one) => one.style.backgroundImage)")
-        page.screenshot(path=SHOTS / f"{name}.png")
-        found = axe.Axe().run(page)
+        assert look(page, name) == []
         page.click("#begin")
         page.wait_for_timeout(1500)
-        page.screenshot(path=SHOTS / f"{name}-stroke.png")
-        violations = found.response["violations"] + axe.Axe().run(page).response["violations"]
+        assert look(page, f"{name}-stroke") == []
         page.click("#settings")
         page.wait_for_timeout(300)
-        page.screenshot(path=SHOTS / f"{name}-settings.png")
-        violations += axe.Axe().run(page).response["violations"]
-        assert not [(one["id"], [node["html"] for node in one["nodes"]]) for one in violations]
+        assert look(page, f"{name}-settings") == []
 
 
 def test_a_network_that_only_the_server_runs_is_heard_in_the_page(browser: Any, tmp_path: Path) -> None:
     pytest.importorskip("onnxruntime")
     sizes = TRAINABLE["dstn"](excitation=True)
     write_texture(exported("dstn", sizes, texture="network"), tmp_path / "network.foten")
-    process, link = started(str(tmp_path))
-    with opened(browser, link, tap=False) as page:
+    with serving(str(tmp_path)) as (_, link), opened(browser, link, tap=False) as page:
         page.click("#begin")
         until(page, f"{STATE}.sound.server?.socket.readyState === 1")
         page.evaluate(f"{STATE}.pad.ghost = null")
         Pen(page).stroke(page)
         until(page, f"{STATE}.monitor.latest?.rms > 0")
         assert page.evaluate("document.querySelector('#path').value") == "stream"
-    process.send_signal(signal.SIGTERM)
-    process.communicate(timeout=30)

@@ -9,7 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from foten.study.design import read_design, template
+from foten.study.design import read_design
+from foten.study.new_study import study_text
 from foten.study.orders import balance, orders, planned, square, williams
 
 FILES = {
@@ -24,7 +25,7 @@ def study(tmp_path: Path) -> Path:
         for file in files.values():
             (tmp_path / file).write_bytes(b"a texture")
     path = tmp_path / "study.toml"
-    path.write_text(template("A “quoted” title \\ with\nlines", FILES, 12, 3), encoding="utf-8")
+    path.write_text(study_text("A “quoted” title \\ with\nlines", FILES, 12, 3), encoding="utf-8")
     return path
 
 
@@ -35,7 +36,7 @@ def test_a_new_study_file_reads_back(study: Path) -> None:
     assert [texture.key for texture in design.textures] == ["mesh", "my towel"]
     assert design.methods == ("ar", "foten")
     assert design.textures[0].files["ar"] == study.parent / "mesh-ar.foten"
-    assert design.rating.least_seconds == 3.0
+    assert design.rating.min_seconds == 3.0
     assert [(q.key, q.private, q.at) for q in design.questions] == [
         ("age", True, "start"),
         ("handedness", True, "start"),
@@ -53,7 +54,7 @@ BAD = [
     ("participants = 12", "participants = true", "participants is True, expected an integer"),
     ("seed = 3", "sed = 3", "the study has 'sed', expected some of title"),
     ('order = "balanced"', 'order = "latin"', "order is 'latin', expected balanced or random"),
-    ("least_seconds = 3", "least_seconds = nan", "least_seconds is nan, expected 0 to 600"),
+    ("min_seconds = 3", "min_seconds = nan", "min_seconds is nan, expected 0 to 600"),
     ('foten = "mesh.foten"', 'foten = "mesh2.foten"', r"no such file: .*mesh2\.foten"),
     ('foten = "mesh.foten"', 'foten = "mesh-ar.foten"', "two methods of mesh with one file"),
     ('foten = "mesh.foten"', 'Ar = "mesh.foten"', "one lacks"),

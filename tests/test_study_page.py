@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import os
 import random
-import re
 import signal
 import socket
 import subprocess
@@ -18,8 +17,9 @@ from typing import Any
 import pytest
 
 from foten.study.store import Store
-from test_studio_page import CHROMIUM, SHOTS, SIZES, playwright
-from test_study import METHODS, started_study, study_file
+from test_studio_page import CHROMIUM, SIZES, chromium, look, playwright, until
+from test_study_commands import started_study
+from test_study_server import study_file
 
 pytestmark = [pytest.mark.browser, pytest.mark.skipif(CHROMIUM is None, reason="needs Chromium: apt install chromium")]
 
@@ -63,11 +63,8 @@ DRIVE = """() => {
 
 @pytest.fixture(scope="module")
 def browser() -> Iterator[Any]:
-    flags = ["--no-sandbox", "--autoplay-policy=no-user-gesture-required"]
-    with playwright.sync_playwright() as started:
-        browser = started.chromium.launch(executable_path=CHROMIUM, args=flags)
+    with chromium("--autoplay-policy=no-user-gesture-required") as browser:
         yield browser
-        browser.close()
 
 
 def free_port() -> int:
@@ -87,13 +84,6 @@ def running(study: Path, *options: str) -> Iterator[tuple[str, str]]:
         process.wait(timeout=30)
 
 
-def until(page: Any, expression: str, seconds: float = 20.0) -> None:
-    end = time.monotonic() + seconds
-    while not page.evaluate(expression):
-        assert time.monotonic() < end, f"after {seconds:g} s not yet: {expression}"
-        page.wait_for_timeout(20)
-
-
 def begin(page: Any, link: str) -> None:
     """Open the page, and begin as a new participant."""
     for _ in range(100):
@@ -105,6 +95,13 @@ def begin(page: Any, link: str) -> None:
             time.sleep(0.2)
     page.click("button.big")
     until(page, "window.study.code !== null", 40.0)
+
+
+def to_trial(page: Any) -> None:
+    for text in ("I agree", "Next", "Start"):
+        page.click(f"button.big >> text={text}")
+        page.wait_for_timeout(150)
+    until(page, "window.study.step?.kind === 'trial'")
 
 
 def whole_study(
@@ -172,26 +169,20 @@ def check_study(database: Path, participants: int, n_trials: int) -> None:
         assert stroked > 0.8 * len(rows)  # a kill takes with it what was not answered yet
 
 
-def test_a_study_through_its_pages_while_the_server_is_killed(browser: Any, tmp_path: Path) -> None:
-    """A tenth of the paper's study."""
-    seen = whole_study(browser, tmp_path, 6, 4, 3, 3)
-    assert seen["killed"] == 3
-    check_study(tmp_path / "study.db", 4, 24)
+@pytest.mark.parametrize(
+    ("n_textures", "participants", "kills"),
+    [(6, 4, 3), pytest.param(12, 21, 20, marks=pytest.mark.slow)],  # a tenth of the paper's study, and that
+)
+def test_a_study_through_its_pages_while_the_server_is_killed(
+    browser: Any, tmp_path: Path, n_textures: int, participants: int, kills: int
+) -> None:
+    seen = whole_study(browser, tmp_path, n_textures, participants, 3, kills)
+    print(f"{seen['killed']} kills, {seen['seconds']:.0f} s")
+    assert seen["killed"] == kills
+    check_study(tmp_path / "study.db", participants, 4 * n_textures)
     with Store(seen["copies"][0]) as copy:  # taken while three browsers wrote
         assert copy.check() == []
-        assert 0 < len(copy.ratings()) < 96
-
-
-@pytest.mark.slow
-def test_a_study_of_21_participants_and_48_trials_while_the_server_is_killed_20_times(
-    browser: Any, tmp_path: Path
-) -> None:
-    seen = whole_study(browser, tmp_path, 12, 21, 3, 20)
-    print(f"{seen['killed']} kills, {seen['seconds']:.0f} s")
-    assert seen["killed"] == 20
-    check_study(tmp_path / "study.db", 21, 48)
-    with Store(seen["copies"][0]) as copy:
-        assert copy.check() == []
+        assert 0 < len(copy.ratings()) < 4 * n_textures * participants
     begin = time.monotonic()
     command = [sys.executable, "-c", "from foten.cli import main; main()", "study", "analyze"]
     subprocess.run([*command, tmp_path / "study.db", "-o", tmp_path / "results"], check=True, capture_output=True)
@@ -199,14 +190,11 @@ def test_a_study_of_21_participants_and_48_trials_while_the_server_is_killed_20_
 
 
 def test_an_answer_is_kept_while_the_server_is_away(browser: Any, tmp_path: Path) -> None:
-    study, port = study_file(tmp_path, practice="0", least_seconds="2"), free_port()
+    study, port = study_file(tmp_path, practice="0", min_seconds="2"), free_port()
     page = browser.new_page()
     with running(study, "--port", str(port)) as (_, link):
         begin(page, link)
-        for text in ("I agree", "Next", "Start"):
-            page.click(f"button.big >> text={text}")
-            page.wait_for_timeout(150)
-        until(page, "window.study.step?.kind === 'trial'")
+        to_trial(page)
     until(page, "document.querySelector('#message').textContent.startsWith('No connection')")
     page.fill(".scale input", "83")
     page.click("button.big")
@@ -221,10 +209,7 @@ def test_nothing_is_chosen_before_someone_chooses(browser: Any, tmp_path: Path) 
     with running(study_file(tmp_path, practice="0")) as (_, link):
         page = browser.new_page()
         begin(page, link)
-        for text in ("I agree", "Next", "Start"):
-            page.click(f"button.big >> text={text}")
-            page.wait_for_timeout(150)
-        until(page, "window.study.step?.kind === 'trial'")
+        to_trial(page)
         assert page.get_attribute(".scale input", "aria-valuetext") == "not set"
         assert page.is_disabled("button.big")
         page.focus(".scale input")
@@ -246,10 +231,8 @@ def test_a_trial_that_is_held_keeps_what_was_chosen_and_its_time(browser: Any, t
         other.keyboard.press("Escape")
         page = context.new_page()
         page.goto(operator.split("operator")[0] + f"?code={code}")
-        for text in ("I agree", "Next", "Start"):
-            page.click(f"button.big >> text={text}")
-            page.wait_for_timeout(150)
-        until(page, "window.study.step?.held === true")
+        to_trial(page)
+        assert page.evaluate("window.study.step.held")
 
         def press(what: str) -> None:
             other.wait_for_selector(f"[data-what={what}]:visible")
@@ -279,76 +262,47 @@ def test_a_trial_that_is_held_keeps_what_was_chosen_and_its_time(browser: Any, t
         assert [row["rating"] for row in store.ratings()] == [83.0]
 
 
-def test_no_byte_on_the_network_names_a_method(browser: Any, tmp_path: Path) -> None:
-    with running(study_file(tmp_path, 2, 4), "--simulated", "--port", "0") as (_, link):
-        context = browser.new_context()
-        page = context.new_page()
-        seen: list[bytes] = []
-        said: list[bytes] = []
-
-        def received(data: str | bytes) -> None:
-            (said if isinstance(data, str) else seen).append(data.encode() if isinstance(data, str) else data)
-
-        page.on("websocket", lambda one: one.on("framereceived", received))
-        page.on("response", lambda answer: seen.append(answer.body() + str(answer.headers).encode()))
-        begin(page, link)
-        page.evaluate(DRIVE)
-        until(page, "window.ended", 60.0)
-        context.close()
-    assert len(said) > 10
-    assert len(seen) > 10
-    for data in (*seen, *said):
-        for word in (b"dstn", b"ldhtd", b".foten", b"sha256"):
-            assert word not in data.lower()
-    for data in said:
-        assert not re.search(rb"\bar\b|\bfoten\b|method", data.lower())
-    assert set(METHODS) == {"ar", "dstn", "ldhtd", "foten"}
-
-
 @pytest.mark.parametrize("dark", [False, True], ids=["light", "dark"])
 @pytest.mark.parametrize("size", SIZES)
 def test_the_pages_are_accessible_and_look_as_the_screenshots_show(
     browser: Any, tmp_path: Path, size: str, dark: bool
 ) -> None:
-    axe = pytest.importorskip(
-        "axe_playwright_python.sync_playwright", reason="needs axe-core: pip install '.[browser]'"
-    )
-    SHOTS.mkdir(parents=True, exist_ok=True)
     width, height = SIZES[size]
     context = browser.new_context(viewport={"width": width, "height": height}, color_scheme="dark" if dark else "light")
-    found: list[Any] = []
+    violations: list[Any] = []
+    context.on("weberror", lambda failed: violations.append(str(failed.error)))
 
-    def look(page: Any, name: str) -> None:
+    def check(page: Any, name: str) -> None:
         page.wait_for_timeout(250)
-        page.screenshot(path=SHOTS / f"study-{size}-{'dark' if dark else 'light'}-{name}.png")
-        found.extend(axe.Axe().run(page).response["violations"])
+        violations.extend(look(page, f"study-{size}-{'dark' if dark else 'light'}-{name}"))
 
     with running(study_file(tmp_path, practice="0", break_every="1")) as (operator, link):
         page = context.new_page()
         page.goto(link)
         page.wait_for_selector("html[data-ready]")
-        look(page, "join")
+        check(page, "join")
         page.click("button.big")
         until(page, "window.study.step?.kind === 'consent'")
-        look(page, "consent")
+        check(page, "consent")
         page.click("button.big")
         until(page, "window.study.step?.kind === 'questions'")
-        look(page, "questions")
+        check(page, "questions")
         page.click("button.big")
         until(page, "window.study.step?.kind === 'instructions'")
         page.click("button.big")
         until(page, "window.study.step?.kind === 'trial'")
-        look(page, "trial")
+        check(page, "trial")
         other = context.new_page()
         other.goto(operator)
         other.wait_for_selector("#people li")
-        look(other, "operator")
+        check(other, "operator")
         other.click("[data-what=Code]")
-        look(other, "code")
+        other.wait_for_selector("#invite[open] img")
+        check(other, "code")
         page.fill(".scale input", "64")
-        look(page, "rated")
+        check(page, "rated")
         page.click("button.big")
         until(page, "window.study.step?.kind === 'break'")
-        look(page, "break")
+        check(page, "break")
     context.close()
-    assert not [(one["id"], [node["html"] for node in one["nodes"]]) for one in found]
+    assert not violations

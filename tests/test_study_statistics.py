@@ -13,8 +13,11 @@ generalised η² (`effsize="np2"` for partial η²), and `intraclass_corr(table,
 
 from __future__ import annotations
 
+from itertools import product
+
 import numpy as np
 import pytest
+from scipy import stats
 
 from foten.study.raters import PAPER_PARTICIPANTS, Raters, needed, paper_raters, power, raters_for
 from foten.study.statistics import (
@@ -151,6 +154,25 @@ def test_pairs_by_t_and_by_ranks_are_those_of_r() -> None:
     np.testing.assert_allclose(against.p_bonferroni, np.minimum(1, 3 * against.p))
 
 
+def test_equal_differences_share_their_ranks() -> None:
+    """By hand: of 1, 2, 2, 2, 3, 5, 5 the ranks are 1, 3, 3, 3, 5, 6.5, 6.5, and a zero is left out. p is the share of the 2⁷
+    signs whose rank sum lies as far from its mean; of many, the normal one with variance n(n + 1)(2n + 1)/24 − Σ(t³ − t)/48.
+    """
+    d, ranks = np.array([1.0, -2, 2, 2, 0, 3, 5, -5]), np.array([1, 3, 3, 3, 5, 6.5, 6.5])
+    test = wilcoxon_tests(np.column_stack([d, np.zeros(8)]))
+    assert test.w[0] == 3 + 6.5
+    assert test.rank_biserial[0] == pytest.approx((28 - 2 * 9.5) / 28)
+    sums = np.array(list(product((0, 1), repeat=7))) @ ranks
+    assert test.p[0] == pytest.approx(np.mean(np.abs(sums - 14) >= 4.5))
+    many = np.repeat(d, 9)  # 63 differences: 9 of 1, 27 of 2, 9 of 3, 18 of 5
+    ranks_of = {1: 5, 2: 23, 3: 41, 5: 54.5}
+    down = 9 * ranks_of[2] + 9 * ranks_of[5]
+    variance = 63 * 64 * 127 / 24 - sum(t**3 - t for t in (9, 27, 9, 18)) / 48
+    test = wilcoxon_tests(np.column_stack([many, np.zeros(72)]))
+    assert test.w[0] == down
+    assert test.p[0] == pytest.approx(2 * stats.norm.sf((63 * 64 / 4 - down) / np.sqrt(variance)), rel=1e-9)
+
+
 def test_friedman_is_that_of_r() -> None:
     for shape, chi2, p in (((8, 3, 1), 9.75, 0.007635094219), ((12, 4, 1), 11.5, 0.009307797106)):
         test = friedman(data(*shape))
@@ -216,8 +238,6 @@ def test_raters_are_as_their_model_says() -> None:
 
 def test_power_is_that_of_the_noncentral_t() -> None:
     """Of two methods on one texture, where nothing is adjusted and nothing is cut."""
-    from scipy import stats
-
     raters = raters_for(2, 1, difference=6.0, sd=9.0, correlation=0.4)
     for n in (8, 21):
         delta = 6.0 / raters.sd_of_difference * np.sqrt(n)

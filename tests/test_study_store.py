@@ -2,23 +2,27 @@
 
 from __future__ import annotations
 
+import contextlib
 import multiprocessing
 import os
 import signal
 import sqlite3
 import time
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from foten.study.orders import orders
-from foten.study.store import MIGRATIONS, FullError, Rated, Stimulus, Store, create
+from foten.study.schema import MIGRATIONS, Stimulus, create
+from foten.study.store import FullError, Rated, Store
 
 TEXTURES, METHODS = 3, 2
 
 
-def made(path: Path, simulated: bool = False) -> Path:
+def made(path: Path, simulated: bool = False, participants: int = 5) -> Path:
     stimuli = [
         Stimulus(t, m, f"t{t}", f"m{m}", f"{t}{m}" * 8, 0.5 * m) for t in range(TEXTURES) for m in range(METHODS)
     ]
@@ -29,7 +33,7 @@ def made(path: Path, simulated: bool = False) -> Path:
         path.parent,
         7,
         stimuli,
-        orders(5, TEXTURES, METHODS, 7, 1, "balanced"),
+        orders(participants, TEXTURES, METHODS, 7, 1, "balanced"),
         "9.9",
         simulated,
     )
@@ -78,8 +82,6 @@ def test_codes_and_numbers_are_given_once(store: Store) -> None:
     assert [store.join(code) for code in "ABC"] == [1, 2, 3]
     with pytest.raises(sqlite3.IntegrityError):
         store.join("A")
-    with pytest.raises(ValueError, match="participant 2 has begun already"):
-        store.join("X", 2)
     assert [store.join(code) for code in "DE"] == [4, 5]
     with pytest.raises(ValueError, match="all 5 participants of the design have begun"):
         store.join("F")
@@ -190,29 +192,87 @@ def test_a_participant_who_is_forgotten_is_gone_from_every_byte(store: Store) ->
     again.close()
 
 
-def test_a_backup_while_it_is_written_to_is_whole(tmp_path: Path, store: Store) -> None:
+def test_forgetting_participant_1_leaves_10_to_12_their_log(tmp_path: Path) -> None:
+    with Store(made(tmp_path / "study.db", participants=12)) as store:
+        for i in range(12):
+            number = store.join(f"C{i}")
+            store.take_step(number, "trial:1", (1, Rated(5.0)))
+            store.correct(number, 1, 6.0, "slipped")
+        store.forget(1)
+        corrected = [what.partition(",")[0] for _, what in store.log() if "corrected" in what]
+    assert corrected == [f"participant {number}" for number in range(2, 13)]
+
+
+def test_a_backup_while_it_is_written_to_is_whole_and_one_file(tmp_path: Path, store: Store) -> None:
     filled(store)
     other = Store(store.path)
     number = other.join("LATER")
     for trial in range(1, 7):
         other.take_step(number, f"trial:{trial}", (trial, Rated(1.0)))
-        store.backup(tmp_path / f"copy{trial}.db")
-        with Store(tmp_path / f"copy{trial}.db") as copy:
+        path = tmp_path / f"copy{trial}.db"
+        assert store.backup(path) == 18 + trial
+        assert path.read_bytes()[18:20] == b"\1\1"  # no write-ahead log, without which it could not be opened
+        with Store(path) as copy:
             assert copy.check() == []
             assert len(copy.ratings()) == 18 + trial
 
 
-def test_a_full_disk_is_said_and_nothing_is_lost(store: Store) -> None:
-    number = store.join("A")
-    store.take_step(number, "trial:1", (1, Rated(62.0)))
+def test_a_damaged_study_is_not_backed_up(tmp_path: Path, store: Store) -> None:
+    store._connection.execute("PRAGMA foreign_keys = OFF")
+    store._connection.execute("INSERT INTO steps VALUES (4, 'end', '')")
+    assert store.check() == ["a row of steps names something that is not there"]
+    with pytest.raises(ValueError, match=r"copy\.db is damaged: a row of steps"):
+        store.backup(tmp_path / "copy.db")
+    assert not (tmp_path / "copy.db").exists()
+
+
+@contextlib.contextmanager
+def no_pages(store: Store) -> Iterator[None]:
     pages = store._connection.execute("PRAGMA page_count").fetchone()[0]
     store._connection.execute(f"PRAGMA max_page_count = {pages}")
-    with pytest.raises(FullError, match="the disk is full or cannot be written; what was there is there"):
-        store.add_strokes(number, 2, np.random.default_rng(0).normal(size=(9000, 4)))
-    assert [row["rating"] for row in store.ratings()] == [62.0]
+    yield
     store._connection.execute("PRAGMA max_page_count = 1000000")
+
+
+@contextlib.contextmanager
+def no_bytes(store: Store) -> Iterator[None]:
+    """An I/O error: no file of this process grows beyond what the write-ahead log has."""
+    resource = pytest.importorskip("resource")
+    usual = resource.getrlimit(resource.RLIMIT_FSIZE)
+    size = store.path.with_name(f"{store.path.name}-wal").stat().st_size
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, usual[1]))
+    yield
+    resource.setrlimit(resource.RLIMIT_FSIZE, usual)
+
+
+@contextlib.contextmanager
+def read_only(store: Store) -> Iterator[None]:
+    store._connection.execute("PRAGMA query_only = ON")
+    yield
+    store._connection.execute("PRAGMA query_only = OFF")
+
+
+@pytest.mark.parametrize(
+    ("refuses", "code"), [(no_pages, "SQLITE_FULL"), (no_bytes, "SQLITE_IOERR_WRITE"), (read_only, "SQLITE_READONLY")]
+)
+def test_a_disk_that_takes_no_more_is_said_and_nothing_is_lost(store: Store, refuses: Any, code: str) -> None:
+    number = store.join("A")
+    store.take_step(number, "trial:1", (1, Rated(62.0)))
+    events = np.random.default_rng(0).normal(size=(9000, 4))
+    message = "the disk is full or cannot be written; what was there is there"
+    with refuses(store), pytest.raises(FullError, match=message) as full:
+        store.add_strokes(number, 2, events)
+    assert full.value.__cause__.sqlite_errorname == code  # type: ignore[union-attr]
+    assert [row["rating"] for row in store.ratings()] == [62.0]
     assert store.take_step(number, "trial:2", (2, Rated(30.0)))
+    store.add_strokes(number, 2, events)
     assert store.check() == []
+
+
+def test_a_commit_waits_for_the_disk(store: Store) -> None:
+    """A loss of power cannot be had in a test; SQLite promises its survival for these two."""
+    pragmas = [store._connection.execute(f"PRAGMA {name}").fetchone()[0] for name in ("journal_mode", "synchronous")]
+    assert pragmas == ["wal", 2]  # FULL
 
 
 def test_a_newer_database_and_no_database_are_refused_in_a_line(tmp_path: Path, store: Store) -> None:

@@ -10,13 +10,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.signal import sosfilt
 
-from foten.datasets.stroking import stroking
 from foten.dsp.filters import butterworth
 from foten.models.texture_file import Texture
 from foten.runtime.binding import StylusOptions, library
 from foten.runtime.native import NativeTexture
 from foten.runtime.renderer import Renderer
 from foten.runtime.stylus import PressureCalibration, Stylus, fit_pressure
+from foten.simulation.stroking import stroking
 
 RATE = 1000.0
 CURVE = PressureCalibration()
@@ -198,15 +198,73 @@ def test_more_than_can_wait_is_dropped_and_pressure_is_cut(texture: Texture) -> 
 
 
 def test_events_that_came_at_once_do_not_make_jumps_of_the_rest(texture: Texture) -> None:
-    """A tablet that kept 200 events back and told them within 2 ms: the usual step fell to nothing, and each event was a jump."""
+    """A tablet that kept 200 events back and told them within 2 ms: the usual step fell to nothing, and each event was a jump.
+
+    Its own steps are longer than the 40 ms that a gap lasts at least, so that only the usual one tells them from a gap.
+    """
     stylus = Stylus(Renderer(texture))
     for k in range(200):
         stylus.push(1e-3 * k, 0.0, 0.5, 1e-5 * k)
     stylus.next_condition()
-    at = np.arange(0.01, 1.0, 0.008)
-    found = hands(stylus, np.stack([100 * at, 0 * at, np.full(at.size, 0.5), at], axis=1), 1000)
+    at = np.arange(0.01, 2.0, 0.045)
+    found = hands(stylus, stroke_at(at), 2000)
     assert stylus.stats.n_jumps == 0
     np.testing.assert_allclose(found[-200:, 0], 100.0, rtol=1e-3)
+
+
+def stroke_at(times_s: np.ndarray, speed: float = 100.0) -> np.ndarray:
+    """Events (k, 4) of a straight stroke [mm/s] along x under a pressure of 0.5."""
+    return np.stack([speed * times_s, 0 * times_s, np.full(times_s.size, 0.5), times_s], axis=1)
+
+
+@pytest.mark.parametrize(
+    ("step_s", "gap_s", "n_jumps"), [(0.001, 0.035, 0), (0.001, 0.045, 1), (0.008, 0.075, 0), (0.008, 0.085, 1)]
+)
+def test_a_gap_of_ten_usual_steps_and_of_40_ms_is_a_pen_out_of_reach(
+    texture: Texture, step_s: float, gap_s: float, n_jumps: int
+) -> None:
+    """What was moved in the gap is no stroke then: the velocity of the first event after it is unknown, and 0."""
+    stylus = Stylus(Renderer(texture))
+    before = stroke_at(np.arange(0.0, 1.0, step_s))
+    landed = before[-1] + np.array([100 * gap_s, 0.0, 0.0, gap_s])
+    found = hands(stylus, np.concatenate([before, [landed]]), int(1000 * landed[3]) + 22)
+    assert stylus.stats.n_jumps == n_jumps
+    assert found[-1, 0] < 10 if n_jumps else found[-1, 0] > 60  # the low-pass takes 17 ms for most of a step
+
+
+@pytest.mark.parametrize(("speed", "is_jump"), [(4900.0, False), (5100.0, True)])
+def test_what_moves_faster_than_5_m_per_second_is_a_jump(texture: Texture, speed: float, is_jump: bool) -> None:
+    stylus = Stylus(Renderer(texture))
+    events = stroke_at(np.arange(0.0, 0.5, 0.008), speed)
+    found = hands(stylus, events, 500)
+    assert stylus.stats.n_jumps == is_jump * (len(events) - 1)
+    assert found[-1, 0] == pytest.approx(0.0 if is_jump else speed, rel=1e-3)
+
+
+def test_a_jump_lets_go_at_once(texture: Texture) -> None:
+    """Oracle: the low-pass of the velocity that is held, up to the jump and not until the pen counts as still, 25 ms later."""
+    events = stroke_at(np.arange(0.0, 0.5, 0.008))
+    jump = events[-1] + np.array([1000.0, 0.0, 0.0, 0.008])
+    stylus = Stylus(Renderer(texture))
+    found = hands(stylus, np.concatenate([events, [jump]]), 600)
+    first, landed = (int(np.ceil(1000 * time)) for time in (events[1, 3], jump[3]))
+    held = np.zeros(600)
+    held[first:landed] = 100.0
+    np.testing.assert_allclose(found[:, 0], np.abs(lowpassed(held)), atol=1e-4)  # mm/s; speed leaves as float32
+    assert stylus.stats.n_jumps == 1
+    assert found[-1, 1] == pytest.approx(CURVE.force(np.array([0.5]))[0], rel=1e-6)  # it presses where it landed
+
+
+def test_late_events_out_of_order_are_no_new_clock(texture: Texture) -> None:
+    """A device that sends what it had kept, the newest first: a clock that began anew would run forwards."""
+    events = stroke_at(np.arange(0.0, 1.0, 0.008))
+    clean = hands(Stylus(Renderer(texture)), events, 990)
+    stylus = Stylus(Renderer(texture))
+    resent = events[39:19:-1]
+    mixed = np.concatenate([events[:60], resent, events[60:]])
+    found = hands(stylus, mixed, 990)
+    np.testing.assert_allclose(found, clean, rtol=1e-9, atol=1e-9)
+    assert stylus.stats.n_late == len(resent)
 
 
 @given(

@@ -20,25 +20,15 @@ from scipy.stats import false_discovery_control
 from conftest import TINY, experiment
 from foten.cli.command_line import _status
 from foten.datasets.hdf5 import write_recording
-from foten.datasets.simulate import simulate
+from foten.experiments.comparison import PAPER, Row, compared, holm, rows_of
 from foten.experiments.experiment import read_experiment
 from foten.experiments.figures import figures
-from foten.experiments.results import (
-    PAPER,
-    Row,
-    by_recipe,
-    chosen,
-    compared,
-    holm,
-    read_records,
-    read_results,
-    records_of,
-    rows_of,
-    title_of,
-    written_records,
-)
-from foten.experiments.sweep import _kept, _stoppable, sweep
-from foten.experiments.tables import PAPERS, findings, ratios, summary, table, written
+from foten.experiments.provenance import provenance_of
+from foten.experiments.results import by_recipe, chosen, read_records, read_results, records_of, runs_table, title_of
+from foten.experiments.sweep import _stoppable, lacking, planned, sweep
+from foten.experiments.tables import PAPERS, findings, ratios, summary, table
+from foten.reporting.table import Number, Table
+from foten.simulation.simulate import simulate
 
 
 @pytest.fixture(scope="module")
@@ -59,6 +49,16 @@ def swept(tmp_path_factory: pytest.TempPathFactory) -> Path:
             assert "4/4" in done.stderr
             assert "min left" in done.stderr
     return folder / "results"
+
+
+@pytest.fixture
+def results(swept: Path) -> list[dict]:
+    return read_results(swept)
+
+
+@pytest.fixture
+def records(swept: Path) -> list[dict]:
+    return read_records(swept)
 
 
 def test_a_sweep_that_a_queue_ends_says_what_is_done(tmp_path: Path) -> None:
@@ -100,22 +100,20 @@ def test_a_signal_as_ray_starts_is_not_lost() -> None:
     _stoppable(lambda: None)
 
 
-def test_every_run_is_one_file_named_by_what_it_depends_on(swept: Path) -> None:
-    results = read_results(swept)
+def test_every_run_is_one_file_named_by_what_it_depends_on(results: list[dict], swept: Path) -> None:
     assert len(results) == 4
     assert [one["run"]["method"] for one in results] == ["FNN [13]", "excited"] * 2
     assert all(one["run"]["train"]["epochs"] == 1 for one in results)
     assert all(one["run"]["train"]["loss"] == "mse" for one in results)  # the model's own recipe
     assert not list(swept.glob("*.part*"))
     same = read_experiment(experiment(swept.parent)).runs()
-    names = {run.name(one["recording_sha256"], one["foten"]) for run, one in zip(same, results, strict=True)}
+    names = {provenance_of(run, result["recording_sha256"]).name for run, result in zip(same, results, strict=True)}
     assert names == {path.stem for path in swept.glob("*.json")}
 
 
-def test_a_summary_has_references_methods_and_the_papers_figure(swept: Path) -> None:
-    records = read_records(swept)
+def test_a_summary_has_references_methods_and_the_papers_figure(records: list[dict]) -> None:
     fnn = [one for one in records if one["method"] == "FNN [13]"]
-    cells = summary(fnn)
+    cells = summary(fnn).cells()
     # Two textures have no p, and a column without a cell is left out.
     assert cells[0] == ["", "MAE [sd]", PAPERS, "GFC [%]", "LSD [dB]", "level error [dB]", "training [s]"]
     assert "unit not stated" in PAPERS
@@ -130,9 +128,8 @@ def test_a_summary_has_references_methods_and_the_papers_figure(swept: Path) -> 
     assert rows["ceiling"]["MAE [sd]"] == ""
 
 
-def test_a_table_has_textures_by_references_and_methods(swept: Path) -> None:
-    records = read_records(swept)
-    cells = table(records, "mae")
+def test_a_table_has_textures_by_references_and_methods(records: list[dict]) -> None:
+    cells = table(records, "mae").cells()
     assert cells[0] == [
         *("one-step MAE [sd]", "zero", "persistence", "AR(20)", "AR(20) by speed and force", "best AR"),
         *("least possible", "FNN [13], without excitation", "excited"),
@@ -141,12 +138,11 @@ def test_a_table_has_textures_by_references_and_methods(swept: Path) -> None:
     errors = [one["one_step.mae_scaled"] for one in records if one["method"] == "FNN [13]"]
     assert [row[7] for row in cells[1:]] == [f"{errors[0]:.3f}", f"{errors[1]:.3f}", f"{np.mean(errors):.3f}"]
     free = ["AR(20) with white noise", "ceiling", "FNN [13], without excitation", "excited"]
-    assert table(records, "lsd")[0][1:] == free
+    assert table(records, "lsd").cells()[0][1:] == free
     assert any("best on the mean of 2 trained methods" in line for line in findings(records))
 
 
-def test_findings_say_who_is_compared_and_what_a_linear_predictor_has(swept: Path) -> None:
-    records = copy.deepcopy(read_records(swept))
+def test_findings_say_who_is_compared_and_what_a_linear_predictor_has(records: list[dict]) -> None:
     for one, error in zip(records, (0.5, 0.2, 0.7, 0.4), strict=True):  # FNN and excited on each texture
         one |= {"one_step.mae_scaled": error, "references.ar_best.mae_scaled": 0.25}
 
@@ -183,7 +179,7 @@ def test_a_table_says_what_was_reduced_and_what_a_figure_is_blind_to(swept: Path
 
 
 def test_tables_are_written_in_three_forms(swept: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert _status(["tables", str(swept), "-o", str(tmp_path / "tables")]) == 0
+    assert _status(["tables", str(swept), "-o", str(tmp_path / "tables"), "--digits", "9"]) == 0
     assert "| excited |" in capsys.readouterr().out
     assert {path.name for path in (tmp_path / "tables").iterdir()} == {
         *(f"{name}.{form}" for name in ("summary", "mae", "gfc", "lsd", "level") for form in ("md", "csv", "tex")),
@@ -207,10 +203,9 @@ def test_tables_are_written_in_three_forms(swept: Path, tmp_path: Path, capsys: 
     assert "other.csv is no runs.csv of foten tables" in capsys.readouterr().err
 
 
-def test_each_run_is_a_row_with_intervals_over_blocks(swept: Path) -> None:
-    results = read_results(swept)
+def test_each_run_is_a_row_with_intervals_over_blocks(results: list[dict]) -> None:
     results[0]["evaluation"]["one_step"]["intervals"] = {"mae_scaled": [0.25, 0.75], "gfc": [0.5, 0.9]}
-    heading, *rows = written_records(records_of(results))
+    heading, *rows = runs_table(records_of(results)).cells()
     lines = [dict(zip(heading, row, strict=True)) for row in rows]
     assert [(one["method"], one["texture"]) for one in lines] == [
         (method, texture) for texture in ("linear-cloth", "linear-twin") for method in ("FNN [13]", "excited")
@@ -227,9 +222,8 @@ def test_each_run_is_a_row_with_intervals_over_blocks(swept: Path) -> None:
     assert all(float(one["training_s"]) > 0 and one["epochs"] == "1" for one in lines)
 
 
-def test_the_recipe_that_is_best_on_validation_is_shown(swept: Path) -> None:
+def test_the_recipe_that_is_best_on_validation_is_shown(records: list[dict]) -> None:
     """Two recipes of a method: which is shown hangs on the validation errors alone, on the mean of what both have."""
-    records = copy.deepcopy(read_records(swept))
     published = [one | {"recipe": "published"} for one in records if one["method"] == "FNN [13]"]
     ours = [one | {"recipe": "ours", "one_step.mae_scaled": 9.0} for one in copy.deepcopy(published)]
     for one, error in zip(ours, (0.9, 1.2), strict=True):
@@ -251,12 +245,11 @@ def test_the_recipe_that_is_best_on_validation_is_shown(swept: Path) -> None:
     assert {one["recipe"] for one in chosen(both)} == {"published", ""}
 
 
-def test_brief_runs_give_the_same_ratios_and_no_references(swept: Path, tmp_path: Path) -> None:
-    records = copy.deepcopy(read_records(swept))
+def test_brief_runs_give_the_same_ratios_and_no_references(records: list[dict], tmp_path: Path) -> None:
     for one in records:
         one["beside"] = "FNN [13]" if one["method"] == "excited" else ""
         one["listener.listener_auc"], one["stability.n_attack"] = 0.625, 1_000_008.0
-    (tmp_path / "whole.csv").write_text(written(written_records(records), "csv"))
+    runs_table(records).write(tmp_path / "whole.csv")
     assert {one["stability.n_attack"] for one in read_records(tmp_path / "whole.csv")} == {1_000_008}  # whole it stays
     assert _status(["tables", str(tmp_path / "whole.csv"), "-o", str(tmp_path / "out"), "--brief"]) == 0
     heading = (tmp_path / "out" / "runs.csv").read_text().splitlines()[0].split(",")
@@ -267,28 +260,27 @@ def test_brief_runs_give_the_same_ratios_and_no_references(swept: Path, tmp_path
     assert _status(["tables", str(tmp_path / "out" / "runs.csv"), "-o", str(tmp_path / "again")]) == 0
 
 
-def test_what_runs_share_is_written_once(swept: Path, tmp_path: Path) -> None:
+def test_what_runs_share_is_written_once(records: list[dict], tmp_path: Path) -> None:
     """The title, in the first row; notes that differ stand in each."""
     notes = ["a", "b", "b", "a"]
-    records = [one | {"note": note} for one, note in zip(read_records(swept), notes, strict=True)]
-    heading, *rows = written_records(records)
+    records = [one | {"note": note} for one, note in zip(records, notes, strict=True)]
+    heading, *rows = runs_table(records).cells()
     assert [row[heading.index("experiment")] for row in rows] == ["Two methods", "", "", ""]
     assert [row[heading.index("note")] for row in rows] == notes
-    (tmp_path / "runs.csv").write_text(written([heading, *reversed(rows)], "csv"))  # sorted by somebody
+    Table.of(heading, rows[::-1]).write(tmp_path / "runs.csv")  # sorted by somebody
     again = read_records(tmp_path / "runs.csv")
     assert [one["note"] for one in again] == notes[::-1]
     assert [one["experiment"] for one in again] == ["Two methods"] * 4
 
 
-def test_ratios_are_of_the_same_texture_and_split(swept: Path) -> None:
-    records = copy.deepcopy(read_records(swept))
+def test_ratios_are_of_the_same_texture_and_split(records: list[dict]) -> None:
     for one in records:
         one["beside"] = "FNN [13]" if one["method"] == "excited" else ""
     for k, factor in ((1, 2.0), (3, 4.0)):
         records[k]["one_step.mae_scaled"] = factor * records[k - 1]["one_step.mae_scaled"]
     for k, one in enumerate(records):
         one["validation_listener.area"] = 0.9 - 0.1 * (k % 2) * (1 + k // 2)
-    heading, row = ratios(records)
+    heading, row = ratios(records).cells()
     line = dict(zip(heading, row, strict=True))
     assert (line[""], line["beside"], line["pairs"]) == ("excited", "FNN [13]", "2")
     assert line["test: one step"] == "3.000 ± 1.000"  # sd of 2 and 4 over √2
@@ -296,12 +288,13 @@ def test_ratios_are_of_the_same_texture_and_split(swept: Path) -> None:
     assert line["test: LSD"] == "–"  # one has no excitation
 
 
-def test_parts_of_a_sweep_are_one(swept: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_parts_of_a_sweep_are_one(
+    swept: Path, records: list[dict], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert _status(["tables", str(swept), "-o", str(tmp_path / "whole")]) == 0
-    records = read_records(swept)
     other = [one | {"experiment": "Another"} for one in records]
     for name, some in (("first", records[:2]), ("second", records[1:]), ("other", other)):  # the second run is in both
-        (tmp_path / f"{name}.csv").write_text(written(written_records(some), "csv"))
+        runs_table(some).write(tmp_path / f"{name}.csv")
     parts = [str(tmp_path / f"{name}.csv") for name in ("first", "second")]
     assert _status(["tables", *parts, "-o", str(tmp_path / "joined")]) == 0
     figures, joined = (  # columns stand in another order where a run has others
@@ -329,8 +322,7 @@ def test_figures_are_drawn_from_the_results(swept: Path, tmp_path: Path, capsys:
     assert 0.2 < np.std(signals["free_run"]) / np.std(signals["recorded"]) < 5
 
 
-def test_windows_and_losses_are_drawn_where_there_is_a_grid(swept: Path) -> None:
-    results = read_results(swept)
+def test_windows_and_losses_are_drawn_where_there_is_a_grid(results: list[dict]) -> None:
     assert not [name for name, _ in figures(results) if "figure-5" in name]
     other = copy.deepcopy(results[0])
     other["run"]["train"]["loss"] = "mae"
@@ -359,8 +351,8 @@ def test_windows_and_losses_are_drawn_where_there_is_a_grid(swept: Path) -> None
     assert {float(line.get_ydata()[0]) for line in drawn.axes[0].get_lines()[::2]} == {16.0}
 
 
-def test_thresholds_are_drawn_over_each_textures_mean(swept: Path) -> None:
-    results = [one for one in copy.deepcopy(read_results(swept)) if one["run"]["method"] == "FNN [13]"]
+def test_thresholds_are_drawn_over_each_textures_mean(results: list[dict]) -> None:
+    results = [one for one in results if one["run"]["method"] == "FNN [13]"]
     others = copy.deepcopy(results)
     for one in (*results, *others):
         one["run"]["train"]["loss"] = "huber"
@@ -374,10 +366,10 @@ def test_thresholds_are_drawn_over_each_textures_mean(swept: Path) -> None:
     np.testing.assert_allclose(drawn.axes[1].get_lines()[-1].get_ydata(), 1)
 
 
-def test_figure_4_is_left_out_where_its_recording_is_not(swept: Path, tmp_path: Path) -> None:
+def test_figure_4_is_left_out_where_its_recording_is_not(results: list[dict], tmp_path: Path) -> None:
     recording = simulate("linear-cloth", 8, seed=1)
     write_recording(recording, tmp_path / "a.h5")
-    result = copy.deepcopy(read_results(swept)[0])
+    result = results[0]
     result["run"] |= {"texture": "elsewhere/a.h5", "seconds": None}
     for folder, match in ((None, "no such file: elsewhere/a.h5"), (tmp_path, "")):
         said: list[str] = []
@@ -391,9 +383,9 @@ def test_figure_4_is_left_out_where_its_recording_is_not(swept: Path, tmp_path: 
     assert "is not what was learned from" in said[0]
 
 
-def test_a_panel_is_of_one_recording(swept: Path) -> None:
+def test_a_panel_is_of_one_recording(results: list[dict]) -> None:
     """A method that failed on the first split is not drawn over it: its second is another recording."""
-    first = copy.deepcopy(read_results(swept)[0])
+    first = results[0]
     second, other = copy.deepcopy(first), copy.deepcopy(first)
     second["run"]["split_seed"] = other["run"]["split_seed"] = 2
     other["run"]["method"] = "other"
@@ -401,11 +393,11 @@ def test_a_panel_is_of_one_recording(swept: Path) -> None:
     assert [label.get_text() for label in axes.get_yticklabels()] == ["recorded", "FNN [13],\nwithout excitation"]
 
 
-def test_methods_of_like_names_have_files_of_their_own(swept: Path) -> None:
+def test_methods_of_like_names_have_files_of_their_own(results: list[dict]) -> None:
     grid = []
     for method in ("A+", "A-"):
         for loss in ("mae", "huber"):
-            one = copy.deepcopy(read_results(swept)[0])
+            one = copy.deepcopy(results[0])
             one["run"] |= {"method": method, "cell": {"loss": loss}}
             one["run"]["train"]["loss"] = loss
             grid.append(one)
@@ -413,23 +405,22 @@ def test_methods_of_like_names_have_files_of_their_own(swept: Path) -> None:
     assert names == ["figure-5-a-1", "figure-5-a-2"]
 
 
-def test_blocks_without_a_free_run_have_tables(swept: Path, tmp_path: Path) -> None:
+def test_blocks_without_a_free_run_have_tables(results: list[dict]) -> None:
     """Blocks too short for a spectrum: all figures of the free run are missing, and what is not known is left empty."""
-    results = copy.deepcopy(read_results(swept))
     for one in results:
         for run in ("free_run", "free_run_deterministic", "free_run_ar", "ceiling"):
             one["evaluation"][run] = dict.fromkeys(one["evaluation"][run])
     records = records_of(results)
-    assert len(table(records, "mae")) == 4
-    assert table(records, "lsd")[1][1:] == ["–", "–"]
+    assert len(table(records, "mae").rows) == 3
+    assert table(records, "lsd").cells()[1][1:] == ["–", "–"]
     assert {one["excitation"] for one in records} == {""}
-    heading, *rows = written_records(records)
+    heading, *rows = runs_table(records).cells()
     assert "excitation" not in heading  # a column without a cell is left out
     assert len(rows) == 4
 
 
-def test_what_falls_silent_runs_along_the_lower_edge_and_is_said(swept: Path) -> None:
-    result, other = copy.deepcopy(read_results(swept)[0::2])  # one method, two textures
+def test_what_falls_silent_runs_along_the_lower_edge_and_is_said(results: list[dict]) -> None:
+    result, other = results[0::2]  # one method, two textures
     for one in (result, other):
         for name, power in (("recorded", 1.0), ("free_run", 1.0)):
             one["signals"]["density"][name] = [power] * len(one["signals"]["frequencies_hz"])
@@ -449,8 +440,8 @@ def test_what_falls_silent_runs_along_the_lower_edge_and_is_said(swept: Path) ->
     assert drawn.max() < low + 0.05 * (high - low)
 
 
-def test_waveforms_have_a_scale_and_say_where_one_is_silent(swept: Path) -> None:
-    result = copy.deepcopy(read_results(swept)[0])
+def test_waveforms_have_a_scale_and_say_where_one_is_silent(results: list[dict]) -> None:
+    result = results[0]
     recorded = 3.0 * np.sin(np.arange(400))
     for factor, words in ((0.9, []), (0.01, ["silent here: 40 dB below the recording"])):
         result["signals"] |= {"recorded": recorded.tolist(), "free_run": (factor * recorded).tolist()}
@@ -461,8 +452,7 @@ def test_waveforms_have_a_scale_and_say_where_one_is_silent(swept: Path) -> None
         np.testing.assert_array_equal(axes.get_lines()[0].get_ydata(), recorded)
 
 
-def test_splits_that_are_the_same_blocks_are_said(swept: Path) -> None:
-    records = read_records(swept)
+def test_splits_that_are_the_same_blocks_are_said(records: list[dict]) -> None:
     assert not any("same blocks" in line for line in findings(records))
     again = records[0] | {"split": 2}
     assert any("splits 1, 2 are the same blocks" in line for line in findings([*records, again]))
@@ -471,23 +461,21 @@ def test_splits_that_are_the_same_blocks_are_said(swept: Path) -> None:
 def test_a_sweep_names_what_it_has_anew_and_makes_again_what_is_damaged(swept: Path, tmp_path: Path) -> None:
     folder = tmp_path / "results"
     shutil.copytree(swept, folder)
-    asked = read_experiment(experiment(tmp_path, TINY.replace("Two methods", "Renamed").replace('"excited"', '"E"')))
-    said: list[str] = []
-    assert sweep(asked, folder, say=said.append) == (0, 0)  # Ray is not even started
+    renamed = read_experiment(experiment(tmp_path, TINY.replace("Two methods", "Renamed").replace('"excited"', '"E"')))
+    assert sweep(renamed, folder) == (0, 0)  # Ray is not even started
     results = read_results(folder)
     assert title_of(records_of(results)) == "Renamed"
-    assert [one["run"]["method"] for one in results] == ["FNN [13]", "E"] * 2
-    figures_of = [one["evaluation"] for one in read_results(swept)]
-    assert [one["evaluation"] for one in results] == figures_of
-    path = sorted(folder.glob("*.json"))[0]
-    path.write_text(path.read_text()[:-100])
-    about = {"index": 0}
-    lacking = read_results(swept)[0]
-    del lacking["evaluation"]["split_sha256"]
-    for text in (path.read_text(), json.dumps(lacking), "5", '{"evaluation": 5}'):
+    assert [result["run"]["method"] for result in results] == ["FNN [13]", "E"] * 2
+    assert [result["evaluation"] for result in results] == [result["evaluation"] for result in read_results(swept)]
+    plan, _ = planned(renamed, folder)
+    path, whole = plan[0].path, plan[0].path.read_text()
+    without_split = json.loads(whole)
+    del without_split["evaluation"]["split_sha256"]
+    for text in (whole[:-100], json.dumps(without_split), "5", '{"evaluation": 5}'):
         path.write_text(text)
-        assert not _kept(path, about, said.append)
-        assert said[-1] == f"{path.name} is damaged, and is made again"
+        lines: list[str] = []
+        assert lacking(plan, folder, True, lines.append) == plan[:1]
+        assert lines == [f"FNN [13] on linear-cloth, split 1: run again, as {path.name} is damaged"]
         with pytest.raises(ValueError, match=f"{path.name} is no result of foten sweep, or damaged"):
             read_results(folder)
 
@@ -513,16 +501,6 @@ def test_an_address_where_nobody_listens_is_said_at_once(tmp_path: Path, capsys:
     assert "ray start --head" in message
 
 
-def test_special_characters_are_markdowns_too() -> None:
-    assert written([["a|b", "1"], ["c", "2"]], "md").splitlines()[0] == r"| a\|b | 1 |"
-    latex = written([["h", "1"], [r"f $x_1$ {b} ^~\ ±", "2"]], "tex")
-    assert r"f \$x\_1\$ \{b\} \textasciicircum{}\textasciitilde{}\textbackslash{} $\pm$ & 2" in latex
-
-
-def test_special_characters_are_latexs() -> None:
-    assert written([["a_b & 5 %", "1.0 ± 0.1"], ["–", ""]], "tex").splitlines()[2] == r"a\_b \& 5 \% & 1.0 $\pm$ 0.1 \\"
-
-
 def test_results_that_a_table_would_mix_are_refused(swept: Path, tmp_path: Path) -> None:
     first, *_ = sorted(swept.glob("*.json"))
     for name in ("a.json", "b.json"):
@@ -531,8 +509,7 @@ def test_results_that_a_table_would_mix_are_refused(swept: Path, tmp_path: Path)
         read_results(tmp_path)
 
 
-def test_what_is_not_complete_is_said_and_not_compared(swept: Path) -> None:
-    records = read_records(swept)
+def test_what_is_not_complete_is_said_and_not_compared(records: list[dict]) -> None:
     lacking = [one for one in records if one["method"] != "excited" or one["texture"] != "linear-twin"]
     assert any("not compared, for want of textures or splits: excited" in line for line in findings(lacking))
     assert title_of(records) == "Two methods"
@@ -540,13 +517,12 @@ def test_what_is_not_complete_is_said_and_not_compared(swept: Path) -> None:
 
 def papers(records: list[dict]) -> dict[str, str]:
     """Return the paper's figure of each method in the summary, empty where it has none."""
-    heading, *rows = summary(records)
+    heading, *rows = summary(records).cells()
     lines = [dict(zip(heading, row, strict=True)) for row in rows]
     return {line[""].removesuffix(", without excitation"): line.get(PAPERS, "") for line in lines}
 
 
-def test_the_papers_figure_is_of_the_one_row_without_excitation(swept: Path) -> None:
-    records = copy.deepcopy(read_records(swept))
+def test_the_papers_figure_is_of_the_one_row_without_excitation(records: list[dict]) -> None:
     reported = papers(records)
     assert (reported["FNN [13]"], reported["excited"]) == (str(PAPER["fnn"].mae), "")
     assert papers([one for one in records if one["method"] == "excited"])["excited"] == str(PAPER["fnn"].mae)
@@ -555,29 +531,19 @@ def test_the_papers_figure_is_of_the_one_row_without_excitation(swept: Path) -> 
     assert {papers(records)[name] for name in ("FNN [13]", "excited")} == {""}
 
 
-def test_a_method_without_one_step_has_a_row_and_the_papers_figure(swept: Path) -> None:
+def test_a_method_without_one_step_has_a_row_and_the_papers_figure(results: list[dict]) -> None:
     """A model of spectra has no one-step error; it is compared by its free run."""
-    results = read_results(swept)
     copied = copy.deepcopy([one for one in results if one["run"]["method"] == "excited"])
     for one in copied:
         one["run"] |= {"method": "spectra", "model": "gan"}
         one["evaluation"]["one_step"] = dict.fromkeys(one["evaluation"]["one_step"])
     records = records_of([*results, *copied])
-    rows = {row[0]: row for row in summary(records)}
+    rows = {row[0]: row for row in summary(records).cells()}
     assert rows["spectra"][1:4] == ["–", "0.298", "–"]
     assert float(rows["spectra"][4]) > 0
     said = list(findings(records))
     assert "one-step MAE [sd]: there is none of spectra." in said
     assert not any("for want of" in one for one in said)
-
-
-def test_versions_that_differ_are_said_and_packages_that_lack_are_not(swept: Path) -> None:
-    """`ar` needs no PyTorch and names no version of it: that is no difference."""
-    records = copy.deepcopy(read_records(swept))
-    del records[0]["version.torch"]
-    assert not any("several versions" in line for line in findings(records))
-    records[1]["version.numpy"] = "0.1"
-    assert any("several versions, of numpy 0.1, " in line for line in findings(records))
 
 
 def test_a_folder_without_results_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -598,8 +564,8 @@ def test_a_folder_without_results_is_said(tmp_path: Path, capsys: pytest.Capture
     assert "is a folder, expected a .toml file" in capsys.readouterr().err
 
 
-def test_references_are_counted_once_for_each_split(swept: Path) -> None:
-    _, rows = rows_of(read_records(swept), "mae")
+def test_references_are_counted_once_for_each_split(records: list[dict]) -> None:
+    _, rows = rows_of(records, "mae")
     zero = next(row for row in rows if row.name == "zero")
     assert all(len(values) == 1 for values in zero.values.values())
 
@@ -611,6 +577,15 @@ def test_holm_is_at_least_as_strict_as_the_false_discovery_rate_and_never_above_
     corrected = np.array(holm(p))
     assert (corrected >= false_discovery_control(p) - 1e-12).all()
     assert (corrected <= np.minimum(1, 9 * np.array(p)) + 1e-12).all()
+
+
+def test_methods_that_are_equal_as_shown_are_both_the_best(records: list[dict]) -> None:
+    """With and without excitation one network has one one-step error; their free runs differ."""
+    rows = summary(records).rows
+    best = {str(name): [isinstance(cell, Number) and cell.best for cell in cells] for name, *cells in rows}
+    assert best["FNN [13], without excitation"][0] is best["excited"][0] is True
+    assert (best["FNN [13], without excitation"][3], best["excited"][3]) == (False, True)
+    assert not any(best["least possible"])
 
 
 def test_what_is_never_better_differs_and_what_is_the_same_does_not() -> None:

@@ -18,6 +18,7 @@ from conftest import PLUS, SCALING, exported
 from foten.baselines.sizes import TRAINABLE
 from foten.models.foten_plus.sizes import FotenPlusSizes
 from foten.models.texture_file import Texture, read_texture, texture_from_bytes, write_texture
+from foten.recording.recording import UNITS
 from foten.runtime.native import NativeTexture
 
 
@@ -107,6 +108,11 @@ def test_every_truncation_is_refused(texture: Texture) -> None:
             texture_from_bytes(data[:length])
 
 
+def test_a_relative_acceleration_is_understood(texture: Texture) -> None:
+    card = {**texture.card, "units": {**UNITS, "acceleration": "relative"}}
+    assert texture_from_bytes(raw(card, dict(texture.tensors))).unit == "relative"
+
+
 def test_the_message_names_the_file(texture: Texture, tmp_path: Path) -> None:
     path = tmp_path / "half.foten"
     path.write_bytes(texture.to_bytes()[:1000])
@@ -172,8 +178,8 @@ def test_every_key_of_the_card_is_needed_and_has_its_type(texture: Texture) -> N
 @pytest.mark.parametrize(
     ("fields", "message"),
     [
-        ({"format_version": 5}, "format version 5, expected 4: update foten"),
-        ({"format_version": 3}, "format version 3, expected 4: train it again"),
+        ({"format_version": 6}, "format version 6, expected 5: update foten"),
+        ({"format_version": 4}, "format version 4, expected 5: train it again"),
         ({"format_version": None}, "format version None"),
         ({"model": "wavenet"}, "unknown model 'wavenet', expected one of foten-plus, foten, ten, ar"),
         ({"window": 21}, "window 21 and the network 19"),
@@ -189,6 +195,10 @@ def test_every_key_of_the_card_is_needed_and_has_its_type(texture: Texture) -> N
         ({"trained_range": {"speed": [-1.0, 8.0], "force": [0, 1]}}, "trained range of speed"),
         ({"trained_range": {"speed": [float("nan"), 8.0], "force": [0, 1]}}, "trained range of speed"),
         ({"trained_range": {"speed": [1, 8, 9], "force": [0, 1]}}, "trained range of speed"),
+        ({"units": {**UNITS, "speed": "m/s"}}, "^the card's speed is in 'm/s', expected mm/s; was the card edited[?]$"),
+        ({"units": {**UNITS, "force": ["N"]}}, r"force is in \['N'\], expected N"),
+        ({"units": {**UNITS, "acceleration": "g"}}, r"acceleration is in 'g', expected m/s\^2 or relative"),
+        ({"units": {}}, "acceleration is in None, expected"),
         ({"scaling": {"mean": [0, 0, 0]}}, "three means and three standard deviations"),
         ({"scaling": {"mean": [0, 0], "sd": [1, 1]}}, "three means"),
         ({"scaling": {"mean": [0, 0, 0], "sd": [1, 0, 1]}}, "speed has mean 0 and standard deviation 0"),
@@ -269,7 +279,7 @@ def test_every_tensor_is_needed(key: str) -> None:
     for name in texture.tensors:
         without = {other: tensor for other, tensor in texture.tensors.items() if other != name}
         data = dataclasses.replace(texture, tensors=without).to_bytes()
-        with pytest.raises(ValueError, match=r"has shape None|has shape \(0,\)|0 golden windows"):
+        with pytest.raises(ValueError, match=r"has shape None|has shape \(0,\)|0 golden windows|or a graph"):
             texture_from_bytes(data)
         with pytest.raises(ValueError, match=r"tensor|golden|graph"):
             NativeTexture(data)

@@ -9,10 +9,9 @@ from pathlib import Path
 import pytest
 import torch
 
-from foten.runtime.binding import library
 from foten.training import training_kernel as kernel
 
-C_SOURCE = Path(__file__).parents[1] / "native/training/innovations.c"
+C_SOURCE = Path(__file__).parents[1] / "native/training/training_kernel.c"
 
 
 @pytest.mark.parametrize("of", ["portable", kernel.isa()])
@@ -21,7 +20,7 @@ def test_hidden_states_and_gradients_are_pytorchs(
     n_inputs: int, n_hidden: int, s: int, of: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Of its own unit, in every instruction set, whatever rows are padded to: to what float32 leaves of 40 samples."""
-    monkeypatch.setattr(kernel, "_function", lambda name: getattr(library(), f"{name}_{of}"))
+    monkeypatch.setattr(kernel, "_function", lambda name: getattr(kernel.training_library(), f"{name}_{of}"))
     torch.manual_seed(3)
     unit = torch.nn.GRU(n_inputs, n_hidden, batch_first=True)
     inputs, weight = 2 * torch.randn(s, 40, n_inputs), torch.randn(s, 40, n_hidden)

@@ -149,8 +149,8 @@ def test_a_unit_that_is_not_one_is_refused_with_what_may_be_meant(channel, heade
 
 
 def test_what_the_user_says_goes_before_the_file_and_is_kept():
-    assert factor_of("force", "force [lbf]", given="N") == (1.0, "force was taken as N, where its file states lbf")
-    assert factor_of("force", "force [V]", given="V*4.9")[0] == 4.9
+    assert factor_of("force", "force [lbf]", by_user="N") == (1.0, "force was taken as N, where its file states lbf")
+    assert factor_of("force", "force [V]", by_user="V*4.9")[0] == 4.9
     with pytest.raises(ValueError, match="is in lbf by its name and in N by its unit"):
         factor_of("force", "force [lbf]", "N")
 

@@ -17,6 +17,7 @@ import zipfile
 from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 import numpy as np
 import pytest
@@ -27,6 +28,7 @@ from corpus import write_corpus
 from foten.models.texture_file import CLOSED_LOOP_TOLERANCE, read_texture
 from foten.runtime.binding import ABI, library
 from foten.runtime.renderer import EXAMPLE
+from foten.training.training_kernel import training_library
 from test_kernel_build import CMAKE, WASM, accelerations, needs_node, ran, stroke_of
 
 ROOT = Path(__file__).parents[1]
@@ -83,13 +85,33 @@ def test_a_wheel_that_is_not_what_it_says_is_refused(wheels: ModuleType, tmp_pat
         with zipfile.ZipFile(wheel, "w") as archive:
             for name in wheels.BESIDE:
                 archive.writestr(f"{wheels.KERNEL}/{name}", "")
-            archive.writestr(f"{wheels.KERNEL}/{target.file_name}", content)
+            for name in wheels.functions_of(target):
+                archive.writestr(f"{wheels.KERNEL}/{name}", content)
         with pytest.raises(ValueError, match=r"is for .*, expected"):
             wheels.check(target, wheel)
     with zipfile.ZipFile(wheel, "a") as archive:
         archive.writestr(f"{wheels.KERNEL}/stray.so", "")
     with pytest.raises(ValueError, match=r"has .*stray.so, expected"):
         wheels.check(target, wheel)
+
+
+@needs_tools
+@pytest.mark.skipif(NATIVE_TAG is None, reason="there is no wheel for this system")
+def test_each_library_of_a_wheel_exports_its_own_functions_and_no_others(wheels: ModuleType, tmp_path: Path) -> None:
+    """The public one exported the functions of training too, which no wheel may."""
+    (target,) = (target for target in wheels.TARGETS if target.tags[0] == NATIVE_TAG)
+    functions = wheels.functions_of(target)
+    contents = [Path(one._name).read_bytes() for one in (library(), training_library())]
+    assert [wheels.read_library(content).exported for content in contents] == list(functions.values())
+    wheel = tmp_path / "foten.whl"
+    for content, wrong in zip(contents, reversed(functions), strict=True):  # the same library twice
+        with zipfile.ZipFile(wheel, "w") as archive:
+            for name in wheels.BESIDE:
+                archive.writestr(f"{wheels.KERNEL}/{name}", "")
+            for name in functions:
+                archive.writestr(f"{wheels.KERNEL}/{name}", content)
+        with pytest.raises(ValueError, match=rf"^{wrong} of .* exports other functions .*: .*foten_"):
+            wheels.check(target, wheel)
 
 
 @needs_node
@@ -158,33 +180,51 @@ def built(wheels: ModuleType, tmp_path_factory: pytest.TempPathFactory) -> Calla
     return built
 
 
-@needs_tools
-@pytest.mark.slow
-@pytest.mark.skipif(NATIVE_TAG is None, reason="there is no wheel for this system")
-def test_a_wheel_renders_without_a_compiler(built: Callable[[str], Path], tmp_path: Path) -> None:
-    """Installed into a fresh environment with nothing but Python in the path; how long it takes, `benchmarks/install.py` says."""
-    assert NATIVE_TAG is not None
-    wheel = built(NATIVE_TAG)
-    environment = tmp_path / "environment"
+def installed(wheel: Path, folder: Path) -> dict[str, Any]:
+    """Return what a wheel renders from a fresh environment that has no compiler in its path."""
+    environment = folder / "environment"
     venv.create(environment, with_pip=True)
-    folder = environment / ("Scripts" if os.name == "nt" else "bin")
-    assert all(shutil.which(name, path=folder) is None for name in ("cc", "gcc", "clang", "zig", "cmake", "ninja"))
+    programs = environment / ("Scripts" if os.name == "nt" else "bin")
+    assert all(shutil.which(name, path=programs) is None for name in ("cc", "gcc", "clang", "zig", "cmake", "ninja"))
     kept = {name: value for name, value in os.environ.items() if name not in ("PYTHONPATH", "CC")}
 
     def run(*arguments: str | Path) -> str:
-        command = [str(folder / "python"), *map(str, arguments)]
+        command = [str(programs / "python"), *map(str, arguments)]
         done = subprocess.run(
-            command, cwd=tmp_path, env={**kept, "PATH": str(folder)}, capture_output=True, text=True, check=False
+            command, cwd=folder, env={**kept, "PATH": str(programs)}, capture_output=True, text=True, check=False
         )
         assert done.returncode == 0, done.stderr + done.stdout
         return done.stdout
 
     pip = ("-m", "pip", "install", "--quiet", "--disable-pip-version-check", "--only-binary", ":all:")
     run(*pip, "--constraint", ROOT / "constraints.txt", wheel)
-    result = json.loads(run(NATIVE / "tests" / "installed.py"))
+    result: dict[str, Any] = json.loads(run(NATIVE / "tests" / "installed.py"))
     assert Path(result["library"]).is_relative_to(environment)
     assert result["worst"] <= CLOSED_LOOP_TOLERANCE
+    return result
+
+
+@needs_tools
+@pytest.mark.slow
+@pytest.mark.skipif(NATIVE_TAG is None, reason="there is no wheel for this system")
+def test_a_wheel_renders_without_a_compiler(built: Callable[[str], Path], tmp_path: Path) -> None:
+    """Installed into a fresh environment with nothing but Python in the path; how long it takes, `benchmarks/install.py` says."""
+    assert NATIVE_TAG is not None
+    result = installed(built(NATIVE_TAG), tmp_path)
     assert result["bytes"] < result["numpy_bytes"] / 5
+
+
+@needs_tools
+@pytest.mark.slow
+@pytest.mark.skipif(NATIVE_TAG is None, reason="there is no wheel for this system")
+def test_the_wheel_at_hand_exports_what_it_should_and_renders(wheels: ModuleType, tmp_path: Path) -> None:
+    """By this machine's own compiler, as `pip install .` builds it: whom its tag promises nothing to, so that is not checked."""
+    (target,) = (target for target in wheels.TARGETS if target.tags[0] == NATIVE_TAG)
+    pip = (sys.executable, "-m", "pip", "wheel", "--quiet", "--disable-pip-version-check")
+    ran(*pip, "--no-deps", "--no-build-isolation", "--wheel-dir", tmp_path, ROOT)
+    (wheel,) = tmp_path.glob("*.whl")
+    wheels.check_functions(target, wheel)
+    installed(wheel, tmp_path)
 
 
 @pytest.fixture(scope="module")

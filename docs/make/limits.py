@@ -21,15 +21,14 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import numpy as np
 from scipy import ndimage, signal
 
-from foten.atomic_write import atomic_write
 from foten.datasets.hdf5 import load_recording
 from foten.dsp.distance import log_spectral_distance, scored_bins, segment_length, welch
 from foten.evaluate.free_run import scored, synthesize_linear
 from foten.evaluate.one_step import fit_linear
-from foten.experiments.tables import written
 from foten.recording.preprocess import PreprocessConfig, preprocess
 from foten.recording.scaling import fit_scaling
 from foten.recording.split import split_blocks
+from foten.reporting.table import Table
 
 REAL, SEEDS = ("copper", "fabric", "leather", "wood"), (1, 2, 3, 4, 5)
 CSV = Path(__file__).resolve().parents[1] / "results" / "limits.csv"
@@ -42,7 +41,7 @@ ANCHOR = "AR(20) with white noise"
 def noise_like(
     blocks: np.ndarray, n: int, rate_hz: float, rng: np.random.Generator, of_logs: bool = False, smoothed: bool = False
 ) -> np.ndarray:
-    """Return Gaussian noise with the mean spectrum of blocks (k, any), or with that of log spectra, shape (N_RUNS, n)."""
+    """Gaussian noise with the mean spectrum of blocks (k, any), or with that of log spectra, shape (N_RUNS, n)."""
     hertz, density = signal.welch(blocks, rate_hz, nperseg=min(512, blocks.shape[1]), axis=-1)
     if smoothed:
         weights = signal.windows.hann(SMOOTHED + 2)[1:-1]
@@ -55,7 +54,7 @@ def noise_like(
 
 
 def judge(path: Path, rate_hz: float, seed: int) -> dict[str, float]:
-    """Return the distances of one texture and split [dB]."""
+    """Distances of one texture and split [dB]."""
     trace = preprocess(load_recording(path), PreprocessConfig(rate_hz=rate_hz, trim_ms=0, block_ms=200))
     split = split_blocks(trace, "regrouped", seed)
     scaling = fit_scaling(trace, split.train)
@@ -115,8 +114,7 @@ def main() -> None:
             distances = judge(arguments.recordings / f"{texture}.h5", arguments.rate, seed)
             cells = cells or [["texture", "split", *distances]]
             cells.append([texture, str(seed), *(f"{value:.4f}" for value in distances.values())])
-    with atomic_write(CSV) as part:
-        part.write_text(written(cells, "csv"), encoding="utf-8")
+    Table.of(cells[0], cells[1:]).write(CSV)
 
 
 if __name__ == "__main__":

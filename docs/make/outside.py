@@ -22,17 +22,16 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
 
-from foten.atomic_write import atomic_write
-from foten.datasets.simulate import ACCELEROMETER_NOISE, TEXTURES, vibration
-from foten.datasets.stroking import Stroking, stroking
 from foten.dsp.level import FRAME_MS, frame_levels, frame_means
 from foten.experiments.stability import rendered_strokes
-from foten.experiments.tables import written
 from foten.models.foten_plus.sizes import FotenPlusSizes
 from foten.models.texture_file import Texture
 from foten.recording.preprocess import PreprocessConfig, preprocess
 from foten.recording.recording import Channel, Recording
 from foten.recording.trace import Trace
+from foten.reporting.table import Table
+from foten.simulation.simulate import ACCELEROMETER_NOISE, TEXTURES, vibration
+from foten.simulation.stroking import Stroking, stroking
 from foten.training.config import recipe_of
 from foten.training.job import TrainingJob
 from foten.training.pipeline import train
@@ -44,7 +43,7 @@ POLICIES = ("clamp", "fade", "grow")
 
 
 def recorded(key: str, hand: Stroking, seed: int) -> Recording:
-    """Return what the sensors would have recorded of a hand, speed and force known exactly."""
+    """What the sensors would have recorded of a hand, speed and force known exactly."""
     rng = np.random.default_rng([seed, *key.encode()])
     acceleration = vibration(TEXTURES[key], hand, rng)
     acceleration += rng.normal(0, ACCELEROMETER_NOISE * np.sqrt(RATE_HZ / 2), acceleration.shape)
@@ -57,12 +56,12 @@ def recorded(key: str, hand: Stroking, seed: int) -> Recording:
 
 
 def halved(hand: Stroking) -> Stroking:
-    """Return a hand half as fast and half as firm."""
+    """Hand half as fast and half as firm."""
     return dataclasses.replace(hand, position=0.5 * hand.position, velocity=0.5 * hand.velocity, force=0.5 * hand.force)
 
 
 def jumping(seconds: float, seed: int) -> Stroking:
-    """Return a hand whose speed and force take another value every half second, in all of its range."""
+    """Hand whose speed and force take another value every half second, in all of its range."""
     rng = np.random.default_rng(seed)
     n, held = round(seconds * RATE_HZ), round(0.5 * RATE_HZ)
     n_values = n // held + 1
@@ -73,7 +72,7 @@ def jumping(seconds: float, seed: int) -> Stroking:
 
 
 def rendered(texture: Texture, trace: Trace) -> dict[str, np.ndarray]:
-    """Return the renderings of a trace's hand by policy, each (N_STREAMS, n)."""
+    """Renderings of a trace's hand by policy, each (N_STREAMS, n)."""
     speed, force = (
         np.minimum(channel, texture.trained_range(name)[1])
         for name, channel in (("speed", trace.speed), ("force", trace.force))
@@ -91,13 +90,13 @@ def rendered(texture: Texture, trace: Trace) -> dict[str, np.ndarray]:
 
 
 def pooled(frames: np.ndarray) -> np.ndarray:
-    """Return the mean power spectrum of frames (…, k), 25 to 450 Hz."""
+    """Mean power spectrum of frames (…, k), 25 to 450 Hz."""
     power = np.abs(np.fft.rfft(frames * np.hanning(frames.shape[-1]), axis=-1)) ** 2
     return power.reshape(-1, power.shape[-1]).mean(axis=0)[1:19]
 
 
 def figures(truth: np.ndarray, ours: np.ndarray, where: np.ndarray, rate_hz: float) -> dict[str, float]:
-    """Return bias, error and spectral distance [dB] over the frames `where`: (n,), (streams, n), (frames,)."""
+    """Bias, error and spectral distance [dB] over the frames `where`: (n,), (streams, n), (frames,)."""
     frame = round(FRAME_MS * rate_hz / 1000)
     cut = [x[..., : len(where) * frame].reshape(*x.shape[:-1], -1, frame)[..., where, :] for x in (truth, ours)]
     levels = [frame_levels(x, rate_hz, 1.0)[..., : len(where)][..., where] for x in (truth, ours)]
@@ -111,7 +110,7 @@ def figures(truth: np.ndarray, ours: np.ndarray, where: np.ndarray, rate_hz: flo
 
 
 def judge(key: str) -> dict[str, Any]:
-    """Return the figures of one texture by region and policy."""
+    """Figures of one texture by region and policy."""
     config = recipe_of("foten-plus", threads=1, epochs=0)
     half = recorded(key, halved(stroking(64.0, 100, RATE_HZ)), 1)
     texture = train(TrainingJob(half, "foten-plus", FotenPlusSizes(), config)).texture
@@ -157,8 +156,7 @@ def main() -> None:
                 values = [f"{row[name]:.4f}" for name in cells[0][4:]]
                 cells.append([key, policy, where, str(row["frames"]), *values])
         print(f"{key}: done", flush=True)
-    with atomic_write(CSV) as part:
-        part.write_text(written(cells, "csv"), encoding="utf-8")
+    Table.of(cells[0], cells[1:]).write(CSV)
 
 
 if __name__ == "__main__":

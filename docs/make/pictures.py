@@ -19,23 +19,13 @@ from typing import Any
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-import matplotlib
-
-matplotlib.use("Agg")
-
-import matplotlib.pyplot as plt
 import numpy as np
+from matplotlib.figure import Figure
 from matplotlib.patches import FancyBboxPatch
-from PIL import Image
 from scipy.signal import spectrogram, welch
 
 from foten.baselines.sizes import TRAINABLE
-from foten.datasets.contact import CONTACT
 from foten.datasets.hdf5 import load_recording
-from foten.datasets.linear_family import LINEAR_FAMILY
-from foten.datasets.simulate import TEXTURES, second_realisation, simulate
-from foten.datasets.simulated_capture import PLAN_HZ, simulate_capture
-from foten.datasets.simulated_capture import SOUND_HZ as CAPTURED_HZ
 from foten.dsp.distance import log_spectral_distance, scored_bins, segment_length
 from foten.dsp.distance import welch as spectra
 from foten.dsp.level import frame_levels
@@ -46,15 +36,22 @@ from foten.evaluate.one_step import ORDERS, first_scored, fit_linear, predict
 from foten.experiments.experiment import experiment_path, read_experiment
 from foten.experiments.figures import waveforms
 from foten.experiments.results import chosen_results, read_records, read_results
-from foten.experiments.truth import linear_bounds
+from foten.experiments.simulator_reference import linear_bounds
 from foten.models.texture_file import Texture, read_texture, write_texture
 from foten.recording.preprocess import PreprocessConfig, preprocess
 from foten.recording.scaling import fit_scaling
 from foten.recording.split import Split, split_blocks
 from foten.recording.windows import targets
+from foten.reporting.figure import BLUE, GREEN, MAUVE, ORANGE, Style, add_legend, new_figure, write_figure
+from foten.reporting.table import mean_number
 from foten.runtime.live.sinks import pcm_wav
 from foten.runtime.native import NativeState, NativeTexture
 from foten.runtime.stylus import PressureCalibration
+from foten.simulation.contact_mechanics import CONTACT
+from foten.simulation.linear_family import LINEAR_FAMILY
+from foten.simulation.simulate import TEXTURES, second_realisation, simulate
+from foten.simulation.simulated_capture import PLAN_HZ, simulate_capture
+from foten.simulation.simulated_capture import SOUND_HZ as CAPTURED_HZ
 from foten.training.config import recipe_of
 from foten.training.job import TrainingJob
 from foten.training.pipeline import train
@@ -64,46 +61,44 @@ RESULTS, BUILD = DOCS / "results", DOCS.parent / "build" / "pictures"
 REAL = ("copper", "fabric", "leather", "wood")
 SHOWN = "towel"  # the easiest of the simulated textures to predict, and the paper's network falls silent on it
 SEED = 1
-INK, OURS, PAPER, LINEAR, CEILING = "#333333", "#2b83cf", "#e08a1e", "#1a9c72", "#b77ab0"
+OURS_KEY = "foten-plus"
+INK, OURS, PAPER, LINEAR, CEILING = "#333333", BLUE, ORANGE, GREEN, MAUVE
 SOUND_HZ = 4000
+STYLE = Style(INK, label_pt=10, tick_pt=9)
+N_COLOURS = 48  # of the palette of a picture of lines
 
 
-COLOURS = 128  # of a picture's palette
-
-
-def save(figure: Any, name: str, tight: bool = True) -> None:
-    if tight:
-        figure.tight_layout()
+def save(figure: Figure, name: str, n_colours: int = N_COLOURS) -> None:
     (DOCS / "pictures").mkdir(exist_ok=True)
-    path = DOCS / "pictures" / f"{name}.png"
-    figure.savefig(path, dpi=110, facecolor="white")
-    # A palette is half of the size, and nobody sees it.
-    Image.open(path).convert("RGB").quantize(COLOURS, dither=Image.Dither.NONE).save(path, optimize=True)
-    plt.close(figure)
+    write_figure(figure, DOCS / "pictures" / f"{name}.png", dpi=110, n_colours=n_colours)
     print(name)
 
 
-def texture_of(key: str, model: str) -> Texture:
-    """Return a texture of 64 s of simulation, trained by our recipe once and kept."""
-    path = BUILD / f"{key}-{model}-{SEED}.foten"
+def drawn(width: float, height: float, n_rows: int = 1, n_columns: int = 1, **options: Any) -> tuple[Figure, Any]:
+    return new_figure(width, height, STYLE, nrows=n_rows, ncols=n_columns, **options)
+
+
+def texture_of(key: str, model: str = OURS_KEY, **changed: int) -> Texture:
+    """Texture of 64 s of simulation, trained once, by our recipe or with changes of it."""
+    path = BUILD / "-".join([key, model, *(f"{name}-{value}" for name, value in changed.items()), f"{SEED}.foten"])
     if not path.exists():
         path.parent.mkdir(parents=True, exist_ok=True)
-        job = TrainingJob(simulate(key, 64.0, seed=SEED), model, TRAINABLE[model](), recipe_of(model), split_seed=SEED)
-        write_texture(train(job).texture, path)
+        recording, recipe = simulate(key, 64.0, seed=SEED), recipe_of(model, **changed)
+        write_texture(train(TrainingJob(recording, model, TRAINABLE[model](), recipe, split_seed=SEED)).texture, path)
     return read_texture(path)
 
 
 def stroke(arguments: argparse.Namespace) -> None:
     """One stroke of a test block, recorded and rendered: waveform, spectrogram, and both as sound."""
     key = "jeans"
-    texture = texture_of(key, "foten-plus")
+    texture = texture_of(key)
     trace = preprocess(simulate(key, 64.0, seed=SEED), PreprocessConfig())
     blocks = Split.from_fields(texture.card["split"]).test
     rendered, _ = synthesize(NativeTexture(texture.to_bytes()), trace, blocks, excitation=True, n_seeds=1)
     both = {"recorded": trace.blocks(trace.acceleration)[list(blocks)], "rendered": rendered[0]}
     speed = trace.blocks(trace.speed)[list(blocks)]
     shown = int(np.argmax(np.ptp(speed, axis=1)))  # the block in which the speed changes most
-    figure, panels = plt.subplots(3, 2, figsize=(9, 4.6), sharex=True, height_ratios=[0.6, 1, 1.3])
+    figure, panels = drawn(9, 4.6, 3, 2, sharex=True, height_ratios=[0.6, 1, 1.3])
     seconds = np.arange(trace.block) / trace.rate_hz
     largest = 1.05 * max(float(np.abs(signal[shown]).max()) for signal in both.values())
     for column, (name, signal) in enumerate(both.items()):
@@ -117,22 +112,25 @@ def stroke(arguments: argparse.Namespace) -> None:
         highest = 10 * np.log10(np.percentile(both["recorded"][shown] ** 2, 99) / 50)
         bottom.pcolormesh(times, hertz, image, vmin=highest - 40, vmax=highest, cmap="magma", shading="gouraud")
         bottom.set(xlabel="time [s]", xlim=(0, seconds[-1]), facecolor="#000004")
-        for axes in (top, middle):
-            axes.spines[["top", "right"]].set_visible(False)
     for axes, label in zip(panels[:, 0], ("speed\n[mm/s]", "acceleration\n[m/s²]", "frequency\n[Hz]"), strict=True):
         axes.set_ylabel(label)
-    save(figure, "stroke")
+    save(figure, "stroke", 128)  # a spectrogram
+    played = slice(0, round(2.5 * trace.rate_hz))
+    write_sound("stroke", [signal.ravel()[played] for signal in both.values()], trace.rate_hz)
+
+
+def write_sound(name: str, signals: list[np.ndarray], rate_hz: float) -> None:
+    """Write signals after each other, at one gain."""
+    loudest, pause = max(float(np.abs(signal).max()) for signal in signals), np.zeros(round(0.4 * rate_hz))
+    row = np.concatenate([part for signal in signals for part in (0.9 / loudest * signal, pause)])
     (DOCS / "audio").mkdir(exist_ok=True)
-    scale = 0.5 / largest
-    played, pause = slice(0, round(2.5 * trace.rate_hz)), np.zeros(round(0.4 * trace.rate_hz))
-    row = np.concatenate([np.concatenate([scale * signal.ravel()[played], pause]) for signal in both.values()])
-    sound = interpolate(row, Fraction(SOUND_HZ, round(trace.rate_hz)))
-    (DOCS / "audio" / "stroke.wav").write_bytes(pcm_wav(sound, SOUND_HZ))
+    sound = pcm_wav(interpolate(row, Fraction(SOUND_HZ, round(rate_hz))), SOUND_HZ)
+    (DOCS / "audio" / f"{name}.wav").write_bytes(sound)
 
 
 def boxes(name: str, placed: Mapping[str, tuple[float, float, float, str]], arrows: list[tuple[Any, ...]]) -> None:
     """Draw a block diagram: text → x, y, width, colour; and arrows between points, with what they carry."""
-    figure, axes = plt.subplots(figsize=(9, 3.4))
+    figure, axes = drawn(9, 3.4)
     for text, (x, y, width, colour) in placed.items():
         style = "round,pad=0.02,rounding_size=0.12"
         axes.add_patch(FancyBboxPatch((x - width / 2, y - 0.32), width, 0.64, style, fc=colour, ec=INK, lw=0.8))
@@ -215,47 +213,37 @@ def foten_plus_diagram(arguments: argparse.Namespace) -> None:
 def one_step(arguments: argparse.Namespace) -> None:
     """The same network one step ahead and on its own output."""
     recording = simulate(SHOWN, 64.0, seed=SEED)
-    files = {model: texture_of(SHOWN, model) for model in ("foten", "foten-plus")}
-    paper = files["foten"]
-    kernels = {model: NativeTexture(file.to_bytes()) for model, file in files.items()}
+    paper, ours = (texture_of(SHOWN, model) for model in ("foten", OURS_KEY))
+    kernel, our_kernel = (NativeTexture(file.to_bytes()) for file in (paper, ours))
     trace = preprocess(recording, PreprocessConfig())
     split = split_blocks(trace, "regrouped", SEED)
     samples = paper.scaling.scale(trace.stacked())
     block = split.test[0]
     n = np.arange(block * trace.block + first_scored(trace.block), (block + 1) * trace.block)
-    predicted = predict(kernels["foten"], samples, n[None]).sample[0]
+    predicted = predict(kernel, samples, n[None]).sample[0]
     recorded = samples[n, 0]
     linear = fit_linear(samples, split.train, trace.block, 20)
     assert linear is not None
-    rendered = {
-        "recorded": samples[block * trace.block : (block + 1) * trace.block, 0],
-        "foten, free run": paper.scaling.scale_channel(
-            0, synthesize(kernels["foten"], trace, (block,), excitation=False)[0][0, 0]
-        ),
-        "AR(20) with white noise": paper.scaling.scale_channel(
-            0, synthesize_linear(linear, trace, (block,), paper.scaling, n_seeds=1)[0, 0]
-        ),
-        "foten-plus": paper.scaling.scale_channel(
-            0, synthesize(kernels["foten-plus"], trace, (block,), excitation=True, n_seeds=1)[0][0, 0]
-        ),
+    runs = {
+        "foten, free run": synthesize(kernel, trace, (block,), excitation=False)[0],
+        "AR(20) with white noise": synthesize_linear(linear, trace, (block,), paper.scaling, n_seeds=1),
+        OURS_KEY: synthesize(our_kernel, trace, (block,), excitation=True, n_seeds=1)[0],
     }
-    figure = plt.figure(figsize=(9, 6.4))
-    grid = figure.add_gridspec(2, 2, height_ratios=[1, 1.7], width_ratios=[2, 1])
-    axes = figure.add_subplot(grid[0, :])
+    rendered = {"recorded": samples[block * trace.block : (block + 1) * trace.block, 0]}
+    rendered |= {name: paper.scaling.scale_channel(0, run[0, 0]) for name, run in runs.items()}
+    figure, (above, (left, right)) = drawn(9, 6.4, 2, 2, height_ratios=[1, 1.7], width_ratios=[2, 1])
+    axes = figure.add_subplot(above[0].get_gridspec()[0, :])
+    axes.spines[["top", "right"]].set_visible(False)
+    for unused in above:
+        unused.remove()
     shown, ms = slice(400, 520), np.arange(120) / trace.rate_hz * 1000
     error, zero = np.abs(predicted - recorded).mean(), np.abs(recorded).mean()
     axes.plot(ms, recorded[shown], color=INK, label=f"recorded: mean size {zero:.2f} sd")
-    axes.plot(
-        ms,
-        predicted[shown],
-        color=PAPER,
-        ls="--",
-        label=f"the paper's network, one step ahead: mean error {error:.2f} sd",
-    )
+    label = f"the paper's network, one step ahead: mean error {error:.2f} sd"
+    axes.plot(ms, predicted[shown], color=PAPER, ls="--", label=label)
     axes.set(xlabel="ms", ylabel="acceleration [sd]", title=f"Simulated {SHOWN}: every sample is given …")
     axes.set_ylim(top=1.6 * float(recorded[shown].max()))
-    axes.legend(loc="upper right", fontsize=8, ncols=2)
-    left, right = figure.add_subplot(grid[1, 0]), figure.add_subplot(grid[1, 1])
+    add_legend(axes, STYLE, loc="upper right", ncols=2)
     seconds = np.arange(trace.block) / trace.rate_hz
     step = 6 * np.std(rendered["recorded"])
     for i, ((name, signal), colour) in enumerate(zip(rendered.items(), (INK, PAPER, LINEAR, OURS), strict=True)):
@@ -272,7 +260,7 @@ def silence(arguments: argparse.Namespace) -> None:
     """Errors of another realisation of the very same surface, rendered louder and softer."""
     recording = simulate(SHOWN, 64.0, seed=SEED)
     trace, other = (
-        preprocess(one, PreprocessConfig()) for one in (recording, second_realisation(recording, SEED + 1_000_003))
+        preprocess(of, PreprocessConfig()) for of in (recording, second_realisation(recording, SEED + 1_000_003))
     )
     blocks = [t.blocks(t.acceleration)[:, scored(t.block)] for t in (trace, other)]
     sd = blocks[0].std()
@@ -288,7 +276,7 @@ def silence(arguments: argparse.Namespace) -> None:
         distance.append(float(log_spectral_distance(p[:, bins], q[:, bins]).mean()))
         levels = [frame_levels(x, rate, reference) for x in (blocks[0], gain * blocks[1])]
         level.append(np.abs(levels[0] - levels[1]).mean())
-    figure, axes = plt.subplots(figsize=(7, 3.6))
+    figure, axes = drawn(7, 3.6)
     twin = axes.twinx()
     axes.plot(gains, waveform, color=PAPER)
     twin.plot(gains, distance, color=OURS, label="log-spectral distance")
@@ -301,13 +289,13 @@ def silence(arguments: argparse.Namespace) -> None:
     axes.set_ylim(0, None)
     twin.set_ylabel("dB", color=OURS)
     twin.set_ylim(0, 15)
-    twin.legend(loc="upper center", fontsize=8)
+    add_legend(twin, STYLE, loc="upper center")
     save(figure, "silence")
 
 
 def bound(arguments: argparse.Namespace) -> None:
     """What linear predictors of each order reach on a process whose bound is known."""
-    figure, panels = plt.subplots(1, 3, figsize=(9, 3.4), sharey=True)
+    figure, panels = drawn(9, 3.4, 1, 3, sharey=True)
     for axes, key in zip(panels, ("linear-hum", "linear-twin", "linear-cloth"), strict=True):
         recording = simulate(key, 64.0, seed=SEED)
         trace = preprocess(recording, PreprocessConfig())
@@ -322,56 +310,55 @@ def bound(arguments: argparse.Namespace) -> None:
             of_window.append(window[n].mean())
             infinite = float(of_past[n].mean())
         axes.axhline(1.0, color=CEILING, label="least possible, all of the past known")
-        axes.plot(
-            orders,
-            np.array(of_window) / infinite,
-            color=CEILING,
-            ls="--",
-            label="least possible, so many samples known",
-        )
+        label = "least possible, so many samples known"
+        axes.plot(orders, np.array(of_window) / infinite, color=CEILING, ls="--", label=label)
         reached = []
         for order in ORDERS:
             linear = fit_linear(samples, split.train, trace.block, order)
             assert linear is not None
-            missed = np.abs(samples[n, 0] - linear.predict(samples, n)).mean()
-            reached.append(missed * scaling.sd[0] / infinite)
+            error = np.abs(samples[n, 0] - linear.predict(samples, n)).mean()
+            reached.append(error * scaling.sd[0] / infinite)
         axes.plot(ORDERS, reached, "s", color=LINEAR, label="AR")
         for model, colour in (("foten", PAPER), ("foten-plus", OURS)):
-            for one in read_records(RESULTS / "main-linear.csv"):
-                if (one["texture"], one["model"], one["split"]) == (key, model, SEED):
-                    error = one["one_step.mae_m_s2"] / one["references.bound.mae_m_s2"]
+            for record in runs_of("main-linear", model):
+                if (record["texture"], record["split"]) == (key, SEED):
+                    error = record["one_step.mae_m_s2"] / record["references.bound.mae_m_s2"]
                     axes.plot(20 if model == "foten" else 260, error, "o", color=colour, label=model)
         ticks = [order for order in ORDERS if order != 160]  # no room
         axes.set(xscale="log", xlabel="samples known", title=key, xticks=ticks, xticklabels=map(str, ticks))
         axes.minorticks_off()
     panels[0].set_ylabel("mean error ÷ that of the whole past")
-    figure.legend(*panels[0].get_legend_handles_labels(), loc="lower center", ncols=5, fontsize=8)
-    figure.subplots_adjust(bottom=0.25)
-    save(figure, "bound", tight=False)
+    handles, labels = panels[0].get_legend_handles_labels()
+    add_legend(figure, STYLE, handles=handles, labels=labels, loc="outside lower center", ncols=5)
+    save(figure, "bound")
 
 
 def ceiling(arguments: argparse.Namespace) -> None:
     """Log-spectral distances of every texture, beside that of a realisation of the same stroke."""
-    records = [one for name in ("main-simulated", "main-real-10khz") for one in read_records(RESULTS / f"{name}.csv")]
-    records = [one for one in records if one["model"] == "foten-plus"]
-    keys = [key for key in (*TEXTURES, *REAL) if any(one["texture"] == key for one in records)]
+    records = [*runs_of("main-simulated"), *runs_of("main-real-10khz")]
+    keys = [key for key in (*TEXTURES, *REAL) if any(record["texture"] == key for record in records)]
     rows = {
         "AR(20) with white noise": ("free_run_ar", LINEAR, "s"),
         "foten-plus": ("free_run", OURS, "o"),
         "ceiling": ("ceiling", CEILING, "|"),
     }
-    figure, panels = plt.subplots(1, 2, figsize=(9, 5), sharey=True)
+    figure, panels = drawn(9, 5, 1, 2, sharey=True)
     for axes, key, title in ((panels[0], "lsd_db", "block by block"), (panels[1], "lsd_long_db", "all blocks pooled")):
         for name, (run, colour, mark) in rows.items():
-            values = [np.mean([one[f"{run}.{key}"] for one in records if one["texture"] == k]) for k in keys]
+            values = [np.mean([r[f"{run}.{key}"] for r in records if r["texture"] == k]) for k in keys]
             size = 14 if mark == "|" else 6
             axes.plot(values, range(len(keys)), mark, color=colour, label=name, markersize=size, markeredgewidth=2)
         axes.set(xlabel="log-spectral distance [dB]", title=title, xlim=(0, None))
         axes.grid(axis="x", alpha=0.3)
     panels[0].set_yticks(range(len(keys)), keys)
     panels[0].invert_yaxis()
-    panels[1].legend(fontsize=8)
+    add_legend(panels[1], STYLE)
     save(figure, "ceiling")
+
+
+def runs_of(name: str, model: str = OURS_KEY) -> list[dict[str, Any]]:
+    path = RESULTS / f"{name}.csv"
+    return [record for record in read_records(path) if record["model"] == model] if path.exists() else []
 
 
 def rows_of(name: str) -> list[dict[str, str]]:
@@ -383,33 +370,24 @@ def limits(arguments: argparse.Namespace) -> None:
     """How near the real four a signal can come at all."""
     rows = rows_of("limits")
     anchor, *others = list(rows[0])[2:]
-    ratios = {
-        name: [[float(row[name]) / float(row[anchor]) for row in rows if row["texture"] == t] for t in REAL]
+    groups = {
+        name: [np.array([float(r[name]) / float(r[anchor]) for r in rows if r["texture"] == t]) for t in REAL]
         for name in (anchor, *others)
     }
-    main = RESULTS / "main-real-10khz.csv"
-    if main.exists():
-        ours = [one for one in read_records(main) if one["model"] == "foten-plus"]
-        ratios["foten-plus"] = [
-            [one["free_run.lsd_db"] / one["free_run_ar.lsd_db"] for one in ours if one["texture"] == t] for t in REAL
+    ours = runs_of("main-real-10khz")
+    if ours:
+        groups[OURS_KEY] = [
+            np.array([r["free_run.lsd_db"] / r["free_run_ar.lsd_db"] for r in ours if r["texture"] == t]) for t in REAL
         ]
-    means = {name: float(np.mean([np.mean(splits) for splits in rows])) for name, rows in ratios.items()}
-    errors = {
-        name: float(np.sqrt(np.square([np.std(s, ddof=1) / len(s) ** 0.5 for s in rows]).sum()) / len(rows))
-        for name, rows in ratios.items()
-    }
-    figure, axes = plt.subplots(figsize=(8, 3.6))
-    order = sorted(means, key=lambda name: means[name])
-    colours = {anchor: LINEAR, "foten-plus": OURS, "the known blocks themselves": CEILING}
-    axes.barh(
-        order,
-        [means[name] for name in order],
-        color=[colours.get(name, "#bbbbbb") for name in order],
-        xerr=[errors[name] for name in order],
-        error_kw={"ecolor": INK, "elinewidth": 0.8, "capsize": 2},
-    )
-    for i, name in enumerate(order):
-        axes.text(means[name] + errors[name] + 0.015, i, f"{means[name]:.2f}", va="center", fontsize=8)
+    means = {name: mean_number(splits, 2) for name, splits in groups.items()}
+    order = sorted(means, key=lambda name: means[name].value)
+    values, errors = [means[name].value for name in order], [means[name].error for name in order]
+    figure, axes = drawn(8, 3.6)
+    colours = {anchor: LINEAR, OURS_KEY: OURS, "the known blocks themselves": CEILING}
+    bars = {"color": [colours.get(name, "#bbbbbb") for name in order], "xerr": errors}
+    axes.barh(order, values, **bars, error_kw={"ecolor": INK, "elinewidth": 0.8, "capsize": 2})
+    for i, (value, error) in enumerate(zip(values, errors, strict=True)):
+        axes.text(value + error + 0.015, i, f"{value:.2f}", va="center", fontsize=8)
     axes.set(
         xlabel="log-spectral distance to the test blocks ÷ that of AR(20)\n"
         "mean of four real recordings at 10 kHz, its standard error",
@@ -423,7 +401,7 @@ def outside(arguments: argparse.Namespace) -> None:
     """Level errors above the trained range, towards rest and after jumps."""
     rows = rows_of("outside")
     regions = list(dict.fromkeys(row["where"] for row in rows))
-    figure, axes = plt.subplots(figsize=(8, 3.2))
+    figure, axes = drawn(8, 3.2)
     for i, (policy, colour) in enumerate((("clamp", PAPER), ("fade", "#bbbbbb"), ("grow", OURS))):
         errors = [
             [float(row["level_error_db"]) for row in rows if (row["policy"], row["where"]) == (policy, region)]
@@ -435,7 +413,7 @@ def outside(arguments: argparse.Namespace) -> None:
     n = len({row["texture"] for row in rows})
     axes.set(ylabel="level error [dB]", title=f"Trained to half the range, mean of {n} textures")
     axes.set_xticks(range(len(regions)), regions, fontsize=8)
-    axes.legend(fontsize=8)
+    add_legend(axes, STYLE)
     save(figure, "outside")
 
 
@@ -449,7 +427,7 @@ def listener(arguments: argparse.Namespace) -> None:
         for row in read_records(RESULTS / "listener.csv")
     }
     kinds = (LINEAR_FAMILY, TEXTURES, CONTACT)
-    figure, panels = plt.subplots(1, 3, figsize=(9, 3.6), sharey=True, width_ratios=[len(kind) + 1 for kind in kinds])
+    figure, panels = drawn(9, 3.6, 1, 3, sharey=True, width_ratios=[len(kind) + 1 for kind in kinds])
     for axes, kind, title in zip(panels, kinds, ("linear", "simulated", "contact mechanics"), strict=True):
         known = [key for key in kind if ("foten-plus", key) in auc]
         order = sorted(known, key=lambda key: auc["foten-plus", key][0])
@@ -466,22 +444,19 @@ def listener(arguments: argparse.Namespace) -> None:
         )
         axes.axhline(0.5, color="#cccccc", lw=0.8, zorder=0)
         axes.set_xticks(range(len(order)), order, rotation=60, ha="right", fontsize=8)
-        axes.set_title(f"\n{title}", loc="left", fontsize=10)  # below the legend
+        axes.set_title(title, loc="left", fontsize=10)
         axes.set(xlim=(-0.6, len(order) - 0.4), ylim=(0.4, 1.02))
-        axes.spines[["top", "right"]].set_visible(False)
     panels[0].set_ylabel("AUC of the listener")
-    legend = figure.legend(
-        *panels[2].get_legend_handles_labels(), ncols=4, frameon=False, fontsize=8, loc="upper right", borderaxespad=0.2
-    )
-    legend.set_in_layout(False)
+    handles, labels = panels[2].get_legend_handles_labels()
+    add_legend(figure, STYLE, handles=handles, labels=labels, ncols=4, loc="outside upper right")
     save(figure, "listener")
 
 
 def impact(arguments: argparse.Namespace) -> None:
     """A slow stroke over sparse impacts, recorded, and rendered without a network and with it; all as sound."""
     key = "artificial-grass"
-    texture = texture_of(key, "foten-plus")
-    noise = noise_of(key)
+    texture = texture_of(key)
+    noise = texture_of(key, epochs=0)
     hand = preprocess(simulate(key, 40.0, seed=SEED + 1), PreprocessConfig())
     slow = (hand.speed > 8) & (hand.speed < 40)
     length = 600  # samples
@@ -490,41 +465,20 @@ def impact(arguments: argparse.Namespace) -> None:
     signals = {"recorded": hand.acceleration}
     for name, of in (("no network", noise), ("foten-plus", texture)):
         signals[name] = NativeState(NativeTexture(of.to_bytes()), seed=SEED).render_stroke(hand.speed, hand.force)
-    figure, panels = plt.subplots(3, 1, figsize=(8, 3.9), sharex=True, sharey=True)
+    figure, panels = drawn(8, 3.9, 3, 1, sharex=True, sharey=True)
     for axes, (name, signal), colour in zip(panels, signals.items(), (INK, PAPER, OURS), strict=True):
         axes.plot(np.arange(length) / hand.rate_hz, signal[shown], color=colour, lw=0.7)
         axes.set_title(name, loc="left", fontsize=9)
-        axes.spines[["top", "right"]].set_visible(False)
     panels[1].set_ylabel("acceleration [m/s²]")
     panels[-1].set(xlabel="time [s]", xlim=(0, length / hand.rate_hz))
     save(figure, "impact")
     played = slice(start, start + 2000)
-    loudest = max(float(np.abs(signal[played]).max()) for signal in signals.values())
-    pause = np.zeros(int(0.4 * hand.rate_hz))
-    row = np.concatenate([np.concatenate([0.9 / loudest * signal[played], pause]) for signal in signals.values()])
-    sound = interpolate(row, Fraction(SOUND_HZ, round(hand.rate_hz)))
-    (DOCS / "audio" / "listener.wav").write_bytes(pcm_wav(sound, SOUND_HZ))
-
-
-def noise_of(key: str) -> Texture:
-    """Return the same texture without a network, kept."""
-    path = BUILD / f"{key}-noise-{SEED}.foten"
-    if not path.exists():
-        path.parent.mkdir(parents=True, exist_ok=True)
-        job = TrainingJob(
-            simulate(key, 64.0, seed=SEED),
-            "foten-plus",
-            TRAINABLE["foten-plus"](),
-            recipe_of("foten-plus", epochs=0),
-            split_seed=SEED,
-        )
-        write_texture(train(job).texture, path)
-    return read_texture(path)
+    write_sound("listener", [signal[played] for signal in signals.values()], hand.rate_hz)
 
 
 def rates(arguments: argparse.Namespace) -> None:
     """What each rate carries of perceived power of the real four."""
-    figure, axes = plt.subplots(figsize=(7, 3.0))
+    figure, axes = drawn(7, 3.0)
     for i, key in enumerate(REAL):
         recording = load_recording(arguments.recordings / f"{key}.h5")
         hertz, density = welch(recording["acceleration"].samples, 10_000.0, nperseg=1024)
@@ -543,8 +497,8 @@ def rates(arguments: argparse.Namespace) -> None:
 def compared(arguments: argparse.Namespace) -> None:
     """Waveforms of each method of the reduced comparison on its own output, of three textures."""
     results = chosen_results(read_results(arguments.sweep))
-    shown = [one for one in results if one["run"]["texture"] in ("steel-mesh-1", "cardboard", "towel")]
-    save(waveforms(shown), "compared", tight=False)
+    shown = [result for result in results if result["run"]["texture"] in ("steel-mesh-1", "cardboard", "towel")]
+    save(waveforms(shown), "compared")
 
 
 def capture(arguments: argparse.Namespace) -> None:
@@ -552,7 +506,7 @@ def capture(arguments: argparse.Namespace) -> None:
     taken = simulate_capture("jeans", 24.0, seed=SEED)
     t, x, y, pressure = taken.plan.T
     shown = slice(round((taken.taps_s[0] - 1.0) * PLAN_HZ), round((taken.taps_s[-1] + 1.0) * PLAN_HZ))
-    figure, axes = plt.subplots(3, sharex=True, figsize=(8, 4.2), height_ratios=(1.6, 1, 1))
+    figure, axes = drawn(8, 4.2, 3, sharex=True, height_ratios=(1.6, 1, 1))
     every = round(CAPTURED_HZ / PLAN_HZ)
     peaks = taken.sound[: taken.sound.size // every * every].reshape(-1, every)
     seconds = np.arange(len(peaks)) / PLAN_HZ

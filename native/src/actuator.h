@@ -7,8 +7,9 @@ typedef struct {
     int on;
     section filter;
     memory memory;
-    double limit, most; /* most: the largest drive below the limit */
+    double limit, max_drive; /* max_drive: the largest below the limit */
 } actuator;
 
-int actuator_make(actuator *a, const foten_actuator *of, double rate_hz); /* 0 where it cannot be; NULL switches it off */
+/* 0 where it cannot be; NULL switches it off. */
+int actuator_make(actuator *a, const foten_actuator *of, double rate_hz);
 double actuator_drive(actuator *a, double acceleration, int *bent);

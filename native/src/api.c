@@ -10,12 +10,13 @@
 #include "resample.h"
 #include "stylus.h"
 
-enum { QUIET_EVERY = 4096 }; /* samples */
+enum { QUIET_EVERY = 4096 };                                        /* samples */
 static const double FADE[2] = {FOTEN_FADE_SPEED, FOTEN_FADE_FORCE}; /* mm/s and N below which a texture fades */
 
 _Static_assert(ATOMIC_LLONG_LOCK_FREE == 2, "a condition is set without waiting: 64 bits have to be written at once");
 
-/* Counted by the rendering thread, and by whoever sets a condition; read from anywhere. Of speed and force, speed comes first. */
+/* Counted by the rendering thread, and by whoever sets a condition; read from anywhere. Of speed and force, speed comes
+ * first. */
 enum { N, SPEED_BEYOND, FORCE_BEYOND, SPEED_CLAMPED, FORCE_CLAMPED, BELOW, SATURATED, REFUSED, LIMITED, LOST, COUNTS };
 
 struct foten_state {
@@ -52,8 +53,8 @@ foten_status foten_model_load(const void *bytes, size_t n_bytes, foten_model **m
     return foten_model_load_with(bytes, n_bytes, NULL, NULL, model, why, why_size);
 }
 
-foten_status foten_model_load_with(const void *bytes, size_t n_bytes, foten_predictor predictor, void *user, foten_model **model, char *why,
-                                   size_t why_size) {
+foten_status foten_model_load_with(const void *bytes, size_t n_bytes, foten_predictor predictor, void *user,
+                                   foten_model **model, char *why, size_t why_size) {
     texture_file file;
     if (model) *model = NULL;
     if (!model || (!bytes && n_bytes)) { /* an empty file may lie nowhere */
@@ -93,8 +94,17 @@ static size_t state_bytes(const foten_model *model, double rate) {
 
 foten_info foten_model_info(const foten_model *m) {
     if (!m) return (foten_info){0};
-    foten_info info = {m->name, m->texture, m->rate_hz, m->history, m->excited, {m->low[0], m->high[0]}, {m->low[1], m->high[1]}, m->sd[0],
-                       m->lowpass_hz, state_bytes(m, m->rate_hz), m->predictor.function && !m->predictor.network};
+    foten_info info = {m->name,
+                       m->texture,
+                       m->rate_hz,
+                       m->history,
+                       m->excited,
+                       {m->low[0], m->high[0]},
+                       {m->low[1], m->high[1]},
+                       m->sd[0],
+                       m->lowpass_hz,
+                       state_bytes(m, m->rate_hz),
+                       m->predictor.function && !m->predictor.network};
     return info;
 }
 
@@ -102,7 +112,7 @@ foten_state *foten_state_new(const foten_model *model, const foten_options *opti
     foten_options o = options ? *options : (foten_options){0};
     if (!model) return NULL;
     double rate = o.rate_hz == 0 ? model->rate_hz : o.rate_hz;
-    if (!(rate >= model->rate_hz / SLOWEST && rate <= model->rate_hz * FASTEST)) return NULL;
+    if (!(rate >= model->rate_hz / MAX_DOWNSAMPLING && rate <= model->rate_hz * MAX_UPSAMPLING)) return NULL;
     size_t n = state_bytes(model, rate);
     unsigned char *memory = malloc(n);
     if (!memory) return NULL;
@@ -140,7 +150,8 @@ foten_status foten_set_actuator(foten_state *s, const foten_actuator *of) {
     return actuator_make(&s->actuator, of, rate) ? FOTEN_OK : FOTEN_BAD_ARGUMENT;
 }
 
-/* A sample as it leaves. What is no number, which nothing that was checked gives, is silence, and the loop begins again. */
+/* A sample as it leaves. What is no number, which nothing that was checked gives, is silence, and the loop begins
+ * again. */
 static float given(foten_state *s, double sample) {
     int bent;
     float out = (float)actuator_drive(&s->actuator, sample, &bent);
@@ -177,7 +188,8 @@ foten_status foten_start_scaled(foten_state *s, const double *windows) {
     return FOTEN_OK;
 }
 
-void foten_run_scaled(foten_state *s, const double *conditions, const double *noise, double limit, size_t n, double *out) {
+void foten_run_scaled(foten_state *s, const double *conditions, const double *noise, double limit, size_t n,
+                      double *out) {
     if (!s || !conditions || !out) return;
     for (size_t i = 0; i < n; i++) {
         condition c = {{conditions[3 * i], conditions[3 * i + 1]}, conditions[3 * i + 2], 1};
@@ -185,7 +197,8 @@ void foten_run_scaled(foten_state *s, const double *conditions, const double *no
     }
 }
 
-foten_status foten_predict(foten_state *s, const double *samples, size_t n, foten_prediction_part part, foten_prediction *out) {
+foten_status foten_predict(foten_state *s, const double *samples, size_t n, foten_prediction_part part,
+                           foten_prediction *out) {
     if (!s || !samples || !out) return FOTEN_BAD_ARGUMENT;
     const foten_model *m = s->model;
     size_t window = (size_t)m->history;
@@ -199,8 +212,8 @@ foten_status foten_predict(foten_state *s, const double *samples, size_t n, fote
     return FOTEN_OK;
 }
 
-/* Check a condition: what is negative becomes 0, since a tool that leaves a surface may measure less than nothing, and counts as refused.
- * Returns 0 where one is no number, and the condition stays as it was. */
+/* Check a condition: what is negative becomes 0, since a tool that leaves a surface may measure less than nothing, and
+ * counts as refused. Returns 0 where one is no number, and the condition stays as it was. */
 static int accepted(foten_state *s, float *speed, float *force) {
     int numbers = *speed - *speed == 0 && *force - *force == 0;
     if (!numbers || *speed < 0 || *force < 0) atomic_fetch_add_explicit(&s->counts[REFUSED], 1, memory_order_relaxed);
@@ -299,7 +312,8 @@ size_t foten_render_stroke(foten_state *s, const float *speed, const float *forc
     if (!s || !speed || !force || !out) return 0;
     condition_set(s, held);
     for (size_t i = 0; i <= n; i++) {
-        /* What the last sample of the texture's still has to give, after a block that ended between two of them, comes first. */
+        /* What the last sample of the texture's still has to give, after a block that ended between two of them, comes
+         * first. */
         while (s->resampler && !resampler_wants(s->resampler)) out[rendered++] = given(s, resampler_take(s->resampler));
         if (i == n) break;
         float now[2] = {speed[i], force[i]};
@@ -314,7 +328,9 @@ size_t foten_render_stroke(foten_state *s, const float *speed, const float *forc
     return rendered;
 }
 
-size_t foten_rendered(const foten_state *s, size_t n) { return s && s->resampler ? resampler_most(s->resampler, n) : s ? n : 0; }
+size_t foten_rendered(const foten_state *s, size_t n) {
+    return s && s->resampler ? resampler_most(s->resampler, n) : s ? n : 0;
+}
 double foten_delay_s(const foten_state *s) { return s && s->resampler ? resampler_delay_s(s->resampler) : 0; }
 
 void foten_condition(const foten_state *s, float *speed, float *force) {
@@ -325,9 +341,16 @@ void foten_condition(const foten_state *s, float *speed, float *force) {
 
 foten_stats foten_statistics(const foten_state *s) {
     if (!s) return (foten_stats){0};
-    return (foten_stats){counted(s, N),         counted(s, SPEED_BEYOND), counted(s, FORCE_BEYOND), counted(s, SPEED_CLAMPED),
-                         counted(s, FORCE_CLAMPED), counted(s, BELOW),    counted(s, SATURATED),    counted(s, REFUSED),
-                         counted(s, LIMITED),   counted(s, LOST)};
+    return (foten_stats){counted(s, N),
+                         counted(s, SPEED_BEYOND),
+                         counted(s, FORCE_BEYOND),
+                         counted(s, SPEED_CLAMPED),
+                         counted(s, FORCE_CLAMPED),
+                         counted(s, BELOW),
+                         counted(s, SATURATED),
+                         counted(s, REFUSED),
+                         counted(s, LIMITED),
+                         counted(s, LOST)};
 }
 
 void foten_noise(uint64_t seed, uint64_t stream, uint64_t first, size_t n, double *out) {

@@ -4,7 +4,9 @@
 #include <stdlib.h>
 #include <string.h>
 
-struct piece { piece *before; };
+struct piece {
+    piece *before;
+};
 
 static size_t aligned(size_t n) { return (n + ALIGNED - 1) / ALIGNED * ALIGNED; }
 

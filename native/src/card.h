@@ -3,13 +3,21 @@
 
 #include "model.h"
 
-enum { CARD_TEN = 1, CARD_FOTEN = 2, CARD_PLUS = 4, CARD_AR = 8, CARD_GRAPH = 16, CARD_NETWORKS = CARD_TEN | CARD_FOTEN };
+enum {
+    CARD_TEN = 1,
+    CARD_FOTEN = 2,
+    CARD_PLUS = 4,
+    CARD_AR = 8,
+    CARD_GRAPH = 16,
+    CARD_NETWORKS = CARD_TEN | CARD_FOTEN
+};
 
 /* All that a card may say of a model's sizes. */
 typedef struct {
     network_sizes network;
     int model; /* one of the above */
-    int excitation_width, order, n_speed, n_force, n_tones, n_tone_speed, n_tone_force, residual_order, n_residual_speed, n_residual_force;
+    int excitation_width, order, n_speed, n_force, n_tones, n_tone_speed, n_tone_force, residual_order,
+        n_residual_speed, n_residual_force;
     int n_hidden, head_width, n_components;
     int excitation, gain_before_filter, residual_gain_before_filter, network_in_loop;
     int ma, n_models, n_triangles;

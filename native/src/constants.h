@@ -10,68 +10,68 @@
 static inline double clip(double x, double limit) { return x > limit ? limit : x < -limit ? -limit : x; }
 
 /* The texture file and its proof. */
-#define FOTEN_FORMAT_VERSION 5 /* foten.models.texture_file.FORMAT_VERSION */
-#define FOTEN_MIN_GOLDEN 8 /* foten.models.texture_file.MIN_GOLDEN */
-#define FOTEN_ONE_STEP_TOLERANCE 1e-5 /* foten.models.texture_file.ONE_STEP_TOLERANCE */
+#define FOTEN_FORMAT_VERSION 5           /* foten.models.texture_file.FORMAT_VERSION */
+#define FOTEN_MIN_GOLDEN 8               /* foten.models.texture_file.MIN_GOLDEN */
+#define FOTEN_ONE_STEP_TOLERANCE 1e-5    /* foten.models.texture_file.ONE_STEP_TOLERANCE */
 #define FOTEN_CLOSED_LOOP_TOLERANCE 1e-4 /* foten.models.texture_file.CLOSED_LOOP_TOLERANCE */
 
 /* Sizes: their limits, and what holds where a card does not name one. */
-#define FOTEN_MAX_COUNT 65536 /* foten.models.model_sizes.MAX_COUNT */
-#define FOTEN_MAX_WINDOW 512 /* foten.models.model_sizes.MAX_WINDOW */
-#define FOTEN_MAX_GRAPH_WINDOW 4096 /* foten.models.graph_sizes.MAX_GRAPH_WINDOW */
-#define FOTEN_MAX_AR_ORDER 40 /* foten.models.piecewise_ar.sizes.MAX_AR_ORDER */
-#define FOTEN_USUAL_WINDOW 20 /* foten.models.foten.sizes.FotenSizes.window */
-#define FOTEN_USUAL_PLUS_WINDOW 40 /* foten.models.foten_plus.sizes.FotenPlusSizes.window */
-#define FOTEN_USUAL_N_HIDDEN 48 /* foten.models.foten_plus.sizes.FotenPlusSizes.n_hidden */
-#define FOTEN_USUAL_HEAD_WIDTH 48 /* foten.models.foten_plus.sizes.FotenPlusSizes.head_width */
-#define FOTEN_USUAL_N_COMPONENTS 4 /* foten.models.foten_plus.sizes.FotenPlusSizes.n_components */
-#define FOTEN_USUAL_TEN_WINDOW 25 /* foten.models.foten.sizes.TenSizes.window */
-#define FOTEN_USUAL_AR_WINDOW 21 /* foten.models.piecewise_ar.sizes.PiecewiseArSizes.window */
-#define FOTEN_USUAL_D_MODEL 32 /* foten.models.foten.sizes.TenSizes.d_model */
-#define FOTEN_USUAL_N_HEADS 4 /* foten.models.foten.sizes.TenSizes.n_heads */
-#define FOTEN_USUAL_N_LAYERS 3 /* foten.models.foten.sizes.TenSizes.n_layers */
-#define FOTEN_USUAL_D_FEEDFORWARD 128 /* foten.models.foten.sizes.TenSizes.d_feedforward */
-#define FOTEN_USUAL_HEAD_1 256 /* foten.models.foten.sizes.TenSizes.head[0] */
-#define FOTEN_USUAL_HEAD_2 64 /* foten.models.foten.sizes.TenSizes.head[1] */
-#define FOTEN_USUAL_SPECTRAL_WIDTH 32 /* foten.models.foten.sizes.FotenSizes.spectral_width */
+#define FOTEN_MAX_COUNT 65536           /* foten.models.model_sizes.MAX_COUNT */
+#define FOTEN_MAX_WINDOW 512            /* foten.models.model_sizes.MAX_WINDOW */
+#define FOTEN_MAX_GRAPH_WINDOW 4096     /* foten.models.graph_sizes.MAX_GRAPH_WINDOW */
+#define FOTEN_MAX_AR_ORDER 40           /* foten.models.piecewise_ar.sizes.MAX_AR_ORDER */
+#define FOTEN_USUAL_WINDOW 20           /* foten.models.foten.sizes.FotenSizes.window */
+#define FOTEN_USUAL_PLUS_WINDOW 40      /* foten.models.foten_plus.sizes.FotenPlusSizes.window */
+#define FOTEN_USUAL_N_HIDDEN 48         /* foten.models.foten_plus.sizes.FotenPlusSizes.n_hidden */
+#define FOTEN_USUAL_HEAD_WIDTH 48       /* foten.models.foten_plus.sizes.FotenPlusSizes.head_width */
+#define FOTEN_USUAL_N_COMPONENTS 4      /* foten.models.foten_plus.sizes.FotenPlusSizes.n_components */
+#define FOTEN_USUAL_TEN_WINDOW 25       /* foten.models.foten.sizes.TenSizes.window */
+#define FOTEN_USUAL_AR_WINDOW 21        /* foten.models.piecewise_ar.sizes.PiecewiseArSizes.window */
+#define FOTEN_USUAL_D_MODEL 32          /* foten.models.foten.sizes.TenSizes.d_model */
+#define FOTEN_USUAL_N_HEADS 4           /* foten.models.foten.sizes.TenSizes.n_heads */
+#define FOTEN_USUAL_N_LAYERS 3          /* foten.models.foten.sizes.TenSizes.n_layers */
+#define FOTEN_USUAL_D_FEEDFORWARD 128   /* foten.models.foten.sizes.TenSizes.d_feedforward */
+#define FOTEN_USUAL_HEAD_1 256          /* foten.models.foten.sizes.TenSizes.head[0] */
+#define FOTEN_USUAL_HEAD_2 64           /* foten.models.foten.sizes.TenSizes.head[1] */
+#define FOTEN_USUAL_SPECTRAL_WIDTH 32   /* foten.models.foten.sizes.FotenSizes.spectral_width */
 #define FOTEN_USUAL_EXCITATION_WIDTH 16 /* foten.models.foten_plus.sizes.FotenPlusSizes.excitation_width */
-#define FOTEN_USUAL_ORDER 20 /* foten.models.foten_plus.sizes.FotenPlusSizes.order */
-#define FOTEN_USUAL_AR_ORDER 20 /* foten.models.piecewise_ar.sizes.PiecewiseArSizes.order */
+#define FOTEN_USUAL_ORDER 20            /* foten.models.foten_plus.sizes.FotenPlusSizes.order */
+#define FOTEN_USUAL_AR_ORDER 20         /* foten.models.piecewise_ar.sizes.PiecewiseArSizes.order */
 
 /* Speed and force. */
-#define FOTEN_FADE_SPEED 5.0 /* foten.models.conditions.FADE_SPEED */
-#define FOTEN_FADE_FORCE 0.1 /* foten.models.conditions.FADE_FORCE */
+#define FOTEN_FADE_SPEED 5.0          /* foten.models.conditions.FADE_SPEED */
+#define FOTEN_FADE_FORCE 0.1          /* foten.models.conditions.FADE_FORCE */
 #define FOTEN_EXTRAPOLATION_LIMIT 2.0 /* foten.models.conditions.EXTRAPOLATION_LIMIT */
-#define FOTEN_FORCE_FLOOR 0.05 /* foten.dsp.speed_force_table.FORCE_FLOOR */
-#define FOTEN_LEAST_AREA 1e-9 /* foten.dsp.mesh.LEAST_AREA */
-#define FOTEN_INSIDE -1e-12 /* foten.dsp.mesh._INSIDE */
-#define FOTEN_STYLUS_NEWTONS 0.13 /* foten.runtime.stylus.PressureCalibration.a */
-#define FOTEN_STYLUS_STEEPNESS 3.32 /* foten.runtime.stylus.PressureCalibration.b */
+#define FOTEN_FORCE_FLOOR 0.05        /* foten.dsp.speed_force_table.FORCE_FLOOR */
+#define FOTEN_MIN_TRIANGLE_AREA 1e-9         /* foten.dsp.mesh.MIN_TRIANGLE_AREA */
+#define FOTEN_INSIDE -1e-12           /* foten.dsp.mesh._INSIDE */
+#define FOTEN_STYLUS_NEWTONS 0.13     /* foten.runtime.stylus.PressureCalibration.a */
+#define FOTEN_STYLUS_STEEPNESS 3.32   /* foten.runtime.stylus.PressureCalibration.b */
 #define FOTEN_ACTUATOR_LOWEST_HZ 20.0 /* foten.runtime.actuator.ActuatorProfile.lowest_hz */
 
 /* Lattices, tones and spectra. */
-#define FOTEN_LEAK 0.9997 /* foten.dsp.lattice.LEAK */
+#define FOTEN_LEAK 0.9997            /* foten.dsp.lattice.LEAK */
 #define FOTEN_MAX_REFLECTION 0.99999 /* foten.dsp.lattice.MAX_REFLECTION */
-#define FOTEN_MAX_JITTER_DRIVE 3.0 /* foten.dsp.tones.MAX_JITTER_DRIVE */
-#define FOTEN_N_CANDIDATES 32 /* foten.dsp.tones.N_CANDIDATES */
-#define FOTEN_WEAKEST_BIN 1e-10 /* foten.dsp.spectrum.WEAKEST_BIN */
+#define FOTEN_MAX_JITTER_DRIVE 3.0   /* foten.dsp.tones.MAX_JITTER_DRIVE */
+#define FOTEN_N_CANDIDATES 32        /* foten.dsp.tones.N_CANDIDATES */
+#define FOTEN_WEAKEST_BIN 1e-10      /* foten.dsp.spectrum.WEAKEST_BIN */
 
 /* Noise and excitation. */
 #define FOTEN_PHILOX_MULTIPLIER_0 0xD2511F53 /* foten.dsp.noise._MULTIPLIER_0 */
 #define FOTEN_PHILOX_MULTIPLIER_1 0xCD9E8D57 /* foten.dsp.noise._MULTIPLIER_1 */
-#define FOTEN_PHILOX_WEYL_0 0x9E3779B9 /* foten.dsp.noise._WEYL_0 */
-#define FOTEN_PHILOX_WEYL_1 0xBB67AE85 /* foten.dsp.noise._WEYL_1 */
+#define FOTEN_PHILOX_WEYL_0 0x9E3779B9       /* foten.dsp.noise._WEYL_0 */
+#define FOTEN_PHILOX_WEYL_1 0xBB67AE85       /* foten.dsp.noise._WEYL_1 */
 #define FOTEN_NOISE_SUM_SD 53509.91992145008 /* foten.dsp.noise._SUM_SD */
-#define FOTEN_NOISE_LINEAR 0.97846856 /* foten.dsp.noise._LINEAR */
-#define FOTEN_NOISE_CUBIC 0.00750807 /* foten.dsp.noise._CUBIC */
-#define FOTEN_N_INPUTS 5 /* foten.models.foten_plus.sizes.N_INPUTS */
-#define FOTEN_N_PHASE_INPUTS 4 /* foten.models.foten_plus.sizes.N_PHASE_INPUTS */
-#define FOTEN_LOG_SCALE_LIMIT 6.0 /* foten.models.foten_plus.sizes.LOG_SCALE_LIMIT */
-#define FOTEN_MAX_NEWTON_STEPS 60 /* foten.models.foten_plus.innovation_network.MAX_NEWTON_STEPS */
-#define FOTEN_NEWTON_PRECISION 1e-14 /* foten.models.foten_plus.innovation_network.NEWTON_PRECISION */
+#define FOTEN_NOISE_LINEAR 0.97846856        /* foten.dsp.noise._LINEAR */
+#define FOTEN_NOISE_CUBIC 0.00750807         /* foten.dsp.noise._CUBIC */
+#define FOTEN_N_INPUTS 5                     /* foten.models.foten_plus.sizes.N_INPUTS */
+#define FOTEN_N_PHASE_INPUTS 4               /* foten.models.foten_plus.sizes.N_PHASE_INPUTS */
+#define FOTEN_LOG_SCALE_LIMIT 6.0            /* foten.models.foten_plus.sizes.LOG_SCALE_LIMIT */
+#define FOTEN_MAX_NEWTON_STEPS 60            /* foten.models.foten_plus.innovation_network.MAX_NEWTON_STEPS */
+#define FOTEN_NEWTON_PRECISION 1e-14         /* foten.models.foten_plus.innovation_network.NEWTON_PRECISION */
 
 /* How a stream begins. */
 #define FOTEN_FIRST_INITIAL 0x8000000000000000 /* foten.models.render_definition.FIRST_INITIAL */
-#define FOTEN_MAX_INITIAL 50.0 /* foten.models.window_model.MAX_INITIAL */
-#define FOTEN_SETTLING_SAMPLES 256 /* foten.models.piecewise_ar.definition.SETTLING_SAMPLES */
-#define FOTEN_MAX_INNOVATION 100.0 /* foten.models.piecewise_ar.definition.MAX_INNOVATION */
+#define FOTEN_MAX_INITIAL 50.0                 /* foten.models.window_model.MAX_INITIAL */
+#define FOTEN_SETTLING_SAMPLES 256             /* foten.models.piecewise_ar.definition.SETTLING_SAMPLES */
+#define FOTEN_MAX_INNOVATION 100.0             /* foten.models.piecewise_ar.definition.MAX_INNOVATION */

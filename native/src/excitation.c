@@ -6,7 +6,8 @@
 
 static void philox(uint32_t c[4], uint32_t k0, uint32_t k1) {
     for (int round = 0; round < 10; round++) {
-        uint64_t product_0 = (uint64_t)FOTEN_PHILOX_MULTIPLIER_0 * c[0], product_1 = (uint64_t)FOTEN_PHILOX_MULTIPLIER_1 * c[2];
+        uint64_t product_0 = (uint64_t)FOTEN_PHILOX_MULTIPLIER_0 * c[0],
+                 product_1 = (uint64_t)FOTEN_PHILOX_MULTIPLIER_1 * c[2];
         uint32_t c1 = c[1], c3 = c[3];
         c[0] = (uint32_t)(product_1 >> 32) ^ c1 ^ k0;
         c[1] = (uint32_t)product_1;
@@ -33,7 +34,8 @@ int excitation_read(texture_file *file, arena *memory, int width, excitation *ou
     double *limit = out->innovation_limit;
     if (!scale_read(file, memory, "excitation.", width, &out->sigma)) return 0;
     if (!file_copy(file, "excitation.", "innovation_limit", (size_t[4]){2}, limit)) return 0;
-    return (limit[0] >= 0 && limit[1] >= 0) || file_refuse(file, FOTEN_BAD_FILE, "tensor 'excitation.innovation_limit' is negative");
+    return (limit[0] >= 0 && limit[1] >= 0) ||
+           file_refuse(file, FOTEN_BAD_FILE, "tensor 'excitation.innovation_limit' is negative");
 }
 
 double excitation_sigma(const excitation *e, const double scaled[2]) {

@@ -6,7 +6,7 @@
 #include <stdlib.h>
 #include <string.h>
 
-enum { LONGEST_HEADER = 4 * 1000 * 1000 };
+enum { MAX_HEADER = 4 * 1000 * 1000 }; /* bytes; those of foten train have 15,000 */
 
 int file_refuse(texture_file *file, foten_status status, const char *format, ...) {
     if (file->status != FOTEN_OK) return 0;
@@ -23,14 +23,16 @@ static int list_entries(texture_file *file, json header) {
     json name, value;
     file->entries = malloc((json_count(header) + 1) * sizeof *file->entries);
     if (!file->entries) return file_refuse(file, FOTEN_NO_MEMORY, "no memory");
-    for (const char *position = NULL; json_next(header, &position, &name, &value);) file->entries[file->n_entries++] = (entry){name, value};
+    for (const char *position = NULL; json_next(header, &position, &name, &value);)
+        file->entries[file->n_entries++] = (entry){name, value};
     return 1;
 }
 
 /* Where a tensor begins and ends among the data, as the header says. */
 static int ends_of(json said, long long *begin, long long *end) {
     json ends[2];
-    return json_items(json_member(said, "data_offsets"), ends, 2) == 2 && json_integer(ends[0], begin) && json_integer(ends[1], end);
+    return json_items(json_member(said, "data_offsets"), ends, 2) == 2 && json_integer(ends[0], begin) &&
+           json_integer(ends[1], end);
 }
 
 /* A file that was copied in part has its header, which comes first. */
@@ -39,7 +41,8 @@ static int check_length(texture_file *file) {
     for (size_t i = 0; i < file->n_entries; i++)
         if (ends_of(file->entries[i].value, &begin, &end) && end > last) last = end;
     return (unsigned long long)last <= file->n_data ||
-           file_refuse(file, FOTEN_BAD_FILE, "the file holds %zu bytes of tensors, expected %lld: is it truncated?", file->n_data, last);
+           file_refuse(file, FOTEN_BAD_FILE, "the file holds %zu bytes of tensors, expected %lld: is it truncated?",
+                       file->n_data, last);
 }
 
 /* What an entry of the header says, the last of that name. */
@@ -53,21 +56,24 @@ int file_open(texture_file *file, const void *bytes, size_t n_bytes, char *why, 
     *file = (texture_file){.why = why, .why_size = why_size};
     if (why && why_size) why[0] = 0;
     if (!bytes || n_bytes < 9)
-        return file_refuse(file, FOTEN_BAD_FILE, "the file has %zu bytes, expected a texture file; is it truncated?", bytes ? n_bytes : 0);
+        return file_refuse(file, FOTEN_BAD_FILE, "the file has %zu bytes, expected a texture file; is it truncated?",
+                           bytes ? n_bytes : 0);
     const unsigned char *text = (const unsigned char *)bytes + 8;
     uint64_t length = 0;
     for (int i = 1; i <= 8; i++) length = length << 8 | text[-i];
-    if (!length || length > n_bytes - 8 || length > LONGEST_HEADER)
+    if (!length || length > n_bytes - 8 || length > MAX_HEADER)
         return file_refuse(file, FOTEN_BAD_FILE, "this is not a texture file, or it is truncated");
     json header = json_of((const char *)text, (size_t)length);
     file->data = text + length;
     file->n_data = n_bytes - 8 - (size_t)length;
     if (!header.begin || *header.begin != '{')
-        return file_refuse(file, FOTEN_BAD_FILE, "this is not a texture file, or it is damaged: its header is not JSON");
+        return file_refuse(file, FOTEN_BAD_FILE,
+                           "this is not a texture file, or it is damaged: its header is not JSON");
     if (!list_entries(file, header) || !check_length(file)) return 0;
     json written = json_member(entry_of(file, "__metadata__"), "foten");
     if (!written.begin)
-        return file_refuse(file, FOTEN_BAD_FILE, "this is a safetensors file without a texture card, expected one written by 'foten train'");
+        return file_refuse(file, FOTEN_BAD_FILE,
+                           "this is a safetensors file without a texture card, expected one written by 'foten train'");
     size_t room = (size_t)(written.end - written.begin);
     file->text = malloc(room);
     if (!file->text) return file_refuse(file, FOTEN_NO_MEMORY, "no memory");
@@ -96,7 +102,9 @@ static int locate(const texture_file *file, size_t shape[4], tensor *at) {
     size_t n = 1;
     if (dimensions < 0 || !ends_of(said, &begin, &end) || (!wide && !json_is_string(kind, "F32"))) return -1;
     for (int i = 0; i < dimensions; i++) {
-        if (!json_integer(sizes[i], &size) || size < 0 || size > 1 << 28 || (size && n > (SIZE_MAX >> 8) / (size_t)size)) return -1;
+        if (!json_integer(sizes[i], &size) || size < 0 || size > 1 << 28 ||
+            (size && n > (SIZE_MAX >> 8) / (size_t)size))
+            return -1;
         shape[i] = (size_t)size;
         n *= shape[i];
     }
@@ -132,7 +140,8 @@ static int locate_shaped(texture_file *file, const char *prefix, const char *nam
     int expected = 0;
     snprintf(at->name, sizeof at->name, "%s%s", prefix, name);
     int dimensions = locate(file, stored, at);
-    if (dimensions < 0) return file_refuse(file, FOTEN_BAD_FILE, "the texture file has no tensor '%s', or it is damaged", at->name);
+    if (dimensions < 0)
+        return file_refuse(file, FOTEN_BAD_FILE, "the texture file has no tensor '%s', or it is damaged", at->name);
     while (expected < 4 && shape[expected]) expected++;
     if (expected == dimensions && !memcmp(stored, shape, (size_t)dimensions * sizeof *stored)) return 1;
     return file_refuse(file, FOTEN_BAD_FILE, "tensor '%s' has another shape than the card says", at->name);
@@ -141,7 +150,8 @@ static int locate_shaped(texture_file *file, const char *prefix, const char *nam
 static int copy(texture_file *file, const tensor *at, double *out) {
     for (size_t i = 0; i < at->n; i++) {
         out[i] = number_at(at, i);
-        if (!(out[i] - out[i] == 0)) return file_refuse(file, FOTEN_BAD_FILE, "tensor '%s' holds NaN or infinity", at->name);
+        if (!(out[i] - out[i] == 0))
+            return file_refuse(file, FOTEN_BAD_FILE, "tensor '%s' holds NaN or infinity", at->name);
     }
     file->n_taken++;
     return 1;
@@ -166,5 +176,7 @@ void file_leave(texture_file *file, const char *name) { file->n_taken += (size_t
 
 int file_all_taken(texture_file *file, const char *model) {
     size_t n = file->n_entries - 1; /* the card is no tensor */
-    return n == file->n_taken || file_refuse(file, FOTEN_BAD_FILE, "the file holds %zu tensors, expected the %zu of '%s'", n, file->n_taken, model);
+    return n == file->n_taken ||
+           file_refuse(file, FOTEN_BAD_FILE, "the file holds %zu tensors, expected the %zu of '%s'", n, file->n_taken,
+                       model);
 }

@@ -5,8 +5,12 @@
 
 #include "constants.h"
 
-typedef struct { double b0, b1, b2, a1, a2; } section;
-typedef struct { double first, second; } memory;
+typedef struct {
+    double b0, b1, b2, a1, a2;
+} section;
+typedef struct {
+    double first, second;
+} memory;
 
 /* The Butterworth low-pass that recordings went through, as foten.dsp.filters has it. */
 static inline section lowpass(double cutoff_hz, double rate_hz) {

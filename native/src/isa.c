@@ -1,4 +1,4 @@
-#include "network.h"
+#include "foten_network.h"
 
 #include <stdatomic.h>
 #include <stdlib.h>
@@ -7,10 +7,12 @@
 #include <cpuid.h>
 #endif
 
-static const isa *const HERE[] = { /* the best first */
+/* The best first. */
+static const isa *const HERE[] = {
 #if defined(FOTEN_PORTABLE)
 #elif defined(__x86_64__)
-    &isa_avx512, &isa_avx2,
+    &isa_avx512,
+    &isa_avx2,
 #elif defined(__aarch64__)
     &isa_neon,
 #elif defined(__wasm_simd128__)

@@ -150,7 +150,8 @@ int json_items(json list, json *out, int room) {
     return n;
 }
 
-/* Decimal to binary without strtod, which reads another decimal point in some countries. Exact where mantissa and power are. */
+/* Decimal to binary without strtod, which reads another decimal point in some countries. Exact where mantissa and power
+ * are. */
 int json_number(json value, double *out) {
     if (!value.begin || (*value.begin != '-' && (*value.begin < '0' || *value.begin > '9'))) return 0;
     char text[64] = {0};
@@ -161,7 +162,10 @@ int json_number(json value, double *out) {
     int power = 0, digits_so_far = 0, negative = text[0] == '-';
     const char *p = text + negative;
     for (int after_point = 0; (*p >= '0' && *p <= '9') || *p == '.'; p++) {
-        if (*p == '.') { after_point = 1; continue; }
+        if (*p == '.') {
+            after_point = 1;
+            continue;
+        }
         if (digits_so_far < 19) {
             mantissa = mantissa * 10 + (uint64_t)(*p - '0');
             if (mantissa) digits_so_far++;
@@ -202,7 +206,8 @@ int json_boolean(json value, int *out) {
 
 int json_is_string(json value, const char *text) {
     size_t n = strlen(text);
-    return value.begin && *value.begin == '"' && (size_t)(value.end - value.begin) == n + 2 && !memcmp(value.begin + 1, text, n);
+    return value.begin && *value.begin == '"' && (size_t)(value.end - value.begin) == n + 2 &&
+           !memcmp(value.begin + 1, text, n);
 }
 
 static size_t utf8(unsigned code, char *out) {

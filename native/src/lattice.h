@@ -1,4 +1,5 @@
-/* The normalised lattice of foten.dsp.lattice: a linear filter as a chain of rotations, stable however its coefficients move. */
+/* The normalised lattice of foten.dsp.lattice: a linear filter as a chain of rotations, stable however its coefficients
+ * move. */
 #pragma once
 
 #include <math.h>
@@ -10,7 +11,8 @@
 typedef struct {
     double *states;               /* b_0 ... b_(order-1) */
     double *reflections;          /* k_1 ... k_order */
-    double *cosines, all_cosines; /* sqrt(1 - k^2), and their product, by which an innovation moves the sample that leaves the filter */
+    double *cosines, all_cosines; /* sqrt(1 - k^2), and their product, by which an innovation moves the sample that
+                                     leaves the filter */
     double level, logs[2];        /* where there is a level over speed and force; logarithms of these re their means */
 } lattice_state;
 
@@ -21,14 +23,18 @@ typedef struct lattice {
     scale level;
 } lattice;
 
-int lattice_read(texture_file *file, arena *memory, const char *prefix, int n_speed, int n_force, int order, int level_width,
-                 int gain_before_filter, lattice *out);
+int lattice_read(texture_file *file, arena *memory, const char *prefix, int n_speed, int n_force, int order,
+                 int level_width, int gain_before_filter, lattice *out);
 
 /* Make ready for the sample after one under a speed and force. */
 void lattice_set_condition(const lattice *of, lattice_state *l, const double scaled[2]);
 
-static inline double gain_before(const lattice *of, const lattice_state *l) { return of->gain_before_filter ? l->level : 1; }
-static inline double gain_after(const lattice *of, const lattice_state *l) { return of->gain_before_filter ? 1 : l->level; }
+static inline double gain_before(const lattice *of, const lattice_state *l) {
+    return of->gain_before_filter ? l->level : 1;
+}
+static inline double gain_after(const lattice *of, const lattice_state *l) {
+    return of->gain_before_filter ? 1 : l->level;
+}
 
 static inline void lattice_place(lattice_state *l, int order, block *from) {
     l->states = block_take(from, (size_t)order, sizeof *l->states);

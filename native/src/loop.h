@@ -5,7 +5,8 @@
 
 #include "model.h"
 
-/* All that must survive a sample: this, and the arrays that it points to, which follow it in one block. Each kind of loop uses its part. */
+/* All that must survive a sample: this, and the arrays that it points to, which follow it in one block. Each kind of
+ * loop uses its part. */
 struct loop {
     condition condition;         /* of the last sample, which the next one goes by */
     lattice_state lattice;       /* foten-plus, piecewise AR */
@@ -23,15 +24,16 @@ struct loop_kind {
     /* Take the arrays of a loop from a block, or only measure them. */
     void (*place)(const foten_model *model, loop *l, block *from);
 
-    /* Go on from n recorded samples (acceleration, speed, force in turn), at most the model's history: as a rendering does, or, `as_prediction`,
-     * as a one-step prediction does. */
+    /* Go on from n recorded samples (acceleration, speed, force in turn), at most the model's history: as a rendering
+     * does, or, `as_prediction`, as a one-step prediction does. */
     void (*start)(const foten_model *model, loop *l, const double *windows, int n, int as_prediction);
 
     /* Take a state as after a long time under a condition, whatever was before, from a stream's noise. */
     void (*begin)(const foten_model *model, loop *l, const condition *c, noise_source noise);
 
     /* Predict the next sample, which was recorded, after a start `as_prediction`. */
-    void (*predict)(const foten_model *model, loop *l, foten_prediction_part part, double recorded, foten_prediction *out);
+    void (*predict)(const foten_model *model, loop *l, foten_prediction_part part, double recorded,
+                    foten_prediction *out);
 
     /* Take in a recorded sample (acceleration, speed, force), after that. */
     void (*push)(const foten_model *model, loop *l, const double *sample);
@@ -39,7 +41,8 @@ struct loop_kind {
     /* By how much a unit of noise moves the next sample of a rendering; 0 without an excitation. */
     double (*scale)(const foten_model *model, const loop *l);
 
-    /* The next sample, with a number of noise or without (NULL), cut to +-limit and faded, and the condition that goes with it. */
+    /* The next sample, with a number of noise or without (NULL), cut to +-limit and faded, and the condition that goes
+     * with it. */
     double (*step)(const foten_model *model, loop *l, const condition *c, const double *noise, double limit);
 
     /* Set numbers to zero that are too small to matter, before they become denormal and slow. */
@@ -64,23 +67,26 @@ static inline double loop_cut(loop *l, double sample, double limit) {
     return played;
 }
 
-/* The next innovation over sigma, where a unit of it moves the sample by `scale`: what the network in the loop draws or, without noise, expects. */
+/* The next innovation over sigma, where a unit of it moves the sample by `scale`: what the network in the loop draws
+ * or, without noise, expects. */
 static inline double loop_drawn(const foten_model *m, loop *l, const double *noise, double scale) {
     double next = innovation_mixture(m->network_in_loop, &l->innovation);
     if (noise) next = innovation_quantile(m->network_in_loop, &l->innovation, *noise);
     return excitation_limited(&m->excitation, next, scale);
 }
 
-/* How likely the residual of what is predicted without innovation is, by a mixture that is made ready, into the prediction; `gain`: what an
- * innovation of 1 moves the sample by. */
-static inline void loop_score(const innovation_network *n, const innovation_state *s, double residual, double gain, foten_prediction *out) {
+/* How likely the residual of what is predicted without innovation is, by a mixture that is made ready, into the
+ * prediction; `gain`: what an innovation of 1 moves the sample by. */
+static inline void loop_score(const innovation_network *n, const innovation_state *s, double residual, double gain,
+                              foten_prediction *out) {
     out->scale = gain * innovation_sd(n, s);
     out->standardised = innovation_standardised(n, s, residual / gain);
     out->nll = innovation_nll(n, s, residual / gain) + log(gain);
 }
 
 /* Run for n samples under a condition. */
-static inline void loop_run(const foten_model *model, loop *l, const condition *c, noise_source *noise, int n, double limit) {
+static inline void loop_run(const foten_model *model, loop *l, const condition *c, noise_source *noise, int n,
+                            double limit) {
     for (int i = 0; i < n; i++) {
         double z = noise_next(noise);
         model->kind->step(model, l, c, &z, limit);

@@ -11,18 +11,22 @@ static int read_plus(foten_model *m, texture_file *file, const card_sizes *s) {
     m->warm_up = s->network.window;
     m->excited_lattice = s->n_tones ? &m->residual : &m->lattice;
     m->network_in_loop = s->network_in_loop ? &m->rendering_network : NULL;
-    if (!lattice_read(file, &m->memory, "lattice.", s->n_speed, s->n_force, s->order, width, s->gain_before_filter, &m->lattice)) return 0;
+    if (!lattice_read(file, &m->memory, "lattice.", s->n_speed, s->n_force, s->order, width, s->gain_before_filter,
+                      &m->lattice))
+        return 0;
     int inputs = INNOVATION_INPUTS, of_rendering = inputs + (s->n_tones ? PHASE_INPUTS : 0);
-    if (!innovation_read(file, &m->memory, "network.", inputs, s->n_hidden, s->head_width, s->n_components, &m->network)) return 0;
-    if (s->network_in_loop &&
-        !innovation_read(file, &m->memory, "rendering_network.", of_rendering, s->n_hidden, s->head_width, s->n_components, &m->rendering_network))
+    if (!innovation_read(file, &m->memory, "network.", inputs, s->n_hidden, s->head_width, s->n_components,
+                         &m->network))
+        return 0;
+    if (s->network_in_loop && !innovation_read(file, &m->memory, "rendering_network.", of_rendering, s->n_hidden,
+                                               s->head_width, s->n_components, &m->rendering_network))
         return 0;
     if (!excitation_read(file, &m->memory, width, &m->excitation)) return 0;
     m->excited = 1;
     if (!s->n_tones) return 1;
     if (!tones_read(file, &m->memory, s->n_tones, s->n_tone_speed, s->n_tone_force, &m->tones)) return 0;
-    return lattice_read(file, &m->memory, "residual.", s->n_residual_speed, s->n_residual_force, s->residual_order, width,
-                        s->residual_gain_before_filter, &m->residual);
+    return lattice_read(file, &m->memory, "residual.", s->n_residual_speed, s->n_residual_force, s->residual_order,
+                        width, s->residual_gain_before_filter, &m->residual);
 }
 
 static int read_network(foten_model *m, texture_file *file, const card_sizes *s, const isa *isa) {
@@ -57,7 +61,9 @@ static int read_tensors(foten_model *m, texture_file *file, const card_sizes *s,
 int model_read(foten_model *m, texture_file *file, const isa *isa, foten_predictor function, void *user) {
     card_sizes sizes;
     m->predictor = (predictor){.function = function, .user = user};
-    if (card_read_sizes(file, function != NULL, &sizes) && card_read(m, file, &sizes) && read_tensors(m, file, &sizes, isa)) return 1;
+    if (card_read_sizes(file, function != NULL, &sizes) && card_read(m, file, &sizes) &&
+        read_tensors(m, file, &sizes, isa))
+        return 1;
     return file_refuse(file, FOTEN_NO_MEMORY, "no memory"); /* where there is no reason yet */
 }
 
@@ -65,7 +71,8 @@ loop *loop_place(const foten_model *m, block *from) {
     loop measured, *l = block_take(from, 1, sizeof *l), *into = l ? l : &measured;
     const network *network = m->predictor.network;
     m->kind->place(m, into, from);
-    into->predictor.scratch = block_take(from, network ? network->scratch.n : 0, sizeof(float)); /* after all that must survive a sample */
+    into->predictor.scratch =
+        block_take(from, network ? network->scratch.n : 0, sizeof(float)); /* after all that must survive a sample */
     return l;
 }
 
@@ -78,7 +85,8 @@ void loop_copy(const foten_model *m, loop *to, const loop *from) {
 /* The proof that a texture file carries: golden windows and steps, which have to come out as they did in training. */
 enum { GOLDEN_STEPS = 64, MOST_GOLDEN = 4096 };
 
-/* Of n golden windows or steps, how many are replayed: all, but to a fuzzer, whose time is short, two are as good as many. */
+/* Of n golden windows or steps, how many are replayed: all, but to a fuzzer, whose time is short, two are as good as
+ * many. */
 static size_t replayed(size_t n) {
 #ifdef FOTEN_FUZZING
     return n < 2 ? n : 2;
@@ -87,13 +95,14 @@ static size_t replayed(size_t n) {
 #endif
 }
 
-/* Whether n numbers are near enough to those in the file, each within the tolerance times its share (NULL for 1 each); a reason in the file
- * where they are not. */
-static int proven(texture_file *file, const char *what, const double *ours, const double *expected, const double *shares, size_t n,
-                  double tolerance) {
+/* Whether n numbers are near enough to those in the file, each within the tolerance times its share (NULL for 1 each);
+ * a reason in the file where they are not. */
+static int proven(texture_file *file, const char *what, const double *ours, const double *expected,
+                  const double *shares, size_t n, double tolerance) {
     double worst = 0;
     for (size_t i = 0; i < n; i++) {
-        double size = fabs(expected[i]) > 1 ? fabs(expected[i]) : 1, error = fabs(ours[i] - expected[i]) / size / (shares ? shares[i] : 1);
+        double size = fabs(expected[i]) > 1 ? fabs(expected[i]) : 1,
+               error = fabs(ours[i] - expected[i]) / size / (shares ? shares[i] : 1);
         if (error > worst || isnan(error)) worst = error; /* than which nothing is larger */
     }
 #ifdef FOTEN_FUZZING
@@ -101,13 +110,16 @@ static int proven(texture_file *file, const char *what, const double *ours, cons
     worst = 0;
 #endif
     if (worst <= tolerance) return 1;
-    static const char format[] = "the texture file fails its own proof: %s differs by %.2g scaled from what was trained, expected at most %g; "
-                         "is the file damaged?";
+    static const char format[] =
+        "the texture file fails its own proof: %s differs by %.2g scaled from what was trained, expected at most %g; "
+        "is the file damaged?";
     return file_refuse(file, FOTEN_NO_PROOF, format, what, worst, tolerance);
 }
 
-/* Sixty-four steps from a warm start, all of it and the conditions off by some part of a standard deviation, in turn up and down. */
-static void run_golden(const foten_model *m, loop *l, const double *warm, double *start, const double *conditions, double off, double *out) {
+/* Sixty-four steps from a warm start, all of it and the conditions off by some part of a standard deviation, in turn up
+ * and down. */
+static void run_golden(const foten_model *m, loop *l, const double *warm, double *start, const double *conditions,
+                       double off, double *out) {
     for (int i = 0; i < 3 * m->history; i++) start[i] = warm[i] + (i & 1 ? off : -off);
     m->kind->start(m, l, start, m->history, 0);
     for (size_t i = 0; i < replayed(GOLDEN_STEPS); i++) {
@@ -122,7 +134,8 @@ static void run_golden(const foten_model *m, loop *l, const double *warm, double
 static int prove(foten_model *m, texture_file *file, arena *memory) {
     size_t shape[4], length = (size_t)m->history;
     if (file_shape(file, "golden.one_step", shape) != 1 || shape[0] < FOTEN_MIN_GOLDEN || shape[0] > MOST_GOLDEN)
-        return file_refuse(file, FOTEN_BAD_FILE, "the file holds no golden windows, or not from %d to %d of them, which prove it",
+        return file_refuse(file, FOTEN_BAD_FILE,
+                           "the file holds no golden windows, or not from %d to %d of them, which prove it",
                            FOTEN_MIN_GOLDEN, MOST_GOLDEN);
     size_t n = shape[0];
     const double *windows, *one_step, *conditions, *closed, *warm, *sigma = NULL;
@@ -154,9 +167,11 @@ static int prove(foten_model *m, texture_file *file, arena *memory) {
     }
     if (sigma && !proven(file, "the excitation", ours, sigma, NULL, n, FOTEN_ONE_STEP_TOLERANCE)) return 0;
     m->kind->start(m, m->begin, warm, m->history, 0);
-    /* A network on its own output may be chaotic, and it jumps where a phase wraps from pi to -pi: what one step rounds is a thousand times as
-     * large some steps later. Each is held to what becomes by then of starts and conditions that are off, either way, by as much as a step may be. */
-    double *moved = arena_take(memory, GOLDEN_STEPS, sizeof *moved), *shares = arena_take(memory, GOLDEN_STEPS, sizeof *shares);
+    /* A network on its own output may be chaotic, and it jumps where a phase wraps from pi to -pi: what one step rounds
+     * is a thousand times as large some steps later. Each is held to what becomes by then of starts and conditions that
+     * are off, either way, by as much as a step may be. */
+    double *moved = arena_take(memory, GOLDEN_STEPS, sizeof *moved),
+           *shares = arena_take(memory, GOLDEN_STEPS, sizeof *shares);
     double *begin = arena_take(memory, 3 * length, sizeof *begin);
     if (!moved || !shares || !begin) return file_refuse(file, FOTEN_NO_MEMORY, "no memory");
     run_golden(m, l, warm, begin, conditions, 0, ours);

@@ -1,8 +1,9 @@
-/* A texture file made ready: what every kind of model has, the parts of each kind, and the loop that a rendering begins with. */
+/* A texture file made ready: what every kind of model has, the parts of each kind, and the loop that a rendering begins
+ * with. */
 #pragma once
 
 #include "excitation.h"
-#include "innovation.h"
+#include "innovation_network.h"
 #include "lattice.h"
 #include "piecewise_ar.h"
 #include "predictor.h"
@@ -14,7 +15,7 @@ typedef struct loop_kind loop_kind;
 struct foten_model {
     arena memory;
     char *name, *texture;
-    int history;                                                                        /* samples in the windows of the file */
+    int history; /* samples in the windows of the file */
     double rate_hz, lowpass_hz, saturation, mean[3], sd[3], low[2], high[2], exponents[2]; /* as the card has them */
 
     const loop_kind *kind;
@@ -24,8 +25,8 @@ struct foten_model {
     predictor predictor;   /* of networks and graphs */
     excitation excitation; /* of foten-plus, and of a network that has one */
 
-    /* Of foten-plus: lattice and network that predict the vibration, the lattice of what tones leave, and what a rendering goes by; its network is
-     * NULL where the excitation is noise. */
+    /* Of foten-plus: lattice and network that predict the vibration, the lattice of what tones leave, and what a
+     * rendering goes by; its network is NULL where the excitation is noise. */
     lattice lattice, residual;
     innovation_network network, rendering_network;
     const struct lattice *excited_lattice;

@@ -5,7 +5,8 @@
 
 #include "constants.h"
 
-static const double FURTHEST[2] = {1e5, 1e4}, LOUDEST = 1e4; /* mm/s and N that a model may stand at; gain in standard deviations */
+static const double FURTHEST[2] = {1e5, 1e4},
+                    LOUDEST = 1e4; /* mm/s and N that a model may stand at; gain in standard deviations */
 
 static const char PREFIX[] = "piecewise_ar.";
 
@@ -64,7 +65,9 @@ static int rising(texture_file *file, const char *name, const double *angles, in
         for (int i = 0; i <= n; i++) {
             double before = i ? angles[row * n + i - 1] : 0, after = i < n ? angles[row * n + i] : PI;
             if (!(after > before))
-                return file_refuse(file, FOTEN_BAD_FILE, "tensor 'piecewise_ar.%s' does not rise from 0 to pi: the filter would not be stable", name);
+                return file_refuse(
+                    file, FOTEN_BAD_FILE,
+                    "tensor 'piecewise_ar.%s' does not rise from 0 to pi: the filter would not be stable", name);
         }
     return 1;
 }
@@ -84,13 +87,15 @@ static int read_powers(texture_file *file, piecewise_ar *m, arena *memory) {
     if (!variance || !power) return 0;
     if (m->ma) {
         if (!(m->ma_lsf = file_take(file, memory, PREFIX, "ma_lsf", (size_t[4]){n, (size_t)m->ma}))) return 0;
-        if (!rising(file, "ma_lsf", m->ma_lsf, m->n_models, m->ma) || !(gain = never_negative(file, "gain", n, memory))) return 0;
+        if (!rising(file, "ma_lsf", m->ma_lsf, m->n_models, m->ma) || !(gain = never_negative(file, "gain", n, memory)))
+            return 0;
     }
     for (size_t i = 0; i < n; i++) {
         double a[FOTEN_MAX_AR_ORDER + 1], reflections[FOTEN_MAX_AR_ORDER];
         polynomial_of(m->lsf + i * (size_t)m->order, m->order, a);
         double before = sqrt(variance[i]) * (gain ? gain[i] : 1) / reflections_of(a, m->order, reflections);
-        if (!(before <= LOUDEST)) return file_refuse(file, FOTEN_BAD_FILE, "a local model is louder than %g standard deviations", LOUDEST);
+        if (!(before <= LOUDEST))
+            return file_refuse(file, FOTEN_BAD_FILE, "a local model is louder than %g standard deviations", LOUDEST);
         power[i] = before * before;
     }
     m->power = power;
@@ -101,7 +106,8 @@ static int read_powers(texture_file *file, piecewise_ar *m, arena *memory) {
 static int near(const piecewise_ar *m) {
     int fits = 1;
     for (int i = 0; i < 2; i++) {
-        fits &= m->scale[i] > 0 && m->scale[i] <= FURTHEST[i] && m->sd[i] > 0 && m->sd[i] <= FURTHEST[i] && fabs(m->mean[i]) <= FURTHEST[i];
+        fits &= m->scale[i] > 0 && m->scale[i] <= FURTHEST[i] && m->sd[i] > 0 && m->sd[i] <= FURTHEST[i] &&
+                fabs(m->mean[i]) <= FURTHEST[i];
         for (int k = 0; k < m->n_models; k++) fits &= m->points[2 * k + i] >= 0 && m->points[2 * k + i] <= FURTHEST[i];
     }
     return fits;
@@ -115,11 +121,13 @@ static int check_triangle(texture_file *file, const piecewise_ar *m, int triangl
             return file_refuse(file, FOTEN_BAD_FILE, "a triangle of the mesh has a corner that no model is at");
         corner(m, triangle, k, corners[k]);
     }
-    if (fabs(crossed(corners[0], corners[1], corners[2])) > FOTEN_LEAST_AREA) return 1;
-    return file_refuse(file, FOTEN_BAD_FILE, "a triangle of the mesh is flat: three models in a line, or two in one place");
+    if (fabs(crossed(corners[0], corners[1], corners[2])) > FOTEN_MIN_TRIANGLE_AREA) return 1;
+    return file_refuse(file, FOTEN_BAD_FILE,
+                       "a triangle of the mesh is flat: three models in a line, or two in one place");
 }
 
-const piecewise_ar *piecewise_ar_read(texture_file *file, int order, int ma, int n_models, int n_triangles, arena *memory) {
+const piecewise_ar *piecewise_ar_read(texture_file *file, int order, int ma, int n_models, int n_triangles,
+                                      arena *memory) {
     piecewise_ar *m = arena_take(memory, 1, sizeof *m);
     size_t n = (size_t)n_models;
     if (!m) return NULL;
@@ -127,10 +135,15 @@ const piecewise_ar *piecewise_ar_read(texture_file *file, int order, int ma, int
     if (!(m->points = file_take(file, memory, PREFIX, "points", (size_t[4]){n, 2}))) return NULL;
     if (!(m->lsf = file_take(file, memory, PREFIX, "lsf", (size_t[4]){n, (size_t)order}))) return NULL;
     if (!rising(file, "lsf", m->lsf, n_models, order) || !read_powers(file, m, memory)) return NULL;
-    if (!(m->triangles = file_take(file, memory, PREFIX, "triangles", (size_t[4]){(size_t)n_triangles, 3}))) return NULL;
-    if (!file_copy(file, PREFIX, "scale", (size_t[4]){2}, m->scale) || !file_copy(file, PREFIX, "mean", (size_t[4]){2}, m->mean)) return NULL;
+    if (!(m->triangles = file_take(file, memory, PREFIX, "triangles", (size_t[4]){(size_t)n_triangles, 3})))
+        return NULL;
+    if (!file_copy(file, PREFIX, "scale", (size_t[4]){2}, m->scale) ||
+        !file_copy(file, PREFIX, "mean", (size_t[4]){2}, m->mean))
+        return NULL;
     if (!file_copy(file, PREFIX, "sd", (size_t[4]){2}, m->sd)) return NULL;
-    if (!near(m)) file_refuse(file, FOTEN_BAD_FILE, "the local models stand at speeds or forces, or are scaled by some, that cannot be");
+    if (!near(m))
+        file_refuse(file, FOTEN_BAD_FILE,
+                    "the local models stand at speeds or forces, or are scaled by some, that cannot be");
     for (int t = 0; t < n_triangles && file->status == FOTEN_OK; t++) check_triangle(file, m, t);
     return file->status == FOTEN_OK ? m : NULL;
 }

@@ -7,12 +7,15 @@ enum { NOISE = 3 }; /* its place among the numbers of a sample */
 
 static size_t n_numbers(const predictor *p) { return p->window ? (size_t)p->window * (size_t)p->n_inputs + 2 : 0; }
 
-void predictor_place(const predictor *p, predictor_state *s, block *from) { s->window = block_take(from, n_numbers(p), sizeof *s->window); }
+void predictor_place(const predictor *p, predictor_state *s, block *from) {
+    s->window = block_take(from, n_numbers(p), sizeof *s->window);
+}
 
 void predictor_clear(const predictor *p, predictor_state *s) { memset(s->window, 0, n_numbers(p) * sizeof *s->window); }
 
 void predictor_take_noise(const predictor *p, predictor_state *s, noise_source *noise) {
-    for (int i = 0; p->n_inputs > NOISE && i < p->window; i++) s->window[i * p->n_inputs + NOISE] = (float)noise_next(noise);
+    for (int i = 0; p->n_inputs > NOISE && i < p->window; i++)
+        s->window[i * p->n_inputs + NOISE] = (float)noise_next(noise);
 }
 
 void predictor_set_condition(const predictor *p, predictor_state *s, const double scaled[2]) {

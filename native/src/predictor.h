@@ -2,20 +2,23 @@
 #pragma once
 
 #include "excitation.h"
-#include "network.h"
+#include "foten_network.h"
 
 /* Window 0: there is none. */
 typedef struct {
-    int window, n_inputs; /* samples that it is given, and numbers of each: acceleration alone, or speed, force and noise as well */
+    int window, n_inputs; /* samples that it is given, and numbers of each: acceleration alone, or speed, force and
+                             noise as well */
     const isa *isa;
     const network *network; /* NULL where the function predicts */
     foten_predictor function;
     void *user;
 } predictor;
 
-/* Of one stream: the window, n_inputs numbers a sample, then speed and force of the last; and memory for a step of the network, which holds
- * nothing between steps. */
-typedef struct { float *window, *scratch; } predictor_state;
+/* Of one stream: the window, n_inputs numbers a sample, then speed and force of the last; and memory for a step of the
+ * network, which holds nothing between steps. */
+typedef struct {
+    float *window, *scratch;
+} predictor_state;
 
 /* All but the memory for a step, which need not survive a sample. */
 void predictor_place(const predictor *p, predictor_state *s, block *from);

@@ -7,11 +7,12 @@
 #include "resample_table.h"
 
 struct resampler {
-    double rate_in, stretch;       /* stretch: the kernel's length in samples given, over its own; 1 unless the device is the slower */
-    double *history;               /* the last `n` samples given, twice, so that any n of them are contiguous */
-    size_t n, at, ahead;           /* ahead: samples to be given before the next is taken */
-    uint64_t fraction, step;       /* of the place between samples given and its step, in 2^-64 of a sample */
-    size_t integer;                /* of the step, samples */
+    double rate_in;
+    double stretch;          /* the kernel's length in samples given, over its own; 1 unless the device is the slower */
+    double *history;         /* the last `n` samples given, twice, so that any n of them are contiguous */
+    size_t n, at, ahead;     /* ahead: samples to be given before the next is taken */
+    uint64_t fraction, step; /* of the place between samples given and its step, in 2^-64 of a sample */
+    size_t integer;          /* of the step, samples */
     double ratio;
 };
 
@@ -21,7 +22,8 @@ resampler *resampler_place(block *from, double rate_in, double rate_out) {
     resampler *r = block_take(from, 1, sizeof *r);
     double *history = block_take(from, 2 * n, sizeof *history);
     if (!from->base) return NULL;
-    *r = (resampler){.rate_in = rate_in, .stretch = stretch, .history = history, .n = n, .ratio = ratio, .integer = (size_t)ratio};
+    *r = (resampler){
+        .rate_in = rate_in, .stretch = stretch, .history = history, .n = n, .ratio = ratio, .integer = (size_t)ratio};
     r->step = (uint64_t)ldexp(ratio - (double)r->integer, 64);
     resampler_reset(r);
     return r;
@@ -44,7 +46,8 @@ void resampler_give(resampler *r, double sample) {
 
 double resampler_take(resampler *r) {
     const double *newest = r->history + r->at;
-    double place = (double)(r->fraction >> 11) * (1.0 / 9007199254740992.0) / r->stretch * TABLE_STEPS, apart = TABLE_STEPS / r->stretch, sum = 0;
+    double place = (double)(r->fraction >> 11) * (1.0 / 9007199254740992.0) / r->stretch * TABLE_STEPS,
+           apart = TABLE_STEPS / r->stretch, sum = 0;
     for (size_t i = 0; i < r->n && place < TABLE_STEPS * TABLE_TAPS; i++, place += apart) {
         int left = (int)place;
         double share = place - left;

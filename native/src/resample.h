@@ -8,14 +8,15 @@
 /* A low-pass of minimum phase at 0.45 of the slower rate, 58 dB down from 0.55 of it. */
 typedef struct resampler resampler;
 
-enum { FASTEST = 400, SLOWEST = 20 };       /* a device is so many times as fast as the texture, or as slow, at most */
+/* The rate of a device over that of the texture, and the other way round. */
+enum { MAX_UPSAMPLING = 400, MAX_DOWNSAMPLING = 20 };
 
 resampler *resampler_place(block *from, double rate_in, double rate_out);
 void resampler_reset(resampler *r);
 
-void resampler_silence(resampler *r);       /* forget what was given, and stay in step */
+void resampler_silence(resampler *r); /* forget what was given, and stay in step */
 
-int resampler_wants(const resampler *r);    /* a sample, before one can be taken */
+int resampler_wants(const resampler *r); /* a sample, before one can be taken */
 void resampler_give(resampler *r, double sample);
 double resampler_take(resampler *r);
 

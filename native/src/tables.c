@@ -1,22 +1,24 @@
 #include "tables.h"
 
-#include <math.h>
 #include "constants.h"
+#include <math.h>
 
-enum { MOST_VERTICES = 1 << 28 };
+enum { MAX_VERTICES = 1 << 28 };
 
-int speed_force_table_read(texture_file *file, arena *memory, const char *prefix, const char *values, int n_speed, int n_force, int width,
-                           speed_force_table *out) {
+int speed_force_table_read(texture_file *file, arena *memory, const char *prefix, const char *values, int n_speed,
+                           int n_force, int width, speed_force_table *out) {
     long long vertices = (long long)n_speed * n_force;
     *out = (speed_force_table){.n_speed = n_speed, .n_force = n_force, .width = width};
-    if (vertices > MOST_VERTICES) return file_refuse(file, FOTEN_BAD_FILE, "the card has more vertices than can be");
+    if (vertices > MAX_VERTICES) return file_refuse(file, FOTEN_BAD_FILE, "the card has more vertices than can be");
     if (!(out->speed_knots = file_take(file, memory, prefix, "speed_knots", (size_t[4]){(size_t)n_speed}))) return 0;
     if (!(out->force_knots = file_take(file, memory, prefix, "force_knots", (size_t[4]){(size_t)n_force}))) return 0;
-    if (!(out->values = file_take(file, memory, prefix, values, (size_t[4]){(size_t)vertices, (size_t)width}))) return 0;
+    if (!(out->values = file_take(file, memory, prefix, values, (size_t[4]){(size_t)vertices, (size_t)width})))
+        return 0;
     for (int i = 0; i < 2; i++) {
         const double *knots = i ? out->force_knots : out->speed_knots;
         for (int k = 1; k < (i ? n_force : n_speed); k++)
-            if (!(knots[k] > knots[k - 1])) return file_refuse(file, FOTEN_BAD_FILE, "the knots of speed or force do not rise");
+            if (!(knots[k] > knots[k - 1]))
+                return file_refuse(file, FOTEN_BAD_FILE, "the knots of speed or force do not rise");
     }
     return 1;
 }
@@ -61,8 +63,12 @@ int scale_read(texture_file *file, arena *memory, const char *prefix, int width,
     if (!(out->out = file_take(file, memory, prefix, "out.weight", (size_t[4]){1, (size_t)width}))) return 0;
     if (!file_copy(file, prefix, "out.bias", (size_t[4]){1}, &out->out_bias)) return 0;
     if (!file_copy(file, prefix, "exponents", (size_t[4]){5}, out->exponents)) return 0;
-    if (!file_copy(file, prefix, "sigma_max", (size_t[4]){1}, &out->sigma_max) || !file_copy(file, prefix, "mean", (size_t[4]){2}, out->mean)) return 0;
-    if (!file_copy(file, prefix, "sd", (size_t[4]){2}, out->sd) || !file_copy(file, prefix, "floor", (size_t[4]){2}, out->floor)) return 0;
+    if (!file_copy(file, prefix, "sigma_max", (size_t[4]){1}, &out->sigma_max) ||
+        !file_copy(file, prefix, "mean", (size_t[4]){2}, out->mean))
+        return 0;
+    if (!file_copy(file, prefix, "sd", (size_t[4]){2}, out->sd) ||
+        !file_copy(file, prefix, "floor", (size_t[4]){2}, out->floor))
+        return 0;
     if (!(out->sigma_max > 0)) return file_refuse(file, FOTEN_BAD_FILE, "tensor '%ssigma_max' is not positive", prefix);
     for (int i = 0; i < 2; i++)
         if (!(out->floor[i] > 0 && out->mean[i] + out->floor[i] > 0))
@@ -79,7 +85,8 @@ double scale_at(const scale *s, const double scaled[2], double logs[2]) {
     for (int k = 0; k < 5; k++) log_scale += s->exponents[k] * powers[k];
     for (int h = 0; h < s->width; h++) {
         const double *w = s->hidden + 4 * h;
-        log_scale += s->out[h] * tanh(s->hidden_bias[h] + w[0] * scaled[0] + w[1] * scaled[1] + w[2] * logs[0] + w[3] * logs[1]);
+        log_scale +=
+            s->out[h] * tanh(s->hidden_bias[h] + w[0] * scaled[0] + w[1] * scaled[1] + w[2] * logs[0] + w[3] * logs[1]);
     }
     double out = exp(log_scale);
     return out < s->sigma_max ? out : s->sigma_max;

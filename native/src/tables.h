@@ -3,9 +3,11 @@
 
 #include "file.h"
 
-/* Speed and force of a sample as a model is given them: scaled, within the trained range, and the speed [mm/s] that moves tones, which may lie
- * beyond it; and how much of the vibration is left of it near rest, from 0 to 1. */
-typedef struct { double scaled[2], path_speed, fade; } condition;
+/* Speed and force of a sample as a model is given them: scaled, within the trained range, and the speed [mm/s] that
+ * moves tones, which may lie beyond it; and how much of the vibration is left of it near rest, from 0 to 1. */
+typedef struct {
+    double scaled[2], path_speed, fade;
+} condition;
 
 /* Values at the vertices of a grid, bilinear in speed and log force between them, constant outside. */
 typedef struct {
@@ -20,8 +22,8 @@ typedef struct {
     double exponents[5], out_bias, sigma_max, mean[2], sd[2], floor[2];
 } scale;
 
-int speed_force_table_read(texture_file *file, arena *memory, const char *prefix, const char *values, int n_speed, int n_force, int width,
-                           speed_force_table *out);
+int speed_force_table_read(texture_file *file, arena *memory, const char *prefix, const char *values, int n_speed,
+                           int n_force, int width, speed_force_table *out);
 
 /* The `width` values at a speed [mm/s] and a force [N]. */
 void speed_force_table_at(const speed_force_table *table, double speed, double force, double *out);

@@ -22,12 +22,15 @@ static double increment_of(const tones *t, const condition *c) { return t->phase
 /* The sum of tones of coefficients c_1, s_1, c_2, ... at a phase. */
 static double sum_at(const double *coefficients, int n, double phase) {
     double sum = 0;
-    for (int k = 0; k < n; k++) sum += coefficients[2 * k] * cos(phase * (k + 1)) + coefficients[2 * k + 1] * sin(phase * (k + 1));
+    for (int k = 0; k < n; k++)
+        sum += coefficients[2 * k] * cos(phase * (k + 1)) + coefficients[2 * k + 1] * sin(phase * (k + 1));
     return sum;
 }
 
-/* Coefficients for the sample after one under a condition. Of each multiple as much as the rate can hold: all up to 0.45 of it, nothing from 0.5. */
-static void coefficients_at(const tones *t, const scale *level_over, const condition *c, double increment, double *out) {
+/* Coefficients for the sample after one under a condition. Of each multiple as much as the rate can hold: all up to
+ * 0.45 of it, nothing from 0.5. */
+static void coefficients_at(const tones *t, const scale *level_over, const condition *c, double increment,
+                            double *out) {
     double logs[2], physical[2], level = scale_at(level_over, c->scaled, logs);
     scale_physical(level_over, c->scaled, physical);
     speed_force_table_at(&t->values, physical[0], physical[1], out);
@@ -54,7 +57,8 @@ void tones_fit(const tones *t, const scale *level_over, tones_state *s, const do
         travelled += increment;
         coefficients_at(t, level_over, &before, increment, s->coefficients);
         for (int k = 0; k < FOTEN_N_CANDIDATES; k++) {
-            double off = (windows[3 * i] - sum_at(s->coefficients, t->n, travelled + 2 * PI * k / FOTEN_N_CANDIDATES)) / level;
+            double off =
+                (windows[3 * i] - sum_at(s->coefficients, t->n, travelled + 2 * PI * k / FOTEN_N_CANDIDATES)) / level;
             error[k] += off * off;
         }
     }
@@ -72,9 +76,12 @@ double tones_follow(const tones *t, const scale *level, tones_state *s, const co
     return sum_at(s->coefficients, t->n, s->path + s->phase);
 }
 
-double tones_ahead(const tones *t, const tones_state *s, const condition *now) { return s->path + s->phase + increment_of(t, now); }
+double tones_ahead(const tones *t, const tones_state *s, const condition *now) {
+    return s->path + s->phase + increment_of(t, now);
+}
 
-/* The way to the first sample belongs to the recording, and nothing of it is kept: the phase is taken within half a turn. */
+/* The way to the first sample belongs to the recording, and nothing of it is kept: the phase is taken within half a
+ * turn. */
 void tones_begin_path(const tones *t, tones_state *s, const condition *last) {
     s->phase = s->path + s->phase + increment_of(t, last);
     s->phase -= 2 * PI * floor((s->phase + PI) / (2 * PI));
@@ -89,7 +96,8 @@ void tones_draw(tones_state *s, double sine, double cosine) {
 void tones_push(const tones *t, tones_state *s, double innovation, const condition *c) {
     double memory = exp(-s->increment / PI), increment = increment_of(t, c);
     s->phase -= t->phase_leak * (s->phase - s->path);
-    s->rate = memory * s->rate + sqrt(1 - memory * memory) * (t->period_jitter * clip(innovation, FOTEN_MAX_JITTER_DRIVE));
+    s->rate =
+        memory * s->rate + sqrt(1 - memory * memory) * (t->period_jitter * clip(innovation, FOTEN_MAX_JITTER_DRIVE));
     s->phase += s->increment * s->rate + increment;
     s->path += increment;
 }

@@ -4,11 +4,11 @@
 #include "tables.h"
 
 typedef struct {
-    int n;                     /* multiples of the path's frequency; 0 for a surface that does not repeat */
-    speed_force_table values;  /* of cosine and sine of each multiple in turn, over the level */
-    double phase_increment;    /* in a sample [rad] at 1 mm/s */
-    double period_jitter;      /* standard deviation of a period's length, as a share of it */
-    double phase_leak;         /* in a sample, of what the jitter moved the phase by, as a share */
+    int n;                    /* multiples of the path's frequency; 0 for a surface that does not repeat */
+    speed_force_table values; /* of cosine and sine of each multiple in turn, over the level */
+    double phase_increment;   /* in a sample [rad] at 1 mm/s */
+    double period_jitter;     /* standard deviation of a period's length, as a share of it */
+    double phase_leak;        /* in a sample, of what the jitter moved the phase by, as a share */
 } tones;
 
 /* Of one stream. */
@@ -21,7 +21,8 @@ typedef struct {
 
 int tones_read(texture_file *file, arena *memory, int n, int n_speed, int n_force, tones *out);
 
-/* Make ready for the sample after one under a condition; the coefficients stay where that did not change. `level`: of the vibration. */
+/* Make ready for the sample after one under a condition; the coefficients stay where that did not change. `level`: of
+ * the vibration. */
 void tones_set_condition(const tones *t, const scale *level, tones_state *s, const condition *c, int changed);
 
 /* Take the phase that is nearest to n recorded samples (acceleration, speed, force in turn). */

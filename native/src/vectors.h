@@ -7,7 +7,7 @@
 #include <stdint.h>
 #include <string.h>
 
-#include "network.h"
+#include "foten_network.h"
 
 typedef float vec __attribute__((vector_size(4 * LANES)));
 typedef int32_t vec_bits __attribute__((vector_size(4 * LANES)));
@@ -15,10 +15,17 @@ typedef uint32_t vec_word __attribute__((vector_size(4 * LANES)));
 
 #define INLINE static inline __attribute__((always_inline))
 
-INLINE vec load(const float *p) { vec v; memcpy(&v, p, sizeof v); return v; }
+INLINE vec load(const float *p) {
+    vec v;
+    memcpy(&v, p, sizeof v);
+    return v;
+}
 INLINE void store(float *p, vec v) { memcpy(p, &v, sizeof v); }
 INLINE vec rectify(vec a) { return (vec)((vec_bits)a & (vec_bits)(a > 0.0f)); }
-INLINE vec larger(vec a, vec b) { vec_bits m = a > b; return (vec)(((vec_bits)a & m) | ((vec_bits)b & ~m)); }
+INLINE vec larger(vec a, vec b) {
+    vec_bits m = a > b;
+    return (vec)(((vec_bits)a & m) | ((vec_bits)b & ~m));
+}
 
 INLINE float sum_of(vec v) {
     float f[LANES];
@@ -61,7 +68,8 @@ INLINE void panel(const int rows, const int vectors, int inputs, const float *re
         }
     }
     for (int n = 0; n < rows; n++)
-        for (int k = 0; k < vectors; k++) store(out + n * out_stride + k * LANES, rectified ? rectify(a[n][k]) : a[n][k]);
+        for (int k = 0; k < vectors; k++)
+            store(out + n * out_stride + k * LANES, rectified ? rectify(a[n][k]) : a[n][k]);
 }
 
 #define FIRST_5(X) X(1) X(2) X(3) X(4) X(5)
@@ -71,12 +79,18 @@ INLINE void panel(const int rows, const int vectors, int inputs, const float *re
 #define FIRST(n) JOINED(FIRST_, n)
 #define EACH_ROWS FIRST(ROWS)
 
-static void some_rows(int rows, int vectors, int inputs, const float *w, const float *bias, const float *in, int in_stride,
-                      float *out, int out_stride, int rectified) {
-#define WIDE(k) case k: panel(k, 2, inputs, w, bias, in, in_stride, out, out_stride, rectified); return;
-#define NARROW(k) case k: panel(k, 1, inputs, w, bias, in, in_stride, out, out_stride, rectified); return;
-    if (vectors == 2) switch (rows) { EACH_ROWS(WIDE) }
-    else switch (rows) { EACH_ROWS(NARROW) }
+static void some_rows(int rows, int vectors, int inputs, const float *w, const float *bias, const float *in,
+                      int in_stride, float *out, int out_stride, int rectified) {
+#define WIDE(k)                                                                                                        \
+    case k: panel(k, 2, inputs, w, bias, in, in_stride, out, out_stride, rectified); return;
+#define NARROW(k)                                                                                                      \
+    case k: panel(k, 1, inputs, w, bias, in, in_stride, out, out_stride, rectified); return;
+    if (vectors == 2) switch (rows) {
+            EACH_ROWS(WIDE)
+        }
+    else switch (rows) {
+            EACH_ROWS(NARROW)
+        }
 }
 
 /* n tokens through a linear map; what they are padded with up to full vectors comes out as zeros. */
@@ -87,8 +101,8 @@ static void apply(const linear *l, int n, const float *in, int in_stride, float 
         for (int done = 0, rows; done < n; done += rows) {
             int blocks = (n - done + ROWS - 1) / ROWS;
             rows = (n - done + blocks - 1) / blocks;
-            some_rows(rows, vectors, l->inputs, l->weights + (size_t)o * (size_t)l->inputs, l->bias + o, in + done * in_stride, in_stride,
-                      out + done * out_stride + o, out_stride, rectified);
+            some_rows(rows, vectors, l->inputs, l->weights + (size_t)o * (size_t)l->inputs, l->bias + o,
+                      in + done * in_stride, in_stride, out + done * out_stride + o, out_stride, rectified);
         }
     }
 }

@@ -1,7 +1,9 @@
-/* Many states on one core: contacts FILE SHARE SECONDS TICK_US holds as many states as fit in SHARE of a tick, and counts late ticks.
+/* Many states on one core: contacts FILE SHARE SECONDS TICK_US holds as many states as fit in SHARE of a tick, and
+ * counts late ticks.
  *
- * At each tick every state renders the samples of its texture that are due. Seconds take turns with seconds in which the loop
- * only waits as long as rendering takes, by the same clock: what those miss is the machine's. Prints one line of JSON. */
+ * At each tick every state renders the samples of its texture that are due. Seconds take turns with seconds in which
+ * the loop only waits as long as rendering takes, by the same clock: what those miss is the machine's. Prints one line
+ * of JSON. */
 #define _POSIX_C_SOURCE 200809L
 #include <math.h>
 #include <stdio.h>
@@ -32,8 +34,9 @@ static void render(foten_state **states, int n, int samples, double t, const fot
     float out[256];
     for (int i = 0; i < n; i++) {
         double share = 0.5 - 0.4 * cos(3.1 * t + i);
-        foten_set_condition(states[i], (float)(info->trained_speed[0] + share * (info->trained_speed[1] - info->trained_speed[0])),
-                       (float)(info->trained_force[0] + (1 - share) * (info->trained_force[1] - info->trained_force[0])));
+        foten_set_condition(
+            states[i], (float)(info->trained_speed[0] + share * (info->trained_speed[1] - info->trained_speed[0])),
+            (float)(info->trained_force[0] + (1 - share) * (info->trained_force[1] - info->trained_force[0])));
         foten_render(states[i], out, (size_t)samples);
     }
 }
@@ -63,7 +66,9 @@ int main(int n_arguments, char **arguments) {
     int64_t tick = (int64_t)(1000 * atof(arguments[4]));
     int samples = (int)(info.rate_hz * (double)tick * 1e-9 + 0.5);
     if (samples < 1 || samples > 256 || share < 0 || share > 1 || seconds < 2) {
-        fprintf(stderr, "a tick of %g us has %d samples of the texture, expected 1 to 256; share 0 to 1; 2 seconds or more\n", 1e-3 * (double)tick, samples);
+        fprintf(stderr,
+                "a tick of %g us has %d samples of the texture, expected 1 to 256; share 0 to 1; 2 seconds or more\n",
+                1e-3 * (double)tick, samples);
         return 2;
     }
     /* How long one state takes for a tick. */
@@ -112,9 +117,11 @@ int main(int n_arguments, char **arguments) {
             due += (gone + 1) * tick;
         }
     }
-    printf("{\"isa\": \"%s\", \"p50_us\": %.3f, \"tick_us\": %.1f, \"contacts\": %.1f, \"n_states\": %d, \"mean_us\": %.2f, \"n_ticks\": %ld, \"n_missed\": %ld, "
+    printf("{\"isa\": \"%s\", \"p50_us\": %.3f, \"tick_us\": %.1f, \"contacts\": %.1f, \"n_states\": %d, \"mean_us\": "
+           "%.2f, \"n_ticks\": %ld, \"n_missed\": %ld, "
            "\"n_empty_ticks\": %ld, \"n_empty_missed\": %ld}\n",
-           foten_isa(), 1e-3 * p50, 1e-3 * (double)tick, (double)tick / p50, n, 1e-3 * (double)worked / (double)rounds, ticks[0], missed[0], ticks[1], missed[1]);
+           foten_isa(), 1e-3 * p50, 1e-3 * (double)tick, (double)tick / p50, n, 1e-3 * (double)worked / (double)rounds,
+           ticks[0], missed[0], ticks[1], missed[1]);
     for (int i = 0; i < n; i++) foten_state_free(states[i]);
     free(states);
     foten_state_free(first);

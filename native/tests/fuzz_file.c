@@ -1,8 +1,9 @@
-/* A texture file of any bytes: loading it, and rendering it where it loads, reads and writes nothing that is not its own.
+/* A texture file of any bytes: loading it, and rendering it where it loads, reads and writes nothing that is not its
+ * own.
  *
- * Built with FOTEN_FUZZING, which lets a file pass that fails its proof: else nothing but the reader would be reached. With libFuzzer
- * (clang -fsanitize=fuzzer) as it is; with any other compiler FOTEN_STANDALONE gives it a main of its own, which
- * mutates the files that it is given: fuzz_file N FILE... */
+ * Built with FOTEN_FUZZING, which lets a file pass that fails its proof: else nothing but the reader would be reached.
+ * With libFuzzer (clang -fsanitize=fuzzer) as it is; with any other compiler FOTEN_STANDALONE gives it a main of its
+ * own, which mutates the files that it is given: fuzz_file N FILE... */
 #include <math.h>
 #include <stdint.h>
 #include <stdio.h>
@@ -52,7 +53,9 @@ int LLVMFuzzerTestOneInput(const uint8_t *data, size_t n) {
             }
             switch (data[n - 1 - i] / 8u % 4u) {
             case 0: foten_render(state, out, asked); break;
-            case 1: if (foten_render_stroke(state, speed, force, asked, stroke) > foten_rendered(state, asked)) abort(); break;
+            case 1:
+                if (foten_render_stroke(state, speed, force, asked, stroke) > foten_rendered(state, asked)) abort();
+                break;
             case 2: foten_set_actuator(state, asked % 2 ? &coil : NULL); break;
             default: foten_reset(state, asked);
             }
@@ -84,7 +87,8 @@ static size_t mutate(uint8_t *data, size_t n, size_t room) {
     for (uint64_t times = 1 + random_number(4); times && n > 16; times--) {
         size_t header = 8 + (size_t)data[0] + ((size_t)data[1] << 8);
         /* Half of the time in the header: its length, the card, where tensors lie. */
-        size_t at = (size_t)random_number(random_number(2) && header < n ? header : n), length = (size_t)random_number(16);
+        size_t at = (size_t)random_number(random_number(2) && header < n ? header : n),
+               length = (size_t)random_number(16);
         switch (random_number(6)) {
         case 0: data[at] ^= (uint8_t)(1u << random_number(8)); break;
         case 1: data[at] = (uint8_t)random_number(256); break;

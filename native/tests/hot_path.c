@@ -1,5 +1,5 @@
-/* After construction nothing is allocated: hot_path FILE... counts what rendering asks for, and that it would be counted. A state asks for
- * as much memory as foten_info says, and a file is not blamed for memory that there is not.
+/* After construction nothing is allocated: hot_path FILE... counts what rendering asks for, and that it would be
+ * counted. A state asks for as much memory as foten_info says, and a file is not blamed for memory that there is not.
  *
  * Linked with --wrap=malloc and so on, so that every call of the library's goes through here. */
 #include <stdio.h>
@@ -23,7 +23,10 @@ void __real_free(void *p);
 void *__wrap_malloc(size_t n) { return refused(n) ? NULL : __real_malloc(n); }
 void *__wrap_calloc(size_t n, size_t size) { return refused(n * size) ? NULL : __real_calloc(n, size); }
 void *__wrap_realloc(void *p, size_t n) { return refused(n) ? NULL : __real_realloc(p, n); }
-void __wrap_free(void *p) { n_calls++; __real_free(p); }
+void __wrap_free(void *p) {
+    n_calls++;
+    __real_free(p);
+}
 
 static int failed(const char *path, const char *what, long n, const char *why) {
     fprintf(stderr, "%s: %s (%ld) %s\n", path, what, n, why);
@@ -41,19 +44,23 @@ int main(int n_arguments, char **arguments) {
         char why[256];
         foten_model *model;
         n_calls = n_asked = 0;
-        if (foten_model_load(bytes, n, &model, why, sizeof why) != FOTEN_OK) return failed(arguments[i], "does not load", (long)n, why);
-        if (n_calls == 0) return failed(arguments[i], "the counter does not notice what loading allocates", n_calls, "");
+        if (foten_model_load(bytes, n, &model, why, sizeof why) != FOTEN_OK)
+            return failed(arguments[i], "does not load", (long)n, why);
+        if (n_calls == 0)
+            return failed(arguments[i], "the counter does not notice what loading allocates", n_calls, "");
         for (long k = 0, n_times = n_asked; k < n_times; k++) {
             foten_model *none;
             failing = k;
             n_asked = 0;
             foten_status status = foten_model_load(bytes, n, &none, why, sizeof why);
             failing = -1;
-            if (status != FOTEN_NO_MEMORY || strcmp(why, "no memory")) return failed(arguments[i], "said without a piece of memory", k, why);
+            if (status != FOTEN_NO_MEMORY || strcmp(why, "no memory"))
+                return failed(arguments[i], "said without a piece of memory", k, why);
         }
         foten_options options = {8 * foten_model_info(model).rate_hz, 0, 0, 0, 0};
         foten_state *own = foten_state_new(model, NULL);
-        if (asked != foten_model_info(model).state_bytes) return failed(arguments[i], "bytes are not what foten_info says", (long)asked, "");
+        if (asked != foten_model_info(model).state_bytes)
+            return failed(arguments[i], "bytes are not what foten_info says", (long)asked, "");
         foten_state *other = foten_state_new(model, &options);
         foten_stylus *stylus = foten_stylus_new(model, NULL);
         foten_actuator actuator = {70, 0.25, 2, 0, 5};

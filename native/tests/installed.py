@@ -27,7 +27,7 @@ first_s = time.perf_counter() - begin
 
 
 def installed_bytes(package: str) -> int:
-    """Return the size of a package's files, without those that Python compiled."""
+    """Size of a package's files, without those that Python compiled."""
     paths = [path.locate() for path in files(package) or [] if "__pycache__" not in path.parts]
     return sum(os.path.getsize(path) for path in paths)
 

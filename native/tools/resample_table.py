@@ -18,7 +18,7 @@ STOPPED_DB = 60.0  # of linear phase; the least delay leaves 58
 
 
 def minimum_phase(magnitude: np.ndarray) -> np.ndarray:
-    """Return the impulse response of least delay whose spectrum has a magnitude: by the cepstrum, shapes (n,) → (n,)."""
+    """Impulse response of least delay whose spectrum has a magnitude: by the cepstrum, shapes (n,) → (n,)."""
     n = magnitude.size
     cepstrum = np.fft.ifft(np.log(magnitude)).real
     folded = np.zeros(n)
@@ -27,7 +27,7 @@ def minimum_phase(magnitude: np.ndarray) -> np.ndarray:
 
 
 def kernel() -> np.ndarray:
-    """Return h at multiples of 1/128 of a sample, the sum over samples 1 at each of them."""
+    """Kernel h at multiples of 1/128 of a sample, the sum over samples 1 at each of them."""
     width = 2 * (STOP - PASS) / STEPS
     n = int(np.ceil((STOPPED_DB - 7.95) / (2.285 * np.pi * width))) | 1
     h = firwin(n, (PASS + STOP) / STEPS, window=("kaiser", kaiser_beta(STOPPED_DB)))
@@ -43,11 +43,12 @@ def main() -> None:
     table = kernel()
     lines = [
         "/* Made by native/tools/resample_table.py. */",
+        "// clang-format off",
         f"enum {{ TABLE_STEPS = {STEPS}, TABLE_TAPS = {table.size // STEPS} }};",
         "static const float TABLE[TABLE_STEPS * TABLE_TAPS + 1] = {",
     ]
-    values = [f"{value:.8e}f" for value in [*table, 0.0]]
-    lines += ["    " + ", ".join(values[i : i + 8]) + "," for i in range(0, len(values), 8)]
+    values = [f"{value!s}f" for value in [*np.float32(table), 0.0]]  # the shortest text of each float32
+    lines += ["    " + ", ".join(values[i : i + 6]) + "," for i in range(0, len(values), 6)]
     path = Path(__file__).parents[1] / "src" / "resample_table.h"
     path.write_text("\n".join([*lines, "};", ""]))
 

@@ -48,7 +48,7 @@ LINKED = [
 
 
 def built() -> bytes:
-    """Return the module."""
+    """Build the module."""
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder) / "foten.wasm"
         sources = [f"{name}.c" for name in NAMES]

@@ -20,7 +20,7 @@ MODULE = ("foten.mjs", "foten.d.mts", "foten.wasm")
 
 
 def manifest() -> dict[str, Any]:
-    """Return what package.json says."""
+    """Content of package.json."""
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     return {
         **{name: project[name] for name in ("name", "version", "description", "license", "keywords")},

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import errno
+import json
 import os
 import secrets
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import Any
 
 _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
@@ -34,6 +36,12 @@ def atomic_write(path: Path) -> Iterator[Path]:
     finally:
         with suppress(OSError):
             part.unlink(missing_ok=True)
+
+
+def write_json(path: Path, document: Mapping[str, Any], indent: int | None = 1) -> None:
+    """Write a document as JSON, whole or not at all."""
+    with atomic_write(path) as part:
+        part.write_text(json.dumps(document, indent=indent) + "\n", encoding="utf-8")
 
 
 def reason(error: OSError) -> str:

@@ -9,6 +9,7 @@ from typing import Any
 
 DEEPEST = 64  # of JSON; a card has 5
 LONGEST_TEXT = 200  # of what a library says
+MAX_LINE = 2000  # characters that a terminal is given at most: 25 rows of 80
 
 
 def check_regular(path: Path) -> None:
@@ -62,7 +63,12 @@ def printable(text: str) -> str:
     return "".join(mark if mark.isprintable() else "?" for mark in text)
 
 
+def shown(line: str, longest: int = MAX_LINE) -> str:
+    """Line as people may be shown it: without escapes, which a terminal would obey, and cut where it is too long."""
+    return printable(line) if len(line) <= longest else f"{printable(line[:longest])} …"
+
+
 def brief(error: Exception) -> str:
     """Return what an error of a library says, on one short line: some repeat the file that they could not read."""
     text = " ".join(printable(str(error).replace("\n", " ")).split()) or type(error).__name__
-    return text if len(text) <= LONGEST_TEXT else f"{text[:LONGEST_TEXT]} …"
+    return shown(text, LONGEST_TEXT)

@@ -16,7 +16,6 @@ import typer
 from typer.exceptions import Abort, TyperException
 
 from foten.atomic_write import reason
-from foten.cli.console import say
 from foten.cli.evaluate import evaluate, info
 from foten.cli.experiments import demo, figures, sweep, tables
 from foten.cli.export import export
@@ -24,8 +23,9 @@ from foten.cli.machine import bench, doctor
 from foten.cli.recordings import import_, inspect, simulate
 from foten.cli.render import play, render
 from foten.cli.serve import serve
-from foten.cli.study import app as study
 from foten.cli.train import train
+from foten.console import say
+from foten.study.commands import app as study
 
 
 class _Commands(typer.core.TyperGroup):

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from typer import Argument, Option
 
-from foten.cli.console import JsonOption, TextureFile, check_folder, print_result, say, write_json
+from foten.console import JsonOption, TextureFile, check_folder, print_result, say, write_json
 
 if TYPE_CHECKING:
     from foten.models.texture_file import Texture
@@ -40,13 +40,15 @@ def evaluate(
     from foten.datasets.hdf5 import load_recording
     from foten.evaluate import evaluate as judge
     from foten.evaluate.report.tables import to_text
-    from foten.experiments.truth import truth_for
+    from foten.experiments.simulator_reference import reference_for
     from foten.models.texture_file import read_texture
 
     check_folder(report, "--report")
     texture, recording = read_texture(texture_file), load_recording(recording_file)
-    truth = truth_for(recording, texture, trim, block, listener)
-    judgement = judge.evaluate(texture, recording, truth, seed, lambda stage: say(f"{stage} …"), trim, block, listener)
+    reference = reference_for(recording, texture, trim, block, listener)
+    judgement = judge.evaluate(
+        texture, recording, reference, seed, lambda stage: say(f"{stage} …"), trim, block, listener
+    )
     if report is not None:
         from foten.evaluate.report.page import write_report
 

@@ -9,9 +9,12 @@ from typing import Annotated
 from typer import Argument, Exit, Option
 
 from foten.atomic_write import atomic_write
-from foten.cli.console import JsonOption, check_folder, folder_option, print_result, say
+from foten.console import JsonOption, check_folder, folder_option, print_result, say
 
 ResultsFolder = Annotated[Path, Argument(metavar="DIR", help="Results of foten sweep.")]
+MixedOption = Annotated[
+    bool, Option("--mixed", help="Take results of different code or platform too, which are refused otherwise.")
+]
 
 
 def sweep(
@@ -41,6 +44,8 @@ def sweep(
     as_json: JsonOption = False,
 ) -> None:
     """Train and judge every method of an experiment on every texture and split; goes on where it stopped.
+
+    Results stay where code, data, configuration and platform are the same, and are made again otherwise.
 
     Ctrl-C or SIGTERM stops it with exit status 130 and keeps every run that is done.
     """
@@ -93,40 +98,35 @@ def tables(
         Option(
             min=1,
             max=9,
-            help="Significant digits in runs.csv; of fewer than 6, tables made of it again differ in the last.",
+            help="Significant digits in runs.csv: tables that are made of it again may differ in the last.",
         ),
     ] = 6,
+    mixed: MixedOption = False,
     as_json: JsonOption = False,
 ) -> None:
     """Set the results of a sweep beside references and beside the paper's figures."""
-    from foten.experiments.results import chosen, joined, read_records, title_of, written_records
-    from foten.experiments.tables import FIGURES, FORMATS, brief, caveats, findings, ratios, summary, table, written
+    from foten.experiments.results import joined, read_records, runs_table, title_of
+    from foten.experiments.tables import brief, findings, tables_of
+    from foten.reporting.table import FORMS
 
-    records = joined([read_records(one) for one in results])
+    records = joined([read_records(path) for path in results], mixed)
     check_folder(output)
-    shown = chosen(records)
-    cells = {"summary": summary(shown)} | {name: table(shown, name) for name in FIGURES}
-    if any(one["beside"] for one in shown):
-        cells["ratios"] = ratios(shown)
-    title, sentences = title_of(records), list(findings(records))
-    texts = {
-        f"{name}.{form}": written(rows, form, title, caveats(shown, name))
-        for name, rows in cells.items()
-        for form in FORMATS
-    }
-    texts["runs.csv"] = written(written_records(brief(records) if short else records, digits), "csv")
-    texts["findings.md"] = "\n\n".join([f"# {title}", *sentences]) + "\n"
+    shown, title, sentences = tables_of(records), title_of(records), list(findings(records))
     if output is not None:
         output.mkdir(parents=True, exist_ok=True)
-        for name, text in texts.items():
-            with atomic_write(output / name) as part:
-                part.write_text(text, encoding="utf-8")
-    printed = [written(cells[name], "md") for name in ("summary", "ratios") if name in cells]
-    print_result(
-        {"title": title, "tables": cells, "findings": sentences},
-        "\n".join([f"{title}\n", *printed, *sentences]),
-        as_json,
-    )
+        for name, table in shown.items():
+            for form in FORMS:
+                table.write(output / f"{name}.{form}")
+        runs_table(brief(records) if short else records, digits).write(output / "runs.csv")
+        with atomic_write(output / "findings.md") as part:
+            part.write_text("\n\n".join([f"# {title}", *sentences]) + "\n", encoding="utf-8")
+    printed = [
+        dataclasses.replace(shown[name], title="", notes=()).markdown()
+        for name in ("summary", "ratios")
+        if name in shown
+    ]
+    document = {"title": title, "tables": {name: table.cells() for name, table in shown.items()}, "findings": sentences}
+    print_result(document, "\n".join([f"{title}\n", *printed, *sentences]), as_json)
 
 
 def figures(
@@ -140,22 +140,22 @@ def figures(
             show_default="where they were when the sweep was started",
         ),
     ] = None,
+    mixed: MixedOption = False,
     as_json: JsonOption = False,
 ) -> None:
     """Draw the paper's figures from the results of a sweep: split, windows and losses, waveforms, spectra."""
     from foten.experiments.figures import figures as drawn
     from foten.experiments.results import read_results
+    from foten.reporting.figure import write_figure
 
-    records = read_results(results)
+    records = read_results(results, mixed)
     check_folder(output)
     output.mkdir(parents=True, exist_ok=True)
     paths = []
     for name, figure in drawn(records, recordings, say):
         for form in ("png", "pdf"):
-            path = output / f"{name}.{form}"
-            with atomic_write(path) as part:
-                figure.savefig(part, format=form, dpi=140)
-            paths.append(str(path))
+            write_figure(figure, output / f"{name}.{form}")
+            paths.append(str(output / f"{name}.{form}"))
     print_result({"figures": paths}, "\n".join(paths), as_json)
 
 

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from typer import Argument, Option
 
-from foten.cli.console import JsonOption, check_folders, print_result
 from foten.cli.render import (
     ConstantForce,
     ConstantSpeed,
@@ -20,6 +19,7 @@ from foten.cli.render import (
     rendered_by,
     stroke_given,
 )
+from foten.console import JsonOption, check_folders, print_result
 
 if TYPE_CHECKING:
     from foten.dsp import Array
@@ -193,8 +193,8 @@ def _write_onnx(texture: Texture, output: Path) -> tuple[dict[str, Any], str]:
 def _write_site(files: list[Path], output: Path) -> tuple[dict[str, Any], str]:
     from foten.export import web
     from foten.recording.inspection.values import counted
-    from foten.studio.server import page_files
     from foten.studio.shelf import Shelf
+    from foten.studio.studio_server import page_files
 
     shelf = Shelf(files)
     listed = shelf.listed()

@@ -7,7 +7,7 @@ from typing import Annotated
 
 from typer import Exit, Option
 
-from foten.cli.console import JsonOption, TextureFile, print_result
+from foten.console import JsonOption, TextureFile, print_result
 
 
 def bench(

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from typer import Argument, Exit, Option
 
-from foten.cli.console import (
+from foten.console import (
     JsonOption,
     RecordingFile,
     check_folder,
@@ -53,8 +53,8 @@ def simulate(
     as_json: JsonOption = False,
 ) -> None:
     """Write a simulated recording with a known truth: raw sensors over a texture, or a linear process."""
-    from foten.datasets import simulate as simulator
     from foten.datasets.hdf5 import write_recording
+    from foten.simulation import simulate as simulator
 
     if show_list:
         known = {name: parameters.description for name, parameters in simulator.TEXTURES.items()}
@@ -83,7 +83,7 @@ def _simulate_capture(
 ) -> None:
     import numpy as np
 
-    from foten.datasets.simulated_capture import DELAY_S, DRIFT, FULL_SCALE, simulate_capture
+    from foten.simulation.simulated_capture import DELAY_S, DRIFT, FULL_SCALE, simulate_capture
 
     if any(option is not None for option in of_sensors):
         raise ValueError(

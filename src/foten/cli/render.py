@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from typer import Argument, Exit, Option
 
-from foten.cli.console import JsonOption, TextureFile, check_folders, print_json, say
+from foten.console import JsonOption, TextureFile, check_folders, print_json, say
 
 if TYPE_CHECKING:
     from foten.dsp import Array

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 from typer import Argument, Option
 
 from foten.atomic_write import reason
-from foten.cli.console import say
+from foten.console import say
 
 if TYPE_CHECKING:
     from foten.studio.access import Access
@@ -63,14 +63,14 @@ def serve(
     foten serve --to daq:Dev1/ao0 --actuator coil.json: with a voice coil on an NI-DAQ of this machine.
     """
     from foten.runtime.actuator import read_profile
-    from foten.studio.players import Wired
-    from foten.studio.serve import serve as serve_studio
-    from foten.studio.server import Studio
+    from foten.studio.players import OutputDevice
     from foten.studio.shelf import SUFFIX, Shelf
+    from foten.studio.studio_server import Studio
+    from foten.studio.web_server import serve as serve_studio
 
-    wired = Wired(to, None if actuator is None else read_profile(actuator), gain, device, channel)
-    if wired != Wired():
-        wired.check()
+    output = OutputDevice(to, None if actuator is None else read_profile(actuator), gain, device, channel)
+    if output != OutputDevice():
+        output.check()
     shelf = Shelf(textures or [])
     for kept in sorted(captures.glob(f"*/*{SUFFIX}")):
         try:
@@ -79,7 +79,7 @@ def serve(
             why = reason(error) if isinstance(error, OSError) else str(error)
             why = why.removeprefix(f"{kept}: ").removeprefix(f"{kept.name}: ")
             say(f"left out {kept}: {' '.join(why.split())}")
-    studio = Studio(shelf, captures, wired)
+    studio = Studio(shelf, captures, output)
 
     def on_start(access: Access, shown: str) -> None:
         link = access.link(shown)

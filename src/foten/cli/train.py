@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from typer import Exit, Option
 
-from foten.cli.console import JsonOption, RecordingFile, check_folders, print_result
 from foten.cli.evaluate import network_summary, validation_summary
+from foten.console import JsonOption, RecordingFile, check_folders, print_result
 
 if TYPE_CHECKING:
     from foten.recording.recording import Recording

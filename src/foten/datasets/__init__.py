@@ -1,1 +1,1 @@
-"""Readers of file formats, and the simulator."""
+"""Readers and importers of file formats, and our own recording file."""

@@ -16,11 +16,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from foten.datasets.columns import MOST_SAMPLES, Column, columns_of_array, with_units
+from foten.datasets.columns import MAX_SAMPLES, Column, RefusedError, check_width, columns_of_array, reading, with_units
 from foten.datasets.hdf5 import FORMAT
 from foten.datasets.isolated import read_isolated
 from foten.datasets.units import FULL_SCALE
-from foten.untrusted import brief
 
 _PICKLE = "holds pickled objects, which can run code when opened; save plain arrays of numbers instead"
 _UNITS = ("unit_string", "NI_UnitDescription", "NI_Unit", "unit", "units", "Unit", "Units")
@@ -28,44 +27,36 @@ _UNITS = ("unit_string", "NI_UnitDescription", "NI_Unit", "unit", "units", "Unit
 
 
 def read_numpy(path: Path) -> list[Column]:
-    """Return the arrays of an .npz, or the columns of an .npy."""
+    """Arrays of an .npz, or the columns of an .npy."""
     columns: list[Column] = []
     texts: dict[str, Any] = {}
-    left = MOST_SAMPLES
-    try:
-        with path.open("rb") as file:
-            if not zipfile.is_zipfile(file):
-                file.seek(0)
-                array = _array(file, path.stat().st_size, left)
-                columns = columns_of_array("" if array.ndim == 2 else "0", array)
-                return [replace(column, name=column.name.lstrip(".")) for column in columns]
-            with zipfile.ZipFile(file) as archive:
-                for entry in archive.infolist():
-                    with archive.open(entry) as inner:
-                        array = _array(inner, entry.file_size, left)
-                    left -= array.size
-                    name = entry.filename.removesuffix(".npy")
-                    if array.dtype.kind == "U" and array.size <= 64:
-                        texts[name] = array.ravel().tolist() if array.size > 1 else "".join(array.ravel())
-                    columns += columns_of_array(name, array)
-    except MemoryError:
-        raise ValueError(f"{path.name} says that it holds more than the memory does") from None
-    except Exception as error:  # a damaged file raises a dozen kinds, zlib.error and NotImplementedError among them
-        if _PICKLE in str(error):
-            raise ValueError(f"{path.name} {_PICKLE}") from None
-        raise ValueError(f"{path.name} is truncated or is no NumPy file ({brief(error)})") from None
-    if not columns:
-        raise ValueError(f"{path.name} holds no array")
+    left = MAX_SAMPLES
+    with reading(path, "NumPy file"), path.open("rb") as file:
+        if not zipfile.is_zipfile(file):
+            file.seek(0)
+            array = _array(file, path.stat().st_size, left, path.name)
+            columns = columns_of_array("" if array.ndim == 2 else "0", array)
+            return [replace(column, name=column.name.lstrip(".")) for column in columns]
+        with zipfile.ZipFile(file) as archive:
+            check_width(path.name, len(archive.infolist()))
+            for entry in archive.infolist():
+                with archive.open(entry) as inner:
+                    array = _array(inner, entry.file_size, left, path.name)
+                left -= array.size
+                name = entry.filename.removesuffix(".npy")
+                if array.dtype.kind == "U" and array.size <= 64:
+                    texts[name] = array.ravel().tolist() if array.size > 1 else "".join(array.ravel())
+                columns += columns_of_array(name, array)
     return with_units(columns, texts)
 
 
-def _array(file: Any, size: int, left: int) -> NDArray[Any]:
-    """Return the array in an .npy file of so many bytes, if it holds what its header says: NumPy makes room before it reads."""
+def _array(file: Any, size: int, left: int, name: str) -> NDArray[Any]:
+    """Array in an .npy file of `size` bytes, if it holds what its header says: NumPy makes room before it reads."""
     version = np.lib.format.read_magic(file)
     header = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
     shape, by_columns, dtype = header[min(version, (2, 0))](file)
     if dtype.hasobject:
-        raise ValueError(_PICKLE)
+        raise RefusedError(f"{name} {_PICKLE}")
     count = math.prod(shape)
     if count * dtype.itemsize != size - file.tell():
         raise ValueError(f"its header says {count:,} numbers, and it has {size - file.tell():,} bytes")
@@ -76,16 +67,14 @@ def _array(file: Any, size: int, left: int) -> NDArray[Any]:
 
 
 def read_matlab(path: Path) -> list[Column]:
-    """Return the variables of a .mat file, v5 to v7.3; fields of structs are `struct.field`."""
+    """Variables of a .mat file, v5 to v7.3; fields of structs are `struct.field`."""
     contents, arrays = read_isolated("MATLAB", path)
     columns = [Column(samples=samples, **of_file) for of_file, samples in zip(contents["columns"], arrays, strict=True)]
-    if not columns:
-        raise ValueError(f"{path.name} holds no variable")
     return with_units(columns, contents["texts"])
 
 
 def read_hdf5(path: Path) -> list[Column]:
-    """Return every dataset of a foreign HDF5 file, by its path in the file; a recording of ours needs no import."""
+    """Datasets of a foreign HDF5 file, by its path in the file; a recording of ours needs no import."""
     contents, arrays = read_isolated("HDF5", path)
     if contents["attributes"].get("format") == FORMAT:
         raise ValueError(f"{path.name} is a foten recording already; nothing to import")
@@ -102,16 +91,14 @@ def read_hdf5(path: Path) -> list[Column]:
             columns += columns_of_array(name, arrays[entry["array"]].reshape(entry["shape"]))
         elif "texts" in entry:
             texts[name] = entry["texts"] if len(entry["texts"]) > 1 else entry["texts"][0]
-            columns.append(Column(name, np.zeros(0), fault="holds no plain numbers"))
+            columns.append(Column(name, fault="holds no plain numbers"))
         elif "fault" in entry:
-            columns.append(Column(name, np.zeros(0), fault=entry["fault"]))
-    if not columns:
-        raise ValueError(f"{path.name} holds no dataset")
+            columns.append(Column(name, fault=entry["fault"]))
     return with_units(columns, texts)
 
 
 def read_tdms(path: Path) -> list[Column]:
-    """Return the channels of a TDMS file: by their names, or `GROUP/CHANNEL` where two groups share a name.
+    """Channels of a TDMS file: by their names, or `GROUP/CHANNEL` where two groups share a name.
 
     The rate is the waveform's (`wf_increment`), the unit the channel's (`unit_string` or the like).
     """
@@ -119,13 +106,11 @@ def read_tdms(path: Path) -> list[Column]:
     from nptdms.log import log_manager
 
     log_manager.set_level(logging.CRITICAL)  # what it warns of is refused below, in one line
-    try:
+    with reading(path, "TDMS file"):
         file = TdmsFile.read(path)
-    except Exception as error:  # a damaged file raises struct.error, UnicodeDecodeError, KeyError and others
-        raise ValueError(f"{path.name} is truncated or is no TDMS file ({brief(error)})") from None
     status = file.file_status
     lengths = (status.channel_statuses or {}).values()
-    if status.incomplete_final_segment or any(one.read_length < one.expected_length for one in lengths):
+    if status.incomplete_final_segment or any(status.read_length < status.expected_length for status in lengths):
         raise ValueError(f"{path.name} is truncated: its last segment is incomplete")
     channels = [channel for group in file.groups() for channel in group.channels()]
     names = [channel.name for channel in channels]
@@ -137,14 +122,12 @@ def read_tdms(path: Path) -> list[Column]:
             unit = next((str(stated[key]) for key in _UNITS if stated.get(key)), "").strip()
             columns.append(Column(name, samples.astype(np.float64), _rate(stated.get("wf_increment")), unit))
         else:
-            columns.append(Column(name, np.zeros(0), fault="holds text or times, expected numbers"))
-    if not columns:
-        raise ValueError(f"{path.name} holds no channel")
+            columns.append(Column(name, fault="holds text or times, expected numbers"))
     return columns
 
 
 def _rate(increment_s: Any) -> float | None:
-    """Return the rate of a waveform [Hz]; none where the file states no step, or one that cannot be."""
+    """Rate of a waveform [Hz]; none where the file states no step, or one that cannot be."""
     if not isinstance(increment_s, int | float | np.number) or not 1e-12 < increment_s < 1e12:
         return None
     rate = 1 / float(increment_s)
@@ -153,19 +136,16 @@ def _rate(increment_s: Any) -> float | None:
 
 
 def read_wav(path: Path) -> list[Column]:
-    """Return the tracks of a WAV file, named by number, with its rate: an accelerometer through a sound card.
+    """Tracks of a WAV file, named by number, with its rate: an accelerometer through a sound card.
 
     Integer samples become fractions of full scale; float samples stay as they are.
     """
     from scipy.io import wavfile
 
-    try:
-        with warnings.catch_warnings():
-            warnings.filterwarnings("ignore", message="Chunk .*not understood", category=wavfile.WavFileWarning)
-            warnings.filterwarnings("error", message=".*EOF", category=wavfile.WavFileWarning)
-            rate, samples = wavfile.read(path)
-    except Exception as error:  # a damaged file raises a dozen kinds, struct.error and ZeroDivisionError among them
-        raise ValueError(f"{path.name} is truncated or is no WAV file ({brief(error)})") from None
+    with reading(path, "WAV file"), warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message="Chunk .*not understood", category=wavfile.WavFileWarning)
+        warnings.filterwarnings("error", message=".*EOF", category=wavfile.WavFileWarning)
+        rate, samples = wavfile.read(path)
     unit = FULL_SCALE if samples.dtype.kind in "iu" else ""
     if samples.dtype.kind == "u":
         samples = (samples.astype(np.float64) - 128) / 128

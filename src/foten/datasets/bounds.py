@@ -14,10 +14,10 @@ from foten.dsp import Array
 from foten.recording.inspection.values import counted
 from foten.recording.recording import LIMITS, UNITS, Channel
 
-LARGEST = 1e12  # of a sample in any unit; a converter of 32 bits counts to 4e9
-LONGEST_S = 14_400.0  # of a channel: four hours
-SHORTEST_S = 0.1
-FASTEST_HZ = 1e7
+MAX_SAMPLE = 1e12  # of a sample in any unit; a converter of 32 bits counts to 4e9
+MAX_DURATION_S = 14_400.0  # of a channel: four hours
+MIN_DURATION_S = 0.1
+MAX_RATE_HZ = 1e7
 
 _USUAL: Mapping[str, float] = {"speed": 400.0, "acceleration": 100.0, "force": 3.0, "position": 300.0}
 """What the largest value of a usual recording is about; only to guess which unit was meant."""
@@ -26,26 +26,26 @@ _OFTEN = ("mg", "mm/s^2", "um", "um/s", "mN", "gf")
 
 
 def check_size(where: str, samples: Array) -> None:
-    """Check that samples or times are not beyond `LARGEST`: their sums and squares stay finite."""
+    """Check that samples or times are not beyond `MAX_SAMPLE`: their sums and squares stay finite."""
     largest = int(np.abs(samples).argmax())
-    if abs(samples[largest]) > LARGEST:
-        raise ValueError(f"{where}: sample {largest} is {samples[largest]:.4g}, expected below {LARGEST:g}")
+    if abs(samples[largest]) > MAX_SAMPLE:
+        raise ValueError(f"{where}: sample {largest} is {samples[largest]:.4g}, expected below {MAX_SAMPLE:g}")
 
 
 def check_length(where: str, channel: Channel) -> None:
     """Check that a channel lasts no longer than a hand strokes, and has a rate that a sensor has."""
-    if channel.rate_hz > FASTEST_HZ:
-        raise ValueError(f"{where}: the rate is {channel.rate_hz:g} Hz, expected {FASTEST_HZ:g} at most; is it right?")
-    if not channel.duration_s <= LONGEST_S:
+    if channel.rate_hz > MAX_RATE_HZ:
+        raise ValueError(f"{where}: the rate is {channel.rate_hz:g} Hz, expected {MAX_RATE_HZ:g} at most; is it right?")
+    if not channel.duration_s <= MAX_DURATION_S:
         raise ValueError(
             f"{where}: {counted(channel.samples.size, 'sample')} at {channel.rate_hz:g} Hz, {channel.duration_s:.4g} s, expected "
-            f"{LONGEST_S:g} s at most; is the rate right, or was the time given in ms?"
+            f"{MAX_DURATION_S:g} s at most; is the rate right, or was the time given in ms?"
         )
 
 
 def check_overlap(channels: Mapping[str, Channel]) -> None:
     """Check that no channel starts when another has ended."""
-    starts, ends = ({name: one.span_s[k] for name, one in channels.items()} for k in (0, 1))
+    starts, ends = ({name: channel.span_s[k] for name, channel in channels.items()} for k in (0, 1))
     late, early = max(starts, key=lambda name: starts[name]), min(ends, key=lambda name: ends[name])
     if starts[late] >= ends[early]:
         raise ValueError(
@@ -54,14 +54,14 @@ def check_overlap(channels: Mapping[str, Channel]) -> None:
         )
 
 
-def check_hand(channel: str, one: Channel, force_units: bool) -> str:
+def check_channel(name: str, channel: Channel, force_units: bool) -> str:
     """Check that a channel is long enough and holds what a hand does; return a sentence where more was let through."""
-    check_size(channel, one.samples)
-    check_length(channel, one)
-    kind, unit = quantity(channel), UNITS[channel]
-    size, limit = np.abs(one.samples), LIMITS[kind]
+    check_size(name, channel.samples)
+    check_length(name, channel)
+    kind, unit = quantity(name), UNITS[name]
+    size, limit = np.abs(channel.samples), LIMITS[kind]
     n_beyond, largest = int((size > limit).sum()), int(size.argmax())
-    what = f"{channel} reaches {one.samples[largest]:.6g} {unit} at sample {largest}"
+    what = f"{name} reaches {channel.samples[largest]:.6g} {unit} at sample {largest}"
     if n_beyond and not force_units:
         if n_beyond <= 0.01 * size.size:
             raise ValueError(
@@ -69,16 +69,16 @@ def check_hand(channel: str, one: Channel, force_units: bool) -> str:
                 "spikes? --force-units imports them as they are, and foten inspect shows where"
             )
         large = float(np.quantile(size, 0.99))
-        usual = {name: factor for name, factor in FACTORS[kind].items() if name in _OFTEN or name == unit}
-        likely = min(usual, key=lambda name: abs(np.log(large * usual[name] / _USUAL[kind])))
-        guess = f"was it given in {likely}? Then: --unit {channel}={likely}"
+        usual = {label: factor for label, factor in FACTORS[kind].items() if label in _OFTEN or label == unit}
+        likely = min(usual, key=lambda label: abs(np.log(large * usual[label] / _USUAL[kind])))
+        guess = f"was it given in {likely}? Then: --unit {name}={likely}"
         if likely == unit:
-            guess = f"a raw sensor reading? Give its sensitivity: --unit {channel}=V*FACTOR"
+            guess = f"a raw sensor reading? Give its sensitivity: --unit {name}=V*FACTOR"
         raise ValueError(f"{what}, expected below {limit:g} {unit}; {guess} (--force-units imports it all the same)")
-    if one.duration_s < SHORTEST_S:
+    if channel.duration_s < MIN_DURATION_S:
         raise ValueError(
-            f"{channel} is too short: {counted(size.size, 'sample')} at {one.rate_hz:g} Hz, {one.duration_s * 1000:.3g} ms, "
-            f"expected {SHORTEST_S * 1000:g} ms or more; is the rate right?"
+            f"{name} is too short: {counted(size.size, 'sample')} at {channel.rate_hz:g} Hz, {channel.duration_s * 1000:.3g} ms, "
+            f"expected {MIN_DURATION_S * 1000:g} ms or more; is the rate right?"
         )
     return (
         f"{what}; {counted(n_beyond, 'sample')} beyond {limit:g} {unit} let through (--force-units)" if n_beyond else ""

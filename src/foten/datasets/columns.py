@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from foten.untrusted import printable
+from foten.untrusted import brief, printable
 
-MOST_SAMPLES = 200_000_000  # of a file: half an hour of ten channels at 10 kHz
-MOST_COLUMNS = 4096  # of a matrix
+MAX_SAMPLES = 200_000_000  # of a file: half an hour of ten channels at 10 kHz
+MAX_COLUMNS = 4096  # of a file
+MAX_NAME_CHARACTERS = 200  # of what a message repeats
 
 
 @dataclass(frozen=True)
@@ -22,7 +24,8 @@ class Column:
     """One column of numbers, as the file has it."""
 
     name: str  # its header, or its number from 0 where there is none
-    samples: NDArray[np.float64]  # shape (n,), in the file's own unit; NaN where a cell within the column was blank
+    samples: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
+    """Shape (n,), in the file's own unit; NaN where a cell within the column was blank."""
     rate_hz: float | None = None  # where the file states it
     unit: str = ""  # where the file states it
     n_blank: int = 0  # blank cells after the last value, which are not in `samples`
@@ -33,20 +36,49 @@ class Column:
 
     def __post_init__(self) -> None:
         for text in ("name", "unit", "fault"):
-            object.__setattr__(self, text, printable(getattr(self, text)))
+            object.__setattr__(self, text, printable(getattr(self, text)[:MAX_NAME_CHARACTERS]))
 
     @property
     def n_rows(self) -> int:
-        """Return the rows of the table that the column came from; columns with equal rows belong together."""
+        """Rows of the table that the column came from; columns with equal rows belong together."""
         return self.samples.size + self.n_blank
 
     def row_of(self, sample: int) -> str:
-        """Return the row that a sample stands in, as " (row 12)"; nothing where the file has no rows."""
+        """Row that a sample stands in, as " (row 12)"; nothing where the file has no rows."""
         return f" (row {self.row_numbers[sample]})" if sample < len(self.row_numbers) else ""
 
 
+class RefusedError(ValueError):
+    """What a reader says of a file in a sentence of its own, with the file's name."""
+
+
+@contextmanager
+def reading(path: Path, what: str) -> Iterator[None]:
+    """Refuse in a line what a library raises on a damaged file: one of a dozen kinds, zlib.error and TypeError among them."""
+    try:
+        yield
+    except RefusedError:
+        raise
+    except MemoryError:
+        raise ValueError(f"{path.name} says that it holds more than the memory does") from None
+    except Exception as error:
+        raise ValueError(f"{path.name} is truncated or is no {what} ({brief(error)})") from None
+
+
+def check_width(name: str, n_columns: int) -> None:
+    """Check that a file has no more columns than a recording could, before any is made.
+
+    Raises:
+        RefusedError: it has more than `MAX_COLUMNS`.
+    """
+    if n_columns > MAX_COLUMNS:
+        raise RefusedError(
+            f"{name} has {n_columns:,} columns, expected {MAX_COLUMNS:,} at most; do its samples lie along a row? Transpose it"
+        )
+
+
 def columns_of_array(name: str, array: NDArray[Any]) -> list[Column]:
-    """Return an array as columns: `name` for one, `name.0`, `name.1`, … for several.
+    """Array as columns: `name` for one, `name.0`, `name.1`, … for several.
 
     The longer axis of a matrix is taken as time, as both layouts are common; scalars come back as columns of one sample. Arrays
     that hold no numbers, or have more than two axes of length above 1, come back with a fault.
@@ -59,10 +91,10 @@ def columns_of_array(name: str, array: NDArray[Any]) -> list[Column]:
         fault = f"holds {'complex numbers' if kind == 'c' else 'text or objects'}, expected real numbers"
     elif array.ndim > 2:
         fault = f"has shape {array.shape}, expected one or two axes"
-    elif array.ndim == 2 and min(array.shape) > MOST_COLUMNS:
-        fault = f"has shape {array.shape}, expected {MOST_COLUMNS} columns at most"
+    elif array.ndim == 2 and min(array.shape) > MAX_COLUMNS:
+        fault = f"has shape {array.shape}, expected {MAX_COLUMNS} columns at most"
     if fault:
-        return [Column(name, np.zeros(0), fault=fault)]
+        return [Column(name, fault=fault)]
     if array.ndim == 1:
         return [Column(name, array.astype(np.float64))]
     columns = array if array.shape[0] < array.shape[1] else array.T
@@ -70,7 +102,7 @@ def columns_of_array(name: str, array: NDArray[Any]) -> list[Column]:
 
 
 def with_units(columns: list[Column], texts: Mapping[str, str | list[str]]) -> list[Column]:
-    """Return columns with the units that texts beside them state.
+    """Columns with the units that texts beside them state.
 
     A text `force_unit`, `force.units` or `units.force` is the unit of `force`; one that is called `unit` alone is that of
     everything beside it; `.` or `/` lead into a struct or a group. A list of texts has one for each column of a matrix.
@@ -88,7 +120,7 @@ def _unit_beside(name: str, texts: Mapping[str, str | list[str]]) -> str:
     candidates = [f"{parent}{leaf}{mark}{word}" for word in words for mark in "_./"]
     candidates += [f"{parent}{word}{mark}{leaf}" for word in words for mark in "_./"]
     candidates += [f"{parent}{word}" for word in words]
-    text = next((texts[one] for one in candidates if one in texts), "")
+    text = next((texts[name] for name in candidates if name in texts), "")
     if isinstance(text, list):
         k = int(index[1]) if index else 0
         text = text[k] if k < len(text) else ""

@@ -10,18 +10,18 @@ from typing import Any
 import h5py
 import numpy as np
 
-from foten.datasets.columns import MOST_SAMPLES, Column, columns_of_array
-from foten.datasets.isolated import Contents, RefusedError
+from foten.datasets.columns import MAX_SAMPLES, Column, RefusedError, check_width, columns_of_array
+from foten.datasets.isolated import Contents
 from foten.dsp import Array
 from foten.untrusted import printable
 
-MOST_OBJECTS = 10_000  # groups and datasets of a file
-MOST_TEXTS = 64  # of an attribute or a dataset; those of units have one for each column
+MAX_OBJECTS = 10_000  # groups and datasets of a file
+MAX_TEXTS = 64  # of an attribute or a dataset; those of units have one for each column
 _ELSEWHERE = "keeps its samples in another place, which is not opened"
 
 
 def hdf5_contents(path: Path) -> Contents:
-    """Return `{"attributes": …, "objects": […]}` of an HDF5 file, objects in the order of their names.
+    """Contents of an HDF5 file, `{"attributes": …, "objects": […]}`, objects in the order of their names.
 
     An object has a name, attributes, and, where it is a dataset, the index and shape of its array, or its texts, or the fault for
     which it was not read. Links and samples in other files are never followed: they could lead to any file of this machine.
@@ -33,11 +33,11 @@ def hdf5_contents(path: Path) -> Contents:
         raise RefusedError(f"{path.name} is {fault}") from None
     arrays: list[Array] = []
     objects: list[dict[str, Any]] = []
-    left = MOST_SAMPLES
+    left = MAX_SAMPLES
     with file:
         for name, item in _objects(file):
-            if len(objects) == MOST_OBJECTS:
-                raise RefusedError(f"{path.name} holds more than {MOST_OBJECTS} groups and datasets")
+            if len(objects) == MAX_OBJECTS:
+                raise RefusedError(f"{path.name} holds more than {MAX_OBJECTS} groups and datasets")
             entry: dict[str, Any] = {"name": printable(name)}
             objects.append(entry)
             if item is None:
@@ -55,7 +55,7 @@ def hdf5_contents(path: Path) -> Contents:
 
 
 def _objects(file: Any) -> Iterator[tuple[str, Any]]:
-    """Return the names of all groups and datasets, each once, and None in place of those that are links."""
+    """Names of all groups and datasets, each once, and None in place of those that are links."""
     seen = {h5py.h5o.get_info(file.id).addr}
     waiting = [("", file)]
     while waiting:
@@ -78,14 +78,14 @@ def _objects(file: Any) -> Iterator[tuple[str, Any]]:
 
 
 def _unread(item: Any, left: int) -> dict[str, Any]:
-    """Return the fault for which a dataset is not read, or its texts; nothing where it holds numbers."""
+    """Fault for which a dataset is not read, or its texts; nothing where it holds numbers."""
     if item.is_virtual or item.id.get_create_plist().get_external_count():
         return {"fault": _ELSEWHERE}
     try:
         kind, is_text = item.dtype.kind, h5py.check_string_dtype(item.dtype) is not None
     except TypeError:  # a type that NumPy does not have
         kind, is_text = "O", False
-    if is_text and item.shape is not None and item.size <= MOST_TEXTS:
+    if is_text and item.shape is not None and item.size <= MAX_TEXTS:
         return {"texts": [_plain(text) for text in np.atleast_1d(item[()]).ravel()]}
     if kind not in "biuf" or item.shape is None:
         return {"fault": "holds no plain numbers"}
@@ -95,7 +95,7 @@ def _unread(item: Any, left: int) -> dict[str, Any]:
 
 
 def _attributes(item: Any) -> dict[str, Any]:
-    """Return the texts and numbers among the attributes of an object."""
+    """Texts and numbers among the attributes of an object."""
     plain = {}
     for name in item.attrs:
         if item.attrs.get_id(name).get_storage_size() <= 1 << 20:
@@ -105,10 +105,10 @@ def _attributes(item: Any) -> dict[str, Any]:
 
 
 def _plain(value: Any) -> Any:
-    """Return a text, a number, or a list of a few texts; None for anything else."""
+    """An attribute as text, a number, or a list of a few texts; None for anything else."""
     if isinstance(value, np.ndarray):
         if value.size > 1 and value.dtype.kind in "OSU":
-            return [text for text in map(_plain, value.ravel()[:MOST_TEXTS]) if isinstance(text, str)]
+            return [text for text in map(_plain, value.ravel()[:MAX_TEXTS]) if isinstance(text, str)]
         return _plain(value.ravel()[0]) if value.size else ""
     if isinstance(value, bytes):
         value = value.decode("utf-8", errors="replace").rstrip("\0")
@@ -120,7 +120,7 @@ def _plain(value: Any) -> Any:
 
 
 def matlab_contents(path: Path) -> Contents:
-    """Return the variables of a .mat file as `{"columns": [{"name", "fault"}, …], "texts": {name: text}}`.
+    """Variables of a .mat file as `{"columns": [{"name", "fault"}, …], "texts": {name: text}}`.
 
     Arrays are the columns' samples, in their order; fields of structs are `struct.field`.
     """
@@ -128,7 +128,7 @@ def matlab_contents(path: Path) -> Contents:
 
     columns: list[Column] = []
     texts: dict[str, Any] = {}
-    left = MOST_SAMPLES
+    left = MAX_SAMPLES
     waiting: list[tuple[str, Any]] = [("", read_mat(str(path)))]
     while waiting:
         name, value = waiting.pop()
@@ -141,12 +141,13 @@ def matlab_contents(path: Path) -> Contents:
         if isinstance(value, bytes | str) or (isinstance(value, list) and all(isinstance(v, str) for v in value)):
             texts[printable(name)] = _plain(np.array(value))
         if isinstance(value, list | str | bytes) or value is None:
-            columns.append(Column(name, np.zeros(0), fault="holds text or cells, expected numbers"))
+            columns.append(Column(name, fault="holds text or cells, expected numbers"))
         elif (array := np.asarray(value)).size > left:
             fault = f"says that it holds {array.size:,} samples, expected {left:,} at most"
-            columns.append(Column(name, np.zeros(0), fault=fault))
+            columns.append(Column(name, fault=fault))
         else:
             left -= array.size
             columns += columns_of_array(name, array)
+            check_width(path.name, len(columns))
     faults = [{"name": column.name, "fault": column.fault} for column in columns]
     return {"columns": faults, "texts": texts}, [column.samples for column in columns]

@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 from foten.dsp import Array
 from foten.untrusted import check_regular
 
-LARGEST_FILE = 20_000_000  # bytes; the toolkit's have a tenth of a million
-MOST_MODELS = 1000
+MAX_FILE_BYTES = 20_000_000  # bytes; the toolkit's have a tenth of a million
+MAX_MODELS = 1000
 UNITS = {"AccelUnits": "m/s^2", "SpeedUnits": "mm/s", "ForceUnits": "N"}
 
 
@@ -39,16 +39,16 @@ class HattModels:
 
 
 def read_models(path: Path) -> HattModels:
-    """Return the models in a file.
+    """Models in a file.
 
     Raises:
         FileNotFoundError: there is none.
         ValueError: it is not a model file, or what it holds does not fit together.
     """
     check_regular(path)
-    if path.stat().st_size > LARGEST_FILE:
+    if path.stat().st_size > MAX_FILE_BYTES:
         raise ValueError(
-            f"{path.name} has {path.stat().st_size} bytes, expected a model file of at most {LARGEST_FILE}"
+            f"{path.name} has {path.stat().st_size} bytes, expected a model file of at most {MAX_FILE_BYTES}"
         )
     try:
         return _models(Xml.fromstring(path.read_bytes()))
@@ -64,14 +64,14 @@ def _models(root: Xml.Element) -> HattModels:
     if root.tag != "modelSet":
         raise ValueError(f"the root is <{root.tag}>, expected <modelSet>: is it a model file of Penn's toolkit?")
     for name, unit in UNITS.items():
-        given = root.findtext(name, unit).strip()
-        if given.replace("²", "^2") not in (unit, unit.replace("^", "")):
-            raise ValueError(f"<{name}> is {given!r}, expected {unit!r}")
+        of_file = root.findtext(name, unit).strip()
+        if of_file.replace("²", "^2") not in (unit, unit.replace("^", "")):
+            raise ValueError(f"<{name}> is {of_file!r}, expected {unit!r}")
     models = root.findall("model")
-    if not 3 <= len(models) <= MOST_MODELS:
-        raise ValueError(f"the file holds {len(models)} models, expected 3 to {MOST_MODELS}: is it truncated?")
+    if not 3 <= len(models) <= MAX_MODELS:
+        raise ValueError(f"the file holds {len(models)} models, expected 3 to {MAX_MODELS}: is it truncated?")
     stated = root.findtext("numMod")
-    if stated is not None and int(_one(stated, "numMod")) != len(models):
+    if stated is not None and int(_number(stated, "numMod")) != len(models):
         raise ValueError(f"<numMod> says {stated.strip()} models and the file holds {len(models)}: is it truncated?")
     ar = _rows([model.find("ARcoeff") for model in models], "ARcoeff")
     no_zeros = Xml.fromstring("<MAcoeff>1</MAcoeff>")
@@ -79,13 +79,15 @@ def _models(root: Xml.Element) -> HattModels:
     friction = root.findtext("mu")
     read = HattModels(
         material=(root.findtext("material") or "").strip(),
-        rate_hz=_one(root.findtext("SampleRate"), "SampleRate"),
-        friction=np.nan if friction is None else _one(friction, "mu"),
-        points=np.array([[_one(model.findtext(name), name) for name in ("speedMod", "forceMod")] for model in models]),
+        rate_hz=_number(root.findtext("SampleRate"), "SampleRate"),
+        friction=np.nan if friction is None else _number(friction, "mu"),
+        points=np.array(
+            [[_number(model.findtext(name), name) for name in ("speedMod", "forceMod")] for model in models]
+        ),
         ar=ar,
         ma=ma,
-        variance=np.array([_one(model.findtext("var"), "var") for model in models]),
-        gain=np.array([_one(model.findtext("gain", "1"), "gain") for model in models]),
+        variance=np.array([_number(model.findtext("var"), "var") for model in models]),
+        gain=np.array([_number(model.findtext("gain", "1"), "gain") for model in models]),
         triangles=_triangles(root, len(models)),
     )
     if not read.rate_hz > 0:
@@ -112,20 +114,20 @@ def _triangles(root: Xml.Element, n: int) -> NDArray[np.int64]:
 
 
 def _rows(elements: Sequence[Xml.Element | None], name: str) -> Array:
-    """Return lists of numbers as rows, each in <value>s or with commas or blanks between them."""
+    """Lists of numbers as rows, each in <value>s or with commas or blanks between them."""
     rows = []
     for element in elements:
         if element is None:
             raise ValueError(f"a model has no <{name}>")
         values = [value.text or "" for value in element.iter("value")]
-        rows.append([_one(word, name) for word in values or (element.text or "").replace(",", " ").split()])
+        rows.append([_number(word, name) for word in values or (element.text or "").replace(",", " ").split()])
     lengths = sorted({len(row) for row in rows})
     if len(lengths) > 1 or lengths[0] == 0:
         raise ValueError(f"<{name}> has {lengths[0]} to {lengths[-1]} numbers, expected as many in every one")
     return np.array(rows)
 
 
-def _one(text: str | None, name: str) -> float:
+def _number(text: str | None, name: str) -> float:
     try:
         value = float(text or "")
     except ValueError:

@@ -41,7 +41,7 @@ from foten.untrusted import check_numbers, parse_json
 
 FORMAT = "foten-recording"
 VERSION = 1
-LONGEST_TEXT = 60_000  # bytes; HDF5 has room for 65,536 in an attribute and its name
+MAX_TEXT_BYTES = 60_000  # bytes; HDF5 has room for 65,536 in an attribute and its name
 _TEXTS = ("texture", "tool", "sensors", "notes")
 
 
@@ -58,8 +58,8 @@ def write_recording(recording: Recording, path: Path) -> None:
     if recording.simulation is not None:
         texts["simulation"] = json.dumps(dict(recording.simulation), sort_keys=True)
     for key, text in texts.items():
-        if len(text.encode()) > LONGEST_TEXT:
-            raise ValueError(f"{key} has {len(text.encode()):,} bytes, expected {LONGEST_TEXT:,} at most")
+        if len(text.encode()) > MAX_TEXT_BYTES:
+            raise ValueError(f"{key} has {len(text.encode()):,} bytes, expected {MAX_TEXT_BYTES:,} at most")
     # Made in memory, since HDF5 does not survive a full disk.
     with h5py.File("in memory", "w", driver="core", backing_store=False) as file:
         file.attrs.update({"format": FORMAT, "version": VERSION} | texts)
@@ -83,7 +83,7 @@ def _store(file: Any, name: str, samples: NDArray[Any]) -> Any:
 
 
 def load_recording(path: Path) -> Recording:
-    """Return the recording that `write_recording`, or a program that keeps to the layout above, wrote.
+    """Recording in a file of the layout above, written by `write_recording` or by another program.
 
     Raises:
         FileNotFoundError: there is no such file.
@@ -141,7 +141,7 @@ def load_recording(path: Path) -> Recording:
 
 
 def _simulation(attributes: Mapping[str, Any], name: str) -> dict[str, Any] | None:
-    """Return the parameters of the simulator, where it made the recording."""
+    """Parameters of the simulator, where it made the recording."""
     if "simulation" not in attributes:
         return None
     with contextlib.suppress(ValueError):

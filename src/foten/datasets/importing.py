@@ -14,15 +14,16 @@ from typing import Any
 import numpy as np
 
 from foten.datasets.binary import read_hdf5, read_matlab, read_numpy, read_tdms, read_wav
-from foten.datasets.bounds import check_hand, check_overlap
-from foten.datasets.columns import Column
+from foten.datasets.bounds import check_channel, check_overlap
+from foten.datasets.columns import Column, check_width
 from foten.datasets.mapping import clocks_of, column_of, guessed_mapping, names_of, stroke_columns
 from foten.datasets.options import ImportOptions
-from foten.datasets.pen import PenClock, PenEvents, joined, pen_channels
+from foten.datasets.pen import PenClock, joined, pen_channels
 from foten.datasets.table import read_delimited, read_excel
 from foten.datasets.timing import bridged, filled, irregular, rate_and_source, times_of
 from foten.datasets.units import factor_of, quantity, split_header
 from foten.dsp import Array
+from foten.recording.capture_folder import PenEvents
 from foten.recording.inspection.one_channel import check_units
 from foten.recording.inspection.values import counted
 from foten.recording.recording import UNITS, Channel, Recording
@@ -42,12 +43,12 @@ DATASETS: dict[str, Callable[[Path], list[Column]]] = {
 STROKE = "t (s), and speed (mm/s) or x, y (mm), and force (N) or pressure (0 to 1)"
 """What a table of a stroke has to hold; units in its header come before these."""
 
-SLOWEST_HZ = 40.0  # of an acceleration: half of it is the lowest frequency that training keeps
-LOST_S = 0.005  # of zeros to the last digit in a sound, which no microphone gives
+MIN_ACCELERATION_HZ = 40.0  # of an acceleration: half of it is the lowest frequency that training keeps
+MIN_DROPOUT_S = 0.005  # of zeros to the last digit in a sound, which no microphone gives
 
 
 def read_columns(path: Path) -> list[Column]:
-    """Return the columns of any file that `DATASETS` can read.
+    """Columns of any file that `DATASETS` can read.
 
     Raises:
         FileNotFoundError: there is none.
@@ -64,12 +65,16 @@ def read_columns(path: Path) -> list[Column]:
         raise ValueError(f"cannot read {path.name}, expected one of {' '.join(DATASETS)}{hint}")
     if path.stat().st_size == 0:
         raise ValueError(f"{path.name} is empty")
-    return [replace(column, file=path) for column in DATASETS[suffix](path)]
+    columns = DATASETS[suffix](path)
+    if not columns:
+        raise ValueError(f"{path.name} holds no column of numbers")
+    check_width(path.name, len(columns))
+    return [replace(column, file=path) for column in columns]
 
 
 @np.errstate(over="ignore", invalid="ignore")  # infinite and absurd samples are refused, in a sentence
 def import_recording(paths: Sequence[Path], options: ImportOptions) -> tuple[Recording, list[str]]:
-    """Return the recording that some files hold, and what was decided on the way: sentences for the user.
+    """Recording that some files hold, and what was decided on the way: sentences for the user.
 
     A mapped `time` column serves the channels of its own file that have as many rows; give it once per file. Times of several
     files are taken to be one clock; they count from the start of the acceleration, or else from the earliest.
@@ -91,95 +96,133 @@ def import_recording(paths: Sequence[Path], options: ImportOptions) -> tuple[Rec
         taken = {reference for _, reference in mapping}
         left_out = [name for name in names_of(files) if name not in taken]
         decisions += [f"left out: {', '.join(left_out)}"] if left_out else []
-    picked: dict[str, Column] = {}
-    clocks: list[Column] = []
-    for channel, reference in mapping:
-        if channel == "time":
-            clocks += clocks_of(files, reference)
-        else:
-            picked[channel] = column_of(files, channel, reference)
-    if not picked:
+    clocks = [clock for channel, reference in mapping if channel == "time" for clock in clocks_of(files, reference)]
+    columns = {channel: column_of(files, channel, column) for channel, column in mapping if channel != "time"}
+    if not columns:
         raise ValueError("only time is mapped, expected a channel as well, e.g. --map time=0,acceleration=1")
-    options = _for_axes(options, picked)
+    options = _for_axes(options, columns)
     for channel in (*options.units, *options.rates_hz):
-        if channel not in picked and channel != "time":
-            raise ValueError(f"{channel} has a unit or rate but is not mapped; mapped are {', '.join(picked)}")
-
+        if channel not in columns and channel != "time":
+            raise ValueError(f"{channel} has a unit or rate but is not mapped; mapped are {', '.join(columns)}")
+    digests = {path: hashlib.sha256(path.read_bytes()).hexdigest() for path in {c.file for c in columns.values()}}
     history: list[str] = []
-    digests = {path: hashlib.sha256(path.read_bytes()).hexdigest() for path in {c.file for c in picked.values()}}
     channels: dict[str, Channel] = {}
-    for channel, column in picked.items():
+    for name, column in columns.items():
         path = column.file
-        history.append(f"{channel} is column {column.name} of {path.name} (sha256 {digests[path][:16]})")
-        if column.n_comments:
-            passed = f"{counted(column.n_comments, 'line')} of comment in {path.name} passed over"
-            history += [passed] if passed not in history else []
-        if column.n_blank:
-            history.append(f"{channel} ends {counted(column.n_blank, 'row')} before the table does")
-        factor, on_unit = factor_of(channel, column.name, column.unit, options.units.get(channel))
-        times, on_time = times_of(channel, column, clocks, options)
-        rate_hz, on_rate = rate_and_source(channel, column, times, options, files[path])
-        history += [said for said in (on_unit, on_time, on_rate) if said and said not in history]
-        overall = options.rate_hz if channel not in options.rates_hz else None
-        if overall is not None and abs(overall - rate_hz) > 1e-6 * overall:
-            why = "states" if times is None else "has a time column,"
-            unused = f"rate {overall:g} Hz not used: {path.name} {why} {rate_hz:g} Hz"
-            decisions += [unused] if unused not in decisions else []
-        if quantity(channel) == "acceleration" and rate_hz < SLOWEST_HZ and not options.force_units:
-            hint = "is the rate right?" if times is None else "was the time given in ms? Then: --unit time=ms"
-            slow = f"{channel} has a rate of {rate_hz:g} Hz, too slow for any vibration"
-            raise ValueError(f"{slow}; {hint} (--force-units imports it)")
-        channels[channel] = Channel(column.samples if factor == 1 else column.samples * factor, rate_hz, times)
+        history.append(f"{name} is column {column.name} of {path.name} (sha256 {digests[path][:16]})")
+        channels[name], on_column, on_rate = _converted(name, column, clocks, files[path], options)
+        history += on_column
+        decisions += on_rate
+    channels = _on_one_clock(channels, columns, options.fill_gaps_ms, history)
+    recording = _checked(channels, history, options.force_units)
+    decisions += _on_units(recording, columns, clocks, options) + _on_missing(recording, files)
+    return recording, list(dict.fromkeys(decisions))
 
-    # What becomes time 0: where the acceleration starts, which must stay on its grid.
-    starts = {name: one.span_s[0] for name, one in channels.items() if one.times_s is not None}
+
+def _converted(
+    name: str, column: Column, clocks: Sequence[Column], beside: Sequence[Column], options: ImportOptions
+) -> tuple[Channel, list[str], list[str]]:
+    """Channel of a column, in the unit of `UNITS` and with its times; sentences for the history, and on a rate not used.
+
+    Args:
+        clocks: the time columns that are mapped.
+        beside: all columns of the column's file.
+    """
+    path = column.file
+    history = []
+    if column.n_comments:
+        history.append(f"{counted(column.n_comments, 'line')} of comment in {path.name} passed over")
+    if column.n_blank:
+        history.append(f"{name} ends {counted(column.n_blank, 'row')} before the table does")
+    factor, on_unit = factor_of(name, column.name, column.unit, options.units.get(name))
+    times, on_time = times_of(name, column, clocks, options)
+    rate_hz, on_rate = rate_and_source(name, column, times, options, beside)
+    history += [sentence for sentence in (on_unit, on_time, on_rate) if sentence]
+    overall, unused = options.rate_hz if name not in options.rates_hz else None, []
+    if overall is not None and abs(overall - rate_hz) > 1e-6 * overall:
+        why = "states" if times is None else "has a time column,"
+        unused.append(f"rate {overall:g} Hz not used: {path.name} {why} {rate_hz:g} Hz")
+    if quantity(name) == "acceleration" and rate_hz < MIN_ACCELERATION_HZ and not options.force_units:
+        hint = "is the rate right?" if times is None else "was the time given in ms? Then: --unit time=ms"
+        slow = f"{name} has a rate of {rate_hz:g} Hz, too slow for any vibration"
+        raise ValueError(f"{slow}; {hint} (--force-units imports it)")
+    samples = column.samples if factor == 1 else column.samples * factor
+    return Channel(samples, rate_hz, times), history, unused
+
+
+def _on_one_clock(
+    channels: Mapping[str, Channel], columns: Mapping[str, Column], fill_gaps_ms: float, history: list[str]
+) -> dict[str, Channel]:
+    """Channels whose times count from where the acceleration starts, which must stay on its grid; gaps are filled if asked."""
+    starts = {name: channel.span_s[0] for name, channel in channels.items() if channel.times_s is not None}
     of_acceleration = [start for name, start in starts.items() if quantity(name) == "acceleration"]
     origin = min(of_acceleration or starts.values(), default=0.0)
     if origin:
         history.append(f"times count from {origin:.9g} s in the files")
-    for channel, one in channels.items():
-        on_clock = ""
-        if one.times_s is not None:
-            times = one.times_s - origin
-            why = irregular(times, one.rate_hz)
-            one = replace(one, times_s=times if why else None)
-            on_clock = f"{channel} keeps its own times: {why}" if why else ""
-        one, on_samples = filled(channel, one, options.fill_gaps_ms, picked[channel])
-        channels[channel], on_rows = bridged(channel, one, options.fill_gaps_ms)
-        history += [said for said in (on_clock, on_samples, on_rows) if said]
+    shifted = {}
+    for name, channel in channels.items():
+        if channel.times_s is not None:
+            times = channel.times_s - origin
+            why = irregular(times, channel.rate_hz)
+            channel = replace(channel, times_s=times if why else None)
+            history += [f"{name} keeps its own times: {why}"] if why else []
+        channel, on_samples = filled(name, channel, fill_gaps_ms, columns[name])
+        shifted[name], on_rows = bridged(name, channel, fill_gaps_ms)
+        history += [sentence for sentence in (on_samples, on_rows) if sentence]
+    return shifted
+
+
+def _checked(
+    channels: Mapping[str, Channel], history: list[str], force_units: bool, calibrated: bool = True
+) -> Recording:
+    """Recording of channels that share some time and that a hand could have made."""
     check_overlap(channels)
-    history += [said for name, one in channels.items() if (said := check_hand(name, one, options.force_units))]
-    recording = Recording(channels, history=tuple(history))
+    notes = [check_channel(name, channel, force_units) for name, channel in channels.items()]
+    history = list(dict.fromkeys([*history, *filter(None, notes)]))
+    return Recording(channels, history=tuple(history), calibrated=calibrated)
+
+
+def _on_units(
+    recording: Recording, columns: Mapping[str, Column], clocks: Sequence[Column], options: ImportOptions
+) -> list[str]:
+    """Sentences on units that nobody states, and on those that the samples speak against."""
     unstated = {
-        channel: f"{channel} {UNITS.get(channel, 's')}"
-        for channel, column in [*picked.items(), *(("time", clock) for clock in clocks)]
-        if not (options.units.get(channel) or column.unit or split_header(column.name, quantity(channel))[1])
+        name: f"{name} {UNITS.get(name, 's')}"
+        for name, column in [*columns.items(), *(("time", clock) for clock in clocks)]
+        if not (options.units.get(name) or column.unit or split_header(column.name, quantity(name))[1])
     }
+    sentences = []
     if unstated:
-        decisions.append(f"no unit is stated: taken as {', '.join(unstated.values())}; --unit changes it")
-    for name, one in channels.items():
-        decisions += [finding.text for finding in check_units(name, one, recording) if finding.code == "units"]
+        sentences.append(f"no unit is stated: taken as {', '.join(unstated.values())}; --unit changes it")
+    findings = [
+        finding for name, channel in recording.channels.items() for finding in check_units(name, channel, recording)
+    ]
+    return sentences + [finding.text for finding in findings if finding.code == "units"]
+
+
+def _on_missing(recording: Recording, files: Mapping[Path, list[Column]]) -> list[str]:
+    """Sentence on what is missing to learn from a recording."""
     present = {
         "acceleration": recording.axes("acceleration"),
         "speed (or position)": recording.movement,
         "force": recording.normal_force,
     }
     missing = " and no ".join(what for what, there in present.items() if not there)
+    if not missing:
+        return []
     if missing == "acceleration":
-        decisions.append("there is no acceleration: strokes can be rendered from this recording, nothing learned")
-    elif missing:
-        names = {name.lower(): name for name in names_of(files)}
-        x, y = names.get("x", ""), names.get("y", "")
-        maybe = f"; {x} and {y} may be positions: --map position_x={x},position_y={y},…"
-        hint = maybe if "speed" in missing and x and y else ""
-        decisions.append(f"there is no {missing}: nothing can be learned from this recording{hint}")
-    return recording, decisions
+        return ["there is no acceleration: strokes can be rendered from this recording, nothing learned"]
+    names = {name.lower(): name for name in names_of(files)}
+    x, y = names.get("x", ""), names.get("y", "")
+    hint = f"; {x} and {y} may be positions: --map position_x={x},position_y={y},…"
+    hint = hint if "speed" in missing and x and y else ""
+    return [f"there is no {missing}: nothing can be learned from this recording{hint}"]
 
 
 def import_capture(
     sound: Path, pen: Path, options: ImportOptions, force: Callable[[Array], Array]
 ) -> tuple[Recording, PenClock, list[str]]:
-    """Return what a microphone on a pen and the pen's events hold, what joined them, and what was decided, in sentences.
+    """Recording of a microphone on a pen and the pen's events, the clock that joins them, and what was decided, in sentences.
 
     Without a unit for the acceleration it is in relative units: 1 is its RMS while the pen strokes.
 
@@ -197,49 +240,51 @@ def import_capture(
     column, decisions, rate_hz = columns[0], [], float(columns[0].rate_hz or 0)
     if len(columns) > 1:
         decisions.append(f"the first of {len(columns)} channels of {sound.name} is taken")
-    events = read_stroke(pen, {name: unit for name, unit in options.units.items() if name != "acceleration"})
-    if not {"position_x", "position_y", "pressure"} <= events.keys():
+    stroke = read_stroke(pen, {name: unit for name, unit in options.units.items() if name != "acceleration"})
+    if not {"position_x", "position_y", "pressure"} <= stroke.keys():
         raise ValueError(f"{pen.name} has no x, y and pressure, expected those of a pen")
-    lost_s = [n / rate_hz for n in _runs_of_zeros(column.samples) if n >= LOST_S * rate_hz]
+    lost_s = [n / rate_hz for n in _runs_of_zeros(column.samples) if n >= MIN_DROPOUT_S * rate_hz]
     if lost_s:
         decisions.append(
             f"the sound is zero to the last digit for {1000 * sum(lost_s):.0f} ms in {counted(len(lost_s), 'place')}: "
             "parts of it were lost as it was recorded, and are learned as silence"
         )
-    touching = PenEvents(events["time"], events["position_x"], events["position_y"], events["pressure"])
-    clock = joined(touching, column.samples, rate_hz)
-    channels = pen_channels(touching, clock, force)
-    given = options.units.get("acceleration")
+    events = PenEvents(stroke["time"], stroke["position_x"], stroke["position_y"], stroke["pressure"])
+    clock = joined(events, column.samples, rate_hz)
+    channels = pen_channels(events, clock, force)
+    unit = options.units.get("acceleration")
+    if unit is None:
+        level = _stroking_level(column.samples, rate_hz, channels["force"])
+        if not level > 0:
+            raise ValueError(f"{sound.name} is silent while the pen strokes: is it the right input?")
+        on_unit = f"acceleration is in relative units: 1 is its RMS while the pen strokes, {level:.3g} of full scale"
+        factor = 1.0 / level
+    else:
+        factor, on_unit = factor_of("acceleration", column.name, column.unit, unit)
+    channels["acceleration"] = Channel(column.samples * factor, rate_hz)
     history = [
         f"acceleration is column {column.name} of {sound.name}",
         f"position and force are those of {pen.name}",
         str(clock),
+        on_unit,
     ]
-    if given is None:
-        strokes = channels["force"]
-        touches = np.interp(np.arange(column.samples.size) / rate_hz, strokes.times, strokes.samples, 0.0, 0.0) > 0
-        level = float(np.sqrt(np.square(column.samples[touches] - column.samples[touches].mean()).mean()))
-        if not level > 0:
-            raise ValueError(f"{sound.name} is silent while the pen strokes: is it the right input?")
-        said = f"acceleration is in relative units: 1 is its RMS while the pen strokes, {level:.3g} of full scale"
-        factor = 1.0 / level
-    else:
-        factor, said = factor_of("acceleration", column.name, column.unit, given)
-    channels["acceleration"] = Channel(column.samples * factor, rate_hz)
-    history.append(said)
-    check_overlap(channels)
-    history += [said for name, one in channels.items() if (said := check_hand(name, one, options.force_units))]
-    return Recording(channels, history=tuple(history), calibrated=given is not None), clock, decisions
+    return _checked(channels, history, options.force_units, calibrated=unit is not None), clock, decisions
+
+
+def _stroking_level(sound: Array, rate_hz: float, force: Channel) -> float:
+    """RMS of a sound about its mean while the pen touches."""
+    touches = np.interp(np.arange(sound.size) / rate_hz, force.times, force.samples, 0.0, 0.0) > 0
+    return float(sound[touches].std())
 
 
 def _runs_of_zeros(samples: Array) -> list[int]:
-    """Return how long each run of zeros between other samples is [samples]."""
+    """Length of each run of zeros between other samples [samples]."""
     other = np.flatnonzero(samples)
     return (np.diff(other) - 1).tolist()
 
 
 def read_stroke(path: Path, units: Mapping[str, str]) -> dict[str, Array]:
-    """Return the columns of a stroke's table, shape (n,) each, without its blank lines.
+    """Columns of a stroke's table, shape (n,) each, without its blank lines.
 
     They are time [s], which increases, speed [mm/s] or position_x and position_y [mm], and force [N] or pressure [0 … 1].
 
@@ -268,16 +313,16 @@ def read_stroke(path: Path, units: Mapping[str, str]) -> dict[str, Array]:
         is_share = channel == "pressure"
         factor = _share(column) if is_share else factor_of(channel, column.name, column.unit, units.get(channel))[0]
         stroke[channel] = factor * np.append(column.samples, np.full(column.n_blank, np.nan))
-    kept = ~np.all([np.isnan(samples) for samples in stroke.values()], axis=0)
-    rows = np.array(columns["time"].row_numbers)[kept]
-    stroke = {channel: samples[kept] for channel, samples in stroke.items()}
+    filled_rows = ~np.all([np.isnan(samples) for samples in stroke.values()], axis=0)
+    rows = np.array(columns["time"].row_numbers)[filled_rows]
+    stroke = {channel: samples[filled_rows] for channel, samples in stroke.items()}
     if rows.size < 2:
         raise ValueError(f"{path.name} has {counted(rows.size, 'row')} below its header, expected two or more")
     for channel, samples in stroke.items():
         bad = np.flatnonzero(~np.isfinite(samples))
         if bad.size:
-            given = "blank or NaN" if np.isnan(samples[bad[0]]) else "infinite"
-            raise ValueError(f"{path.name}: {channel} at row {rows[bad[0]]} is {given}, expected a finite number")
+            what = "blank or NaN" if np.isnan(samples[bad[0]]) else "infinite"
+            raise ValueError(f"{path.name}: {channel} at row {rows[bad[0]]} is {what}, expected a finite number")
     back = np.flatnonzero(np.diff(stroke["time"]) <= 0)
     if back.size:
         raise ValueError(f"{path.name}: the time does not increase at row {rows[back[0] + 1]}; are the rows sorted?")
@@ -285,7 +330,7 @@ def read_stroke(path: Path, units: Mapping[str, str]) -> dict[str, Array]:
 
 
 def _share(column: Column) -> float:
-    """Return what to multiply a pressure by to get a share from 0 to 1, where it is one."""
+    """Factor from a pressure to a share from 0 to 1, where it is one."""
     unit = column.unit or split_header(column.name, "force")[1]
     if any(map(str.isalpha, unit)):
         raise ValueError(f"the pressure is in {unit}, expected a share, 0 to 1 or in %; is it a force?")
@@ -293,11 +338,11 @@ def _share(column: Column) -> float:
 
 
 def _for_axes(options: ImportOptions, picked: Mapping[str, object]) -> ImportOptions:
-    """Return the options with the unit and rate of a quantity given to its axes, where those are mapped and it is not."""
+    """Options with the unit and rate of a quantity given to its axes, where those are mapped and it is not."""
 
-    def spread(given: Mapping[str, Any]) -> dict[str, Any]:
-        axes = {name: given[kind] for name in picked if (kind := quantity(name)) in given and kind not in picked}
+    def spread(by_user: Mapping[str, Any]) -> dict[str, Any]:
+        axes = {name: by_user[kind] for name in picked if (kind := quantity(name)) in by_user and kind not in picked}
         served = set(map(quantity, axes))
-        return axes | {channel: value for channel, value in given.items() if channel not in served}
+        return axes | {channel: value for channel, value in by_user.items() if channel not in served}
 
     return replace(options, units=spread(options.units), rates_hz=spread(options.rates_hz))

@@ -19,6 +19,7 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
+from foten.datasets.columns import RefusedError
 from foten.dsp import Array
 from foten.untrusted import brief, check_regular
 
@@ -28,9 +29,9 @@ Contents = tuple[Any, list[Array]]
 READERS = {"HDF5": "foten.datasets.contents:hdf5_contents", "MATLAB": "foten.datasets.contents:matlab_contents"}
 """Functions from a path to `Contents`, by format; they run in the other process alone."""
 
-LONGEST_S = 15  # of processor time for one file, and one more for each
-BYTES_A_SECOND = 10 << 20  # in it; the slowest compression gives 20 MB
-LARGEST_BYTES = 8 << 30  # of memory for one file; the largest that is read takes 5
+MAX_CPU_S = 15  # of processor time for one file, and one more for each
+BYTES_PER_CPU_S = 10 << 20  # in it; the slowest compression gives 20 MB
+MAX_MEMORY_BYTES = 8 << 30  # of memory for one file; the largest that is read takes 5
 _FORKS = hasattr(os, "fork")
 _START = "import sys; sys.path[:] = {path!r}; from foten.datasets.isolated import serve; serve()"
 _LOCK = threading.Lock()
@@ -40,7 +41,7 @@ if _FORKS:
 
 
 def read_isolated(kind: str, path: Path) -> Contents:
-    """Return what a file holds.
+    """Contents of a file, read by another process.
 
     Raises:
         FileNotFoundError: there is none.
@@ -65,7 +66,7 @@ def read_isolated(kind: str, path: Path) -> Contents:
 
 
 def _ask(kind: str, path: Path) -> Contents:
-    """Return the answer of the process that reads, and the arrays in it."""
+    """Answer of the process that reads, and the arrays in it."""
     if not _running or _running[0].poll() is not None:
         _close()
         command = [sys.executable, "-c", _START.format(path=sys.path)]
@@ -122,14 +123,10 @@ def _limit(file_bytes: int) -> None:
     """Limit this process, so that no file takes all time or memory of the machine."""
     import resource
 
-    longest_s = LONGEST_S + file_bytes // BYTES_A_SECOND
-    for what, most in ((resource.RLIMIT_CPU, longest_s), (resource.RLIMIT_AS, LARGEST_BYTES)):
+    max_cpu_s = MAX_CPU_S + file_bytes // BYTES_PER_CPU_S
+    for resource_kind, limit in ((resource.RLIMIT_CPU, max_cpu_s), (resource.RLIMIT_AS, MAX_MEMORY_BYTES)):
         with contextlib.suppress(ValueError, OSError):  # a lower limit stands already
-            resource.setrlimit(what, (most, most))
-
-
-class RefusedError(ValueError):
-    """What a reader says of a file in a sentence of its own, with the file's name."""
+            resource.setrlimit(resource_kind, (limit, limit))
 
 
 def _answer(answers: BinaryIO, kind: str, path: Path) -> None:

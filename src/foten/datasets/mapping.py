@@ -36,13 +36,23 @@ _GUESSES: Mapping[str, frozenset[str]] = {
 }
 
 
+_STROKE = {
+    "time": "t",
+    "speed": "speed",
+    "position_x": "x",
+    "position_y": "y",
+    "force": "force",
+    "pressure": "pressure",
+}
+"""Headers of a stroke's table."""
+
+
 def guessed_mapping(files: Files, options: ImportOptions) -> tuple[tuple[str, str], ...]:
-    """Return the mapping that the headers alone leave no doubt about."""
+    """Mapping that the headers alone leave no doubt about."""
     places: dict[str, list[Column]] = {}
     for column in (column for columns in files.values() for column in columns if column.n_rows > 1):
         for channel, aliases in _GUESSES.items():
-            header = split_header(column.name, quantity(channel))[0]
-            if header.lower().replace(" ", "_") in aliases:
+            if _header(column, channel) in aliases:
                 places.setdefault(channel, []).append(column)
     # Sound files carry no names; beside a table they are the accelerometer.
     sounds = [columns for path, columns in files.items() if path.suffix.lower() == ".wav"]
@@ -54,10 +64,10 @@ def guessed_mapping(files: Files, options: ImportOptions) -> tuple[tuple[str, st
         for column in places.pop("time", []):
             times = column.samples * factor_of("time", column.name, column.unit, options.units.get("time"))[0]
             if times.size > 1 and (np.diff(times) > 0).all():
-                own = rate_of(times)
-                if abs(own - options.rate_hz) > 0.01 * own:
+                rate_hz = rate_of(times)
+                if abs(rate_hz - options.rate_hz) > 0.01 * rate_hz:
                     raise ValueError(
-                        f"{column.file.name}: the column {column.name} says {own:g} Hz and --rate {options.rate_hz:g}; "
+                        f"{column.file.name}: the column {column.name} says {rate_hz:g} Hz and --rate {options.rate_hz:g}; "
                         "leave out --rate, or map the other columns with --map to use it"
                     )
     for channel, candidates in places.items():
@@ -73,39 +83,35 @@ def guessed_mapping(files: Files, options: ImportOptions) -> tuple[tuple[str, st
 
 
 def stroke_columns(columns: Sequence[Column]) -> dict[str, Column]:
-    """Return the columns of a stroke by channel: time, speed, position_x, position_y, force, pressure; others are left out.
+    """Columns of a stroke by channel: time, speed, position_x, position_y, force, pressure; others are left out.
 
     The headers are t, speed, x, y, force and pressure; where one is missing, what an import takes for the channel.
     """
-    names = {
-        "time": "t",
-        "speed": "speed",
-        "position_x": "x",
-        "position_y": "y",
-        "force": "force",
-        "pressure": "pressure",
-    }
-    found: dict[str, Column] = {}
-    for channel, name in names.items():
-        kind = "force" if channel == "pressure" else quantity(channel)
-        headers = [split_header(column.name, kind)[0].lower().replace(" ", "_") for column in columns]
-        own = [column for column, header in zip(columns, headers, strict=True) if header == name]
+    by_channel: dict[str, Column] = {}
+    for channel, name in _STROKE.items():
+        exact = [column for column in columns if _header(column, channel) == name]
         guessed = _GUESSES.get(channel, frozenset())
-        candidates = own or [column for column, header in zip(columns, headers, strict=True) if header in guessed]
+        candidates = exact or [column for column in columns if _header(column, channel) in guessed]
         if len(candidates) > 1:
             raise ValueError(f"{channel} could be any of {', '.join(column.name for column in candidates)}; keep one")
         if candidates:
-            found[channel] = candidates[0]
-    return found
+            by_channel[channel] = candidates[0]
+    return by_channel
+
+
+def _header(column: Column, channel: str) -> str:
+    """Header of a column that is taken for a channel, without its unit, in small letters."""
+    kind = "force" if channel == "pressure" else quantity(channel)
+    return split_header(column.name, kind)[0].lower().replace(" ", "_")
 
 
 def name_of(files: Files, column: Column) -> str:
-    """Return what a column goes by: its name, with several files `FILE:COLUMN`."""
+    """Reference to a column: its name, with several files `FILE:COLUMN`."""
     return column.name if len(files) == 1 else f"{column.file.name}:{column.name}"
 
 
 def names_of(files: Files) -> list[str]:
-    """Return what all columns go by."""
+    """References to all columns."""
     return [name_of(files, column) for columns in files.values() for column in columns]
 
 
@@ -115,7 +121,7 @@ def _listing(files: Files) -> str:
 
 
 def _example(files: Files) -> str:
-    """Return a mapping that could be meant: a clock by how it runs, others by words in file and column names, else in order."""
+    """Example of a mapping: a clock by how it runs, others by words in file and column names, else in order."""
     usable = [c for columns in files.values() for c in columns if c.n_rows > 1 and not c.fault]
     left = {name_of(files, column): column for column in usable}
     pairs = []
@@ -126,20 +132,20 @@ def _example(files: Files) -> str:
     words_of = {"acceleration": ("acc", "besch"), "speed": ("speed", "vel", "gesch"), "force": ("force", "kraft")}
     for channel, words in words_of.items():
         if left:
-            place = next((one for one in left if any(word in one.lower() for word in words)), next(iter(left)))
+            place = next((name for name in left if any(word in name.lower() for word in words)), next(iter(left)))
             del left[place]
             pairs.append(f"{channel}={place}")
     return shlex.quote(",".join(pairs))
 
 
 def _runs_steadily(column: Column) -> bool:
-    """Return whether a column looks like a clock: always rising, by steps that are nearly alike."""
+    """Whether a column looks like a clock: always rising, by steps that are nearly alike."""
     steps = np.diff(column.samples)
     return bool(steps.size > 10 and (steps > 0).all() and steps.std() < 0.2 * steps.mean())
 
 
 def _split(files: Files, reference: str) -> tuple[list[Path], str]:
-    """Return the files that `FILE:COLUMN` or `COLUMN` may mean, and the column."""
+    """Files that `FILE:COLUMN` or `COLUMN` may mean, and the column."""
     for path in files:
         for name in (str(path), path.name, path.stem):
             if reference.startswith(f"{name}:"):
@@ -151,7 +157,7 @@ def _split(files: Files, reference: str) -> tuple[list[Path], str]:
 
 
 def _lookup(columns: Sequence[Column], name: str) -> Column | None:
-    """Return a column by header, else by number from 0, else none."""
+    """Column by header, else by number from 0, else none."""
     exact = [column for column in columns if column.name == name]
     if len(exact) > 1:
         raise ValueError(f"{len(exact)} columns are called {name!r}; give the column's number from 0")
@@ -161,7 +167,7 @@ def _lookup(columns: Sequence[Column], name: str) -> Column | None:
 
 
 def column_of(files: Files, channel: str, reference: str) -> Column:
-    """Return the column that a reference means.
+    """Column that a reference means.
 
     Raises:
         ValueError: there is none, there are several, or it holds no numbers.
@@ -185,7 +191,7 @@ def column_of(files: Files, channel: str, reference: str) -> Column:
 
 
 def clocks_of(files: Files, reference: str) -> list[Column]:
-    """Return the time columns that a reference means: without `FILE:`, that of each file which has it."""
+    """Time columns that a reference means: without `FILE:`, that of each file which has it."""
     paths, name = _split(files, reference)
     hits = [path for path in paths if _lookup(files[path], name) is not None]
     if name.isdecimal() or not hits:

@@ -48,7 +48,7 @@ def _pieces(texts: Sequence[str]) -> list[str]:
 
 
 def parse_pairs(texts: Sequence[str], option: str) -> list[tuple[str, str]]:
-    """Return `A=B,C=D` texts as pairs.
+    """Pairs of texts `A=B,C=D`.
 
     Raises:
         ValueError: a piece without `=`.
@@ -65,7 +65,7 @@ def parse_pairs(texts: Sequence[str], option: str) -> list[tuple[str, str]]:
 
 
 def parse_rates(texts: Sequence[str]) -> tuple[float | None, dict[str, float]]:
-    """Return `HZ` and `CHANNEL=HZ` texts as the rate for all and the rates by channel.
+    """Rate for all channels and rates by channel, of texts `HZ` and `CHANNEL=HZ`.
 
     Raises:
         ValueError: not a number.

@@ -15,39 +15,18 @@ from numpy.typing import NDArray
 
 from foten.dsp import Array
 from foten.dsp.filters import butterworth, filter_recorded
+from foten.recording.capture_folder import PenEvents
 from foten.recording.recording import Channel
 
-TAP_S, TAP_MM = 0.3, 3.0  # at most: how long a tap touches, and how far it moves
+MAX_TAP_S, MAX_TAP_MM = 0.3, 3.0  # at most: how long a tap touches, and how far it moves
 KNOCK_HZ = 200.0  # above which a knock is looked for: hums are below
 FRAME_S = 0.0005  # of the sound's level
-RISE = 4.0  # times what was there in the 60 ms before is a knock
+MIN_RISE = 4.0  # times what was there in the 60 ms before is a knock
 BEFORE_S, APART_S = 0.06, 0.04
 WIDE_S, NARROW_S = 0.03, 0.012  # between a tap and its knock, before and after the drift is known
-MOST_DRIFT, USUAL_DRIFT = 1e-3, 1e-4  # of two quartzes and whatever lies between
-MOST_GAP_S = 0.12  # between events of a stroke, over which a hand is still smooth
-LEAST_TAPS, LEAST_SHARE = 3, 0.6  # that have to be in the sound
-
-
-@dataclass(frozen=True)
-class PenEvents:
-    """What a tablet tells of a pen; all shapes (n,)."""
-
-    times_s: Array  # by the pen's clock, increasing
-    x_mm: Array
-    y_mm: Array
-    pressure: Array  # 0 … 1; 0 is lifted
-
-    def touches(self) -> NDArray[np.int64]:
-        """Return the first event of each touch and the one after its last, shape (k, 2)."""
-        down = np.concatenate([[False], self.pressure > 0, [False]])
-        return np.stack([np.flatnonzero(~down[:-1] & down[1:]), np.flatnonzero(down[:-1] & ~down[1:])], axis=1)
-
-    @property
-    def usual_step_s(self) -> float:
-        """Return the usual time between two events of a touch [s]."""
-        touching = (self.pressure[1:] > 0) & (self.pressure[:-1] > 0)
-        steps = np.diff(self.times_s)[touching]
-        return float(np.median(steps)) if steps.size else 0.01
+MAX_DRIFT, USUAL_DRIFT = 1e-3, 1e-4  # of two quartzes and whatever lies between
+MAX_GAP_S = 0.12  # between events of a stroke, over which a hand is still smooth
+MIN_TAPS, MIN_TAP_SHARE = 3, 0.6  # that have to be in the sound
 
 
 @dataclass(frozen=True)
@@ -60,7 +39,7 @@ class PenClock:
     residual_ms: float  # RMS of the taps about the line
 
     def __call__(self, times_s: Array) -> Array:
-        """Return times by the sound's clock [s]."""
+        """Times by the sound's clock [s]."""
         return np.asarray(times_s * (1.0 + self.drift) + self.delay_s)
 
     def __str__(self) -> str:
@@ -73,7 +52,7 @@ class PenClock:
 
 
 def landings_of(events: PenEvents) -> tuple[Array, Array, NDArray[np.bool_]]:
-    """Return when each touch began by the pen's clock [s], by how much that may be off [s], and whether it is a tap; (k,) each.
+    """Start of each touch by the pen's clock [s], by how much that may be off [s], and whether it is a tap; (k,) each.
 
     A tablet looks every so often: a touch began somewhere between the event that tells of it and the one before, or a usual step
     before where a tablet says nothing of a pen in the air. A tap is short and stays in place.
@@ -84,11 +63,11 @@ def landings_of(events: PenEvents) -> tuple[Array, Array, NDArray[np.bool_]]:
     gaps = np.where(since <= 2 * step, since, step)
     lasts = events.times_s[np.minimum(end, events.times_s.size - 1)] - events.times_s[first]
     paths = np.array([np.hypot(np.diff(events.x_mm[i:j]), np.diff(events.y_mm[i:j])).sum() for i, j in touches])
-    return events.times_s[first] - 0.5 * gaps, 0.5 * gaps, (lasts <= TAP_S) & (paths <= TAP_MM)
+    return events.times_s[first] - 0.5 * gaps, 0.5 * gaps, (lasts <= MAX_TAP_S) & (paths <= MAX_TAP_MM)
 
 
 def knocks_of(sound: Array, rate_hz: float) -> Array:
-    """Return when the sound rises suddenly [s], shape (k,)."""
+    """Times at which the sound rises suddenly [s], shape (k,)."""
     quick = filter_recorded(butterworth("highpass", KNOCK_HZ, rate_hz), sound)
     n = max(1, round(FRAME_S * rate_hz))
     level = np.sqrt(np.square(quick[: quick.size // n * n]).reshape(-1, n).mean(axis=1))
@@ -99,48 +78,48 @@ def knocks_of(sound: Array, rate_hz: float) -> Array:
     loudest = np.lib.stride_tricks.sliding_window_view(recent, before - 3)[: level.size].max(axis=1)
     ratio = level / np.maximum(loudest, floor)
     found: list[int] = []
-    for i in np.flatnonzero(ratio > RISE):
+    for i in np.flatnonzero(ratio > MIN_RISE):
         if not found or i - found[-1] > apart:
             found.append(int(i))
     return np.array(found, dtype=float) * n / rate_hz
 
 
 def joined(events: PenEvents, sound: Array, rate_hz: float) -> PenClock:
-    """Return the line between the two clocks.
+    """Line between the two clocks.
 
     Raises:
         ValueError: there are too few taps, or they are not in the sound.
     """
     landings, off_by, is_tap = landings_of(events)
     taps, knocks = landings[is_tap], knocks_of(sound, rate_hz)
-    if taps.size < LEAST_TAPS:
+    if taps.size < MIN_TAPS:
         raise ValueError(
-            f"the pen tapped {taps.size} times, expected {LEAST_TAPS} or more: tap three times before the strokes and three after"
+            f"the pen tapped {taps.size} times, expected {MIN_TAPS} or more: tap three times before the strokes and three after"
         )
-    least = max(LEAST_TAPS, int(np.ceil(LEAST_SHARE * taps.size)))
+    n_required = max(MIN_TAPS, int(np.ceil(MIN_TAP_SHARE * taps.size)))
     best = np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64)
     # By the first taps alone, near which the drift is nothing yet; then by all.
     reach = taps - taps[0]
-    for tried in (knocks[:, None] - taps[None, : LEAST_TAPS + 2]).ravel():
-        pairs = _pairs(taps + tried, knocks, WIDE_S + MOST_DRIFT * reach)
+    for tried in (knocks[:, None] - taps[None, : MIN_TAPS + 2]).ravel():
+        pairs = _pairs(taps + tried, knocks, WIDE_S + MAX_DRIFT * reach)
         if pairs[0].size > best[0].size or (
             pairs[0].size == best[0].size and _spread(taps, knocks, pairs) < _spread(taps, knocks, best)
         ):
             best = pairs
-    if best[0].size < least:
+    if best[0].size < n_required:
         raise ValueError(
-            f"{best[0].size} of {taps.size} taps are in the sound, expected {least} or more: is it the sound of this stroke, and "
-            "is the microphone on the pen or the surface?"
+            f"{best[0].size} of {taps.size} taps are in the sound, expected {n_required} or more: is it the sound of this "
+            "stroke, and is the microphone on the pen or the surface?"
         )
     n_taps = best[0].size
     drift, delay = _line(taps[best[0]], knocks[best[1]])
     # The landing of each stroke is a knock, too: more of them halve the error that the tablet's steps leave.
     for _ in range(6):
         best = _pairs(landings * (1 + drift) + delay, knocks, np.full(landings.size, NARROW_S))
-        if best[0].size < least:
+        if best[0].size < n_required:
             raise ValueError(
-                f"{best[0].size} of {landings.size} touches lie on one line with the sound's, expected {least} or more: was one "
-                "of the clocks stopped in between?"
+                f"{best[0].size} of {landings.size} touches lie on one line with the sound's, expected {n_required} or more: was "
+                "one of the clocks stopped in between?"
             )
         drift, delay = _line(landings[best[0]], knocks[best[1]])
     off = knocks[best[1]] - (landings[best[0]] * (1 + drift) + delay)
@@ -154,7 +133,7 @@ Pairs = tuple[NDArray[np.int64], NDArray[np.int64]]
 
 
 def _pairs(expected: Array, knocks: Array, within: Array) -> Pairs:
-    """Return which taps have a knock within reach, and which."""
+    """Taps that have a knock within reach, and those knocks, by number."""
     if not knocks.size:
         return np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64)
     nearest = np.abs(knocks[None, :] - expected[:, None]).argmin(axis=1)
@@ -163,21 +142,21 @@ def _pairs(expected: Array, knocks: Array, within: Array) -> Pairs:
 
 
 def _line(taps: Array, knocks: Array) -> tuple[float, float]:
-    """Return drift and delay; no drift where the taps are too near each other to tell."""
+    """Drift and delay; no drift where the taps are too near each other to tell."""
     if np.ptp(taps) < 2.0:
         return 0.0, float((knocks - taps).mean())
-    slope = float(np.clip(np.polyfit(taps, knocks - taps, 1)[0], -MOST_DRIFT, MOST_DRIFT))
+    slope = float(np.clip(np.polyfit(taps, knocks - taps, 1)[0], -MAX_DRIFT, MAX_DRIFT))
     return slope, float((knocks - taps * (1 + slope)).mean())
 
 
 def _centre(landings: Array, knocks: Array, off_by: Array) -> tuple[float, float]:
-    """Return drift and delay in the middle of all lines that pass each touch within what it may be off.
+    """Drift and delay in the middle of all lines that pass each touch within what it may be off.
 
     The errors of a clock that looks every so often are uniform: the lines that are possible at all are fewer than those near
     the one of least squares, and their middle is nearer (trials at 200 events a second in `tests/test_pen.py`).
     """
     usual = landings.mean()
-    drifts = np.arange(-MOST_DRIFT, MOST_DRIFT, 2e-6) if np.ptp(landings) >= 2.0 else np.zeros(1)
+    drifts = np.arange(-MAX_DRIFT, MAX_DRIFT, 2e-6) if np.ptp(landings) >= 2.0 else np.zeros(1)
     off = (knocks - landings)[None, :] - drifts[:, None] * (landings - usual)[None, :]
     reach = np.maximum(off_by, FRAME_S)
     while True:
@@ -200,19 +179,19 @@ def _spread(taps: Array, knocks: Array, pairs: Pairs) -> float:
 
 
 def _strokes(events: PenEvents) -> list[tuple[int, int]]:
-    """Return the first event of each stroke and the one after its last; where a tablet says nothing for long, one ends."""
+    """First event of each stroke and the one after its last; where a tablet says nothing for long, one ends."""
     found: list[tuple[int, int]] = []
     for first, end in events.touches()[~landings_of(events)[2]]:
-        gaps = first + 1 + np.flatnonzero(np.diff(events.times_s[first:end]) > MOST_GAP_S)
+        gaps = first + 1 + np.flatnonzero(np.diff(events.times_s[first:end]) > MAX_GAP_S)
         edges = [int(first), *(int(gap) for gap in gaps), int(end)]
         found += [(i, j) for i, j in itertools.pairwise(edges) if j - i >= 2]
     return found
 
 
 def pen_channels(events: PenEvents, clock: PenClock, force: Callable[[Array], Array]) -> dict[str, Channel]:
-    """Return the position [mm] and force [N] of a pen by the sound's clock, evenly sampled, without the taps that joined them.
+    """Position [mm] and force [N] of a pen by the sound's clock, evenly sampled, without the taps that joined them.
 
-    Gaps of up to `MOST_GAP_S` in a stroke are filled.
+    Gaps of up to `MAX_GAP_S` in a stroke are filled.
     In the air a tablet tells nothing: the force is 0 there, and the position stays where it was, so that no speed comes of it.
 
     Args:
@@ -235,12 +214,12 @@ def pen_channels(events: PenEvents, clock: PenClock, force: Callable[[Array], Ar
         rows.append(np.stack([at, x, y, force(pressure)]))
     if not rows or rows[0].shape[1] < 2:
         raise ValueError("the pen only tapped, expected strokes between the taps")
-    given_s, *values = np.concatenate(rows, axis=1)
-    given_s = clock(given_s)
+    pen_s, *values = np.concatenate(rows, axis=1)
+    pen_s = clock(pen_s)
     times = np.arange(
-        given_s[0], given_s[-1], step
+        pen_s[0], pen_s[-1], step
     )  # evenly: a late event, or a few that are missing, are none of the hand's
     return {
-        name: Channel(np.interp(times, given_s, samples), 1.0 / step, times)
+        name: Channel(np.interp(times, pen_s, samples), 1.0 / step, times)
         for name, samples in zip(("position_x", "position_y", "force"), values, strict=True)
     }

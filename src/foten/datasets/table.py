@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from foten.datasets.columns import Column
+from foten.datasets.columns import MAX_COLUMNS, Column, check_width, reading
 from foten.datasets.units import is_unit
 from foten.recording.inspection.values import counted
 from foten.untrusted import brief
@@ -24,12 +24,12 @@ from foten.untrusted import brief
 COMMENTS = ("#", "%", "//")  # that a line of comment begins with
 _DECIMAL_COMMA = re.compile(r"[-+]?\d*,\d+([eE][-+]?\d+)?")
 _DECIMAL_POINT = re.compile(r"[-+]?\d*\.\d+([eE][-+]?\d+)?")
-MOST_CELLS = 50_000_000  # of a sheet
-MOST_ROWS = 2_000_000  # of a sheet; a program of tables has 1,048,576
+MAX_CELLS = 50_000_000  # of a sheet
+MAX_ROWS = 2_000_000  # of a sheet; a program of tables has 1,048,576
 
 
 def read_delimited(path: Path) -> list[Column]:
-    """Return the columns of a text table; the separator and the decimal comma are seen from its lines.
+    """Columns of a text table; the separator and the decimal comma are seen from its lines.
 
     Lines before the table, comments anywhere, and a second header row that holds only units are understood. A comment may
     name the columns; those below the header are counted in each column's `n_comments`.
@@ -42,6 +42,9 @@ def read_delimited(path: Path) -> list[Column]:
     filled = [line for line in lines if line.strip()] or [""]
     sample = filled[len(filled) // 2]
     delimiter = next((mark for mark in "\t;," if mark in sample), None)
+    for line in filled:
+        if len(line) > MAX_COLUMNS:  # so that no line of a usual table is counted
+            check_width(path.name, len(line.split(delimiter)))
     if delimiter is None:
         rows: list[list[Any]] = [comments.get(i, line).split() for i, line in enumerate(lines)]
     else:
@@ -59,7 +62,7 @@ def read_delimited(path: Path) -> list[Column]:
 
 
 def _has_decimal_commas(lines: list[str], sample: str, delimiter: str | None) -> bool:
-    """Return whether numbers have a decimal comma: in the line amid the others, or in any of them where none has a point."""
+    """Whether numbers have a decimal comma: in the line amid the others, or in any of them where none has a point."""
 
     def has(decimal: re.Pattern[str], mark: str, among: Iterable[str]) -> bool:
         cells = (cell.strip() for line in among if mark in line for cell in line.split(delimiter))
@@ -71,30 +74,29 @@ def _has_decimal_commas(lines: list[str], sample: str, delimiter: str | None) ->
 
 
 def read_excel(path: Path) -> list[Column]:
-    """Return the columns of an .xlsx workbook; with several filled sheets each name begins with `SHEET.`."""
+    """Columns of an .xlsx workbook; with several filled sheets each name begins with `SHEET.`."""
     import openpyxl
 
     sheets: list[tuple[str, list[list[Any]]]] = []
-    try:
-        with contextlib.closing(openpyxl.load_workbook(path, read_only=True, data_only=True)) as book:
-            for sheet in book.worksheets:
-                sheet.reset_dimensions()  # some writers state a wrong extent; trusting it loses rows
-                rows = [list(row) for row in itertools.islice(sheet.iter_rows(values_only=True), MOST_ROWS + 1)]
-                cells = len(rows) * max(map(len, rows), default=0)
-                if len(rows) > MOST_ROWS or cells > MOST_CELLS:
-                    raise ValueError(
-                        f"sheet {sheet.title} says that it has {len(rows):,} rows or more, {cells:,} cells"
-                    )
-                if any(cell is not None for row in rows for cell in row):
-                    sheets.append((sheet.title, rows))
-    except Exception as error:  # a damaged file raises a dozen kinds, BadZipFile, SyntaxError and TypeError among them
-        raise ValueError(f"{path.name} is truncated or is not an .xlsx workbook ({brief(error)})") from None
+    with (
+        reading(path, ".xlsx workbook"),
+        contextlib.closing(openpyxl.load_workbook(path, read_only=True, data_only=True)) as book,
+    ):
+        for sheet in book.worksheets:
+            sheet.reset_dimensions()  # some writers state a wrong extent; trusting it loses rows
+            rows = [list(row) for row in itertools.islice(sheet.iter_rows(values_only=True), MAX_ROWS + 1)]
+            cells = len(rows) * max(map(len, rows), default=0)
+            if len(rows) > MAX_ROWS or cells > MAX_CELLS:
+                raise ValueError(f"sheet {sheet.title} says that it has {len(rows):,} rows or more, {cells:,} cells")
+            if any(cell is not None for row in rows for cell in row):
+                sheets.append((sheet.title, rows))
     if not sheets:
         raise ValueError(f"{path.name} has no filled cell")
     columns: list[Column] = []
     for title, rows in sheets:
         where, prefix = (path.name, "") if len(sheets) == 1 else (f"{path.name}, sheet {title}", f"{title}.")
         width = max(map(_width, rows))
+        check_width(where, width)
         of_sheet = _table([[*row[:width], *[None] * (width - len(row))] for row in rows], where)
         columns += [replace(column, name=f"{prefix}{column.name}") for column in of_sheet]
     return columns
@@ -127,7 +129,7 @@ def _is_number(cell: Any) -> bool:
 
 
 def _table(rows: list[list[Any]], where: str, comments: Collection[int] = ()) -> list[Column]:
-    """Return the columns below the header of a table. Rows are counted from 1, as editors do.
+    """Columns below the header of a table. Rows are counted from 1, as editors do.
 
     Rows in `comments`, counted from 0, may name the columns but hold no data.
     """
@@ -180,13 +182,13 @@ def _table(rows: list[list[Any]], where: str, comments: Collection[int] = ()) ->
     n_comments = sum(i > (worded[-1] if worded else start) for i in comments)
     row_numbers = [i + 1 for i in data] if n_comments else range(start + 1, len(rows) + 1)
     return [
-        _column(Column(name, np.zeros(0), unit=unit, row_numbers=row_numbers, n_comments=n_comments), cells)
+        _column(Column(name, unit=unit, row_numbers=row_numbers, n_comments=n_comments), cells)
         for name, unit, cells in zip(names, units, zip(*(rows[i] for i in data), strict=True), strict=True)
     ]
 
 
 def _are_units(words: list[str]) -> bool:
-    """Return whether a second row of words are units: more than half of them are known, or all are in brackets."""
+    """Whether a second row of words are units: more than half of them are known, or all are in brackets."""
     filled = [word for word in words if word not in ("", "-", "[]", "()", "[-]")]
     known = sum(map(is_unit, filled))
     bracketed = all(word[0] in "[(" and word[-1] in "])" for word in filled)
@@ -198,12 +200,12 @@ def _words(cell: Any) -> str:
 
 
 def _column(empty: Column, cells: Sequence[Any]) -> Column:
-    """Return a column with the numbers that its cells hold, or with why they are none."""
+    """Column with the numbers that its cells hold, or with why they are none."""
     n = _width(cells)
     numbers = [float("nan") if _is_blank(cell) else cell for cell in cells[:n]]
     try:
         return replace(empty, samples=np.array(numbers, dtype=np.float64), n_blank=len(cells) - n)
     except (TypeError, ValueError, OverflowError):
         bad = next((i for i, cell in enumerate(numbers) if not _is_number(cell)), 0)
-        fault = f"row {empty.row_numbers[bad]} is {str(cells[bad])!r}, expected a number"
+        fault = f"row {empty.row_numbers[bad]} is {str(cells[bad])[:60]!r}, expected a number"
         return replace(empty, n_blank=n, fault=fault)

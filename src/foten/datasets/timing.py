@@ -25,13 +25,13 @@ FILLED = ("position", "speed", "force")  # the hand, which is slow; an accelerat
 def times_of(
     channel: str, column: Column, clocks: Sequence[Column], options: ImportOptions
 ) -> tuple[Array | None, str]:
-    """Return the times [s] of a channel's samples from the time column beside it, or None; and a sentence on their unit."""
-    own = [clock for clock in clocks if clock.file == column.file]
-    fitting = [clock for clock in own if clock.n_rows == column.n_rows]
-    if not own or (channel in options.rates_hz and not fitting):
+    """Times [s] of a channel's samples from the time column beside it, or None; and a sentence on their unit."""
+    beside = [clock for clock in clocks if clock.file == column.file]
+    fitting = [clock for clock in beside if clock.n_rows == column.n_rows]
+    if not beside or (channel in options.rates_hz and not fitting):
         return None, ""
     if len(fitting) != 1:
-        rows = ", ".join(f"{clock.name} {clock.n_rows}" for clock in own)
+        rows = ", ".join(f"{clock.name} {clock.n_rows}" for clock in beside)
         raise ValueError(
             f"{column.file.name}: {channel} has {column.n_rows} rows and time has {rows}; expected one time column "
             f"of equal length, or a rate: --rate {channel}=HZ"
@@ -56,14 +56,14 @@ def times_of(
             f"{column.file.name}: the time {what} at sample {bad[0] + 1}{clock.row_of(int(bad[0]) + 1)}: {after:.9g} after "
             f"{before:.9g} ({counted(bad.size, 'such place')}); {hint}"
         )
-    factor, said = factor_of("time", clock.name, clock.unit, options.units.get("time"))
-    return times * factor, said
+    factor, sentence = factor_of("time", clock.name, clock.unit, options.units.get("time"))
+    return times * factor, sentence
 
 
 def rate_and_source(
     channel: str, column: Column, times: Array | None, options: ImportOptions, columns: Sequence[Column]
 ) -> tuple[float, str]:
-    """Return a channel's rate [Hz], and a sentence where it overrides what the file states."""
+    """Rate of a channel [Hz], and a sentence where it overrides what the file states."""
     stated = column.rate_hz
     if channel in options.rates_hz:
         rate = options.rates_hz[channel]
@@ -89,7 +89,7 @@ def rate_and_source(
 
 
 def rate_of(times: Array) -> float:
-    """Return the rate of regular times, whole where their rounding allows it; else 1 / median step."""
+    """Rate of regular times, whole where their rounding allows it; else 1 / median step."""
     even = (times.size - 1) / (times[-1] - times[0])
     slack = 2 * _last_digit(times) / (times[-1] - times[0]) + 1e-9
     if irregular(times - times[0], even):
@@ -99,7 +99,7 @@ def rate_of(times: Array) -> float:
 
 
 def _last_digit(times: Array) -> float:
-    """Return the power of ten that all times are multiples of, 0 where there is none down to 1 ns."""
+    """Power of ten that all times are multiples of, 0 where there is none down to 1 ns."""
     for digits in range(10):
         scaled = times * 10.0**digits
         # Half a unit in the last place of a double grows with the number itself.
@@ -109,7 +109,7 @@ def _last_digit(times: Array) -> float:
 
 
 def irregular(times: Array, rate_hz: float) -> str:
-    """Return why times that count from the recording's start are not i / rate, or nothing."""
+    """Reason why times that count from the recording's start are not i / rate, or nothing."""
     period = 1 / rate_hz
     tolerance = max(JITTER * period, min(_last_digit(times), period / 2))
     if abs(times[0]) > tolerance:
@@ -122,12 +122,12 @@ def irregular(times: Array, rate_hz: float) -> str:
     return ""
 
 
-def filled(channel: str, one: Channel, gap_ms: float, column: Column) -> tuple[Channel, str]:
-    """Return a channel without NaN, marker drop-outs filled with straight lines if asked, and a sentence.
+def filled(name: str, channel: Channel, gap_ms: float, column: Column) -> tuple[Channel, str]:
+    """Channel without NaN, marker drop-outs filled with straight lines if asked, and a sentence.
 
     `column` is what the channel was taken from; it knows the rows of the samples.
     """
-    samples, missing, clock = one.samples, np.isnan(one.samples), one.times
+    samples, missing, clock = channel.samples, np.isnan(channel.samples), channel.times
 
     def place(sample: int) -> str:
         return f"{clock[sample]:.6g} s{column.row_of(sample)}"
@@ -136,17 +136,17 @@ def filled(channel: str, one: Channel, gap_ms: float, column: Column) -> tuple[C
     if infinite.size:
         n = infinite.size
         are = " is" if n == 1 else "s are"
-        raise ValueError(f"{channel}: {n} sample{are} infinite, the first at {place(int(infinite[0]))}")
+        raise ValueError(f"{name}: {n} sample{are} infinite, the first at {place(int(infinite[0]))}")
     if not missing.any():
-        return one, ""
+        return channel, ""
     first, count = int(missing.argmax()), int(missing.sum())
-    what = f"{channel}: {count} sample{' is' if count == 1 else 's are'} NaN or blank"
-    if quantity(channel) not in FILLED:
+    what = f"{name}: {count} sample{' is' if count == 1 else 's are'} NaN or blank"
+    if quantity(name) not in FILLED:
         raise ValueError(f"{what}, the first at {place(first)}; only position, speed and force may have gaps filled")
     starts, ends = np.flatnonzero(np.diff(missing, prepend=False, append=False)).reshape(-1, 2).T
     # A gap is as long as its lost samples: three of them at 100 Hz are 30 ms.
-    lengths = (ends - starts) / one.rate_hz
-    if one.times_s is not None:
+    lengths = (ends - starts) / channel.rate_hz
+    if channel.times_s is not None:
         lengths = clock[np.minimum(ends, clock.size - 1)] - clock[starts]
     longest_ms = lengths.max() * 1000
     if gap_ms == 0:
@@ -156,41 +156,42 @@ def filled(channel: str, one: Channel, gap_ms: float, column: Column) -> tuple[C
         )
     if missing[0] or missing[-1]:
         end = "start" if missing[0] else "end"
-        raise ValueError(f"{channel}: NaN or blank at the {end}: nothing to draw a line from; cut the file there")
+        raise ValueError(f"{name}: NaN or blank at the {end}: nothing to draw a line from; cut the file there")
     long = np.flatnonzero(lengths > gap_ms / 1000 * (1 + 1e-9))
     if long.size:
         i = int(long[0])
         raise ValueError(
-            f"{channel}: of {counted(starts.size, 'gap')} {long.size} last longer than {gap_ms:g} ms, the first, at "
+            f"{name}: of {counted(starts.size, 'gap')} {long.size} last longer than {gap_ms:g} ms, the first, at "
             f"{place(int(starts[i]))}, {lengths[i] * 1000:.4g} ms"
         )
     without = np.where(missing, np.interp(clock, clock[~missing], samples[~missing]), samples)
-    return Channel(without, one.rate_hz, one.times_s), (
-        f"{channel}: {counted(starts.size, 'gap')} ({counted(count, 'sample')}, the longest {longest_ms:.4g} ms) filled "
+    return Channel(without, channel.rate_hz, channel.times_s), (
+        f"{name}: {counted(starts.size, 'gap')} ({counted(count, 'sample')}, the longest {longest_ms:.4g} ms) filled "
         f"with straight lines, up to {gap_ms:g} ms allowed"
     )
 
 
-def bridged(channel: str, one: Channel, gap_ms: float) -> tuple[Channel, str]:
-    """Return a channel with the rows that its times say are missing filled in, if asked, and a sentence."""
-    holes = one.holes()
-    if not holes.size or one.times_s is None or quantity(channel) not in FILLED:
-        return one, ""  # an acceleration at irregular times is refused before it is used
-    steps = np.diff(one.times_s)
+def bridged(name: str, channel: Channel, gap_ms: float) -> tuple[Channel, str]:
+    """Channel with the rows that its times say are missing filled in, if asked, and a sentence."""
+    holes = channel.holes()
+    if not holes.size or channel.times_s is None or quantity(name) not in FILLED:
+        return channel, ""  # an acceleration at irregular times is refused before it is used
+    steps = np.diff(channel.times_s)
     period = float(np.median(steps))
     lengths = steps[holes] - period  # as long as what was lost
     longest = int(lengths.argmax())
     places = counted(holes.size, "place")
-    worst, since = lengths[longest] * 1000, one.times_s[holes[longest]]
-    what = f"{channel}: rows are missing in {places}, the longest {worst:.4g} ms after {since:.4g} s"
+    worst, since = lengths[longest] * 1000, channel.times_s[holes[longest]]
+    what = f"{name}: rows are missing in {places}, the longest {worst:.4g} ms after {since:.4g} s"
     if worst > gap_ms + 1e-6:
         would = max(1, int(np.ceil(worst - 1e-6)))
         raise ValueError(f"{what}; --fill-gaps {would} would draw straight lines there, or cut the file")
     added = [
-        np.linspace(one.times_s[i], one.times_s[i + 1], round(steps[i] / period), endpoint=False)[1:] for i in holes
+        np.linspace(channel.times_s[i], channel.times_s[i + 1], round(steps[i] / period), endpoint=False)[1:]
+        for i in holes
     ]
-    times = np.sort(np.concatenate([one.times_s, *added]))
-    samples = np.interp(times, one.times_s, one.samples)
-    return Channel(samples, one.rate_hz, times), (
-        f"{what}; {counted(times.size - one.times_s.size, 'sample')} on straight lines put there, up to {gap_ms:g} ms allowed"
+    times = np.sort(np.concatenate([channel.times_s, *added]))
+    samples = np.interp(times, channel.times_s, channel.samples)
+    return Channel(samples, channel.rate_hz, times), (
+        f"{what}; {counted(times.size - channel.times_s.size, 'sample')} on straight lines put there, up to {gap_ms:g} ms allowed"
     )

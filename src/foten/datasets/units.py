@@ -80,12 +80,12 @@ _NAMES = frozenset(["in", "ft", "min", "h", "n", "v", "a", "s", "m", "g's", "gs"
 
 
 def quantity(channel: str) -> str:
-    """Return what a channel measures: `force_x` → `force`."""
+    """Quantity that a channel measures: `force_x` → `force`."""
     return channel.split("_")[0]
 
 
 def canonical(text: str) -> str:
-    """Return a unit as `FACTORS` spells it: `m/s²`, `m s-2`, `m_s2`, `metres/second^2` → `m/s^2`; an unknown one as it is."""
+    """Unit as `FACTORS` spells it: `m/s²`, `m s-2`, `m_s2`, `metres/second^2` → `m/s^2`; an unknown one as it is."""
     unit = unicodedata.normalize("NFKC", text).replace("−", "-").replace("μ", "u").replace("**", "^")
     unit = re.sub(r"(?:\b|_)per(?:\b|_)", "/", unit).replace("_", " ")
     unit = re.sub(r"\s*/\s*", "/", " ".join(unit.split()))
@@ -106,12 +106,12 @@ def _word(text: str) -> str:
 
 
 def is_unit(text: str) -> bool:
-    """Return whether a word, in brackets or not, is a unit of some quantity or of a converter."""
+    """Whether a word, in brackets or not, is a unit of some quantity or of a converter."""
     return canonical(text.strip(" []()")) in _UNITS
 
 
 def split_header(header: str, kind: str) -> tuple[str, str]:
-    """Return a header without its unit, and the unit as it is written: `Acc [g]`, `acc_g`, `Acc / g` → `Acc`, `g`.
+    """Header without its unit, and the unit as it is written: `Acc [g]`, `acc_g`, `Acc / g` → `Acc`, `g`.
 
     What stands in brackets is a unit, whatever it is, but for a remark in parentheses. The end of a name is one where it
     is known as such, for the quantity (`kind`) that the column is taken for.
@@ -132,7 +132,7 @@ def split_header(header: str, kind: str) -> tuple[str, str]:
 
 
 def _stated(bracket: str, words: str) -> str:
-    """Return what brackets in a header state as a unit, or nothing of a remark."""
+    """Unit that brackets in a header state, or nothing of a remark."""
     words = words.strip()
     several = words.split()
     of_a_unit = any(is_unit(word) or word.lower() in ("unit", "units", "raw") for word in (words, *several))
@@ -147,14 +147,14 @@ def _ends_a_name(text: str, kind: str) -> bool:
     return unit in _UNITS and (len(text) > 1 or unit in FACTORS[kind] or (kind == "force" and unit in _MASSES))
 
 
-def factor_of(channel: str, header: str, stated: str = "", given: str | None = None) -> tuple[float, str]:
-    """Return what to multiply a column by to get the unit of `UNITS`, and a sentence where that changes something.
+def factor_of(channel: str, header: str, stated: str = "", by_user: str | None = None) -> tuple[float, str]:
+    """Factor from a column to the unit of `UNITS`, and a sentence where that changes something.
 
     Args:
         channel: or `time`.
         header: the column's name.
         stated: the unit that the file states beside the header: in a row of units, or as an attribute.
-        given: by the user, before all others: a unit, `*FACTOR` or `LABEL*FACTOR`.
+        by_user: what the user says, before all others: a unit, `*FACTOR` or `LABEL*FACTOR`.
 
     Raises:
         ValueError: the unit is not one of the quantity's, or two are stated.
@@ -162,13 +162,13 @@ def factor_of(channel: str, header: str, stated: str = "", given: str | None = N
     kind, target = quantity(channel), UNITS.get(channel, "s")
     known = FACTORS[kind]
     in_header = split_header(header, kind)[1]
-    if given is None and stated and in_header and canonical(stated) != canonical(in_header):
+    if by_user is None and stated and in_header and canonical(stated) != canonical(in_header):
         raise ValueError(
             f"{channel}: column {header!r} is in {in_header} by its name and in {stated} by its unit; say which: "
             f"--unit {channel}={in_header}"
         )
     of_file = stated or in_header
-    text = of_file if given is None else given
+    text = of_file if by_user is None else by_user
     if not text:
         end = re.search(r"[_\s](in|ft)(?:[_.]\w)?$", header)
         if kind == "position" and end:
@@ -183,7 +183,7 @@ def factor_of(channel: str, header: str, stated: str = "", given: str | None = N
         if of_file and canonical(of_file) != label:
             return factor, f"{channel} was taken as {label}, where its file states {of_file}"
         return factor, "" if factor == 1 else f"{channel} was converted from {label} to {target}"
-    if given is not None and "*" in text:
+    if by_user is not None and "*" in text:
         return _sensitivity(channel, text, known, target)
     if label == FULL_SCALE:
         raise ValueError(
@@ -199,13 +199,13 @@ def factor_of(channel: str, header: str, stated: str = "", given: str | None = N
     else:
         hint = f"for a sensitivity write e.g. --unit {channel}=V*4.9 (4.9 {target} per volt)"
     place, otherwise = "", ""
-    if given is None:
+    if by_user is None:
         place, otherwise = f" of column {header!r}", f"; if it is no unit, --unit {channel}={target}"
     raise ValueError(f"{channel}: unit {text!r}{place} is not one of {', '.join(known)}; {hint}{otherwise}")
 
 
 def _sensitivity(channel: str, text: str, known: Mapping[str, float], target: str) -> tuple[float, str]:
-    """Return the factor of `LABEL*FACTOR`, and a sentence."""
+    """Factor of `LABEL*FACTOR`, and a sentence."""
     label, _, number = text.rpartition("*")
     label, factor = canonical(label), float("nan")
     with contextlib.suppress(ValueError):

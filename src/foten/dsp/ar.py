@@ -10,19 +10,19 @@ MAX_POLE = 0.9995  # a memory of 2000 samples, 0.2 s at 10 kHz; least squares on
 
 
 def solved(gram: Array, moment: Array) -> Array:
-    """Return the coefficients w that minimise |X w − y|², shape (k,), from XᵀX (k, k) and Xᵀy (k,)."""
+    """Coefficients w that minimise |X w − y|², shape (k,), from XᵀX (k, k) and Xᵀy (k,)."""
     # Neighbouring samples at 10 kHz are nearly collinear.
     ridge = 1e-9 * np.trace(gram) / gram.shape[0] * np.eye(gram.shape[0])
     return np.asarray(np.linalg.solve(gram + ridge, moment), dtype=np.float64)
 
 
 def spectral_radius(taps: Array) -> float:
-    """Return the largest pole magnitude of x[n] = Σ taps[i]·x[n−m+i], `taps` oldest first as in a window."""
+    """Largest pole magnitude of x[n] = Σ taps[i]·x[n−m+i], `taps` oldest first as in a window."""
     return float(np.abs(np.roots(np.concatenate([[1.0], -taps[::-1]]))).max()) if taps.any() else 0.0
 
 
 def stabilised(taps: Array, radius: float) -> Array:
-    """Return the taps with every pole pulled inside `radius` by the factor γ^lag on each tap, unchanged if they are.
+    """Taps with every pole pulled inside `radius` by the factor γ^lag on each tap, unchanged if they are.
 
     Scaling the tap of lag k by γ^k scales every pole by γ; resonances keep their frequency.
     """
@@ -31,7 +31,7 @@ def stabilised(taps: Array, radius: float) -> Array:
 
 
 def levinson(moments: Array) -> tuple[Array, Array]:
-    """Return the reflections of autoregressions, as `dsp.lattice` has them (p, b), and the variance that orders 0 … p leave.
+    """Reflections of autoregressions, as `dsp.lattice` has them (p, b), and the variance that orders 0 … p leave.
 
     From autocovariances at lags 0 … p, shape (p + 1, b), by the recursion of Levinson and Durbin; biased ones give stable
     autoregressions.
@@ -40,15 +40,15 @@ def levinson(moments: Array) -> tuple[Array, Array]:
     a, reflections, errors = np.zeros((p + 1, b)), np.zeros((p, b)), np.empty((p + 1, b))
     a[0], errors[0] = 1.0, moments[0]
     for i in range(1, p + 1):
-        missed = (a[:i] * moments[i:0:-1]).sum(axis=0)
-        k = np.divide(-missed, errors[i - 1], out=np.zeros(b), where=errors[i - 1] > 0).clip(-1.0, 1.0)
+        residual = (a[:i] * moments[i:0:-1]).sum(axis=0)
+        k = np.divide(-residual, errors[i - 1], out=np.zeros(b), where=errors[i - 1] > 0).clip(-1.0, 1.0)
         a[1 : i + 1] = a[1 : i + 1] + k * a[i - 1 :: -1][:i]
         reflections[i - 1], errors[i] = k, errors[i - 1] * (1 - k * k)
     return reflections, errors
 
 
 def burg(x: Array, p: int) -> tuple[Array, float]:
-    """Return the reflections of an autoregression of order p, shape (p,), and its innovations' variance: x (n,) of mean zero.
+    """Reflections of an autoregression of order p, shape (p,), and its innovations' variance: x (n,) of mean zero.
 
     Both prediction errors are made small at once (Burg 1975): nothing is taken to be zero outside, so that of a short piece a
     sharp resonance stays sharp, and every reflection lies within 1.

@@ -15,17 +15,17 @@ from foten.dsp import Array
 from foten.dsp.level import framed
 
 N_BANDS = 8
-LOWEST_BAND_HZ, HIGHEST_BAND_HZ = 20.0, 450.0
+MIN_BAND_HZ, MAX_BAND_HZ = 20.0, 450.0
 BAND_FRAME_MS = 8.0
 
 
 def envelope_edges(rate_hz: float) -> Array:
-    """Return the edges of the bands [Hz], shape (N_BANDS + 1,): from 20 to 450 Hz, or to 0.45 of a lower rate."""
-    return np.geomspace(LOWEST_BAND_HZ, min(HIGHEST_BAND_HZ, 0.45 * rate_hz), N_BANDS + 1)
+    """Edges of the bands [Hz], shape (N_BANDS + 1,): from 20 to 450 Hz, or to 0.45 of a lower rate."""
+    return np.geomspace(MIN_BAND_HZ, min(MAX_BAND_HZ, 0.45 * rate_hz), N_BANDS + 1)
 
 
 def band_energies(signals: Array, rate_hz: float) -> Array:
-    """Return the mean square of each band in each frame: signals (…, n) → (…, N_BANDS, n_frames), in their unit squared.
+    """Mean square of each band in each frame: signals (…, n) → (…, N_BANDS, n_frames), in their unit squared.
 
     Butterworth band-passes of order 2, causal, from rest; a last part that fills no frame is left out.
     """

@@ -8,7 +8,7 @@ from foten.dsp import Array
 
 
 def dft321(axes: Array) -> Array:
-    """Return one signal whose energy spectrum is the sum of the axes' and whose phase is that of their sum.
+    """One signal whose energy spectrum is the sum of the axes' and whose phase is that of their sum.
 
         |A_s(f)| = √Σ_k |A_k(f)|²,   arg A_s(f) = arg Σ_k A_k(f)
 

@@ -7,13 +7,13 @@ from numpy.typing import NDArray
 
 from foten.dsp import Array
 
-LOWEST_HZ = 20.0  # below it the high-pass rules
-HIGHEST_HZ = 1000.0  # above it a hand feels nothing
+MIN_SCORED_HZ = 20.0  # below it the high-pass rules
+MAX_SCORED_HZ = 1000.0  # above it a hand feels nothing
 POWER_FLOOR = 1e-12  # of the recorded power in a bin: a silent synthesis is 120 dB off, not infinitely
 
 
 def welch(blocks: Array, rate_hz: float, n_segment: int) -> tuple[Array, Array]:
-    """Return frequencies [Hz] and power densities [(m/s²)²/Hz]: blocks (…, n) → (k,), (…, k).
+    """Frequencies [Hz] and power densities [(m/s²)²/Hz]: blocks (…, n) → (k,), (…, k).
 
     Hann segments, half overlapping, the mean of each removed.
     """
@@ -23,36 +23,36 @@ def welch(blocks: Array, rate_hz: float, n_segment: int) -> tuple[Array, Array]:
 
 
 def segment_length(block: int) -> int:
-    """Return Welch's segment for a block of so many samples: 256, or a quarter of the block if that is less."""
+    """Welch's segment for a block of so many samples: 256, or a quarter of the block if that is less."""
     return min(256, max(8, block // 4))
 
 
-def highest_scored(rate_hz: float) -> float:
-    """Return up to where spectra are scored [Hz]: the lower of 1 kHz and 0.45 of the rate."""
-    return min(HIGHEST_HZ, 0.45 * rate_hz)
+def max_scored_hz(rate_hz: float) -> float:
+    """Highest frequency at which spectra are scored [Hz]: the lower of 1 kHz and 0.45 of the rate."""
+    return min(MAX_SCORED_HZ, 0.45 * rate_hz)
 
 
 def scored_bins(frequencies: Array, rate_hz: float) -> NDArray[np.bool_]:
-    """Return which bins are scored, from 20 Hz on."""
-    return (frequencies >= LOWEST_HZ) & (frequencies <= highest_scored(rate_hz))
+    """Mask of the scored bins, from 20 Hz on."""
+    return (frequencies >= MIN_SCORED_HZ) & (frequencies <= max_scored_hz(rate_hz))
 
 
 def highest_with_power(frequencies: Array, density: Array, rate_hz: float, share: float = 0.999) -> float:
-    """Return the frequency [Hz] below which a share of the power lies: densities (k,); never lower than what is scored."""
+    """Frequency [Hz] below which a share of the power lies: densities (k,); never lower than what is scored."""
     power = np.cumsum(density)
     reached = float(frequencies[np.searchsorted(power, share * power[-1])])
-    return min(max(reached, highest_scored(rate_hz)), rate_hz / 2)
+    return min(max(reached, max_scored_hz(rate_hz)), rate_hz / 2)
 
 
 def log_spectral_distance(recorded: Array, synthesized: Array) -> Array:
-    """Return the RMS over bins of 10·log₁₀(P/Q) [dB], sees gain: densities (…, k) of scored bins → (…,)."""
+    """RMS over bins of 10·log₁₀(P/Q) [dB], sees gain: densities (…, k) of scored bins → (…,)."""
     floor = POWER_FLOOR * recorded.max(axis=-1, keepdims=True)
     ratio = 10 * np.log10(np.maximum(recorded, floor) / np.maximum(synthesized, floor))
     return np.sqrt(np.square(ratio).mean(axis=-1))
 
 
 def earth_mover_octaves(frequencies: Array, recorded: Array, synthesized: Array) -> Array:
-    """Return how far power has to be moved along log frequency to make one spectrum the other [octave], blind to gain.
+    """Distance over which power has to move along log frequency to make one spectrum the other [octave], blind to gain.
 
     Frequencies [Hz], shape (k,), and densities (…, k) of scored bins → (…,); 0 where one is silent.
 
@@ -64,5 +64,5 @@ def earth_mover_octaves(frequencies: Array, recorded: Array, synthesized: Array)
         np.cumsum(density, axis=-1) / np.maximum(total, np.finfo(float).tiny)[..., None]
         for density, total in zip((recorded, synthesized), totals, strict=True)
     ]
-    moved = (np.abs(shares[0] - shares[1])[..., :-1] * np.diff(np.log2(frequencies))).sum(axis=-1)
-    return np.asarray(np.where((totals[0] > 0) & (totals[1] > 0), moved, 0.0))
+    distance = (np.abs(shares[0] - shares[1])[..., :-1] * np.diff(np.log2(frequencies))).sum(axis=-1)
+    return np.asarray(np.where((totals[0] > 0) & (totals[1] > 0), distance, 0.0))

@@ -13,7 +13,7 @@ Sections = tuple[tuple[float, float, float, float, float], ...]
 
 
 def butterworth(kind: str, cutoff_hz: float, rate_hz: float, order: int = 2) -> Sections:
-    """Return a Butterworth `lowpass` or `highpass` of even order, by its −3 dB frequency and samples a second.
+    """Butterworth `lowpass` or `highpass` of even order, by its −3 dB frequency and samples a second.
 
     Bilinear transform with the cutoff prewarped, one biquad for each pair of poles at angle θ from the
     negative real axis, whose damping is 1/Q = 2 cos θ.
@@ -37,7 +37,7 @@ def butterworth(kind: str, cutoff_hz: float, rate_hz: float, order: int = 2) -> 
 
 
 def delay_s(sections: Sections, rate_hz: float) -> float:
-    """Return the group delay of a low-pass at 0 Hz [s].
+    """Group delay of a low-pass at 0 Hz [s].
 
     The delay of b/a at 0 Hz is Σ k·b_k / Σ b_k − Σ k·a_k / Σ a_k samples, summed over the sections.
     """
@@ -64,7 +64,7 @@ class Biquads:
             value = settled
 
     def process(self, samples: Array) -> Array:
-        """Return the filtered samples, shape (n,), and keep the state for the next piece."""
+        """Filter the next piece, shape (n,), and keep the state."""
         values = np.asarray(samples, dtype=np.float64).tolist()
         for index, (b0, b1, b2, a1, a2) in enumerate(self._sections):
             first, second = self._state[index]
@@ -78,7 +78,7 @@ class Biquads:
 
 
 def filter_recorded(sections: Sections, samples: Array, *, zero_phase: bool = False) -> Array:
-    """Return a whole recorded signal filtered, shape (n,), starting settled on its first value.
+    """Recorded signal, filtered, shape (n,), starting settled on its first value.
 
     The same numbers as `Biquads`, by SciPy; `zero_phase` runs it forwards and backwards, which looks into the future.
     """

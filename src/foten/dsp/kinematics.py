@@ -1,4 +1,4 @@
-"""The hand's movement: slow signals at a higher rate, and speed from positions, the same way for recordings and strokes."""
+"""Movement: slow signals at a higher rate, and speed from positions, the same way for recordings and strokes."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from foten.dsp import Array
 
 
 def at_rate(values: Array, times_s: Array, rate_hz: float, n: int) -> Array:
-    """Return a signal at `n` samples of a rate from time 0, linearly interpolated, ends held.
+    """Signal at `n` samples of a rate from time 0, linearly interpolated, ends held.
 
     Where the signal is denser than the rate, each sample is the mean over one period around it, so that its noise is
     averaged and not picked up. Values and rising times are of shape (k,), the result is of (n,).
@@ -24,7 +24,7 @@ def at_rate(values: Array, times_s: Array, rate_hz: float, n: int) -> Array:
 
 
 def velocity(positions: Array, rate_hz: float) -> Array:
-    """Return the velocity of each axis [mm/s], shape (n_axes, n), of positions [mm] at a rate, (n_axes, n).
+    """Velocity of each axis [mm/s], shape (n_axes, n), of positions [mm] at a rate, (n_axes, n).
 
     Central differences; low-pass it before taking the norm (`speed_of`).
     """
@@ -34,10 +34,9 @@ def velocity(positions: Array, rate_hz: float) -> Array:
 
 
 def speed_of(velocity: Array) -> Array:
-    """Return the speed [mm/s], shape (n,), of low-passed velocities (n_axes, n); a single row is a speed already.
+    """Speed [mm/s], shape (n,), of low-passed velocities (n_axes, n); a single row is a speed already.
 
-    Low-passed, because the norm is never negative and noise adds to it: a still pen whose position wavers by 0.05 mm at 1 kHz
-    read 44 mm/s when the norm came first.
+    Low-passed, because the norm is never negative and noise adds to it: a pen at rest would have a speed.
     """
     if velocity.shape[0] == 1:
         return np.maximum(velocity[0], 0.0)  # a second-order low-pass undershoots by 4 %

@@ -14,7 +14,7 @@ FLOOR_DB = -30.0  # re the reference; levels below it count as it: a texture at 
 
 
 def frame_levels(blocks: Array, rate_hz: float, reference: float) -> Array:
-    """Return the RMS in frames of 40 ms [dB re `reference`], not below −30 dB: blocks (…, n) → (…, frames).
+    """RMS in frames of 40 ms [dB re `reference`], not below −30 dB: blocks (…, n) → (…, frames).
 
     Samples after the last whole frame are left out.
     """
@@ -23,12 +23,12 @@ def frame_levels(blocks: Array, rate_hz: float, reference: float) -> Array:
 
 
 def frame_means(blocks: Array, rate_hz: float) -> Array:
-    """Return the mean in the same frames: blocks (…, n) → (…, frames)."""
+    """Mean in the same frames: blocks (…, n) → (…, frames)."""
     return framed(blocks, FRAME_MS, rate_hz).mean(axis=-1)
 
 
 def framed(signal: NDArray[Any], frame_ms: float, rate_hz: float) -> NDArray[Any]:
-    """Return a signal in frames, without what fills none: (…, n) → (…, n_frames, frame)."""
+    """Signal in frames, without what fills none: (…, n) → (…, n_frames, frame)."""
     frame = max(1, round(frame_ms * rate_hz / 1000))
     n = signal.shape[-1] // frame
     return signal[..., : n * frame].reshape(*signal.shape[:-1], n, frame)

@@ -21,11 +21,11 @@ import numpy as np
 
 from foten.dsp import Array
 
-LEAST_GAP = 0.005  # rad between neighbours, and from 0 and π: nearer ones ring for seconds at 1 kHz
+MIN_GAP_RAD = 0.005  # rad between neighbours, and from 0 and π: nearer ones ring for seconds at 1 kHz
 
 
 def line_spectral_frequencies(a: Array) -> Array:
-    """Return the angles of a polynomial with its zeros inside the unit circle: (p + 1,), 1 first → (p,), rising [rad].
+    """Angles of a polynomial with its zeros inside the unit circle: (p + 1,), 1 first → (p,), rising [rad].
 
     Raises:
         ValueError: a zero lies on the unit circle or outside it.
@@ -37,22 +37,24 @@ def line_spectral_frequencies(a: Array) -> Array:
         raise ValueError("the polynomial has a zero outside the unit circle, expected a stable filter")
     padded = np.append(a, 0.0)
     both = [padded + padded[::-1], padded - padded[::-1]]
-    angles = [np.angle(np.roots(np.polydiv(one, known)[0])) for one, known in zip(both, _known(p), strict=True)]
+    angles = [
+        np.angle(np.roots(np.polydiv(polynomial, known)[0])) for polynomial, known in zip(both, _known(p), strict=True)
+    ]
     return np.sort(np.concatenate([angle[angle > 0] for angle in angles]))
 
 
 def _known(p: int) -> tuple[list[float], list[float]]:
-    """Return the factors of P and Q whose zeros no frequency stands for: at −1 and 1, or both of Q."""
+    """Factors of P and Q whose zeros no frequency stands for: at −1 and 1, or both of Q."""
     return ([1.0], [1.0, 0.0, -1.0]) if p % 2 else ([1.0, 1.0], [1.0, -1.0])
 
 
 def polynomial_of(frequencies: Array) -> Array:
-    """Return A of line spectral frequencies: (b, p) → (b, p + 1), 1 first."""
+    """Polynomial A of line spectral frequencies: (b, p) → (b, p + 1), 1 first."""
     b, p = frequencies.shape
     both = [np.ones((b, 1)), np.ones((b, 1))]
     for i in range(p):
         both[i % 2] = _times(both[i % 2], [1.0, -2 * np.cos(frequencies[:, i, None]), 1.0])
-    first, second = (_times(one, known) for one, known in zip(both, _known(p), strict=True))
+    first, second = (_times(polynomial, known) for polynomial, known in zip(both, _known(p), strict=True))
     return np.asarray((0.5 * (first + second))[:, : p + 1])
 
 
@@ -64,8 +66,8 @@ def _times(polynomials: Array, factor: Sequence[float | Array]) -> Array:
 
 
 def spread_out(frequencies: Array) -> Array:
-    """Return the same angles, rising by at least `LEAST_GAP` and as far from 0 and π: (…, p) → (…, p)."""
-    steps = LEAST_GAP * np.arange(1, frequencies.shape[-1] + 1)
+    """The same angles, rising by at least `MIN_GAP_RAD` and as far from 0 and π: (…, p) → (…, p)."""
+    steps = MIN_GAP_RAD * np.arange(1, frequencies.shape[-1] + 1)
     up = np.maximum.accumulate(frequencies - steps, axis=-1).clip(min=0.0) + steps
     down = up + steps[::-1] - np.pi
     highest = np.minimum.accumulate(down[..., ::-1], axis=-1)[..., ::-1].clip(max=0.0)

@@ -9,18 +9,18 @@ from numpy.typing import NDArray
 
 from foten.dsp import Array
 
-LEAST_AREA = 1e-9  # of a triangle, scaled; a flatter one has no weights
+MIN_TRIANGLE_AREA = 1e-9  # of a triangle, scaled; a flatter one has no weights
 _INSIDE = -1e-12  # a weight above this is one of the triangle that a point lies in
 _AT_ONCE = 500_000  # points times triangles held in memory
 
 
 @dataclass(frozen=True)
 class Mesh:
-    """Triangles over speed and force; whoever stands outside of all is heard from the nearest edge."""
+    """Triangles over speed and force; whoever stands outside of all is taken to the nearest edge."""
 
     points: Array  # speed [mm/s] and force [N], shape (n, 2)
     triangles: NDArray[np.int64]  # three points each, shape (t, 3)
-    scale: Array  # what a speed and a force are divided by before distances are told, shape (2,)
+    scale: Array  # what a speed and a force are divided by before distances are measured, shape (2,)
 
     def __post_init__(self) -> None:
         if not (self.scale > 0).all():
@@ -28,18 +28,18 @@ class Mesh:
         if not ((self.triangles >= 0) & (self.triangles < len(self.points))).all():
             raise ValueError("a triangle of the mesh has a corner that no model is at")
         corners = (self.points / self.scale)[self.triangles]
-        if not (np.abs(_cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])) > LEAST_AREA).all():
+        if not (np.abs(_cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])) > MIN_TRIANGLE_AREA).all():
             raise ValueError("a triangle of the mesh is flat: three models in a line, or two in one place")
 
     def at(self, speed: Array, force: Array) -> tuple[NDArray[np.int64], Array]:
-        """Return which three models are heard at speeds [mm/s] and forces [N], and by what share: (b,) → (b, 3), (b, 3)."""
+        """The three models used at speeds [mm/s] and forces [N], and the share of each: (b,) → (b, 3), (b, 3)."""
         asked = np.stack([speed, force], axis=1) / self.scale
         parts = np.array_split(asked, len(asked) * len(self.triangles) // _AT_ONCE + 1)
         triangles, weights = zip(*(self._some(part) for part in parts), strict=True)
         return self.triangles[np.concatenate(triangles)], np.concatenate(weights)
 
     def _some(self, asked: Array) -> tuple[NDArray[np.int64], Array]:
-        """Return the triangle that each point is in or nearest to, and the shares of its corners: (b, 2) → (b,), (b, 3)."""
+        """Triangle that each point is in or nearest to, and the shares of its corners: (b, 2) → (b,), (b, 3)."""
         corners = (self.points / self.scale)[self.triangles]
         origin, first, second = corners[:, 0], corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
         away = asked[:, None] - origin
@@ -57,7 +57,7 @@ class Mesh:
 
 
 def _nearest(asked: Array, corners: Array) -> tuple[NDArray[np.int64], Array]:
-    """Return the triangle whose edge is nearest to each point, and the shares of its corners at the nearest place."""
+    """Triangle whose edge is nearest to each point, and the shares of its corners at the nearest place."""
     begin = corners.transpose(1, 0, 2)  # of the three edges of each triangle, (3, t, 2)
     along = np.roll(begin, -1, axis=0) - begin
     away = asked[:, None, None] - begin

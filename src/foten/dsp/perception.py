@@ -1,4 +1,4 @@
-"""How much of a vibration's perceived power a sampling rate keeps."""
+"""Share of a vibration's perceived power that a sampling rate keeps."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from foten.dsp import Array
-from foten.dsp.distance import HIGHEST_HZ, LOWEST_HZ
+from foten.dsp.distance import MAX_SCORED_HZ, MIN_SCORED_HZ
 
 MOST_SENSITIVE_HZ = 250.0
 USABLE_BAND = 0.45  # of a rate
@@ -15,7 +15,7 @@ RATES_HZ = (1000.0, 2500.0, 10_000.0)
 
 
 def sensitivity(hertz: Array) -> Array:
-    """Return the weight of acceleration power at frequencies [Hz] (k,): the inverse square of the threshold, 1 up to 250 Hz.
+    """Weight of acceleration power at frequencies [Hz] (k,): the inverse square of the threshold, 1 up to 250 Hz.
 
     The displacement threshold falls by 12 dB per octave from 40 Hz to its minimum near 250 Hz, so the acceleration threshold
     is flat there. Above the minimum the displacement threshold is taken to rise by the same 12 dB per octave, which makes
@@ -25,11 +25,11 @@ def sensitivity(hertz: Array) -> Array:
     Source: Verrillo, J. Acoust. Soc. Am. 35 (1963), for large contactors; the slope above 250 Hz is our reading of a U.
     """
     steep = np.minimum(MOST_SENSITIVE_HZ / np.maximum(hertz, 1e-9), 1.0) ** 8
-    return np.where((hertz >= LOWEST_HZ) & (hertz <= HIGHEST_HZ), steep, 0.0)
+    return np.where((hertz >= MIN_SCORED_HZ) & (hertz <= MAX_SCORED_HZ), steep, 0.0)
 
 
 def carried(densities: Mapping[str, tuple[Array, Array]], rate_hz: float) -> dict[float, float]:
-    """Return the share of the perceived power that each rate [Hz] keeps: the `RATES_HZ` up to `rate_hz`, and `rate_hz`.
+    """Share of the perceived power that each rate [Hz] keeps: the `RATES_HZ` up to `rate_hz`, and `rate_hz`.
 
     Shares from 0 to 1, none where no power is perceived, from the frequencies [Hz] (k,) and power densities (k,) of each axis of
     an acceleration captured at `rate_hz`.
@@ -37,19 +37,19 @@ def carried(densities: Mapping[str, tuple[Array, Array]], rate_hz: float) -> dic
     weighted = [(hertz, density * sensitivity(hertz)) for hertz, density in densities.values()]
 
     def power(highest_hz: float) -> float:
-        kept = [(hertz, np.where(hertz <= highest_hz, one, 0.0)) for hertz, one in weighted]
-        return sum(float(0.5 * (one[1:] + one[:-1]) @ np.diff(hertz)) for hertz, one in kept)  # trapezoidal rule
+        below = [(hertz, np.where(hertz <= highest_hz, density, 0.0)) for hertz, density in weighted]
+        return sum(float(0.5 * (density[1:] + density[:-1]) @ np.diff(hertz)) for hertz, density in below)
 
     total, rates = power(np.inf), {*(rate for rate in RATES_HZ if rate <= rate_hz), rate_hz}
     return {rate: power(USABLE_BAND * rate) / total for rate in sorted(rates)} if total > 0 else {}
 
 
 def smallest_rate(shares: Mapping[float, float]) -> float:
-    """Return the lowest rate that carries 95 % of what the highest carries [Hz]."""
+    """Lowest rate that carries 95 % of what the highest carries [Hz]."""
     return min(rate for rate, share in shares.items() if share >= 0.95 * max(shares.values()))
 
 
 def in_words(shares: Mapping[float, float]) -> str:
-    """Return the shares as a clause: "1 kHz carries 81 %, 2.5 kHz 99 %"."""
+    """Shares as a clause: "1 kHz carries 81 %, 2.5 kHz 99 %"."""
     texts = [f"{rate / 1000:g} kHz {100 * share:.3g} %" for rate, share in shares.items()]
     return ", ".join(texts).replace(" kHz ", " kHz carries ", 1)

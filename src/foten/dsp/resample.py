@@ -12,7 +12,7 @@ HALF_WIDTH = 24  # samples on each side of one that is interpolated
 
 
 def rate_ratio(target_hz: float, source_hz: float, tolerance: float = 1e-9) -> Fraction:
-    """Return target over source rate as a small fraction, up to a relative error, of which 1e-4 is inaudible.
+    """Target over source rate as a small fraction, up to a relative error, of which 1e-4 is inaudible.
 
     ValueError where the rates are in no ratio of integers up to 1000.
     """
@@ -26,13 +26,12 @@ def rate_ratio(target_hz: float, source_hz: float, tolerance: float = 1e-9) -> F
 
 
 def decimate(samples: Array, source_hz: float, target_hz: float) -> Array:
-    """Return a signal at a lower rate, aligned with the input (linear phase, no delay), shape (n,).
+    """Signal at a lower rate, aligned with the input (linear phase, no delay), shape (n,).
 
     The low-pass is flat to 0.45 of the new rate and 80 dB down at 0.55, so that only frequencies above 0.45 of the
     rate, which no figure of merit looks at, hold aliases. A sharper one that is silent up to half the rate would
     leave an empty band below it, and a signal with an empty band is predictable by the filter rather than by the
-    texture: the one-step error would fall with the filter's order (measured: from 0.51 to 0.16 standard deviations
-    with a 350 Hz low-pass on 100 textures at 1 kHz).
+    texture: a 350 Hz low-pass at 1 kHz takes the one-step error from 0.51 to 0.16 standard deviations (100 textures).
 
     Raises:
         ValueError: the target rate is higher than the source rate.
@@ -52,7 +51,7 @@ def decimate(samples: Array, source_hz: float, target_hz: float) -> Array:
 
 
 def interpolate(samples: Array, factor: Fraction) -> Array:
-    """Return a signal (n,) at `factor` times its rate, 1 or more, by a windowed sinc, shape (ceil(n × factor),).
+    """Signal (n,) at `factor` times its rate, 1 or more, by a windowed sinc, shape (ceil(n × factor),).
 
     Polyphase: the output at time t takes the inputs around floor(t) with one of `factor.numerator` kernels, so a
     constant is kept exactly by normalising each kernel to sum 1.

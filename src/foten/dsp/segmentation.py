@@ -22,14 +22,14 @@ from foten.dsp.ar import levinson
 Index = NDArray[np.int64]
 
 MAX_ORDER = 20
-LEAST_SPANS = np.array([10, 10, 12, 14, 16, 18, 20, *[25] * 4, *[50] * 10])
+MIN_PIECE_SAMPLES = np.array([10, 10, 12, 14, 16, 18, 20, *[25] * 4, *[50] * 10])
 """The fewest samples of a piece of each order; as in the source."""
-_QUIETEST = 1e-12  # of the signal's power, a piece's variance: a silent piece is not infinitely short to tell
+_MIN_VARIANCE = 1e-12  # of the signal's power, a piece's variance: a silent piece is not infinitely short to tell
 _PASSES = 5  # over all cuts, at most, when they are moved
 
 
 def pieces_of(x: Array, max_order: int = MAX_ORDER, grid: int = 50, longest: int | None = None) -> tuple[Index, float]:
-    """Return where each piece of the shortest description begins but for the first, rising, and its length in nats.
+    """Starts of the pieces of the shortest description but for the first, rising, and its length in nats.
 
     Args:
         x: shape (n,), of mean zero; two steps of the grid or more.
@@ -47,10 +47,10 @@ def pieces_of(x: Array, max_order: int = MAX_ORDER, grid: int = 50, longest: int
         row[i:] = np.where(end - begin <= longest, description.of(begin, end), np.inf)
     cuts = places[_best(costs, np.log(x.size))]
     for _ in range(_PASSES):
-        moved = _moved(description, cuts, grid, longest)
-        if np.array_equal(moved, cuts):
+        changed = _with_cuts_moved(description, cuts, grid, longest)
+        if np.array_equal(changed, cuts):
             break
-        cuts = moved
+        cuts = changed
     edges, m = np.concatenate([[0], cuts, [x.size]]), len(cuts)
     each = description.of(edges[:-1], edges[1:])
     return cuts, float(each.sum() + (m + 1) * np.log(x.size) + np.log(max(m, 1)))
@@ -64,32 +64,32 @@ class _Description:
         self._sums = np.zeros((max_order + 1, x.size + 1))
         for lag in range(max_order + 1):
             np.cumsum(x[lag:] * x[: x.size - lag], out=self._sums[lag, lag + 1 :])
-        self._quietest = _QUIETEST * max(float(np.square(x).mean()), np.finfo(float).tiny)
+        self._min_variance = _MIN_VARIANCE * max(float(np.square(x).mean()), np.finfo(float).tiny)
 
     def of(self, begin: Index, end: Index) -> Array:
-        """Return the nats of pieces from samples `begin` to before `end`, each by its best order: (b,), (b,) → (b,)."""
+        """Nats of pieces from samples `begin` to before `end`, each by its best order: (b,), (b,) → (b,)."""
         n = (end - begin).astype(float)
         p = np.arange(len(self._sums))[:, None]
         moments = (self._sums[p, end] - self._sums[p, np.minimum(begin + p, end)]) / n
-        moments[0] = np.maximum(moments[0], self._quietest)
+        moments[0] = np.maximum(moments[0], self._min_variance)
         _, errors = levinson(moments)
         nats = np.log(np.maximum(p, 1)) + (p + 2) / 2 * np.log(n)
-        nats = nats + n / 2 * np.log(2 * np.pi * np.maximum(errors, self._quietest))
-        return np.asarray(np.where(n >= LEAST_SPANS[p], nats, np.inf).min(axis=0))
+        nats = nats + n / 2 * np.log(2 * np.pi * np.maximum(errors, self._min_variance))
+        return np.asarray(np.where(n >= MIN_PIECE_SAMPLES[p], nats, np.inf).min(axis=0))
 
 
 def _best(costs: Array, each: float) -> Index:
-    """Return at which places to cut: from the nats of pieces that end at each place (w, k), and those of one piece more."""
+    """Places to cut at: from the nats of pieces that end at each place (w, k), and those of one piece more."""
     w, k = costs.shape
     begin = np.arange(k) - np.arange(1, w + 1)[:, None]  # of a piece; what is below 0 costs infinitely much
     # By how many pieces a place is reached with: the logarithm of their number does not add up. It only grows, so there are no
     # more pieces than without it.
-    least, pieces = np.full(k, np.inf), np.zeros(k, dtype=int)
-    least[0] = 0.0
+    shortest, pieces = np.full(k, np.inf), np.zeros(k, dtype=int)
+    shortest[0] = 0.0
     for j in range(1, k):
-        reached = least[begin[:, j]] + costs[:, j] + each
+        reached = shortest[begin[:, j]] + costs[:, j] + each
         i = int(reached.argmin())
-        least[j], pieces[j] = reached[i], pieces[begin[i, j]] + 1
+        shortest[j], pieces[j] = reached[i], pieces[begin[i, j]] + 1
     nats, totals, before = np.where(np.arange(k) == 0, 0.0, np.inf), [], []
     for _ in range(pieces[-1]):
         reached = nats[begin] + costs
@@ -105,8 +105,8 @@ def _best(costs: Array, each: float) -> Index:
     return np.array(cuts[::-1], dtype=int)
 
 
-def _moved(description: _Description, cuts: Index, grid: int, longest: int) -> Index:
-    """Return each cut in turn where the two pieces beside it are shortest to tell, at most a step of the grid away."""
+def _with_cuts_moved(description: _Description, cuts: Index, grid: int, longest: int) -> Index:
+    """Each cut in turn where the two pieces beside it are shortest to tell, at most a step of the grid away."""
     edges = np.concatenate([[0], cuts, [description.n]])
     for j in range(1, len(edges) - 1):
         before, after = edges[j - 1], edges[j + 1]

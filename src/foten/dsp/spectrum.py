@@ -10,7 +10,7 @@ WEAKEST_BIN = 1e-10  # of a window's energy; float32 rounding leaves about 1e-13
 
 
 def dft_matrices(m: int) -> tuple[Array, Array]:
-    """Return the real and imaginary part of Eq. 6 as matrices: Z = a @ real + i · a @ imaginary, each (m, m).
+    """Real and imaginary part of Eq. 6 as matrices: Z = a @ real + i · a @ imaginary, each (m, m).
 
     Entries that are zero in exact arithmetic are exactly zero, so that the phase of a real bin is 0 or π everywhere
     and not ±π as rounding falls.
@@ -24,7 +24,7 @@ def dft_matrices(m: int) -> tuple[Array, Array]:
 
 
 def last_sample_row(m: int, half: bool = False) -> tuple[Array, Array]:
-    """Return (c, s) with Re a_spec[m−1] = Σ_k M̂_k·(c_k·cos φ̂_k + s_k·sin φ̂_k), shapes (m,) or (m // 2 + 1,).
+    """Rows (c, s) with Re a_spec[m−1] = Σ_k M̂_k·(c_k·cos φ̂_k + s_k·sin φ̂_k), shapes (m,) or (m // 2 + 1,).
 
     Only this row of Eq. 9 reaches the output: the head reads the last token alone. With
     e^{i2πk(m−1)/m} = e^{−i2πk/m}, c_k = cos(2πk/m)/m and s_k = sin(2πk/m)/m. With half of the bins, those
@@ -36,7 +36,7 @@ def last_sample_row(m: int, half: bool = False) -> tuple[Array, Array]:
 
 
 def position_encoding(m: int, d_model: int) -> Array:
-    """Return the sinusoidal positions, shape (m, d_model). Source: Eq. 2."""
+    """Sinusoidal positions, shape (m, d_model). Source: Eq. 2."""
     angle = np.arange(m)[:, None] / 10000 ** (np.arange(0, d_model, 2) / d_model)
     encoding = np.zeros((m, d_model))
     encoding[:, 0::2], encoding[:, 1::2] = np.sin(angle), np.cos(angle)[:, : d_model // 2]

@@ -43,7 +43,7 @@ def tone(coefficients: Array, phase: Array) -> Array:
 
 
 def anti_alias_gain(n_tones: int, phase_increment: Array) -> Array:
-    """Return how much of each multiple the rate can hold, where a sample moves the phase by an increment [rad]: (…) → (…, 2 n_tones).
+    """How much of each multiple the rate can hold, where a sample moves the phase by an increment [rad]: (…) → (…, 2 n_tones).
 
     All of it up to 0.45 of the rate, nothing from half of it, where it would come back as another tone.
     """

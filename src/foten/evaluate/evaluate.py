@@ -37,7 +37,7 @@ _WHY_UNKNOWN = {
 
 
 @dataclass(frozen=True)
-class Truth:
+class SimulatorReference:
     """What only a simulator knows; the caller asks it."""
 
     realisations: Sequence[Trace] = ()  # the same stroke over fresh roughness, preprocessed as the recording was
@@ -61,7 +61,7 @@ class Judgement:
 def trace_for(
     texture: Texture, recording: Recording, trim_ms: float | None = None, block_ms: float | None = None
 ) -> Trace:
-    """Return a recording preprocessed as the texture's was, with another trim and block [ms] where given.
+    """Recording preprocessed as the texture's was, with another trim and block [ms] where given.
 
     Raises:
         ValueError: it is the recording that the texture was trained on, whose blocks are those of its split.
@@ -69,22 +69,22 @@ def trace_for(
     config = PreprocessConfig(**texture.card["preprocess"])
     cut: dict[str, Any] = {k: v for k, v in {"trim_ms": trim_ms, "block_ms": block_ms}.items() if v is not None}
     if cut and recording.sha256() == texture.card["recording_sha256"]:
-        own = "the texture was trained on this recording and is judged on the blocks of its split"
-        raise ValueError(f"{own}; --trim and --block are for others")
+        trained = "the texture was trained on this recording and is judged on the blocks of its split"
+        raise ValueError(f"{trained}; --trim and --block are for others")
     return preprocess(recording, replace(config, **cut))
 
 
 def evaluate(
     texture: Texture,
     recording: Recording,
-    truth: Truth | None = None,
+    simulated: SimulatorReference | None = None,
     seed: int = 0,
     on_stage: Callable[[str], None] = lambda stage: None,
     trim_ms: float | None = None,
     block_ms: float | None = None,
     listener: bool = False,
 ) -> Judgement:
-    """Return every figure of a texture on the test blocks of the recording it was trained on, or on all of another.
+    """All figures of a texture on the test blocks of the recording it was trained on, or on all of another.
 
     The trained one is recognised by its digest; `trim_ms` and `block_ms` are as of `trace_for`, `seed` is the excitation's. A
     `listener` is asked where it is asked for: it needs PyTorch, and a minute.
@@ -92,7 +92,7 @@ def evaluate(
     Raises:
         ValueError: the recording is too short, the split does not fit it, or one of the two alone is in relative units.
     """
-    truth = truth or Truth()
+    simulated = simulated or SimulatorReference()
     units = {texture.card["units"].get("acceleration"), recording.unit("acceleration")}
     if RELATIVE in units and len(units) > 1:
         which = "texture" if texture.unit == RELATIVE else "recording"
@@ -105,8 +105,8 @@ def evaluate(
     if trace.recording_sha256 == texture.card["recording_sha256"]:
         split = Split.from_fields(texture.card["split"])
         if (split.n_blocks, split.block) != (trace.n_blocks, trace.block):
-            given = f"the recording gives {trace.n_blocks} of {trace.block}"
-            raise ValueError(f"the split is of {split.n_blocks} blocks of {split.block}, {given}")
+            of_recording = f"the recording gives {trace.n_blocks} of {trace.block}"
+            raise ValueError(f"the split is of {split.n_blocks} blocks of {split.block}, {of_recording}")
     blocks = tuple(range(trace.n_blocks)) if split is None else split.test
     samples = texture.scaling.scale(trace.stacked())
     reasons: dict[str, str] = {}
@@ -120,10 +120,10 @@ def evaluate(
             "ar_scheduled": fit_linear(samples, train, block, ANCHOR_ORDER, scheduled=True),
             "ar_best": best_linear(samples, train, split.validation, block),
         }
-    one = _one_step(texture, kernel, trace, samples, blocks, fitted, truth, reasons)
+    one_step_scores = _one_step(texture, kernel, trace, samples, blocks, fitted, simulated, reasons)
     on_stage("free run")
-    free, synthesized = _free_run(texture, kernel, trace, blocks, split, fitted.get("ar"), truth, seed, reasons)
-    by_listeners = _listener(kernel, texture, trace, blocks, truth, seed, reasons, on_stage) if listener else None
+    free, synthesized = _free_run(texture, kernel, trace, blocks, split, fitted.get("ar"), simulated, seed, reasons)
+    by_listeners = _listener(kernel, texture, trace, blocks, simulated, seed, reasons, on_stage) if listener else None
     validation = ("mae_scaled", "mae_scaled_lattice", "mae_scaled_hop", "spectrum_db", "lsd_db", "level_error_db")
     document = {
         "texture": texture.card["texture"],
@@ -136,7 +136,7 @@ def evaluate(
         "block": trace.block,
         "sd_m_s2": texture.scaling.sd[0],
         "unit": texture.unit,
-        **one,
+        **one_step_scores,
         **free,
         "listener": by_listeners,
         "reasons": reasons,
@@ -152,18 +152,18 @@ def _listener(
     texture: Texture,
     trace: Trace,
     blocks: tuple[int, ...],
-    truth: Truth,
+    simulated: SimulatorReference,
     seed: int,
     reasons: dict[str, str],
     on_stage: Callable[[str], None],
 ) -> dict[str, Any] | None:
-    """Return what listeners tell apart: under a long stroke of a simulated truth, else under the test blocks."""
+    """Scores of trained listeners: under a long stroke of the simulator, else under the test blocks."""
     if not texture.has_excitation:
         reasons["listener"] = f"{texture.card['model']} carries no excitation"
         return None
     from foten.evaluate.listener import listener_scores, long_stroke, renderings
 
-    recorded, *others = [long_stroke(one) for one in truth.strokes] or [long_stroke(trace, blocks)]
+    recorded, *others = [long_stroke(one) for one in simulated.strokes] or [long_stroke(trace, blocks)]
     try:
         return listener_scores(recorded, renderings(kernel, recorded), others, seed, on_stage)
     except ValueError as error:
@@ -178,7 +178,7 @@ def _one_step(
     samples: Array,
     blocks: tuple[int, ...],
     fitted: Mapping[str, Linear | None],
-    truth: Truth,
+    simulated: SimulatorReference,
     reasons: dict[str, str],
 ) -> dict[str, Any]:
     result: dict[str, Any] = dict.fromkeys(ONE_STEP_KEYS)
@@ -216,9 +216,9 @@ def _one_step(
         if scores["nll"] is None:
             reasons["one_step.nll"] = "the excitation is that of a rendering, or the hand was at rest"
         result.update({**scores, "intervals": {**result["intervals"], **scores["intervals"]}})
-    for name, bound in (("bound", truth.bound), ("bound_window", truth.bound_window)):
+    for name, bound in (("bound", simulated.bound), ("bound_window", simulated.bound_window)):
         if bound is None:
-            reasons[f"references.{name}"] = truth.why_no_bound
+            reasons[f"references.{name}"] = simulated.why_no_bound
         else:
             mae = float(bound[n].mean())
             references[name].update(mae_scaled=mae / sd, mae_m_s2=mae)
@@ -232,7 +232,7 @@ def _free_run(
     blocks: tuple[int, ...],
     split: Split | None,
     linear: Linear | None,
-    truth: Truth,
+    simulated: SimulatorReference,
     seed: int,
     reasons: dict[str, str],
 ) -> tuple[dict[str, Any], dict[str, Array]]:
@@ -253,17 +253,17 @@ def _free_run(
     else:
         reasons["free_run_ar"] = "no training blocks to fit AR(20) on, or too few"
     ceiling_of = None
-    if truth.realisations:
-        signals["ceiling"] = np.stack([realisation.picked(blocks)[0] for realisation in truth.realisations])
-        ceiling_of = f"{len(truth.realisations)} further realisations of the same stroke"
+    if simulated.realisations:
+        signals["ceiling"] = np.stack([realisation.picked(blocks)[0] for realisation in simulated.realisations])
+        ceiling_of = f"{len(simulated.realisations)} further realisations of the same stroke"
     elif split is not None:
         signals["ceiling"] = runs.nearest_training_blocks(trace, blocks, split.train)
         ceiling_of = "the training block nearest in speed and force"
     else:
         reasons["ceiling"] = "a foreign recording has no training blocks"
     for name, signal in signals.items():
-        n_given = {"ceiling": 0, "free_run_ar": ANCHOR_ORDER}.get(name, texture.window)
-        scores[name] = runs.free_run(recorded, signal, speed, force, trace.rate_hz, texture.scaling.sd[0], n_given)
+        n_history = {"ceiling": 0, "free_run_ar": ANCHOR_ORDER}.get(name, texture.window)
+        scores[name] = runs.free_run(recorded, signal, speed, force, trace.rate_hz, texture.scaling.sd[0], n_history)
         reasons.update({f"{name}.{key}": why for key, why in _WHY_UNKNOWN.items() if scores[name][key] is None})
         if name in saturated:
             scores[name]["n_saturated"] = saturated[name]

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from foten.dsp import Array
-from foten.dsp.distance import LOWEST_HZ, POWER_FLOOR, highest_scored
+from foten.dsp.distance import MIN_SCORED_HZ, POWER_FLOOR, max_scored_hz
 
 N_BANDS = 9
 
@@ -59,7 +59,7 @@ def kurtosis(samples: Array) -> float:
 
 def band_edges(rate_hz: float) -> Array:
     """Return the edges of nine bands, equal in log frequency, over the scored range [Hz], shape (10,)."""
-    return np.geomspace(LOWEST_HZ, highest_scored(rate_hz), N_BANDS + 1)
+    return np.geomspace(MIN_SCORED_HZ, max_scored_hz(rate_hz), N_BANDS + 1)
 
 
 def band_errors(recorded: Array, synthesized: Array, frequencies: Array, edges: Array) -> list[float | None]:

@@ -8,16 +8,16 @@ from pathlib import Path
 
 from foten.atomic_write import atomic_write
 from foten.datasets.hdf5 import write_recording
-from foten.datasets.simulate import simulate
 from foten.evaluate.evaluate import evaluate
 from foten.evaluate.report.page import write_report
-from foten.experiments.truth import truth_for
+from foten.experiments.simulator_reference import reference_for
 from foten.models.foten_plus.sizes import FotenPlusSizes
 from foten.models.texture_file import write_texture
 from foten.recording.inspection import inspect_recording, write_pictures
 from foten.runtime.live.sinks import write_audible, write_rendered
 from foten.runtime.renderer import Renderer
 from foten.runtime.stroke import recorded_stroke
+from foten.simulation.simulate import simulate
 from foten.training.config import recipe_of
 from foten.training.job import TrainingJob
 from foten.training.loop import Epoch, Monitor
@@ -48,7 +48,7 @@ def run_demo(
     texture = train(job, Monitor(on_epoch=on_epoch, on_stage=lambda stage: say(f"    {stage}"))).texture
     write_texture(texture, paths["texture"])
     say("4/5 judging it on its test blocks")
-    judgement = evaluate(texture, recording, truth_for(recording, texture), seed)
+    judgement = evaluate(texture, recording, reference_for(recording, texture), seed)
     report = directory / "report"
     report.mkdir(exist_ok=True)
     with atomic_write(report / "evaluation.json") as part:

@@ -14,19 +14,22 @@ from typing import Any
 
 from foten.baselines.sizes import TRAINABLE, trainable_sizes
 from foten.datasets.hdf5 import load_recording
-from foten.datasets.simulate import CONTACT, LINEAR_FAMILY, TEXTURES, simulate
 from foten.recording.preprocess import PreprocessConfig
 from foten.recording.recording import Recording
+from foten.simulation.simulate import CONTACT, LINEAR_FAMILY, TEXTURES, simulate
 from foten.training.config import OWN_RECIPES, RECIPES, TrainConfig, check_used
 
 RECORDED = (".h5", ".hdf5")
 OF_FIRST_SPLIT = ("stability", "onset")
-MEASURES = (*OF_FIRST_SPLIT, "listener", "validation_listener")
-"""What may be measured of a texture file beside its evaluation, each a function of this package or the evaluation's.
+MEASURES = {
+    **{name: f"foten.experiments.{name}" for name in OF_FIRST_SPLIT},
+    **dict.fromkeys(("listener", "validation_listener"), "foten.evaluate.listener_network"),
+}
+"""Measures of a texture file beside its evaluation, and the module that only they execute.
 
 Of the first split of each texture, those of `OF_FIRST_SPLIT`; of every split what listeners can tell.
 """
-OF_TRAINING = {one.name for one in fields(TrainConfig)} - {"recipe"}
+OF_TRAINING = {setting.name for setting in fields(TrainConfig)} - {"recipe"}
 
 
 @dataclass(frozen=True)
@@ -48,25 +51,34 @@ class Run:
 
     @property
     def label(self) -> str:
-        """Return the name of its row in a table: the method, and its cell of the grid."""
+        """Name of its row in a table: the method, and its cell of the grid."""
         return " ".join([self.method, ", ".join(f"{k} {v}" for k, v in self.cell.items())]).rstrip()
 
     @property
     def source(self) -> tuple[str, float | None, int]:
-        """Return what determines the recording that is learned from."""
+        """What determines the recording that is learned from."""
         return self.texture, self.seconds, self.split_seed
 
-    def name(self, recording_sha256: str, foten_version: str) -> str:
-        """Return the name of the run's result file: the hash of all that the result depends on."""
-        # The recording's digest stands for texture and seconds.
+    @property
+    def place(self) -> tuple[str, str, str, int]:
+        """Its place in tables: row, recipe, texture and split."""
+        return self.label, self.recipe, texture_name(self.texture), self.split_seed
+
+    @property
+    def configuration(self) -> str:
+        """Digest of the settings that the result depends on; the recording's stands for texture and seconds."""
         labels = ("method", "cell", "recipe", "beside", "texture", "seconds")
-        resolved = {k: v for k, v in asdict(self).items() if k not in labels}
-        resolved |= {"recording_sha256": recording_sha256, "foten": foten_version}
-        return hashlib.sha256(json.dumps(resolved, sort_keys=True).encode()).hexdigest()[:16]
+        settings = {name: value for name, value in asdict(self).items() if name not in labels}
+        return hashlib.sha256(json.dumps(settings, sort_keys=True).encode()).hexdigest()[:16]
+
+
+def texture_name(texture: str) -> str:
+    """Name of a texture: of a recording, its file's without folder and suffix."""
+    return Path(texture).stem
 
 
 def recording_of(run: Run) -> Recording:
-    """Return what a run learns from."""
+    """What a run learns from."""
     if run.seconds is None:
         return load_recording(Path(run.texture))
     return simulate(run.texture, run.seconds, seed=run.split_seed)
@@ -87,6 +99,11 @@ class Method:
     split_seeds: tuple[int, ...] | None = None  # None for the experiment's
     measures: tuple[str, ...] = ()  # of `MEASURES`, beside the evaluation
 
+    @property
+    def title(self) -> str:
+        """Name in tables."""
+        return self.name or self.model
+
 
 @dataclass(frozen=True)
 class Experiment:
@@ -105,7 +122,7 @@ class Experiment:
     grid: Mapping[str, tuple[Any, ...]] = field(default_factory=dict)
 
     def runs(self) -> list[Run]:
-        """Return every run, in the order of the recordings.
+        """Every run, in the order of the recordings.
 
         Raises:
             ValueError: a setting is unknown or out of range; the message names the method.
@@ -121,17 +138,17 @@ class Experiment:
         ]
         labels: dict[Any, str] = {}
         for run in runs:
-            key = run.source, run.name("", "")
+            key = run.source, run.configuration
             if key in labels:
                 raise ValueError(f"{labels[key]!r} and {run.label!r} are the same run: leave one of them out")
             labels[key] = run.label
         return runs
 
     def _resolved(self, texture: str, method: Method, split_seed: int, cell: Mapping[str, Any], recipe: str) -> Run:
-        name, model = method.name or method.model, method.model
-        own_recipe = dict(method.recipes.get(recipe, {}))
-        base = own_recipe.pop("recipe", method.recipe or self.recipe)
-        changed = {**method.train, **own_recipe, **{k: v for k, v in cell.items() if k in OF_TRAINING}}
+        name, model = method.title, method.model
+        changes = dict(method.recipes.get(recipe, {}))
+        base = changes.pop("recipe", method.recipe or self.recipe)
+        changed = {**method.train, **changes, **{k: v for k, v in cell.items() if k in OF_TRAINING}}
         sizes = {**method.sizes, **{k: v for k, v in cell.items() if k not in OF_TRAINING}}
         train: dict[str, Any] = {}
         try:
@@ -139,8 +156,8 @@ class Experiment:
             if model != "ar":
                 sizes = trainable_sizes(model, sizes).to_card()
                 check_used(model, changed)
-                own = {"threads": 1, "seed": split_seed, **OWN_RECIPES.get(model, {}), **self.train, **changed}
-                train = asdict(replace(RECIPES[base], **own))
+                settings = {"threads": 1, "seed": split_seed, **OWN_RECIPES.get(model, {}), **self.train, **changed}
+                train = asdict(replace(RECIPES[base], **settings))
             elif sizes or changed or method.recipe or method.recipes:
                 raise ValueError("'ar' is fitted without a recipe and finds its sizes: leave them out")
         except (TypeError, ValueError) as error:
@@ -154,13 +171,13 @@ class Experiment:
 
 
 def experiments() -> dict[str, str]:
-    """Return the titles of the experiments that come with foten, by name."""
+    """Titles of the experiments that come with foten, by name."""
     paths = sorted(Path(__file__).parent.glob("*.toml"), key=lambda path: path.stem)
     return {path.stem: tomllib.loads(path.read_text(encoding="utf-8"))["title"] for path in paths}
 
 
 def experiment_path(name: str) -> Path:
-    """Return the path of an experiment: a file, or by its name one that comes with foten.
+    """Path of an experiment: a file, or by its name one that comes with foten.
 
     Raises:
         FileNotFoundError: there is neither.
@@ -174,7 +191,7 @@ def experiment_path(name: str) -> Path:
 
 
 def read_experiment(path: Path, recordings: Path | None = None) -> Experiment:
-    """Return the experiment in a TOML file.
+    """Experiment in a TOML file.
 
     Args:
         recordings: folder of its recordings; by default that of the file.
@@ -196,7 +213,7 @@ def read_experiment(path: Path, recordings: Path | None = None) -> Experiment:
 
 
 def _experiment(content: dict[str, Any], folder: Path) -> Experiment:
-    _check_keys(content, {one.name for one in fields(Experiment)}, "the file")
+    _check_keys(content, _names(Experiment), "the file")
     for name in ("title", "textures", "methods"):
         if not content.get(name):
             raise ValueError(f"there is no {name!r}, expected title, textures and methods")
@@ -205,31 +222,31 @@ def _experiment(content: dict[str, Any], folder: Path) -> Experiment:
     for name in ("train", "grid", "preprocess"):
         _check_types(content, (name,), dict, f"a table, [{name}]")
     methods = tuple(map(_method, content["methods"]))
-    if len({method.name or method.model for method in methods}) < len(methods):
+    names = {method.title for method in methods}
+    if len(names) < len(methods):
         raise ValueError("two methods have the same name: give them a 'name' each")
     _check_recipe(content)
-    _check_beside(methods)
-    textures = tuple(_texture(one, folder) for one in content["textures"])
-    if len({Path(one).stem for one in textures}) < len(textures):
+    textures = tuple(_texture(texture, folder) for texture in content["textures"])
+    if len(set(map(texture_name, textures))) < len(textures):
         raise ValueError("two textures have the same name, which tables could not tell apart")
     grid, train = content.get("grid", {}), content.get("train", {})
     if "recipe" in train:
         raise ValueError("'recipe' stands beside [train], not in it")
     _check_keys(train, OF_TRAINING, "[train]")
-    _check_keys(content.get("preprocess", {}), {one.name for one in fields(PreprocessConfig)}, "[preprocess]")
+    _check_keys(content.get("preprocess", {}), _names(PreprocessConfig), "[preprocess]")
     networks = [method.model for method in methods if method.model != "ar"]
     if grid and not networks:
         raise ValueError("a grid is of networks, and 'ar' finds its sizes: leave it out")
     for name, values in grid.items():
         if not isinstance(values, list) or not values:
             raise ValueError(f"{name!r} in the grid is {values!r}, expected a list")
-    _check_keys(grid, OF_TRAINING | {one.name for model in networks for one in fields(TRAINABLE[model])}, "[grid]")
+    _check_keys(grid, OF_TRAINING | set().union(*(_names(TRAINABLE[model]) for model in networks)), "[grid]")
     seeds = _seeds(content.get("split_seeds", [1]))
     for method in methods:
         if not set(method.split_seeds or ()) <= set(seeds):
-            raise ValueError(
-                f"method {method.name or method.model!r}: its split_seeds are not all among the experiment's"
-            )
+            raise ValueError(f"method {method.title!r}: its split_seeds are not all among the experiment's")
+        if method.beside and method.beside not in names:
+            raise ValueError(f"{method.title!r} stands beside {method.beside!r}, which is no method of the file")
     seconds = content.get("seconds", 60.0)
     if type(seconds) not in (int, float) or not 1 <= seconds <= 3600:
         raise ValueError(f"seconds is {seconds!r}, expected 1 to 3600")
@@ -242,7 +259,7 @@ def _method(content: object) -> Method:
         content = {"model": content}
     if not isinstance(content, dict):
         raise ValueError(f"a method is {content!r}, expected a model's name or a table")
-    _check_keys(content, {one.name for one in fields(Method)}, "a method")
+    _check_keys(content, _names(Method), "a method")
     _check_types(content, ("model", "name", "recipe", "beside"), str, "a text", " of a method")
     _check_types(content, ("train", "sizes", "recipes"), dict, "a table", " of a method")
     _check_types(content, ("measures",), list, "a list", " of a method")
@@ -256,10 +273,10 @@ def _method(content: object) -> Method:
     if content.get("model") not in TRAINABLE:
         raise ValueError(f"unknown model {content.get('model')!r}, expected one of {', '.join(TRAINABLE)}")
     _check_recipe(content)
-    given = {"measures": tuple(content.get("measures", ()))}
+    lists: dict[str, Any] = {"measures": tuple(content.get("measures", ()))}
     if "split_seeds" in content:
-        given["split_seeds"] = _seeds(content["split_seeds"])
-    return Method(**{**content, **given})
+        lists["split_seeds"] = _seeds(content["split_seeds"])
+    return Method(**{**content, **lists})
 
 
 def _seeds(seeds: object) -> tuple[int, ...]:
@@ -268,15 +285,6 @@ def _seeds(seeds: object) -> tuple[int, ...]:
     if len(set(seeds)) < len(seeds):
         raise ValueError(f"split_seeds is {seeds!r}, expected each once")
     return tuple(seeds)
-
-
-def _check_beside(methods: Collection[Method]) -> None:
-    names = {method.name or method.model for method in methods}
-    for method in methods:
-        if method.beside and method.beside not in names:
-            raise ValueError(
-                f"{method.name or method.model!r} stands beside {method.beside!r}, which is no method of the file"
-            )
 
 
 def _texture(content: object, folder: Path) -> str:
@@ -307,3 +315,7 @@ def _check_keys(content: Mapping[str, Any], known: Collection[str], where: str) 
         near = difflib.get_close_matches(unknown[0], known, 1)
         expected = f"{near[0]!r}?" if near else f"one of {', '.join(sorted(known))}"
         raise ValueError(f"unknown key {unknown[0]!r} in {where}, expected {expected}")
+
+
+def _names(configuration: Any) -> set[str]:
+    return {setting.name for setting in fields(configuration)}

@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import re
 from collections import defaultdict
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -13,16 +13,15 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
-from numpy.typing import NDArray
 
-from foten.experiments.experiment import Run, recording_of
-from foten.experiments.results import Results, chosen_results, label_of, name_of
+from foten.dsp import Array
+from foten.experiments.experiment import Run, recording_of, texture_name
+from foten.experiments.results import Results, chosen_results, label_of
 from foten.recording.preprocess import PreprocessConfig, preprocess
 from foten.recording.split import split_blocks
+from foten.reporting.figure import COLOURS, PRINT, add_legend, new_figure, panel_grid
 
-# Distinct with any colour vision.
-COLOURS = ("#2b83cf", "#e08a1e", "#1a9c72", "#b77ab0", "#c2452d", "#7a6a10", "#4f4fb5", "#12b5cb")
-RECORDED = "#222222"
+RECORDED = PRINT.ink
 PARTS = {"train": "#8fd3e8", "validation": "#f3e28a", "test": "#f0a3a0"}
 SILENT_DB = 20.0  # below the recording, from where on a free run is called silent
 
@@ -30,7 +29,7 @@ SILENT_DB = 20.0  # below the recording, from where on a free run is called sile
 def figures(
     results: Results, recordings: Path | None = None, say: Callable[[str], None] = lambda text: None
 ) -> Iterator[tuple[str, Figure]]:
-    """Return each figure that the results have the numbers for, and its name; say which are left out, and why.
+    """Each figure that the results have the numbers for, and its name; say which are left out, and why.
 
     Of a method with several recipes the one is drawn that tables show.
 
@@ -43,31 +42,31 @@ def figures(
     except (ValueError, OSError) as error:
         say(f"figure-4 is left out, as it is drawn from the recording: {error}")
     # One method at a time: between methods more differs than the window.
-    methods = list(dict.fromkeys((one["run"]["method"], one["run"]["model"]) for one in results))
+    methods = list(dict.fromkeys((result["run"]["method"], result["run"]["model"]) for result in results))
     for method, model in methods:
-        own = [one for one in results if one["run"]["method"] == method and _has_one_step(one)]
+        of_method = [result for result in results if result["run"]["method"] == method and _has_one_step(result)]
         name = model if [other for _, other in methods].count(model) == 1 else _file_name(method)
         alike = [_file_name(other) for other, _ in methods].count(_file_name(method)) > 1
         name += f"-{methods.index((method, model)) + 1}" if alike else ""
-        for others, some in _by_other_settings(own, ("window", "loss")):
-            if len({(one["run"]["sizes"]["window"], one["run"]["train"]["loss"]) for one in some}) > 1:
+        for others, some in _by_other_settings(of_method, ("window", "loss")):
+            if len({(result["run"]["sizes"]["window"], result["run"]["train"]["loss"]) for result in some}) > 1:
                 yield f"figure-5-{name}{others}", windows_and_losses(some)
-        huber = [one for one in own if one["run"]["train"]["loss"] == "huber"]
+        huber = [result for result in of_method if result["run"]["train"]["loss"] == "huber"]
         for others, some in _by_other_settings(huber, ("delta",)):
-            if len({one["run"]["train"]["delta"] for one in some}) > 1:
+            if len({result["run"]["train"]["delta"] for result in some}) > 1:
                 yield f"figure-5-{name}{others}-delta", thresholds(some)
-    with_signals = [one for one in results if one.get("signals")]
+    with_signals = [result for result in results if result.get("signals")]
     if with_signals:
         yield "figure-6", waveforms(with_signals)
         yield "figure-7", spectra(with_signals)
 
 
 def _by_other_settings(results: Results, drawn: Sequence[str]) -> list[tuple[str, Results]]:
-    """Return the results grouped by the settings of their grid that are not drawn, each with a suffix for the file's name."""
+    """Results grouped by the settings of their grid that are not drawn, each with a suffix for the file's name."""
     groups = defaultdict(list)
-    for one in results:
-        others = " ".join(f"{k} {v}" for k, v in one["run"].get("cell", {}).items() if k not in drawn)
-        groups[others].append(one)
+    for result in results:
+        others = " ".join(f"{k} {v}" for k, v in result["run"].get("cell", {}).items() if k not in drawn)
+        groups[others].append(result)
     return [("-" + _file_name(others) if others else "", some) for others, some in groups.items()]
 
 
@@ -76,22 +75,22 @@ def _file_name(method: str) -> str:
 
 
 def _has_one_step(result: Mapping[str, Any]) -> bool:
-    """Return whether a result is of a network with windows and a loss, and with a one-step error."""
+    """Whether a result is of a network with windows and a loss, and with a one-step error."""
     sizes, train, one_step = result["run"]["sizes"], result["run"]["train"], result["evaluation"]["one_step"]
     return "window" in sizes and "loss" in train and one_step["mae_scaled"] is not None
 
 
-def _mean_errors(results: Results, *settings: tuple[str, str]) -> dict[tuple[Any, ...], NDArray[np.float64]]:
-    """Return mean one-step errors on the test and on the validation blocks, (2,), by texture and settings of a run."""
+def _mean_errors(results: Results, *settings: tuple[str, str]) -> dict[tuple[Any, ...], Array]:
+    """Mean one-step errors on the test and on the validation blocks, (2,), by texture and settings of a run."""
     errors = defaultdict(list)
-    for one in results:
-        key = (one["run"]["texture"], *(one["run"][part][name] for part, name in settings))
-        errors[key].append((one["evaluation"]["one_step"]["mae_scaled"], one["validation_mae_scaled"]))
+    for result in results:
+        key = (result["run"]["texture"], *(result["run"][part][name] for part, name in settings))
+        errors[key].append((result["evaluation"]["one_step"]["mae_scaled"], result["validation_mae_scaled"]))
     return {key: np.mean(of, axis=0) for key, of in errors.items()}
 
 
 def split(result: Mapping[str, Any], recordings: Path | None = None) -> Figure:
-    """Return a recording's acceleration, speed and force over the blocks of its split, as Fig. 4.
+    """Recording's acceleration, speed and force over the blocks of its split, as Fig. 4.
 
     Raises:
         FileNotFoundError: the recording is missing.
@@ -105,7 +104,7 @@ def split(result: Mapping[str, Any], recordings: Path | None = None) -> Figure:
         raise ValueError(f"{run.texture} is not what was learned from")
     trace = preprocess(recording, PreprocessConfig(**run.preprocess))
     parts = split_blocks(trace, seed=run.split_seed)
-    figure, panels = _figure(10.0, 5.0, nrows=3, sharex=True)
+    figure, panels = new_figure(10.0, 5.0, nrows=3, sharex=True)
     length = trace.block / trace.rate_hz
     times = np.arange(trace.n_blocks * trace.block) / trace.rate_hz
     rows = (("acceleration [m/s²]", trace.acceleration), ("speed [mm/s]", trace.speed), ("force [N]", trace.force))
@@ -117,60 +116,60 @@ def split(result: Mapping[str, Any], recordings: Path | None = None) -> Figure:
         axes.set_ylabel(label)
     panels[-1].set(xlabel="time [s]", xlim=(0, times[-1]))
     handles = [Patch(color=colour, label=name) for name, colour in PARTS.items()]
-    panels[0].legend(handles=handles, loc="lower right", bbox_to_anchor=(1, 1), ncols=3, frameon=False)
-    panels[0].set_title(f"{name_of(run.texture)}, split {run.split_seed}", loc="left")
+    add_legend(panels[0], handles=handles, loc="lower right", bbox_to_anchor=(1, 1), ncols=3)
+    panels[0].set_title(f"{texture_name(run.texture)}, split {run.split_seed}", loc="left")
     return figure
 
 
 def windows_and_losses(results: Results) -> Figure:
-    """Return one-step errors by window and loss, a panel for each texture, as Fig. 5: test solid, validation hollow."""
+    """One-step errors by window and loss, a panel for each texture, as Fig. 5: test solid, validation hollow."""
     errors = _mean_errors(results, ("train", "loss"), ("sizes", "window"))
     textures, losses = list(dict.fromkeys(key[0] for key in errors)), sorted({key[1] for key in errors})
-    figure, panels = _panels(textures, 2.6, 2.1)
+    figure, panels = panel_grid([*map(texture_name, textures)], 2.6, 2.1)
     for axes, texture in zip(panels, textures, strict=True):
         for loss, colour in zip(losses, COLOURS, strict=False):
             windows = sorted(window for *of, window in errors if of == [texture, loss])
             tested, validated = np.array([errors[texture, loss, window] for window in windows]).reshape(-1, 2).T
             axes.plot(windows, tested, "o-", ms=3, lw=1, color=colour, label=loss)
             axes.plot(windows, validated, "o", ms=4, mfc="none", color=colour)
-    panels[0].legend(fontsize=8, frameon=False)
+    add_legend(panels[0])
     figure.supxlabel("window [samples]", fontsize=9)
     figure.supylabel("one-step MAE [sd]: test ●, validation ○", fontsize=9)
     return figure
 
 
 def thresholds(results: Results) -> Figure:
-    """Return one-step errors by the threshold of the Huber loss, relative to each texture's mean, and their mean."""
+    """One-step errors by the threshold of the Huber loss, relative to each texture's mean, and their mean."""
     errors = _mean_errors(results, ("train", "delta"))
     textures, deltas = list(dict.fromkeys(key[0] for key in errors)), sorted({key[1] for key in errors})
     lines = np.array([[errors.get((texture, delta), [np.nan] * 2) for delta in deltas] for texture in textures])
     lines /= np.nanmean(lines, axis=1, keepdims=True)
-    figure, panels = _figure(6.5, 5.5, nrows=2, sharex=True)
+    figure, panels = new_figure(6.5, 5.5, nrows=2, sharex=True)
     for axes, name, of in zip(panels, ("test", "validation"), np.moveaxis(lines, 2, 0), strict=True):
         axes.plot(deltas, of.T, "-", lw=0.7, color="#9a9a9a")
         axes.plot(deltas, np.nanmean(of, axis=0), "o-", lw=1.6, ms=4, color=COLOURS[0], label="mean of the textures")
         axes.set_ylabel(f"{name}: MAE ÷ the texture's mean", fontsize=9)
-    panels[0].legend(fontsize=8, frameon=False)
+    add_legend(panels[0])
     panels[1].set_xlabel("δ of the Huber loss [sd]", fontsize=9)
     return figure
 
 
 def waveforms(results: Results) -> Figure:
-    """Return 400 samples of a test block of each texture, recorded and of each method's free run, as Fig. 6.
+    """400 samples of a test block of each texture, recorded and of each method's free run, as Fig. 6.
 
     The waveforms are independent realisations: compare level and character, not samples. All of a panel have one scale, which
-    the bar beside the recorded one states. One that is silent is a flat line, and the number says how far below it lies.
+    the bar beside the recorded one states. A silent run is a flat line, and the number says how far below it lies.
     """
     textures, colours = _first_split(results)
-    figure, panels = _panels(textures, 3.4, 1.1 + 0.45 * len(colours))
+    figure, panels = panel_grid([*map(texture_name, textures)], 3.4, 1.1 + 0.45 * len(colours))
     for axes, by_method in zip(panels, textures.values(), strict=True):
         first = next(iter(by_method.values()))
         recorded = np.array(first["signals"]["recorded"])
         step = 2.2 * float(np.abs(recorded).max())
         times = 1000 * np.arange(len(recorded)) / first["evaluation"]["rate_hz"]
         axes.plot(times, recorded, color=RECORDED, lw=0.7)
-        for k, (method, one) in enumerate(by_method.items()):
-            run = np.array(one["signals"]["free_run"])
+        for k, (method, result) in enumerate(by_method.items()):
+            run = np.array(result["signals"]["free_run"])
             axes.plot(times, run.clip(-0.5 * step, 0.5 * step) - (k + 1) * step, color=colours[method], lw=0.7)
             below = _below_db(recorded.var(), run.var())
             if below > SILENT_DB:
@@ -186,31 +185,31 @@ def waveforms(results: Results) -> Figure:
 
 
 def _below_db(recorded: float, synthesized: float) -> float:
-    """Return how far a power lies below the recorded one [dB], 300 at most."""
+    """How far a power lies below the recorded one [dB], 300 at most."""
     return 10 * float(np.log10(recorded / max(synthesized, 1e-30 * recorded))) if recorded > 0 else 0.0
 
 
 def _round_below(limit: float) -> float:
-    """Return the largest of 1, 2 and 5 times a power of ten up to a limit."""
+    """Largest of 1, 2 and 5 times a power of ten up to a limit."""
     power = 10.0 ** np.floor(np.log10(limit)) if limit > 0 else 1.0
     return max(step * power for step in (1, 2, 5) if step == 1 or step * power <= limit)
 
 
 def spectra(results: Results) -> Figure:
-    """Return power spectra of the test blocks of each texture, recorded and of each method's free run, as Fig. 7.
+    """Power spectra of the test blocks of each texture, recorded and of each method's free run, as Fig. 7.
 
     Densities below the axis, as of a free run that falls silent, are drawn along its lower edge; the legend says how far below
     the recording its level lies.
     """
     textures, colours = _first_split(results)
     labels = {method: method + _silence(method, textures) for method in colours}
-    figure, panels = _panels(textures, 3.0, 2.2)
+    figure, panels = panel_grid([*map(texture_name, textures)], 3.0, 2.2)
     for axes, by_method in zip(panels, textures.values(), strict=True):
         first = next(iter(by_method.values()))["signals"]
         recorded = 10 * np.log10(np.maximum(first["density"]["recorded"], 1e-30))
         low, high = recorded.min() - 15, recorded.max() + 8
-        for method, one in by_method.items():
-            frequencies, density = one["signals"]["frequencies_hz"], one["signals"]["density"]["free_run"]
+        for method, result in by_method.items():
+            frequencies, density = result["signals"]["frequencies_hz"], result["signals"]["density"]["free_run"]
             shown = np.maximum(10 * np.log10(np.maximum(density, 1e-30)), low + 0.3)
             axes.plot(frequencies, shown, color=colours[method], lw=1, label=labels[method])
         axes.plot(first["frequencies_hz"], recorded, color=RECORDED, lw=1.2, label="recorded")
@@ -218,7 +217,7 @@ def spectra(results: Results) -> Figure:
     named = {label: handle for axes in panels for handle, label in zip(*axes.get_legend_handles_labels(), strict=True)}
     # As many beside each other as the width has room for, about 14 characters an inch and 3 for the line.
     columns = max(1, min(4, len(named), int(14 * figure.get_figwidth() / (3 + max(map(len, named))))))
-    figure.legend(named.values(), named, loc="outside upper center", ncols=columns, frameon=False, fontsize=8)
+    add_legend(figure, handles=[*named.values()], labels=[*named], loc="outside upper center", ncols=columns)
     figure.set_figheight(figure.get_figheight() + 0.18 * (len(named) // columns - 1))
     figure.supxlabel("frequency [Hz]", fontsize=9)
     figure.supylabel("power density [dB re 1 (m/s²)²/Hz]", fontsize=9)
@@ -229,7 +228,7 @@ def _silence(method: str, textures: Mapping[str, Mapping[str, Mapping[str, Any]]
     """Say on how many textures a method falls silent, and how far below the recording; nothing where on none."""
     densities = [by_method[method]["signals"]["density"] for by_method in textures.values() if method in by_method]
     below = [_below_db(np.mean(density["recorded"]), np.mean(density["free_run"])) for density in densities]
-    silent = [f"{one:.0f}" for one in sorted(below) if one > SILENT_DB]
+    silent = [f"{level:.0f}" for level in sorted(below) if level > SILENT_DB]
     if not silent:
         return ""
     where = "falls silent" if len(silent) == len(below) else f"falls silent on {len(silent)} of {len(below)} textures"
@@ -237,34 +236,11 @@ def _silence(method: str, textures: Mapping[str, Mapping[str, Mapping[str, Any]]
 
 
 def _first_split(results: Results) -> tuple[dict[str, dict[str, Mapping[str, Any]]], dict[str, str]]:
-    """Return the results of each texture's first split by method, and all colours; another split is another recording."""
+    """Results of each texture's first split by method, and all colours; another split is another recording."""
     textures: dict[str, dict[str, Mapping[str, Any]]] = {}
     splits: dict[str, int] = {}
-    for one in results:
-        run = one["run"]
+    for result in results:
+        run = result["run"]
         if splits.setdefault(run["texture"], run["split_seed"]) == run["split_seed"]:
-            textures.setdefault(run["texture"], {})[label_of(one)] = one
+            textures.setdefault(run["texture"], {})[label_of(result)] = result
     return textures, dict(zip(dict.fromkeys(map(label_of, results)), itertools.cycle(COLOURS), strict=False))
-
-
-def _figure(width: float, height: float, **options: Any) -> tuple[Figure, Any]:
-    figure = Figure(figsize=(width, height), layout="constrained")
-    panels = figure.subplots(**options)
-    for axes in np.ravel(panels):
-        axes.spines[["top", "right"]].set_visible(False)
-        axes.tick_params(labelsize=8)
-    return figure, panels
-
-
-def _panels(textures: Collection[str], width: float, height: float) -> tuple[Figure, list[Any]]:
-    """Return a figure and a panel of each texture, three or four beside each other."""
-    n = len(textures)
-    columns = min(n, 3 if n <= 9 else 4)
-    rows = -(-n // columns)
-    width = max(width, 6.0 / columns)
-    figure, panels = _figure(width * columns, height * rows + 0.6, nrows=rows, ncols=columns, squeeze=False)
-    for axes, texture in zip(panels.flat, textures, strict=False):
-        axes.set_title(name_of(texture), fontsize=9, loc="left")
-    for axes in panels.flat[n:]:
-        axes.set_visible(False)
-    return figure, list(panels.flat[:n])

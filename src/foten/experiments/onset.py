@@ -30,13 +30,13 @@ N_STROKES, N_STREAMS = 50, 8
 
 
 def third_octaves(rate_hz: float) -> Array:
-    """Return the edges of third-octave bands from 50 Hz, the lowest that 40 ms tell apart, to 0.45 of the rate or 1 kHz [Hz]."""
+    """Edges of third-octave bands from 50 Hz, the lowest that 40 ms tell apart, to 0.45 of the rate or 1 kHz [Hz]."""
     highest = min(1000.0, 0.45 * rate_hz)
     return 50.0 * 2 ** (np.arange(int(3 * np.log2(highest / 50.0)) + 1) / 3)
 
 
 def band_powers(windows: Array, rate_hz: float) -> Array:
-    """Return the power in each band, mean over windows (k, n) → (bands,)."""
+    """Power in each band, mean over windows (k, n) → (bands,)."""
     n = windows.shape[1]
     power = (np.abs(np.fft.rfft(windows * np.hanning(n), axis=1)) ** 2).mean(axis=0)
     hertz = np.fft.rfftfreq(n, 1 / rate_hz)
@@ -45,7 +45,7 @@ def band_powers(windows: Array, rate_hz: float) -> Array:
 
 
 def onset(texture: Texture, n_strokes: int = N_STROKES, n_streams: int = N_STREAMS, seed: int = 0) -> dict[str, Any]:
-    """Return levels and spectra of first strokes beside settled ones [dB], by where a window begins, and the share of clicks."""
+    """Levels and spectra of first strokes beside settled ones [dB], by where a window begins, and the share of clicks."""
     rng = np.random.default_rng(seed)
     rate = texture.rate_hz
     window, n = round(WINDOW_MS * rate / 1000), round(LASTS_S * rate)
@@ -85,13 +85,13 @@ def onset(texture: Texture, n_strokes: int = N_STROKES, n_streams: int = N_STREA
     later = [away(round(SETTLED_S * rate) + k * window) for k in range(10)]
 
     def by_start(which: int) -> dict[str, float]:
-        return {f"{start:g}_ms": one[which] for start, one in zip(STARTS_MS, begin, strict=True)}
+        return {f"{start:g}_ms": figures[which] for start, figures in zip(STARTS_MS, begin, strict=True)}
 
     return {
-        "level_db": {**by_start(0), "settled": max(abs(one[0]) for one in later)},
-        "spectrum_db": {**by_start(1), "settled": max(one[1] for one in later)},
+        "level_db": {**by_start(0), "settled": max(abs(level) for level, *_ in later)},
+        "spectrum_db": {**by_start(1), "settled": max(spectrum for _, spectrum, _ in later)},
         # Of each stroke by itself, over several streams of noise: chance scatters settled ones as much.
-        "level_size_db": {**by_start(2), "settled": max(one[2] for one in later)},
+        "level_size_db": {**by_start(2), "settled": max(size for *_, size in later)},
         "click_share": float(loud_samples.mean()),
         "settled_share": float(usual.mean()),
         # Of their difference, over strokes.

@@ -1,20 +1,18 @@
-"""One run of an experiment: train, judge, and what its result file holds."""
+"""A run of an experiment: train, judge, and what its result file holds."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict
 from typing import Any
 
-import foten
 from foten.baselines.sizes import trainable_sizes
+from foten.dsp import Array
 from foten.evaluate.evaluate import Judgement, evaluate
 from foten.evaluate.report.signals import N_WAVEFORM, densities, scored_runs, shown_run, typical_block
 from foten.experiments.experiment import Run
-from foten.experiments.onset import onset
-from foten.experiments.stability import stability
-from foten.experiments.truth import truth_for, validation_listener
+from foten.experiments.simulator_reference import reference_for, validation_listener
 from foten.models.foten_plus.sizes import FotenPlusSizes
 from foten.models.texture_file import Texture
 from foten.recording.preprocess import PreprocessConfig
@@ -26,16 +24,16 @@ from foten.training.pipeline import train
 
 
 def execute(run: Run, recording: Recording) -> dict[str, Any]:
-    """Return the result of one run: its settings, its figures on the test blocks, and the seconds of both stages."""
+    """Result of a run: its settings, its figures on the test blocks, and the seconds of both stages."""
     started = time.perf_counter()
     trained = train(_job(run, recording))
     if trained.progress.interrupted:
         raise KeyboardInterrupt
-    return _judged(run, recording, trained.texture, time.perf_counter() - started)
+    return _result(run, recording, trained.texture, time.perf_counter() - started)
 
 
 def failure(error: Exception) -> dict[str, Any]:
-    """Return the result of a run that failed: the first line of its error."""
+    """Result of a run that failed: the first line of its error."""
     lines = str(error).splitlines() or [""]
     return {"failed": f"{type(error).__name__}: {lines[0]}"}
 
@@ -45,14 +43,13 @@ def _job(run: Run, recording: Recording) -> TrainingJob:
     return TrainingJob(recording, run.model, sizes, TrainConfig(**run.train), preprocess, split_seed=run.split_seed)
 
 
-def _judged(run: Run, recording: Recording, texture: Texture, seconds: float) -> dict[str, Any]:
+def _result(run: Run, recording: Recording, texture: Texture, seconds: float) -> dict[str, Any]:
     started = time.perf_counter()
     listener = "listener" in run.measures
-    judgement = evaluate(texture, recording, truth_for(recording, texture, listener=listener), listener=listener)
+    judgement = evaluate(texture, recording, reference_for(recording, texture, listener=listener), listener=listener)
     document, metrics = judgement.document, texture.card["metrics"]
     return {
         "run": asdict(run),
-        "foten": foten.__version__,
         "versions": texture.card["training"]["versions"],
         "recording_sha256": document["recording_sha256"],
         "seconds": {"training": seconds, "evaluation": time.perf_counter() - started},
@@ -67,17 +64,24 @@ def _judged(run: Run, recording: Recording, texture: Texture, seconds: float) ->
 
 
 def _measures(names: Sequence[str], texture: Texture, recording: Recording, trace: Trace) -> dict[str, Any]:
-    """Return what a texture file is measured for beside its evaluation, by measure."""
-    measures: dict[str, Callable[[], dict[str, Any]]] = {
-        "stability": lambda: stability(texture),
-        "onset": lambda: onset(texture),
-        "validation_listener": lambda: validation_listener(texture, recording),
-    }
-    return {name: measures[name]() for name in names if name in measures}  # the listener is the evaluation's
+    """Measures of a texture file beside its evaluation, by name; the listener is the evaluation's."""
+    measures: dict[str, Any] = {}
+    # Imported here, so that a run does not depend on the source of a measure that it does not take.
+    if "stability" in names:
+        from foten.experiments.stability import stability
+
+        measures["stability"] = stability(texture)
+    if "onset" in names:
+        from foten.experiments.onset import onset
+
+        measures["onset"] = onset(texture)
+    if "validation_listener" in names:
+        measures["validation_listener"] = validation_listener(texture, recording)
+    return measures
 
 
 def _signals(judgement: Judgement) -> dict[str, Any] | None:
-    """Return what figures are drawn from: 400 samples of a typical test block, and the spectra of all of them."""
+    """What figures are drawn from: 400 samples of a typical test block, and the spectra of all of them."""
     shown = shown_run(judgement)
     if shown is None:
         return None
@@ -91,6 +95,6 @@ def _signals(judgement: Judgement) -> dict[str, Any] | None:
     }
 
 
-def _rounded(values: Any) -> list[float]:
-    """Return numbers with the five digits that a figure needs."""
+def _rounded(values: Array) -> list[float]:
+    """Numbers with the five digits that a figure needs."""
     return [float(f"{value:.5g}") for value in values]

@@ -23,7 +23,6 @@ from typing import Any
 import numpy as np
 
 from foten.baselines.graph_model import model_of_graph
-from foten.datasets.stroking import stroking
 from foten.dsp import Array
 from foten.dsp.lattice import LEAK
 from foten.models.definitions import model_of
@@ -32,6 +31,7 @@ from foten.models.graph_sizes import GRAPH
 from foten.models.texture_file import Texture
 from foten.runtime.loops import run_loops
 from foten.runtime.native import NativeState, NativeTexture
+from foten.simulation.stroking import stroking
 
 BOUNDED = ("foten-plus", "ar", "gan", "dftnet")  # models that no sample of their own drives further than their bound
 MAX_NOISE = 5.68  # standard deviations, of the counter-based generator
@@ -41,7 +41,7 @@ N_ATTACK, N_ATTACKED = 1_000_000, 24  # steps in all, and streams
 
 
 def stability(texture: Texture, minutes: float = MINUTES, n_attack: int = N_ATTACK) -> dict[str, Any]:
-    """Return how large a texture becomes under strokes and under attack [sd of the training blocks], and whether it forgets.
+    """How large a texture becomes under strokes and under attack [sd of the training blocks], and whether it forgets.
 
     Returns:
         `max_sd`, `rms_sd`, `n_saturated`, `n_samples`: of the strokes; `finite`: of strokes and attack; `still_m_s2`: the
@@ -68,7 +68,7 @@ def stability(texture: Texture, minutes: float = MINUTES, n_attack: int = N_ATTA
 
 
 def rendered_strokes(texture: Texture, seed: int, speed: Array, force: Array) -> tuple[Array, int]:
-    """Return the acceleration [m/s²] of strokes with noise of their own, shape (s, n), and how many samples the saturator cut.
+    """Acceleration [m/s²] of strokes with noise of their own, shape (s, n), and how many samples the saturator cut.
 
     Args:
         seed: of the noise; stroke s draws that of stream s.
@@ -84,19 +84,19 @@ def rendered_strokes(texture: Texture, seed: int, speed: Array, force: Array) ->
 
 
 def strokes(rate_hz: float, seconds: float, n_streams: int) -> tuple[Array, Array]:
-    """Return speed [mm/s] and force [N] of independent strokes, shapes (n_streams, n)."""
+    """Speed [mm/s] and force [N] of independent strokes, shapes (n_streams, n)."""
     paths = [stroking(seconds, 10_000 + seed, rate_hz) for seed in range(n_streams)]
     return np.stack([path.speed for path in paths]), np.stack([path.force for path in paths])
 
 
 def into(values: Array, low: float, high: float) -> Array:
-    """Return values stretched onto a range, each stream by itself."""
-    least, most = values.min(axis=1, keepdims=True), values.max(axis=1, keepdims=True)
-    return low + (values - least) / (most - least) * (high - low)
+    """Values stretched onto a range, each stream by itself."""
+    lowest, highest = values.min(axis=1, keepdims=True), values.max(axis=1, keepdims=True)
+    return low + (values - lowest) / (highest - lowest) * (high - low)
 
 
 def attack(texture: Texture, n_steps: int, n_streams: int = N_ATTACKED) -> dict[str, Any]:
-    """Return the largest sample of an attack [sd], whether all were finite, and what the streams are like afterwards."""
+    """Largest sample of an attack [sd], whether all were finite, and what the streams are like afterwards."""
     rng = np.random.default_rng(0)
     kernel, excited, rate = NativeTexture(texture.to_bytes()), texture.has_excitation, texture.rate_hz
     corners = np.array([[v, f] for v in texture.trained_range("speed") for f in texture.trained_range("force")])
@@ -124,7 +124,7 @@ def attack(texture: Texture, n_steps: int, n_streams: int = N_ATTACKED) -> dict[
     # Under the same path all the time, so that it is at the same place of a surface that repeats.
     warm = np.tile(texture.tensors["warm_start"].astype(float), (n_streams, 1, 1))
     untouched = run_loops(kernel, warm, path, ordinary, limit)
-    after, usual = (np.square(one[:, -(n_after // 5) :]).mean(axis=1) for one in (attacked, untouched))
+    after, usual = (np.square(run[:, -(n_after // 5) :]).mean(axis=1) for run in (attacked, untouched))
     return {
         "n_attack": n * n_streams,
         "attack_max_sd": largest[0],
@@ -137,7 +137,7 @@ def attack(texture: Texture, n_steps: int, n_streams: int = N_ATTACKED) -> dict[
 
 
 def with_path(texture: Texture, condition: Array) -> Array:
-    """Return scaled speed and force (s, n, 2) with the speed that tones go by [mm/s], (s, n, 3)."""
+    """Scaled speed and force (s, n, 2) with the speed that tones go by [mm/s], (s, n, 3)."""
     speed = condition[..., :1] * texture.scaling.sd[1] + texture.scaling.mean[1]
     return np.concatenate([condition, np.maximum(speed, 0.0)], axis=2)
 
@@ -156,7 +156,7 @@ def outwards(texture: Texture, windows: Array, path: Array, limit: float, rng: n
 
 
 def proven(texture: Texture) -> float | None:
-    """Return what no sample of a closed loop exceeds [sd], under any stroke and noise; None for a model without a proof."""
+    """What no sample of a closed loop exceeds [sd], under any stroke and noise; None for a model without a proof."""
     sizes, tensors = texture.sizes, texture.tensors
     if not isinstance(sizes, FotenPlusSizes):
         return None
@@ -174,7 +174,7 @@ def proven(texture: Texture) -> float | None:
 
 
 def forgetting(texture: Texture, windows: Array, corners: Array, rng: np.random.Generator) -> float | None:
-    """Return after how long streams under the same noise are the same to 1 %, whatever they began with [s]; None for never."""
+    """After how long streams under the same noise are the same to 1 %, whatever they began with [s]; None for never."""
     rate, n_pairs = texture.rate_hz, len(windows) // 2
     n = min(COMPARED, round(COMPARED_S * rate))
     turning = 0.5 - 0.5 * np.cos(2 * np.pi * np.arange(n) / rate)[:, None]
@@ -190,9 +190,9 @@ def forgetting(texture: Texture, windows: Array, corners: Array, rng: np.random.
         with_path(texture, condition),
         np.concatenate([drawn, drawn]) if texture.has_excitation else None,
     )
-    one, other = both.reshape(2, len(paths), n_pairs, n)
+    first, other = both.reshape(2, len(paths), n_pairs, n)
     size = other[:, :, n // 2 :].std(axis=(1, 2))
-    differ = np.flatnonzero((np.abs(one - other).max(axis=1) > 0.01 * size[:, None]).any(axis=0))
+    differ = np.flatnonzero((np.abs(first - other).max(axis=1) > 0.01 * size[:, None]).any(axis=0))
     if not differ.size:
         return 0.0
     return None if differ[-1] >= 0.95 * n else float((differ[-1] + 1) / rate)

@@ -1,8 +1,9 @@
 """Every run of an experiment, on one machine or a cluster: Ray distributes them, this process writes the results.
 
-A result is one file, named by the hash of all that it depends on and written atomically by the process that sweeps. So a sweep
-continues where it stopped and may be started twice. Ctrl-C and SIGTERM, by which batch queues end a job, stop it. Ray restarts
-the runs of a lost worker or node elsewhere. A recording goes to each node once, through Ray's object store.
+A result is a file of its own, named by data and configuration and written atomically by the process that sweeps. A sweep goes
+on where it stopped, with the results of the same code, data, configuration and platform; it may be started twice. Ctrl-C and
+SIGTERM, by which batch queues end a job, stop it. Ray restarts the runs of a lost worker or node elsewhere. A recording goes to
+each node once, through Ray's object store.
 """
 
 from __future__ import annotations
@@ -13,35 +14,50 @@ import signal
 import socket
 import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import asdict
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import ray
 
-import foten
 from foten.atomic_write import atomic_write
 from foten.experiments.experiment import Experiment, Run, recording_of
+from foten.experiments.provenance import Provenance, provenance_of
 from foten.experiments.results import read_result
 from foten.experiments.run import execute, failure
 from foten.recording.recording import Recording
 
-Waiting = tuple[int, Run, Path]
-"""A run without a result: its place in the experiment, and the path that its result will have."""
 RETRIES = 3  # of a run whose worker or node is lost
 ANSWER_S = 5.0  # in which a cluster has to answer
 NO_CLUSTER = (
     "no Ray cluster answers at {}: was it started with 'ray start --head', and is RAY_AUTH_TOKEN its token? ({})"
 )
+THREADS = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
+Say = Callable[[str], None]
 
 
 class Stopped(KeyboardInterrupt):
     """A sweep that was stopped, and has said so."""
 
 
-THREADS = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
+@dataclass(frozen=True)
+class Planned:
+    """A run in its experiment, and the file of its result."""
+
+    run: Run
+    path: Path
+    about: Mapping[str, Any]  # place in the experiment and names, on which no figure depends
+    provenance: Provenance  # that a result has to have
+    replaces: Path | None = None  # result of other data or settings in the same place of the tables
+
+    def write(self, result: Mapping[str, Any]) -> None:
+        """Write the result, with the names of the experiment."""
+        with atomic_write(self.path) as part:
+            part.write_text(json.dumps({**result, **self.about}, indent=1, sort_keys=True) + "\n")
+        if self.replaces is not None:
+            self.replaces.unlink(missing_ok=True)
 
 
 def sweep(
@@ -50,9 +66,9 @@ def sweep(
     workers: int | None = None,
     address: str | None = None,
     gpus_per_run: float = 0.0,
-    say: Callable[[str], None] = lambda text: None,
+    say: Say = lambda text: None,
 ) -> tuple[int, int]:
-    """Execute the runs of an experiment that have no result yet, keep one file each, and return how many were done and failed.
+    """Execute the runs of an experiment that have no result yet, one file each, and count how many were done and failed.
 
     Args:
         workers: runs at a time on this machine; one for each core by default. Each has one thread.
@@ -65,42 +81,105 @@ def sweep(
     """
     if address is not None and workers is not None:
         raise ValueError("--workers is of this machine: a cluster at --address has as many as its nodes have cores")
-    runs = experiment.runs()
     results.mkdir(parents=True, exist_ok=True)
-    recordings: dict[Any, tuple[str, Recording]] = {}
-    waiting, named = [], dict[Path, Run]()
-    for index, run in enumerate(runs):
-        if run.source not in recordings:
-            recording = recording_of(run)
-            recordings[run.source] = recording.sha256(), recording
-        path = results / f"{run.name(recordings[run.source][0], foten.__version__)}.json"
-        if path in named:
-            raise ValueError(f"{named[path].texture} and {run.texture} are the same recording: leave one of them out")
-        named[path] = run
-        if not _kept(path, _about(experiment, index, run), say):
-            waiting.append((index, run, path))
-    say(f"{len(runs)} runs, {len(runs) - len(waiting)} of them done before")
+    plan, recordings = planned(experiment, results)
+    waiting = lacking(plan, results, address is None, say)
+    say(f"{len(plan)} runs, {len(plan) - len(waiting)} of them done before")
     if not waiting:
         return 0, 0
     before = signal.getsignal(signal.SIGTERM)
+    done: set[Path] = set()
     try:
         _stoppable(lambda: _start_ray(workers, address, gpus_per_run))
         _handle_sigterm(signal.default_int_handler)
         if gpus_per_run > ray.cluster_resources().get("GPU", 0):
             raise ValueError(f"--gpus-per-run is {gpus_per_run:g}, and Ray finds no such GPU")
-        kept = {source: ray.put(recordings[source][1]) for source in {run.source for _, run, _ in waiting}}
+        stored = {source: ray.put(recordings[source]) for source in {item.run.source for item in waiting}}
         recordings.clear()  # held by Ray's object store from here on
         task = ray.remote(num_cpus=1, num_gpus=gpus_per_run, max_retries=RETRIES)(_guarded)
-        pending = {task.remote(asdict(one[1]), kept[one[1].source]): one for one in waiting}
-        return _collected(experiment, pending, say)
+        pending = {task.remote(asdict(item.run), stored[item.run.source]): item for item in waiting}
+        return _collected(pending, done, say)
     except KeyboardInterrupt as error:
         # Before Ray is shut down, which takes seconds.
-        n_done = sum(path.exists() for path in named)
-        say(f"stopped, {n_done} of {len(runs)} done; the same command goes on")
+        n_done = len(plan) - len(waiting) + len(done)
+        say(f"stopped, {n_done} of {len(plan)} done; the same command goes on")
         raise Stopped from error
     finally:
         ray.shutdown()
         _handle_sigterm(before)
+
+
+def planned(experiment: Experiment, results: Path) -> tuple[list[Planned], dict[Any, Recording]]:
+    """Runs of an experiment with the files of their results, and the recordings by source.
+
+    Raises:
+        ValueError: two textures are the same recording.
+    """
+    recordings: dict[Any, Recording] = {}
+    digests: dict[Any, str] = {}
+    plan: dict[Path, Planned] = {}
+    for index, run in enumerate(experiment.runs()):
+        if run.source not in recordings:
+            recordings[run.source] = recording_of(run)
+            digests[run.source] = recordings[run.source].sha256()
+        provenance = provenance_of(run, digests[run.source])
+        path = results / f"{provenance.name}.json"
+        if path in plan:
+            raise ValueError(
+                f"{plan[path].run.texture} and {run.texture} are the same recording: leave one of them out"
+            )
+        titles = {"title": experiment.title, "note": experiment.note}
+        plan[path] = Planned(run, path, {"index": index, "experiment": titles, "run": asdict(run)}, provenance)
+    return list(plan.values()), recordings
+
+
+def lacking(plan: Sequence[Planned], folder: Path, same_platform: bool, say: Say) -> list[Planned]:
+    """Runs without a result of the same code, data, configuration and platform, after a line on why others are run again.
+
+    Results that stay take the names of the experiment. One of other data or settings is replaced where it is of this experiment.
+
+    Args:
+        same_platform: whether the platform has to be this one; that of a cluster's nodes is not known before.
+    """
+    files = {path: read_result(path) for path in folder.glob("*.json")}
+    others = {path: result for path, result in files.items() if path not in {item.path for item in plan}}
+    of_place = {
+        (result.get("experiment", {}).get("title"), Run(**result["run"]).place): path
+        for path, result in others.items()
+        if result is not None
+    }
+    waiting: list[Planned] = []
+    again: dict[str, list[Run]] = {}
+    for item in plan:
+        earlier = of_place.get((item.about["experiment"]["title"], item.run.place))
+        path = item.path if item.path in files else earlier
+        if path is None:
+            waiting.append(item)
+        elif why := _why_again(item, files[path], same_platform):
+            again.setdefault(why, []).append(item.run)
+            waiting.append(replace(item, replaces=earlier))
+        elif (result := files[path]) and any(result.get(key) != value for key, value in _as_read(item.about).items()):
+            item.write(result)
+    for why, runs in again.items():
+        more = f" and {len(runs) - 1} more" if len(runs) > 1 else ""
+        say(f"{runs[0].label} on {runs[0].texture}, split {runs[0].split_seed}{more}: run again, {why}")
+    return waiting
+
+
+def _why_again(item: Planned, result: Mapping[str, Any] | None, same_platform: bool) -> str:
+    """Why a result cannot stay, in words; nothing where it can."""
+    if result is None:
+        return f"as {item.path.name} is damaged"
+    if "provenance" not in result:
+        return "as the result does not say which code it is of"
+    differences = item.provenance.differences(result["provenance"])
+    differences = [what for what in differences if same_platform or not what.startswith("platform")]
+    return f"as the result is of other {' and '.join(differences)}" if differences else ""
+
+
+def _as_read(about: Mapping[str, Any]) -> dict[str, Any]:
+    """The same as it is read from a file, where tuples are lists."""
+    return dict(json.loads(json.dumps(about)))
 
 
 def _handle_sigterm(handler: Any) -> None:
@@ -135,29 +214,6 @@ def _stoppable(start: Callable[[], None]) -> None:
             raise ended
 
 
-def _about(experiment: Experiment, index: int, run: Run) -> dict[str, Any]:
-    """Return a result's place in an experiment and its names, on which its figures do not depend."""
-    return {"index": index, "experiment": {"title": experiment.title, "note": experiment.note}, "run": asdict(run)}
-
-
-def _kept(path: Path, about: Mapping[str, Any], say: Callable[[str], None]) -> bool:
-    """Return whether a run has a result, and update the names in it to those of the experiment."""
-    if not path.exists():
-        return False
-    result = read_result(path)
-    if result is None:
-        say(f"{path.name} is damaged, and is made again")
-        return False
-    if any(result.get(key) != value for key, value in json.loads(json.dumps(about)).items()):
-        _write(path, {**result, **about})
-    return True
-
-
-def _write(path: Path, result: Mapping[str, Any]) -> None:
-    with atomic_write(path) as part:
-        part.write_text(json.dumps(result, indent=1, sort_keys=True) + "\n")
-
-
 def _start_ray(workers: int | None, address: str | None, gpus_per_run: float) -> None:
     # Runs that ask for no GPU see none; otherwise all workers would use the first one at once.
     unseen = {} if gpus_per_run > 0 else {"CUDA_VISIBLE_DEVICES": ""}
@@ -189,18 +245,21 @@ def _check_answered(address: str) -> None:
 def _guarded(run: Mapping[str, Any], recording: Recording) -> dict[str, Any]:
     """Result of a run, or the reason why there is none: Ray retries what raises, and an error here would recur."""
     try:
-        return execute(Run(**run), recording)
+        checked = Run(**run)
+        # Of this worker's machine, and of its sources before anybody changes them.
+        provenance = provenance_of(checked, recording.sha256())
+        return {**execute(checked, recording), "provenance": provenance.to_json()}
     except Exception as error:
         return failure(error)
 
 
-def _collected(experiment: Experiment, pending: dict[Any, Waiting], say: Callable[[str], None]) -> tuple[int, int]:
+def _collected(pending: dict[Any, Planned], done: set[Path], say: Say) -> tuple[int, int]:
+    """Write the results as they come, adding their paths to `done`, and count how many were done and failed."""
     started = time.perf_counter()
-    n_done = n_failed = 0
-    n_runs = len(pending)
+    n_failed, n_runs = 0, len(pending)
     while pending:
         (ready, *_), _ = ray.wait(list(pending), num_returns=1)
-        index, run, path = pending.pop(ready)
+        item = pending.pop(ready)
         try:
             result = ray.get(ready)
         except ray.exceptions.RayError as error:
@@ -209,12 +268,12 @@ def _collected(experiment: Experiment, pending: dict[Any, Waiting], say: Callabl
             n_failed += 1
             ended = f"failed: {result['failed']}"
         else:
-            n_done += 1
             ended = f"{sum(result['seconds'].values()):.0f} s"
-            _write(path, {**result, **_about(experiment, index, run)})
-        n = n_done + n_failed
+            item.write(result)
+            done.add(item.path)
+        n, run = len(done) + n_failed, item.run
         minutes = (time.perf_counter() - started) / n * (n_runs - n) / 60
         left = f", about {minutes:.0f} min left" if n < n_runs else ""
         name = f"{run.label} ({run.recipe})" if run.recipe else run.label
         say(f"{n}/{n_runs} {name}, {run.texture}, split {run.split_seed}: {ended}{left}")
-    return n_done, n_failed
+    return len(done), n_failed

@@ -14,25 +14,25 @@ from typing import Any
 
 import numpy as np
 
-from foten.atomic_write import atomic_write
+from foten.atomic_write import write_json
 from foten.dsp import Array
 from foten.export.clip import Clip, envelopes_of
 
 KEEPS = "AHAP keeps the envelope, not the waveform"
-LONGEST_EVENT_S = 30.0
-MOST_POINTS = 16  # of a curve
+MAX_EVENT_S = 30.0
+MAX_CURVE_POINTS = 16  # of a curve
 
 
 def write_ahap(clip: Clip, path: Path) -> None:
     """Write a clip: one continuous event for each 30 s, its intensity and sharpness as curves."""
     envelopes = envelopes_of(clip)
-    starts = np.arange(0.0, clip.duration_s, LONGEST_EVENT_S)
+    starts = np.arange(0.0, clip.duration_s, MAX_EVENT_S)
     pattern: list[dict[str, Any]] = [
         {
             "Event": {
                 "Time": float(start),
                 "EventType": "HapticContinuous",
-                "EventDuration": float(min(LONGEST_EVENT_S, clip.duration_s - start)),
+                "EventDuration": float(min(MAX_EVENT_S, clip.duration_s - start)),
                 "EventParameters": [
                     {"ParameterID": "HapticIntensity", "ParameterValue": 1.0},
                     {"ParameterID": "HapticSharpness", "ParameterValue": 0.0},
@@ -49,14 +49,13 @@ def write_ahap(clip: Clip, path: Path) -> None:
         "Metadata": {"Project": "foten", "Description": json.dumps(dict(clip.about))},
         "Pattern": pattern,
     }
-    with atomic_write(path) as part:
-        part.write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
+    write_json(path, document)
 
 
 def _curves(parameter: str, points: Array, mapped: Any) -> list[dict[str, Any]]:
     curves = []
-    for at in range(0, len(points) - 1, MOST_POINTS - 1):
-        some = points[at : at + MOST_POINTS]
+    for at in range(0, len(points) - 1, MAX_CURVE_POINTS - 1):
+        some = points[at : at + MAX_CURVE_POINTS]
         control = [
             {"Time": round(float(t - some[0, 0]), 6), "ParameterValue": round(float(mapped(value)), 4)}
             for t, value in some

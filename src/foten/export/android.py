@@ -19,20 +19,19 @@ Source: Android's reference of `VibratorEnvelopeEffectInfo` and `WaveformEnvelop
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import numpy as np
 
-from foten.atomic_write import atomic_write
+from foten.atomic_write import write_json
 from foten.dsp import Array
 from foten.export.clip import Clip, envelopes_of
 
 STEP_MS = 10  # of the waveform of amplitudes
-LEAST_MS = 20  # from one control point to the next; a phone may guarantee no less
+MIN_POINT_MS = 20  # from one control point to the next; a phone may guarantee no less
 KEEPS = (
-    f"Android's formats keep the envelope, not the waveform: control points at least {LEAST_MS} ms apart, which a phone takes "
-    "16 or more of at once (getMaxSize()); clamp their frequencies to its getFrequencyProfile()"
+    f"Android's formats keep the envelope, not the waveform: control points at least {MIN_POINT_MS} ms apart, of which a phone "
+    "takes 16 or more at once (getMaxSize()); clamp their frequencies to its getFrequencyProfile()"
 )
 
 
@@ -43,8 +42,8 @@ def write_android(clip: Clip, path: Path) -> None:
     n = max(1, int(np.ceil(1000 * clip.duration_s / STEP_MS)))
     middles = (np.arange(n) + 0.5) * STEP_MS / 1000
     amplitudes = np.round(255 * np.sqrt(np.interp(middles, times, levels))).astype(int)
-    last = max(LEAST_MS, round(1000 * clip.duration_s))
-    points = np.round(np.linspace(0, last, last // LEAST_MS + 1)).astype(int)[1:]
+    last = max(MIN_POINT_MS, round(1000 * clip.duration_s))
+    points = np.round(np.linspace(0, last, last // MIN_POINT_MS + 1)).astype(int)[1:]
     each_ms = (np.arange(last) + 0.5) / 1000
     document = {
         "format": "foten-android",
@@ -61,11 +60,10 @@ def write_android(clip: Clip, path: Path) -> None:
             )
         ],
     }
-    with atomic_write(path) as part:
-        part.write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
+    write_json(path, document)
 
 
 def _around(points: Array, values: Array) -> Array:
-    """Return the mean of values, one a ms, around each point [ms]: from halfway to the one before to halfway to the next."""
+    """Mean of values, one a ms, around each point [ms]: from halfway to the one before to halfway to the next."""
     begins = np.concatenate([points[:1] // 2, (points[:-1] + points[1:]) // 2])
     return np.add.reduceat(values, begins) / np.diff(begins, append=values.size)

@@ -16,7 +16,7 @@ _ROW = 20  # bytes of a line
 
 
 def identifier(name: str) -> str:
-    """Return a name as C has it: `steel-mesh 1` → `steel_mesh_1`."""
+    """Name as C has it: `steel-mesh 1` → `steel_mesh_1`."""
     word = re.sub(r"\W+", "_", name, flags=re.ASCII).strip("_").lower() or "texture"
     return f"texture_{word}" if word[0].isdigit() else word
 

@@ -15,12 +15,12 @@ import numpy as np
 from foten.dsp import Array
 
 RATE_HZ = 8000.0  # that clips are rendered at: what MPEG's tools take, and beyond what skin feels
-LOWEST_HZ, HIGHEST_HZ = 30.0, 600.0  # of the envelope of frequency, 0 and 1
-MOST_POINTS_A_SECOND = 60.0
+MIN_FREQUENCY_HZ, MAX_FREQUENCY_HZ = 30.0, 600.0  # of the envelope of frequency, 0 and 1
+MAX_POINTS_PER_S = 60.0
 STEP_S = 0.001  # of the envelopes
 ATTACK_S, HOLD_S, RELEASE_S = 0.0001, 0.0015, 0.1
 N_FFT, OVERLAP = 1024, 8
-LEAST_AREA = 1e-8  # of a triangle that a point spans with its neighbours
+MIN_TRIANGLE_AREA = 1e-8  # of a triangle that a point spans with its neighbours
 
 
 @dataclass(frozen=True)
@@ -34,12 +34,12 @@ class Clip:
 
     @property
     def duration_s(self) -> float:
-        """Return how long it lasts [s]."""
+        """Duration [s]."""
         return self.drive.size / self.rate_hz
 
 
 def clip_of(samples: Array, rate_hz: float, about: Mapping[str, Any], full_scale: float | None = None) -> Clip:
-    """Return what was rendered as a clip; without a full scale its peak is 1. What goes beyond is cut.
+    """Clip of a rendered stroke, cut at full scale; without one, its peak is 1.
 
     Raises:
         ValueError: there are no samples, or the full scale is not positive.
@@ -58,30 +58,30 @@ class Envelopes:
     """Amplitude and frequency over time, each reduced to the points that matter; shapes (k, 2): seconds and 0 … 1."""
 
     amplitude: Array
-    frequency: Array  # 0 is `LOWEST_HZ`, 1 is `HIGHEST_HZ`
+    frequency: Array  # 0 is `MIN_FREQUENCY_HZ`, 1 is `MAX_FREQUENCY_HZ`
 
     def hertz(self, at_s: Array) -> Array:
-        """Return the frequency [Hz] at times [s]."""
+        """Frequency [Hz] at times [s]."""
         share = np.interp(at_s, self.frequency[:, 0], self.frequency[:, 1])
-        return np.asarray(LOWEST_HZ + share * (HIGHEST_HZ - LOWEST_HZ))
+        return np.asarray(MIN_FREQUENCY_HZ + share * (MAX_FREQUENCY_HZ - MIN_FREQUENCY_HZ))
 
 
 def envelopes_of(clip: Clip) -> Envelopes:
-    """Return the envelopes of a clip: an RMS follower, and the centroid of the spectrum below 1 kHz.
+    """Envelopes of a clip: an RMS follower, and the centroid of the spectrum below 1 kHz.
 
-    Both end with the clip, and have at most `MOST_POINTS_A_SECOND`.
+    Both end with the clip, and have at most `MAX_POINTS_PER_S`.
 
     Source: the published defaults of Meta's haptics SDK (constants); the reduction is Visvalingam and Whyatt's (1993).
     """
     times, amplitude = _followed(clip)
     frequency = np.interp(times, *_centroids(clip))
-    most = max(2, int(MOST_POINTS_A_SECOND * clip.duration_s))
-    reduced = (_reduced(np.stack([times, values], axis=1), most) for values in (amplitude, frequency))
+    max_points = max(2, int(MAX_POINTS_PER_S * clip.duration_s))
+    reduced = (_reduced(np.stack([times, values], axis=1), max_points) for values in (amplitude, frequency))
     return Envelopes(*reduced)
 
 
 def _followed(clip: Clip) -> tuple[Array, Array]:
-    """Return times [s] and the level there, 0 … 1: it rises within the attack, holds, and falls within the release."""
+    """Times [s] and the level there, 0 … 1: it rises within the attack, holds, and falls within the release."""
     n = max(1, round(STEP_S * clip.rate_hz))
     squares = np.square(clip.drive - clip.drive.mean())
     squares = np.append(squares, np.zeros(-squares.size % n)).reshape(-1, n).mean(axis=1)
@@ -101,7 +101,7 @@ def _followed(clip: Clip) -> tuple[Array, Array]:
 
 
 def _centroids(clip: Clip) -> tuple[Array, Array]:
-    """Return times [s] and the spectrum's centroid there, 0 … 1."""
+    """Times [s] and the spectrum's centroid there, 0 … 1."""
     hop = N_FFT // OVERLAP
     padded = np.pad(clip.drive, (N_FFT // 2, N_FFT))
     n = 1 + clip.drive.size // hop
@@ -110,12 +110,14 @@ def _centroids(clip: Clip) -> tuple[Array, Array]:
     used = hertz <= 1000.0
     power = np.stack([np.abs(np.fft.rfft(padded[i * hop : i * hop + N_FFT] * window))[used] for i in range(n)])
     total = power.sum(axis=1)
-    centroid = np.where(total > 0, power @ hertz[used] / np.where(total > 0, total, 1.0), LOWEST_HZ)
-    return np.arange(n) * hop / clip.rate_hz, np.clip((centroid - LOWEST_HZ) / (HIGHEST_HZ - LOWEST_HZ), 0.0, 1.0)
+    centroid = np.where(total > 0, power @ hertz[used] / np.where(total > 0, total, 1.0), MIN_FREQUENCY_HZ)
+    return np.arange(n) * hop / clip.rate_hz, np.clip(
+        (centroid - MIN_FREQUENCY_HZ) / (MAX_FREQUENCY_HZ - MIN_FREQUENCY_HZ), 0.0, 1.0
+    )
 
 
-def _reduced(points: Array, most: int) -> Array:
-    """Return the points that are left where those that span the smallest triangles are taken out, one after the other."""
+def _reduced(points: Array, max_points: int) -> Array:
+    """Points that are left where those that span the smallest triangles are taken out, one after the other."""
     n = len(points)
     rows = points.tolist()
     before, after = [i - 1 for i in range(n)], [i + 1 for i in range(n)]
@@ -132,7 +134,7 @@ def _reduced(points: Array, most: int) -> Array:
         size, i = heapq.heappop(smallest)
         if size != areas[i]:
             continue  # it was another one's neighbour since
-        if size > LEAST_AREA and n_left <= most:
+        if size > MIN_TRIANGLE_AREA and n_left <= max_points:
             break
         areas[i], n_left = -1.0, n_left - 1
         after[before[i]], before[after[i]] = after[i], before[i]

@@ -7,10 +7,9 @@ Source: the published specification of the format.
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
-from foten.atomic_write import atomic_write
+from foten.atomic_write import write_json
 from foten.export.clip import Clip, envelopes_of
 
 KEEPS = ".haptic keeps the envelope, not the waveform"
@@ -35,5 +34,4 @@ def write_haptic(clip: Clip, path: Path) -> None:
         },
         "signals": {"continuous": {"envelopes": written}},
     }
-    with atomic_write(path) as part:
-        part.write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
+    write_json(path, document)

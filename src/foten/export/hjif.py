@@ -14,8 +14,8 @@ from typing import Any
 
 import numpy as np
 
-from foten.atomic_write import atomic_write
-from foten.export.clip import HIGHEST_HZ, LOWEST_HZ, Clip, envelopes_of
+from foten.atomic_write import write_json
+from foten.export.clip import MAX_FREQUENCY_HZ, MIN_FREQUENCY_HZ, Clip, envelopes_of
 
 KEEPS = "HJIF as a curve keeps the waveform to 16 bits"
 KEEPS_PARAMETRIC = "parametric HJIF keeps the envelope, as one tone of changing frequency, not the waveform"
@@ -24,7 +24,7 @@ KEEPS_PARAMETRIC = "parametric HJIF keeps the envelope, as one tone of changing 
 def write_hjif(clip: Clip, path: Path, parametric: bool = False) -> None:
     """Write a clip: a keyframe a sample, or, `parametric`, amplitude and frequency at the points of its envelopes."""
     if parametric:
-        band, timescale, (low, high) = _chirp(clip), 1000, (int(LOWEST_HZ), int(HIGHEST_HZ))
+        band, timescale, (low, high) = _chirp(clip), 1000, (int(MIN_FREQUENCY_HZ), int(MAX_FREQUENCY_HZ))
     else:
         band, timescale, (low, high) = _curve(clip), round(clip.rate_hz), (0, round(clip.rate_hz / 2))
     band |= {"lower_frequency_limit": low, "upper_frequency_limit": high}
@@ -60,8 +60,7 @@ def write_hjif(clip: Clip, path: Path, parametric: bool = False) -> None:
         "perceptions": [perception],
         "syncs": [],
     }
-    with atomic_write(path) as part:
-        part.write_text(json.dumps(document) + "\n", encoding="utf-8")
+    write_json(path, document, indent=None)
 
 
 def _curve(clip: Clip) -> dict[str, Any]:

@@ -39,8 +39,8 @@ def write_unity(texture: Texture, folder: Path) -> str:
         with atomic_write(folder / source) as part:
             part.write_text(text, encoding="utf-8")
     resources, plugins = folder / "Runtime" / "Resources" / "Foten", folder / "Runtime" / "Plugins"
-    for made in (resources, plugins):
-        made.mkdir(parents=True, exist_ok=True)
+    for place in (resources, plugins):
+        place.mkdir(parents=True, exist_ok=True)
     with atomic_write(resources / f"{name}.bytes") as part:
         part.write_bytes(texture.to_bytes())
     library = kernel_file(*LIBRARIES)

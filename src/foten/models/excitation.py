@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from foten.dsp import Array
 from foten.models.model_sizes import ModelSizes, Shapes
 from foten.models.stream import Prediction
+from foten.models.weights import Weights
 
 N_FEATURES = 4  # of the network in log σ: scaled speed and force, and their logarithms
 N_POWERS = 5  # x, y, x², xy, y² of the logarithms
@@ -89,7 +90,8 @@ class Scale:
     @classmethod
     def of(cls, tensors: Mapping[str, NDArray[Any]], prefix: str) -> Scale:
         """The scale whose tensors have names under a prefix, such as ``lattice.level.``."""
-        return cls(**{name: np.asarray(tensors[prefix + _tensor(name)], dtype=np.float64) for name in _parts(cls)})
+        weights = Weights(tensors, prefix)
+        return cls(**{name: weights[_tensor(name)] for name in _parts(cls)})
 
     def tensors(self, prefix: str) -> dict[str, NDArray[np.float32]]:
         """Its tensors as a texture file has them."""
@@ -151,7 +153,7 @@ class Excitation:
     @classmethod
     def of(cls, tensors: Mapping[str, NDArray[Any]]) -> Excitation:
         """The excitation of a texture's tensors."""
-        in_sigma, in_acceleration = tensors["excitation.innovation_limit"]
+        in_sigma, in_acceleration = Weights(tensors, "excitation.")["innovation_limit"]
         return cls(Scale.of(tensors, "excitation."), (float(in_sigma), float(in_acceleration)))
 
     def tensors(self) -> dict[str, NDArray[np.float32]]:

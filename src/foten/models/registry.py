@@ -9,7 +9,7 @@ from typing import Any
 from foten.models.foten.sizes import FotenSizes, TenSizes
 from foten.models.foten_plus.sizes import FotenPlusSizes
 from foten.models.graph_sizes import GraphSizes
-from foten.models.model_sizes import ModelSizes
+from foten.models.model_sizes import ModelSizes, shortened
 from foten.models.piecewise_ar.sizes import PiecewiseArSizes
 
 MODELS: dict[str, type[ModelSizes]] = {
@@ -24,9 +24,13 @@ def sizes_of(model: str, card: Mapping[str, Any]) -> ModelSizes:
     """The sizes that a card gives for a model; one that the kernel does not run is a graph's.
 
     Raises:
-        ValueError: a size is unknown or out of range.
+        ValueError: the model or a size is unknown, or a size is out of range.
     """
-    return checked_sizes(model, MODELS.get(model, GraphSizes), card)
+    if model in MODELS:
+        return checked_sizes(model, MODELS[model], card)
+    if set(card) - {field.name for field in fields(GraphSizes)}:
+        raise ValueError(f"unknown model {shortened(model)}, expected one of {', '.join(MODELS)}, or a graph")
+    return GraphSizes(**card)
 
 
 def checked_sizes(model: str, kind: type[ModelSizes], card: Mapping[str, Any]) -> ModelSizes:

@@ -33,8 +33,10 @@ from foten.models.graph_sizes import GRAPH
 from foten.models.model_sizes import ModelSizes, shortened
 from foten.models.registry import MODELS, sizes_of
 from foten.recording.preprocess import PreprocessConfig
+from foten.recording.recording import RELATIVE, UNITS
 from foten.recording.scaling import Scaling
 from foten.recording.split import Split
+from foten.recording.trace import CHANNELS
 from foten.untrusted import check_numbers, check_regular, parse_json
 
 FORMAT_VERSION = 5
@@ -90,7 +92,7 @@ class Texture:
     @property
     def unit(self) -> str:
         """The unit of the acceleration as people read it: m/s², or relative to the recording's RMS."""
-        return self.card["units"].get("acceleration", "m/s^2").replace("^2", "²")
+        return self.card["units"]["acceleration"].replace("^2", "²")
 
     @property
     def has_excitation(self) -> bool:
@@ -220,6 +222,7 @@ def check_card(card: Any) -> None:
             f"the card has a rate of {card['rate_hz']} Hz and a low-pass of {card['lowpass_hz']} Hz, expected up to "
             f"{MAX_RATE_HZ:g} Hz, and from 0.001 Hz to half of that"
         )
+    _check_units(card["units"])
     for channel in ("speed", "force"):
         bounds, exponent = card["trained_range"].get(channel), card["extrapolation_exponents"].get(channel)
         if not (_are_numbers(bounds, 2) and 0 <= bounds[0] <= bounds[1]):
@@ -245,6 +248,16 @@ def check_card(card: Any) -> None:
         value = card["metrics"].get(name)
         if value is not None and not _are_numbers([value], 1):
             raise ValueError(f"{name!r} among the card's metrics is no number")
+
+
+def _check_units(units: Mapping[str, Any]) -> None:
+    for channel in CHANNELS:
+        known = (UNITS[channel], RELATIVE) if channel == "acceleration" else (UNITS[channel],)
+        if units.get(channel) not in known:
+            written = shortened(units.get(channel))
+            raise ValueError(
+                f"the card's {channel} is in {written}, expected {' or '.join(known)}; was the card edited?"
+            )
 
 
 def _are_numbers(values: Any, n: int) -> bool:
@@ -282,8 +295,12 @@ def _check_tensors(texture: Texture) -> None:
             f"unknown model {shortened(texture.card['model'])}, expected one of {', '.join(MODELS)}, or a graph"
         )
     for name, shape in shapes.items():
-        actual = texture.tensors[name].shape if name in texture.tensors else ()
-        if len(actual) != len(shape) or any(n not in (None, m) for n, m in zip(shape, actual, strict=True)):
+        actual = texture.tensors[name].shape if name in texture.tensors else None
+        if (
+            actual is None
+            or len(actual) != len(shape)
+            or any(n not in (None, m) for n, m in zip(shape, actual, strict=True))
+        ):
             raise ValueError(f"tensor {name!r} has shape {actual}, expected {shape}")
     unknown = set(texture.tensors) - set(shapes)
     if unknown:

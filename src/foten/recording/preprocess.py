@@ -13,11 +13,11 @@ from foten.dsp.filters import Biquads, Sections, butterworth, delay_s, filter_re
 from foten.dsp.kinematics import at_rate, speed_of, velocity
 from foten.dsp.perception import RATES_HZ
 from foten.dsp.resample import decimate
-from foten.recording.recording import LIMITS, UNITS, Channel, Recording
-from foten.recording.split import FEWEST_BLOCKS
+from foten.recording.recording import LIMITS, UNITS, Channel, Recording, common_span_s
+from foten.recording.split import MIN_BLOCKS
 from foten.recording.trace import Trace
 
-HIGHEST_ORDER = 20  # of a high-pass; one of 20 already rings for longer than a window
+MAX_HIGHPASS_ORDER = 20  # of a high-pass; one of 20 already rings for longer than a window
 SHORT_BLOCKS_MS = (
     2000.0,
     1000.0,
@@ -63,29 +63,29 @@ class PreprocessConfig:
                 raise ValueError(
                     f"{name} is {getattr(self, name):g} Hz, expected between 0 and half the rate, {half:g} Hz"
                 )
-        if self.highpass_order > HIGHEST_ORDER:
-            raise ValueError(f"highpass_order is {self.highpass_order}, expected {HIGHEST_ORDER} at most")
+        if self.highpass_order > MAX_HIGHPASS_ORDER:
+            raise ValueError(f"highpass_order is {self.highpass_order}, expected {MAX_HIGHPASS_ORDER} at most")
         # The filters' own check, before a long recording is read.
         butterworth("highpass", self.highpass_hz, self.rate_hz, self.highpass_order)
 
     @property
     def block(self) -> int:
-        """Return the samples in a block."""
+        """Samples in a block."""
         return max(1, round(self.block_ms * self.rate_hz / 1000))
 
     @property
     def shortest_s(self) -> float:
-        """Return what every channel has to cover for a training [s]."""
-        return (2 * self.trim_ms + FEWEST_BLOCKS * self.block_ms) / 1000
+        """Time that every channel has to cover for a training [s]."""
+        return (2 * self.trim_ms + MIN_BLOCKS * self.block_ms) / 1000
 
     @property
     def delay_ms(self) -> float:
-        """Return what the causal low-pass of speed and force delays them by when rendering [ms]."""
+        """Delay of speed and force by their causal low-pass when rendering [ms]."""
         return 1000 * delay_s(butterworth("lowpass", self.render_lowpass_hz, self.rate_hz), self.rate_hz)
 
 
 def fitting_options(seconds: float, rate_hz: float, captured_hz: float | None = None) -> str:
-    """Return the options of `foten train` that fit a recording: "--rate 10000 --trim 0 --block 200"; empty where none do.
+    """Options of `foten train` that fit a recording: "--rate 10000 --trim 0 --block 200"; empty where none do.
 
     Args:
         seconds: that every channel covers.
@@ -99,7 +99,7 @@ def fitting_options(seconds: float, rate_hz: float, captured_hz: float | None = 
         rates = sorted({rate_hz, *(rate for rate in RATES_HZ if rate_hz < rate <= (captured_hz or 0))})
         rate, trim_ms = next((rate for rate in rates if rate * seconds >= ENOUGH_SAMPLES), rates[-1]), 0.0
         usable_ms = 1000 * (seconds - 1 / rate) - config.delay_ms  # which is whole samples
-        blocks_ms = [ms for n in (ENOUGH_BLOCKS, FEWEST_BLOCKS) for ms in SHORT_BLOCKS_MS if usable_ms >= n * ms]
+        blocks_ms = [ms for n in (ENOUGH_BLOCKS, MIN_BLOCKS) for ms in SHORT_BLOCKS_MS if usable_ms >= n * ms]
     if not blocks_ms:
         return ""
     named = "" if captured_hz is None else f"--rate {min(rate, captured_hz):g} "
@@ -107,7 +107,7 @@ def fitting_options(seconds: float, rate_hz: float, captured_hz: float | None = 
 
 
 def preprocess(recording: Recording, config: PreprocessConfig | None = None, n_blocks: int | None = None) -> Trace:
-    """Return the trace of a recording: whole blocks of acceleration, speed and force at one rate.
+    """Trace of a recording: whole blocks of acceleration, speed and force at one rate.
 
     Used is the stretch that every channel covers. The low-pass of speed and force is causal, as in rendering; the whole
     samples nearest its delay are then cut off, so that speed and force stand beside the acceleration that they caused.
@@ -165,9 +165,9 @@ def preprocess(recording: Recording, config: PreprocessConfig | None = None, n_b
     acceleration = vibration[0]
     if len(axes) > 1:
         acceleration = dft321(vibration.reshape(len(axes), -1, config.block).swapaxes(0, 1)).ravel()
-    moved, pressed = hand_of(recording, rate)
-    speed = speed_of(np.stack([settled(lowpass, row, trim + delay) for row in moved]))
-    force = np.maximum(settled(lowpass, pressed, trim + delay), 0.0)
+    velocities, normal_force = velocity_and_force(recording, rate)
+    speed = speed_of(np.stack([settled(lowpass, row, trim + delay) for row in velocities]))
+    force = np.maximum(settled(lowpass, normal_force, trim + delay), 0.0)
     if not config.force_units:
         _check_size("speed", float(speed.max()))
         _check_size("force", float(force.max()))
@@ -177,26 +177,26 @@ def preprocess(recording: Recording, config: PreprocessConfig | None = None, n_b
     )
 
 
-def condition(moved: Array, pressed: Array, rate_hz: float, lowpass_hz: float) -> tuple[Array, Array]:
-    """Return a hand's speed [mm/s] and force [N], shapes (n,), through the causal low-pass of rendering.
+def condition(velocities: Array, normal_force: Array, rate_hz: float, lowpass_hz: float) -> tuple[Array, Array]:
+    """Speed [mm/s] and force [N], shapes (n,), through the causal low-pass of rendering.
 
     The filter starts settled on the first sample.
 
     Args:
-        moved: velocity of each axis [mm/s], shape (n_axes, n); one axis where only the speed is known.
-        pressed: normal force [N], shape (n,).
+        velocities: velocity of each axis [mm/s], shape (n_axes, n); one axis where only the speed is known.
+        normal_force: normal force [N], shape (n,).
     """
     sections = butterworth("lowpass", lowpass_hz, rate_hz)
     filtered = []
-    for signal in (*moved, pressed):
+    for signal in (*velocities, normal_force):
         biquads = Biquads(sections)
         biquads.reset(float(signal[0]) if signal.size else 0.0)
         filtered.append(biquads.process(signal))
     return speed_of(np.stack(filtered[:-1])), np.maximum(filtered[-1], 0.0)
 
 
-def hand_of(recording: Recording, rate_hz: float) -> tuple[Array, Array]:
-    """Return velocity [mm/s] (n_axes, n) and normal force [N] (n,) at a rate, where both and any acceleration are covered.
+def velocity_and_force(recording: Recording, rate_hz: float) -> tuple[Array, Array]:
+    """Velocity [mm/s] (n_axes, n) and normal force [N] (n,) at a rate, where both and any acceleration are covered.
 
     Not yet low-passed. The velocity has the axes of the plane where positions were recorded, else the speed as its only one.
     The normal is the z axis, and pressing counts positive: a force that is mostly negative is turned round.
@@ -237,7 +237,7 @@ def hand_of(recording: Recording, rate_hz: float) -> tuple[Array, Array]:
 
 
 def pressing(force: Channel) -> Array:
-    """Return a force as captured, pressing positive [N], shape (n,); a low-pass would hide short losses of contact."""
+    """Force as captured, pressing positive [N], shape (n,); a low-pass would hide short losses of contact."""
     return -force.samples if np.median(force.samples) < 0 else force.samples
 
 
@@ -251,18 +251,17 @@ def _check_size(quantity: str, largest: float) -> None:
 
 
 def _common(recording: Recording, rate_hz: float) -> tuple[int, int]:
-    """Return the first sample and the one past the last that acceleration, movement and force cover, at a rate from time 0."""
+    """First sample and the one past the last that acceleration, movement and force cover, at a rate from time 0."""
     if not recording.movement:
         raise ValueError("the recording has no speed and no position_x, position_y channel")
     if not recording.normal_force:
         raise ValueError("the recording has no force and no force_z channel")
-    hand = [recording[name] for name in (*recording.movement, *recording.normal_force)]
-    starts, ends = zip(*(channel.span_s for channel in (*recording.axes("acceleration"), *hand)), strict=True)
-    return max(0, math.ceil(max(starts) * rate_hz - 1e-6)), math.floor(min(ends) * rate_hz + 1e-6)
+    start_s, end_s = common_span_s(recording.used)
+    return max(0, math.ceil(start_s * rate_hz - 1e-6)), math.floor(end_s * rate_hz + 1e-6)
 
 
 def _slow(channel: Channel, rate_hz: float, n: int) -> Array:
-    """Return a channel of the hand at a rate from time 0, shape (n,): averaged from above, interpolated from below."""
+    """Speed, position or force at a rate from time 0, shape (n,): averaged from above, interpolated from below."""
     if channel.times_s is None and channel.rate_hz > rate_hz * (1 + 1e-9):
         return decimate(channel.samples, channel.rate_hz, rate_hz)[:n]
     return at_rate(channel.samples, channel.times, rate_hz, n)

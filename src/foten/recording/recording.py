@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any
@@ -50,24 +50,24 @@ class Channel:
 
     @property
     def times(self) -> NDArray[np.float64]:
-        """Return when each sample was taken [s], shape (n,)."""
+        """Time of each sample [s], shape (n,)."""
         return np.arange(self.samples.size) / self.rate_hz if self.times_s is None else self.times_s
 
     @property
     def span_s(self) -> tuple[float, float]:
-        """Return when the channel starts and ends [s], one sample period past the last sample."""
+        """Start and end of the channel [s], one sample period past the last sample."""
         start = 0.0 if self.times_s is None else float(self.times_s[0])
         return start, start + self.duration_s
 
     @property
     def duration_s(self) -> float:
-        """Return the time that the channel covers [s], one sample period past the last sample."""
+        """Time that the channel covers [s], one sample period past the last sample."""
         if self.times_s is None:
             return self.samples.size / self.rate_hz
         return float(self.times_s[-1] - self.times_s[0]) + 1 / self.rate_hz
 
     def holes(self) -> NDArray[np.int64]:
-        """Return the samples after which others were lost, as the times tell; none at a steady rate.
+        """Samples after which others were lost, as the times tell; none at a steady rate.
 
         A step is a hole where the five samples on either side say so too, so that one late time stamp is none.
         """
@@ -81,6 +81,12 @@ class Channel:
         landed = np.where(after < times.size, times[np.minimum(after, times.size - 1)] - reach * period, np.nan)
         left = np.where(before >= 0, times[np.maximum(before, 0)] + reach * period, np.nan)
         return long[np.nanmedian(landed, axis=1) - np.nanmedian(left, axis=1) > HOLE * period]
+
+
+def common_span_s(channels: Iterable[Channel]) -> tuple[float, float]:
+    """Start and end of the time that all channels cover [s]; the end lies before the start where there is none."""
+    starts, ends = zip(*(channel.span_s for channel in channels), strict=True)
+    return max(starts), min(ends)
 
 
 @dataclass(frozen=True)
@@ -113,32 +119,37 @@ class Recording:
         return name in self.channels
 
     def axes(self, quantity: str) -> list[Channel]:
-        """Return the channels of one quantity: its axes x, y, z where recorded, else the scalar, else none."""
+        """Channels of one quantity: its axes x, y, z where recorded, else the scalar, else none."""
         names = [f"{quantity}_{axis}" for axis in AXES if f"{quantity}_{axis}" in self] or [quantity]
         return [self[name] for name in names if name in self]
 
     @property
     def movement(self) -> list[str]:
-        """Return the names of the channels that speed is taken from; empty where there is none."""
+        """Names of the channels that speed is taken from; empty where there is none."""
         names = ["speed"] if "speed" in self else ["position_x", "position_y"]
         return [name for name in names if name in self]
 
     @property
     def normal_force(self) -> list[str]:
-        """Return the name of the channel that normal force is taken from; empty where there is none."""
+        """Name of the channel that normal force is taken from; empty where there is none."""
         return [name for name in ("force", "force_z") if name in self][:1]
 
     @property
+    def used(self) -> list[Channel]:
+        """Channels that a trace is made of: acceleration, movement and normal force."""
+        return [*self.axes("acceleration"), *(self[name] for name in (*self.movement, *self.normal_force))]
+
+    @property
     def duration_s(self) -> float:
-        """Return the time covered by every channel [s]."""
+        """Time covered by every channel [s]."""
         return min(channel.duration_s for channel in self.channels.values())
 
     def unit(self, name: str) -> str:
-        """Return the unit of a channel's samples."""
+        """Unit of a channel's samples."""
         return UNITS[name] if self.calibrated or not name.startswith("acceleration") else RELATIVE
 
     def sha256(self) -> str:
-        """Return a digest of the samples, rates and times, whatever file held them."""
+        """Digest of the samples, rates and times, whatever file held them."""
         digest = hashlib.sha256()
         for name in sorted(self.channels):
             channel = self.channels[name]

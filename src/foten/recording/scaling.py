@@ -23,20 +23,20 @@ class Scaling:
                 raise ValueError(f"{name} has mean {mean} and standard deviation {sd}, expected finite and > 0")
 
     def scale(self, samples: Array) -> Array:
-        """Return samples (…, 3) in their units as scaled samples (…, 3)."""
+        """Samples (…, 3) in their units as scaled samples (…, 3)."""
         return (samples - np.array(self.mean)) / np.array(self.sd)
 
     def scale_channel(self, channel: int, samples: Array) -> Array:
-        """Return one channel (0 acceleration, 1 speed, 2 force), any shape, scaled."""
+        """One channel (0 acceleration, 1 speed, 2 force), any shape, scaled."""
         return (samples - self.mean[channel]) / self.sd[channel]
 
     def unscale_acceleration(self, scaled: Array) -> Array:
-        """Return scaled acceleration, any shape, in m/s²."""
+        """Scaled acceleration, any shape, in m/s²."""
         return scaled * self.sd[0] + self.mean[0]
 
 
 def fit_scaling(trace: Trace, blocks: tuple[int, ...]) -> Scaling:
-    """Return the scaling measured on some blocks of a trace (the training ones).
+    """Scaling measured on some blocks of a trace (the training ones).
 
     A speed or force that never varies keeps its own magnitude as scale, so that a recording at one condition
     still trains.

@@ -16,7 +16,7 @@ from foten.atomic_write import atomic_write
 from foten.recording.trace import Trace
 
 METHODS = ("regrouped", "contiguous")
-FEWEST_BLOCKS = 5  # of a trace that is split
+MIN_BLOCKS = 5  # of a trace that is split
 
 
 @dataclass(frozen=True)
@@ -33,12 +33,12 @@ class Split:
     recording_sha256: str = ""
 
     def sha256(self) -> str:
-        """Return the digest of everything above."""
+        """Digest of everything above."""
         return hashlib.sha256(json.dumps(asdict(self), sort_keys=True).encode()).hexdigest()
 
     @staticmethod
     def from_fields(fields: Mapping[str, Any]) -> Split:
-        """Return the split with the given fields, as a card holds them."""
+        """Split with the given fields, as a card holds them."""
         parts = {part: tuple(fields[part]) for part in ("train", "validation", "test")}
         return Split(**{**fields, **parts})
 
@@ -50,7 +50,7 @@ class Split:
 
 
 def split_blocks(trace: Trace, method: str = "regrouped", seed: int = 0) -> Split:
-    """Return a 60/20/20 split of a trace's blocks.
+    """60/20/20 split of a trace's blocks.
 
     `regrouped`: blocks are grouped by mean speed, then within each group by mean force; the blocks that hold the
     extremes of speed and force train, so that the test conditions lie inside the trained range; the others are drawn
@@ -60,7 +60,7 @@ def split_blocks(trace: Trace, method: str = "regrouped", seed: int = 0) -> Spli
     a model that does much worse here was helped by leakage.
 
     Raises:
-        ValueError: fewer than `FEWEST_BLOCKS`.
+        ValueError: fewer than `MIN_BLOCKS`.
 
     Source: Sec. VI ("divided into 2000 samples and regrouped based on speed and force regions").
     Differs from the paper: how [14] groups is not stated; terciles of speed and of force within them are ours.
@@ -68,10 +68,10 @@ def split_blocks(trace: Trace, method: str = "regrouped", seed: int = 0) -> Spli
     n = trace.n_blocks
     if method not in METHODS:
         raise ValueError(f"split is {method!r}, expected one of {', '.join(METHODS)}")
-    if n < FEWEST_BLOCKS:
+    if n < MIN_BLOCKS:
         some = f"{n} block{'s' * (n > 1)} of {trace.block / trace.rate_hz * 1000:g} ms"
         raise ValueError(
-            f"the trace has {some}, expected {FEWEST_BLOCKS} or more; a short recording wants a shorter --block and --trim"
+            f"the trace has {some}, expected {MIN_BLOCKS} or more; a short recording wants a shorter --block and --trim"
         )
     n_held = max(1, round(0.2 * n))  # of validation and of test
     if method == "contiguous":

@@ -40,18 +40,18 @@ class Trace:
 
     @property
     def n_blocks(self) -> int:
-        """Return the number of blocks."""
+        """Number of blocks."""
         return len(self) // self.block
 
     def blocks(self, channel: Array) -> Array:
-        """Return one channel as shape (n_blocks, block), a view."""
+        """One channel as shape (n_blocks, block), a view."""
         return channel.reshape(self.n_blocks, self.block)
 
     def picked(self, blocks: Sequence[int]) -> tuple[Array, Array, Array]:
-        """Return acceleration, speed and force of some blocks, shape (len(blocks), block) each."""
+        """Acceleration, speed and force of some blocks, shape (len(blocks), block) each."""
         which = list(blocks)
         return self.blocks(self.acceleration)[which], self.blocks(self.speed)[which], self.blocks(self.force)[which]
 
     def stacked(self) -> Array:
-        """Return acceleration, speed and force as columns, shape (n, 3)."""
+        """Acceleration, speed and force as columns, shape (n, 3)."""
         return np.stack([self.acceleration, self.speed, self.force], axis=1)

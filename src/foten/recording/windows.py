@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 
 def targets(blocks: tuple[int, ...], block: int, first: int) -> NDArray[np.int64]:
-    """Return the indices n to predict: in each given block all but the first `first` samples, shape (k,).
+    """Indices n to predict: in each given block all but the first `first` samples, shape (k,).
 
     With `first >= m` no window of m samples straddles blocks.
     """
@@ -16,7 +16,7 @@ def targets(blocks: tuple[int, ...], block: int, first: int) -> NDArray[np.int64
 
 
 def window_indices(n: NDArray[np.int64], m: int) -> NDArray[np.int64]:
-    """Return the m indices before each n, oldest first: shape (b,) → (b, m).
+    """The m indices before each n, oldest first: shape (b,) → (b, m).
 
     Source: Eq. 1: a[n-m] … a[n-1], and the same of speed and force.
     """
@@ -24,10 +24,10 @@ def window_indices(n: NDArray[np.int64], m: int) -> NDArray[np.int64]:
 
 
 def windows(samples: NDArray[np.float64], n: NDArray[np.int64], m: int) -> NDArray[np.float64]:
-    """Return the windows before the given indices: samples (t, 3) → (b, m, 3)."""
+    """Windows before the given indices: samples (t, 3) → (b, m, 3)."""
     return samples[window_indices(n, m)]
 
 
 def stretches(samples: NDArray[np.float64], n: NDArray[np.int64], m: int) -> NDArray[np.float64]:
-    """Return rows of consecutive samples and the window before each: n (s, k), samples (t, 3) → (s, m + k, 3)."""
+    """Rows of consecutive samples and the window before each: n (s, k), samples (t, 3) → (s, m + k, 3)."""
     return samples[n[:, :1] + np.arange(-m, n.shape[1])]

@@ -1,1 +1,1 @@
-"""From a texture file, a speed and a force to acceleration: the kernel in C, and its reference in NumPy."""
+"""From a texture file, a speed and a force to acceleration: the kernel in C, bound with ctypes, and what plays it live."""

@@ -17,9 +17,9 @@ from foten.runtime.binding import NativeActuator
 from foten.untrusted import check_regular, parse_json
 
 FORMAT, VERSION = "foten-actuator", 1
-LARGEST = 1e9  # of any figure: no actuator has more
+MAX_FIGURE = 1e9  # of any unit: no actuator has more
 _NEAR_S = 0.02  # of the delay at which drive and acceleration are most alike, within which the best is looked for
-_MOST_MISSED = 0.15  # of the acceleration's power: what misses more was no such sweep
+_MAX_RESIDUAL = 0.15  # share of the acceleration's power: what leaves more was no such sweep
 
 
 @dataclass(frozen=True)
@@ -45,8 +45,8 @@ class ActuatorProfile:
             if name in ("name", "unit"):
                 continue
             # The comparison holds for integers of any number of digits, and for NaN it does not.
-            if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) < LARGEST:
-                raise ValueError(f"{name} of the actuator is {value!r:.30}, expected a number below {LARGEST:g}")
+            if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) < MAX_FIGURE:
+                raise ValueError(f"{name} of the actuator is {value!r:.30}, expected a number below {MAX_FIGURE:g}")
             if name != "gain" and value < 0:
                 raise ValueError(f"{name} of the actuator is {value}, expected 0 or more")
         if self.gain == 0:
@@ -55,14 +55,14 @@ class ActuatorProfile:
             raise ValueError("name and unit of the actuator are text")
 
     def response(self, hertz: Array) -> NDArray[np.complex128]:
-        """Return acceleration over drive at frequencies [Hz], any shape, without the delay."""
+        """Acceleration over drive at frequencies [Hz], any shape, without the delay."""
         s, w = 2j * np.pi * np.asarray(hertz, dtype=float), 2 * np.pi * self.resonance_hz
         if w == 0:
             return np.full(s.shape, complex(self.gain))
         return np.asarray(self.gain * s * s / (s * s + 2 * self.damping * w * s + w * w))
 
     def native(self) -> NativeActuator:
-        """Return it as the kernel has it."""
+        """The kernel's structure of these figures."""
         return NativeActuator(self.resonance_hz, self.damping, self.gain, self.lowest_hz, self.limit)
 
 
@@ -73,7 +73,7 @@ def write_profile(profile: ActuatorProfile, path: Path) -> None:
 
 
 def read_profile(path: Path) -> ActuatorProfile:
-    """Return the profile in a file, or raise ValueError where it is none, or a figure cannot be."""
+    """Read the profile in a file, or raise ValueError where it is none, or a figure cannot be."""
     check_regular(path)
     try:
         content: Any = parse_json(path.read_bytes())
@@ -96,7 +96,7 @@ def read_profile(path: Path) -> ActuatorProfile:
 def sweep(
     seconds: float, rate_hz: float, low_hz: float = 20.0, high_hz: float = 500.0, amplitude: float = 1.0
 ) -> Array:
-    """Return a drive that runs through the frequencies once, each octave as long as the others, and fades in and out.
+    """Drive that runs through the frequencies once, each octave as long as the others, and fades in and out.
 
     Shape (seconds · rate_hz,). Play it, record the stylus's acceleration beside it, and give both to `identify`.
     """
@@ -125,7 +125,7 @@ def identify(
     unit: str = "V",
     limit: float = 0.0,
 ) -> tuple[ActuatorProfile, float]:
-    """Return the profile that explains a measured sweep, and what share of the acceleration's power in the band it misses.
+    """Fit a profile to a measured sweep; with it the share of the acceleration's power in the band that it does not explain.
 
     Gain, resonance, damping and delay are those of least squared error over the frequencies. A share above a few
     hundredths says that the actuator is not such a resonator, or was driven too hard.
@@ -158,23 +158,23 @@ def identify(
     delays = near + np.arange(-_NEAR_S, _NEAR_S, 0.25 / high_hz)
     for _ in range(4):
         tried = [_resonator(x * np.exp(-s * delay), y, s) for delay in delays]
-        best = int(np.argmin([missed for _, missed in tried]))
-        (gain, w, damping), missed = tried[best]
+        best = int(np.argmin([residual for _, residual in tried]))
+        (gain, w, damping), residual = tried[best]
         delay = float(delays[best])
         delays = delay + (delays[1] - delays[0]) / 4 * np.arange(-4, 5)
-    if missed > _MOST_MISSED:
+    if residual > _MAX_RESIDUAL:
         raise ValueError(
-            f"no resonator explains more than {100 * (1 - missed):.0f} % of what was recorded, expected the answer to that "
+            f"no resonator explains more than {100 * (1 - residual):.0f} % of what was recorded, expected the answer to that "
             "drive, louder than the noise; are both at the same rate?"
         )
     delay_ms = max(0.0, 1000 * delay)
-    return ActuatorProfile(name, w / (2 * np.pi), damping, gain, unit, limit, delay_ms=delay_ms), missed
+    return ActuatorProfile(name, w / (2 * np.pi), damping, gain, unit, limit, delay_ms=delay_ms), residual
 
 
 def _resonator(
     x: NDArray[np.complex128], y: NDArray[np.complex128], s: NDArray[np.complex128]
 ) -> tuple[tuple[float, float, float], float]:
-    """Return gain, ω and ζ of y = gain s² x / (s² + 2 ζ ω s + ω²), and the share of y's power that is missed.
+    """Gain, ω and ζ of y = gain s² x / (s² + 2 ζ ω s + ω²), and the share of y's power that is residual.
 
     Linear least squares of y·(s² + a s + b) = gain s² x, weighted by the denominator of the fit before (Sanathanan & Koerner,
     IEEE Trans. AC 8, 1963).
@@ -189,6 +189,6 @@ def _resonator(
         gain, a, b = np.linalg.lstsq(weighted[:, :3], weighted[:, 3], rcond=None)[0]
         b, a = max(b, 1e-12), max(a, 1e-9)
         weight = 1 / np.abs(s * s + a * s + b)
-    missed = np.linalg.norm(y - gain * s * s * x / (s * s + a * s + b)) ** 2 / np.linalg.norm(y) ** 2
+    residual = np.linalg.norm(y - gain * s * s * x / (s * s + a * s + b)) ** 2 / np.linalg.norm(y) ** 2
     w = math.sqrt(b)
-    return (float(gain), w * scale, float(a / (2 * w))), float(missed)
+    return (float(gain), w * scale, float(a / (2 * w))), float(residual)

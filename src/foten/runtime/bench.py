@@ -47,7 +47,7 @@ class StepTimes:
 
 
 def time_steps(path: Path, n: int) -> StepTimes:
-    """Return the times of n samples of a texture file, here and now, in this process's instruction set."""
+    """Time n samples of a texture file, here and now, in this process's instruction set."""
     texture = NativeTexture(path.read_bytes())
     state = NativeState(texture)
     out = np.empty(1, dtype=np.float32)
@@ -67,7 +67,7 @@ def time_steps(path: Path, n: int) -> StepTimes:
 
 
 def time_all(path: Path, n: int) -> list[StepTimes]:
-    """Return the times in each instruction set that this processor has, the best first; each in a process of its own.
+    """Times in each instruction set that this processor has, the best first; each in a process of its own.
 
     Raises:
         ValueError: the file is none that renders.
@@ -93,7 +93,7 @@ def time_all(path: Path, n: int) -> list[StepTimes]:
 
 
 def reason(done: subprocess.CompletedProcess[str]) -> str:
-    """Return in a line why a program in Python ended: what it raised, without the name of that, or the signal that ended it."""
+    """Line that says why a program in Python ended: what it raised, without the name of that, or the signal that ended it."""
     if done.returncode < 0:
         return f"ended by a signal, {signal.strsignal(-done.returncode)}"
     *_, last = ["", *done.stderr.strip().splitlines()]
@@ -101,7 +101,7 @@ def reason(done: subprocess.CompletedProcess[str]) -> str:
 
 
 def as_table(times: list[StepTimes]) -> str:
-    """Return the times as text for people."""
+    """Times as text for people."""
     lines = [f"{'':12s}{'p50':>9s}{'p99':>9s}{'p99.9':>9s}{'max':>10s}   contacts a core"]
     for one in times:
         figures = "".join(f"{getattr(one, name):9.2f}" for name in ("p50_us", "p99_us", "p999_us"))

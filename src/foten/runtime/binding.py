@@ -109,7 +109,7 @@ _SIGNATURES = {
 
 @cache
 def library() -> ctypes.CDLL:
-    """Return the library that was built with this package, or raise OSError where there is none that loads.
+    """Library that was built with this package.
 
     Raises:
         OSError: there is none, or it does not load.
@@ -126,7 +126,7 @@ def library() -> ctypes.CDLL:
 
 
 def kernel_file(*names: str) -> Path:
-    """Return the path of the first of some files that lies in a kernel folder of the package."""
+    """Path of the first of some files that lies in a kernel folder of the package."""
     # An editable install has the library in another folder than the sources; a package's path knows both.
     import foten.runtime
 
@@ -139,15 +139,15 @@ def kernel_file(*names: str) -> Path:
 
 
 def c_flags() -> str:
-    """Return what a C compiler needs to build a program with the installed library: where header and library are.
+    """Options of a C compiler for a program with the installed library: where header and library are.
 
     Raises:
         OSError: they are not installed.
     """
-    header, library = kernel_file("foten.h").parent, kernel_file("libfoten.so", "libfoten.dylib", "libfoten.dll").parent
+    header, library = kernel_file("foten.h").parent, kernel_file(*LIBRARIES).parent
     return f"-I{header} -L{library} -Wl,-rpath,{library} -lfoten -lm"
 
 
 def isa() -> str:
-    """Return the instruction set that the kernel uses here."""
+    """Instruction set that the kernel uses here."""
     return str(library().foten_isa().decode())

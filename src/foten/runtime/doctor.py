@@ -33,7 +33,7 @@ class Check:
 
 
 def checks() -> list[Check]:
-    """Return the results, in the order of what a user needs."""
+    """Results, in the order of what a user needs."""
     python = f"{platform.python_version()} on {platform.system()} {platform.machine()}, NumPy {np.__version__}"
     daq = _package("NI-DAQ", "nidaqmx", "nidaqmx", "package nidaqmx is not installed: pip install 'foten[daq]'")
     without = "PyTorch is not installed, and rendering does not need it: pip install 'foten[train]' to train"
@@ -79,18 +79,18 @@ def _start_up() -> list[Check]:
         "import foten": "import foten; foten.Renderer",
         "first sample": f"import foten; foten.Renderer({str(EXAMPLE)!r}).step(80.0, 0.8)",
     }
-    least = dict.fromkeys(programs, math.inf)
+    shortest = dict.fromkeys(programs, math.inf)
     for _ in range(5):
         for name, program in programs.items():
             begin = time.perf_counter()
             done = subprocess.run([sys.executable, "-c", program], check=False, capture_output=True, text=True)
             if done.returncode != 0:
                 return [Check(name, reason(done), fine=False)]
-            least[name] = min(least[name], time.perf_counter() - begin)
-    numpy = least.pop("import numpy")
+            shortest[name] = min(shortest[name], time.perf_counter() - begin)
+    numpy = shortest.pop("import numpy")
     return [
         Check(name, f"{1000 * seconds:.0f} ms, {seconds / numpy:.2f} times 'import numpy'", fine=seconds <= 2 * numpy)
-        for name, seconds in least.items()
+        for name, seconds in shortest.items()
     ]
 
 
@@ -117,7 +117,7 @@ def _sound() -> Check:
 
 
 def _package(name: str, package: str, title: str, missing: str) -> Check:
-    """Return the version of a package that may be here, or what there is to say where it is not."""
+    """Version of a package that may be here, or a line that says what to do where it is not."""
     if importlib.util.find_spec(package) is None:
         return Check(name, missing)
     try:

@@ -23,7 +23,7 @@ def on_all_cores(work: Callable[[int], None], n: int) -> None:
 def run_loops(
     texture: NativeTexture, windows: Array, condition: Array, noise: Array | None, limit: float = np.inf
 ) -> Array:
-    """Return n samples of each stream of a texture's loop by itself, shape (s, n), without fade and growth; all scaled.
+    """Render n samples of each stream of a texture's loop by itself, shape (s, n), without fade and growth; all scaled.
 
     Args:
         windows: that the streams go on from, shape (s, window, 3).
@@ -62,7 +62,7 @@ class Prediction(NamedTuple):
 
 
 def predict_blocks(texture: NativeTexture, blocks: Array, part: PredictionPart = "model") -> Prediction:
-    """Return one-step predictions of recorded blocks, scaled (s, n, 3), from sample `window` on: (s, n − window) each.
+    """One-step predictions of recorded blocks, scaled (s, n, 3), from sample `window` on: (s, n − window) each.
 
     Args:
         blocks: acceleration, speed and force; each sample is predicted from those before it in its block.

@@ -93,19 +93,19 @@ class NativeState:
 
     @property
     def delay_s(self) -> float:
-        """Return by how much the change of rate delays slow vibration [s]."""
+        """Delay of slow vibration by the change of rate [s]."""
         return float(library().foten_delay_s(self.pointer))
 
     @property
     def condition(self) -> tuple[float, float]:
-        """Return speed [mm/s] and force [N] that the last sample was rendered under; from the rendering thread."""
+        """Speed [mm/s] and force [N] of the last sample; from the rendering thread."""
         speed, force = c_float(), c_float()
         library().foten_condition(self.pointer, byref(speed), byref(force))
         return speed.value, force.value
 
     @property
     def statistics(self) -> NativeStatistics:
-        """Return what was counted since the last reset."""
+        """Counts since the last reset."""
         return library().foten_statistics(self.pointer)
 
     def set_actuator(self, actuator: NativeActuator | None) -> None:
@@ -158,7 +158,7 @@ class NativeState:
         self._texture.raise_failed()
 
     def render_stroke(self, speed: NDArray[np.floating], force: NDArray[np.floating]) -> NDArray[np.float32]:
-        """Return the acceleration [m/s²] at the state's rate for a stroke at the texture's own rate [mm/s, N], shapes (n,)."""
+        """Acceleration [m/s²] at the state's rate for a stroke at the texture's own rate [mm/s, N], shapes (n,)."""
         speed, force = (np.ascontiguousarray(channel, dtype=np.float32) for channel in (speed, force))
         if speed.shape != force.shape or speed.ndim != 1:
             raise ValueError(f"speed has shape {speed.shape} and force {force.shape}, expected (n,) both")
@@ -174,7 +174,7 @@ def freed_with(owner: object, free: Callable[[c_void_p], None], pointer: c_void_
 
 
 def _asked(data: bytes, failed: list[BaseException]) -> ctypes._FuncPointer:
-    """Return what the kernel asks for the sample after a window, of a file whose model it has no code for.
+    """Function that gives the kernel the sample after a window, for a model that it has no code for.
 
     An exception cannot pass through the kernel: it is put aside, the kernel is answered at once from then on, and whoever
     called it raises it. That includes Ctrl-C, which Python delivers in here.

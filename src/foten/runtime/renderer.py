@@ -68,21 +68,21 @@ class Renderer:
 
     @property
     def delay_ms(self) -> float:
-        """Return by how much the change of rate delays slow vibration [ms]."""
+        """Delay of slow vibration by the change of rate [ms]."""
         return 1000 * self.native_state.delay_s
 
     @property
     def condition(self) -> tuple[float, float]:
-        """Return speed [mm/s] and force [N] that the last sample was rendered under; from the thread that renders."""
+        """Speed [mm/s] and force [N] of the last sample; from the thread that renders."""
         return self.native_state.condition
 
     @property
     def stats(self) -> NativeStatistics:
-        """Return what was counted since the last reset, in samples of the texture's own rate."""
+        """Counts since the last reset, in samples of the texture's own rate."""
         return self.native_state.statistics
 
     def counted(self) -> dict[str, int]:
-        """Return what was counted, by name."""
+        """Counts by name."""
         return {name: int(getattr(self.stats, name)) for name, *_ in NativeStatistics._fields_}
 
     def reset(self, seed: int | None = None) -> None:
@@ -98,11 +98,11 @@ class Renderer:
         self.native_state.render(out)
 
     def step(self, speed_mm_s: float, force_n: float) -> float:
-        """Return the next acceleration [m/s²] at the output rate."""
+        """Next acceleration [m/s²] at the output rate."""
         return float(self.render(speed_mm_s, force_n, 1)[0])
 
     def render(self, speed_mm_s: ArrayLike, force_n: ArrayLike, n: int | None = None) -> NDArray[np.float32]:
-        """Return acceleration [m/s²] at the output rate, going on from the last call, shape (n,).
+        """Acceleration [m/s²] at the output rate, going on from the last call, shape (n,).
 
         Args:
             speed_mm_s, force_n: a number each, held for n samples; or, one or both, arrays (k,) at the texture's own rate, for

@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 from foten.dsp import Array
 from foten.dsp.kinematics import at_rate, velocity
 from foten.recording.inspection.one_channel import unit_doubt
-from foten.recording.preprocess import condition, hand_of
+from foten.recording.preprocess import condition, velocity_and_force
 from foten.recording.recording import LIMITS, UNITS, Recording
 from foten.runtime.stylus import PressureCalibration
 
-LONGEST_S = 3600.0
+MAX_STROKE_S = 3600.0
 LONG_S, SLOW_STEP_S = 60.0, 0.5  # a stroke as long as that, in steps as long as that, may have its times in ms
 
 
@@ -32,12 +32,12 @@ class Stroke:
     doubts: tuple[str, ...] = ()  # sentences on units that were perhaps not meant
 
     def conditioned(self, lowpass_hz: float) -> tuple[Array, Array]:
-        """Return speed [mm/s] and force [N] through the causal low-pass of rendering, shapes (n,)."""
+        """Speed [mm/s] and force [N] through the causal low-pass of rendering, shapes (n,)."""
         return condition(self.moved, self.force, self.rate_hz, lowpass_hz)
 
 
 def constant_stroke(speed: float, force: float, seconds: float, rate_hz: float) -> Stroke:
-    """Return a stroke at one speed [mm/s] and force [N].
+    """Stroke at one speed [mm/s] and force [N].
 
     Raises:
         ValueError: something is negative, not finite, or lasts less than a sample.
@@ -45,8 +45,8 @@ def constant_stroke(speed: float, force: float, seconds: float, rate_hz: float) 
     for name, value in (("speed", speed), ("force", force), ("seconds", seconds)):
         if not (math.isfinite(value) and value >= 0):
             raise ValueError(f"{name} is {value}, expected a finite number, 0 or more")
-    if seconds > LONGEST_S:
-        raise ValueError(f"seconds is {seconds:g}, expected at most {LONGEST_S:g}, an hour")
+    if seconds > MAX_STROKE_S:
+        raise ValueError(f"seconds is {seconds:g}, expected at most {MAX_STROKE_S:g}, an hour")
     n = round(seconds * rate_hz)
     if n < 1:
         raise ValueError(f"{seconds:g} s are less than one sample at {rate_hz:g} Hz")
@@ -55,15 +55,15 @@ def constant_stroke(speed: float, force: float, seconds: float, rate_hz: float) 
 
 
 def recorded_stroke(recording: Recording, rate_hz: float) -> Stroke:
-    """Return the hand of a recording at a model's rate, whole; an acceleration is not needed."""
-    moved, pressed = hand_of(recording, rate_hz)
+    """Stroke of a whole recording at a model's rate; an acceleration is not needed."""
+    moved, pressed = velocity_and_force(recording, rate_hz)
     return Stroke(moved, np.maximum(pressed, 0.0), rate_hz)
 
 
 def tabled_stroke(
     columns: Mapping[str, Array], rate_hz: float, calibration: PressureCalibration | None = None
 ) -> Stroke:
-    """Return the stroke in columns at a model's rate: as many samples as it lasts × rate, rounded.
+    """Stroke in columns at a model's rate: as many samples as it lasts × rate, rounded.
 
     Values between rows are interpolated linearly, as positions of a recording are. Where positions are given, the
     pen is lifted in holes of ten times the usual step, since tablets tell nothing of a pen in the air, and where it jumps
@@ -86,7 +86,7 @@ def tabled_stroke(
         force = (calibration or PressureCalibration()).force(pressure)
     if force.min() < 0 or ("speed" in columns and columns["speed"].min() < 0):
         raise ValueError("speed and force of a stroke are magnitudes, found one below zero")
-    if times[-1] > LONGEST_S:
+    if times[-1] > MAX_STROKE_S:
         raise ValueError(
             f"the stroke lasts {times[-1]:g} s in {times.size} rows, expected at most an hour; is t in ms?"
         )
@@ -115,19 +115,19 @@ def tabled_stroke(
 
 
 def doubts_of(kind: str, largest: float) -> list[str]:
-    """Return a sentence where the largest speed [mm/s], force [N] or movement [mm] is that of another unit; 0 is none."""
+    """Sentences where the largest speed [mm/s], force [N] or movement [mm] is that of another unit; 0 is none."""
     doubt = unit_doubt(kind, largest) if largest > 0 else ""
     return [f"{kind} {doubt} It is taken as {UNITS.get(kind, 'mm')}"] if doubt else []
 
 
 def _holes(times: Array) -> NDArray[np.int64]:
-    """Return the rows after which there is a hole in the times."""
+    """Rows after which there is a hole in the times."""
     steps = np.diff(times)
     return np.flatnonzero(steps > 10 * np.median(steps))
 
 
 def _lifted(times: Array, positions: Array, force: Array) -> tuple[Array, Array, Array, int]:
-    """Return times, positions (2, n) and force with the pen in the air in holes and jumps, and how many there are.
+    """Times, positions (2, n) and force with the pen in the air in holes and jumps, and how many there are.
 
     Movement in the air is taken out of all positions after it, so that no speed comes of it.
     """

@@ -33,12 +33,12 @@ class PressureCalibration:
             raise ValueError(f"the pressure's curve is {self.a} N · exp({self.b} p), which no tablet has")
 
     def force(self, pressure: Array) -> Array:
-        """Return the force [N] of pressures in 0 … 1, any shape."""
+        """Force [N] of pressures in 0 … 1, any shape."""
         return np.where(pressure > 0, self.a * np.exp(self.b * pressure), 0.0)
 
 
 def fit_pressure(pressure: Array, force: Array) -> PressureCalibration:
-    """Return the curve nearest to pairs of pressure and force in the mean square of force.
+    """Fit the curve of least mean square error of force to pairs of pressure and force.
 
     Press the pen on a scale at a few pressures over the whole range, and write down what each of them reads.
 
@@ -63,14 +63,14 @@ def fit_pressure(pressure: Array, force: Array) -> PressureCalibration:
         raise ValueError(f"{pairs}, expected three or more, over 0.1 or more")
     powers = np.stack([p, np.ones_like(p)])  # the force is exp(b p + ln a)
     estimate, damping = np.polyfit(p, np.log(f), 1), 1e-3
-    missed = np.exp(estimate @ powers) - f
+    residual = np.exp(estimate @ powers) - f
     for _ in range(100):  # Levenberg and Marquardt, from the fit of logarithms
         slopes = powers * np.exp(estimate @ powers)
         normal = slopes @ slopes.T
-        step = np.linalg.solve(normal + damping * np.diag(np.diag(normal)), -slopes @ missed)
-        tried = np.exp((estimate + step) @ powers) - f
-        if np.square(tried).sum() <= np.square(missed).sum():
-            estimate, missed, damping = estimate + step, tried, damping / 10
+        step = np.linalg.solve(normal + damping * np.diag(np.diag(normal)), -slopes @ residual)
+        trial = np.exp((estimate + step) @ powers) - f
+        if np.square(trial).sum() <= np.square(residual).sum():
+            estimate, residual, damping = estimate + step, trial, damping / 10
             if np.abs(step).max() < 1e-12:
                 break
         elif damping > 1e11:
@@ -111,7 +111,7 @@ class Stylus:
             library().foten_stylus_push(self._pointer, x_mm, y_mm, pressure, t_s)
 
     def next_condition(self) -> tuple[float, float]:
-        """Return speed [mm/s] and force [N] at the next sample of the texture's own rate, and move on by it."""
+        """Move on by a sample of the texture's own rate: its speed [mm/s] and force [N]."""
         speed, force = c_float(), c_float()
         library().foten_stylus_next(self._pointer, byref(speed), byref(force))
         return speed.value, force.value
@@ -121,12 +121,12 @@ class Stylus:
         self._renderer.native_state.render(out, self._pointer)
 
     def render(self, n: int) -> NDArray[np.float32]:
-        """Return n samples [m/s², or an actuator's drive] at the output rate."""
+        """Render n samples [m/s², or an actuator's drive] at the output rate."""
         out = np.empty(n, dtype=np.float32)
         self.render_into(out)
         return out
 
     @property
     def stats(self) -> NativeStylusStatistics:
-        """Return what was counted."""
+        """Counts of events."""
         return library().foten_stylus_statistics(self._pointer)

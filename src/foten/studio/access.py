@@ -48,20 +48,20 @@ class Access:
     port: int
     token: str | None = field(default=None, repr=False)
     on_joined: Callable[[Access], None] | None = field(default=None, repr=False, compare=False)
-    """Given the access with the next token, each time that one was used up."""
+    """Takes the access with the next token, each time that a token was used up."""
 
     @property
     def scheme(self) -> str:
-        """Return `https` where others may listen, else `http`: loopback is a secure context by itself."""
+        """`https` where others may listen, else `http`: loopback is a secure context by itself."""
         return "http" if self.token is None else "https"
 
     def link(self, host: str) -> str:
-        """Return the address to open."""
+        """Address to open."""
         name = f"[{host}]" if ":" in host else host
         return f"{self.scheme}://{name}:{self.port}/" + ("" if self.token is None else f"?token={self.token}")
 
     def knows(self, authority: str) -> bool:
-        """Return whether a Host header names this server: another name that leads here is a page of someone else."""
+        """Whether a Host header names this server: another name that leads here is a page of someone else."""
         try:
             parts = urlsplit(f"//{authority}")
             hosts = [host.lower() for host in self.hosts]  # as `hostname` is
@@ -69,19 +69,19 @@ class Access:
         except ValueError:
             return False
 
-    def admits(self, given: str | None) -> bool:
-        """Return whether a token is the right one."""
-        return self.token is None or (given is not None and _same(given, self.token))
+    def admits(self, token: str | None) -> bool:
+        """Whether a token is the right one."""
+        return self.token is None or (token is not None and is_same(token, self.token))
 
     def renewed(self) -> Access:
-        """Return the access with another token."""
+        """Access with another token."""
         return replace(self, token=_secret())
 
 
 def access_to(
     host: str, port: int, addresses: Sequence[str] = (), on_joined: Callable[[Access], None] | None = None
 ) -> Access:
-    """Return the access to a server that listens at a host: with a token where that is not this machine alone."""
+    """Access to a server that listens at a host: with a token where that is not this machine alone."""
     if host.lower() in LOOPBACK:
         return Access(LOOPBACK, port)
     return Access(tuple(dict.fromkeys((host, *addresses, *LOOPBACK))), port, _secret(), on_joined)
@@ -101,7 +101,7 @@ class Guarded:
             return
         headers = Headers(scope=scope)
         query = parse_qs(scope.get("query_string", b"").decode("latin-1"))
-        token, known = query.get("token", [None])[0], self._knows(_cookie(headers))
+        token, known = query.get("token", [None])[0], self._knows(cookie_in(headers, COOKIE))
         why = self._refused(headers, scope, token, known)
         if why:
             await _refuse(scope, receive, send, why)
@@ -142,16 +142,16 @@ class Guarded:
                 access.on_joined(access)
 
     def _knows(self, secret: str | None) -> bool:
-        return secret is not None and any([_same(secret, one) for one in self._devices])
+        return secret is not None and any([is_same(secret, device) for device in self._devices])
 
     def _refused(self, headers: Headers, scope: Scope, token: str | None, known: bool) -> str:
         host = headers.get("host", "")
         if not self._access.knows(host):
             return f"this server does not answer to {host[:80]!r}: open the link that it printed"
         origin = headers.get("origin")
-        own = f"{self._access.scheme}://{host}"
+        expected = f"{self._access.scheme}://{host}"
         asks = scope["type"] == "http" and scope["method"] in ("GET", "HEAD")
-        if not asks and str(origin).lower() != own.lower():
+        if not asks and str(origin).lower() != expected.lower():
             return f"the origin is {str(origin)[:80]!r}, expected this server's own page"
         if not known and not self._access.admits(token if asks else None):
             what = "the token is missing, wrong or used, as a link lets one device in"
@@ -163,19 +163,21 @@ def _secret() -> str:
     return secrets.token_urlsafe(24)
 
 
-def _same(given: str, expected: str) -> bool:
-    return hmac.compare_digest(given.encode(), expected.encode())
+def is_same(secret: str, expected: str) -> bool:
+    """Whether a secret is the expected one, in a time that says nothing of either."""
+    return hmac.compare_digest(secret.encode(), expected.encode())
 
 
 def _ahead(headers: Headers) -> bool:
-    """Return whether a browser fetches what nobody opened yet."""
+    """Whether a browser fetches what nobody opened yet."""
     purpose = [headers.get(name, "") for name in ("sec-purpose", "purpose", "x-purpose", "x-moz")]
-    return any(word in one.lower() for one in purpose for word in ("prefetch", "prerender", "preview"))
+    return any(word in header.lower() for header in purpose for word in ("prefetch", "prerender", "preview"))
 
 
-def _cookie(headers: Headers) -> str | None:
+def cookie_in(headers: Headers, name: str) -> str | None:
+    """Value of a cookie; None where there is none, or the header is damaged."""
     try:
-        morsel = SimpleCookie(headers.get("cookie", "")).get(COOKIE)
+        morsel = SimpleCookie(headers.get("cookie", "")).get(name)
     except ValueError:
         return None
     return None if morsel is None else morsel.value
@@ -190,7 +192,7 @@ async def _refuse(scope: Scope, receive: Receive, send: Send, why: str, status: 
 
 
 def write_certificate(folder: Path, hosts: Iterable[str]) -> tuple[Path, Path]:
-    """Write a certificate for some hosts, signed by its own new key, and return the paths of certificate and key.
+    """Write a certificate for some hosts, signed by its own new key; the paths of certificate and key.
 
     A tablet gives a page the pen's pressure and low-latency sound only over HTTPS; it asks once whether to trust this one.
     """

@@ -1,4 +1,4 @@
-"""How loud methods of one texture are to each other, so that they can be compared and not their levels."""
+"""Gains that bring the methods of a texture to one level, so that not their levels are compared."""
 
 from __future__ import annotations
 
@@ -12,28 +12,31 @@ from foten.runtime.renderer import Renderer
 # The page's own, in `surface.js`, for textures that no server has.
 SETTLE_S, LEVEL_S = 0.5, 1.0  # of each condition: left out, and what the level is of
 SHARES = (0.25, 0.5, 0.75)  # of the range of speed and force that all were recorded in: nine conditions
-MOST_DB = 30.0  # that a method is made louder or quieter
+MAX_GAIN_DB = 30.0
 
 
 def gains_db(renderers: Sequence[Renderer], scales: Sequence[float]) -> list[float]:
-    """Return what each method has to be made louder by [dB] for all to have the median's power over nine conditions.
+    """Gain of each method [dB] to the median of their powers over nine conditions.
 
     Args:
-        renderers: one for each method, at any rate.
-        scales: what each is played with for one of what is rendered.
+        renderers: of the methods, at any rate.
+        scales: factors with which they are played at 0 dB.
     """
     conditions = _conditions(renderers)
-    levels = [_level_db(one, conditions) + 20 * math.log10(scale) for one, scale in zip(renderers, scales, strict=True)]
+    levels = [
+        _level_db(renderer, conditions) + 20 * math.log10(scale)
+        for renderer, scale in zip(renderers, scales, strict=True)
+    ]
     usual = float(np.median(levels))
-    return [min(MOST_DB, max(-MOST_DB, usual - level)) for level in levels]
+    return [min(MAX_GAIN_DB, max(-MAX_GAIN_DB, usual - level)) for level in levels]
 
 
 def _conditions(renderers: Sequence[Renderer]) -> list[tuple[float, float]]:
-    """Return speeds [mm/s] and forces [N]."""
-    infos = [one.native_texture.info for one in renderers]
+    """Nine speeds [mm/s] and forces [N] within the range that all were trained in."""
+    infos = [renderer.native_texture.info for renderer in renderers]
     axes = []
-    for ranges in ([one.trained_speed for one in infos], [one.trained_force for one in infos]):
-        low, high = max(one[0] for one in ranges), min(one[1] for one in ranges)
+    for ranges in ([info.trained_speed for info in infos], [info.trained_force for info in infos]):
+        low, high = max(low for low, _ in ranges), min(high for _, high in ranges)
         axes.append([low + share * max(0.0, high - low) for share in SHARES])
     return [(speed, force) for speed in axes[0] for force in axes[1]]
 

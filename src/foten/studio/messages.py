@@ -10,7 +10,7 @@ Text is JSON, one object with `do`. A page that strokes says:
     {"do": "actuate"}                               without an actuator
     {"do": "close"}
 
-Bytes are events of a pen, 1 to `MOST_EVENTS` at once, each four little-endian float64: x and y [mm], pressure 0 … 1 (0 is
+Bytes are events of a pen, 1 to `MAX_EVENTS` at once, each four little-endian float64: x and y [mm], pressure 0 … 1 (0 is
 lifted), the device's time [s].
 
 A page that captures says:
@@ -21,21 +21,6 @@ A page that captures says:
 
 The bytes of a capture begin with a letter: `e` and events as above, or `s` and samples of the sound in their order,
 little-endian float32.
-
-A participant's page in a study says, and strokes in bytes as above:
-
-    {"do": "join", "code": "KXWQA", "role": "all" | "stroke" | "answer", "rate_hz": 48000, "volume_db": 0, "newtons": 0.13,
-     "steepness": 3.32}
-    {"do": "join", "fresh": "KXWQA", …}             as a new participant, under a code that the page drew; not with an operator
-    {"do": "done", "step": "trial:5", "rating": 63, "seconds": 12.5, "underruns": 0}
-    {"do": "done", "step": "questions:end", "answers": {"remarks": "…"}}
-    {"do": "side", "side": "real" | "virtual"}
-
-The operator's page says:
-
-    {"do": "begin"}
-    {"do": "hold" | "go", "number": 3}
-    {"do": "side", "number": 3, "side": "real" | "virtual"}
 """
 
 from __future__ import annotations
@@ -51,77 +36,80 @@ from numpy.typing import NDArray
 
 from foten.untrusted import parse_json
 
-MOST_BYTES = 4096  # of a message
-MOST_EVENTS = 64  # in a message
-MOST_REFUSED = 1000  # messages of a page, after which it is sent away
-EVENTS_A_SECOND, MESSAGES_A_SECOND = 2000.0, 1200.0  # a pen has at most a thousand events
-CAPTURED_A_SECOND = 12_000.0  # messages, after a pause of a page that goes on recording
-BURST_S = 1.0  # of either, that may come at once after a pause
+MAX_BYTES = 4096  # of a message
+MAX_EVENTS = 64  # in a message
+MAX_EVENTS_PER_S = 2000.0  # twice as many as a pen has
+BURST_S = 1.0  # worth of messages or events that may come at once after a pause
+MAX_NAME_LENGTH = 100  # characters of a texture's or an input's
+MAX_SOUND_SAMPLE = 16.0  # of full scale: floats go beyond 1
 
 
 class RefusedError(ValueError):
-    """A message that is not one of those above; the text says why."""
+    """A message that a page may not send; the text says why."""
 
 
-LONGEST_NAME = 100  # characters of a texture's or an input's
-LOUDEST = 16.0  # of full scale, that a sample of a sound may be: floats go beyond 1
-_NUMBERS: Mapping[str, tuple[float, float]] = {
+Allowed = tuple[float, float] | tuple[str, ...] | type[str] | None
+
+
+@dataclass(frozen=True)
+class Protocol:
+    """The messages of a kind of page.
+
+    Args:
+        kinds: by what a message asks to `do`, the fields that it must have, and those that it may have.
+        fields: what a field may be: a number from low to high, one of some texts, any text for `str`, or, for None, a short text
+            that can be read. A field that is not named here is checked where it is used.
+    """
+
+    kinds: Mapping[str, tuple[tuple[str, ...], tuple[str, ...]]]
+    fields: Mapping[str, Allowed]
+
+
+CALIBRATION = ("newtons", "steepness")  # of the pen's pressure, Eq. 12
+PLAYING_FIELDS: Mapping[str, tuple[float, float]] = {
     "volume_db": (-60.0, 24.0),
     "newtons": (1e-3, 1e3),
     "steepness": (-50.0, 50.0),
     "rate_hz": (8000.0, 192_000.0),
-    "full_scale_m_s2": (1e-3, 1e5),
-    "resonance_hz": (0.0, 1e6),
-    "damping": (0.0, 1e6),
-    "gain": (-1e6, 1e6),
-    "lowest_hz": (0.0, 1e6),
-    "limit": (0.0, 1e6),
-    "full_scale": (1e-6, 1e6),
-    "rating": (0.0, 100.0),
-    "seconds": (0.0, 1e6),
-    "underruns": (0, 1e6),
-    "number": (1, 1e6),
 }
-_CHOICES: Mapping[str, tuple[str, ...]] = {
-    "sink": ("stream", "device"),
-    "role": ("all", "stroke", "answer"),
-    "side": ("virtual", "real"),
-}
-Kinds = Mapping[str, tuple[frozenset[str], frozenset[str]]]
-STROKE: Kinds = {
-    "open": (frozenset({"texture"}), frozenset({"sink", "rate_hz", "volume_db", "newtons", "steepness"})),
-    "volume": (frozenset({"volume_db"}), frozenset()),
-    "calibrate": (frozenset({"newtons", "steepness"}), frozenset()),
-    "actuate": (frozenset(), frozenset({"resonance_hz", "damping", "gain", "lowest_hz", "limit", "full_scale"})),
-    "close": (frozenset(), frozenset()),
-}
-CAPTURE: Kinds = {
-    "begin": (frozenset({"name", "rate_hz"}), frozenset({"newtons", "steepness", "full_scale_m_s2", "input"})),
-    "train": (frozenset(), frozenset()),
-    "discard": (frozenset(), frozenset()),
-}
-SESSION: Kinds = {
-    "join": (frozenset(), frozenset({"code", "fresh", "role", "rate_hz", "volume_db", "newtons", "steepness"})),
-    "done": (frozenset({"step"}), frozenset({"rating", "seconds", "underruns", "answers"})),
-    "side": (frozenset({"side"}), frozenset()),
-}
-OPERATOR: Kinds = {
-    "begin": (frozenset(), frozenset()),
-    "hold": (frozenset({"number"}), frozenset()),
-    "go": (frozenset({"number"}), frozenset()),
-    "side": (frozenset({"number", "side"}), frozenset()),
-}
-"""What each kind of message must have, and what it may have."""
+STROKE = Protocol(
+    {
+        "open": (("texture",), ("sink", "rate_hz", "volume_db", *CALIBRATION)),
+        "volume": (("volume_db",), ()),
+        "calibrate": (CALIBRATION, ()),
+        "actuate": ((), ("resonance_hz", "damping", "gain", "lowest_hz", "limit", "full_scale")),
+        "close": ((), ()),
+    },
+    {
+        **PLAYING_FIELDS,
+        "texture": str,
+        "sink": ("stream", "device"),
+        "resonance_hz": (0.0, 1e6),
+        "damping": (0.0, 1e6),
+        "gain": (-1e6, 1e6),
+        "lowest_hz": (0.0, 1e6),
+        "limit": (0.0, 1e6),
+        "full_scale": (1e-6, 1e6),
+    },
+)
+CAPTURE = Protocol(
+    {
+        "begin": (("name", "rate_hz"), (*CALIBRATION, "full_scale_m_s2", "input")),
+        "train": ((), ()),
+        "discard": ((), ()),
+    },
+    {**PLAYING_FIELDS, "full_scale_m_s2": (1e-3, 1e5), "name": None, "input": None},
+)
 
 
-def parse_message(text: str, kinds: Kinds = STROKE) -> dict[str, Any]:
-    """Return a message in text, one of some kinds.
+def parse_message(text: str, protocol: Protocol = STROKE) -> dict[str, Any]:
+    """Message in text, checked.
 
     Raises:
         RefusedError: it is too long, no JSON object, of an unknown kind, or a field is missing, unknown or out of range.
     """
-    if len(text) > MOST_BYTES:
-        raise RefusedError(f"the message has {len(text)} characters, expected {MOST_BYTES} at most")
+    if len(text) > MAX_BYTES:
+        raise RefusedError(f"the message has {len(text)} characters, expected {MAX_BYTES} at most")
     try:
         message = parse_json(text)
     except ValueError:
@@ -129,46 +117,43 @@ def parse_message(text: str, kinds: Kinds = STROKE) -> dict[str, Any]:
     if not isinstance(message, dict) or not isinstance(message.get("do"), str):
         raise RefusedError("the message is no object with 'do'")
     kind = message["do"]
-    if kind not in kinds:
-        raise RefusedError(f"unknown message {kind[:40]!r}, expected one of {', '.join(kinds)}")
-    needed, allowed = kinds[kind]
-    given = message.keys() - {"do"}
-    if missing := sorted(needed - given):
-        raise RefusedError(f"{kind}: {missing[0]} is missing")
-    if unknown := sorted(given - needed - allowed):
+    if kind not in protocol.kinds:
+        raise RefusedError(f"unknown message {kind[:40]!r}, expected one of {', '.join(protocol.kinds)}")
+    needed, allowed = protocol.kinds[kind]
+    for name in needed:
+        if name not in message:
+            raise RefusedError(f"{kind}: {name} is missing")
+    if unknown := sorted(message.keys() - {"do", *needed, *allowed}):
         raise RefusedError(f"{kind}: unknown field {unknown[0][:40]!r}")
-    for name, (low, high) in _NUMBERS.items():
-        value = message.get(name, low)
-        if isinstance(value, bool) or not isinstance(value, int | float) or not low <= value <= high:
-            raise RefusedError(f"{kind}: {name} is {value!r:.40}, expected a number from {low:g} to {high:g}")
-    if not isinstance(message.get("texture", ""), str):
-        raise RefusedError(f"{kind}: texture is a name")
-    for name, choices in _CHOICES.items():
-        if message.get(name, choices[0]) not in choices:
-            raise RefusedError(f"{kind}: {name} is {message[name]!r:.40}, expected one of {', '.join(choices)}")
-    for name in ("name", "input", "code", "fresh", "step"):
-        said = message.get(name, "-")
-        if (
-            not isinstance(said, str)
-            or len(said) > LONGEST_NAME
-            or not (said or name == "input")
-            or not said.isprintable()
-        ):
-            raise RefusedError(
-                f"{kind}: {name} is {said!r:.40}, expected up to {LONGEST_NAME} characters that can be read"
-            )
+    for name, allowed_values in protocol.fields.items():
+        if name in message and (expected := _expectation(name, message[name], allowed_values)):
+            raise RefusedError(f"{kind}: {name} is {message[name]!r:.40}, expected {expected}")
     return message
 
 
+def _expectation(name: str, value: Any, allowed: Allowed) -> str:
+    """What a field's value should have been; empty where it is that."""
+    if allowed is None:
+        readable = isinstance(value, str) and len(value) <= MAX_NAME_LENGTH and value.isprintable()
+        return "" if readable and (value or name == "input") else f"up to {MAX_NAME_LENGTH} characters that can be read"
+    if not isinstance(allowed, tuple):
+        return "" if isinstance(value, str) else "a name"
+    if isinstance(allowed[0], str):
+        return "" if value in allowed else f"one of {', '.join(map(str, allowed))}"
+    low, high = float(allowed[0]), float(allowed[1])
+    is_number = isinstance(value, int | float) and not isinstance(value, bool)
+    return "" if is_number and low <= value <= high else f"a number from {low:g} to {high:g}"
+
+
 def parse_events(data: bytes) -> NDArray[np.float64]:
-    """Return the events in a message of bytes: x, y [mm], pressure, t [s], shape (n, 4).
+    """Events in a message of bytes: x, y [mm], pressure, t [s], shape (n, 4).
 
     Raises:
-        RefusedError: it does not hold 1 to `MOST_EVENTS` whole events, or one is not finite or out of range.
+        RefusedError: it does not hold 1 to `MAX_EVENTS` complete events, or one is not finite or out of range.
     """
     n, remainder = divmod(len(data), 32)
-    if remainder or not 1 <= n <= MOST_EVENTS:
-        raise RefusedError(f"{len(data)} bytes of events, expected 1 to {MOST_EVENTS} of 32 bytes")
+    if remainder or not 1 <= n <= MAX_EVENTS:
+        raise RefusedError(f"{len(data)} bytes of events, expected 1 to {MAX_EVENTS} of 32 bytes")
     events = np.frombuffer(data, dtype="<f8").reshape(n, 4)
     if not np.isfinite(events).all() or np.abs(events).max() > 1e9:
         raise RefusedError("an event is not finite, or out of range")
@@ -177,39 +162,37 @@ def parse_events(data: bytes) -> NDArray[np.float64]:
     return events
 
 
-def parse_captured(data: bytes) -> tuple[str, NDArray[np.float64]]:
-    """Return what a message of bytes of a capture holds: `events`, shape (n, 4), or `sound`, shape (n,).
+def parse_capture_bytes(data: bytes) -> tuple[str, NDArray[np.float64]]:
+    """Bytes of a capture: `events`, shape (n, 4), or `sound`, shape (n,).
 
     Raises:
-        RefusedError: it is too long, neither of the two, or a value is not finite or out of range.
+        RefusedError: it is neither, or a value is not finite or out of range.
     """
-    if len(data) > MOST_BYTES:
-        raise RefusedError(f"the message has {len(data)} bytes, expected {MOST_BYTES} at most")
     kind, payload = data[:1], data[1:]
     if kind == b"e":
         return "events", parse_events(payload)
     if kind != b"s" or not payload or len(payload) % 4:
-        raise RefusedError(f"{len(data)} bytes that are neither events nor whole samples of a sound")
+        raise RefusedError(f"{len(data)} bytes that are neither events nor complete samples of a sound")
     sound = np.frombuffer(payload, dtype="<f4")
-    if not np.isfinite(sound).all() or np.abs(sound).max() > LOUDEST:
-        raise RefusedError(f"a sample of the sound is not finite, or above {LOUDEST:g} times full scale")
+    if not np.isfinite(sound).all() or np.abs(sound).max() > MAX_SOUND_SAMPLE:
+        raise RefusedError(f"a sample of the sound is not finite, or above {MAX_SOUND_SAMPLE:g} times full scale")
     return "sound", sound.astype(np.float64)
 
 
 @dataclass
 class Allowance:
-    """How much a page may still send: so many a second, and `BURST_S` of them at once."""
+    """How much a page may still send: so many per second, and `BURST_S` of them at once."""
 
-    a_second: float
+    per_s: float
     left: float = math.inf
-    at: float = 0.0
+    at_s: float = 0.0
 
-    def take(self, n: float, now: float | None = None) -> bool:
-        """Return whether n more are allowed, and count them where they are."""
-        now = time.monotonic() if now is None else now
-        most = self.a_second * BURST_S
-        self.left = min(most, self.left + (now - self.at) * self.a_second) if math.isfinite(self.left) else most
-        self.at = now
+    def take(self, n: float, now_s: float | None = None) -> bool:
+        """Whether n more are allowed; they are counted where they are."""
+        now_s = time.monotonic() if now_s is None else now_s
+        full = self.per_s * BURST_S
+        self.left = min(full, self.left + (now_s - self.at_s) * self.per_s) if math.isfinite(self.left) else full
+        self.at_s = now_s
         if n > self.left:
             return False
         self.left -= n

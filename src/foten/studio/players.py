@@ -16,8 +16,8 @@ from foten.runtime.live.live import Live, LiveStatistics, Read, Samples
 from foten.runtime.live.play import gain_for, sink_of
 
 DEVICE_BLOCK_MS, DEVICE_LEAD_MS = 4.0, 12.0
-TURN_MS = 8.0  # that is rendered at once for each page
-MOST_BEHIND_S = 0.2  # that a machine which stood still catches up with
+BLOCK_MS = 8.0  # that is rendered at once for each page
+MAX_BEHIND_S = 0.2  # that a machine which stood still catches up with
 
 
 class Player(Protocol):
@@ -30,7 +30,7 @@ class Player(Protocol):
 
     @property
     def running(self) -> bool:
-        """Return whether it plays; where it ended by itself, `stop` says why."""
+        """Whether it plays; where it ended by itself, `stop` says why."""
 
     def start(self, render: Read) -> None:
         """Begin; raises what a device does where it refuses."""
@@ -40,8 +40,8 @@ class Player(Protocol):
 
 
 @dataclass(frozen=True)
-class Wired:
-    """What is wired to this machine: an output as `foten play` names it, and the actuator on it.
+class OutputDevice:
+    """An output that is wired to this machine, as `foten play` names it, and the actuator on it.
 
     Where the actuator or a gain is known, a page's 0 dB is the acceleration as it was recorded.
 
@@ -65,7 +65,7 @@ class Wired:
 
     @property
     def calibrated(self) -> bool:
-        """Return whether an output is known for what is rendered, and not for full scale alone."""
+        """Whether its output is known per m/s², and not per full scale alone."""
         return self.to != "sound" or self.actuator is not None or self.gain is not None
 
     def check(self) -> None:
@@ -78,7 +78,7 @@ class Wired:
         self.player(SOUND_RATE_HZ).stop()
 
     def player(self, rate_hz: float) -> DevicePlayer:
-        """Return what plays on it.
+        """Player on it.
 
         Raises:
             OSError: it is not there, or refuses the rate.
@@ -89,17 +89,17 @@ class Wired:
 class DevicePlayer:
     """An output of this machine: its sound card, an NI-DAQ, or a program that takes samples."""
 
-    def __init__(self, wired: Wired, rate_hz: float) -> None:
+    def __init__(self, output: OutputDevice, rate_hz: float) -> None:
         self.rate_hz = rate_hz
-        self.calibrated, self.actuator = wired.calibrated, wired.actuator
+        self.calibrated, self.actuator = output.calibrated, output.actuator
         self.statistics = LiveStatistics()
-        gain = gain_for(wired.actuator, wired.gain, 1.0, wired.to) if wired.calibrated else 1.0
-        self._sink = sink_of(wired.to, rate_hz, gain, None, wired.device, wired.channel)
+        gain = gain_for(output.actuator, output.gain, 1.0, output.to) if output.calibrated else 1.0
+        self._sink = sink_of(output.to, rate_hz, gain, None, output.device, output.channel)
         self._live: Live | None = None
 
     @property
     def running(self) -> bool:
-        """Return whether it plays."""
+        """Whether it plays."""
         return self._live is not None and self._live.running
 
     def start(self, render: Read) -> None:
@@ -117,98 +117,97 @@ class DevicePlayer:
             self._sink.stop()
 
 
-class Turns:
+class RoundRobinRenderer:
     """One thread that renders 8 ms for each of its players in turn, every 8 ms, while it has any.
 
-    A thread for each would spend its time on waiting for Python's lock: twenty pages fell so far behind that the server refused
-    events, as `benchmarks/studio_load.py` showed.
+    Threads of their own would wait for Python's lock: twenty pages then fall behind (`benchmarks/studio_load.py`).
     """
 
-    def __init__(self, turn_ms: float = TURN_MS) -> None:
-        self.turn_s = turn_ms / 1000
+    def __init__(self, block_ms: float = BLOCK_MS) -> None:
+        self.block_s = block_ms / 1000
         self._changing = threading.Lock()
-        self._players: list[TurnPlayer] = []
+        self._players: list[RoundRobinPlayer] = []
         self._thread: threading.Thread | None = None
 
-    def player(self, rate_hz: float) -> TurnPlayer:
-        """Return a player that takes its turns here."""
-        return TurnPlayer(self, rate_hz)
+    def player(self, rate_hz: float) -> RoundRobinPlayer:
+        """Player whose blocks are rendered here."""
+        return RoundRobinPlayer(self, rate_hz)
 
-    def add(self, player: TurnPlayer) -> None:
-        """Give a player its turns."""
+    def add(self, player: RoundRobinPlayer) -> None:
+        """Render for a player from now on."""
         with self._changing:
             self._players.append(player)
             if self._thread is None:
-                self._thread = threading.Thread(target=self._run, name="foten-turns", daemon=True)
+                self._thread = threading.Thread(target=self._run, name="foten-round-robin", daemon=True)
                 self._thread.start()
 
-    def remove(self, player: TurnPlayer) -> None:
-        """Take a player's turns away; it is in none of them any more when this returns."""
+    def remove(self, player: RoundRobinPlayer) -> None:
+        """Render for a player no more, once this returns."""
         with self._changing:
             if player in self._players:
                 self._players.remove(player)
 
     def _run(self) -> None:
         due = time.perf_counter()
-        while self._turn(due):
-            due += self.turn_s
+        while self._render_all(due):
+            due += self.block_s
             now = time.perf_counter()
-            if now > due + MOST_BEHIND_S:
-                self._skip(int((now - due) / self.turn_s))
+            if now > due + MAX_BEHIND_S:
+                self._skip(int((now - due) / self.block_s))
                 due = now
             elif now < due:
                 time.sleep(due - now)
 
     def _skip(self, n: int) -> None:
-        """Count turns that are left out, after the machine stood still, as missed."""
+        """Count blocks that are left out, after the machine stood still, as missed."""
         with self._changing:
             for player in self._players:
                 player.statistics.n_missed += n
 
-    def _turn(self, due: float) -> bool:
-        """Render for each player; return whether there is any."""
+    def _render_all(self, due: float) -> bool:
+        """Render a block for each player; whether there is any."""
         with self._changing:
             if not self._players:
                 self._thread = None
                 return False
             for player in list(self._players):
-                if not player.take_turn(due + self.turn_s):
+                if not player.render_block(due + self.block_s):
                     self._players.remove(player)
             return True
 
 
-class TurnPlayer:
+class RoundRobinPlayer:
     """A page's own speaker: `render` itself hands on what it makes. `n_missed` counts blocks that came after their time."""
 
-    def __init__(self, turns: Turns, rate_hz: float) -> None:
+    def __init__(self, renderer: RoundRobinRenderer, rate_hz: float) -> None:
         self.rate_hz = rate_hz
         self.calibrated = False
         self.actuator: ActuatorProfile | None = None
-        self._turns = turns
-        self._block = np.zeros(max(1, round(turns.turn_s * rate_hz)), dtype=np.float32)
+        self._renderer = renderer
+        self._block = np.zeros(max(1, round(renderer.block_s * rate_hz)), dtype=np.float32)
         self._render: Read | None = None
         self._failed: BaseException | None = None
         self.statistics = LiveStatistics(block_ms=1000 * self._block.size / rate_hz)
 
     @property
     def running(self) -> bool:
-        """Return whether it takes turns."""
+        """Whether it is rendered for."""
         return self._render is not None and self._failed is None
 
     def start(self, render: Read) -> None:
-        """Begin to take turns."""
+        """Begin."""
         self._render = render
-        self._turns.add(self)
+        self._renderer.add(self)
 
     def stop(self) -> None:
         """End, and raise what rendering died of."""
-        self._turns.remove(self)
+        self._renderer.remove(self)
         failed, self._failed = self._failed, None
         if failed is not None:
             raise failed
 
-    def take_turn(self, deadline: float) -> bool:
-        """Render a block that is due at a time of `perf_counter`; return whether there is to be another."""
+    def render_block(self, deadline: float) -> bool:
+        """Render a block that is due at a time of `perf_counter`; whether there is to be another."""
         assert self._render is not None
         begin = time.perf_counter()
         try:
@@ -224,10 +223,10 @@ class TurnPlayer:
 
 
 def white_noise(level_db: float, device: str | None) -> Live:
-    """Return white noise on a sound card of this machine, to be played as a context, so that an actuator is not heard.
+    """White noise on a sound card of this machine, as a context in which it plays: it masks the sound of an actuator.
 
     Args:
-        level_db: its RMS [dB of full scale].
+        level_db: its RMS [dB re full scale].
         device: name or number of the sound card; None for the usual one.
 
     Raises:

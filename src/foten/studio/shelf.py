@@ -13,7 +13,6 @@ from foten.runtime.renderer import EXAMPLE
 
 SUFFIX = ".foten"
 PICTURES = (".jpg", ".jpeg", ".webp")  # photographs; `foten render` writes .png beside a texture
-LARGEST_FILE = 64_000_000  # bytes
 
 
 @dataclass(frozen=True)
@@ -28,7 +27,7 @@ class Entry:
     relative: bool = False  # its acceleration is in units of the recording's RMS
 
     def listed(self) -> dict[str, Any]:
-        """Return what the page is told."""
+        """Entry, as the page gets it."""
         photo = None if self.picture is None else f"pictures/{self.key}{self.picture.suffix}"
         return {"file": self.key, "name": self.name, "method": self.method, "picture": photo, "relative": self.relative}
 
@@ -50,7 +49,7 @@ class Shelf:
         return len(self._entries)
 
     def put(self, path: Path) -> Entry:
-        """Put a texture file on the shelf, and return its entry; one that lies there already is read again.
+        """Put a texture file on the shelf, or read it again; its entry.
 
         Raises:
             ValueError: it is no texture file.
@@ -59,7 +58,7 @@ class Shelf:
         key, n = path.name, 2
         while key in self._entries and self._entries[key].path != path:
             key, n = f"{path.stem}-{n}{SUFFIX}", n + 1
-        picture = next((one for end in PICTURES if (one := path.with_suffix(end)).is_file()), None)
+        picture = next((file for end in PICTURES if (file := path.with_suffix(end)).is_file()), None)
         card = texture.card
         relative = card["units"].get("acceleration") == RELATIVE
         entry = Entry(key, path, str(card["texture"]) or path.stem, str(card["model"]), picture, relative)
@@ -67,18 +66,18 @@ class Shelf:
         return entry
 
     def get(self, key: str) -> Entry | None:
-        """Return an entry, or None where there is none."""
+        """Entry, or None where there is none."""
         return self._entries.get(key)
 
     def files(self) -> dict[str, Path]:
-        """Return the texture files and their pictures by the names that the page asks for."""
+        """Texture files and their pictures by the names that the page asks for."""
         files = {f"textures/{entry.key}": entry.path for entry in self._entries.values()}
         return files | {
             str(entry.listed()["picture"]): entry.picture for entry in self._entries.values() if entry.picture
         }
 
     def listed(self) -> dict[str, Any]:
-        """Return what the page is told of all."""
+        """All entries, as the page gets them."""
         return {"textures": [entry.listed() for entry in self._entries.values()], "server": True}
 
 

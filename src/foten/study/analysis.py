@@ -1,4 +1,4 @@
-"""What a study found: every test of Sec. VII and those that it leaves out, from a database to numbers and sentences."""
+"""Analysis of a study: every test of Sec. VII and those that it leaves out, from a database to numbers and sentences."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from foten.study.statistics import (
     Array,
     Effect,
     Paired,
+    SignedRank,
     anova,
     friedman,
     mixed_model,
@@ -23,32 +24,40 @@ from foten.study.statistics import (
 from foten.study.store import Store
 
 ALPHA = 0.05
-UNRELIABLE = 0.2  # correlation with the others, below which a participant is pointed at
+MIN_RELIABILITY = 0.2  # correlation with the others, below which a participant is named
 NULL_STUDIES, NULL_SEED = 1000, 0
-CONSERVATIVE = 0.04  # rate of errors at ALPHA, below which a test is said to be conservative
-_AT_ONCE = 1_000_000  # ratings of null studies that are in memory
+MIN_NULL_RATE = 0.04  # of errors at ALPHA, below which a test is called conservative
+MAX_RATINGS = 1_000_000  # of null studies in memory
+
+
+@dataclass(frozen=True)
+class Ratings:
+    """Ratings of a study, and what participants answered beside them."""
+
+    title: str
+    simulated: bool
+    software: str  # version of foten that made the study
+    methods: list[str]
+    textures: list[str]
+    rows: list[dict[str, Any]]  # in long form
+    values: Array  # (participants, methods, textures), NaN where there is none
+    complete: list[int]  # numbers of the participants who rated everything
+    answers: list[dict[str, Any]]  # to the questions that are not private, by participant
+    abouts: list[dict[str, Any]]  # to the private ones, without numbers
 
 
 @dataclass(frozen=True)
 class Result:
-    """What is written and drawn."""
+    """Numbers and sentences of a study."""
 
-    title: str
-    simulated: bool
-    methods: list[str]
-    textures: list[str]
-    rows: list[dict[str, Any]]  # the ratings in long form
-    ratings: Array  # (participants, methods, textures), NaN where there is none
-    complete: list[int]  # numbers of the participants who rated everything
-    answers: list[dict[str, Any]]  # to the questions that are not private, by participant
-    abouts: list[dict[str, Any]]  # to the private ones, without numbers
+    ratings: Ratings
     document: dict[str, Any]  # every number
     sentences: list[str]  # ready for a paper
     cautions: list[str]
 
 
-def analysed(store: Store, reference: str | None = None) -> Result:
-    """Return what the ratings of a study say.
+def analyse(store: Store, reference: str | None = None) -> Result:
+    """Result of a study.
 
     Analyses of variance, paired tests and ranks take the participants who rated everything; the mixed model takes all ratings.
 
@@ -58,38 +67,42 @@ def analysed(store: Store, reference: str | None = None) -> Result:
     Raises:
         ValueError: there are fewer than three participants who rated everything, or the reference is no method.
     """
-    stimuli = store.stimuli()
+    ratings = read_ratings(store)
+    if reference is not None and reference not in ratings.methods:
+        raise ValueError(f"the reference is {reference!r}, expected one of {', '.join(ratings.methods)}")
+    if len(ratings.complete) < 3:
+        many = f"{len(ratings.complete)} participants have rated everything, of {len(ratings.values)} who began"
+        raise ValueError(f"{many}: expected three or more; foten study status says who is where")
+    return _Analysis(ratings, None if reference is None else ratings.methods.index(reference)).result()
+
+
+def read_ratings(store: Store) -> Ratings:
+    """Ratings in a database."""
+    stimuli, rows = store.stimuli(), store.ratings()
     textures = [stimuli[t, 0].texture_key for t in range(1 + max(t for t, _ in stimuli))]
     methods = [stimuli[0, m].method_key for m in range(1 + max(m for _, m in stimuli))]
-    if reference is not None and reference not in methods:
-        raise ValueError(f"the reference is {reference!r}, expected one of {', '.join(methods)}")
-    rows = store.ratings()
     numbers = sorted({row["participant"] for row in rows})
-    every = np.full((len(numbers), len(methods), len(textures)), np.nan)
+    values = np.full((len(numbers), len(methods), len(textures)), np.nan)
     for row in rows:
-        every[numbers.index(row["participant"]), row["method"], row["texture"]] = row["rating"]
-    whole = np.isfinite(every).all((1, 2))
-    complete = [number for number, one in zip(numbers, whole, strict=True) if one]
-    if len(complete) < 3:
-        many = f"{len(complete)} participants have rated everything, of {len(numbers)} who began"
-        raise ValueError(f"{many}: expected three or more; foten study status says who is where")
-    chosen = None if reference is None else methods.index(reference)
-    return _Analysis(store, methods, textures, rows, every, complete, every[whole], chosen).result()
+        values[numbers.index(row["participant"]), row["method"], row["texture"]] = row["rating"]
+    complete = [number for number, ratings in zip(numbers, values, strict=True) if np.isfinite(ratings).all()]
+    study = str(store.study["title"]), store.simulated, str(store.study["software"])
+    return Ratings(*study, methods, textures, rows, values, complete, store.answers(), store.abouts())
 
 
 def null_rates(n: int, a: int, b: int) -> dict[str, float]:
-    """Return in which share of null studies each effect is significant at α after Greenhouse and Geisser's correction.
+    """Share of null studies in which each effect is significant at α after Greenhouse and Geisser's correction.
 
-    Raters of one mean answer: n participants, a methods, b textures; seeded. With one texture there is only the effect of method.
-    The correction takes ε from the same ratings. Where contrasts are many for the participants, ε comes out too low and the test
-    is conservative.
+    Ratings of n participants, a methods, b textures have the same mean; seeded. With one texture there is only the effect of
+    method. The correction estimates ε from the same ratings: with many contrasts for the participants it comes out too low, and
+    the test is conservative.
     """
     rng = np.random.default_rng(NULL_SEED)
     raters = Raters(np.full((a, b), 60.0))
     errors: dict[str, int] = {}
     done = 0
     while done < NULL_STUDIES:
-        studies = min(NULL_STUDIES - done, max(1, _AT_ONCE // (n * a * b)))
+        studies = min(NULL_STUDIES - done, max(1, MAX_RATINGS // (n * a * b)))
         y = raters.draw(rng, n, studies)
         for effect in anova(y) if b > 1 else anova(y[..., 0], ("method",)):
             errors[effect.name] = errors.get(effect.name, 0) + int((effect.p_corrected < ALPHA).sum())
@@ -98,19 +111,10 @@ def null_rates(n: int, a: int, b: int) -> dict[str, float]:
 
 
 class _Analysis:
-    def __init__(
-        self,
-        store: Store,
-        methods: list[str],
-        textures: list[str],
-        rows: list[dict[str, Any]],
-        every: Array,
-        complete: list[int],
-        y: Array,
-        reference: int | None,
-    ) -> None:
-        self.store, self.methods, self.textures, self.rows = store, methods, textures, rows
-        self.every, self.complete, self.y, self.reference = every, complete, y, reference
+    def __init__(self, ratings: Ratings, reference: int | None) -> None:
+        self.ratings, self.values, self.reference = ratings, ratings.values, reference
+        self.methods, self.textures, self.complete = ratings.methods, ratings.textures, ratings.complete
+        self.y = self.values[np.isfinite(self.values).all((1, 2))]  # of those who rated everything
         self.cautions: list[str] = []
 
     def result(self) -> Result:
@@ -118,36 +122,27 @@ class _Analysis:
         by_participant = y.mean(-1)  # as in Sec. VII, averaged across textures
         one_way = anova(by_participant, ("method",))
         two_way = anova(y) if len(self.textures) > 1 else []
-        overall = paired_tests(by_participant, self.reference)
         within = [paired_tests(y[..., t], self.reference) for t in range(len(self.textures))]
         ranks = friedman(by_participant)
-        signed = wilcoxon_tests(by_participant, self.reference)
         agreement = reliability(y.reshape(n, -1))
         rates = null_rates(n, len(self.methods), len(self.textures))
         document: dict[str, Any] = {
-            "title": self.store.study["title"],
-            "simulated": self.store.simulated,
-            "software": self.store.study["software"],
-            "participants": {"began": len(self.every), "complete": n, "numbers": self.complete},
+            "title": self.ratings.title,
+            "simulated": self.ratings.simulated,
+            "software": self.ratings.software,
+            "participants": {"began": len(self.values), "complete": n, "numbers": self.complete},
             "means": self._means(),
             "null_rates": rates,
             "anova_one_way": [_effect(effect) for effect in one_way],
             "anova_two_way": [_effect(effect) for effect in two_way],
-            "pairs_overall": self._pairs(overall),
+            "pairs_overall": self._pairs(paired_tests(by_participant, self.reference)),
             "pairs_within_textures": {
                 key: self._pairs(tests) for key, tests in zip(self.textures, within, strict=True)
             },
             "friedman": {"chi2": _or_none(ranks.chi2), "df": ranks.df, "p": _or_none(ranks.p), "w": _or_none(ranks.w)},
-            "wilcoxon": [
-                {
-                    "pair": [self.methods[i], self.methods[j]],
-                    "w": _or_none(signed.w[k]),
-                    "p": float(signed.p[k]),
-                    "p_holm": float(signed.p_holm[k]),
-                    "rank_biserial": float(signed.rank_biserial[k]),
-                }
-                for k, (i, j) in enumerate(signed.pairs)
-            ],
+            "wilcoxon": self._by_pair(
+                wilcoxon_tests(by_participant, self.reference), "w", "p", "p_holm", "rank_biserial"
+            ),
             "mixed_model": self._mixed(),
             "reliability": {
                 "icc_single": _or_none(agreement.single),
@@ -156,64 +151,40 @@ class _Analysis:
             },
         }
         self._caution(two_way or one_way, rates, agreement.with_others)
-        sentences = self._sentences(one_way, two_way, within, document)
-        return Result(
-            self.store.study["title"],
-            self.store.simulated,
-            self.methods,
-            self.textures,
-            self.rows,
-            self.every,
-            self.complete,
-            self.store.answers(),
-            self.store.abouts(),
-            document,
-            sentences,
-            self.cautions,
-        )
+        return Result(self.ratings, document, self._sentences(one_way, two_way, within, document), self.cautions)
 
     def _means(self) -> list[dict[str, Any]]:
-        found = []
+        means = []
         for m, method in enumerate(self.methods):
-            for t, texture in enumerate(self.textures):
-                values = self.every[:, m, t][np.isfinite(self.every[:, m, t])]
+            of_method: dict[str | None, Array] = {
+                texture: self.values[:, m, t] for t, texture in enumerate(self.textures)
+            }
+            of_method[None] = self.y[:, m].mean(-1)  # of all textures
+            for texture, ratings in of_method.items():
+                values = ratings[np.isfinite(ratings)]
                 sd = float(values.std(ddof=1)) if values.size > 1 else None
-                found.append(
-                    {"method": method, "texture": texture, "n": values.size, "mean": float(values.mean()), "sd": sd}
-                )
-            values = self.y[:, m].mean(-1)
-            found.append(
-                {
-                    "method": method,
-                    "texture": None,
-                    "n": values.size,
-                    "mean": float(values.mean()),
-                    "sd": float(values.std(ddof=1)),
-                }
-            )
-        return found
+                row = {"method": method, "texture": texture, "n": values.size, "mean": float(values.mean()), "sd": sd}
+                means.append(row)
+        return means
 
     def _pairs(self, tests: Paired) -> list[dict[str, Any]]:
+        rows = self._by_pair(tests, "difference", "t", "p", "p_bonferroni", "p_holm", "dz", "d_av")
+        ends = zip(tests.low, tests.high, strict=True)
         return [
-            {
-                "pair": [self.methods[i], self.methods[j]],
-                "difference": float(tests.difference[k]),
-                "ci95": [_or_none(tests.low[k]), _or_none(tests.high[k])],
-                "t": _or_none(tests.t[k]),
-                "df": tests.df,
-                "p": _or_none(tests.p[k]),
-                "p_bonferroni": _or_none(tests.p_bonferroni[k]),
-                "p_holm": _or_none(tests.p_holm[k]),
-                "dz": _or_none(tests.dz[k]),
-                "d_av": _or_none(tests.d_av[k]),
-            }
+            {**row, "ci95": [_or_none(low), _or_none(high)], "df": tests.df}
+            for row, (low, high) in zip(rows, ends, strict=True)
+        ]
+
+    def _by_pair(self, tests: Paired | SignedRank, *names: str) -> list[dict[str, Any]]:
+        return [
+            {"pair": [self.methods[i], self.methods[j]], **{name: _or_none(getattr(tests, name)[k]) for name in names}}
             for k, (i, j) in enumerate(tests.pairs)
         ]
 
     def _mixed(self) -> dict[str, Any] | None:
-        index = np.nonzero(np.isfinite(self.every))
+        index = np.nonzero(np.isfinite(self.values))
         try:
-            model = mixed_model(index[0], index[1], index[2], self.every[index])
+            model = mixed_model(index[0], index[1], index[2], self.values[index])
         except (ValueError, np.linalg.LinAlgError) as error:
             self.cautions.append(f"no mixed model could be fitted: {error}")
             return None
@@ -233,8 +204,8 @@ class _Analysis:
         }
 
     def _caution(self, effects: Sequence[Effect], rates: dict[str, float], with_others: Array) -> None:
-        n, began = len(self.complete), len(self.every)
-        if self.store.simulated:
+        n, began = len(self.complete), len(self.values)
+        if self.ratings.simulated:
             self.cautions.append("these ratings are of a model of raters, and not of people")
         if n < began:
             self.cautions.append(
@@ -243,23 +214,24 @@ class _Analysis:
             )
         for effect in effects:
             # With one contrast ε is 1 and nothing is corrected: a low rate is chance.
-            if effect.df[0] > 1 and rates[effect.name] < CONSERVATIVE:
+            if effect.df[0] > 1 and rates[effect.name] < MIN_NULL_RATE:
                 self.cautions.append(
                     f"{effect.name}: in null studies of this size Greenhouse and Geisser's correction errs in "
                     f"{100 * rates[effect.name]:.1f} % at α = {ALPHA:g}: it is conservative, and that an effect is not "
                     "significant by it does not say that there is none"
                 )
-        low = [str(p) for p, r in zip(self.complete, with_others, strict=True) if not r >= UNRELIABLE]
+        low = [str(p) for p, r in zip(self.complete, with_others, strict=True) if not r >= MIN_RELIABILITY]
         if low:
+            who = f"participant{'s' * (len(low) > 1)} {', '.join(low)}"
             self.cautions.append(
-                f"participant{'s' * (len(low) > 1)} {', '.join(low)}: correlation with the others below {UNRELIABLE:g}; look at "
-                "these ratings; leaving them out needs a reason that was set before"
+                f"{who}: correlation with the others below {MIN_RELIABILITY:g}; look at these ratings; leaving them out needs a "
+                "reason that was set before"
             )
-        corrected = sum(row["corrected"] for row in self.rows)
+        corrected = sum(row["corrected"] for row in self.ratings.rows)
         if corrected:
             were = "rating was" if corrected == 1 else "ratings were"
             self.cautions.append(f"{corrected} {were} corrected by hand; the log of the study says which")
-        under = sum(1 for row in self.rows if row["measured"].get("n_underruns"))
+        under = sum(1 for row in self.ratings.rows if row["measured"].get("n_underruns"))
         if under:
             self.cautions.append(f"in {under} {'trial' if under == 1 else 'trials'} the sound had under-runs")
 
@@ -267,11 +239,11 @@ class _Analysis:
         self, one_way: Sequence[Effect], two_way: Sequence[Effect], within: Sequence[Paired], document: dict[str, Any]
     ) -> list[str]:
         n = len(self.complete)
-        who = "simulated raters" if self.store.simulated else "participants"
-        overall = {one["method"]: one for one in document["means"] if one["texture"] is None}
+        who = "simulated raters" if self.ratings.simulated else "participants"
+        overall = {row["method"]: row for row in document["means"] if row["texture"] is None}
         best = max(self.methods, key=lambda method: overall[method]["mean"])
         b = len(self.textures)
-        said = [
+        sentences = [
             f"{n} {who} rated {len(self.methods)} methods on {b} texture{'s' * (b > 1)} "
             f"({n * len(self.methods) * b} ratings). "
             + "Mean similarity: "
@@ -280,21 +252,20 @@ class _Analysis:
             )
             + " (± SD between participants)."
         ]
-        said.append(
+        sentences.append(
             f"A one-way repeated-measures ANOVA on ratings{' averaged across textures' * (b > 1)} gave an effect of method, "
-            + _anova(one_way[0])
-            + "."
+            f"{_anova(one_way[0])}."
         )
         if two_way:
-            said.append(
+            sentences.append(
                 "A two-way repeated-measures ANOVA (method × texture, Greenhouse–Geisser) gave "
                 + "; ".join(f"{effect.name}, {_anova(effect)}" for effect in two_way)
                 + "."
             )
-        said += self._paired_sentences(within)
+        sentences += self._paired_sentences(within)
         ranks = document["friedman"]
         if ranks["p"] is not None:
-            said.append(
+            sentences.append(
                 f"Friedman: χ²({ranks['df']}) = {ranks['chi2']:.2f}, {_p(ranks['p'])}, Kendall's W = {ranks['w']:.2f}."
             )
         model = document["mixed_model"]
@@ -303,15 +274,15 @@ class _Analysis:
                 f"{term['name']}, F({term['df'][0]:.0f}, {term['df'][1]:.0f}) = {term['f']:.2f}, {_p(term['p'])}"
                 for term in model["terms"]
             )
-            said.append(f"Linear mixed model of all {model['n_ratings']} ratings: {terms}.")
+            sentences.append(f"Linear mixed model of all {model['n_ratings']} ratings: {terms}.")
         agree = document["reliability"]
         if agree["icc_mean"] is not None:
-            said.append(f"Agreement: ICC(2,1) = {agree['icc_single']:.2f}, ICC(2,k) = {agree['icc_mean']:.2f}.")
-        said.append(f"The highest mean is that of {best}.")
-        return said
+            sentences.append(f"Agreement: ICC(2,1) = {agree['icc_single']:.2f}, ICC(2,k) = {agree['icc_mean']:.2f}.")
+        sentences.append(f"The highest mean is that of {best}.")
+        return sentences
 
     def _paired_sentences(self, within: Sequence[Paired]) -> list[str]:
-        """Return what the tests within textures found, by each correction; with one pair there is nothing to correct for."""
+        """Results of the tests within textures, by each correction; a single pair needs none."""
         family, b = within[0].pairs, len(within)
         many = len(family)
         if many == 1:
@@ -320,37 +291,28 @@ class _Analysis:
             what = f"paired t-tests of all {many} pairs of methods"
         else:
             what = f"paired t-tests of the {many} other methods against {self.methods[self.reference]}"
-        said = []
+        sentences = []
         for name, key in (("Bonferroni", "p_bonferroni"), ("Holm", "p_holm"))[: 1 if many == 1 else 2]:
-            found = []
+            results = []
             for k, (i, j) in enumerate(family):
                 first, second = self.methods[i], self.methods[j]
                 up = sum(bool(t.difference[k] > 0 and getattr(t, key)[k] < ALPHA) for t in within)
                 down = sum(bool(t.difference[k] < 0 and getattr(t, key)[k] < ALPHA) for t in within)
                 if b > 1:
-                    found.append(f"{first} above {second} on {up}, below on {down}")
+                    results.append(f"{first} above {second} on {up}, below on {down}")
                 elif up or down:
-                    found.append(f"{first} {'above' if up else 'below'} {second}")
+                    results.append(f"{first} {'above' if up else 'below'} {second}")
                 else:
-                    found.append(f"no significant difference between {first} and {second}")
+                    results.append(f"no significant difference between {first} and {second}")
             corrected = f", {name}-corrected for {many}" if many > 1 else ""
             where, of = ("each texture", f"of {b} textures, ") if b > 1 else ("the one texture", "")
-            said.append(f"Within {where}, {what}{corrected}: {of}{'; '.join(found)}.")
-        return said
+            sentences.append(f"Within {where}, {what}{corrected}: {of}{'; '.join(results)}.")
+        return sentences
 
 
 def _effect(effect: Effect) -> dict[str, Any]:
-    return {
-        "name": effect.name,
-        "f": _or_none(effect.f),
-        "df": list(effect.df),
-        "p": _or_none(effect.p),
-        "epsilon": _or_none(effect.epsilon),
-        "p_corrected": _or_none(effect.p_corrected),
-        "partial_eta2": _or_none(effect.partial_eta2),
-        "generalised_eta2": _or_none(effect.generalised_eta2),
-        "mauchly_p": _or_none(effect.mauchly_p),
-    }
+    values = {name: _or_none(value) for name, value in vars(effect).items() if name not in ("name", "df")}
+    return {"name": effect.name, "df": list(effect.df), **values}
 
 
 def _anova(effect: Effect) -> str:
@@ -363,17 +325,17 @@ def _anova(effect: Effect) -> str:
 
 
 def _p(value: float) -> str:
-    """Return p as journals print it."""
+    """p as journals print it."""
     return "p < .001" if value < 0.001 else f"p = {value:.3f}".replace("0.", ".")
 
 
 def stars(p: float | None) -> str:
-    """Return the marks of Fig. 9: *** below .001, ** below .01, * below .05."""
+    """Marks of Fig. 9: *** below .001, ** below .01, * below .05."""
     if p is None or not p < ALPHA:
         return ""
     return "***" if p < 0.001 else "**" if p < 0.01 else "*"
 
 
 def _or_none(value: Any) -> float | None:
-    """Return a number that JSON has, or None for NaN."""
+    """A number as JSON has it, None for NaN."""
     return float(value) if np.isfinite(value) else None

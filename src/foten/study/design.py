@@ -1,4 +1,4 @@
-"""A study as a TOML file says it: what is compared, by how many people, in which words."""
+"""A study's TOML file: what is compared, by how many people, in which words."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ WHEN = ("start", "end")
 KINDS = ("text", "number", "choice", "slider")
 SIDES = ("left", "right")
 ORDERS = ("balanced", "random")
-MOST_PARTICIPANTS, MOST_TRIALS = 1000, 2000
-LONGEST = 8000  # characters of a text
+MAX_PARTICIPANTS, MAX_TRIALS = 1000, 2000
+MAX_TEXT_LENGTH = 8000  # characters
 
 INSTRUCTIONS = """Stroke the virtual surface on the tablet, then the real one beside it, with the tool that belongs to each.
 Go back and forth as often as you like, slowly and quickly, lightly and firmly.
@@ -29,7 +29,7 @@ class Rating:
     question: str = "How similar are the virtual and the real surface?"
     lowest: str = "completely different"  # 0
     highest: str = "completely the same"  # 100, as in Sec. VII
-    least_seconds: float = 0.0  # of a trial, before an answer is taken
+    min_seconds: float = 0.0  # of a trial, before an answer is taken
 
 
 @dataclass(frozen=True)
@@ -44,7 +44,7 @@ class Setup:
 
 @dataclass(frozen=True)
 class Output:
-    """What plays: `page`, for the sound output of the tablet, or what is wired to the machine that serves."""
+    """What plays: `page` for the sound output of the tablet, or a device of the machine that serves."""
 
     to: str = "page"
     actuator: Path | None = None
@@ -56,7 +56,7 @@ class Output:
 
 @dataclass(frozen=True)
 class Noise:
-    """White noise from a sound card of the machine that serves, so that the actuator is not heard."""
+    """White noise from a sound card of the machine that serves, which masks the actuator."""
 
     level_db: float = -30.0  # re full scale
     device: str | None = None
@@ -64,7 +64,7 @@ class Noise:
 
 @dataclass(frozen=True)
 class Question:
-    """One of a questionnaire."""
+    """A question to participants."""
 
     key: str
     text: str
@@ -108,17 +108,17 @@ class Design:
 
     @property
     def methods(self) -> tuple[str, ...]:
-        """Return the methods, in the order of the first texture."""
+        """Methods, in the order of the first texture."""
         return tuple(self.textures[0].files)
 
     @property
     def n_trials(self) -> int:
-        """Return how many trials of a participant count."""
+        """Number of a participant's trials that count."""
         return len(self.textures) * len(self.methods)
 
 
 def read_design(path: Path) -> tuple[Design, str]:
-    """Return the study in a TOML file, and the file's text.
+    """Study in a TOML file, and the file's text.
 
     Raises:
         FileNotFoundError: it, or a file that it names, is missing.
@@ -136,12 +136,7 @@ def read_design(path: Path) -> tuple[Design, str]:
         raise ValueError(f"{path.name}: {error}") from error
 
 
-def design_of(text: str, folder: Path) -> Design:
-    """Return the study that a text says, whose files lie beside a folder; they are not looked for."""
-    return _design(tomllib.loads(text), folder, missing=True)
-
-
-def _design(document: Mapping[str, Any], folder: Path, missing: bool = False) -> Design:
+def _design(document: Mapping[str, Any], folder: Path) -> Design:
     tables = dict(document)
     textures = tables.pop("textures", {})
     questions = tables.pop("questions", [])
@@ -152,9 +147,11 @@ def _design(document: Mapping[str, Any], folder: Path, missing: bool = False) ->
         if name in tables:
             parts[name] = _filled(kind, tables.pop(name), f"[{name}]", folder)
     parts["textures"] = tuple(_texture(key, table, folder) for key, table in textures.items())
-    parts["questions"] = tuple(_filled(Question, one, f"question {i + 1}", folder) for i, one in enumerate(questions))
+    parts["questions"] = tuple(
+        _filled(Question, table, f"question {i + 1}", folder) for i, table in enumerate(questions)
+    )
     design: Design = _filled(Design, {**tables, **parts}, "the study", folder)
-    _check(design, missing)
+    _check(design)
     return design
 
 
@@ -173,49 +170,55 @@ def _texture(key: str, table: Any, folder: Path) -> Texture:
 
 
 def _filled(kind: type, table: Any, where: str, folder: Path) -> Any:
-    """Return a value of a kind with the fields of a table, each of the type that is asked for."""
+    """A value of a kind with the fields of a table, each of its type."""
     if not isinstance(table, dict):
         raise ValueError(f"{where} is {table!r:.40}, expected a table")
-    known = {one.name: one for one in fields(kind)}
+    known = {known_field.name: known_field for known_field in fields(kind)}
     if unknown := sorted(table.keys() - known.keys()):
         raise ValueError(f"{where} has {unknown[0]!r}, expected some of {', '.join(known)}")
     values = {}
     for name, value in table.items():
-        asked = str(known[name].type)
-        if isinstance(value, list) and asked.startswith("tuple"):
+        type_name = str(known[name].type)
+        if isinstance(value, list) and type_name.startswith("tuple"):
             value = tuple(value)
-        if asked.startswith("float") and isinstance(value, int) and not isinstance(value, bool):
+        if type_name.startswith("float") and isinstance(value, int) and not isinstance(value, bool):
             value = float(value)
-        if asked.startswith("Path") and isinstance(value, str):
+        if type_name.startswith("Path") and isinstance(value, str):
             value = folder / value
-        if not _is(value, asked):
-            raise ValueError(f"{where}: {name} is {value!r:.40}, expected {_SAID[asked.split(' ')[0]]}")
+        if not _has_type(value, type_name):
+            raise ValueError(f"{where}: {name} is {value!r:.40}, expected {_TYPE_NAMES[type_name.split(' ')[0]]}")
         values[name] = value
-    for name, one in known.items():
-        if name not in values and one.default is MISSING and one.default_factory is MISSING:
+    for name, known_field in known.items():
+        if name not in values and known_field.default is MISSING and known_field.default_factory is MISSING:
             raise ValueError(f"{where}: {name} is missing")
     return kind(**values)
 
 
-_SAID = {"str": "text", "int": "an integer", "float": "a number", "bool": "true or false", "Path": "the name of a file"}
-_SAID |= {"tuple[str,": "a list of texts"}
+_TYPE_NAMES = {
+    "str": "text",
+    "int": "an integer",
+    "float": "a number",
+    "bool": "true or false",
+    "Path": "the name of a file",
+}
+_TYPE_NAMES |= {"tuple[str,": "a list of texts"}
 
 
-def _is(value: Any, asked: str) -> bool:
+def _has_type(value: Any, type_name: str) -> bool:
     if isinstance(value, bool):
-        return asked == "bool"
+        return type_name == "bool"
     if isinstance(value, str):
-        return asked.startswith("str") and len(value) <= LONGEST
+        return type_name.startswith("str") and len(value) <= MAX_TEXT_LENGTH
     if isinstance(value, int):
-        return asked == "int" or " int" in asked
+        return type_name == "int" or " int" in type_name
     if isinstance(value, float):
-        return asked.startswith("float")
-    if isinstance(value, tuple) and asked.startswith("tuple[str"):
-        return all(isinstance(one, str) for one in value)
-    return asked.startswith("Path") or not isinstance(value, list | dict) or asked.startswith("Mapping")
+        return type_name.startswith("float")
+    if isinstance(value, tuple) and type_name.startswith("tuple[str"):
+        return all(isinstance(text, str) for text in value)
+    return type_name.startswith("Path") or not isinstance(value, list | dict) or type_name.startswith("Mapping")
 
 
-def _check(design: Design, missing: bool) -> None:
+def _check(design: Design) -> None:
     if len(design.textures) < 1:
         raise ValueError("there is no texture, expected [textures.KEY] for each")
     methods = design.methods
@@ -232,12 +235,12 @@ def _check(design: Design, missing: bool) -> None:
     _check_different(list(methods), "methods with one name")
     _check_different([question.key for question in design.questions], "questions with one key")
     bounds: dict[str, tuple[float, float, float]] = {
-        "participants": (design.participants, 1, MOST_PARTICIPANTS),
-        "trials": (design.n_trials, 2, MOST_TRIALS),
+        "participants": (design.participants, 1, MAX_PARTICIPANTS),
+        "trials": (design.n_trials, 2, MAX_TRIALS),
         "seed": (design.seed, 0, 2**63 - 1),
         "practice": (design.practice, 0, design.n_trials),
-        "break_every": (design.break_every, 0, MOST_TRIALS),
-        "least_seconds": (design.rating.least_seconds, 0, 600),
+        "break_every": (design.break_every, 0, MAX_TRIALS),
+        "min_seconds": (design.rating.min_seconds, 0, 600),
         "screens": (design.setup.screens, 1, 2),
         "volume_db": (design.output.volume_db, -60, 24),
     }
@@ -246,18 +249,15 @@ def _check(design: Design, missing: bool) -> None:
     for name, (value, low, high) in bounds.items():
         if not low <= value <= high:
             raise ValueError(f"{name} is {value:g}, expected {low:g} to {high:g}")
-    for name, said, choices in (("order", design.order, ORDERS), ("real_side", design.setup.real_side, SIDES)):
-        if said not in choices:
-            raise ValueError(f"{name} is {said!r:.40}, expected {' or '.join(choices)}")
+    for name, text, choices in (("order", design.order, ORDERS), ("real_side", design.setup.real_side, SIDES)):
+        if text not in choices:
+            raise ValueError(f"{name} is {text!r:.40}, expected {' or '.join(choices)}")
     for question in design.questions:
         _check_question(question, design.n_trials)
-    if not missing:
-        for path in [file for texture in design.textures for file in texture.files.values()]:
+    files = [file for texture in design.textures for file in texture.files.values()]
+    for path in (*files, *(texture.picture for texture in design.textures), design.output.actuator):
+        if path is not None:
             check_regular(path)
-        for picture in [texture.picture for texture in design.textures if texture.picture]:
-            check_regular(picture)
-        if design.output.actuator is not None:
-            check_regular(design.output.actuator)
 
 
 def _check_question(question: Question, n_trials: int) -> None:
@@ -271,118 +271,9 @@ def _check_question(question: Question, n_trials: int) -> None:
 
 
 def _check_different(names: list[str], what: str) -> None:
-    """Refuse names that are one: people, and some file systems, do not see capitals."""
+    """Refuse equal names: people, and some file systems, do not see capitals."""
     seen: dict[str, str] = {}
     for name in names:
         if name.casefold().strip() in seen:
             raise ValueError(f"there are two {what}: {name!r:.80} and {seen[name.casefold().strip()]!r:.80}")
         seen[name.casefold().strip()] = name
-
-
-def template(title: str, textures: Mapping[str, Mapping[str, str]], participants: int, seed: int) -> str:
-    """Return the text of a study file to edit, for textures by name, each with its files by method."""
-    lines = [
-        f"title = {_quoted(title)}",
-        f"participants = {participants}",
-        f"seed = {seed}                # of the order of trials",
-        'order = "balanced"      # over textures and methods, by Latin squares; or "random"',
-        "practice = 2            # trials before those that count",
-        "break_every = 16        # trials; 0 for none",
-        "match_levels = true     # methods of a texture are played equally loud",
-        "",
-        f'instructions = """\n{INSTRUCTIONS}"""',
-        "",
-        "# Shown first, with a button to agree; without it nothing is asked for.",
-        'consent = """',
-        "You take part in a study of virtual surfaces. It takes about an hour; you may stop at any time, without a reason.",
-        'Your answers are kept under a number, not under your name."""',
-        "",
-        "[rating]",
-        f"question = {_quoted(Rating.question)}",
-        f"lowest = {_quoted(Rating.lowest)}",
-        f"highest = {_quoted(Rating.highest)}",
-        "least_seconds = 3       # of a trial, before an answer is taken",
-        "",
-        "[setup]",
-        "screens = 1             # 2: participants stroke on a tablet and answer on another screen",
-        "operator = false        # true: the operator lets each trial begin, when the real sample lies there",
-        'real_side = "right"     # of the virtual surface',
-        "show_names = true       # of textures, to participants",
-        "",
-        "[output]",
-        'to = "page"             # the tablet\'s own output; or sound, daq:Dev1/ao0 of the machine that serves',
-        '# actuator = "coil.json"',
-        "",
-        "# [noise]               # white noise from a sound card of the machine that serves",
-        "# level_db = -30",
-        "",
-        "[[questions]]",
-        'key = "age"',
-        'text = "How old are you?"',
-        'kind = "number"',
-        'at = "start"',
-        "private = true          # kept apart from the ratings",
-        "required = false",
-        "",
-        "[[questions]]",
-        'key = "handedness"',
-        'text = "Which hand do you write with?"',
-        'kind = "choice"',
-        'options = ["right", "left", "either"]',
-        'at = "start"',
-        "private = true",
-        "required = false",
-        "",
-        "[[questions]]",
-        'key = "gender"',
-        'text = "What is your gender?"',
-        'kind = "choice"',
-        'options = ["woman", "man", "other"]',
-        'at = "start"',
-        "private = true",
-        "required = false",
-        "",
-        "[[questions]]",
-        'key = "experience"',
-        'text = "How much experience do you have with haptic devices?"',
-        'kind = "choice"',
-        'options = ["none", "some", "much"]',
-        'at = "start"',
-        "private = true",
-        "required = false",
-        "",
-        "[[questions]]",
-        'key = "remarks"',
-        'text = "What made surfaces differ?"',
-        'at = "end"',
-        "required = false",
-        "",
-    ]
-    for name, files in textures.items():
-        key = _key(name)
-        lines += [
-            f"[textures.{key}]",
-            f"name = {_quoted(name)}",
-            'real = ""               # which sample the operator lays down',
-        ]
-        lines += [
-            f"[textures.{key}.methods]",
-            *(f"{_key(method)} = {_quoted(file)}" for method, file in files.items()),
-            "",
-        ]
-    return "\n".join(lines)
-
-
-def titled(name: str) -> str:
-    """Return a texture's name as people write it: `steel-mesh-1` as Steel mesh 1."""
-    words = name.replace("-", " ").replace("_", " ").strip()
-    return words[:1].upper() + words[1:]
-
-
-def _key(name: str) -> str:
-    return name if name.isascii() and name.replace("-", "").replace("_", "").isalnum() else _quoted(name)
-
-
-def _quoted(text: str) -> str:
-    escaped = text.replace("\\", "\\\\").replace('"', '\\"')
-    return '"' + "".join(c if c.isprintable() else f"\\u{ord(c):04x}" for c in escaped) + '"'

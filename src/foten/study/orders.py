@@ -1,4 +1,4 @@
-"""Who strokes what when: orders of trials that are balanced over textures and methods.
+"""Orders of trials that are balanced over textures and methods.
 
 A participant goes through all textures once with each method, in rounds: a round holds each texture once. The order of textures
 within a round is a row of a Williams square, in which each texture is at each place equally often, and behind each other one
@@ -20,7 +20,7 @@ Rows = NDArray[np.int64]
 
 @dataclass(frozen=True)
 class Trial:
-    """One comparison of a participant."""
+    """A comparison of a participant."""
 
     number: int  # from 1; practice trials are 0 and below
     texture: int
@@ -28,12 +28,12 @@ class Trial:
 
     @property
     def practice(self) -> bool:
-        """Return whether it does not count."""
+        """Whether it does not count."""
         return self.number < 1
 
 
 def williams(k: int) -> Rows:
-    """Return rows of 0 … k − 1 balanced for place and for what comes before: k rows for an even k, else 2 k; shape (rows, k).
+    """Rows of 0 … k − 1 balanced for place and for what comes before: k rows for an even k, else 2 k; shape (rows, k).
 
     In each column each number occurs equally often, and so does each pair of neighbours.
     """
@@ -45,29 +45,30 @@ def williams(k: int) -> Rows:
 def orders(
     n_participants: int, n_textures: int, n_methods: int, seed: int, practice: int, order: str
 ) -> list[list[Trial]]:
-    """Return the trials of each participant, practice first.
+    """Trials of each participant, practice first.
 
     Args:
-        n_participants: how many.
-        n_textures, n_methods: each texture with each method is one trial.
-        seed: of everything that is drawn; the same seed gives the same orders.
+        n_textures, n_methods: each texture with each method is a trial.
+        seed: of everything that is drawn.
         practice: how many trials come before, drawn from the same.
         order: "balanced", or "random" for a permutation drawn for each participant, as in Sec. VII.
     """
     rng = np.random.default_rng(seed)
-    made = _balanced if order == "balanced" else _random
-    counted = made(rng, n_participants, n_textures, n_methods)
+    draw = _balanced if order == "balanced" else _random
+    counted = draw(rng, n_participants, n_textures, n_methods)
     result = []
     for pairs in counted:
         drawn = rng.permutation(n_textures * n_methods)[:practice]
-        before = [Trial(i + 1 - practice, int(one) // n_methods, int(one) % n_methods) for i, one in enumerate(drawn)]
+        before = [
+            Trial(i + 1 - practice, int(pair) // n_methods, int(pair) % n_methods) for i, pair in enumerate(drawn)
+        ]
         result.append([*before, *(Trial(i + 1, t, m) for i, (t, m) in enumerate(pairs))])
     return result
 
 
 def _random(rng: np.random.Generator, n: int, textures: int, methods: int) -> list[list[tuple[int, int]]]:
     drawn = [rng.permutation(textures * methods) for _ in range(n)]
-    return [[(int(one) // methods, int(one) % methods) for one in row] for row in drawn]
+    return [[(int(pair) // methods, int(pair) % methods) for pair in row] for row in drawn]
 
 
 def _balanced(rng: np.random.Generator, n: int, textures: int, methods: int) -> list[list[tuple[int, int]]]:
@@ -87,14 +88,14 @@ def _balanced(rng: np.random.Generator, n: int, textures: int, methods: int) -> 
 
 
 def square(n_textures: int, n_methods: int) -> int:
-    """Return how many participants make orders wholly balanced: that many, and each multiple."""
+    """Number of participants whose orders are exactly balanced; so are those of each multiple."""
     return math.lcm(len(williams(n_textures)), len(williams(n_methods)))
 
 
 def planned(
     n_participants: int, n_textures: int, n_methods: int, seed: int, practice: int, order: str
 ) -> list[list[Trial]]:
-    """Return the orders that a study stores: of its participants, and behind them a quarter more for those who leave."""
+    """Orders that a study stores: of its participants, and behind them a quarter more for those who leave."""
     counts = n_textures, n_methods, seed, practice, order
     # Not the first of a longer list: within a square those who come would then be any of its rows.
     return [
@@ -104,12 +105,12 @@ def planned(
 
 
 def _in_cycles(rng: np.random.Generator, n: int, cycle: int) -> list[int]:
-    """Return 0 … n − 1, drawn within each cycle."""
+    """0 … n − 1, permuted within each cycle."""
     return [start + int(i) for start in range(0, n, cycle) for i in rng.permutation(min(cycle, n - start))]
 
 
 def _rounds(rng: np.random.Generator, rows: Rows, n_rounds: int) -> list[int]:
-    """Return how far each round is from the first in the square, so that no texture ends one round and begins the next."""
+    """Offset of each round's row in the square, such that no texture ends a round and begins the next."""
     chosen = [0]
     for _ in range(n_rounds - 1):
         ends = np.roll(rows[:, -1], -chosen[-1])
@@ -120,8 +121,8 @@ def _rounds(rng: np.random.Generator, rows: Rows, n_rounds: int) -> list[int]:
     return chosen
 
 
-def balance(made: list[list[Trial]], n_textures: int, n_methods: int) -> dict[str, tuple[int, int]]:
-    """Return how evenly orders are spread, as the fewest and the most:
+def balance(orders: list[list[Trial]], n_textures: int, n_methods: int) -> dict[str, tuple[int, int]]:
+    """Evenness of orders, as the smallest and the largest count:
 
     `method in round`: how often a method of a texture is in one of the rounds; `texture at place`: how often a texture is at one
     place of a round; `neighbours`: how often a texture comes behind another within a round.
@@ -129,7 +130,7 @@ def balance(made: list[list[Trial]], n_textures: int, n_methods: int) -> dict[st
     rounds = np.zeros((n_textures, n_methods, n_methods), dtype=int)
     places = np.zeros((n_textures, n_textures), dtype=int)
     behind = np.zeros((n_textures, n_textures), dtype=int)
-    for trials in made:
+    for trials in orders:
         counted = [trial for trial in trials if not trial.practice]
         for i, trial in enumerate(counted):
             rounds[trial.texture, trial.method, i // n_textures] += 1

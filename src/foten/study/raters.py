@@ -1,10 +1,9 @@
-"""Raters from a stated model, and what a study with them would find: for the number of participants, and to try a study before
-anyone is invited.
+"""Raters from a stated model, and the power of studies with them.
 
     rating = mean(method, texture) + rater + rater × method + rater × texture + noise, cut to the scale
 
-Its standard deviation between raters and the correlation between two ratings of one rater are parameters; what one rater
-thinks of a method and of a texture has a stated share of the rest.
+Its standard deviation between raters and the correlation between two ratings of one rater are parameters; a rater's opinions of
+a method and of a texture have stated shares of what is left.
 """
 
 from __future__ import annotations
@@ -15,7 +14,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from foten.study.orders import square
 from foten.study.statistics import anova, paired_tests
+from foten.study.store import Rated, Store
 
 Array = NDArray[np.float64]
 
@@ -27,7 +28,7 @@ PAPER_DIFFERENCES = {"dstn": (9.75, 31.33), "ldhtd": (8.75, 25.25)}
 # Of AR the text gives p alone, after Bonferroni's correction for 6 pairs, on all 12 textures; Sec. VII.
 PAPER_AR_P = (2.0e-7, 1.0e-3)
 SHOWN = (4, 8, 12, 16, 21, 24, 30, 40, 50)  # numbers of participants whose power is printed
-SMALLEST = 8.75  # the smallest difference that the paper found significant
+MIN_DIFFERENCE = 8.75  # points; the smallest that the paper found significant, Sec. VII
 
 
 @dataclass(frozen=True)
@@ -62,11 +63,11 @@ class Raters:
 
     @property
     def sd_of_difference(self) -> float:
-        """Return the standard deviation of one rater's difference between two methods on one texture."""
+        """Standard deviation of a rater's difference between two methods on a texture."""
         return float(self.sd * np.sqrt(2 * (1 - self.correlation) * (1 - self.by_texture)))
 
     def draw(self, rng: np.random.Generator, n: int, studies: int | None = None) -> Array:
-        """Return ratings 0 … 100, shape (n, a, b), or (studies, n, a, b)."""
+        """Ratings 0 … 100, shape (n, a, b), or (studies, n, a, b)."""
         a, b = self.means.shape
         lead = () if studies is None else (studies,)
         left = self.sd**2 * (1 - self.correlation)
@@ -85,7 +86,7 @@ class Raters:
 
 
 def paper_raters(correlation: float = 0.3) -> Raters:
-    """Return raters with the effects of Sec. VII on 4 methods and 12 textures.
+    """Raters with the effects of Sec. VII on 4 methods and 12 textures.
 
     Differs from the paper: it gives ranges, no table. Differences are spread evenly over them; those of AR follow from its p
     values, the standard deviation and the correlation.
@@ -107,16 +108,16 @@ def paper_raters(correlation: float = 0.3) -> Raters:
 
 
 def raters_for(
-    methods: int, textures: int, difference: float, sd: float = PAPER_SD, correlation: float = 0.3
+    methods: int, textures: int, difference: float, sd: float = PAPER_SD, correlation: float = 0.3, better: int = -1
 ) -> Raters:
-    """Return raters to whom the last method is worth so much more than each other one, on every texture."""
+    """Raters to whom one method, by default the last, is better than the others by a difference, on every texture."""
     means = np.full((methods, textures), 65.0)
-    means[-1] += difference
+    means[better] += difference
     return Raters(means, sd=sd, correlation=correlation)
 
 
 def power(raters: Raters, n: int, studies: int, seed: int, alpha: float = 0.05) -> dict[str, float]:
-    """Return the share of studies with n raters in which each test finds something at α:
+    """Share of studies with n raters in which each test finds something at α:
 
     the two main effects and the interaction, with Greenhouse and Geisser's correction; `pair`, the share in which the last method
     differs from another one on a texture, after Holm's adjustment within the texture, averaged over textures and other methods;
@@ -130,17 +131,17 @@ def power(raters: Raters, n: int, studies: int, seed: int, alpha: float = 0.05) 
     result: dict[str, Any] = {effect.name: float(np.nanmean(effect.p_corrected < alpha)) for effect in effects}
     tests = paired_tests(np.moveaxis(y, -1, -3))  # (studies, textures, n, methods)
     with_last = [i for i, pair in enumerate(tests.pairs) if a - 1 in pair]
-    found = tests.p_holm[..., with_last] < alpha
-    result["pair"] = float(found.mean())
-    result["all pairs"] = float(found.all((-2, -1)).mean())
+    significant = tests.p_holm[..., with_last] < alpha
+    result["pair"] = float(significant.mean())
+    result["all pairs"] = float(significant.all((-2, -1)).mean())
     return result
 
 
 def needed(
-    raters: Raters, studies: int, seed: int, aim: float = 0.8, most: int = 60
+    raters: Raters, studies: int, seed: int, aim: float = 0.8, max_n: int = 60
 ) -> tuple[list[dict[str, float]], int | None]:
-    """Return the power for numbers of participants up to `most`, and the smallest whose `pair` reaches an aim, if any does."""
-    counts = sorted({*(n for n in SHOWN if n <= most), most})
+    """Power for numbers of participants up to a maximum, and the smallest whose `pair` reaches an aim, if any does."""
+    counts = sorted({*(n for n in SHOWN if n <= max_n), max_n})
     rows = [{"participants": float(n), **power(raters, n, studies, seed)} for n in counts]
     reaching = [n for n, row in zip(counts, rows, strict=True) if row["pair"] >= aim]
     if not reaching:
@@ -151,3 +152,25 @@ def needed(
         middle = (low + high) // 2
         low, high = (low, middle) if power(raters, middle, studies, seed)["pair"] >= aim else (middle, high)
     return rows, high
+
+
+def participants_for(methods: int, textures: int) -> int:
+    """Number of participants that finds `MIN_DIFFERENCE`, in complete squares where these are small."""
+    _, n = needed(raters_for(methods, textures, MIN_DIFFERENCE), 300, 0)
+    n, cycle = n or 40, square(textures, methods)
+    return -(-n // cycle) * cycle if cycle <= 48 else n
+
+
+def simulate_ratings(store: Store, raters: Raters, n: int, missing: float, seed: int) -> None:
+    """Let n raters answer; a share of them leaves before the end."""
+    rng = np.random.default_rng(seed)
+    ratings = raters.draw(rng, n)
+    for i in range(n):
+        number = store.join(f"SIM{i + 1:03d}")
+        trials = store.trials(number)
+        n_done = len(trials) if rng.random() >= missing else int(rng.integers(1, len(trials)))
+        rated = {
+            f"trial:{t.number}": Rated(float(np.round(ratings[i, t.method, t.texture])), float(rng.gamma(9, 2.5)), 0)
+            for t in trials[:n_done]
+        }
+        store.take_steps(number, rated)

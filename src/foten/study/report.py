@@ -15,13 +15,14 @@ from typing import Any
 
 from foten.atomic_write import atomic_write
 from foten.study.analysis import Result, stars
-from foten.study.pictures import bars, panels
+from foten.study.rating_figures import bars, panels
 
-MOST_ROWS = 12  # of a table that people read
-MOST_NAMED = 8  # different answers to a question that the report names
+MAX_ROWS = 12  # of a table that people read
+MAX_ANSWERS_LISTED = 8  # different answers to a question
 CI = "95 % CI, not adjusted"
 MARK = "Simulated ratings: of a model of raters, and not of people."
-DICTIONARY = (
+STYLE = Path(__file__).with_name("report.css")
+DICTIONARY = (  # columns of ratings.csv, meaning, unit
     ("participant", "number of the participant", ""),
     ("trial", "in which order it was rated, from 1", ""),
     ("texture", "key of the texture", ""),
@@ -32,8 +33,8 @@ DICTIONARY = (
     ("corrected", "1 where a correction holds, and not the first answer", ""),
     ("simulated", "1 where a model of raters answered", ""),
     ("contact_s", "the pen on the virtual surface", "s"),
-    ("speed_mm_s_p10 … p90", "percentiles of the speed while in contact", "mm/s"),
-    ("force_n_p10 … p90", "percentiles of the force while in contact", "N"),
+    *((f"speed_mm_s_p{p}", f"{p}th percentile of the speed while in contact", "mm/s") for p in (10, 50, 90)),
+    *((f"force_n_p{p}", f"{p}th percentile of the force while in contact", "N") for p in (10, 50, 90)),
     ("block_p99_ms", "99 % of blocks were rendered within", "ms"),
     ("n_missed", "blocks that came late", ""),
     ("n_underruns", "times that the sound had nothing to play", ""),
@@ -41,41 +42,6 @@ DICTIONARY = (
     ("sha256", "of the texture file", ""),
     ("at", "when the answer was stored (UTC)", ""),
 )
-_MEASURED = (
-    "contact_s",
-    *(f"{name}_p{percent}" for name in ("speed_mm_s", "force_n") for percent in (10, 50, 90)),
-    "block_p99_ms",
-    "n_missed",
-    "n_underruns",
-)
-LONG = (
-    "participant",
-    "trial",
-    "texture",
-    "method",
-    "rating",
-    "response_s",
-    "switches",
-    "corrected",
-    "simulated",
-    *_MEASURED,
-    "software",
-    "sha256",
-    "at",
-)
-STYLE = """:root { color-scheme: light dark; --ink: #1b1f24; --soft: #59636e; --page: #fff; --panel: #f5f6f8; --line: #d9dde2; }
-@media (prefers-color-scheme: dark) { :root { --ink: #e4e7eb; --soft: #9aa4af; --page: #15181c; --panel: #1e2227;
-  --line: #343a42; } }
-body { margin: 0; background: var(--page); color: var(--ink);
-  font: 16px/1.55 system-ui, -apple-system, "Segoe UI", Roboto, sans-serif; }
-main { max-width: 60rem; margin: 0 auto; padding: 2rem 1.5rem 4rem; }
-h1 { font-size: 2rem; line-height: 1.2; margin: 0 0 1rem; } h2 { font-size: 1.3rem; margin: 2.6rem 0 0.8rem; }
-table { border-collapse: collapse; width: 100%; font-variant-numeric: tabular-nums; } .scroll { overflow-x: auto; }
-th, td { text-align: left; padding: 0.4rem 0.8rem 0.4rem 0; border-bottom: 1px solid var(--line); white-space: nowrap; }
-thead th { border-bottom-width: 2px; font-size: 0.9rem; } figure { margin: 0; } svg { max-width: 100%; height: auto; }
-.mark { padding: 0.7rem 1rem; border-radius: 8px; background: #b4481e; color: #fff; font-weight: 600; }
-.note { padding: 0.7rem 1rem; border-left: 4px solid #d8a01a; background: var(--panel); margin: 0.6rem 0; } p { max-width: 75ch; }
-"""
 
 
 def write_report(result: Result, folder: Path) -> list[Path]:
@@ -117,22 +83,23 @@ def write_report(result: Result, folder: Path) -> list[Path]:
 
 
 def _long(result: Result) -> list[Sequence[Any]]:
-    rows: list[Sequence[Any]] = [LONG]
-    for row in result.rows:
-        known = {**row["measured"], **row, "texture": row["texture_key"], "method": row["method_key"]}
-        known |= {"corrected": int(row["corrected"])}
-        rows.append([_cell(known.get(name)) for name in LONG])
+    columns = [name for name, _, _ in DICTIONARY]
+    rows: list[Sequence[Any]] = [columns]
+    for row in result.ratings.rows:
+        cells = {**row["measured"], **row, "texture": row["texture_key"], "method": row["method_key"]}
+        cells["corrected"] = int(row["corrected"])
+        rows.append([_cell(cells.get(name)) for name in columns])
     return rows
 
 
 def _wide(result: Result) -> list[Sequence[Any]]:
-    """Return a row for each participant, as JASP and jamovi want repeated measures; a cell that lacks stays empty."""
-    numbers = sorted({row["participant"] for row in result.rows})
-    names = [f"{method}.{texture}" for method in result.methods for texture in result.textures]
-    rows: list[Sequence[Any]] = [("participant", *(["simulated"] if result.simulated else []), *names)]
-    for number, ratings in zip(numbers, result.ratings, strict=True):
+    """A row for each participant, as JASP and jamovi want repeated measures; a missing rating is an empty cell."""
+    numbers = sorted({row["participant"] for row in result.ratings.rows})
+    names = [f"{method}.{texture}" for method in result.ratings.methods for texture in result.ratings.textures]
+    rows: list[Sequence[Any]] = [("participant", *(["simulated"] if result.ratings.simulated else []), *names)]
+    for number, ratings in zip(numbers, result.ratings.values, strict=True):
         cells = ["" if value != value else f"{value:g}" for value in ratings.reshape(-1)]
-        rows.append([number, *([1] if result.simulated else []), *cells])
+        rows.append([number, *([1] if result.ratings.simulated else []), *cells])
     return rows
 
 
@@ -141,43 +108,43 @@ def _pairs(result: Result) -> list[Sequence[Any]]:
     rows: list[Sequence[Any]] = [("texture", "first", "second", *names, "ci95_low", "ci95_high", "simulated")]
     of = {"": result.document["pairs_overall"], **result.document["pairs_within_textures"]}
     for texture, tests in of.items():
-        for one in tests:
-            cells = [_cell(one[name]) for name in names]
-            rows.append([texture, *one["pair"], *cells, *(_cell(end) for end in one["ci95"]), int(result.simulated)])
+        for test in tests:
+            cells = [_cell(value) for value in (*(test[name] for name in names), *test["ci95"])]
+            rows.append([texture, *test["pair"], *cells, int(result.ratings.simulated)])
     return rows
 
 
 def _answers(result: Result) -> list[Sequence[Any]]:
     names = ("participant", "question", "answer", "at")
     rows: list[Sequence[Any]] = [(*names, "simulated")]
-    rows += [[*(one[name] for name in names), int(result.simulated)] for one in result.answers]
+    rows += [[*(answer[name] for name in names), int(result.ratings.simulated)] for answer in result.ratings.answers]
     return rows
 
 
 def _participants(result: Result) -> list[Sequence[Any]]:
-    """Return what participants said of themselves, in sum: a row for a question that has numbers, else one for each answer."""
+    """Summary of the private answers: a row for a question that has numbers, else a row for each answer."""
     rows: list[Sequence[Any]] = [("question", "n", "mean", "sd", "answer", "count", "simulated")]
-    for question, said in _by_question(result).items():
-        numbers = _numbers(said)
+    for question, answers in _by_question(result).items():
+        numbers = _numbers(answers)
         if numbers is not None:
             summary = [_cell(statistics.fmean(numbers)), _cell(_sd(numbers)), "", ""]
-            rows.append([question, len(said), *summary, int(result.simulated)])
+            rows.append([question, len(answers), *summary, int(result.ratings.simulated)])
             continue
-        for answer, count in Counter(said).most_common():
-            rows.append([question, len(said), "", "", answer, count, int(result.simulated)])
+        for answer, count in Counter(answers).most_common():
+            rows.append([question, len(answers), "", "", answer, count, int(result.ratings.simulated)])
     return rows
 
 
 def _participants_paragraph(result: Result) -> str:
-    """Return the same as a line to read; empty where nothing was asked."""
+    """The same as a line to read; empty where nothing was asked."""
     parts = []
-    for question, said in _by_question(result).items():
-        numbers, counts = _numbers(said), Counter(said)
+    for question, answers in _by_question(result).items():
+        numbers, counts = _numbers(answers), Counter(answers)
         if numbers is not None:
             sd = _sd(numbers)
             spread = "" if sd is None else f" ± {sd:.1f}"
-            parts.append(f"{question} {statistics.fmean(numbers):.1f}{spread} (n = {len(said)})")
-        elif len(counts) <= MOST_NAMED:
+            parts.append(f"{question} {statistics.fmean(numbers):.1f}{spread} (n = {len(answers)})")
+        elif len(counts) <= MAX_ANSWERS_LISTED:
             parts.append(f"{question}: {', '.join(f'{answer} {count}' for answer, count in counts.most_common())}")
         else:
             parts.append(f"{question}: {len(counts)} different answers, in participants.csv")
@@ -185,21 +152,21 @@ def _participants_paragraph(result: Result) -> str:
 
 
 def _by_question(result: Result) -> dict[str, list[str]]:
-    """Return the answers to the private questions; a question that was passed over has none."""
-    said: dict[str, list[str]] = {}
-    for one in result.abouts:
-        if answer := " ".join(str(one["answer"]).split()):
-            said.setdefault(one["question"], []).append(answer)
-    return said
+    """Answers to the private questions; a question that was passed over has none."""
+    answers: dict[str, list[str]] = {}
+    for row in result.ratings.abouts:
+        if answer := " ".join(str(row["answer"]).split()):
+            answers.setdefault(row["question"], []).append(answer)
+    return answers
 
 
-def _numbers(said: Sequence[str]) -> list[float] | None:
-    """Return answers as numbers, or None where one is not."""
+def _numbers(answers: Sequence[str]) -> list[float] | None:
+    """Answers as numbers, or None where any is none."""
     try:
-        numbers = [float(one) for one in said]
+        numbers = [float(answer) for answer in answers]
     except ValueError:
         return None
-    return numbers if all(math.isfinite(one) for one in numbers) else None
+    return numbers if all(map(math.isfinite, numbers)) else None
 
 
 def _sd(numbers: Sequence[float]) -> float | None:
@@ -212,107 +179,104 @@ def _cell(value: Any) -> Any:
 
 @dataclass(frozen=True)
 class _Table:
-    """What people read: rows, the first of which is the head."""
+    """A table for people; its first row is the head."""
 
     title: str
-    rows: list[Sequence[str]]
+    rows: Sequence[Sequence[str]]
     note: str = ""
     folded: bool = False  # shown when asked for, where a page can
 
 
 def _tables(result: Result) -> list[_Table]:
-    document = result.document
-    several = len(result.textures) > 1
+    document, several = result.document, len(result.ratings.textures) > 1
     across = ", averaged across textures" if several else ""
-    means: list[Sequence[str]] = [("method", "mean", "SD", "95 % CI of the mean, not adjusted")]
-    for one in (one for one in document["means"] if one["texture"] is None):
-        from scipy import stats
-
-        half = stats.t.ppf(0.975, one["n"] - 1) * one["sd"] / one["n"] ** 0.5
-        ends = f"{one['mean'] - half:.2f} to {one['mean'] + half:.2f}"
-        means.append((one["method"], f"{one['mean']:.2f}", f"{one['sd']:.2f}", ends))
-    anova: list[Sequence[str]] = [
-        ("effect", "F", "df", "ε", "p (Greenhouse–Geisser)", "η² partial", "η² generalised", "Mauchly p")
-    ]
-    averaged = "method, averaged" if several else "method"
-    for name, effects in ((averaged, document["anova_one_way"]), ("", document["anova_two_way"])):
-        for one in effects:
-            df = f"{one['df'][0]:.0f}, {one['df'][1]:.0f}"
-            numbers = [
-                _short(one[key]) for key in ("epsilon", "p_corrected", "partial_eta2", "generalised_eta2", "mauchly_p")
-            ]
-            anova.append((name or one["name"], _short(one["f"]), df, *numbers))
-    tests, note = _lowest(document["pairs_overall"], "pairs.csv")
-    pairs: list[Sequence[str]] = [("pair", "difference", CI, "t", "p Bonferroni", "p Holm", "dz")]
-    for one in tests:
-        numbers = [_short(one[key]) for key in ("t", "p_bonferroni", "p_holm", "dz")]
-        pairs.append((_pair(one), f"{one['difference']:.2f}", _interval(one), *numbers))
-    found = [_Table("Ratings", means), _Table("Analyses of variance", anova), _Table(f"Pairs{across}", pairs, note)]
+    tables = [_means(document["means"]), _analyses_of_variance(document, several)]
+    overall = document["pairs_overall"]
+    columns = {"t": "t", "p_bonferroni": "p Bonferroni", "p_holm": "p Holm", "dz": "dz"}
+    tables.append(_tests(f"Pairs{across}", overall, columns, "pairs.csv", with_difference=True))
     if several:  # else they are those above
-        found += _within(document["pairs_within_textures"])
-    tests, note = _lowest(document["wilcoxon"], "results.json")
-    signed: list[Sequence[str]] = [("pair", "W", "p", "p Holm", "rank-biserial")]
-    for one in tests:
-        signed.append((_pair(one), *(_short(one[key]) for key in ("w", "p", "p_holm", "rank_biserial"))))
-    found.append(_Table(f"Wilcoxon's signed-rank tests{across}", signed, note))
+        tables += _within(document["pairs_within_textures"])
+    columns = {"w": "W", "p": "p", "p_holm": "p Holm", "rank_biserial": "rank-biserial"}
+    tables.append(_tests(f"Wilcoxon's signed-rank tests{across}", document["wilcoxon"], columns, "results.json"))
     model = document["mixed_model"]
     if model is not None:
         rows: list[Sequence[str]] = [("effect", "F", "df", "p")]
-        rows += [
-            (term["name"], _short(term["f"]), f"{term['df'][0]:.0f}, {term['df'][1]:.0f}", _short(term["p"]))
-            for term in model["terms"]
-        ]
-        found.append(_Table(f"Linear mixed model of all {model['n_ratings']} ratings", rows))
-    return [*found, *_agreement(document["reliability"])]
+        rows += [(term["name"], _short(term["f"]), _df(term), _short(term["p"])) for term in model["terms"]]
+        tables.append(_Table(f"Linear mixed model of all {model['n_ratings']} ratings", rows))
+    return [*tables, *_agreement(document["reliability"])]
+
+
+def _means(means: list[dict[str, Any]]) -> _Table:
+    from scipy import stats
+
+    rows: list[Sequence[str]] = [("method", "mean", "SD", "95 % CI of the mean, not adjusted")]
+    for of_method in means:
+        if of_method["texture"] is None:
+            n, mean, sd = of_method["n"], of_method["mean"], of_method["sd"]
+            half = stats.t.ppf(0.975, n - 1) * sd / n**0.5
+            rows.append((of_method["method"], f"{mean:.2f}", f"{sd:.2f}", f"{mean - half:.2f} to {mean + half:.2f}"))
+    return _Table("Ratings", rows)
+
+
+def _analyses_of_variance(document: dict[str, Any], several: bool) -> _Table:
+    columns = {"epsilon": "ε", "p_corrected": "p (Greenhouse–Geisser)", "partial_eta2": "η² partial"}
+    columns |= {"generalised_eta2": "η² generalised", "mauchly_p": "Mauchly p"}
+    rows: list[Sequence[str]] = [("effect", "F", "df", *columns.values())]
+    (one_way,) = document["anova_one_way"]
+    effects = [{**one_way, "name": "method, averaged" if several else "method"}, *document["anova_two_way"]]
+    for effect in effects:
+        rows.append((effect["name"], _short(effect["f"]), _df(effect), *(_short(effect[key]) for key in columns)))
+    return _Table("Analyses of variance", rows)
+
+
+def _tests(
+    title: str,
+    tests: list[dict[str, Any]],
+    columns: dict[str, str],
+    file: str,
+    with_difference: bool = False,
+    folded: bool = False,
+) -> _Table:
+    """Tests of pairs, those of the lowest p where they are too many, in their order."""
+    shown, note = tests, ""
+    if len(tests) > MAX_ROWS:
+        lowest = sorted(range(len(tests)), key=lambda k: 2.0 if tests[k]["p"] is None else tests[k]["p"])[:MAX_ROWS]
+        shown = [tests[k] for k in sorted(lowest)]
+        note = f"The {MAX_ROWS} lowest p of {len(tests)} pairs; {file} has all."
+    head = ("pair", *(("difference", CI) if with_difference else ()), *columns.values())
+    return _Table(title, [head, *(_test_cells(test, columns, with_difference) for test in shown)], note, folded)
+
+
+def _test_cells(test: dict[str, Any], columns: dict[str, str], with_difference: bool) -> list[str]:
+    interval = [f"{test['difference']:.2f}", " to ".join(map(_short, test["ci95"]))] if with_difference else []
+    return [" − ".join(test["pair"]), *interval, *(_short(test[key]) for key in columns)]
 
 
 def _within(tests_of: dict[str, list[dict[str, Any]]]) -> list[_Table]:
-    """Return the tests within textures: one table, or one for each texture where that has too many rows."""
-    head = ("pair", "difference", CI, "p Bonferroni", "p Holm", "dz")
-
-    def row(one: dict[str, Any]) -> tuple[str, ...]:
-        numbers = [_short(one[key]) for key in ("p_bonferroni", "p_holm", "dz")]
-        return _pair(one), f"{one['difference']:.2f}", _interval(one), *numbers
-
-    if sum(len(tests) for tests in tests_of.values()) <= MOST_ROWS:
-        rows = [(texture, *row(one)) for texture, tests in tests_of.items() for one in tests]
-        return [_Table("Tests within textures", [("texture", *head), *rows])]
-    found = []
-    for texture, tests in tests_of.items():
-        shown, note = _lowest(tests, "pairs.csv")
-        found.append(_Table(f"Tests within {texture}", [head, *(row(one) for one in shown)], note, folded=True))
-    return found
+    """Tests within textures: a single table, or a table for each texture where that has too many rows."""
+    columns = {"p_bonferroni": "p Bonferroni", "p_holm": "p Holm", "dz": "dz"}
+    if sum(len(tests) for tests in tests_of.values()) > MAX_ROWS:
+        options = (columns, "pairs.csv", True, True)
+        return [_tests(f"Tests within {texture}", tests, *options) for texture, tests in tests_of.items()]
+    rows = [[texture, *_test_cells(test, columns, True)] for texture, tests in tests_of.items() for test in tests]
+    return [_Table("Tests within textures", [("texture", "pair", "difference", CI, *columns.values()), *rows])]
 
 
 def _agreement(reliability: dict[str, Any]) -> list[_Table]:
-    """Return how far participants agree, and those who agree least with the others."""
+    """Agreement of participants, and those who agree worst with the others."""
     icc: list[Sequence[str]] = [("intraclass correlation", "value")]
-    icc += [("of one rater, ICC(2,1)", _short(reliability["icc_single"]))]
-    icc += [("of the mean of all, ICC(2,k)", _short(reliability["icc_mean"]))]
-    least_first = sorted(reliability["with_others"].items(), key=lambda one: -2.0 if one[1] is None else one[1])
-    many = len(least_first)
-    note = f"The lowest {MOST_ROWS} of {many}; results.json has all." if many > MOST_ROWS else ""
-    each = [(number, _short(r)) for number, r in least_first[:MOST_ROWS]]
-    return [
-        _Table("Reliability", icc),
-        _Table("Each participant's correlation with the others", [("participant", "correlation"), *each], note),
-    ]
+    icc.append(("of one rater, ICC(2,1)", _short(reliability["icc_single"])))
+    icc.append(("of the mean of all, ICC(2,k)", _short(reliability["icc_mean"])))
+    correlations = reliability["with_others"].items()
+    lowest_first = sorted(correlations, key=lambda item: -2.0 if item[1] is None else item[1])
+    n = len(lowest_first)
+    note = f"The lowest {MAX_ROWS} of {n}; results.json has all." if n > MAX_ROWS else ""
+    rows = [("participant", "correlation"), *((number, _short(r)) for number, r in lowest_first[:MAX_ROWS])]
+    return [_Table("Reliability", icc), _Table("Each participant's correlation with the others", rows, note)]
 
 
-def _lowest(tests: list[dict[str, Any]], file: str) -> tuple[list[dict[str, Any]], str]:
-    """Return tests that a table can show, in their order, and what is left out."""
-    if len(tests) <= MOST_ROWS:
-        return tests, ""
-    limit = sorted(range(len(tests)), key=lambda k: 2.0 if tests[k]["p"] is None else tests[k]["p"])[:MOST_ROWS]
-    return [tests[k] for k in sorted(limit)], f"The {MOST_ROWS} lowest p of {len(tests)} pairs; {file} has all."
-
-
-def _pair(one: dict[str, Any]) -> str:
-    return f"{one['pair'][0]} − {one['pair'][1]}"
-
-
-def _interval(one: dict[str, Any]) -> str:
-    return " to ".join(_short(end) for end in one["ci95"])
+def _df(effect: dict[str, Any]) -> str:
+    return f"{effect['df'][0]:.0f}, {effect['df'][1]:.0f}"
 
 
 def _short(value: float | None) -> str:
@@ -323,13 +287,13 @@ def _short(value: float | None) -> str:
 
 def _html(result: Result, svgs: dict[str, str]) -> str:
     esc = html.escape
-    parts = [f"<h1>{esc(result.title)}</h1>"]
-    if result.simulated:
+    parts = [f"<h1>{esc(result.ratings.title)}</h1>"]
+    if result.ratings.simulated:
         parts.append(f'<p class="mark">{esc(MARK)}</p>')
     parts += [
-        f'<p class="note">{esc(one)}</p>'
-        for one in result.cautions
-        if not (result.simulated and "model of raters" in one)
+        f'<p class="note">{esc(caution)}</p>'
+        for caution in result.cautions
+        if not (result.ratings.simulated and "model of raters" in caution)
     ]
     parts.append(f"<h2>Ratings by method and texture</h2><figure>{_inline(svgs['ratings'])}</figure>")
     parts.append("<h2>In words</h2>")
@@ -338,17 +302,16 @@ def _html(result: Result, svgs: dict[str, str]) -> str:
         parts.append(f"<h2>Participants</h2><p>{esc(paragraph)}</p>")
     tables = _tables(result)
     for table in tables:
-        if table.folded and table == next(one for one in tables if one.folded):
+        if table.folded and table == next(t for t in tables if t.folded):
             parts.append("<h2>Tests within textures</h2>")
         parts.append(_html_of(table))
     parts.append(f"<h2>Each texture</h2><figure>{_inline(svgs['textures'])}</figure>")
     parts.append("<p>ratings.csv beside this page holds every rating; dictionary.csv says what its columns mean.</p>")
     body = "\n".join(parts)
-    head = (
-        f'<meta charset="utf-8"><meta name="viewport" content="width=device-width"><title>{esc(result.title)}</title>'
-    )
-    whole = f'<html lang="en"><head>{head}<style>{STYLE}</style></head>\n<body><main>\n{body}\n</main></body></html>'
-    return f"<!doctype html>\n{whole}\n"
+    head = f'<meta charset="utf-8"><meta name="viewport" content="width=device-width"><title>{esc(result.ratings.title)}</title>'
+    style = STYLE.read_text(encoding="utf-8")
+    page = f'<html lang="en"><head>{head}<style>{style}</style></head>\n<body><main>\n{body}\n</main></body></html>'
+    return f"<!doctype html>\n{page}\n"
 
 
 def _inline(svg: str) -> str:
@@ -369,10 +332,10 @@ def _html_table(rows: Sequence[Sequence[str]]) -> str:
 
 
 def _markdown(result: Result) -> str:
-    parts = [f"# {result.title}"]
-    if result.simulated:
+    parts = [f"# {result.ratings.title}"]
+    if result.ratings.simulated:
         parts.append(f"**{MARK}**")
-    parts += [f"> {one}" for one in result.cautions]
+    parts += [f"> {caution}" for caution in result.cautions]
     parts += ["![Ratings by method and texture](ratings.png)", *result.sentences]
     if paragraph := _participants_paragraph(result):
         parts += ["## Participants", html.escape(paragraph, quote=False)]  # Markdown lets HTML through
@@ -382,9 +345,7 @@ def _markdown(result: Result) -> str:
         parts.append("\n".join("| " + " | ".join(line) + " |" for line in lines))
     within: list[str] = []
     for texture, tests in result.document["pairs_within_textures"].items():
-        marked = [
-            f"{one['pair'][0]} − {one['pair'][1]} {one['difference']:+.1f}{stars(one['p_holm'])}" for one in tests
-        ]
+        marked = [f"{' − '.join(test['pair'])} {test['difference']:+.1f}{stars(test['p_holm'])}" for test in tests]
         within.append(f"- {texture}: {', '.join(marked)}")
     parts += ["## Within textures (Holm)", "\n".join(within), "![Each texture](textures.png)"]
     return "\n\n".join(parts) + "\n"

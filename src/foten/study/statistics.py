@@ -1,7 +1,7 @@
 """Repeated-measures statistics of ratings: arrays in, numbers out; they know nothing of a server or a file.
 
-Ratings are arrays y of shape (n, a) or (n, a, b): participants, methods, textures. Leading axes before those are studies, done at
-once. Where every value is the same, what cannot be computed is NaN.
+Ratings are arrays y of shape (n, a) or (n, a, b): participants, methods, textures. Leading axes before those are studies.
+What cannot be computed, where every value is the same, is NaN.
 
 Sources: Greenhouse & Geisser, Psychometrika 24, 95 (1959), for ε; Mauchly, Annals of Mathematical Statistics 11, 204 (1940);
 Olejnik & Algina, Psychological Methods 8, 434 (2003), for generalised η²; Holm, Scandinavian Journal of Statistics 6, 65 (1979);
@@ -38,13 +38,13 @@ class Effect:
 
 
 def contrasts(k: int) -> Array:
-    """Return orthonormal contrasts of k conditions, shape (k, k − 1)."""
+    """Orthonormal contrasts of k conditions, shape (k, k − 1)."""
     q, _ = np.linalg.qr(np.concatenate([np.ones((k, 1)), np.eye(k)[:, :-1]], axis=1))
     return np.asarray(q[:, 1:])
 
 
 def anova(y: Array, names: Sequence[str] = ("method", "texture")) -> list[Effect]:
-    """Return the repeated-measures analysis of variance of complete ratings.
+    """Repeated-measures analysis of variance of complete ratings.
 
     One factor: y of shape (…, n, a) with one name. Two factors: (…, n, a, b), both main effects and their interaction.
 
@@ -60,20 +60,20 @@ def anova(y: Array, names: Sequence[str] = ("method", "texture")) -> list[Effect
     if not np.isfinite(y).all():
         raise ValueError("a rating is missing: an analysis of variance needs all of a participant's")
     flat = y.reshape(*y.shape[:-2], a * b)
-    one = [np.full((k, 1), k**-0.5) for k in (a, b)]
-    spaces = {names[0]: np.kron(contrasts(a), one[1])}
+    means = [np.full((k, 1), k**-0.5) for k in (a, b)]
+    spaces = {names[0]: np.kron(contrasts(a), means[1])}
     if len(names) == 2:
-        spaces[names[1]] = np.kron(one[0], contrasts(b))
+        spaces[names[1]] = np.kron(means[0], contrasts(b))
         spaces[f"{names[0]} × {names[1]}"] = np.kron(contrasts(a), contrasts(b))
-    subjects = flat @ np.kron(*one)
+    subjects = flat @ np.kron(*means)
     others = ((subjects - subjects.mean(-2, keepdims=True)) ** 2).sum((-2, -1))
     parts = {name: _parts(flat @ space) for name, space in spaces.items()}
     noise = others + sum(error for _, error, _ in parts.values())
-    return [_effect(name, n, *found, noise) for name, found in parts.items()]
+    return [_effect(name, n, *part, noise) for name, part in parts.items()]
 
 
 def _parts(scores: Array) -> tuple[Array, Array, Array]:
-    """Return the sums of squares of an effect and its error, and the covariance of its scores (…, n, d)."""
+    """Sums of squares of an effect and its error, and the covariance of its scores (…, n, d)."""
     n = scores.shape[-2]
     mean = scores.mean(-2, keepdims=True)
     deviations = scores - mean
@@ -105,7 +105,7 @@ def _effect(name: str, n: int, effect: Array, error: Array, covariance: Array, n
 
 
 def _mauchly(covariance: Array, n: int) -> Array:
-    """Return p of Mauchly's test of sphericity, with the second term of its expansion.
+    """p of Mauchly's test of sphericity, with the second term of its expansion.
 
     R 4.2's `mauchly.test` has the number of conditions in one place of that term where the number of contrasts belongs, which
     moves p by less than a hundredth where it is above 0.03.
@@ -127,7 +127,7 @@ def _mauchly(covariance: Array, n: int) -> Array:
 
 
 def holm(p: Array) -> Array:
-    """Return p values adjusted by Holm's method along the last axis."""
+    """p values adjusted by Holm's method along the last axis."""
     p = np.asarray(p, dtype=np.float64)
     m = p.shape[-1]
     order = np.argsort(p, axis=-1)
@@ -138,13 +138,13 @@ def holm(p: Array) -> Array:
 
 
 def bonferroni(p: Array) -> Array:
-    """Return p values adjusted by their number along the last axis."""
+    """p values adjusted by their number along the last axis."""
     p = np.asarray(p, dtype=np.float64)
     return np.minimum(p * p.shape[-1], 1.0)
 
 
 def pairs(k: int, reference: int | None = None) -> list[tuple[int, int]]:
-    """Return all pairs of k conditions, or those of one reference with each other one, the reference first."""
+    """All pairs of k conditions, or those of a reference with each other condition, the reference first."""
     if reference is None:
         return list(combinations(range(k), 2))
     return [(reference, other) for other in range(k) if other != reference]
@@ -168,11 +168,11 @@ class Paired:
 
 
 def paired_tests(y: Array, reference: int | None = None, confidence: float = 0.95) -> Paired:
-    """Return paired t-tests of conditions y (…, n, a): a family for Bonferroni and Holm.
+    """Paired t-tests of conditions y (…, n, a): a family for Bonferroni and Holm.
 
     Args:
         y: complete ratings.
-        reference: compares all with this one alone; None for all pairs.
+        reference: compares all others with this condition; None for all pairs.
         confidence: of the intervals, which are not adjusted.
     """
     from scipy import stats
@@ -203,14 +203,13 @@ class Friedman:
 
 
 def friedman(y: Array) -> Friedman:
-    """Return Friedman's test of conditions y (n, a), corrected for ties."""
+    """Friedman's test of conditions y (n, a), corrected for ties."""
     from scipy import stats
 
     n, a = y.shape
     ranks = stats.rankdata(y, axis=1)
-    ties = sum(
-        float((counts**3 - counts).sum()) for counts in (np.unique(row, return_counts=True)[1] for row in np.asarray(y))
-    )
+    counts = np.concatenate([np.unique(row, return_counts=True)[1] for row in y])
+    ties = float((counts**3 - counts).sum())
     spread = float(((ranks.mean(0) - (a + 1) / 2) ** 2).sum())
     correction = 1 - ties / (n * (a**3 - a))
     if correction <= 0:
@@ -220,7 +219,7 @@ def friedman(y: Array) -> Friedman:
 
 
 @dataclass(frozen=True)
-class Signed:
+class SignedRank:
     """Wilcoxon's signed-rank tests of pairs."""
 
     pairs: list[tuple[int, int]]
@@ -230,8 +229,11 @@ class Signed:
     rank_biserial: Array  # −1 … 1
 
 
-def wilcoxon_tests(y: Array, reference: int | None = None) -> Signed:
-    """Return signed-rank tests of conditions y (n, a), adjusted by Holm's method; p is 1 where nothing differs."""
+def wilcoxon_tests(y: Array, reference: int | None = None) -> SignedRank:
+    """Signed-rank tests of conditions y (n, a), adjusted by Holm's method; p is 1 where nothing differs.
+
+    Zero differences are left out; equal ones share the mean of their ranks.
+    """
     from scipy import stats
 
     family = pairs(y.shape[1], reference)
@@ -249,25 +251,25 @@ def wilcoxon_tests(y: Array, reference: int | None = None) -> Signed:
         w.append(min(up, down))
         p.append(float(stats.wilcoxon(d).pvalue))
         r.append((up - down) / (up + down))
-    return Signed(family, np.array(w), np.array(p), holm(np.array(p)), np.array(r))
+    return SignedRank(family, np.array(w), np.array(p), holm(np.array(p)), np.array(r))
 
 
 @dataclass(frozen=True)
 class Reliability:
-    """How far participants agree."""
+    """Agreement of participants."""
 
-    with_others: Array  # (n,): the correlation of each one's ratings with the mean of the others'
-    single: float  # intraclass correlation of one rater, ICC(2,1)
+    with_others: Array  # (n,): correlation of a participant's ratings with the mean of the others'
+    single: float  # intraclass correlation of a single rater, ICC(2,1)
     mean: float  # of the mean of all, ICC(2,k)
 
 
 def reliability(y: Array) -> Reliability:
-    """Return how reliable ratings y (n, conditions) are; NaN where a participant gave one value to all."""
+    """Reliability of ratings y (n, conditions); NaN where a participant rated all the same."""
     n, k = y.shape
     others = (y.sum(0) - y) / (n - 1)
     with np.errstate(divide="ignore", invalid="ignore"):
-        one, other = (v - v.mean(1, keepdims=True) for v in (y, others))
-        r = (one * other).sum(1) / np.sqrt((one**2).sum(1) * (other**2).sum(1))
+        a, b = (v - v.mean(1, keepdims=True) for v in (y, others))
+        r = (a * b).sum(1) / np.sqrt((a**2).sum(1) * (b**2).sum(1))
         between_targets = n * ((y.mean(0) - y.mean()) ** 2).sum() / (k - 1)
         between_raters = k * ((y.mean(1) - y.mean()) ** 2).sum() / (n - 1)
         left = y - y.mean(0) - y.mean(1)[:, None] + y.mean()
@@ -278,7 +280,7 @@ def reliability(y: Array) -> Reliability:
 
 
 @dataclass(frozen=True)
-class Mixed:
+class MixedModel:
     """A linear mixed model of ratings, for those that are not complete."""
 
     terms: list[tuple[str, float, int, float, float]]  # name, F, and its two degrees of freedom, p
@@ -289,9 +291,9 @@ class Mixed:
     converged: bool
 
 
-def mixed_model(participant: Index, method: Index, texture: Index, rating: Array) -> Mixed:
-    """Return a linear mixed model of ratings in long form, shapes (rows,): method × texture fixed, and by participant a random
-    intercept, a random effect of each method and of each texture; fitted by REML.
+def mixed_model(participant: Index, method: Index, texture: Index, rating: Array) -> MixedModel:
+    """Linear mixed model of ratings in long form, shapes (rows,): method × texture fixed, and by participant a random intercept,
+    a random effect of each method and of each texture; fitted by REML.
 
     F is Wald's over its degrees of freedom; those of the denominator are of the stratum in which an effect lies, as in an
     analysis of variance, so that complete ratings give the same F.
@@ -343,7 +345,7 @@ def mixed_model(participant: Index, method: Index, texture: Index, rating: Array
         f = wald / width
         terms.append((name, f, width, df2, float(stats.f.sf(f, width, df2))))
     variances = dict(zip(parts, np.asarray(fitted.vcomp), strict=False))
-    return Mixed(
+    return MixedModel(
         terms,
         float(np.sqrt(max(0.0, np.asarray(fitted.cov_re)[0, 0]))) if np.size(fitted.cov_re) else 0.0,
         float(np.sqrt(variances.get("methods", 0.0))),
@@ -354,7 +356,7 @@ def mixed_model(participant: Index, method: Index, texture: Index, rating: Array
 
 
 def _components(frame: Any, parts: dict[str, str]) -> Any:
-    """Return the random effects beside the intercept, as statsmodels takes them."""
+    """Random effects beside the intercept, as statsmodels takes them."""
     from statsmodels.regression.mixed_linear_model import VCSpec
 
     names, columns, matrices = [], [], []

@@ -200,7 +200,7 @@ def calibrate_level(loop: ClosedLoop, excitation: Excitation, seed: int) -> tupl
     return excitation, errors
 
 
-def _adjusted(sigma: Scale, step: Array, within: Array) -> Scale:
+def _adjusted(sigma: Scale, step: NDArray[np.floating], within: Array) -> Scale:
     """σ with a step (6,) added to the constant and the exponents of its logarithm, bounded over conditions (n, 2) scaled."""
     parts = {"out_bias": sigma.out_bias + step[:1], "exponents": sigma.exponents + step[1:]}
     moved = Scale(**{**vars(sigma), **parts}).bounded(within)

@@ -12,7 +12,7 @@ from foten.models.model_sizes import ModelSizes
 from foten.models.texture_file import Texture
 from foten.recording.preprocess import PreprocessConfig, preprocess
 from foten.recording.recording import Recording
-from foten.recording.split import FEWEST_BLOCKS, Split, split_blocks
+from foten.recording.split import MIN_BLOCKS, Split, split_blocks
 from foten.recording.trace import Trace
 from foten.training.blocks import ScaledBlocks, scaled_blocks
 from foten.training.config import UNUSED, TrainConfig
@@ -39,7 +39,7 @@ class TrainingJob:
         Raises:
             ValueError: it does not fit the configuration; the message names the option.
         """
-        trace = preprocess(self.recording, self.preprocess, FEWEST_BLOCKS)
+        trace = preprocess(self.recording, self.preprocess, MIN_BLOCKS)
         return scaled_blocks(trace, split_blocks(trace, self.split_method, self.split_seed))
 
     def card(self, blocks: ScaledBlocks, device: str) -> dict[str, Any]:

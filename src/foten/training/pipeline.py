@@ -2,23 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
+from importlib import import_module
 
-from foten.baselines import fit as baseline
 from foten.baselines.sizes import BASELINES
-from foten.models.foten import fit as foten
-from foten.models.foten_plus import fit as foten_plus
-from foten.models.piecewise_ar import fit as piecewise_ar
 from foten.training.job import Trained, TrainingJob
 from foten.training.loop import Monitor, reproducible
 
-FITS: Mapping[str, Callable[[TrainingJob, Monitor], Trained]] = {
-    "foten-plus": foten_plus.fit,
-    "foten": foten.fit,
-    "ten": foten.fit,
-    "ar": piecewise_ar.fit,
-    **dict.fromkeys(BASELINES, baseline.fit),
+FITS: Mapping[str, str] = {
+    "foten-plus": "foten.models.foten_plus.fit",
+    "foten": "foten.models.foten.fit",
+    "ten": "foten.models.foten.fit",
+    "ar": "foten.models.piecewise_ar.fit",
+    **dict.fromkeys(BASELINES, "foten.baselines.fit"),
 }
+"""Module of each model's `fit(job, monitor) -> Trained`; imported when asked, so that a result depends on its own model alone."""
 
 
 def train(job: TrainingJob, monitor: Monitor | None = None) -> Trained:
@@ -28,4 +26,5 @@ def train(job: TrainingJob, monitor: Monitor | None = None) -> Trained:
         ValueError: the recording does not fit the configuration; the message names the option.
     """
     with reproducible():
-        return FITS[job.model](job, monitor or Monitor())
+        trained: Trained = import_module(FITS[job.model]).fit(job, monitor or Monitor())
+        return trained

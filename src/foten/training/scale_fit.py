@@ -22,8 +22,8 @@ MAX_ITERATIONS = 60
 def fit_scale(width: int, condition: Array, residual: Array, n_train: int, scaling: Scaling, seed: int) -> Scale:
     """The scale of a vibration or of residuals over speed and force, by Gaussian maximum likelihood.
 
-    The shape of log σ is fitted on the training samples; how much of it is taken, from none to all, is chosen by the likelihood of
-    the validation samples: in a recording of two seconds the differences between blocks are mostly chance.
+    The shape of log σ is fitted on the training samples; how much of it is taken, from none to all, is chosen by the likelihood
+    of the validation samples: in a recording of two seconds the differences between blocks are mostly chance.
 
     Args:
         condition: speed and force that go with each residual, scaled, the training, then the validation samples, (n, 2).

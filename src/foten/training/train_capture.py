@@ -28,7 +28,7 @@ from foten.datasets.options import ImportOptions
 from foten.dsp.perception import smallest_rate
 from foten.models.foten_plus.sizes import FotenPlusSizes
 from foten.models.texture_file import Texture, write_texture
-from foten.recording.captured import ABOUT, PEN, SOUND, About, file_name
+from foten.recording.capture_folder import ABOUT, PEN, SOUND, About, file_name
 from foten.recording.inspection import inspect_recording
 from foten.recording.inspection.values import counted
 from foten.recording.preprocess import SHORT_BLOCKS_MS, PreprocessConfig

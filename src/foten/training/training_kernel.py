@@ -1,4 +1,4 @@
-"""Training's part of the kernel in C, bound with ctypes: a recurrent unit over chunks, and roll-outs. `native/training`.
+"""Training's library in C, bound with ctypes: a recurrent unit over chunks, and roll-outs. `native/training`.
 
 Both are loops of small matrices over hundreds of samples, which PyTorch runs one small operation at a time. A step of likelihood,
 its head included, takes 0.4 of the time that it takes there (`benchmarks/random_part.py`).
@@ -7,7 +7,7 @@ its head included, takes 0.4 of the time that it takes there (`benchmarks/random
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from ctypes import Structure, byref, c_double, c_float, c_int, c_void_p
+from ctypes import CDLL, Structure, byref, c_double, c_float, c_int, c_void_p
 from functools import cache
 from typing import Any
 
@@ -16,8 +16,9 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from foten.runtime.binding import isa, library
+from foten.runtime.binding import isa, kernel_file
 
+LIBRARIES = ("libfoten_training.so", "libfoten_training.dylib", "libfoten_training.dll")
 Floats = NDArray[np.float32]
 PADDED = 16  # numbers that rows are padded to a multiple of
 GATES = 3
@@ -87,8 +88,18 @@ def run_in_c(name: str, *arguments: Any) -> None:
 
 
 @cache
+def training_library() -> CDLL:
+    """Training's library, as it was built with this package.
+
+    Raises:
+        OSError: there is none, or it does not load.
+    """
+    return CDLL(str(kernel_file(*LIBRARIES)))
+
+
+@cache
 def _function(name: str) -> Callable[..., int]:
-    function: Callable[..., int] = getattr(library(), f"{name}_{isa()}")
+    function: Callable[..., int] = getattr(training_library(), f"{name}_{isa()}")
     return function
 
 

@@ -9,30 +9,34 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from foten.dsp import Array
-from foten.dsp.distance import LOWEST_HZ, highest_scored, highest_with_power
+from foten.dsp.distance import MIN_SCORED_HZ, highest_with_power, max_scored_hz
 from foten.dsp.level import FRAME_MS, frame_levels
 from foten.evaluate.evaluate import Judgement
 from foten.evaluate.metrics import band_edges, band_errors
 from foten.evaluate.report import signals
-from foten.evaluate.report.drawing import COLOURS, INK, STYLES, add_legend, log_hertz, new_figure, style_colorbar
 from foten.evaluate.report.signals import LABELS, scored_hand, scored_runs, shown_blocks, shown_run
 from foten.models.texture_file import Texture
+from foten.reporting.figure import BLUE, GREEN, MAUVE, ORANGE, PAGE, add_colour_bar, add_legend, log_hertz, new_figure
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-
+INK = PAGE.ink
+COLOURS = {"recorded": INK, "free_run": BLUE, "free_run_deterministic": ORANGE, "free_run_ar": GREEN, "ceiling": MAUVE}
+STYLES = {"free_run_deterministic": (0, (4, 2)), "free_run_ar": (0, (6, 1.5, 1.5, 1.5)), "ceiling": (0, (1.5, 1.5))}
 _SPECTROGRAM_MS = 64.0  # of a spectrogram's window: a texture's level changes within a few frames of 40 ms
 _SPECTROGRAM_COLUMNS = 700
 _SPECTROGRAM_DB = 50.0  # of the colour scale, down from the loudest recorded cell
 
 
 def waveform(judgement: Judgement) -> Figure:
-    """Return the first 400 scored samples of the typical block: recorded, the texture's run, AR(20); one scale."""
+    """First 400 scored samples of the typical block: recorded, the texture's run, AR(20); one scale."""
     runs, block = scored_runs(judgement), signals.typical_block(judgement)
     names = [name for name in ("recorded", shown_run(judgement), "free_run_ar") if name in runs]
     rows = {name: runs[name][0, block, : signals.N_WAVEFORM] for name in names}
-    figure, panels = new_figure(9.6, 0.55 + 1.15 * len(rows), nrows=len(rows), sharex=True, sharey=True, squeeze=False)
+    figure, panels = new_figure(
+        9.6, 0.55 + 1.15 * len(rows), PAGE, nrows=len(rows), sharex=True, sharey=True, squeeze=False
+    )
     times = np.arange(len(rows["recorded"])) / judgement.trace.rate_hz * 1000
     for axes, (name, samples) in zip(panels[:, 0], rows.items(), strict=True):
         axes.plot(times, samples, color=COLOURS[name], linewidth=1.0)
@@ -47,15 +51,15 @@ def waveform(judgement: Judgement) -> Figure:
 
 
 def spectrum(judgement: Judgement) -> Figure:
-    """Return the pooled power spectral densities [dB re 1 (m/s²)²/Hz] of every run over log frequency, up to half the rate."""
+    """Pooled power spectral densities [dB re 1 (m/s²)²/Hz] of every run over log frequency, up to half the rate."""
     frequencies, pooled = signals.densities(judgement, unscored=True)
     rate_hz = judgement.trace.rate_hz
     in_db = {name: 10 * np.log10(np.maximum(density, 1e-30)) for name, density in pooled.items()}
-    figure, axes = new_figure(9.6, 3.7)
+    figure, axes = new_figure(9.6, 3.7, PAGE)
     top = max(float(line.max()) for line in in_db.values())
     lowest = min(float(line.min()) for name, line in in_db.items() if name != "free_run_deterministic")
     # Neither a silent run nor what a low-pass left above the scored range may flatten the others.
-    scored = float(in_db["recorded"][frequencies <= highest_scored(rate_hz)].min())
+    scored = float(in_db["recorded"][frequencies <= max_scored_hz(rate_hz)].min())
     bottom = max(lowest, min(float(in_db["recorded"].min()) - 20, scored - 20), scored - 40) - 4
     for name, line in in_db.items():
         style = {
@@ -67,18 +71,18 @@ def spectrum(judgement: Judgement) -> Figure:
         hidden = " (below the axis)" if line.max() < bottom else ""
         axes.plot(frequencies, line, color=COLOURS[name], markersize=3, label=LABELS[name] + hidden, **style)
     axes.set_ylim(bottom, top + 3)
-    log_hertz(axes, LOWEST_HZ, rate_hz / 2)
-    _shade_unscored(axes, highest_scored(rate_hz), rate_hz / 2)
+    log_hertz(axes, MIN_SCORED_HZ, rate_hz / 2, PAGE)
+    _shade_unscored(axes, max_scored_hz(rate_hz), rate_hz / 2)
     axes.set(
         xlabel=_up_to_half("frequency [Hz]", rate_hz), ylabel=f"density [dB re 1 ({judgement.document['unit']})²/Hz]"
     )
-    add_legend(axes, fontsize=9)
+    add_legend(axes, PAGE, fontsize=9)
     return figure
 
 
 def _up_to_half(label: str, rate_hz: float) -> str:
-    """Return an axis label that says up to where is drawn, and scored."""
-    return f"{label}, up to half the rate; scored from {LOWEST_HZ:g} to {highest_scored(rate_hz):g} Hz"
+    """Axis label that says up to where is drawn, and scored."""
+    return f"{label}, up to half the rate; scored from {MIN_SCORED_HZ:g} to {max_scored_hz(rate_hz):g} Hz"
 
 
 def _shade_unscored(axes: Any, first: float, last: float) -> None:
@@ -87,7 +91,7 @@ def _shade_unscored(axes: Any, first: float, last: float) -> None:
 
 
 def bands(judgement: Judgement) -> Figure | None:
-    """Return the energy error of the nine bands, and above them of as wide ones up to half the rate, which are not scored.
+    """Energy error of the nine bands, and above them of as wide ones up to half the rate, which are not scored.
 
     For the texture's run, AR(20) and the ceiling; None without any.
     """
@@ -103,7 +107,7 @@ def bands(judgement: Judgement) -> Figure | None:
     for name, errors in shown.items():
         p, q = (pooled[which][above] for which in ("recorded", name))
         shown[name] = [*errors, *band_errors(p, q, frequencies[above], beyond)]
-    figure, axes = new_figure(4.9, 3.4)
+    figure, axes = new_figure(4.9, 3.4, PAGE)
     width = 0.8 / len(shown)
     for k, (name, errors) in enumerate(shown.items()):
         known = [i for i, error in enumerate(errors) if error is not None]
@@ -122,23 +126,23 @@ def bands(judgement: Judgement) -> Figure | None:
     low, high = axes.get_ylim()
     axes.set(xlabel=f"band edges [Hz]; scored from {edges[0]:g} to {edges[-1]:g} Hz", ylabel="energy error [dB]")
     axes.set(xlim=(-0.55, len(every) - 1.45), ylim=(low, high + 0.16 * (high - low)))
-    add_legend(axes, ncols=3, loc="upper center", columnspacing=1.2)
+    add_legend(axes, PAGE, ncols=3, loc="upper center", columnspacing=1.2)
     return figure
 
 
 def _edges_beyond(edges: Array, highest_hz: float) -> Array:
-    """Return the edges of further bands of about the same ratio [Hz], from the last edge; that alone where none fits."""
+    """Edges of further bands of about the same ratio [Hz], from the last edge; that alone where none fits."""
     n = round(math.log(highest_hz / edges[-1]) / math.log(edges[1] / edges[0]))
     return np.geomspace(edges[-1], highest_hz, n + 1) if n else edges[-1:]
 
 
 def conditions(judgement: Judgement, texture: Texture) -> Figure | None:
-    """Return the judged blocks at their speed and force, coloured by level error; None without a run."""
+    """Judged blocks at their speed and force, coloured by level error; None without a run."""
     name = shown_run(judgement)
     if name is None:
         return None
     errors = signals.level_errors(judgement, name)
-    figure, axes = new_figure(4.9, 3.4)
+    figure, axes = new_figure(4.9, 3.4, PAGE)
     if judgement.document["split"] != "foreign":
         _, *hand = judgement.trace.picked(texture.card["split"]["train"])
         means = (channel.mean(axis=1) for channel in hand)
@@ -147,18 +151,18 @@ def conditions(judgement: Judgement, texture: Texture) -> Figure | None:
     colours = {"c": errors, "cmap": "RdBu_r", "vmin": -limit, "vmax": limit, "edgecolors": INK}
     means = (channel.mean(axis=1) for channel in scored_hand(judgement))
     points = axes.scatter(*means, s=52, linewidths=0.8, zorder=3, label="judged", **colours)
-    (low, high), (least, most) = (texture.trained_range(channel) for channel in ("speed", "force"))
-    corners = [low, high, high, low, low], [least, least, most, most, least]
+    (slow, fast), (light, heavy) = (texture.trained_range(channel) for channel in ("speed", "force"))
+    corners = [slow, fast, fast, slow, slow], [light, light, heavy, heavy, light]
     axes.plot(*corners, color=INK, alpha=0.6, linewidth=0.8, linestyle=(0, (4, 3)), label="trained range")
-    style_colorbar(figure.colorbar(points, ax=axes, pad=0.02, aspect=28), "level error [dB]")
+    add_colour_bar(figure, points, "level error [dB]", PAGE, ax=axes, pad=0.02, aspect=28)
     axes.set(xlabel="mean speed [mm/s]", ylabel="mean force [N]")
     axes.margins(0.08, 0.12)
-    add_legend(axes, ncols=3, loc="lower center", bbox_to_anchor=(0.5, 1.0), columnspacing=1.2)
+    add_legend(axes, PAGE, ncols=3, loc="lower center", bbox_to_anchor=(0.5, 1.0), columnspacing=1.2)
     return figure
 
 
 def over_time(judgement: Judgement) -> Figure:
-    """Return spectrograms, level, speed and force of the scored blocks, joined on one time axis."""
+    """Spectrograms, level, speed and force of the scored blocks, joined on one time axis."""
     which, rate_hz, name = shown_blocks(judgement), judgement.trace.rate_hz, shown_run(judgement)
     every = scored_runs(judgement)
     runs = {key: run[:, which] for key, run in every.items()}
@@ -167,12 +171,12 @@ def over_time(judgement: Judgement) -> Figure:
     pictured = {key: runs[key][0] for key in ("recorded", name) if key in runs}
     n = len(pictured)
     ratios = [1.45] * n + [1.5, 0.75, 0.75]
-    figure, panels = new_figure(9.6, 1.6 * n + 4.0, nrows=n + 3, sharex=True, height_ratios=ratios)
+    figure, panels = new_figure(9.6, 1.6 * n + 4.0, PAGE, nrows=n + 3, sharex=True, height_ratios=ratios)
     frequencies, pooled = signals.densities(judgement, unscored=True)
     highest_hz = max(highest_with_power(frequencies, pooled[key], rate_hz) for key in pictured)
     _draw_spectrograms(panels[:n], pictured, rate_hz, borders, highest_hz)
-    bar = figure.colorbar(panels[0].images[0], ax=list(panels[:n]), pad=0.01, aspect=15 * n)
-    style_colorbar(bar, f"dB re 1 ({judgement.document['unit']})²/Hz")
+    label, beside = f"dB re 1 ({judgement.document['unit']})²/Hz", list(panels[:n])
+    add_colour_bar(figure, panels[0].images[0], label, PAGE, ax=beside, pad=0.01, aspect=15 * n)
     lines = {key: runs[key] for key in ("recorded", name, "free_run_ar") if key in runs}
     _draw_levels(panels[n], lines, rate_hz, borders, float(np.sqrt(np.square(every["recorded"]).mean())))
     times = _with_gaps(borders[:-1, None] + np.arange(runs["recorded"].shape[2]) / rate_hz)
@@ -226,11 +230,11 @@ def _draw_levels(axes: Any, runs: Mapping[str, Array], rate_hz: float, borders: 
             low, high = levels.min(axis=0), levels.max(axis=0)
             axes.fill_between(times, low, high, color=COLOURS[key], alpha=0.22, linewidth=0)
     axes.set_ylabel("level\n[dB re recorded]")
-    add_legend(axes, ncols=len(runs), loc="lower right", bbox_to_anchor=(1.0, 0.98), borderaxespad=0)
+    add_legend(axes, PAGE, ncols=len(runs), loc="lower right", bbox_to_anchor=(1.0, 0.98), borderaxespad=0)
 
 
 def _spectrogram(blocks: Array, rate_hz: float, highest_hz: float) -> tuple[tuple[float, float], Array]:
-    """Return the lowest and highest edge [Hz] and the density [dB], shape (k, time), of joined blocks (n_blocks, n)."""
+    """Lowest and highest edge [Hz] and the density [dB], shape (k, time), of joined blocks (n_blocks, n)."""
     from scipy import signal
 
     n = blocks.shape[1]
@@ -242,12 +246,12 @@ def _spectrogram(blocks: Array, rate_hz: float, highest_hz: float) -> tuple[tupl
     taper = signal.get_window("hann", n_segment)
     density = np.square(np.abs(np.fft.rfft(windows * taper, axis=-1))) * 2 / (rate_hz * np.square(taper).sum())
     frequencies = np.fft.rfftfreq(n_segment, 1 / rate_hz)
-    kept = frequencies <= highest_hz
-    decibels = 10 * np.log10(np.maximum(density[..., kept], 1e-30)).reshape(-1, int(kept.sum())).T
+    shown = frequencies <= highest_hz
+    decibels = 10 * np.log10(np.maximum(density[..., shown], 1e-30)).reshape(-1, int(shown.sum())).T
     half = frequencies[1] / 2
-    return (-half, float(frequencies[kept][-1]) + half), decibels
+    return (-half, float(frequencies[shown][-1]) + half), decibels
 
 
 def _with_gaps(blocks: Array) -> Array:
-    """Return blocks (n_blocks, n) in one row with a NaN after each, which interrupts a drawn line."""
+    """Blocks (n_blocks, n) in one row with a NaN after each, which interrupts a drawn line."""
     return np.pad(blocks, ((0, 0), (0, 1)), constant_values=np.nan).ravel()

@@ -12,11 +12,12 @@ from typing import TYPE_CHECKING, Any
 from foten.atomic_write import atomic_write
 from foten.evaluate.evaluate import Judgement
 from foten.evaluate.report import figures, signals
-from foten.evaluate.report.drawing import inline_svg
 from foten.evaluate.report.signals import LABELS, shown_blocks, shown_run
 from foten.evaluate.report.tables import free_run_section, one_step_section
 from foten.evaluate.report.verdict import cautions, reason, verdict
 from foten.models.texture_file import Texture
+from foten.reporting.figure import inline_svg
+from foten.untrusted import LONGEST_TEXT, shown
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -36,9 +37,9 @@ def write_report(judgement: Judgement, texture: Texture, directory: Path) -> Pat
 
 
 def page(judgement: Judgement, texture: Texture) -> str:
-    """Return the report as HTML."""
+    """Report as HTML."""
     document = judgement.document
-    name = document["texture"] or "unnamed texture"
+    name = shown(document["texture"], LONGEST_TEXT) or "unnamed texture"
     sections = [
         _header(document, texture, name),
         _verdict_section(document),
@@ -79,7 +80,9 @@ def _header(document: Mapping[str, Any], texture: Texture, name: str) -> str:
         "texture file": document["texture_sha256"][:10],
         "recording": document["recording_sha256"][:10],
     }
-    items = "".join(f"<div><dt>{key}</dt><dd>{html.escape(str(value))}</dd></div>" for key, value in facts.items())
+    items = "".join(
+        f"<div><dt>{key}</dt><dd>{html.escape(shown(str(value)))}</dd></div>" for key, value in facts.items()
+    )
     return f"<header><p class=kicker>foten evaluate</p><h1>{html.escape(name)}</h1><dl>{items}</dl></header>"
 
 

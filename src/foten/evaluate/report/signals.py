@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from foten.dsp import Array
-from foten.dsp.distance import LOWEST_HZ, scored_bins, segment_length, welch
+from foten.dsp.distance import MIN_SCORED_HZ, scored_bins, segment_length, welch
 from foten.dsp.level import frame_levels
 from foten.dsp.resample import decimate, interpolate
 from foten.evaluate.evaluate import Judgement
@@ -33,38 +33,38 @@ LABELS = {
 
 
 def shown_run(judgement: Judgement) -> str | None:
-    """Return the key of the run that stands for the texture: with excitation where there is one; None without any."""
+    """Key of the run that stands for the texture: with excitation where there is one; None without any."""
     return next((name for name in ("free_run", "free_run_deterministic") if name in judgement.synthesized), None)
 
 
 def scored_runs(judgement: Judgement) -> dict[str, Array]:
-    """Return the scored samples of `recorded` and of each run [m/s²], (n_seeds, n_blocks, n), in the order of `LABELS`."""
+    """Scored samples of `recorded` and of each run [m/s²], (n_seeds, n_blocks, n), in the order of `LABELS`."""
     recorded = judgement.trace.picked(judgement.blocks)[0][None]
     runs, part = {"recorded": recorded, **judgement.synthesized}, scored(judgement.trace.block)
     return {name: runs[name][:, :, part] for name in LABELS if name in runs}
 
 
 def scored_hand(judgement: Judgement) -> tuple[Array, Array]:
-    """Return speed [mm/s] and force [N] of the scored samples, each (n_blocks, n)."""
+    """Speed [mm/s] and force [N] of the scored samples, each (n_blocks, n)."""
     _, speed, force = judgement.trace.picked(judgement.blocks)
     part = scored(judgement.trace.block)
     return speed[:, part], force[:, part]
 
 
 def shown_blocks(judgement: Judgement) -> NDArray[np.int64]:
-    """Return which of the judged blocks are drawn over time: all, or 12 spread evenly."""
+    """Which of the judged blocks are drawn over time: all, or 12 spread evenly."""
     n = len(judgement.blocks)
     return np.unique(np.linspace(0, n - 1, min(n, N_BLOCKS_SHOWN)).round().astype(np.int64))
 
 
 def typical_block(judgement: Judgement) -> int:
-    """Return which of the judged blocks has the median recorded level (the lower of two)."""
+    """Which of the judged blocks has the median recorded level (the lower of two)."""
     levels = np.square(scored_runs(judgement)["recorded"][0]).mean(axis=1)
     return int(np.argsort(levels, kind="stable")[(len(levels) - 1) // 2])
 
 
 def level_errors(judgement: Judgement, name: str) -> Array:
-    """Return a run's mean level error [dB] in each judged block, mean over frames of 40 ms and seeds, shape (n_blocks,)."""
+    """Run's mean level error [dB] in each judged block, mean over frames of 40 ms and seeds, shape (n_blocks,)."""
     runs = scored_runs(judgement)
     reference = float(np.sqrt(np.square(runs["recorded"]).mean()))
     recorded, synthesized = (frame_levels(runs[key], judgement.trace.rate_hz, reference) for key in ("recorded", name))
@@ -72,19 +72,19 @@ def level_errors(judgement: Judgement, name: str) -> Array:
 
 
 def densities(judgement: Judgement, unscored: bool = False) -> tuple[Array, dict[str, Array]]:
-    """Return the scored frequencies [Hz] and each run's density [(m/s²)²/Hz] there, pooled over blocks and seeds.
+    """Scored frequencies [Hz] and each run's density [(m/s²)²/Hz] there, pooled over blocks and seeds.
 
     The log-spectral distance of pooled spectra is computed on the same densities. With `unscored` up to half the rate.
     """
     rate_hz, n_segment = judgement.trace.rate_hz, segment_length(judgement.trace.block)
     spectra = {name: welch(run, rate_hz, n_segment) for name, run in scored_runs(judgement).items()}
     frequencies, _ = spectra["recorded"]
-    bins = frequencies >= LOWEST_HZ if unscored else scored_bins(frequencies, rate_hz)
+    bins = frequencies >= MIN_SCORED_HZ if unscored else scored_bins(frequencies, rate_hz)
     return frequencies[bins], {name: density.mean(axis=(0, 1))[bins] for name, (_, density) in spectra.items()}
 
 
 def sounds(judgement: Judgement, name: str) -> tuple[bytes, bytes, float]:
-    """Return the scored blocks as recorded and as synthesized, two WAV files, and the full scale of both [m/s²].
+    """Scored blocks as recorded and as synthesized, two WAV files, and the full scale of both [m/s²].
 
     8 kHz, 16 bit, one channel, up to 8 s; each block is faded at its ends.
     """
@@ -101,7 +101,7 @@ def sounds(judgement: Judgement, name: str) -> tuple[bytes, bytes, float]:
 
 
 def _audible(block: Array, rate_hz: float) -> Array:
-    """Return a block at 8 kHz, faded at its ends."""
+    """Block at 8 kHz, faded at its ends."""
     factor = Fraction(AUDIO_HZ / rate_hz).limit_denominator(1000)
     # The rate that the factor stands for: within a thousandth of the true one, for an odd rate too.
     source_hz = AUDIO_HZ / float(factor)

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import html
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 from foten.evaluate.evaluate import RUNS
 from foten.evaluate.report.signals import LABELS
-from foten.evaluate.report.verdict import ar_name, minus, reason, signed
+from foten.evaluate.report.verdict import ar_name, reason
+from foten.reporting.table import Cell, Heading, Number, Table, minus, signed
 
 REFERENCES = {
     "lattice": ("the model without its network", "the lattice; what the network adds is the difference to it"),
@@ -52,91 +52,102 @@ _MEANINGS = {
 }
 
 
-class _Cells:
-    """Number cells of one table: the full value beside its rounding, or a dash with a footnote."""
+def one_step_table(document: Mapping[str, Any]) -> Table:
+    """One-step errors: the texture's, then the references'."""
+    rows = {"one_step": (document["model"], "this texture", document["one_step"])}
+    for key, (name, note) in REFERENCES.items():
+        scores = document["references"][key]
+        name = f"{name}: {ar_name(scores)}" if scores.get("order") is not None else name
+        rows[f"references.{key}"] = (name, note, scores)
+    errors = [scores["mae_scaled"] for *_, scores in rows.values() if scores["mae_scaled"] is not None]
+    largest = max(errors, default=1.0) or 1.0
+    columns = (
+        Heading("predictor", words=True),
+        Heading("error", "sd", note="lower is better"),
+        Heading("to AR(20)"),
+        Heading("error", document["unit"]),
+        Heading("GFC", note="higher, blind to delay and gain"),
+    )
+    return Table(columns, tuple(_one_step_row(document, key, *row, largest) for key, row in rows.items()))
 
-    def __init__(self, letter: str) -> None:
-        self.letter, self.notes = letter, list[str]()
 
-    def number(
-        self,
-        value: float | None,
-        shown: Callable[[float], str],
-        why: str,
-        interval: Sequence[float] = (),
-        digits: int = 3,
-    ) -> str:
-        """Return the cell of a value; `why` is the footnote where there is none."""
-        if value is None:
-            if why not in self.notes:
-                self.notes.append(why)
-            mark = f"{self.letter}{self.notes.index(why) + 1}"
-            return f'<td class="n none"><abbr title="{html.escape(why)}">–</abbr><sup>{mark}</sup></td>'
-        ends = " … ".join(minus(f"{end:.{digits}f}") for end in interval)
-        small = f"<small>{ends}</small>" if ends else ""
-        return f'<td class="n"><data value="{value!r}">{shown(value)}</data>{small}</td>'
+def _one_step_row(
+    document: Mapping[str, Any], key: str, name: str, note: str, scores: Mapping[str, Any], largest: float
+) -> tuple[Cell, ...]:
+    error, intervals = scores["mae_scaled"], scores.get("intervals", {})
+    bar = None if error is None else error / largest
+    why = reason(document, key, *(("references.ar",) if key.startswith("references.ar") else ()), "one_step")
+    why_gfc = why if error is None else "a bound on the error says nothing of the spectrum"
+    return (
+        Heading(name, note=note, key=key, highlighted=key == "one_step"),
+        Number(error, ".4f", why=why, interval=intervals.get("mae_scaled", ()), bar=bar),
+        _to_linear(error, document["references"]["ar"]["mae_scaled"], intervals if key != "references.ar" else {}),
+        Number(scores["mae_m_s2"], "#.4g", why=why),
+        Number(scores["gfc"], interval=intervals.get("gfc", ()), why=why_gfc),
+    )
 
-    def footnotes(self) -> str:
-        """Return the reasons of all dashes as a paragraph, empty without any."""
-        items = (f"<sup>{self.letter}{k}</sup> {html.escape(note)}" for k, note in enumerate(self.notes, 1))
-        return f'<p class="notes">{" · ".join(items)}</p>' if self.notes else ""
+
+def _to_linear(error: float | None, linear: float | None, intervals: Mapping[str, Any]) -> Cell:
+    """How far an error lies above AR(20)'s; nothing where either is not known."""
+    if error is None or not linear:
+        return ""
+    ends = [100 * (end - 1) for end in intervals.get("mae_to_ar", ())]
+    return Number(100 * (error / linear - 1), "+.1f", interval=ends, unit=" %")
+
+
+def free_run_table(document: Mapping[str, Any]) -> Table:
+    """Figures of the free runs, a column for each run."""
+    notes = {
+        "free_run": document["model"],
+        "free_run_deterministic": "the model alone, no noise",
+        "free_run_ar": "AR(20) and white noise of one scale",
+        "ceiling": document["ceiling"].get("of") or "not known",
+    }
+    kurtosis = (document[run].get("kurtosis_recorded") for run in RUNS)
+    recorded = next((f" Recorded: {value:.2f}." for value in kurtosis if value is not None), "")
+    rows: list[tuple[Cell, ...]] = []
+    for key, (name, unit, better) in FREE_RUN_FIGURES.items():
+        note = f"{_MEANINGS[key]}.{recorded if key == 'kurtosis' else ''}"
+        numbers = (_free_run_number(document, run, key) for run in notes)
+        rows.append((Heading(name, unit, note, f"free_run.{key}"), better, *numbers))
+    columns = (Heading("figure", words=True), Heading("better", words=True))
+    return Table((*columns, *(Heading(LABELS[run], note=note) for run, note in notes.items())), tuple(rows))
+
+
+def _free_run_number(document: Mapping[str, Any], run: str, key: str) -> Number:
+    value, interval = document[run].get(key), document[run].get("intervals", {}).get(key, ())
+    digits = 1 if value is not None and abs(value) >= 30 else 2
+    spec = f"{'+' if 'bias' in key else ''}.{digits}f"
+    if key == "max_sd" and value is not None and value < 0.01:
+        spec = ".1g"
+    why = reason(document, f"{run}.{key}", run, "free_run")
+    return Number(value, spec, interval=interval, why=why)
 
 
 def one_step_section(document: Mapping[str, Any]) -> str:
-    """Return the table of one-step errors as HTML: the texture's, then the references'."""
-    cells, references = _Cells("a"), document["references"]
-    rows = {"one_step": (document["model"], "this texture", document["one_step"])}
-    rows |= {f"references.{key}": (*words, references[key]) for key, words in REFERENCES.items()}
-    errors = [row["mae_scaled"] for *_, row in rows.values() if row["mae_scaled"] is not None]
-    largest = max(errors, default=1.0) or 1.0
-    body = "".join(_one_step_row(document, cells, key, *named, largest=largest) for key, named in rows.items())
+    """Section of the page: one-step errors, and how well the excitation fits them."""
     return (
         '<section id="one-step"><h2>One step</h2><p>Predicts each sample from recorded history. Errors are mean '
         f"absolute errors; 1 sd is {document['sd_m_s2']:.4g} {document['unit']}. "
         f"The first {document['first_scored']} samples of each block are history for all. Small print: 95 % interval over "
         "blocks (Student's t). The blocks are the same for all, so "
         "two rows can differ for certain though the intervals of their errors overlap: see the one to AR(20).</p>"
-        '<div class="scroll"><table><thead><tr><th>predictor</th><th colspan="2">error [sd] <i>lower is better</i></th>'
-        f"<th>to AR(20)</th><th>error [{document['unit']}]</th><th>GFC <i>higher, blind to delay and gain</i></th></tr></thead>"
-        f"<tbody>{body}</tbody></table></div>{cells.footnotes()}{_excitation(document['one_step'])}</section>"
+        f"{one_step_table(document).html('a')}{_excitation(document['one_step'])}</section>"
     )
 
 
-def _one_step_row(
-    document: Mapping[str, Any], cells: _Cells, key: str, name: str, what: str, row: Mapping[str, Any], largest: float
-) -> str:
-    name, why = _named(name, row), _why_no_error(document, key)
-    mae, linear = row["mae_scaled"], document["references"]["ar"]["mae_scaled"]
-    within = row.get("intervals", {})
-    bar = "" if mae is None else f'<span class="bar" style="width:{100 * mae / largest:.1f}%"></span>'
-    ratio = f"{signed(100 * (mae / linear - 1), 1)} %" if mae is not None and linear else ""
-    if "mae_to_ar" in within and key != "references.ar":
-        ends = " … ".join(signed(100 * (end - 1), 1) for end in within["mae_to_ar"])
-        ratio += f"<small>{ends} %</small>"
-    why_gfc = why if mae is None else "a bound on the error says nothing of the spectrum"
+def free_run_section(document: Mapping[str, Any]) -> str:
+    """Section of the page: figures of the free runs, and how the level follows the hand."""
     return (
-        f'<tr id="{key}"{" class=own" if key == "one_step" else ""}>'
-        f'<th scope="row">{html.escape(name)}<small>{html.escape(what)}</small></th>'
-        + cells.number(mae, "{:.4f}".format, why, within.get("mae_scaled", ()))
-        + f'<td class="bars">{bar}</td><td class="n">{ratio}</td>'
-        + cells.number(row["mae_m_s2"], "{:#.4g}".format, why)
-        + cells.number(row["gfc"], "{:.3f}".format, why_gfc, within.get("gfc", ()))
-        + "</tr>"
+        '<section id="free-run"><h2>Free run</h2><p>Synthesized under the recorded speed and force, its own output as '
+        "history, and compared with what was recorded; the first fifth of each block is not scored. The ceiling says "
+        f"what a true vibration of the same texture reaches.</p>{free_run_table(document).html('b')}"
+        f"{_slopes(document)}</section>"
     )
-
-
-def _named(name: str, row: Mapping[str, Any]) -> str:
-    """Return the name of a one-step row, with what the best linear predictor is."""
-    return f"{name}: {ar_name(row)}" if row.get("order") is not None else name
-
-
-def _why_no_error(document: Mapping[str, Any], key: str) -> str:
-    """Return why a one-step row has no error."""
-    return reason(document, key, *(("references.ar",) if key.startswith("references.ar") else ()), "one_step")
 
 
 def _excitation(one_step: Mapping[str, Any]) -> str:
-    """Return how well the excitation's distribution fits the errors of a rendering's prediction, as a paragraph."""
+    """How well the excitation's distribution fits the errors of a rendering's prediction, as a paragraph."""
     if one_step.get("nll") is None:
         return ""
     return (
@@ -148,54 +159,8 @@ def _excitation(one_step: Mapping[str, Any]) -> str:
     )
 
 
-def free_run_section(document: Mapping[str, Any]) -> str:
-    """Return the table of free-run figures as HTML, a column for each run."""
-    cells, body = _Cells("b"), []
-    kurtosis = (document[run].get("kurtosis_recorded") for run in RUNS)
-    recorded = next((f" Recorded: {value:.2f}." for value in kurtosis if value is not None), "")
-    for key, (name, unit, better) in FREE_RUN_FIGURES.items():
-        title = html.escape(name) + (f" <i>[{html.escape(unit)}]</i>" if unit else "")
-        values = "".join(_free_run_cell(document, cells, run, key) for run in RUNS)
-        body.append(
-            f'<tr id="free_run.{key}"><th scope="row">{title}<small>{html.escape(_MEANINGS[key])}.'
-            f"{recorded if key == 'kurtosis' else ''}</small></th>"
-            f'<td class="better">{better}</td>{values}</tr>'
-        )
-    heads = {
-        "free_run": document["model"],
-        "free_run_deterministic": "the model alone, no noise",
-        "free_run_ar": "AR(20) and white noise of one scale",
-        "ceiling": document["ceiling"].get("of") or "not known",
-    }
-    titles = "".join(f"<th>{LABELS[run]}<small>{html.escape(head)}</small></th>" for run, head in heads.items())
-    return (
-        '<section id="free-run"><h2>Free run</h2><p>Synthesized under the recorded speed and force, its own output as '
-        "history, and compared with what was recorded; the first fifth of each block is not scored. The ceiling says "
-        'what a true vibration of the same texture reaches.</p><div class="scroll"><table><thead><tr><th>figure</th>'
-        f"<th>better</th>{titles}</tr></thead>"
-        f"<tbody>{''.join(body)}</tbody></table></div>{cells.footnotes()}{_slopes(document)}</section>"
-    )
-
-
-def _free_run_cell(document: Mapping[str, Any], cells: _Cells, run: str, key: str) -> str:
-    value, interval = document[run].get(key), document[run].get("intervals", {}).get(key, ())
-    why = reason(document, f"{run}.{key}", run, "free_run")
-    return cells.number(value, lambda value: _shown(key, value), why, interval, _digits(value))
-
-
-def _digits(value: float | None) -> int:
-    return 1 if value is not None and abs(value) >= 30 else 2
-
-
-def _shown(key: str, value: float) -> str:
-    """Return a figure of a free run as text."""
-    if key == "max_sd" and value < 0.01:
-        return f"{value:.1g}"
-    return signed(value, _digits(value)) if "bias" in key else minus(f"{value:.{_digits(value)}f}")
-
-
 def _slopes(document: Mapping[str, Any]) -> str:
-    """Return how the level grows with speed and force, as a paragraph, empty where it is not known."""
+    """How the level grows with speed and force, as a paragraph, empty where it is not known."""
     run = document["free_run" if document["free_run"].get("level_slopes") else "free_run_deterministic"]
     ours, theirs = run.get("level_slopes"), run.get("level_slopes_recorded")
     if not ours or not theirs:
@@ -208,105 +173,41 @@ def _slopes(document: Mapping[str, Any]) -> str:
 
 
 def to_text(document: Mapping[str, Any]) -> str:
-    """Return the figures of a document as two aligned tables for a terminal, and below them what could not be computed."""
+    """Tables of a document for a terminal, and below them what could not be computed."""
     block_ms = 1000 * document["block"] / document["rate_hz"]
     judged = f"{document['n_blocks']} blocks of {block_ms:g} ms, split {document['split']}"
     lines = [f"{document['texture'] or 'texture'}, {document['model']} at {document['rate_hz']:g} Hz: {judged}"]
-    runs = [run for run in RUNS if document[run]["lsd_db"] is not None]
-    errors, figures = _errors(document), _figures(document, runs)
-    if len(errors) > 1:
-        sd = f"1 sd is {document['sd_m_s2']:.4g} {document['unit']}"
-        about = f"each sample from recorded history; mean absolute errors, lower is better; {sd}"
-        lines += ["", f"One step: {about}", *_aligned(errors)]
-    if len(figures) > 1:
-        ceiling = f"; the ceiling is {document['ceiling']['of']}" if document["ceiling"].get("of") else ""
-        lines += ["", f"Free run: its own output is its history{ceiling}", *_aligned(figures)]
+    sd = f"1 sd is {document['sd_m_s2']:.4g} {document['unit']}"
+    ceiling = f"; the ceiling is {document['ceiling']['of']}" if document["ceiling"].get("of") else ""
+    tables = {
+        f"One step: each sample from recorded history; mean absolute errors, lower is better; {sd}": one_step_table(
+            document
+        ),
+        f"Free run: its own output is its history{ceiling}": free_run_table(document),
+    }
+    missing = []
+    for title, table in tables.items():
+        if (known := table.known()).rows:
+            lines += ["", title, *known.text()]
+        if reasons := table.missing():
+            grouped = "; ".join(f"{', '.join(names)} ({why})" for why, names in reasons.items())
+            missing.append(f"{title.partition(':')[0]}, not computed: {grouped}.")
     if scores := document.get("listener"):
         lines += ["", *_listener_lines(scores)]
-    missing = {"One step": _missing_errors(document), "Free run": _missing_figures(document, runs)}
     if "listener" in document["reasons"]:
-        missing["Listener"] = {"areas under its curve": reason(document, "listener")}
-    sentences = [f"{what}, not computed: {_grouped(why_of)}." for what, why_of in missing.items() if why_of]
-    return "\n".join([*lines, *([""] if sentences else []), *sentences])
+        missing.append(f"Listener, not computed: areas under its curve ({reason(document, 'listener')}).")
+    return "\n".join([*lines, *([""] if missing else []), *missing])
 
 
 def _listener_lines(scores: Mapping[str, Any]) -> list[str]:
-    """Return what listeners can tell apart, for a terminal."""
-    control = scores["listener_control_of"]
-    beside = f"; the control is {control}" if control else ""
-    cells = [["", "this texture", "control"]]
-    for key, name in (("listener_auc", "band energies"), ("listener_auc_waveform", "and the waveform")):
-        values = (scores[key], scores[f"{key}_control"])
-        cells.append([name, *("–" if value is None else f"{value:.3f}" for value in values)])
-    about = f"area under its curve over {scores['listener_s']:.0f} s, 0.5 is chance, 1 certainty{beside}"
-    lines = [f"Listener: {about}", *_aligned(cells)]
+    control = f"; the control is {scores['listener_control_of']}" if scores["listener_control_of"] else ""
+    names = {"listener_auc": "band energies", "listener_auc_waveform": "and the waveform"}
+    rows = [(name, Number(scores[key]), Number(scores[f"{key}_control"])) for key, name in names.items()]
+    about = f"area under its curve over {scores['listener_s']:.0f} s, 0.5 is chance, 1 certainty{control}"
+    lines = [f"Listener: {about}", *Table.of(("", "this texture", "control"), rows).text()]
     if biases := scores.get("level_bias_db"):
         by_speed = ", ".join(f"{value:+.2f}" for value in biases.values())
-        lines += [
+        lines.append(
             f"Level beside the recorded one, from the slowest quarter of that stroke to the fastest: {by_speed} dB"
-        ]
+        )
     return lines
-
-
-def _errors(document: Mapping[str, Any]) -> list[list[str]]:
-    """Return the one-step errors that are known as cells, their heading first."""
-    rows = {f"{document['model']}, this texture": document["one_step"]}
-    for key, (name, _) in REFERENCES.items():
-        rows[_named(name, document["references"][key])] = document["references"][key]
-    cells = [["", "error [sd]", f"error [{document['unit']}]", "GFC"]]
-    for name, row in rows.items():
-        if row["mae_scaled"] is not None:
-            fit = "–" if row["gfc"] is None else f"{row['gfc']:.3f}"
-            cells.append([name, f"{row['mae_scaled']:.4f}", f"{row['mae_m_s2']:#.4g}", fit])
-    return cells
-
-
-def _figures(document: Mapping[str, Any], runs: Sequence[str]) -> list[list[str]]:
-    """Return the figures of some free runs that any of them has as cells, their heading first."""
-    cells = [["", "better", *(LABELS[run] for run in runs)]]
-    for key, (name, unit, better) in FREE_RUN_FIGURES.items():
-        values = [document[run].get(key) for run in runs]
-        if any(value is not None for value in values):
-            shown = ("–" if value is None else _shown(key, value) for value in values)
-            cells.append([name + (f" [{unit}]" if unit else ""), better, *shown])
-    return cells
-
-
-def _aligned(rows: Sequence[Sequence[str]]) -> Iterator[str]:
-    """Yield the rows of a table: the first column, and words, from the left, numbers and their headings from the right."""
-    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    for row in rows:
-        cells = [
-            cell.ljust(width) if k == 0 or rows[0][k] == "better" else cell.rjust(width)
-            for k, (cell, width) in enumerate(zip(row, widths, strict=True))
-        ]
-        yield "  ".join(cells).rstrip()
-
-
-def _missing_errors(document: Mapping[str, Any]) -> dict[str, str]:
-    """Return which one-step errors there are not, and why."""
-    if document["one_step"]["mae_scaled"] is None and "one_step" in document["reasons"]:
-        missing = {"this texture": reason(document, "one_step")}
-    else:
-        missing = {}
-    unknown = {key: name for key, (name, _) in REFERENCES.items() if document["references"][key]["mae_scaled"] is None}
-    return missing | {name: _why_no_error(document, f"references.{key}") for key, name in unknown.items()}
-
-
-def _missing_figures(document: Mapping[str, Any], runs: Sequence[str]) -> dict[str, str]:
-    """Return which free runs there are not, which of their figures, and why; `runs` are those that there are."""
-    missing = {LABELS[run]: reason(document, run, "free_run") for run in RUNS if run not in runs}
-    for key, (name, *_) in FREE_RUN_FIGURES.items():
-        lacking = [run for run in runs if document[run].get(key) is None]
-        for run in lacking:
-            shown = name if len(lacking) == len(runs) else f"{name} {LABELS[run]}"
-            missing[shown] = reason(document, f"{run}.{key}")
-    return missing
-
-
-def _grouped(why_of: Mapping[str, str]) -> str:
-    """Return things that are missing, those of one reason together."""
-    by_reason: dict[str, list[str]] = {}
-    for name, why in why_of.items():
-        by_reason.setdefault(why, []).append(name)
-    return "; ".join(f"{', '.join(names)} ({why})" for why, names in by_reason.items())

@@ -6,6 +6,8 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from foten.reporting.table import minus, signed
+
 
 @dataclass(frozen=True)
 class Finding:
@@ -25,7 +27,7 @@ Interval = Sequence[float] | None
 def _finding(
     tone: str, title: str, figure: str, beside: str, sentence: str, interval: Interval, holds: Callable[[float], bool]
 ) -> Finding:
-    """Return a finding, unless it praises what the data do not bear.
+    """Finding, unless it praises what the data do not bear.
 
     Args:
         interval: of its number, None with too few blocks for one.
@@ -44,28 +46,17 @@ def _interval(figures: Mapping[str, Any], key: str) -> Interval:
 
 
 def reason(document: Mapping[str, Any], *keys: str) -> str:
-    """Return the first reason that a document gives under some keys."""
+    """First reason that a document gives under some keys."""
     return next((str(document["reasons"][key]) for key in keys if key in document["reasons"]), "not known")
 
 
 def ar_name(best: Mapping[str, Any]) -> str:
-    """Return the name of the best linear predictor: its order, and whether it is scheduled."""
+    """Name of the best linear predictor: its order, and whether it is scheduled."""
     return f"AR({best['order']})" + (" following speed and force" if best["scheduled"] else "")
 
 
-def minus(text: str) -> str:
-    """Return a number's text with a true minus."""
-    return text.replace("-", "−")
-
-
-def signed(value: float, digits: int) -> str:
-    """Return a number with its sign, a true minus, and no sign where it rounds to zero."""
-    text = f"{value:+.{digits}f}"
-    return minus(text) if float(text) else f"{0:.{digits}f}"
-
-
 def verdict(document: Mapping[str, Any]) -> list[Finding]:
-    """Return the findings of a document: one step, then spectrum, level and dynamics of the free run, and the listener."""
+    """Findings of a document: one step, then spectrum, level and dynamics of the free run, and the listener."""
     # The run that stands for the texture: with excitation where there is one.
     key = "free_run" if document["free_run"]["lsd_db"] is not None else "free_run_deterministic"
     if document[key]["lsd_db"] is None:
@@ -77,7 +68,7 @@ def verdict(document: Mapping[str, Any]) -> list[Finding]:
 
 
 def cautions(document: Mapping[str, Any]) -> list[str]:
-    """Return what limits the meaning of the figures."""
+    """What limits the meaning of the figures."""
     notes = []
     if document["split"] == "foreign":
         notes.append(
@@ -110,10 +101,10 @@ def _one_step(document: Mapping[str, Any]) -> Finding:
     if linear is None:
         naive = (zero, "predicting the mean") if zero <= persistence else (persistence, "persistence")
         tone, beside = _compared(error, *naive)
-        interval, least = _interval(document["one_step"], "mae_scaled"), naive[0]
+        interval, limit = _interval(document["one_step"], "mae_scaled"), naive[0]
     else:
         tone, beside = _compared(error, linear, "AR(20)")
-        interval, least = _interval(document["one_step"], "mae_to_ar"), 1.0
+        interval, limit = _interval(document["one_step"], "mae_to_ar"), 1.0
         if tone == "bad":
             caution = " A linear predictor does this better."
         elif best is not None and error - best > 0.01 * best:
@@ -123,11 +114,11 @@ def _one_step(document: Mapping[str, Any]) -> Finding:
     end = f"; no predictor can reach less than {bound:.3f} sd on this texture." if bound is not None else "."
     start = f"One step: error {figure} ({document['one_step']['mae_m_s2']:.3g} {document['unit']})"
     sentence = f"{start}, {beside}{end}{caution}"
-    return _finding(tone, "One step", figure, beside, sentence, interval, lambda value: value < least)
+    return _finding(tone, "One step", figure, beside, sentence, interval, lambda value: value < limit)
 
 
 def _compared(error: float, reference: float, name: str) -> tuple[str, str]:
-    """Return the tone and the words of an error beside a reference's; within 1 % is even."""
+    """Tone and the words of an error beside a reference's; within 1 % is even."""
     change = 100 * (error / reference - 1) if reference > 0 else 0.0
     if abs(change) < 1:
         return "even", f"within 1 % of {name}"
@@ -160,7 +151,7 @@ def _spectrum(document: Mapping[str, Any], key: str) -> Finding:
 
 
 def _spectrum_tone(distance: float, ceiling: float | None, linear: float | None) -> str:
-    """Return the tone of a log-spectral distance beside the ceiling's and AR(20)'s, where they are known."""
+    """Tone of a log-spectral distance beside the ceiling's and AR(20)'s, where they are known."""
     tone = "unknown"
     if ceiling:
         tone = "good" if distance <= 1.1 * ceiling else "even" if distance <= 1.5 * ceiling else "bad"

@@ -172,9 +172,7 @@ def fit_drawing_network(
     monitor.on_stage("training a network that is given the phase of the surface")
     quiet = replace(monitor, on_epoch=lambda epoch: None)
     phase_conditioned = _fitted(network, model, data, blocks, config, quiet, "phase-conditioned network")
-    predicting.progress.include(
-        phase_conditioned.progress
-    )  # which is that of the training, whichever network is drawn from
+    predicting.progress.include(phase_conditioned.progress)  # that of the training, whichever is drawn from
     likelier = predicting.likelihood - phase_conditioned.likelihood >= MIN_GAIN_NAT
     return phase_conditioned if with_tones or likelier else predicting
 

@@ -19,7 +19,9 @@ from foten.dsp.speed_force_table import SpeedForceTable, spanning
 
 ORDERS = (10, 20, 40, 80, 160, 240)  # tried, as far as a block allows
 SHORT_ORDER = 80  # longer ones take three times as long, and are tried of the kinds that are best up to this one,
-MIN_FALL = 0.008  # where the error falls by this share up to it. Where 240 are best by 11 in 1000 at least, elsewhere by 6 at most
+MIN_FALL = (
+    0.008  # where the error falls by this share up to it. Where 240 are best by 11 in 1000 or more, elsewhere by 6
+)
 N_SPEED, N_FORCE = 12, 3  # vertices
 CORRELATION = 0.5  # of the range of speed, and of log force, over which reflections are alike beforehand
 SCALES = (0.0, 0.01, 0.03, 0.1, 0.3, 1.0)  # standard deviations that a reflection may be given over speed and force
@@ -47,7 +49,7 @@ class LatticeData:
     def with_gain_before_filter(self) -> LatticeData:
         """The same for a lattice of the acceleration itself.
 
-        Weighted by 1/level², its mean over `LEVEL_SAMPLES` samples: unweighted, soft strokes would count nothing, and weights that
+        Weighted by 1/level², its mean over `LEVEL_SAMPLES`: unweighted, soft strokes would count nothing, and weights that
         change within the memory bias Burg's method towards too long a ringing. One-step error of one lattice for all speeds,
         linear cloth, hum and twin, seed 0, validation, re the levelled one: 0.986, 0.995, 0.998; weighted block by block 0.989,
         0.999, 1.001.

@@ -138,7 +138,7 @@ def fit_innovation_network(
     monitor: Monitor,
     name: str = "network",
 ) -> Progress:
-    """Train a network in place by likelihood, and leave it, averaged over its last hundred steps or so, at its best; see `run_loop`."""
+    """Train a network in place by likelihood, and leave it, averaged over some hundred steps, at its best; see `run_loop`."""
     device = next(network.parameters()).device
     batches = Batches(data, blocks, warm_up, config, device)
     n_threads = config.threads if device.type == "cpu" else 1
@@ -194,7 +194,7 @@ def scored(
 ) -> tuple[Array, Array, Array]:
     """Of the samples of some blocks, from `first` + 1 + `warm_up` on, (k, n) each.
 
-    Negative log-likelihoods [nat] and absolute errors, both of innovations, and what an innovation of 1 is in scaled acceleration.
+    Negative log-likelihoods [nat] and absolute errors, of innovations; and what an innovation of 1 is in acceleration, scaled.
     """
     inputs, follows = (part[list(numbers)] for part in tensors)
     with torch.no_grad():

@@ -32,7 +32,7 @@ class InnovationNetwork(nn.Module):
         return self.mixture(hidden, inputs)
 
     def mixture(self, hidden: Tensor, inputs: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Return log w, μ and log s of the next innovation: from the hidden state after a sample (…, n_hidden), and its inputs."""
+        """log w, μ and log s of the next innovation: from the hidden state after a sample (…, n_hidden), and its inputs."""
         out = self.out(torch.tanh(self.head(torch.cat([hidden, inputs], dim=-1))))
         logit, mean, log_scale = out.split(self.n_components, dim=-1)
         return torch.log_softmax(logit, dim=-1), mean, LOG_SCALE_LIMIT * torch.tanh(log_scale / LOG_SCALE_LIMIT)

@@ -13,7 +13,7 @@ from foten.dsp import Array
 from foten.dsp.ar import MAX_POLE, burg, stabilised
 from foten.dsp.lattice import polynomial
 from foten.dsp.lsf import line_spectral_frequencies, spread_out
-from foten.dsp.mesh import LEAST_AREA
+from foten.dsp.mesh import MIN_TRIANGLE_AREA
 from foten.dsp.segmentation import MAX_ORDER, pieces_of
 from foten.models.conditions import FADE_FORCE, FADE_SPEED
 from foten.models.piecewise_ar.local_models import LocalModels, local_texture
@@ -78,8 +78,8 @@ def fit(job: TrainingJob, monitor: Monitor) -> Trained:
 def local_models(pieces: list[Array], blocks: ScaledBlocks, order: int) -> LocalModels:
     """A model for each piece (n, 3) of acceleration [m/s²], speed [mm/s] and force [N], merged, and others around.
 
-    Labels are medians. Models nearer than `MERGE_DISTANCE` are merged. Around the trained range stand models as loud as the nearest, and
-    silent ones at rest and without force, all with the angles of the nearest.
+    Labels are medians. Models nearer than `MERGE_DISTANCE` are merged. Around the trained range stand models as loud as the
+    nearest, and silent ones at rest and without force, all with the angles of the nearest.
     """
     angles, variances = [], []
     for piece in pieces:
@@ -156,7 +156,7 @@ def _meshed(points: Array, lsf: Array, variance: Array, scale: Array) -> LocalMo
     triangles = Delaunay(points / scale).simplices.astype(np.int64)
     corners = (points / scale)[triangles]
     first, second = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
-    triangles = triangles[np.abs(first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0]) > 2 * LEAST_AREA]
+    triangles = triangles[np.abs(first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0]) > 2 * MIN_TRIANGLE_AREA]
     n = len(points)
     return LocalModels(points, lsf, variance, triangles, scale, np.empty((n, 0)), np.ones(n)).of_mesh()
 

@@ -6,27 +6,36 @@ import numpy as np
 
 from foten.dsp import perception
 from foten.recording.inspection import one_channel, sampling
-from foten.recording.inspection.hand import Hand, check_contact, check_ranges, check_signs, coverage_of, hand_in
+from foten.recording.inspection.speed_force import (
+    SpeedForce,
+    check_contact,
+    check_ranges,
+    check_signs,
+    coverage_of,
+    speed_force_of,
+)
 from foten.recording.inspection.values import PROBLEM, ChannelReport, Finding, Inspection
 from foten.recording.preprocess import PreprocessConfig, fitting_options
-from foten.recording.recording import Channel, Recording
+from foten.recording.recording import Channel, Recording, common_span_s
 
 
 def inspect_recording(recording: Recording) -> Inspection:
-    """Return the numbers of each channel, findings, and the coverage of speed and force."""
+    """Numbers of each channel, findings, and the coverage of speed and force."""
     findings: list[Finding] = []
-    hand = None
+    speed_force = None
     try:
-        hand = hand_in(recording)
+        speed_force = speed_force_of(recording)
     except ValueError as error:
         findings.append(Finding(PROBLEM, "refused", "", f"training refuses it: {error}"))
-    reports = tuple(_report(name, channel, recording.unit(name), hand) for name, channel in recording.channels.items())
+    reports = tuple(
+        _report(name, channel, recording.unit(name), speed_force) for name, channel in recording.channels.items()
+    )
     findings += sampling.check_missing(recording)
     findings += sampling.check_durations(recording)
     for name, channel in recording.channels.items():
         findings += one_channel.check_units(name, channel, recording)
-        of_one = (sampling.check_gaps, one_channel.check_spikes, one_channel.check_clipping, sampling.check_repeats)
-        findings += [finding for check in of_one for finding in check(name, channel)]
+        of_channel = (sampling.check_gaps, one_channel.check_spikes, one_channel.check_clipping, sampling.check_repeats)
+        findings += [finding for check in of_channel for finding in check(name, channel)]
     findings += sampling.check_order(recording)
     psd = {}
     for name, channel in recording.channels.items():
@@ -36,26 +45,27 @@ def inspect_recording(recording: Recording) -> Inspection:
                 psd[name] = one_channel.density(channel)
                 findings += one_channel.check_lines(name, *psd[name])
     findings += check_signs(recording)
-    findings += check_contact(recording, hand)
+    findings += check_contact(recording, speed_force)
     findings += one_channel.check_noise(reports)
-    coverage = None if hand is None else coverage_of(hand)
+    coverage = None if speed_force is None else coverage_of(speed_force)
     if coverage is not None:
         findings += check_ranges(coverage)
     captured_hz = min((recording[name].rate_hz for name in psd), default=None)
     shares = {} if captured_hz is None else perception.carried(psd, captured_hz)
     rate_hz = perception.smallest_rate(shares) if shares else PreprocessConfig().rate_hz
-    options, common_s = f"--rate {rate_hz:g}", sampling.common_s(recording)
-    if common_s < PreprocessConfig().shortest_s:
-        options = fitting_options(common_s, rate_hz, captured_hz)
-    findings += sampling.check_short(recording, options)
+    start_s, end_s = common_span_s(recording.channels.values())
+    options = f"--rate {rate_hz:g}"
+    if end_s - start_s < PreprocessConfig().shortest_s:
+        options = fitting_options(end_s - start_s, rate_hz, captured_hz)
+    findings += sampling.check_short(end_s - start_s, options)
     return Inspection(reports, tuple(findings), coverage, psd, shares, options, recording.sha256())
 
 
-def _report(name: str, channel: Channel, unit: str, hand: Hand | None) -> ChannelReport:
+def _report(name: str, channel: Channel, unit: str, speed_force: SpeedForce | None) -> ChannelReport:
     x = channel.samples
     about = name, unit, channel.rate_hz, channel.times_s is None, x.size, channel.duration_s
     minimum, low, high, maximum = np.quantile(x, [0, 0.01, 0.99, 1]).tolist()
     rms = float(np.sqrt(np.mean(x**2)))
     return ChannelReport(
-        *about, minimum, maximum, low, high, float(x.mean()), rms, *one_channel.noise_floor(name, channel, hand)
+        *about, minimum, maximum, low, high, float(x.mean()), rms, *one_channel.noise_floor(name, channel, speed_force)
     )

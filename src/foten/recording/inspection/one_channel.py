@@ -7,7 +7,7 @@ from collections.abc import Iterable
 import numpy as np
 
 from foten.dsp import Array
-from foten.recording.inspection.hand import CONTACT_N, HAND_HZ, MOVING_MM_S, Hand
+from foten.recording.inspection.speed_force import CONTACT_N, HAND_HZ, MOVING_MM_S, SpeedForce
 from foten.recording.inspection.values import NOTE, PROBLEM, ChannelReport, Finding, counted, places, runs, swing
 from foten.recording.recording import UNITS, Channel, Recording
 
@@ -34,9 +34,9 @@ _GUESSES = {
 
 
 def unit_doubt(kind: str, size: float) -> str:
-    """Return what the size of a quantity says against its unit, such as "peaks at 0.1, … was it given in m/s?"; else nothing."""
-    (least, too_small), (most, too_large) = _GUESSES[kind]
-    return too_small.format(size) if size < least else too_large.format(size) if size > most else ""
+    """Doubt about the unit of a quantity of this size, such as "peaks at 0.1, … was it given in m/s?"; else nothing."""
+    (low, too_small), (high, too_large) = _GUESSES[kind]
+    return too_small.format(size) if size < low else too_large.format(size) if size > high else ""
 
 
 def check_units(name: str, channel: Channel, recording: Recording) -> Iterable[Finding]:
@@ -74,8 +74,8 @@ def check_spikes(name: str, channel: Channel) -> Iterable[Finding]:
     removed = np.abs(x - median_filter(x, 5, mode="nearest"))
     usual, share = (0.99, 0.3) if name.startswith("acceleration") else (0.95, 0.1)
     # Ten times: on four real textures at 10 kHz the largest peak was 4.3 times the 99th percentile.
-    least = max(10 * float(np.quantile(removed, usual)), share * swing(x, 0.01), 1e-9)
-    spikes = np.flatnonzero(removed > least)
+    threshold = max(10 * float(np.quantile(removed, usual)), share * swing(x, 0.01), 1e-9)
+    spikes = np.flatnonzero(removed > threshold)
     if spikes.size:
         largest = int(spikes[np.argmax(removed[spikes])])
         text = (
@@ -113,20 +113,20 @@ def check_clipping(name: str, channel: Channel) -> Iterable[Finding]:
 
 
 def _leaves_steeply(x: Array, start: int, end: int, quantum: float) -> bool:
-    """Return whether a signal leaves a flat top x[start:end] more steeply than a smooth rounded one can.
+    """Whether a signal leaves a flat top x[start:end] more steeply than a smooth rounded one can.
 
     A smooth top is a parabola. Rounded to steps of q it is flat over n samples where it drops by less than q, over a half-width
     of at least (n−1)/2. Another n samples out it has dropped by at most q·((n−1)/2 + n)²/((n−1)/2)², and by one q more from
     rounding. A clipped top drops at the slope at which it was cut.
     """
     n = end - start
-    most = quantum * (((3 * n - 1) / (n - 1)) ** 2 + 1)
+    flattest = quantum * (((3 * n - 1) / (n - 1)) ** 2 + 1)
     sides = [side for side in (x[max(0, start - n) : start], x[end : end + n]) if side.size]
-    return all(float(np.abs(side - x[start]).max()) > most for side in sides)
+    return all(float(np.abs(side - x[start]).max()) > flattest for side in sides)
 
 
 def slow_noise(samples: Array) -> float:
-    """Return the RMS of white noise on a slow signal, from its third differences.
+    """RMS of white noise on a slow signal, from its third differences.
 
     White noise of variance s² has third differences of variance (1+9+9+1)·s²; those of the hand's movement are next to zero.
     """
@@ -135,18 +135,18 @@ def slow_noise(samples: Array) -> float:
     return float(1.4826 * np.median(np.abs(np.diff(samples, 3))) / np.sqrt(20))
 
 
-def noise_floor(name: str, channel: Channel, hand: Hand | None) -> tuple[float, str]:
-    """Return the RMS of a channel's noise, and how it was estimated: `rest`, `quietest 5 %` or `differences`."""
+def noise_floor(name: str, channel: Channel, speed_force: SpeedForce | None) -> tuple[float, str]:
+    """RMS of a channel's noise, and how it was estimated: `rest`, `quietest 5 %` or `differences`."""
     x = channel.samples
     if not name.startswith("acceleration"):
         return slow_noise(x), "differences"
     frame = max(2, round(FRAME_S * channel.rate_hz))
     frames = x[: x.size - x.size % frame].reshape(-1, frame) if x.size >= frame else x[None, :]
     levels = frames.std(axis=1)  # about each frame's mean: gravity is no noise
-    if hand is not None:
+    if speed_force is not None:
         starts = channel.times[:: frames.shape[1]][: levels.size]
-        still = ((hand.speed < MOVING_MM_S) | (hand.force < CONTACT_N)).astype(np.float64)
-        at_both = np.interp([starts, starts + FRAME_S / 2], hand.times_s, still, left=0, right=0) == 1
+        still = ((speed_force.speed < MOVING_MM_S) | (speed_force.force < CONTACT_N)).astype(np.float64)
+        at_both = np.interp([starts, starts + FRAME_S / 2], speed_force.times_s, still, left=0, right=0) == 1
         quiet = at_both.all(axis=0)
         if quiet.sum() >= 4:
             return float(np.median(levels[quiet])), "rest"
@@ -172,7 +172,7 @@ def check_noise(reports: Iterable[ChannelReport]) -> Iterable[Finding]:
 
 
 def density(channel: Channel) -> tuple[Array, Array]:
-    """Return frequencies [Hz] without 0 and the power spectral density there, shape (k,) each; bins of about 4 Hz."""
+    """Frequencies [Hz] without 0 and the power spectral density there, shape (k,) each; bins of about 4 Hz."""
     from scipy.signal import welch
 
     wanted = 2 ** round(np.log2(channel.rate_hz / 4))
@@ -218,7 +218,7 @@ def check_whiteness(name: str, channel: Channel) -> Iterable[Finding]:
 
 
 def _pattern(x: Array, period: int) -> Array:
-    """Return the mean of all whole periods of a signal, shape (period,)."""
+    """Mean of all whole periods of a signal, shape (period,)."""
     n = x.size // period
     return np.asarray(x[: n * period].reshape(n, period).mean(axis=0))
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from foten.atomic_write import atomic_write
 from foten.dsp import Array
-from foten.recording.inspection.hand import HAND_HZ
+from foten.recording.inspection.speed_force import HAND_HZ
 from foten.recording.inspection.values import CELL_S, NOTE, Finding, Inspection
 from foten.recording.recording import UNITS, Recording
 
@@ -38,7 +38,7 @@ def _title(recording: Recording, what: str) -> str:
 
 
 def overview(recording: Recording, inspection: Inspection) -> Figure:
-    """Return the channels over time, with a mark at each place that a finding lists."""
+    """Channels over time, with a mark at each place that a finding lists."""
     names = [name for name in UNITS if name in recording]
     figure, panels = _figure(10, 1.0 + 1.7 * len(names), nrows=len(names), sharex=True, squeeze=False)
     for axes, name in zip(panels[:, 0], names, strict=True):
@@ -87,7 +87,7 @@ def _keep_readable(axes: Any, samples: Array, unit: str) -> None:
 
 
 def coverage(recording: Recording, inspection: Inspection) -> Figure | None:
-    """Return the seconds spent at each speed and force, or None without both channels."""
+    """Seconds spent at each speed and force, or None without both channels."""
     from matplotlib.colors import LogNorm
 
     cells = inspection.coverage
@@ -107,7 +107,7 @@ def coverage(recording: Recording, inspection: Inspection) -> Figure | None:
 
 
 def density(recording: Recording, inspection: Inspection) -> Figure | None:
-    """Return the power spectral density of each acceleration axis, or None without acceleration."""
+    """Power spectral density of each acceleration axis, or None without acceleration."""
     if not inspection.psd:
         return None
     figure, axes = _figure(8, 4.5)

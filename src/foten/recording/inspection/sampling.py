@@ -7,12 +7,12 @@ from collections.abc import Iterable
 import numpy as np
 from numpy.typing import NDArray
 
-from foten.recording.inspection.hand import HAND_HZ
 from foten.recording.inspection.one_channel import slow_noise
+from foten.recording.inspection.speed_force import HAND_HZ
 from foten.recording.inspection.values import NOTE, PROBLEM, Finding, counted, places, swing
 from foten.recording.preprocess import PreprocessConfig
 from foten.recording.recording import UNITS, Channel, Recording
-from foten.recording.split import FEWEST_BLOCKS
+from foten.recording.split import MIN_BLOCKS
 
 
 def check_missing(recording: Recording) -> Iterable[Finding]:
@@ -54,22 +54,16 @@ def check_durations(recording: Recording) -> Iterable[Finding]:
         yield Finding(NOTE, "durations", early, text)
 
 
-def check_short(recording: Recording, options: str) -> Iterable[Finding]:
+def check_short(seconds: float, options: str) -> Iterable[Finding]:
     """Yield a note where all channels cover less than the defaults of training need, with the options that fit."""
-    config, common = PreprocessConfig(), common_s(recording)
-    if common < config.shortest_s:
+    config = PreprocessConfig()
+    if seconds < config.shortest_s:
         text = (
-            f"it lasts {common:.2f} s, and trimming {config.trim_ms / 1000:g} s at both ends and {FEWEST_BLOCKS} blocks of "
+            f"it lasts {seconds:.2f} s, and trimming {config.trim_ms / 1000:g} s at both ends and {MIN_BLOCKS} blocks of "
             f"{config.block_ms / 1000:g} s take {config.shortest_s:g} s: "
             + (f"train with {options}" if options else "too short to learn from; record for longer")
         )
         yield Finding(NOTE, "short", "", text)
-
-
-def common_s(recording: Recording) -> float:
-    """Return the time that every channel covers [s]."""
-    starts, ends = zip(*(channel.span_s for channel in recording.channels.values()), strict=True)
-    return float(min(ends) - max(starts))
 
 
 def check_gaps(name: str, channel: Channel) -> Iterable[Finding]:
@@ -110,8 +104,8 @@ def check_repeats(name: str, channel: Channel) -> Iterable[Finding]:
         return
     # A quantised slow signal pauses often and briefly; a sensor that fell silent pauses rarely and long.
     long = np.flatnonzero(steps > max(10.0, 10 * float(np.quantile(steps, 0.99))))
-    kept = x[changes[long]]
-    long = long[(kept != 0) & (kept < x.max()) & (kept > x.min())]
+    frozen = x[changes[long]]
+    long = long[(frozen != 0) & (frozen < x.max()) & (frozen > x.min())]
     if long.size:
         text = (
             f"{name} stands still to the last digit in {counted(long.size, 'place')}, the longest for "
@@ -134,7 +128,7 @@ def check_order(recording: Recording) -> Iterable[Finding]:
         if not name.startswith("acceleration") and channel.samples.size >= 100
     }
     many = {name: at for name, (at, _, _) in jumps.items() if at.size >= max(10, 0.001 * recording[name].samples.size)}
-    for name, (at, least, size) in jumps.items():
+    for name, (at, threshold, size) in jumps.items():
         channel = recording[name]
         correlation = _neighbour_correlation(name, channel)
         if correlation < 0.8:
@@ -161,13 +155,13 @@ def check_order(recording: Recording) -> Iterable[Finding]:
             if name.startswith("position"):  # a jump of a position becomes a speed that was not there
                 severity, guess = PROBLEM, "; were lost markers written as 0? Blank them and import with --fill-gaps"
             text = (
-                f"{name} jumps by more than {least:.3g} {UNITS[name]} between two samples in {counted(at.size, 'place')}, "
+                f"{name} jumps by more than {threshold:.3g} {UNITS[name]} between two samples in {counted(at.size, 'place')}, "
                 f"faster than a hand moves{guess}"
             )
             yield Finding(severity, "jumps", name, text, places(channel, at))
             continue
         text = (
-            f"{name}: the rows are probably not in time order: {at.size} jumps larger than {least:.3g} {UNITS[name]} between "
+            f"{name}: the rows are probably not in time order: {at.size} jumps larger than {threshold:.3g} {UNITS[name]} between "
             f"neighbours, where a hand moves smoothly, typically {np.median(np.diff(at)):.0f} samples apart"
         )
         if piece:
@@ -178,7 +172,7 @@ def check_order(recording: Recording) -> Iterable[Finding]:
 
 
 def _jumps(name: str, channel: Channel) -> tuple[NDArray[np.int64], float, float]:
-    """Return the samples before each jump of a slow signal, the least size of a jump, and the median one by the range.
+    """Samples before each jump of a slow signal, the smallest size of a jump, and the median one by the range.
 
     A signal of range r that holds nothing above f moves at most π·f·r a second, as a sine of that range does. A jump exceeds
     that and the sensor's noise, and is a step: the samples on both sides of it move far less. Spikes are removed before.
@@ -187,30 +181,30 @@ def _jumps(name: str, channel: Channel) -> tuple[NDArray[np.int64], float, float
     from scipy.ndimage import median_filter
 
     x = median_filter(channel.samples, 5, mode="nearest")
-    moved = swing(x, 0.005)
+    spread = swing(x, 0.005)
     fastest_hz = HAND_HZ / 4 if name.startswith("position") else HAND_HZ
     # Eight standard deviations: no Gaussian noise steps as far in an hour at 10 kHz.
     noise = 8 * slow_noise(channel.samples)
-    least = min(np.pi * fastest_hz * moved / channel.rate_hz, 0.5 * moved) + noise
+    threshold = min(np.pi * fastest_hz * spread / channel.rate_hz, 0.5 * spread) + noise
     steps = np.abs(np.diff(x))
     around = np.lib.stride_tricks.sliding_window_view(np.pad(steps, 4, mode="reflect"), 9)
-    at = np.flatnonzero(steps > least)
+    at = np.flatnonzero(steps > threshold)
     at = at[steps[at] > 6 * np.median(around[at], axis=1)]
-    return at, least, float(np.median(steps[at]) / moved) if at.size and moved else 0.0
+    return at, threshold, float(np.median(steps[at]) / spread) if at.size and spread else 0.0
 
 
 def _neighbour_correlation(name: str, channel: Channel) -> float:
-    """Return the correlation of neighbouring samples in a slow channel, 1 where it moves too little to say."""
+    """Correlation of neighbouring samples in a slow channel, 1 where it moves too little to say."""
     low, high = np.quantile(channel.samples, [0.005, 0.995])
-    least = {"speed": 20.0, "force": 0.5, "force_z": 0.5, "position_x": 10.0, "position_y": 10.0}
-    if channel.rate_hz < 100 or high - low < least.get(name, np.inf):
+    threshold = {"speed": 20.0, "force": 0.5, "force_z": 0.5, "position_x": 10.0, "position_y": 10.0}
+    if channel.rate_hz < 100 or high - low < threshold.get(name, np.inf):
         return 1.0
     x = np.clip(channel.samples, low, high)  # so that a spike is not all there is
     return float(np.corrcoef(x[:-1], x[1:])[0, 1])
 
 
 def _piece(jumps: NDArray[np.int64]) -> int:
-    """Return the largest number of which 80 % of the jumps are multiples, up to a shift, or 0."""
+    """Largest number of which 80 % of the jumps are multiples, up to a shift, or 0."""
     jumps = jumps[:500]
     # Fewer jumps, or lengths that fit into them only a few times, would agree by chance.
     if jumps.size < 15:

@@ -61,12 +61,12 @@ class Coverage:
 
     @property
     def covered(self) -> int:
-        """Return the number of cells with `CELL_S` or more."""
+        """Number of cells with `CELL_S` or more."""
         return int((self.seconds >= CELL_S).sum())
 
     @property
     def fraction(self) -> float:
-        """Return the covered share of the cells, in [0, 1]."""
+        """Covered share of the cells, in [0, 1]."""
         return self.covered / self.seconds.size
 
 
@@ -84,11 +84,11 @@ class Inspection:
 
     @property
     def problems(self) -> tuple[Finding, ...]:
-        """Return the findings that are problems."""
+        """Findings that are problems."""
         return tuple(finding for finding in self.findings if finding.severity == PROBLEM)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the inspection as plain values for JSON, without the densities."""
+        """Inspection as plain values for JSON, without the densities."""
         coverage = self.coverage and {
             "covered_cells": self.coverage.covered,
             "cells": int(self.coverage.seconds.size),
@@ -110,14 +110,14 @@ class Inspection:
         }
 
     def to_text(self) -> str:
-        """Return the inspection as a table of the channels and a line for each finding."""
+        """Inspection as a table of the channels and a line for each finding."""
         heads = {"unit": 6, "rate": 10, "samples": 9, "lasts": 9, "from": 11, "to": 11, "rms": 10, "noise": 11}
         lines = [f"{'channel':<15}" + "".join(f"{head:>{width}}" for head, width in heads.items())]
-        for one in self.channels:
-            bound = "<" if one.noise_floor_from == "quietest 5 %" else " "
+        for channel in self.channels:
+            bound = "<" if channel.noise_floor_from == "quietest 5 %" else " "
             lines.append(
-                f"{one.name:<15}{one.unit:>9}{one.rate_hz:>9.6g} Hz{one.n_samples:>9}{one.duration_s:>7.2f} s"
-                f"{one.minimum:>11.4g}{one.maximum:>11.4g}{one.rms:>10.4g} {bound}{one.noise_floor:>9.3g}"
+                f"{channel.name:<15}{channel.unit:>9}{channel.rate_hz:>9.6g} Hz{channel.n_samples:>9}{channel.duration_s:>7.2f} s"
+                f"{channel.minimum:>11.4g}{channel.maximum:>11.4g}{channel.rms:>10.4g} {bound}{channel.noise_floor:>9.3g}"
             )
         if self.coverage is not None:
             cells, speed, force = self.coverage, self.coverage.speed_range, self.coverage.force_range
@@ -136,24 +136,24 @@ class Inspection:
 
 
 def places(channel: Channel, indices: NDArray[np.int64]) -> tuple[float, ...]:
-    """Return the times of some samples [s], thinned evenly to `N_PLACES`."""
+    """Times of some samples [s], thinned evenly to `N_PLACES`."""
     if indices.size > N_PLACES:
         indices = indices[np.linspace(0, indices.size - 1, N_PLACES).astype(np.int64)]
     return tuple(round(float(t), 6) for t in channel.times[indices])
 
 
 def runs(mask: NDArray[np.bool_]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return where stretches of True start and where they end, one past the last."""
+    """Starts of stretches of True, and ends, one past the last."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]]).astype(np.int8)))
     return edges[0::2], edges[1::2]
 
 
 def swing(samples: Array, tail: float) -> float:
-    """Return the range of a signal without a share of its samples at either end."""
+    """Range of a signal without a share of its samples at either end."""
     low, high = np.quantile(samples, [tail, 1 - tail])
     return float(high - low)
 
 
 def counted(count: int, what: str) -> str:
-    """Return a number with its noun: "1 gap", "2 gaps"."""
+    """Number with its noun: "1 gap", "2 gaps"."""
     return f"{count} {what}{'' if count == 1 else 's'}"

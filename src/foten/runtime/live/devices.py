@@ -61,7 +61,7 @@ class SoundSink:
 
     @property
     def latency_s(self) -> float:
-        """Return what the device says of its own delay [s]."""
+        """Delay that the device states [s]."""
         return float(self._stream.latency)
 
     def start(self, read: Read) -> None:
@@ -96,7 +96,7 @@ class SoundSink:
 
 
 def sound_library() -> Any:
-    """Return the package sounddevice, or raise OSError where it or PortAudio is missing.
+    """The package sounddevice, or raise OSError where it or PortAudio is missing.
 
     Raises:
         OSError: it or PortAudio is missing; one line says what to do.

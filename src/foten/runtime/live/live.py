@@ -19,6 +19,9 @@ Read = Callable[[Samples], None]
 
 BLOCK_MS = 2.0  # rendered at once: a hand is looked at in every sample of the texture's rate, but set between blocks
 LEAD_MS = 10.0  # rendered ahead of what is played: what the hand waits, and what a busy machine may take
+# In which what is played falls to silence where the ring runs empty, and rises again: half of the lead, half a period of 100 Hz;
+# a step, which has all frequencies, is a click.
+FADE_MS = 5.0
 # How long another thread of Python keeps its lock while one renders live; 5 ms are usual, and too long.
 SWITCH_S = 0.0005
 _BINS = np.concatenate([[0.0], np.geomspace(1e-7, 1.0, 701)])  # s; 2.3 % apart
@@ -28,15 +31,22 @@ class Ring:
     """A ring of float32 samples, one writer, one reader; neither waits.
 
     The counters only grow, each is written by one thread alone, and a sample is in place before its counter says so: no lock.
+
+    Args:
+        size: samples that it holds.
+        n_fade: samples that the last one takes to fall to silence where there are no more, and new ones to rise.
     """
 
-    def __init__(self, size: int) -> None:
+    def __init__(self, size: int, n_fade: int) -> None:
         self._samples = np.zeros(size, dtype=np.float32)
         self._n_written = self._n_read = 0
+        # The reader's own: a gain in n_fade + 1 steps from silence, the step that it is at, and what it falls from.
+        self._gains = (0.5 - 0.5 * np.cos(np.pi * np.arange(n_fade + 1) / n_fade)).astype(np.float32)
+        self._step, self._last = n_fade, np.float32(0.0)
 
     @property
     def level(self) -> int:
-        """Return how many samples wait to be read."""
+        """Number of samples that wait to be read."""
         return self._n_written - self._n_read
 
     def write(self, samples: Samples) -> int:
@@ -50,15 +60,28 @@ class Ring:
         return n
 
     def read_into(self, out: Samples) -> int:
-        """Fill an array with what waits, zeros behind it, and return how many were there."""
+        """Fill an array with what waits, behind it a fade to silence, and return how many samples were there."""
         size = self._samples.size
         n, at = min(out.size, self.level), self._n_read % size
         first = min(n, size - at)
         out[:first] = self._samples[at : at + first]
         out[first:n] = self._samples[: n - first]
-        out[n:] = 0.0
         self._n_read += n
+        self._fade(out, n)
         return n
+
+    def _fade(self, out: Samples, n: int) -> None:
+        """Let the first n samples rise where they come after silence, and the rest fall to it from the last of them."""
+        if n:
+            self._last = out[n - 1]
+            rising = min(n, self._gains.size - 1 - self._step)
+            out[:rising] *= self._gains[self._step + 1 : self._step + 1 + rising]
+            self._step += rising
+        falling = min(out.size - n, self._step)
+        gains = self._gains[self._step - falling : self._step]
+        np.multiply(gains[::-1], self._last, out=out[n : n + falling])
+        out[n + falling :] = 0.0
+        self._step -= falling
 
 
 @dataclass
@@ -74,7 +97,7 @@ class Timing:
         self.largest_s = max(self.largest_s, seconds)
 
     def percentile_s(self, percent: float) -> float:
-        """Return what that share took at most [s], the upper end of its bin; NaN where nothing was counted."""
+        """Longest time of that share [s], the upper end of its bin; NaN where nothing was counted."""
         total = int(self.counts.sum())
         if total == 0:
             return float("nan")
@@ -91,11 +114,11 @@ class LiveStatistics:
     n_samples: int = 0  # rendered
     n_missed: int = 0  # blocks that took longer to render than to play
     n_underruns: int = 0  # times that the sink asked for more than there was
-    n_lacking: int = 0  # samples of silence that it played instead
+    n_lacking: int = 0  # samples that faded to silence, or were silent, instead
     least_ms: float = float("inf")  # that the ring held, once it had been full
 
     def line(self) -> str:
-        """Return it in one line for people."""
+        """One line for people."""
         times = " / ".join(f"{1000 * self.block.percentile_s(p):.2f}" for p in (50, 99, 99.9))
         return (
             f"blocks of {self.block_ms:g} ms rendered in {times} ms (p50 / p99 / p99.9), at most "
@@ -141,7 +164,7 @@ class Live:
         self._render, self._sink, rate = render, sink, sink.rate_hz
         self._block = np.zeros(max(1, round(block_ms * rate / 1000)), dtype=np.float32)
         self._lead = max(round(lead_ms * rate / 1000), sink.n_at_once + self._block.size)
-        self._ring = Ring(max(2 * self._block.size, self._lead))
+        self._ring = Ring(max(2 * self._block.size, self._lead), n_fade=max(1, round(FADE_MS * rate / 1000)))
         self._stopping, self._wanted, self._filled = threading.Event(), threading.Event(), threading.Event()
         self._failed: BaseException | None = None
         self._thread = threading.Thread(target=self._run, name="foten-render", daemon=True)
@@ -156,12 +179,12 @@ class Live:
 
     @property
     def running(self) -> bool:
-        """Return whether it plays: neither before the start, nor after a stop, nor once rendering or sink have failed."""
+        """Whether it plays: neither before the start, nor after a stop, nor once rendering or sink have failed."""
         return self._thread.is_alive() and self._failed is None and self._sink.failed is None
 
     @property
     def lead_ms(self) -> float:
-        """Return what is rendered ahead [ms]."""
+        """Time that is rendered ahead [ms]."""
         return 1000 * self._lead / self._sink.rate_hz
 
     def start(self) -> None:

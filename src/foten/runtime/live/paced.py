@@ -19,7 +19,7 @@ from foten.runtime.live.live import Read, Samples
 from foten.runtime.live.sinks import float_wav_ends
 
 PACKET_MS = 4.0
-_LARGEST_WAV = 2**32 - 4096  # bytes
+_MAX_WAV_BYTES = 2**32 - 4096  # bytes
 
 
 class Paced:
@@ -33,8 +33,8 @@ class Paced:
 
     def __init__(self, rate_hz: float, block_ms: float = PACKET_MS, ratio: float = 1.0) -> None:
         if not rate_hz > 0 or not block_ms > 0 or not ratio > 0:
-            given = f"a rate of {rate_hz} Hz in blocks of {block_ms} ms at {ratio} times"
-            raise ValueError(f"{given}, expected positive numbers")
+            asked = f"a rate of {rate_hz} Hz in blocks of {block_ms} ms at {ratio} times"
+            raise ValueError(f"{asked}, expected positive numbers")
         self.rate_hz = float(rate_hz)
         self.n_at_once = max(1, round(block_ms * rate_hz / 1000))
         self.n_late = 0
@@ -96,8 +96,8 @@ class WavSink(Paced):
             raise ValueError(f"a WAV file has a whole number of samples a second, got {rate_hz:g} Hz")
         if not path.parent.is_dir():
             raise FileNotFoundError(f"no such folder: {path.parent}")
-        self.most = min(_LARGEST_WAV // 4, _LARGEST_WAV if n is None else n)
-        if n is not None and n > self.most:
+        self.max_samples = min(_MAX_WAV_BYTES // 4, _MAX_WAV_BYTES if n is None else n)
+        if n is not None and n > self.max_samples:
             raise ValueError(f"{n / rate_hz:.0f} s at {rate_hz:g} Hz are more than a WAV file holds, 4 GB; play fewer")
         self._n, self._about = 0, about or {}
         self._stack = ExitStack()
@@ -106,12 +106,12 @@ class WavSink(Paced):
 
     @property
     def full(self) -> bool:
-        """Return whether it has all samples that it is to have."""
-        return self._n == self.most
+        """Whether it has all samples that it is to have."""
+        return self._n == self.max_samples
 
     def take(self, block: Samples) -> None:
         """Append a block."""
-        some = block[: self.most - self._n]
+        some = block[: self.max_samples - self._n]
         self._file.write(some.astype("<f4").tobytes())
         self._n += some.size
         if self.full:

@@ -24,7 +24,7 @@ from foten.runtime.stroke import Stroke
 LOUDNESS = 0.1  # of full scale, of a sound's standard deviation, where no gain is given
 CIRCLES_A_SECOND = 0.5
 # Of what is sent to a device that keeps to any rate: images and steps of the texture's own would be felt.
-LEAST_RATE_HZ = 8000.0
+MIN_RATE_HZ = 8000.0
 
 Hand = Callable[[NDArray[np.int64]], tuple[Array, Array]]
 """Speed [mm/s] and force [N] at samples of the texture's own rate, counted from 0; shapes (n,)."""
@@ -44,7 +44,7 @@ class Played:
 
 
 def circling(speeds: tuple[float, float], forces: tuple[float, float], rate_hz: float) -> Hand:
-    """Return a hand that draws a circle, slower and faster, lighter and firmer, over the middle of a trained range."""
+    """Conditions of a circle, slower and faster, lighter and firmer, over the middle of a trained range."""
 
     def hand(at: NDArray[np.int64]) -> tuple[Array, Array]:
         # 1.618 of each other, so that speed and force do not keep step.
@@ -57,12 +57,12 @@ def circling(speeds: tuple[float, float], forces: tuple[float, float], rate_hz: 
 
 
 def holding(speed: float, force: float) -> Hand:
-    """Return a hand at one speed [mm/s] and force [N]."""
+    """Conditions of one speed [mm/s] and force [N]."""
     return lambda at: (np.full(at.size, speed), np.full(at.size, force))
 
 
 def along(stroke: Stroke, lowpass_hz: float) -> Hand:
-    """Return the hand of a stroke, over and over: once as `Stroke.conditioned` has it, then again, as if the hand had gone over
+    """Conditions of a stroke, over and over: once as `Stroke.conditioned` has it, then again, as if the hand had gone over
     from the end to the beginning at once. The low-pass rounds that step as it does those within.
     """
     n = stroke.force.size
@@ -76,7 +76,7 @@ def along(stroke: Stroke, lowpass_hz: float) -> Hand:
 
 
 def rendering(renderer: Renderer, hand: Hand) -> Read:
-    """Return what fills an array, shape (n,), with the next samples under a hand: those of a whole stroke, whatever the sizes."""
+    """Function that fills an array, shape (n,), with the next samples under conditions, the same in blocks of any size."""
     state, ratio = renderer.native_state, renderer.texture_rate / renderer.rate
     waiting = np.zeros(0, dtype=np.float32)  # of one of the texture's own samples, for which the last array had no room
     n = 0
@@ -102,7 +102,7 @@ def sink_of(
     channel: int | None = None,
     about: dict[str, Any] | None = None,
 ) -> Sink:
-    """Return the sink that a text names: sound, null, FILE.wav, daq:Dev1/ao0, udp:HOST:PORT or osc:HOST:PORT.
+    """Sink that a text names: sound, null, FILE.wav, daq:Dev1/ao0, udp:HOST:PORT or osc:HOST:PORT.
 
     Raises:
         ValueError: it names none, or one without devices and channels of which some were given.
@@ -129,10 +129,10 @@ def sink_of(
 
 
 def rate_for(where: str, asked: float | None, texture_rate: float) -> float:
-    """Return the rate to play at: the one that is asked for, 48 kHz for sound, else the texture's own times a whole number."""
+    """Rate to play at [Hz]: the one that is asked for, 48 kHz for sound, else the texture's own times a whole number."""
     if asked is not None:
         return asked
-    return SOUND_RATE_HZ if where == "sound" else texture_rate * max(1, math.ceil(LEAST_RATE_HZ / texture_rate))
+    return SOUND_RATE_HZ if where == "sound" else texture_rate * max(1, math.ceil(MIN_RATE_HZ / texture_rate))
 
 
 def play(
@@ -167,7 +167,7 @@ def play(
 
 
 def gain_for(profile: ActuatorProfile | None, asked: float | None, sd: float, where: str) -> float:
-    """Return the sink's gain: what is asked for; else what is safe to assume.
+    """Gain of a sink: what is asked for; else what is safe to assume.
 
     An actuator's drive in V goes to a DAQ as it is, one in full scale to a sound card; acceleration goes to a sound card at a
     usual loudness, and to whatever takes numbers as it is. A unit that is not the sink's raises ValueError.

@@ -75,7 +75,7 @@ def write_audible(path: Path, acceleration: Array, rate_hz: float) -> float:
 
 
 def pcm_wav(samples: Array, rate_hz: int) -> bytes:
-    """Return a mono WAV of 16 bits, of samples (n,) whose full scale is 1."""
+    """Mono WAV of 16 bits, of samples (n,) whose full scale is 1."""
     buffer = io.BytesIO()
     with wave.open(buffer, "wb") as file:
         file.setparams((1, 2, rate_hz, samples.size, "NONE", ""))
@@ -84,14 +84,14 @@ def pcm_wav(samples: Array, rate_hz: int) -> bytes:
 
 
 def audible_factor(rate_hz: float) -> Fraction:
-    """Return 48 kHz over a rate, to 100 ppm, or raise ValueError where that is below 1 or no simple ratio."""
+    """Ratio of 48 kHz to a rate, to 100 ppm, or raise ValueError where that is below 1 or no simple ratio."""
     if rate_hz > AUDIBLE_HZ:
         raise ValueError(f"the model's rate is {rate_hz:g} Hz, expected at most {AUDIBLE_HZ} Hz for sound")
     return rate_ratio(float(AUDIBLE_HZ), rate_hz, tolerance=1e-4)
 
 
 def float_wav_ends(n: int, rate_hz: float, about: Mapping[str, Any]) -> tuple[bytes, bytes]:
-    """Return what lies before and behind n samples in a mono IEEE-float WAV; the standard library's `wave` writes integers only.
+    """Bytes before and behind n samples in a mono IEEE-float WAV; the standard library's `wave` writes integers only.
 
     The header holds a whole rate; the comment behind the samples holds the exact one.
     """
@@ -106,7 +106,7 @@ def float_wav_ends(n: int, rate_hz: float, about: Mapping[str, Any]) -> tuple[by
 
 
 def picture(acceleration: Array, speed: Array, force: Array, rate_hz: float, about: Mapping[str, Any]) -> Figure:
-    """Return a rendered stroke as a figure: waveform, spectrogram, speed and force on one time axis."""
+    """Figure of a rendered stroke: waveform, spectrogram, speed and force on one time axis."""
     from matplotlib.figure import Figure
 
     t = np.arange(acceleration.size) / rate_hz

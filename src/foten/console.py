@@ -1,0 +1,66 @@
+"""What the subcommands share: arguments, results on stdout, progress on stderr, checks of output paths."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import Annotated, Any
+
+from typer import Argument, Option
+
+from foten.atomic_write import atomic_write
+from foten.untrusted import shown
+
+JsonOption = Annotated[bool, Option("--json", help="Print the result as JSON on stdout.")]
+TextureFile = Annotated[Path, Argument(metavar="T.foten", help="A texture file.")]
+RecordingFile = Annotated[Path, Argument(metavar="REC.h5", help="A recording that foten import wrote.")]
+
+
+def folder_option(help_text: str) -> Any:
+    """Option `-o` of a command that writes a folder."""
+    return Option("-o", "--output", metavar="DIR", help=help_text)
+
+
+def say(text: str) -> None:
+    """Print progress, on stderr."""
+    print(_shown_lines(text), file=sys.stderr, flush=True)
+
+
+def _shown_lines(text: str) -> str:
+    """Text for a terminal; names in it may come from a file of anyone's."""
+    return "\n".join(shown(line) for line in text.split("\n"))
+
+
+def print_json(document: Any) -> None:
+    """Print a result as JSON, on stdout."""
+    print(json.dumps(document, indent=1, allow_nan=False))
+
+
+def print_result(document: Any, text: str, as_json: bool) -> None:
+    """Print a result, on stdout: as JSON, or as text."""
+    if as_json:
+        print_json(document)
+    else:
+        print(_shown_lines(text))
+
+
+def write_json(path: Path, document: Any) -> None:
+    """Write a result as JSON."""
+    with atomic_write(path) as part:
+        part.write_text(json.dumps(document, indent=1, allow_nan=False) + "\n")
+
+
+def check_folders(paths: list[Path]) -> None:
+    """Refuse an output whose folder does not exist, before any work is done."""
+    for path in paths:
+        if not path.parent.is_dir():
+            raise ValueError(f"cannot write {path}: there is no folder {path.parent}")
+        if path.is_dir() and path.suffix:
+            raise ValueError(f"cannot write {path}: it is a folder")
+
+
+def check_folder(path: Path | None, option: str = "-o") -> None:
+    """Refuse an output folder that is a file, before any work is done."""
+    if path is not None and path.exists() and not path.is_dir():
+        raise ValueError(f"{option} {path} is a file, expected a folder")

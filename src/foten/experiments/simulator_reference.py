@@ -1,0 +1,155 @@
+"""The simulator's truth of a recording: further realisations and bounds of any predictor to judge by, and what to choose by."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+
+from foten.dsp import Array
+from foten.dsp.filters import butterworth
+from foten.evaluate.evaluate import SimulatorReference, trace_for
+from foten.evaluate.free_run import N_SEEDS
+from foten.evaluate.listener import N_LISTENERS, level_biases, long_stroke, renderings, vibrations
+from foten.models.texture_file import Texture
+from foten.recording.preprocess import PreprocessConfig
+from foten.recording.recording import Recording
+from foten.recording.trace import Trace
+from foten.runtime.native import NativeTexture
+from foten.simulation.linear_family import LINEAR_FAMILY, linear_truth, one_step_bounds
+from foten.simulation.simulate import second_realisation
+
+LONG_S = 240.0  # of a stroke for listeners
+VALIDATION_HAND = 2  # the number of the hand that nothing is reported of
+# Realisations that a process keeps: the methods of an experiment are judged by the same ones, texture by texture. 2 MB each at
+# 1 kHz, a long stroke's 6 MB.
+N_CACHED = 12
+
+
+@dataclass(frozen=True)
+class _Realisation:
+    """A realisation, by all that it depends on; of two that are equal one is simulated."""
+
+    by: str
+    recording: Recording = field(compare=False)
+    texture: Texture = field(compare=False)
+    cut: tuple[float | None, float | None] = field(compare=False)
+    changed: Mapping[str, Any] = field(compare=False)
+
+
+def _realisation(
+    recording: Recording,
+    texture: Texture,
+    trim_ms: float | None = None,
+    block_ms: float | None = None,
+    **changed: float,
+) -> Trace:
+    """Further realisation, preprocessed as a texture's recording was: simulated once, however often it is asked for."""
+    by = json.dumps(
+        [dict(recording.simulation or {}), texture.card["preprocess"], trim_ms, block_ms, changed], sort_keys=True
+    )
+    return _simulated(_Realisation(by, recording, texture, (trim_ms, block_ms), changed))
+
+
+@lru_cache(maxsize=N_CACHED)
+def _simulated(of: _Realisation) -> Trace:
+    return trace_for(of.texture, second_realisation(of.recording, **of.changed), *of.cut)
+
+
+def reference_for(
+    recording: Recording,
+    texture: Texture,
+    trim_ms: float | None = None,
+    block_ms: float | None = None,
+    listener: bool = False,
+) -> SimulatorReference:
+    """Further realisations of a simulated stroke and, for the linear family, the bounds of any predictor.
+
+    For listeners realisations of a long stroke by another hand too: one to be recorded, and one for the control of each.
+
+    A recording that was not simulated, or by another version of the simulator, has no truth. The bounds hold at the simulated
+    rate and with a causal high-pass of order 2 only.
+    """
+    if recording.simulation is None:
+        return SimulatorReference()
+    try:
+        used = int(recording.simulation["noise_seed"])
+
+        def realisation(k: int) -> Trace:
+            return _realisation(recording, texture, trim_ms, block_ms, noise_seed=used + 1_000_003 * k)
+
+        with ThreadPoolExecutor() as pool:  # filters and transforms release the interpreter's lock
+            realisations = list(pool.map(realisation, range(1, N_SEEDS + 1)))
+    except (KeyError, TypeError, ValueError) as error:
+        return SimulatorReference(why_no_bound=f"the simulator's parameters in the recording cannot be used ({error})")
+    strokes = long_strokes(recording, texture) if listener else ()
+    config = PreprocessConfig(**texture.card["preprocess"])
+    if recording.simulation["key"] not in LINEAR_FAMILY:
+        return SimulatorReference(realisations, strokes)
+    if recording["acceleration"].rate_hz != config.rate_hz:
+        return SimulatorReference(realisations, strokes, why_no_bound="known at the simulated rate alone")
+    if config.highpass_order != 2 or config.zero_phase:
+        return SimulatorReference(realisations, strokes, why_no_bound="known with a causal high-pass of order 2 alone")
+    trace = trace_for(texture, recording, trim_ms, block_ms)
+    return SimulatorReference(
+        realisations, strokes, *linear_bounds(recording, trace, config.highpass_hz, texture.window)
+    )
+
+
+def long_strokes(
+    recording: Recording, texture: Texture, n: int = 1 + N_LISTENERS, hand_number: int = 1
+) -> tuple[Trace, ...]:
+    """N realisations of a long stroke by another hand over a simulated texture; none of what was not simulated here.
+
+    Each hand has a stroke and places of its own.
+    """
+    try:
+        if recording.simulation is None:
+            return ()
+        used, hand = (int(recording.simulation[name]) for name in ("noise_seed", "stroke_seed"))
+
+        def realisation(k: int) -> Trace:
+            seeds = {
+                "noise_seed": used + 1_000_003 * (100 * hand_number + k),
+                "stroke_seed": hand + 1_000_003 * hand_number,
+            }
+            return _realisation(recording, texture, seconds=LONG_S, **seeds)
+
+        with ThreadPoolExecutor() as pool:
+            return tuple(pool.map(realisation, range(n)))
+    except (KeyError, TypeError, ValueError):
+        return ()
+
+
+def validation_listener(texture: Texture, recording: Recording) -> dict[str, Any]:
+    """`area`, that under a listener's curve, and `level_bias_db`; nothing of what was not simulated, or is silent.
+
+    As the evaluation's, of band energies, but under a third hand: neither the one that was learned from nor that of the reported
+    figures, so that it can be chosen by. One listener, since what is chosen by is a mean over many textures, and two fits of one
+    differ more than three listeners of one fit do: by 0.015 and 0.01.
+    """
+    strokes = long_strokes(recording, texture, 1, VALIDATION_HAND) if texture.has_excitation else ()
+    if not strokes:
+        return {}
+    from foten.evaluate.listener_network import listener_auc
+
+    recorded = long_stroke(strokes[0])
+    rendered = renderings(NativeTexture(texture.to_bytes()), recorded)(0)
+    run = recorded.with_acceleration(rendered)
+    area = listener_auc(*vibrations(recorded, run, waveform=False), seed=0)
+    return {"area": area, "level_bias_db": level_biases(recorded, rendered)}
+
+
+def linear_bounds(recording: Recording, trace: Trace, highpass_hz: float, window: int) -> tuple[Array, Array]:
+    """Least expected absolute one-step errors [m/s²] from the infinite past and from a window of m, shape (n,) each.
+
+    Of a recording of the linear family and its trace, causally high-passed with order 2.
+    """
+    (b0, b1, b2, a1, a2), *_ = butterworth("highpass", highpass_hz, trace.rate_hz)
+    numerator, denominator = np.array([b0, b1, b2]), np.array([1.0, a1, a2])
+    return one_step_bounds(linear_truth(recording), trace.speed, trace.force, numerator, denominator, window)

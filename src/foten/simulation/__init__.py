@@ -1,0 +1,1 @@
+"""Textures with a known truth, and recordings and captures of them."""

@@ -1,0 +1,334 @@
+"""Textures by contact mechanics: a ball on a rough profile, whose contact can be lost and whose friction can stick.
+
+    place on the profile ─▶ height under the ball ─▶ Hertz contact, or none ─▶ force ─┐
+    speed ─▶ the tip, on a spring, under Coulomb friction of that force ─▶ friction ──┴─▶ modes of the tool ─▶ acceleration
+
+Here no autoregression is the truth: a tip that flies is silent until it lands, a sharp grain is struck harder the faster it
+is met, and a sticking tip lets go when its spring has the force. The profile is the texture's, drawn by its key and closed to a
+loop; a realisation meets it from a place of its own.
+
+Height under a ball of radius R, the dilation of the profile: h(s) = maxᵤ [p(s + u) − u²/2R].
+Normal force: F = K δ^1.5 (1 + D dδ/dt), not negative, with δ = h − z and K = 4/3 E* √R (Hertz; Hunt & Crossley, "Coefficient of
+restitution interpreted as damping in vibroimpact", Journal of Applied Mechanics 42, 1975). The tip: m z̈ = F − P − c ż, pressed by
+the hand with P and damped by it; and along the stroke m q̈ = −k q − d q̇ ± μF, with Coulomb friction that falls from μ(1 + s) at
+rest to μ. The sensor sits on the tool's body, which both forces reach through two modes.
+
+Not fitted to any surface; sizes are those of hand-held tools and everyday materials.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+
+from foten.dsp import Array
+from foten.simulation.linear_family import NOT_NEGATIVE, POSITIVE, check_parameters
+from foten.simulation.stroking import Stroking
+
+GRID_MM = 0.01  # of a profile
+LOOP_MM = 4000.0  # after which a profile begins again: half a minute at the usual speed
+RATE_HZ = 10_000.0  # of both simulators' physics, of the force sensor, and of the accelerometer by default
+SUBSTEPS = 4  # of the mechanics in each sample of a stroke
+MAX_IMPACT_N = 50.0  # of an impact, for which steps must be short enough
+PIECE_S, OVERLAP_S, FADE_S = (
+    0.25,
+    0.15,
+    0.01,
+)  # pieces are integrated side by side: each settles first, and fades into the next
+BODY_G = 80.0  # mass of the tool that the sensor sits on
+MODES_HZ, MODES_DAMPING, MODES_SHARE = (120.0, 340.0), (0.30, 0.15), (1.0, 0.7)  # of the tool, that both forces ring
+STIFF_SHARE = 0.15  # of the forces that moves the body at once
+DIRECTION = np.array([0.8, 0.6])  # of tangential motion in the sensor's x and y
+STRIBECK_MM_S = 15.0  # speed over which friction falls from static to kinetic
+
+
+# A profile has a point every `GRID_MM`, and holds no finer parts.
+RANGES: Mapping[str, tuple[float, float]] = {
+    "roughness_um": NOT_NEGATIVE,
+    "corner_per_mm": POSITIVE,
+    "grains_per_mm": (0.0, 1 / GRID_MM),
+    "grain_spread": (-2.0, 2.0),
+    "grain_mm": (4 * GRID_MM, 5.0),
+    "wavelength_mm": (10 * GRID_MM, 100.0),
+    "depth_um": NOT_NEGATIVE,
+    "sharpness": (1e-3, 20.0),
+    "period_jitter": NOT_NEGATIVE,
+    "tip_mm": (1e-3, 10.0),
+    "modulus_mpa": POSITIVE,
+    "damping_s_m": NOT_NEGATIVE,
+    "tip_mass_g": POSITIVE,
+    "hand_damping_n_s_m": NOT_NEGATIVE,
+    "friction": NOT_NEGATIVE,
+    "stick": NOT_NEGATIVE,
+    "shaft_hz": POSITIVE,
+}
+"""Lowest and highest value of a texture's parameters."""
+
+
+@dataclass(frozen=True)
+class ContactParameters:
+    """What defines one texture: its profile, its material, its friction, and how the tool is held."""
+
+    description: str
+    roughness_um: float  # RMS of self-affine noise
+    corner_per_mm: float  # where its power begins to fall [cycles/mm]
+    hurst: float  # how: power ~ c^-(1 + 2 hurst)
+    grains_per_mm: float  # caps that stand out of the noise, or with a negative height pores; 0 for none
+    grain_um: float  # their median height
+    grain_spread: float  # standard deviation of its logarithm: how few stand out how far
+    grain_mm: float  # their width
+    wavelength_mm: float  # of the periodic part
+    depth_um: float  # of it, 0 for none
+    sharpness: float  # 1 is a sine; more are narrower crests, as of wires
+    period_jitter: float  # standard deviation of a period, relative
+    alternating: float  # share by which every second period is lower, as of a weave
+    tip_mm: float  # radius of the ball
+    modulus_mpa: float  # E* of the contact
+    damping_s_m: float  # D: how much of an impact is lost
+    tip_mass_g: float  # of the tool, as the surface feels it
+    hand_damping_n_s_m: float  # c: damping of its normal motion by the hand
+    friction: float  # μ, kinetic
+    stick: float  # s: how much more at rest
+    shaft_hz: float  # of the tip on its tangential spring
+    shaft_damping: float  # of that
+
+    def __post_init__(self) -> None:
+        check_parameters(self, RANGES)
+        stiffest = 1.5 * self.stiffness ** (2 / 3) * MAX_IMPACT_N ** (1 / 3)
+        if stiffest / self.mass_kg > (0.5 * RATE_HZ * SUBSTEPS) ** 2:
+            raise ValueError(
+                f"a contact of {self.modulus_mpa:g} MPa under {self.tip_mass_g:g} g is too stiff for steps of 25 µs"
+            )
+
+    @property
+    def mass_kg(self) -> float:
+        """Mass m [kg]."""
+        return self.tip_mass_g * 1e-3
+
+    @property
+    def stiffness(self) -> float:
+        """Stiffness K of Hertz's contact [N/m^1.5]."""
+        return float(4 / 3 * self.modulus_mpa * 1e6 * np.sqrt(self.tip_mm * 1e-3))
+
+
+# fmt: off
+CONTACT: Mapping[str, ContactParameters] = {
+    key: ContactParameters(*row) for key, row in {
+        #   description,
+        #       roughness, corner, hurst,  grains a mm, height, spread, width,  wavelength, depth, sharpness, jitter, alternating,
+        #       tip, modulus, damping, mass, hand,  friction, stick, shaft, damping
+        "sandpaper-coarse": ("grains of 0.3 mm glued to paper: sharp, few stand out far",
+                4.0, 2.0, 0.7,  2.0, 20.0, 0.5, 0.30,  1.0, 0.0, 1.0, 0.0, 0.0,
+                0.5, 800.0, 0.6, 12.0, 6.0,  0.55, 0.1, 170.0, 0.20),
+        "sandpaper-fine": ("grains of 0.08 mm: dense and even",
+                2.0, 4.0, 0.7,  9.0, 9.0, 0.4, 0.09,  1.0, 0.0, 1.0, 0.0, 0.0,
+                0.5, 800.0, 0.6, 12.0, 6.0,  0.50, 0.1, 170.0, 0.20),
+        "sawn-wood": ("marks of a saw, every 1.6 mm or so, on fibres with pores",
+                5.0, 0.8, 0.6,  1.2, -18.0, 0.5, 0.20,  1.6, 22.0, 1.5, 0.12, 0.0,
+                0.7, 300.0, 1.0, 14.0, 7.0,  0.40, 0.2, 150.0, 0.25),
+        "brushed-metal": ("fine scratches across the stroke, hard",
+                1.6, 6.0, 0.4,  1.0, 2.5, 0.6, 0.06,  1.0, 0.0, 1.0, 0.0, 0.0,
+                0.5, 2000.0, 0.4, 12.0, 6.0,  0.20, 0.1, 190.0, 0.15),
+        "ribbed-plastic": ("moulded ribs every 1.2 mm, even to 1 %",
+                0.8, 2.0, 0.8,  0.0, 1.0, 0.0, 0.10,  1.2, 28.0, 2.0, 0.01, 0.0,
+                0.7, 400.0, 0.8, 14.0, 7.0,  0.30, 0.1, 160.0, 0.20),
+        "canvas": ("plain weave, 0.8 mm: every second thread lower, fibres between",
+                5.0, 3.0, 0.5,  2.0, 5.0, 0.5, 0.12,  0.8, 20.0, 1.2, 0.06, 0.35,
+                0.8, 25.0, 2.5, 14.0, 9.0,  0.40, 0.2, 140.0, 0.30),
+        "wire-mesh": ("wires every 2 mm with gaps between: the tip falls in and climbs out",
+                0.8, 2.0, 0.7,  0.0, 1.0, 0.0, 0.10,  2.0, 60.0, 4.0, 0.015, 0.15,
+                1.0, 1000.0, 0.6, 14.0, 7.0,  0.25, 0.1, 160.0, 0.20),
+        "leather": ("pebbles about 1.8 mm apart, soft",
+                3.0, 1.5, 0.7,  1.0, -14.0, 0.4, 0.35,  1.8, 24.0, 1.5, 0.30, 0.0,
+                0.8, 15.0, 3.0, 15.0, 10.0,  0.55, 0.3, 120.0, 0.30),
+        "rubber-sheet": ("smooth and sticky: the tip sticks and slips where it is slow",
+                1.5, 1.0, 0.8,  0.0, 1.0, 0.0, 0.10,  1.0, 0.0, 1.0, 0.0, 0.0,
+                0.8, 8.0, 4.0, 15.0, 10.0,  0.80, 0.6, 90.0, 0.10),
+        "cork": ("pressed granules of 2 to 3 mm with gaps, springy",
+                6.0, 0.6, 0.5,  0.7, -40.0, 0.6, 0.40,  2.6, 12.0, 1.0, 0.35, 0.0,
+                0.7, 30.0, 2.5, 14.0, 9.0,  0.50, 0.2, 130.0, 0.30),
+    }.items()
+}
+# fmt: on
+
+
+@lru_cache(maxsize=2)
+def profile(parameters: ContactParameters, key: str) -> Array:
+    """Height of a texture along its loop [mm], one point every `GRID_MM`, zero on the mean.
+
+    The texture's own: the same for every seed.
+    """
+    from scipy.fft import irfft, rfft, rfftfreq
+
+    rng = np.random.default_rng([3, *key.encode()])
+    n = round(LOOP_MM / GRID_MM)
+    c = rfftfreq(n, GRID_MM)
+    amplitude = (1 + (c / parameters.corner_per_mm) ** 2) ** (-(0.5 + parameters.hurst) / 2)
+    amplitude[0] = 0.0
+    noise = irfft(rfft(rng.standard_normal(n)) * amplitude, n)
+    height = parameters.roughness_um * 1e-3 * noise / noise.std()
+    if parameters.depth_um:
+        height += parameters.depth_um * 1e-3 * _periodic(parameters, n, rng)
+    if parameters.grains_per_mm:
+        height = _with_grains(height, parameters, rng)
+    height -= height.mean()
+    height.flags.writeable = False
+    return height
+
+
+def _periodic(parameters: ContactParameters, n: int, rng: np.random.Generator) -> Array:
+    """Crests of unit height with uneven periods, closed to a loop, (n,)."""
+    periods = np.maximum(
+        0.3, 1 + parameters.period_jitter * rng.standard_normal(round(LOOP_MM / parameters.wavelength_mm / 2) * 2)
+    )
+    edges = np.concatenate([[0.0], np.cumsum(periods)]) * LOOP_MM / periods.sum()
+    phase = np.interp(np.arange(n) * GRID_MM, edges, np.arange(edges.size))
+    crest = (0.5 - 0.5 * np.cos(2 * np.pi * phase)) ** parameters.sharpness
+    return crest * np.where(phase.astype(np.int64) % 2, 1.0 - parameters.alternating, 1.0)
+
+
+def _with_grains(height: Array, parameters: ContactParameters, rng: np.random.Generator) -> Array:
+    """Profile with caps on it, or pores in it: where they overlap, the higher cap or the deeper pore."""
+    n, half = height.size, round(0.5 * parameters.grain_mm / GRID_MM)
+    count = rng.poisson(parameters.grains_per_mm * LOOP_MM)
+    at = rng.integers(0, n, count)
+    sizes = abs(parameters.grain_um) * 1e-3 * np.exp(parameters.grain_spread * rng.standard_normal(count))
+    cap = 1 - (np.arange(-half, half + 1) / (half + 1)) ** 2
+    caps = np.zeros(n)
+    for offset, share in zip(range(-half, half + 1), cap, strict=True):
+        np.maximum.at(caps, (at + offset) % n, share * sizes)
+    return height + np.sign(parameters.grain_um) * caps
+
+
+@lru_cache(maxsize=2)
+def under_ball(parameters: ContactParameters, key: str) -> Array:
+    """Height of a ball that rests on the profile [mm], for each of its points: what the tip can follow."""
+    from scipy.ndimage import grey_dilation
+
+    height = profile(parameters, key)
+    reach = min(parameters.tip_mm, np.sqrt(2 * parameters.tip_mm * float(np.ptp(height))))
+    u = np.arange(-int(reach / GRID_MM), int(reach / GRID_MM) + 1) * GRID_MM
+    lifted = grey_dilation(height, structure=-(u**2) / (2 * parameters.tip_mm), mode="wrap")
+    lifted.flags.writeable = False
+    return np.asarray(lifted)
+
+
+def contact_vibration(
+    parameters: ContactParameters, key: str, stroke: Stroking, rng: np.random.Generator
+) -> tuple[Array, Array]:
+    """Vibration of the tool before any sensor [m/s²], axes x, y, z, (n, 3), and the force of the contact [N], (n,).
+
+    Under the stroke's speed and force, from a place of the profile that is drawn.
+    """
+    from scipy.signal import lfilter
+
+    rate = stroke.rate_hz
+    place = rng.uniform(0, LOOP_MM) + np.cumsum(stroke.speed) / rate
+    force, friction = _pieces(parameters, key, place, stroke.speed, stroke.force, rate)
+    pushed = np.stack([force - stroke.force, friction], axis=1) / (BODY_G * 1e-3)
+    acceleration = STIFF_SHARE * pushed
+    for hz, damping, share in zip(MODES_HZ, MODES_DAMPING, MODES_SHARE, strict=True):
+        acceleration = acceleration + share * lfilter(*mode_filter(hz, damping, rate), pushed, axis=0)
+    return np.column_stack([acceleration[:, 1:] * DIRECTION, acceleration[:, 0]]), force
+
+
+def mode_filter(hz: float, damping: float, rate_hz: float) -> tuple[Array, Array]:
+    """Numerator and denominator of a damped mode of unit gain at its centre, 2ζω₀s / (s² + 2ζω₀s + ω₀²), bilinear."""
+    from scipy.signal import bilinear
+
+    omega = 2 * rate_hz * np.tan(np.pi * hz / rate_hz)
+    width = 2 * damping * omega
+    b, a = bilinear([width, 0], [1, width, omega**2], rate_hz)
+    return b, a
+
+
+def _pieces(
+    parameters: ContactParameters, key: str, place: Array, speed: Array, force: Array, rate_hz: float
+) -> tuple[Array, Array]:
+    """Contact force and friction [N], each (n,).
+
+    The stroke in pieces side by side, each from equilibrium and well settled when it takes over: what a damped contact does
+    is forgotten in a few hundredths of a second, and 60 s would be 2.4 million steps one after the other.
+    """
+    n, piece, overlap, fade = place.size, *(round(s * rate_hz) for s in (PIECE_S, OVERLAP_S, FADE_S))
+    starts = np.arange(0, n, piece)
+    index = np.clip(starts[:, None] + np.arange(-overlap, piece + fade), 0, n - 1)
+    parts = _integrate(parameters, under_ball(parameters, key), place[index], speed[index], force[index], rate_hz)
+    ramp = (np.arange(fade) + 0.5) / fade
+    joined = []
+    for part in parts:
+        settled = part[:, overlap:].copy()  # a piece, and how it would go on
+        settled[1:, :fade] = ramp * settled[1:, :fade] + (1 - ramp) * settled[:-1, piece:]
+        joined.append(settled[:, :piece].ravel()[:n])
+    return joined[0], joined[1]
+
+
+def _integrate(
+    parameters: ContactParameters, surface: Array, place: Array, speed: Array, force: Array, rate_hz: float
+) -> tuple[Array, Array]:
+    """Contact force and friction [N] of pieces (k, n), each from equilibrium at its first sample: (k, n) each.
+
+    Semi-implicit steps; the friction of a step is at most what stops the tip in it, which is sticking.
+    """
+    p, dt = parameters, 1 / (rate_hz * SUBSTEPS)
+    mass, stiffness = p.mass_kg, p.stiffness
+    spring, shaft = mass * (2 * np.pi * p.shaft_hz) ** 2, 2 * p.shaft_damping * mass * 2 * np.pi * p.shaft_hz
+    k, n = place.shape
+    outputs = np.empty((2, n, k))
+    places, forces = np.ascontiguousarray(place.T), np.ascontiguousarray(force.T)
+    towards = np.ascontiguousarray(speed.T) * 1e-3
+    z, w = _height(surface, places[0]) - (force[:, 0] / stiffness) ** (2 / 3), np.zeros(k)
+    q, u, sliding = np.zeros(k), np.zeros(k), towards[0]
+    for i, (heights, rates) in enumerate(_passed(surface, places, dt)):
+        total, held, presses = np.zeros(k), np.zeros(k), _substeps(forces, i)
+        for j in range(SUBSTEPS):
+            depth = np.maximum(heights[j] - z, 0.0)
+            contact = np.maximum(stiffness * depth * np.sqrt(depth) * (1 + p.damping_s_m * (rates[j] - w)), 0.0)
+            w = w + dt / mass * (contact - presses[j] - p.hand_damping_n_s_m * w)
+            z = z + dt * w
+            # Along the stroke the tip slides over the surface at v + q̇, and friction is against that.
+            if p.friction:
+                sticking = 1 + p.stick * np.exp(-np.abs(sliding) * (1e3 / STRIBECK_MM_S))
+                limit = dt / mass * p.friction * contact * sticking
+                free = u - dt / mass * (spring * q + shaft * u)
+                stopped = -np.clip(towards[i] + free, -limit, limit)
+                u = free + stopped
+                q = q + dt * u
+                sliding = towards[i] + u
+                held += stopped
+            total += contact
+        outputs[0, i], outputs[1, i] = total / SUBSTEPS, held * (mass / dt / SUBSTEPS)
+    force_of, friction_of = outputs.transpose(0, 2, 1)
+    return force_of, friction_of
+
+
+def _passed(surface: Array, places: Array, dt: float) -> Iterator[tuple[Array, Array]]:
+    """Yield the surface's height [m] and how fast it rises [m/s] in the steps of dt [s] up to each sample, (SUBSTEPS, k) each.
+
+    Args:
+        places: on the surface [mm], (n, k).
+    """
+    last = _height(surface, places[:1])
+    for i in range(len(places)):
+        heights = _height(surface, _substeps(places, i))
+        yield heights, np.diff(heights, axis=0, prepend=last) / dt
+        last = heights[-1:]
+
+
+def _substeps(samples: Array, i: int) -> Array:
+    """Values at the steps up to sample i, on straight lines from the one before: (SUBSTEPS, k) of (n, k), in its unit."""
+    share = (np.arange(SUBSTEPS) + 1.0) / SUBSTEPS
+    before = samples[max(i - 1, 0)]
+    return np.asarray(before + share[:, None] * (samples[i] - before))
+
+
+def _height(surface: Array, place: Array) -> Array:
+    """Height of a surface [m] at some places [mm], in their shape: straight lines between its points."""
+    at = place / GRID_MM
+    point = np.floor(at)
+    first = point.astype(np.int64) % surface.size
+    here, there = surface[first], surface[(first + 1) % surface.size]
+    return np.asarray(1e-3 * (here + (at - point) * (there - here)))

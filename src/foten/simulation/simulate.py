@@ -1,0 +1,347 @@
+"""Seeded recordings with a known truth: twelve textures under raw sensors, ten of contact mechanics, and the linear family.
+
+The model of one of the twelve, from the hand to the sensor:
+
+    path length s(t) ─▶ roughness w(s): a lattice and self-affine noise ─┐
+    Poisson impacts of asperities, a number for each mm ─────────────────┴▶ × level fᵅ vᵝ ─┐
+                                                sensors ◀─ two modes of the tool ◀─ contact ◀┘
+
+Nothing in it is fitted to a real surface. It is there to have tones that move with speed, levels and colours that depend on speed
+and force, and parts that no model can predict, in known amounts. It leaves out the direction of the stroke and its place on the
+plate: going back meets new roughness of the same kind. Those of contact mechanics (`contact`) are where no linear filter of
+anything is the truth.
+"""
+
+from __future__ import annotations
+
+import json
+import threading
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from foten.dsp import Array
+from foten.recording.recording import AXES, Channel, Recording
+from foten.simulation.contact_mechanics import CONTACT, RATE_HZ, ContactParameters, contact_vibration, mode_filter
+from foten.simulation.linear_family import (
+    LINEAR_FAMILY,
+    MAX_PARAMETER,
+    POSITIVE,
+    REFERENCE_SPEED,
+    LinearParameters,
+    check_parameters,
+    linear_signal,
+)
+from foten.simulation.stroking import Stroking, stroking
+
+_LOCK = threading.Lock()
+VERSION = 2  # of the model; a change that moves a sample raises it
+LINEAR_RATE_HZ = 1000.0  # of the linear family by default
+POSITION_HZ = 120.0  # Sec. III-c
+GRAVITY = 9.81  # m/s²
+ACCELEROMETER_RANGE = 3 * GRAVITY  # ADXL335
+ACCELEROMETER_BAND_HZ = 1600.0  # ADXL335, x and y without an external capacitor
+ACCELEROMETER_NOISE = 2e-3  # m/s²/√Hz, ADXL335 class: 0.04 m/s² rms up to 450 Hz, 0.08 up to 1600 Hz
+FORCE_NOISE_N = 0.01
+POSITION_NOISE_MM = 0.02
+MARKER_HEIGHT_MM = 40.0
+SETTLING = 1000  # samples of the first reading before the record, so that it begins without a filter's transient
+GRID_MM = 0.02  # of the roughness
+TIP_PER_MM = 4.0  # cycles/mm: the ball of 2 mm bridges finer structure
+AXIS_GAINS = np.array([[0.45, 0.55], [0.35, -0.25], [0.82, 0.80]])
+"""Share of the two tool modes in x, y, z; each column has about unit norm, so that DFT321 keeps the level."""
+
+
+RANGES: Mapping[str, tuple[float, float]] = {
+    "level": POSITIVE,
+    "wavelength_mm": (GRID_MM, MAX_PARAMETER),
+    "lattice_share": (0.0, 1.0),
+    "corner_per_mm": POSITIVE,
+    "impacts_per_mm": POSITIVE,
+    "contact_hz": (1e-6, 0.499 * RATE_HZ),  # a filter's cutoff lies below half the rate
+    "modes_hz": (1e-6, 0.499 * RATE_HZ),
+    "damping": POSITIVE,
+}
+"""Lowest and highest value of a texture's parameters."""
+
+
+@dataclass(frozen=True)
+class TextureParameters:
+    """What defines one simulated texture."""
+
+    description: str
+    level: float  # rms of the excitation at 100 mm/s and 1 N [m/s²], before the tool
+    speed_exponent: float  # how the level grows
+    force_exponent: float
+    wavelength_mm: float  # cell of the lattice
+    lattice_share: float  # of the roughness power, the rest is self-affine noise
+    harmonics: tuple[float, ...]  # amplitudes of the lattice, any scale
+    period_jitter: float  # standard deviation of a cell's length, relative
+    corner_per_mm: float  # where the self-affine noise begins to fall [cycles/mm]
+    hurst: float  # its fall, power ~ c^-(1 + 2 hurst)
+    impacts_per_mm: float  # asperities struck on a path; few of them crackle, many hiss
+    impacts_ratio: float  # rms of the impacts, relative to the roughness, at 100 mm/s
+    contact_hz: float  # the contact's low-pass; soft surfaces have low ones
+    modes_hz: tuple[float, float]  # of the tool; a firm grip on the surface (force) moves the weight to the second
+    damping: tuple[float, float]
+    friction: float  # coefficient
+    phases: tuple[float, ...]  # of the harmonics along the lattice [rad]: the waveform of a cell
+
+    def __post_init__(self) -> None:
+        for name in ("harmonics", "modes_hz", "damping", "phases"):
+            object.__setattr__(self, name, tuple(getattr(self, name)))
+        check_parameters(self, RANGES)
+        if len(self.phases) != len(self.harmonics):
+            raise ValueError(f"{len(self.phases)} phases, expected one for each of {len(self.harmonics)} harmonics")
+        for name in ("modes_hz", "damping"):
+            if len(getattr(self, name)) != 2:
+                raise ValueError(f"{name} is {getattr(self, name)}, expected two numbers")
+
+
+def _phases(key: str, n: int) -> tuple[float, ...]:
+    """Phases of a texture's harmonics [rad], drawn by its key: every realisation has the same waveform."""
+    return tuple(np.random.default_rng([*key.encode()]).uniform(0, 2 * np.pi, n).round(3).tolist())
+
+
+# fmt: off
+TEXTURES: Mapping[str, TextureParameters] = {
+    key: TextureParameters(*row, phases=_phases(key, len(row[6]))) for key, row in {
+        #       description, level, speed and force exponent,
+        #       wavelength, lattice share, harmonics, jitter, corner, hurst, impacts per mm, impacts ratio, contact, modes,
+        #       damping, friction
+        "steel-mesh-1": ("coarse woven wire, 2.5 mm: tones and harmonics that move with speed", 4.5, 0.7, 0.35,
+                2.5, 0.90, (1.0, 0.6, 0.35, 0.2), 0.010, 1.0, 0.6, 20.0, 0.15, 900.0, (110.0, 330.0), (0.30, 0.20), 0.25),
+        "steel-mesh-2": ("fine woven wire, 1.2 mm: one strong tone that moves with speed", 4.0, 0.8, 0.30,
+                1.2, 0.85, (1.0, 0.35, 0.15), 0.015, 1.5, 0.6, 20.0, 0.20, 900.0, (140.0, 400.0), (0.30, 0.20), 0.22),
+        "plastic-mesh": ("moulded mesh, 1.8 mm, less regular and softer", 3.0, 0.7, 0.45,
+                1.8, 0.75, (1.0, 0.5, 0.2), 0.050, 0.8, 0.7, 10.0, 0.25, 500.0, (95.0, 250.0), (0.35, 0.25), 0.30),
+        "artificial-grass": ("blades that catch and let go: sparse strong impacts", 1.6, 0.6, 0.40,
+                5.0, 0.00, (1.0,), 0.000, 0.3, 0.5, 0.8, 1.40, 500.0, (80.0, 230.0), (0.40, 0.35), 0.45),
+        "cardboard": ("fine fibres, faint flutes of 6 mm, hard contact", 1.0, 0.6, 0.40,
+                6.0, 0.10, (1.0, 0.4), 0.050, 1.2, 0.4, 40.0, 0.50, 550.0, (120.0, 350.0), (0.35, 0.30), 0.30),
+        "plain-cloth": ("plain weave, 0.6 mm, loosely periodic", 1.2, 0.7, 0.30,
+                0.6, 0.50, (1.0, 0.2), 0.080, 1.5, 0.5, 40.0, 0.40, 350.0, (90.0, 240.0), (0.45, 0.40), 0.35),
+        "textured-rubber": ("moulded bumps of 2.0 mm on soft rubber", 2.2, 0.5, 0.50,
+                2.0, 0.65, (1.0, 0.3), 0.030, 0.6, 0.8, 5.0, 0.40, 220.0, (65.0, 170.0), (0.30, 0.35), 0.80),
+        "smooth-rubber": ("almost nothing but friction noise", 0.28, 0.5, 0.60,
+                3.0, 0.00, (1.0,), 0.000, 0.8, 0.8, 15.0, 0.80, 200.0, (70.0, 160.0), (0.35, 0.40), 0.95),
+        "jeans": ("twill of 0.9 mm, irregular", 2.0, 0.8, 0.35,
+                0.9, 0.55, (1.0, 0.4, 0.1), 0.060, 1.2, 0.6, 20.0, 0.40, 450.0, (100.0, 280.0), (0.40, 0.30), 0.40),
+        "soft-fabric": ("low pile: faint and dull", 1.0, 0.6, 0.50,
+                1.5, 0.00, (1.0,), 0.000, 0.5, 0.8, 10.0, 0.30, 110.0, (60.0, 130.0), (0.50, 0.50), 0.40),
+        "towel": ("loops about 2 mm apart, soft: strong and low", 2.8, 0.6, 0.45,
+                2.2, 0.35, (1.0, 0.3), 0.150, 0.4, 0.9, 3.0, 0.40, 140.0, (60.0, 150.0), (0.45, 0.45), 0.50),
+        "styrofoam": ("beads that squeak and crackle: broadband, heavy-tailed", 2.0, 0.5, 0.40,
+                4.0, 0.10, (1.0, 0.5), 0.200, 0.5, 0.3, 1.2, 1.30, 550.0, (130.0, 320.0), (0.30, 0.30), 0.40),
+    }.items()
+}
+# fmt: on
+
+
+def simulate(
+    key: str,
+    seconds: float = 64.0,
+    seed: int = 0,
+    *,
+    noise_seed: int | None = None,
+    stroke_seed: int | None = None,
+    accelerometer_hz: float | None = None,
+) -> Recording:
+    """Simulated recording of one texture, of either simulator, or of one member of the linear family.
+
+    A texture comes as raw sensors (Sec. III): acceleration with gravity, force and position, three axes each.
+    A linear process comes as acceleration, speed and force at the model's rate, one axis, without noise.
+
+    Args:
+        key: one of TEXTURES, CONTACT or LINEAR_FAMILY.
+        seconds: length; the default leaves 60 s once 2 s are cut at each end.
+        seed: of everything random that the next two leave out.
+        noise_seed: of the surface, the impacts and the sensors; another one is a second realisation.
+        stroke_seed: of the hand.
+        accelerometer_hz: 10 000 (by default) divided by a whole number; for the linear family, its rate, 1000 by default.
+
+    Raises:
+        ValueError: an unknown key, or lengths, seeds and rates out of range.
+    """
+    known: dict[str, TextureParameters | ContactParameters | LinearParameters] = {
+        **TEXTURES,
+        **CONTACT,
+        **LINEAR_FAMILY,
+    }
+    if key not in known:
+        raise ValueError(f"unknown texture {key!r}, expected one of {', '.join(known)}")
+    default_hz = LINEAR_RATE_HZ if key in LINEAR_FAMILY else RATE_HZ
+    simulation = {
+        "key": key,
+        "seconds": float(seconds),
+        "seed": seed,
+        "noise_seed": seed if noise_seed is None else noise_seed,
+        "stroke_seed": seed if stroke_seed is None else stroke_seed,
+        "accelerometer_hz": float(default_hz if accelerometer_hz is None else accelerometer_hz),
+        "version": VERSION,
+        "parameters": json.loads(json.dumps(asdict(known[key]))),  # lists, as they come back from a file
+    }
+    return _simulate(simulation)
+
+
+def second_realisation(
+    recording: Recording, noise_seed: int, *, stroke_seed: int | None = None, seconds: float | None = None
+) -> Recording:
+    """Stroke and texture of a simulated recording, by the parameters that it carries, with fresh surface and noise.
+
+    The recording's own `noise_seed` gives the recording back. With a `stroke_seed` or `seconds`, another stroke
+    or a longer one over the same texture.
+
+    Raises:
+        ValueError: the recording is not simulated, or by another version of the model.
+    """
+    simulation = recording.simulation
+    if simulation is None:
+        raise ValueError("only a simulated recording has a second realisation; this one is not simulated")
+    if simulation.get("version") != VERSION:
+        raise ValueError(f"simulated by version {simulation.get('version')}, this is {VERSION}: simulate it again")
+    try:
+        changed = {"noise_seed": noise_seed, "stroke_seed": stroke_seed, "seconds": seconds}
+        return _simulate({**simulation, **{name: value for name, value in changed.items() if value is not None}})
+    except (KeyError, TypeError) as error:
+        raise ValueError(f"its parameters are those of another simulator ({error}): simulate it again") from error
+
+
+_KINDS: Mapping[str, Callable[..., TextureParameters | ContactParameters | LinearParameters]] = {
+    "coefficients": LinearParameters,
+    "tip_mm": ContactParameters,
+}
+"""By a name that only they have; `TextureParameters` else."""
+
+
+def _simulate(simulation: Mapping[str, Any]) -> Recording:
+    seconds, rate_hz = float(simulation["seconds"]), float(simulation["accelerometer_hz"])
+    _, noise_seed, stroke_seed = (int(simulation[name]) for name in ("seed", "noise_seed", "stroke_seed"))
+    key = str(simulation["key"])
+    kind = next((kind for name, kind in _KINDS.items() if name in simulation["parameters"]), TextureParameters)
+    parameters = kind(**simulation["parameters"])
+    if not 1 <= seconds <= 3600:
+        raise ValueError(f"{seconds:g} s asked for, expected 1 to 3600")
+    if not 100 <= rate_hz <= RATE_HZ:
+        raise ValueError(f"the accelerometer is at {rate_hz:g} Hz, expected 100 to {RATE_HZ:g}")
+    if min(noise_seed, stroke_seed) < 0:
+        raise ValueError("a seed is negative, expected 0 or more")
+    # The key's bytes keep two textures of one seed apart; the stroke they share, and can be compared on.
+    rng = np.random.default_rng([noise_seed, 2, *key.encode()])
+    with _LOCK:  # several realisations of one stroke are simulated at once, and share it
+        stroke = stroking(seconds, stroke_seed, rate_hz if kind is LinearParameters else RATE_HZ)
+    if isinstance(parameters, LinearParameters):
+        acceleration = linear_signal(parameters, stroke.speed, stroke.force, rng)
+        signals = {"acceleration": acceleration, "speed": stroke.speed, "force": stroke.force}
+        channels = {name: Channel(samples, rate_hz) for name, samples in signals.items()}
+        tool, sensors = "", "noise-free, one axis"
+    else:
+        decimation = round(RATE_HZ / rate_hz)
+        if RATE_HZ / decimation != rate_hz:
+            raise ValueError(f"{rate_hz:g} Hz is not {RATE_HZ:g} Hz divided by a whole number")
+        if isinstance(parameters, ContactParameters):
+            acceleration, normal_force = contact_vibration(parameters, key, stroke, rng)
+        else:
+            acceleration, normal_force = vibration(parameters, stroke, rng), stroke.force
+        channels = _sensor_channels(acceleration, normal_force, parameters.friction, stroke, decimation, rng)
+        tool = "simulated rigid tool, 2 mm steel ball"
+        sensors = "simulated ADXL335, force at 10 kHz, position at 120 Hz"
+    return Recording(channels, texture=key, tool=tool, sensors=sensors, notes="simulated", simulation=simulation)
+
+
+def _roughness(parameters: TextureParameters, length_mm: float, rng: np.random.Generator) -> Array:
+    """Roughness along a path on a grid of GRID_MM, of unit expected power."""
+    from scipy.fft import irfft, next_fast_len, rfft, rfftfreq
+
+    n = next_fast_len(int(length_mm / GRID_MM) + 2, real=True)
+    c = rfftfreq(n, GRID_MM)
+    tip = np.exp(-0.5 * (c / TIP_PER_MM) ** 2)
+    amplitude = tip * (1 + (c / parameters.corner_per_mm) ** 2) ** (-(0.5 + parameters.hurst) / 2)
+    power = (amplitude**2).sum() / amplitude.size
+    noise = irfft(rfft(rng.standard_normal(n)) * amplitude, n) / np.sqrt(power)
+    if parameters.lattice_share == 0:
+        return noise
+
+    n_cells = int(1.5 * n * GRID_MM / parameters.wavelength_mm) + 20
+    cells = parameters.wavelength_mm * np.maximum(0.3, 1 + parameters.period_jitter * rng.standard_normal(n_cells))
+    edges = np.concatenate([[0.0], np.cumsum(cells)]) - rng.uniform(0, parameters.wavelength_mm)
+    phase = 2 * np.pi * np.interp(np.arange(n) * GRID_MM, edges, np.arange(n_cells + 1))
+    harmonics = enumerate(zip(parameters.harmonics, parameters.phases, strict=True), start=1)
+    lattice = sum(gain * np.cos(order * phase + start) for order, (gain, start) in harmonics)
+    lattice /= np.sqrt(0.5 * sum(gain**2 for gain in parameters.harmonics))
+    share = parameters.lattice_share
+    return np.sqrt(share) * lattice + np.sqrt(1 - share) * noise
+
+
+def vibration(parameters: TextureParameters, stroke: Stroking, rng: np.random.Generator) -> Array:
+    """Vibration of the tool before any sensor [m/s²], axes x, y, z, shape (n, 3); none at rest."""
+    from scipy.signal import butter, lfilter, sosfilt
+
+    path_mm = np.cumsum(stroke.speed) / stroke.rate_hz
+    roughness = _roughness(parameters, path_mm[-1], rng)
+    excitation = np.interp(path_mm, np.arange(roughness.size) * GRID_MM, roughness)
+
+    # Impacts are Poisson in the path, so they follow the speed: sparse clicks when slow, a hiss when fast.
+    counts = rng.poisson(parameters.impacts_per_mm * stroke.speed / stroke.rate_hz)
+    at_reference = parameters.impacts_per_mm * REFERENCE_SPEED / stroke.rate_hz
+    # White up to 5 kHz, of which the contact passes contact_hz; scaled so that this part has the stated rms.
+    passed = parameters.contact_hz / (stroke.rate_hz / 2)
+    strikes = np.sqrt(counts) * rng.standard_normal(counts.size)
+    excitation += parameters.impacts_ratio / np.sqrt(at_reference * passed) * strikes
+
+    grown = (stroke.speed / REFERENCE_SPEED) ** parameters.speed_exponent * stroke.force**parameters.force_exponent
+    excitation *= parameters.level * grown
+    excitation = sosfilt(butter(2, parameters.contact_hz, fs=stroke.rate_hz, output="sos"), excitation)
+    firm = stroke.force / (stroke.force + 1.0)  # half at 1 N, where both modes weigh 1
+    axes = np.zeros((excitation.size, 3))
+    for mode, weight in enumerate((1.5 - firm, 2 * firm)):
+        b, a = mode_filter(parameters.modes_hz[mode], parameters.damping[mode], stroke.rate_hz)
+        axes += (weight * lfilter(b, a, excitation))[:, None] * AXIS_GAINS[:, mode]
+    return axes
+
+
+def _sensor_channels(
+    acceleration: Array,
+    normal_force: Array,
+    friction: float,
+    stroke: Stroking,
+    decimation: int,
+    rng: np.random.Generator,
+) -> dict[str, Channel]:
+    """Raw channels of Sec. III: from the tool's vibration [m/s²], (n, 3), and the surface's normal force [N], (n,)."""
+    from scipy.signal import butter, sosfilt
+
+    acceleration[:, :2] += np.gradient(stroke.velocity, axis=0) * stroke.rate_hz / 1000  # the hand's own
+    lean = np.sin(stroke.tilt)
+    acceleration[:, :2] += GRAVITY * lean
+    acceleration[:, 2] += GRAVITY * np.sqrt(1 - (lean**2).sum(axis=1))  # at rest it reads +g upwards
+    acceleration += rng.normal(0, ACCELEROMETER_NOISE * np.sqrt(stroke.rate_hz / 2), acceleration.shape)
+    band = butter(2, ACCELEROMETER_BAND_HZ, fs=stroke.rate_hz, output="sos")
+    acceleration_hz = stroke.rate_hz / decimation
+    if decimation > 1:  # the anti-alias filter of the slower converter: 450 Hz at 1 kHz
+        band = np.vstack([band, butter(8, 0.45 * acceleration_hz, fs=stroke.rate_hz, output="sos")])
+    settled = np.concatenate([np.tile(acceleration[:1], (SETTLING, 1)), acceleration])
+    acceleration = sosfilt(band, settled, axis=0)[SETTLING::decimation]
+    np.clip(acceleration, -ACCELEROMETER_RANGE, ACCELEROMETER_RANGE, out=acceleration)
+
+    direction = stroke.velocity / (stroke.speed + 5.0)[:, None]  # 5 mm/s: friction turns over smoothly
+    force = np.column_stack([-friction * normal_force[:, None] * direction, normal_force])
+    force += rng.normal(0, FORCE_NOISE_N, force.shape)
+
+    n_position = int(len(stroke.position) / stroke.rate_hz * POSITION_HZ)
+    times = np.arange(n_position) / POSITION_HZ * stroke.rate_hz
+    x, y = (np.interp(times, np.arange(len(stroke.position)), column) for column in stroke.position.T)
+    position = np.column_stack([x, y, np.full(n_position, MARKER_HEIGHT_MM)])
+    position += rng.normal(0, POSITION_NOISE_MM, position.shape)
+
+    return {
+        f"{quantity}_{axis}": Channel(np.ascontiguousarray(column), rate_hz)
+        for quantity, samples, rate_hz in (
+            ("acceleration", acceleration, acceleration_hz),
+            ("force", force, stroke.rate_hz),
+            ("position", position, POSITION_HZ),
+        )
+        for axis, column in zip(AXES, samples.T, strict=True)
+    }

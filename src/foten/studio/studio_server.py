@@ -1,0 +1,291 @@
+"""The server of the page: its files, the textures, and a WebSocket for sound that is rendered here.
+
+    GET  /                          the page, and its files
+    GET  /textures.json             what is on the shelf
+    GET  /textures/KEY              a texture file; /pictures/… its photograph
+    GET  /gains?texture=A&texture=B  what makes methods of one texture equally loud [dB]
+    GET  /state                     who strokes, and how rendering keeps up
+    WS   /stroke                    events in, vibration out (`messages`)
+    WS   /capture                   sound and events in, a texture out (`messages`)
+
+Each page has its own state, which a lost page frees.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import mimetypes
+from collections.abc import AsyncIterator, Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from starlette.applications import Starlette
+from starlette.requests import Request
+from starlette.responses import FileResponse, JSONResponse, PlainTextResponse, Response
+from starlette.routing import Route, WebSocketRoute
+from starlette.types import ASGIApp
+from starlette.websockets import WebSocket
+
+from foten import __version__
+from foten.runtime.actuator import ActuatorProfile
+from foten.runtime.binding import kernel_file
+from foten.runtime.live.devices import SOUND_RATE_HZ
+from foten.runtime.renderer import Renderer
+from foten.runtime.stylus import PressureCalibration
+from foten.studio.access import Access, Guarded
+from foten.studio.capture_server import CapturePage, TrainingQueue, why_not
+from foten.studio.levels import gains_db
+from foten.studio.live_contact import Contact
+from foten.studio.messages import STROKE, RefusedError
+from foten.studio.players import OutputDevice, Player, RoundRobinRenderer
+from foten.studio.shelf import Shelf
+from foten.studio.websocket import (
+    MAX_MESSAGES_PER_S,
+    BlockQueue,
+    PageSocket,
+    packed_block,
+    pressure_calibration,
+    serve_page,
+)
+
+PAGE = Path(__file__).with_name("page")
+KERNEL = ("foten.mjs", "foten.wasm")
+MAX_PAGES = 64  # that stroke at once
+MAX_COMPARED = 16  # methods
+MAX_CAPTURING = 8  # pages at once, each of which holds its sound or waits for its texture
+CAPTURES = Path("captures")  # below where the server is started
+STATE_S = 1.0  # between two reports of how rendering keeps up
+
+
+class Studio:
+    """What the server has, and who is there.
+
+    Args:
+        shelf: the textures.
+        captures: the folder where pages' captures are kept.
+        output_device: plays here, for a page that asks for it.
+    """
+
+    def __init__(self, shelf: Shelf, captures: Path = CAPTURES, output_device: OutputDevice | None = None) -> None:
+        self.shelf = shelf
+        self.players: dict[str, Callable[[float], Player]] = {
+            "stream": RoundRobinRenderer().player,
+            "device": (output_device or OutputDevice()).player,
+        }
+        self.trainings = TrainingQueue(captures, shelf)
+        self.capturing: set[CapturePage] = set()
+        self._matching = asyncio.Lock()
+        self.pages: set[StrokePage] = set()
+        self.n_refused = 0
+
+    def app(self, access: Access) -> ASGIApp:
+        """Application, behind its access."""
+        routes = [
+            Route("/textures.json", self._textures),
+            Route("/textures/{key}", self._texture),
+            Route("/pictures/{name}", self._picture),
+            Route("/gains", self._gains),
+            Route("/state", self._state),
+            WebSocketRoute("/stroke", self._stroke),
+            WebSocketRoute("/capture", self._capture),
+            Route("/{name:path}", self._file),
+        ]
+        return Guarded(Starlette(routes=routes, lifespan=self._lifespan), access)
+
+    @contextlib.asynccontextmanager
+    async def _lifespan(self, _app: Starlette) -> AsyncIterator[None]:
+        yield
+        for page in list(self.pages):
+            await page.leave()
+        await self.trainings.close()
+
+    async def _textures(self, _request: Request) -> Response:
+        return JSONResponse({**self.shelf.listed(), "cannot_train": why_not()})
+
+    async def _texture(self, request: Request) -> Response:
+        entry = self.shelf.get(request.path_params["key"])
+        if entry is None:
+            return missing(f"there is no texture {request.path_params['key'][:80]!r} here")
+        return FileResponse(entry.path, media_type="application/octet-stream")
+
+    async def _picture(self, request: Request) -> Response:
+        path = self.shelf.files().get(f"pictures/{request.path_params['name']}")
+        return missing("there is no such picture here") if path is None else FileResponse(path)
+
+    async def _gains(self, request: Request) -> Response:
+        keys = request.query_params.getlist("texture")
+        entries = [self.shelf.get(key) for key in keys]
+        if not 2 <= len(keys) <= MAX_COMPARED or None in entries:
+            return missing(f"expected 2 to {MAX_COMPARED} textures of this server")
+
+        def gains() -> list[float]:
+            renderers = [Renderer(entry.path) for entry in entries if entry is not None]
+            return gains_db(renderers, [1 / renderer.native_texture.info.acceleration_sd for renderer in renderers])
+
+        try:
+            async with self._matching:  # a page that asks again and again waits for itself alone
+                return JSONResponse({"gains_db": await asyncio.to_thread(gains)})
+        except ValueError as error:
+            return missing(f"cannot be compared: {error}")
+
+    async def _state(self, _request: Request) -> Response:
+        pages = [page.state() for page in self.pages]
+        return JSONResponse({"foten": __version__, "n_refused": self.n_refused, "pages": pages})
+
+    async def _file(self, request: Request) -> Response:
+        return page_file(page_files(), request.path_params["name"] or "index.html")
+
+    async def _stroke(self, socket: WebSocket) -> None:
+        await serve_page(socket, self.pages, MAX_PAGES, lambda socket: StrokePage(self, socket))
+
+    async def _capture(self, socket: WebSocket) -> None:
+        await serve_page(socket, self.capturing, MAX_CAPTURING, lambda socket: CapturePage(socket, self.trainings))
+
+
+class StrokePage(PageSocket):
+    """A page that strokes: events and settings in, what is rendered for it back."""
+
+    def __init__(self, studio: Studio, socket: WebSocket) -> None:
+        super().__init__(socket, STROKE, MAX_MESSAGES_PER_S)
+        self._studio = studio
+        self._loop = asyncio.get_running_loop()
+        self._blocks = BlockQueue(socket)
+        self._contact: Contact | None = None
+        self._opening: Contact | None = None  # that does not play yet
+        self._calibration = PressureCalibration()
+        self._texture, self._sink, self._rate_hz = "", "", 0.0
+        self._n_events = 0
+
+    async def run(self) -> None:
+        """Serve the page until it goes."""
+        await self.converse(self._blocks.send(), self._send_state())
+
+    async def leave(self) -> None:
+        """End playing; a second time nothing happens."""
+        contacts = self._contact, self._opening
+        self._contact = self._opening = None
+        for contact in contacts:
+            if contact is not None:
+                with contextlib.suppress(OSError, ValueError, RuntimeError):  # the page was sent why it died
+                    await asyncio.to_thread(contact.close)
+
+    def state(self) -> dict[str, Any]:
+        """How the page does, for people."""
+        known: dict[str, Any] = {"texture": self._texture, "sink": self._sink, "n_events": self._n_events}
+        known |= {"n_refused": self.n_refused, "n_unsent": self._blocks.n_unsent}
+        contact = self._contact
+        if contact is not None:
+            live = contact.statistics
+            known |= {"block_ms": live.block_ms, "n_missed": live.n_missed, "n_underruns": live.n_underruns}
+            for name, percent in (("p50", 50.0), ("p99", 99.0)):
+                value = 1000 * live.block.percentile_s(percent)
+                known[f"block_{name}_ms"] = None if np.isnan(value) else value
+            known["stylus"] = contact.stylus_counts
+        return known
+
+    async def refuse(self, why: str) -> None:
+        """Say why a message was refused."""
+        self._studio.n_refused += 1
+        await super().refuse(why)
+
+    async def take_bytes(self, data: bytes) -> None:
+        """Take in events."""
+        events = self.events_in(data)
+        if self._contact is None:
+            raise RefusedError("events before a texture was opened")
+        self._contact.push(events)
+        self._n_events += len(events)
+
+    async def do(self, message: Mapping[str, Any]) -> None:
+        """Open, close, set."""
+        kind = message["do"]
+        if {"newtons", "steepness"} & message.keys():
+            self._calibration = pressure_calibration(message)
+        if kind == "open":
+            await self._open(message)
+        elif kind == "close":
+            await self.leave()
+            await self.say({"closed": True})
+        elif self._contact is None:
+            raise RefusedError(f"{kind} before a texture was opened")
+        elif kind == "calibrate":
+            self._contact.calibrate(self._calibration)
+        elif kind == "actuate":
+            self._actuate(message)
+        if self._contact is not None and "volume_db" in message:
+            self._contact.set_volume(float(message["volume_db"]))
+
+    async def _open(self, message: Mapping[str, Any]) -> None:
+        entry = self._studio.shelf.get(message["texture"])
+        if entry is None:
+            raise RefusedError(f"there is no texture {message['texture'][:80]!r} here")
+        sink = message.get("sink", "stream")
+        rate_hz = float(message.get("rate_hz", SOUND_RATE_HZ))
+        if self._contact is not None and (sink, rate_hz) != (self._sink, self._rate_hz):
+            await self.leave()
+        try:
+            data = await asyncio.to_thread(entry.path.read_bytes)
+            contact = self._contact
+            if contact is None:
+                player = await asyncio.to_thread(self._studio.players[sink], rate_hz)
+                contact = self._opening = Contact(player, self._on_block)
+            await asyncio.to_thread(contact.open, data, self._calibration)
+            self._contact, self._opening = contact, None
+        except (OSError, ValueError) as error:
+            await self.leave()
+            raise RefusedError(f"{entry.key} cannot be played: {error}") from error
+        self._texture, self._sink, self._rate_hz = entry.key, sink, rate_hz
+        await self.say({"opened": entry.key, "sink": sink, "rate_hz": rate_hz})
+
+    def _actuate(self, message: Mapping[str, Any]) -> None:
+        assert self._contact is not None
+        figures: dict[str, Any] = {name: value for name, value in message.items() if name not in ("do", "full_scale")}
+        try:
+            actuator = ActuatorProfile(**figures) if figures else None
+            self._contact.actuate(actuator, float(message.get("full_scale", 1.0)))
+        except ValueError as error:
+            raise RefusedError(str(error)) from error
+
+    def _on_block(self, samples: NDArray[np.float32], speed: float, force: float) -> None:
+        """Pass a block on to the page, from the rendering thread."""
+        with contextlib.suppress(RuntimeError):  # the loop has ended, and so does the contact
+            self._loop.call_soon_threadsafe(self._blocks.put, packed_block(samples, speed, force))
+
+    async def _send_state(self) -> None:
+        while True:
+            await asyncio.sleep(STATE_S)
+            contact = self._contact
+            if contact is None:
+                continue
+            await self.say({"state": self.state()})
+            if not contact.running and contact is self._contact:
+                self._contact = None
+                try:
+                    await asyncio.to_thread(contact.close)
+                except (OSError, ValueError, RuntimeError) as error:
+                    await self.say({"refused": f"{self._texture} plays no more: {error}"})
+
+
+def page_files() -> dict[str, Path]:
+    """Files of the page by name, the kernel's among them."""
+    files = {path.name: path for path in PAGE.iterdir() if path.is_file()}
+    return files | {name: kernel_file(name) for name in KERNEL}
+
+
+_TYPES = {".mjs": "text/javascript", ".js": "text/javascript", ".wasm": "application/wasm", ".html": "text/html"}
+
+
+def page_file(files: Mapping[str, Path], name: str) -> Response:
+    """A file of a page, of the type that it has whatever this machine's registry says."""
+    path = files.get(name)  # looked up, not joined: a name with dots and slashes is none of these
+    if path is None:
+        return missing(f"there is no {name[:80]!r} here")
+    return FileResponse(path, media_type=_TYPES.get(path.suffix) or mimetypes.guess_type(name)[0])
+
+
+def missing(why: str) -> Response:
+    """Answer that something is not here, in a line."""
+    return PlainTextResponse(f"{why}\n", status_code=404)

@@ -1,0 +1,117 @@
+"""A server as a process: it listens, says where, and ends cleanly."""
+
+from __future__ import annotations
+
+import contextlib
+import ipaddress
+import socket
+import tempfile
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Protocol
+
+import uvicorn
+from starlette.types import ASGIApp
+
+from foten.studio.access import LOOPBACK, Access, access_to, write_certificate
+from foten.studio.messages import MAX_BYTES
+
+SHUTDOWN_S = 3
+
+
+def addresses() -> list[str]:
+    """Addresses by which others on the network reach this machine, the likeliest first."""
+    addresses_of_host = []
+    with contextlib.suppress(OSError), socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.connect(("192.0.2.1", 9))  # nothing is sent: the system says from which address it would be
+        addresses_of_host.append(probe.getsockname()[0])
+    with contextlib.suppress(OSError):
+        addresses_of_host += [
+            str(info[4][0]) for info in socket.getaddrinfo(socket.gethostname(), None, socket.AF_INET)
+        ]
+    return [address for address in dict.fromkeys(addresses_of_host) if not ipaddress.ip_address(address).is_loopback]
+
+
+def listening(host: str, port: int) -> socket.socket:
+    """Socket that listens at a host and port, 0 for any that is free.
+
+    Raises:
+        OSError: the host is not this machine's, or the port is taken; one line says which.
+    """
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
+    listener = socket.socket(family, socket.SOCK_STREAM)
+    listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+    try:
+        listener.bind((host, port))
+    except (OSError, OverflowError) as error:
+        listener.close()
+        hint = (
+            "is another studio running? --port 0 takes any that is free" if port else "is that address this machine's?"
+        )
+        raise OSError(f"cannot listen at {host}, port {port}: {hint}") from error
+    listener.listen(128)
+    return listener
+
+
+class Served(Protocol):
+    """What is served."""
+
+    def app(self, access: Access) -> ASGIApp:
+        """Application, behind its access."""
+
+
+def serve(
+    studio: Served,
+    host: str,
+    port: int,
+    on_start: Callable[[Access, str], None],
+    on_joined: Callable[[Access, str], None],
+) -> None:
+    """Serve until Ctrl-C or SIGTERM.
+
+    `on_start` takes the access and the host to open, once it listens; `on_joined` the access with the next link, once a device
+    came in by the link before.
+
+    Raises:
+        OSError: it cannot listen there.
+    """
+    with listening(host, port) as listener, contextlib.ExitStack() as stack:
+        port = listener.getsockname()[1]
+        others = addresses() if host in ("0.0.0.0", "::") else []
+        # Of this machine's names the address that it listens at: another server may answer to `localhost`.
+        listens_at = str(listener.getsockname()[0]) if host.lower() in LOOPBACK else host
+        shown = others[0] if others else listens_at
+        access = access_to(host, port, others, lambda renewed: on_joined(renewed, shown))
+        files: dict[str, str] = {}
+        if access.token is not None:
+            folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="foten-")))
+            certificate, key = write_certificate(folder, access.hosts)
+            files = {"ssl_certfile": str(certificate), "ssl_keyfile": str(key)}
+        config = uvicorn.Config(
+            studio.app(access),
+            log_level="warning",
+            access_log=False,
+            server_header=False,
+            ws="websockets-sansio",
+            ws_max_size=2 * MAX_BYTES,
+            ws_per_message_deflate=False,
+            timeout_graceful_shutdown=SHUTDOWN_S,
+            **files,  # type: ignore[arg-type]
+        )
+        server = uvicorn.Server(config)
+        with _once_started(server, lambda: on_start(access, shown)):
+            server.run(sockets=[listener])
+
+
+@contextlib.contextmanager
+def _once_started(server: uvicorn.Server, say: Callable[[], None]) -> Iterator[None]:
+    """Call something once the server has started."""
+    started = server.startup
+
+    async def startup(sockets: list[socket.socket] | None = None) -> None:
+        await started(sockets=sockets)
+        if server.started:
+            say()
+
+    server.startup = startup  # type: ignore[method-assign]
+    yield

@@ -1,0 +1,167 @@
+"""A page at a WebSocket: its messages, in order, until it goes; JSON and blocks of samples back."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+import struct
+from collections.abc import Callable, Coroutine, Mapping
+from typing import Any, TypeVar
+
+import anyio
+import numpy as np
+from numpy.typing import NDArray
+from starlette.websockets import WebSocket, WebSocketDisconnect
+
+from foten.runtime.stylus import PressureCalibration
+from foten.studio.messages import (
+    MAX_BYTES,
+    MAX_EVENTS_PER_S,
+    Allowance,
+    Protocol,
+    RefusedError,
+    parse_events,
+    parse_message,
+)
+
+MAX_REFUSED = 1000  # messages of a page, after which it is sent away
+MAX_MESSAGES_PER_S = 1200.0  # a pen has at most a thousand events a second
+MAX_WAITING_BLOCKS = 64  # for a page that does not take them; the oldest go
+CONDITION_BYTES = 8  # speed [mm/s] and force [N] before the samples of a block
+
+
+class PageSocket:
+    """A page: a message that is refused is answered with the reason, and changes nothing.
+
+    Args:
+        socket: accepted.
+        protocol: the messages that it may send.
+        max_messages_per_s: after a second of silence a second's worth may come at once.
+    """
+
+    def __init__(self, socket: WebSocket, protocol: Protocol, max_messages_per_s: float = MAX_MESSAGES_PER_S) -> None:
+        self.socket, self.n_refused = socket, 0
+        self._protocol = protocol
+        self._messages, self._events = Allowance(max_messages_per_s), Allowance(MAX_EVENTS_PER_S)
+
+    async def run(self) -> None:
+        """Serve the page until it goes."""
+        await self.converse()
+
+    async def leave(self) -> None:
+        """Free what the page had; a second time nothing happens."""
+
+    async def do(self, message: Mapping[str, Any]) -> None:
+        """Do what a checked message asks for, or raise RefusedError."""
+        raise NotImplementedError
+
+    async def take_bytes(self, data: bytes) -> None:
+        """Take in at most `MAX_BYTES` bytes, or raise RefusedError."""
+        raise RefusedError("this page sends text alone")
+
+    def events_in(self, data: bytes) -> NDArray[np.float64]:
+        """Events of a pen in bytes, shape (n, 4), or raise RefusedError."""
+        events = parse_events(data)
+        if not self._events.take(len(events)):
+            raise RefusedError(f"more than {MAX_EVENTS_PER_S:g} events a second")
+        return events
+
+    async def refuse(self, why: str) -> None:
+        """Say why a message was refused."""
+        self.n_refused += 1
+        await self.say({"refused": why})
+
+    async def say(self, document: Mapping[str, Any]) -> None:
+        """Send a message; a page that is gone gets none."""
+        with contextlib.suppress(RuntimeError, WebSocketDisconnect):
+            await self.socket.send_text(json.dumps(document, allow_nan=False))
+
+    async def converse(self, *senders: Coroutine[Any, Any, None]) -> None:
+        """Take messages until the page goes, or until `MAX_REFUSED` were refused; the senders run meanwhile."""
+        tasks = [asyncio.create_task(sender) for sender in senders]
+        try:
+            while True:
+                received = await self.socket.receive()
+                if received["type"] == "websocket.disconnect":
+                    return
+                await self._take(received)
+                if self.n_refused > MAX_REFUSED:
+                    await self.socket.close(1008, f"{MAX_REFUSED} messages were refused")
+                    return
+        except WebSocketDisconnect:
+            pass
+        finally:
+            for task in tasks:
+                task.cancel()
+            await asyncio.gather(*tasks, return_exceptions=True)
+
+    async def _take(self, received: Mapping[str, Any]) -> None:
+        try:
+            if not self._messages.take(1):
+                raise RefusedError(f"more than {self._messages.per_s:g} messages a second")
+            data = received.get("bytes")
+            if data is None:
+                await self.do(parse_message(received.get("text") or "", self._protocol))
+            elif len(data) > MAX_BYTES:
+                raise RefusedError(f"the message has {len(data)} bytes, expected {MAX_BYTES} at most")
+            else:
+                await self.take_bytes(data)
+        except RefusedError as refused:
+            await self.refuse(str(refused))
+
+
+P = TypeVar("P", bound=PageSocket)
+
+
+async def serve_page(socket: WebSocket, pages: set[P], max_pages: int, page_of: Callable[[WebSocket], P]) -> None:
+    """Serve a page beside others until it goes; with too many there, it is sent away."""
+    await socket.accept()
+    if len(pages) >= max_pages:
+        await socket.close(1013, f"{max_pages} pages are open already: close one")
+        return
+    page = page_of(socket)
+    pages.add(page)
+    try:
+        await page.run()
+    finally:
+        with anyio.CancelScope(shield=True):  # a page that is lost in the middle of something frees its sound too
+            await page.leave()
+        pages.discard(page)
+
+
+def pressure_calibration(message: Mapping[str, Any]) -> PressureCalibration:
+    """Parameters of Eq. 12 in a checked message, the usual ones where it has none."""
+    usual = PressureCalibration()
+    return PressureCalibration(float(message.get("newtons", usual.a)), float(message.get("steepness", usual.b)))
+
+
+def packed_block(samples: NDArray[np.float32], speed: float, force: float) -> bytes:
+    """A block as a page is sent it: speed [mm/s] and force [N], then samples, all little-endian float32."""
+    return struct.pack("<ff", speed, force) + samples.astype("<f4").tobytes()
+
+
+class BlockQueue:
+    """Blocks on their way to a page: a condition, and samples. They are put in from the event loop's thread."""
+
+    def __init__(self, socket: WebSocket) -> None:
+        self._socket = socket
+        self._waiting: asyncio.Queue[bytes] = asyncio.Queue()
+        self.n_unsent = 0  # that the page did not take in time
+
+    def put(self, block: bytes) -> None:
+        """Send a block when there is time."""
+        self._waiting.put_nowait(block)
+        while self._waiting.qsize() > MAX_WAITING_BLOCKS:
+            self._waiting.get_nowait()
+            self.n_unsent += 1
+
+    async def send(self) -> None:
+        """Send what is put in, for ever."""
+        while True:
+            block = await self._waiting.get()
+            # What waits goes out as one message, under the last speed and force: fewer messages where there are many pages.
+            while not self._waiting.empty():
+                later = self._waiting.get_nowait()
+                block = later[:CONDITION_BYTES] + block[CONDITION_BYTES:] + later[CONDITION_BYTES:]
+            await self._socket.send_bytes(block)

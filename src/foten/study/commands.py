@@ -1,0 +1,373 @@
+"""`foten study`: a perceptual study, from its file to its report."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+from typer import Argument, Option
+
+from foten.console import JsonOption, check_folder, check_folders, folder_option, print_result, say
+
+if TYPE_CHECKING:
+    from foten.study.store import Store
+
+app = typer.Typer(
+    help="A perceptual study (Sec. VII): new, check, run, analyze; simulate tries it without people.",
+    no_args_is_help=True,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+
+MINUTES_PER_TRIAL = 90 / 48  # Sec. VII: 90 minutes for 48 comparisons
+
+StudyFile = Annotated[Path, Argument(metavar="STUDY.toml", help="A study file, as 'foten study new' writes it.")]
+Database = Annotated[
+    Path, Argument(metavar="STUDY.db", help="The ratings of a study, as 'foten study run' keeps them.")
+]
+Participant = Annotated[int, Option("--participant", min=1, help="Number of the participant.")]
+TrialNumber = Annotated[int, Option("--trial", help="Number of the trial.")]
+Sd = Annotated[float, Option(min=0.1, help="Standard deviation of ratings between raters (points).")]
+Correlation = Annotated[float, Option(min=0, max=0.99, help="Between two ratings of one rater.")]
+
+
+@app.command()
+def new(
+    output: Annotated[Path, Argument(metavar="STUDY.toml", help="The study file to write.")],
+    textures: Annotated[
+        list[Path], Argument(metavar="T.foten…", help="Texture files: two methods or more of each texture.")
+    ],
+    title: Annotated[str, Option(help="Shown to participants.")] = "How similar are these surfaces?",
+    participants: Annotated[
+        int | None,
+        Option(min=1, help="How many; by default as many as a difference of 8.75 points needs, in whole squares."),
+    ] = None,
+    seed: Annotated[int, Option(min=0, help="Of the order of trials.")] = 1,
+) -> None:
+    """Write a study file to edit, from texture files: which texture and which method each is, its card says.
+
+    foten study new similarity.toml denim-ar.foten denim.foten mesh-ar.foten mesh.foten
+    """
+    from foten.atomic_write import atomic_write
+    from foten.study.new_study import files_by_method, study_text
+    from foten.study.raters import MIN_DIFFERENCE, participants_for
+
+    check_folders([output])
+    if output.exists():
+        raise ValueError(f"{output} is there already: edit it, or give another name")
+    files, doubts = files_by_method(textures, output.parent)
+    for doubt in doubts:
+        say(doubt)
+    methods = len(next(iter(files.values())))
+    if participants is None:
+        participants = participants_for(methods, len(files))
+        why = f"a difference of {MIN_DIFFERENCE:g} points on a texture is found in 80 % of studies of that size"
+        say(f"{participants} participants: {why}; foten study power says more")
+    with atomic_write(output) as part:
+        part.write_text(study_text(title, files, participants, seed), encoding="utf-8")
+    print(f"wrote {output}: {len(files)} textures × {methods} methods, {participants} participants")
+    print(f"next: edit it, then foten study check {output}")
+
+
+@app.command()
+def check(study: StudyFile, as_json: JsonOption = False) -> None:
+    """Check a study file: texture files, levels, balance of the orders, devices, and how long it takes."""
+    from foten.study.loading import load_study
+    from foten.study.orders import balance
+
+    loaded = load_study(study)
+    loaded.check_devices()
+    design, stimuli = loaded.design, loaded.stimuli
+    spread = balance(loaded.orders()[: design.participants], len(design.textures), len(design.methods))
+    minutes = design.n_trials * MINUTES_PER_TRIAL
+    counts = f"{len(design.textures)} textures × {len(design.methods)} methods: {design.n_trials} trials"
+    rows = [
+        f"{counts} of each of {design.participants} participants, {design.practice} of practice before",
+        *(f"{name}: {low} to {high} times" for name, (low, high) in spread.items()),
+        *(f"{s.texture_key}, {s.method_key}: {s.gain_db:+.1f} dB" for s in stimuli.listed),
+        *stimuli.doubts,
+        f"plays through {design.output.to}",
+        f"about {minutes:.0f} minutes of each participant, where a trial is as long as the paper's",
+    ]
+    document = {
+        "trials": design.n_trials,
+        "participants": design.participants,
+        "balance": spread,
+        "gains_db": {f"{s.texture_key}/{s.method_key}": s.gain_db for s in stimuli.listed},
+        "doubts": stimuli.doubts,
+    }
+    print_result(document, "\n".join(rows), as_json)
+
+
+@app.command()
+def run(
+    study: StudyFile,
+    output: Annotated[
+        Path | None, Option("-o", "--output", metavar="STUDY.db", help="Where answers are kept; beside the study file.")
+    ] = None,
+    host: Annotated[
+        str, Option(help="Address to listen at: 127.0.0.1 for this machine alone, 0.0.0.0 for tablets on the network.")
+    ] = "127.0.0.1",
+    port: Annotated[int, Option(min=0, max=65535, help="0 for any that is free.")] = 8000,
+    simulated: Annotated[
+        bool, Option("--simulated", help="Those who answer are programs: the ratings are marked as simulated for ever.")
+    ] = False,
+    open_page: Annotated[
+        bool, Option("--open/--no-open", help="Open the operator's page in this machine's browser.")
+    ] = True,
+) -> None:
+    """Run a study: participants' pages and the operator's. Ctrl-C ends it; the same command goes on where it was.
+
+    foten study run similarity.toml --host 0.0.0.0
+    """
+    from foten.studio.access import Access
+    from foten.studio.web_server import serve
+    from foten.study.loading import load_study
+    from foten.study.study_server import StudyServer
+
+    loaded = load_study(study)
+    loaded.check_devices()
+    database = output or study.with_suffix(".db")
+    store = loaded.open_store(database, simulated)
+    store.hold()
+    server = StudyServer(store, loaded.design, loaded.stimuli, loaded.output)
+
+    def links(access: Access, host: str) -> tuple[str, str]:
+        base, _, token = access.link(host).partition("?")
+
+        def link(page: str, query: str) -> str:
+            parts = "&".join(part for part in (token, query) if part)
+            return base + page + (f"?{parts}" if parts else "")
+
+        server.link = lambda query: link("", query)
+        return link("", ""), link("operator", f"key={server.operator_key}")
+
+    def on_start(access: Access, host: str) -> None:
+        participants, operator = links(access, host)
+        say(f"{loaded.design.title}: {len(store.codes())} of {loaded.design.participants} have begun, in {database}")
+        for doubt in loaded.stimuli.doubts:
+            say(doubt)
+        say(f"operator: {operator}")
+        say(f"participants at {participants}")
+        if access.token is not None:
+            say("each link lets one device in; the next is printed then, and the operator's page shows codes to scan")
+        say("Ctrl-C ends it; the same command goes on where it was")
+        if open_page and access.token is None:
+            import webbrowser
+
+            webbrowser.open(operator)
+
+    def on_joined(access: Access, host: str) -> None:
+        participants, operator = links(access, host)
+        say(f"a device came in; for the next one: {participants} or, for the operator, {operator}")
+
+    try:
+        with loaded.noise():
+            serve(server, host, port, on_start, on_joined)
+    finally:
+        store.close()
+
+
+@app.command()
+def status(database: Database, as_json: JsonOption = False) -> None:
+    """Print who has rated how much, and whether the file is sound; also while the study runs."""
+    with _store(database) as store:
+        counts, faults, log = store.counts(), store.check(), store.log()
+        kind = "simulated raters" if store.simulated else "participants"
+        trials = sum(trial.number > 0 for trial in store.trials(store.ordered()[0]))
+        rows = [f"{store.study['title']}: {len(counts)} {kind}, {sum(count['n'] for count in counts.values())} ratings"]
+        rows += [
+            f"{number:4d}  {row['code']}  {row['n']:3d} of {trials}  last {(row['last'] or row['joined'])[:16].replace('T', ' ')}"
+            for number, row in counts.items()
+        ]
+        rows += faults or ["the file is sound: every check of SQLite holds, no trial is rated twice"]
+        document = {
+            "title": store.study["title"],
+            "simulated": store.simulated,
+            "participants": {str(n): count for n, count in counts.items()},
+            "wrong": faults,
+            "log": log,
+        }
+    print_result(document, "\n".join(rows), as_json)
+    if faults:
+        raise typer.Exit(1)
+
+
+@app.command()
+def simulate(
+    study: StudyFile,
+    output: Annotated[Path, Option("-o", "--output", metavar="STUDY.db", help="A new database, marked as simulated.")],
+    difference: Annotated[
+        float, Option(help="Points of the scale that one method is better by, to the raters.")
+    ] = 10.0,
+    better: Annotated[str | None, Option(metavar="METHOD", help="That is better; by default the last.")] = None,
+    sd: Sd = 10.67,
+    correlation: Correlation = 0.3,
+    missing: Annotated[float, Option(min=0, max=0.9, help="Share of raters who leave before their end.")] = 0.0,
+    seed: Annotated[int, Option(min=0, help="Of what the raters answer.")] = 0,
+) -> None:
+    """Let raters of a stated model take part, to try the analysis before anyone is invited. What comes is marked as simulated.
+
+    foten study simulate similarity.toml -o simulated.db --difference 10
+    """
+    from foten.study.loading import load_study
+    from foten.study.raters import raters_for, simulate_ratings
+
+    if output.exists():
+        raise ValueError(f"{output} is there already: give another name")
+    loaded = load_study(study)
+    methods = list(loaded.design.methods)
+    if better is not None and better not in methods:
+        raise ValueError(f"--better is {better!r}, expected one of {', '.join(methods)}")
+    index = -1 if better is None else methods.index(better)
+    raters = raters_for(len(methods), len(loaded.design.textures), difference, sd, correlation, index)
+    with loaded.open_store(output, simulated=True) as store:
+        simulate_ratings(store, raters, loaded.design.participants, missing, seed)
+        n = len(store.ratings())
+    print(f"wrote {output}: {n} simulated ratings of {loaded.design.participants} raters")
+    print(f"next: foten study analyze {output} -o results")
+
+
+@app.command()
+def power(
+    study: Annotated[
+        Path | None, Argument(metavar="[STUDY.toml]", help="For as many methods and textures as it has.")
+    ] = None,
+    methods: Annotated[int, Option(min=2, help="How many, without a study file.")] = 4,
+    textures: Annotated[int, Option(min=1, help="How many, without a study file.")] = 12,
+    difference: Annotated[
+        float | None,
+        Option(help="Points that the last method is better by; by default the paper's effects where there are 4 × 12."),
+    ] = None,
+    sd: Sd = 10.67,
+    correlation: Correlation = 0.3,
+    studies: Annotated[int, Option(min=50, help="That are simulated for each number of participants.")] = 500,
+    seed: Annotated[int, Option(min=0, help="Of the simulation.")] = 0,
+    as_json: JsonOption = False,
+) -> None:
+    """Print how many participants a study needs, by simulated studies.
+
+    foten study power --difference 9
+    """
+    from foten.study.design import read_design
+    from foten.study.raters import needed, paper_raters, raters_for
+
+    if study is not None:
+        design, _ = read_design(study)
+        methods, textures = len(design.methods), len(design.textures)
+    if difference is None and (methods, textures) == (4, 12):
+        raters, of = paper_raters(correlation), "the paper's effects (Sec. VII)"
+    else:
+        points = 8.75 if difference is None else difference
+        raters, of = raters_for(methods, textures, points, sd, correlation), f"a difference of {points:g} points"
+    table, smallest = needed(raters, studies, seed)
+    names = [name for name in table[0] if name != "participants"]
+    rows = [f"{of}, {methods} methods × {textures} textures, sd {raters.sd:g}, correlation {correlation:g}, α = 0.05"]
+    rows.append("participants  " + "  ".join(f"{name:>16s}" for name in names))
+    rows += [f"{row['participants']:12.0f}  " + "  ".join(f"{row[name]:16.2f}" for name in names) for row in table]
+    rows.append(
+        "no number up to 60 finds a pair in 80 %"
+        if smallest is None
+        else f"{smallest} participants find a pair in 80 % of studies"
+    )
+    rows.append(
+        "pair: the last method from another on one texture, after Holm's adjustment; all pairs: on every texture from every other"
+    )
+    print_result({"power": table, "participants": smallest}, "\n".join(rows), as_json)
+
+
+@app.command()
+def analyze(
+    database: Database,
+    output: Annotated[Path, folder_option("A folder for report, figures and tables; made if there is none.")] = Path(
+        "results"
+    ),
+    reference: Annotated[
+        str | None, Option(metavar="METHOD", help="Compare the others with this one alone; by default all pairs.")
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Analyse ratings: analyses of variance, paired tests, ranks, a mixed model, reliability; figures, a report, tidy tables.
+
+    foten study analyze similarity.db -o results
+    """
+    from foten.study.analysis import analyse
+    from foten.study.report import write_report
+
+    check_folder(output)
+    with _store(database) as store:
+        result = analyse(store, reference)
+    written = write_report(result, output)
+    say(f"wrote {', '.join(str(path) for path in written)}")
+    print_result(result.document, "\n".join(result.sentences), as_json)
+
+
+@app.command()
+def strokes(
+    database: Database,
+    participant: Participant,
+    trial: TrialNumber,
+    output: Annotated[Path, Option("-o", "--output", metavar="S.csv", help="The table to write: t, x, y, pressure.")],
+) -> None:
+    """Write how a participant stroked the virtual surface in a trial, as 'foten render --stroke' reads it.
+
+    foten study strokes similarity.db --participant 3 --trial 7 -o stroke.csv
+    """
+    import csv
+
+    from foten.atomic_write import atomic_write
+
+    check_folders([output])
+    with _store(database) as store:
+        events = store.strokes(participant, trial)
+    if not len(events):
+        raise ValueError(f"there is no stroke of participant {participant} in trial {trial}")
+    with atomic_write(output) as part, part.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(("t", "x", "y", "pressure"))
+        writer.writerows([f"{value:.6f}" for value in (t - events[0, 3], x, y, p)] for x, y, p, t in events)
+    print(f"wrote {output}: {len(events)} events, {events[-1, 3] - events[0, 3]:.1f} s")
+
+
+@app.command()
+def correct(
+    database: Database,
+    participant: Participant,
+    trial: TrialNumber,
+    rating: Annotated[float, Option(help="What was meant, 0 to 100.")],
+    reason: Annotated[str, Option(help="Why; kept with the correction.")],
+) -> None:
+    """Put another rating in the place of a wrong one. The old one stays in the file."""
+    with _store(database) as store:
+        store.correct(participant, trial, rating, reason)
+    print(f"participant {participant}, trial {trial}: {rating:g} holds now")
+
+
+@app.command()
+def forget(
+    database: Database, participant: Participant, yes: Annotated[bool, Option("--yes", help="Do not ask.")] = False
+) -> None:
+    """Remove all of one participant's data from a study's file, for good. Backups keep theirs."""
+    with _store(database) as store:
+        if not yes and not typer.confirm(f"Remove all data of participant {participant} for good?", err=True):
+            raise typer.Abort
+        store.forget(participant)
+    print(f"all data of participant {participant} was removed from {database}; backups keep theirs")
+
+
+@app.command()
+def backup(
+    database: Database, output: Annotated[Path, Option("-o", "--output", metavar="COPY.db", help="The copy to write.")]
+) -> None:
+    """Copy a study's file, also while the study runs."""
+    check_folders([output])
+    with _store(database) as store:
+        n = store.backup(output)
+    print(f"wrote {output}: {n} ratings, and every check holds")
+
+
+def _store(database: Path) -> Store:
+    from foten import __version__
+    from foten.study.store import Store
+
+    return Store(database, __version__)

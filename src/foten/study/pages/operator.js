@@ -1,0 +1,104 @@
+// The operator's page: who is where, which sample to lay down, and a hand on the trials. It is told nothing of methods.
+const $ = (id) => document.getElementById(id);
+const KINDS = { consent: "reads the consent", questions: "answers questions", instructions: "reads the instructions", break: "has a break", end: "has finished" };
+let socket, hiding, invited = null, link = "";
+
+function say(text) {
+  clearTimeout(hiding);
+  $("message").textContent = text;
+  $("message").hidden = !text;
+  hiding = setTimeout(() => ($("message").hidden = true), 7000);
+}
+
+function connect() {
+  socket = new WebSocket(new URL("operate", location.href.replace(/^http/, "ws")));
+  socket.onmessage = ({ data }) => {
+    const message = JSON.parse(data);
+    if (message.refused) say(message.refused);
+    else if (message.started) invite(message);
+    else show(message);
+  };
+  socket.onopen = () => ($("begin-one").disabled = false); // a press before would be lost
+  socket.onclose = () => {
+    $("begin-one").disabled = true;
+    say("No connection to the server; this page tries again.");
+    setTimeout(connect, 1000);
+  };
+}
+
+const ask = (message) => socket.readyState === WebSocket.OPEN && socket.send(JSON.stringify(message));
+
+function show({ title, planned, simulated, screens, sessions, link: newest }) {
+  if (newest !== link && invited && $("invite").open) invite({ ...invited, screens }); // a link lets one device in
+  link = newest;
+  $("title").textContent = title;
+  document.title = `Operator: ${title}`;
+  $("simulated").hidden = !simulated;
+  const ended = sessions.filter((one) => one.kind === "end").length;
+  $("count").value = `${ended} of ${planned} have finished`;
+  $("none").hidden = sessions.length > 0;
+  // Those at work first; who has finished stays below.
+  const order = [...sessions].sort((a, b) => (a.kind === "end") - (b.kind === "end") || b.number - a.number);
+  const known = new Map([...$("people").children].map((row) => [Number(row.dataset.number), row]));
+  order.forEach((one, i) => {
+    const row = known.get(one.number) ?? newRow(one, screens), there = $("people").children[i];
+    fill(row, one);
+    if (there !== row) $("people").insertBefore(row, there ?? null); // a row that is moved loses the focus and a press on it
+  });
+}
+
+function newRow(one, screens) {
+  const row = document.createElement("li");
+  row.dataset.number = one.number;
+  row.innerHTML = `<div class="who"></div><div class="now"><strong></strong><span></span></div><div class="do"></div><progress max="1"></progress>`;
+  const button = (name, what) => {
+    const element = Object.assign(document.createElement("button"), { className: "plain", type: "button", textContent: name });
+    element.dataset.what = name;
+    element.addEventListener("click", what);
+    row.querySelector(".do").append(element);
+  };
+  button("Go", () => ask({ do: "go", number: one.number }));
+  button("Hold", () => ask({ do: "hold", number: one.number }));
+  button("Real", () => ask({ do: "side", number: one.number, side: "real" }));
+  button("Virtual", () => ask({ do: "side", number: one.number, side: "virtual" }));
+  button("Code", () => invite({ started: one.number, code: one.code, screens }));
+  return row;
+}
+
+function fill(row, one) {
+  const who = row.querySelector(".who"), small = document.createElement("small");
+  small.textContent = one.code;
+  who.replaceChildren(String(one.number), small);
+  const trial = one.kind === "trial";
+  row.querySelector("strong").textContent = trial ? `${one.texture}${one.real ? `: ${one.real}` : ""}` : KINDS[one.kind];
+  const facts = [trial && (one.practice ? "practice" : `trial ${one.n + 1} of ${one.of}`), trial && (one.held ? "held" : `on the ${one.side} surface, ${one.switches} switches`)];
+  if (one.n_missed !== undefined) facts.push(`${one.n_missed} blocks late, ${one.n_underruns} under-runs`);
+  const away = !one.pages.length && one.kind !== "end";
+  row.querySelector("span").textContent = away ? "no page is connected" : facts.filter(Boolean).join(" · ");
+  row.querySelector("span").classList.toggle("away", away);
+  row.querySelector("progress").value = one.n / one.of;
+  for (const button of row.querySelectorAll("[data-what]")) {
+    const { what } = button.dataset;
+    button.hidden = one.kind === "end" || (what !== "Code" && !trial) || (what === "Go" && !one.held) || (what === "Hold" && one.held) || (["Real", "Virtual"].includes(what) && (one.held || what.toLowerCase() === one.side));
+  }
+}
+
+function invite({ started, code, screens }) {
+  invited = { started, code };
+  $("invited").textContent = `Participant ${started}`;
+  $("invite-code").textContent = code;
+  const roles = (screens ?? 1) > 1 ? [["stroke", "Tablet to stroke on"], ["answer", "Screen to answer on"]] : [["all", ""]];
+  $("invite-codes").replaceChildren(
+    ...roles.map(([role, name]) => {
+      const figure = document.createElement("figure"), image = Object.assign(new Image(), { src: `codes/${code}.svg?role=${role}&at=${Date.now()}`, alt: `Code to scan for participant ${started}` });
+      const caption = Object.assign(document.createElement("figcaption"), { textContent: name });
+      figure.append(image, caption);
+      return figure;
+    }),
+  );
+  if (!$("invite").open) $("invite").showModal();
+}
+
+$("begin-one").addEventListener("click", () => ask({ do: "begin" }));
+connect();
+document.documentElement.dataset.ready = "true";

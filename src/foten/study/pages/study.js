@@ -1,0 +1,399 @@
+// A participant's page: one step after another, as the server says. An answer is kept here until the server has it.
+import { Pad } from "./pad.js";
+import { Settings } from "./settings.js";
+
+const RETRY_MS = [300, 600, 1200, 2500];
+const ELSEWHERE = 4001; // as the server closes a page that another one takes the place of
+const AGAIN_MS = 1500;
+const MOST_AT_ONCE = 64; // events in a message
+const $ = (id) => document.getElementById(id);
+const given = new URLSearchParams(location.search);
+
+/** Return an element with attributes and children. */
+function el(name, attributes = {}, ...children) {
+  const element = document.createElement(name);
+  for (const [key, value] of Object.entries(attributes))
+    if (key.startsWith("on")) element.addEventListener(key.slice(2), value);
+    else if (key in element && key !== "list") element[key] = value;
+    else element.setAttribute(key, value);
+  element.append(...children.filter((child) => child !== null && child !== undefined));
+  return element;
+}
+
+/** The sound output of the tablet, for samples that the server renders. */
+class Output extends EventTarget {
+  constructor() {
+    super();
+    this.context = null;
+    this.volumeDb = 0;
+    this.latency = {};
+    this.underruns = 0; // of the trial
+  }
+
+  get running() {
+    return this.context?.state === "running";
+  }
+
+  /** Begin to play; to be called while the browser still knows of a tap. */
+  async start() {
+    this.context ??= new AudioContext({ latencyHint: 0 });
+    const resumed = this.context.resume();
+    this.starting ??= this.connect();
+    await Promise.all([resumed, this.starting]);
+  }
+
+  async connect() {
+    await this.context.audioWorklet.addModule("player.js");
+    this.node = new AudioWorkletNode(this.context, "foten-player", { numberOfInputs: 0, outputChannelCount: [1] });
+    this.volume = new GainNode(this.context, { gain: 10 ** (this.volumeDb / 20) });
+    this.node.port.onmessage = () => this.underruns++;
+    this.node.connect(this.volume).connect(this.context.destination);
+  }
+
+  take(block) {
+    this.node?.port.postMessage(block);
+  }
+
+  /** Another trial: what is left of the last one is not played, and no under-run of this one. */
+  afresh() {
+    this.node?.port.postMessage({ afresh: true });
+    this.underruns = 0;
+  }
+
+  setVolume(db) {
+    this.volumeDb = db;
+    if (this.volume) this.volume.gain.value = 10 ** (db / 20);
+  }
+
+  calibrate() {} // the server is told when the page joins
+
+  emit() {}
+}
+
+class Study {
+  constructor() {
+    this.sound = new Output();
+    this.surface = el("canvas", { tabIndex: 0, id: "pad", role: "application", ariaLabel: "The virtual surface. Stroke it with the pen, a finger or the mouse; or with the arrow keys." });
+    this.pad = new Pad(this.surface, (...event) => this.event(...event));
+    this.settings = new Settings($("panel"), this.sound, this.pad);
+    this.role = ["stroke", "answer"].includes(given.get("role")) ? given.get("role") : "all";
+    this.code = null;
+    this.waiting = []; // events that go out together
+    this.tries = 0;
+    this.joining();
+    if (given.get("code")) this.join(given.get("code"));
+  }
+
+  // The server
+
+  join(code) {
+    this.wanted = code;
+    this.connect();
+  }
+
+  connect() {
+    const socket = (this.socket = new WebSocket(new URL("session", location.href.replace(/^http/, "ws"))));
+    socket.binaryType = "arraybuffer";
+    socket.onopen = () => {
+      const { newtons, steepness } = this.settings.calibration;
+      const code = this.code ?? this.wanted, fresh = code ? {} : { fresh: this.fresh };
+      this.say({ do: "join", role: this.role, rate_hz: this.sound.context?.sampleRate ?? 48000, volume_db: this.sound.volumeDb, newtons, steepness, ...(code && { code }), ...fresh });
+    };
+    socket.onmessage = ({ data }) => (typeof data === "string" ? this.told(JSON.parse(data)) : this.played(data));
+    socket.onclose = ({ code, reason }) => {
+      if (socket !== this.socket) return;
+      if (code === ELSEWHERE) return this.put(el("div", { className: "page" }, el("h2", {}, "Open on another page"), el("p", {}, "Go on there, or load this page again to go on here.")));
+      this.show(reason || (this.code ? "No connection. Your answers are kept; this page goes on by itself." : "The server cannot be reached."), true);
+      setTimeout(() => this.connect(), RETRY_MS[Math.min(this.tries++, RETRY_MS.length - 1)]);
+    };
+  }
+
+  say(message) {
+    if (this.socket?.readyState === WebSocket.OPEN) this.socket.send(JSON.stringify(message));
+  }
+
+  told(message) {
+    if (message.joined) {
+      this.code = message.joined;
+      sessionStorage.removeItem("foten-fresh");
+      this.plays = message.plays;
+      this.tries = 0;
+      history.replaceState(null, "", `?${new URLSearchParams({ code: this.code, ...(this.role !== "all" && { role: this.role }) })}`);
+      this.show("");
+    } else if (message.refused) this.refused(message);
+    else if (message.step) this.arrive(message.step);
+  }
+
+  refused({ refused: why, step, again }) {
+    this.show(why);
+    this.busy(false);
+    if (!this.code) {
+      const { socket } = this;
+      this.socket = null;
+      socket.close();
+      return;
+    }
+    if (!this.pending || step !== this.pending.step) return;
+    const { pending } = this;
+    if (again) {
+      setTimeout(() => this.pending === pending && this.say(pending), AGAIN_MS); // it is good, and kept
+      return;
+    }
+    this.pending = null; // the participant decides
+    localStorage.removeItem(this.kept);
+    this.busy(false);
+  }
+
+  /** A code of this page's own: one that asks again, since the answer was lost, is no second participant. */
+  get fresh() {
+    const letters = "ABCDEFGHJKMNPQRSTUVWXYZ";
+    let code = sessionStorage.getItem("foten-fresh");
+    if (!code) {
+      code = Array.from(crypto.getRandomValues(new Uint32Array(5)), (value) => letters[value % letters.length]).join("");
+      sessionStorage.setItem("foten-fresh", code);
+    }
+    return code;
+  }
+
+  get kept() {
+    return `foten-study-${this.code}`;
+  }
+
+  /** Give an answer; it is kept until the server shows another step. */
+  done(answer) {
+    this.pending = { do: "done", step: this.step.id, ...answer };
+    localStorage.setItem(this.kept, JSON.stringify(this.pending));
+    this.busy(true);
+    this.say(this.pending);
+  }
+
+  arrive(step) {
+    this.pending ??= JSON.parse(localStorage.getItem(this.kept) ?? "null");
+    if (this.pending?.step === step.id) {
+      this.say(this.pending); // of before the connection broke
+      if (this.step?.id === step.id) return;
+    } else if (this.pending) {
+      this.pending = null;
+      localStorage.removeItem(this.kept);
+    }
+    const same = this.step?.id === step.id;
+    this.step = step;
+    $("title").textContent = step.title;
+    document.title = step.title;
+    $("simulated").hidden = !step.simulated;
+    const counts = step.kind === "trial" || step.kind === "break";
+    $("progress").hidden = !counts;
+    $("progress").value = counts ? Math.max(0, step.n - (step.kind === "trial" ? 1 : 0)) / step.of : 0;
+    $("count").value = !counts ? "" : step.practice ? "practice" : `${Math.max(1, step.n)} / ${step.of}`;
+    if (!same) this.page(step);
+    else if (step.kind === "trial") this.side(step.side);
+    if (step.kind === "trial") this.hold(step.held);
+    this.busy(Boolean(this.pending));
+  }
+
+  show(text, stays = false) {
+    clearTimeout(this.hiding);
+    $("message").textContent = text;
+    $("message").hidden = !text;
+    if (text && !stays) this.hiding = setTimeout(() => ($("message").hidden = true), 7000);
+  }
+
+  busy(on) {
+    for (const button of document.querySelectorAll("#content .big")) button.disabled = on || (button.dataset.needs === "rating" && !this.ready);
+  }
+
+  // The pages
+
+  put(...children) {
+    $("content").replaceChildren(...children);
+  }
+
+  joining() {
+    const code = el("input", { id: "code", type: "text", maxLength: 5, autocomplete: "off", ariaLabel: "Code", placeholder: "CODE" });
+    this.put(
+      el("form", { className: "page", onsubmit: (e) => (e.preventDefault(), this.busy(true), this.start().then(() => this.join(code.value.trim() || null))) },
+        el("h2", {}, "Welcome"),
+        el("p", {}, "Enter the code that you were given, or begin as a new participant."),
+        code,
+        el("button", { className: "big", type: "submit" }, "Begin"),
+        el("button", { className: "link", type: "button", onclick: () => this.settings.show() }, "Set up this tablet"),
+      ),
+    );
+  }
+
+  page(step) {
+    const pages = { consent: this.consent, questions: this.questions, instructions: this.instructions, trial: this.trial, break: this.pause, end: this.end };
+    pages[step.kind].call(this, step);
+  }
+
+  next(label, answer = () => ({})) {
+    return el("button", { className: "big", type: "button", onclick: () => (this.busy(true), this.start().then(() => this.done(answer()))) }, label);
+  }
+
+  consent({ text }) {
+    this.put(el("div", { className: "page" }, el("h2", {}, "Before you begin"), el("p", {}, text), this.next("I agree and take part")));
+  }
+
+  instructions({ text }) {
+    this.put(el("div", { className: "page" }, el("h2", {}, "How it goes"), el("p", {}, text), this.next("Start")));
+  }
+
+  pause({ n, of }) {
+    this.put(el("div", { className: "page" }, el("h2", {}, "Take a break"), el("p", {}, `${n} of ${of} are behind you. Go on when you like.`), this.next("Go on")));
+  }
+
+  end() {
+    this.put(el("div", { className: "page" }, el("h2", {}, "Thank you"), el("p", {}, "That was all. Your answers are stored.")));
+  }
+
+  questions({ questions }) {
+    const form = el("form", { className: "page" });
+    const fields = questions.map((question) => this.question(question));
+    form.append(el("h2", {}, "A few questions"), ...fields.map(({ element }) => element), el("button", { className: "big", type: "submit" }, "Next"));
+    form.addEventListener("submit", (e) => {
+      e.preventDefault();
+      this.done({ answers: Object.fromEntries(questions.map((question, i) => [question.key, fields[i].value()])) });
+    });
+    this.put(form);
+  }
+
+  question({ key, text, kind, options, required }) {
+    const label = required ? text : `${text} (if you like)`;
+    if (kind === "choice") {
+      const inputs = options.map((option) => el("input", { type: "radio", name: key, value: option, required }));
+      return {
+        element: el("fieldset", {}, el("legend", {}, label), ...inputs.map((input) => el("label", {}, input, input.value))),
+        value: () => inputs.find((input) => input.checked)?.value ?? "",
+      };
+    }
+    if (kind === "slider") {
+      const scale = this.scale("0", "100", label);
+      return { element: el("div", {}, el("p", {}, label), scale.element), value: () => (scale.input.dataset.set ? scale.input.value : "") };
+    }
+    const input = kind === "number" ? el("input", { type: "number", step: "any", required, name: key }) : el("textarea", { rows: 2, maxLength: 2000, required, name: key });
+    return { element: el("label", {}, label, input), value: () => input.value };
+  }
+
+  /** A slider without a position until one is chosen. */
+  scale(lowest, highest, label) {
+    const input = el("input", { type: "range", min: 0, max: 100, step: 1, value: 50, ariaLabel: label });
+    input.setAttribute("aria-valuetext", "not set");
+    const set = () => {
+      input.dataset.set = "true";
+      input.setAttribute("aria-valuetext", input.value);
+      input.dispatchEvent(new Event("set"));
+    };
+    for (const type of ["input", "pointerup"]) input.addEventListener(type, set);
+    return { input, element: el("div", { className: "scale" }, input, el("span", {}, lowest), el("span", {}, highest)) };
+  }
+
+  trial(step) {
+    const { role } = this, strokes = role !== "answer", answers = role !== "stroke";
+    const box = el("div", { className: `trial ${role}` });
+    this.ready = false;
+    this.check = null;
+    if (strokes) {
+      this.realButton = el("button", { className: "real", type: "button", onclick: () => this.turn("real") }, "real surface");
+      this.virtual = el("div", { className: "virtual" }, this.surface, step.name ? el("b", {}, step.name) : null, el("div", { className: "held", hidden: !step.held }, "One moment, please"));
+      box.append(el("div", { className: `surfaces ${step.real_side}` }, this.virtual, this.realButton));
+      this.picture(step.picture);
+    }
+    if (answers) {
+      const scale = this.scale(step.lowest, step.highest, step.question);
+      const next = el("button", { className: "big", type: "button", onclick: () => this.done({ rating: Number(scale.input.value), seconds: this.seconds, underruns: this.sound.underruns }) }, "Next");
+      next.dataset.needs = "rating";
+      const check = () => {
+        this.ready = Boolean(scale.input.dataset.set) && !this.step.held && this.seconds >= step.min_s;
+        this.busy(Boolean(this.pending));
+      };
+      this.check = check;
+      scale.input.addEventListener("set", check);
+      if (this.pending?.step === step.id) {
+        scale.input.value = this.pending.rating; // as it was chosen before the page was loaded again
+        scale.input.dispatchEvent(new Event("input"));
+      }
+      if (step.min_s) setTimeout(check, 1000 * step.min_s + 50);
+      box.append(el("section", { className: "rate", ariaLabel: "Rating" }, el("h2", {}, step.question), scale.element, next));
+    }
+    this.begin(step.id);
+    this.sound.afresh();
+    this.put(box);
+    this.pad.resize();
+    this.side(step.side);
+  }
+
+  /** Count from when a trial is shown first, a page that is loaded again too; not while it is held. */
+  begin(id) {
+    const known = JSON.parse(sessionStorage.getItem("foten-begun") ?? "null");
+    this.clock = known?.id === id && known.code === this.code ? known : { id, code: this.code, at: Date.now(), held: 0, since: null };
+  }
+
+  hold(held) {
+    const { clock } = this;
+    if (held) clock.since ??= Date.now();
+    else if (clock.since !== null) [clock.held, clock.since] = [clock.held + Date.now() - clock.since, null];
+    sessionStorage.setItem("foten-begun", JSON.stringify(clock));
+    const cover = document.querySelector(".held");
+    if (cover) cover.hidden = !held;
+    this.check?.();
+  }
+
+  get seconds() {
+    const { clock } = this;
+    return ((clock.since ?? Date.now()) - clock.at - clock.held) / 1000;
+  }
+
+  async picture(url) {
+    this.pad.setTile(null, 24);
+    if (!url) return;
+    const photo = new Image();
+    photo.src = url;
+    await photo.decode().then(() => this.pad.setTile(photo, 24), () => {});
+  }
+
+  side(side) {
+    this.step.side = side;
+    this.realButton?.setAttribute("aria-pressed", String(side === "real"));
+    this.virtual?.parentElement?.classList.toggle("on-real", side === "real");
+  }
+
+  turn(side) {
+    if (this.step?.kind !== "trial" || this.step.side === side) return;
+    this.side(side);
+    this.say({ do: "side", side });
+  }
+
+  // Sound and strokes
+
+  /** From a tap: browsers ask for one before they play. */
+  async start() {
+    if (this.plays === false || this.role === "answer") return;
+    try {
+      await this.sound.start();
+    } catch (error) {
+      this.show(error.message);
+    }
+  }
+
+  event(x, y, pressure, t) {
+    const { step } = this;
+    if (step?.kind !== "trial" || step.held) return;
+    if (pressure && step.side === "real") this.turn("virtual");
+    if (!this.sound.running) this.start();
+    this.waiting.push([x, y, pressure, t]);
+    if (this.waiting.length > 1) return;
+    queueMicrotask(() => {
+      if (this.socket?.readyState === WebSocket.OPEN)
+        for (let i = 0; i < this.waiting.length; i += MOST_AT_ONCE) this.socket.send(Float64Array.from(this.waiting.slice(i, i + MOST_AT_ONCE).flat()));
+      this.waiting = [];
+    });
+  }
+
+  played(data) {
+    const [speed, force] = new Float32Array(data, 0, 2);
+    this.sound.take({ samples: new Float32Array(data, 8), speed, force });
+  }
+}
+
+window.study = new Study(); // for tests and the curious
+document.documentElement.dataset.ready = "true";

@@ -1,0 +1,146 @@
+"""A participant's page at the WebSocket: a tablet to stroke on, a screen to answer on, or both.
+
+It sends, beside events of the pen in bytes as `studio.messages` has them:
+
+    {"do": "join", "code": "KXWQA", "role": "all" | "stroke" | "answer", "rate_hz": 48000, "volume_db": 0, "newtons": 0.13,
+     "steepness": 3.32}
+    {"do": "join", "fresh": "KXWQA", …}             as a new participant, under a code that the page drew; not with an operator
+    {"do": "done", "step": "trial:5", "rating": 63, "seconds": 12.5, "underruns": 0}
+    {"do": "done", "step": "questions:end", "answers": {"remarks": "…"}}
+    {"do": "side", "side": "real" | "virtual"}
+
+What it gets names no method: trials by number, textures by name where the study file says so, and samples.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import time
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+from starlette.websockets import WebSocket, WebSocketDisconnect
+
+from foten.runtime.live.devices import SOUND_RATE_HZ
+from foten.runtime.stylus import PressureCalibration
+from foten.studio.messages import CALIBRATION, PLAYING_FIELDS, Protocol, RefusedError
+from foten.studio.websocket import BlockQueue, PageSocket, pressure_calibration
+from foten.study.session import NotYetError, Session
+
+if TYPE_CHECKING:
+    from foten.study.study_server import StudyServer
+
+ELSEWHERE = 4001  # the code of a WebSocket's end, of those that are free for programs
+SIDES = ("virtual", "real")
+PARTICIPANT = Protocol(
+    {
+        "join": ((), ("code", "fresh", "role", "rate_hz", "volume_db", *CALIBRATION)),
+        "done": (("step",), ("rating", "seconds", "underruns", "answers")),
+        "side": (("side",), ()),
+    },
+    {
+        **PLAYING_FIELDS,
+        "role": ("all", "stroke", "answer"),
+        "side": SIDES,
+        "rating": (0.0, 100.0),
+        "seconds": (0.0, 1e6),
+        "underruns": (0, 1e6),
+        "code": None,
+        "fresh": None,
+        "step": None,
+    },
+)
+
+
+class ParticipantPage(PageSocket):
+    """A page of a session, which it joins by its code."""
+
+    def __init__(self, server: StudyServer, socket: WebSocket) -> None:
+        super().__init__(socket, PARTICIPANT)
+        self._server = server
+        self._session: Session | None = None
+        self.blocks = BlockQueue(socket)
+        self.role, self.rate_hz, self.volume_db = "all", SOUND_RATE_HZ, 0.0
+        self.calibration = PressureCalibration()
+
+    @property
+    def strokes(self) -> bool:
+        """Whether it is stroked on."""
+        return self.role != "answer"
+
+    async def run(self) -> None:
+        """Serve the page until it goes."""
+        await self.converse(self.blocks.send())
+
+    async def leave(self) -> None:
+        """Leave the session: the strokes are saved, and the trial stays where it is."""
+        session, self._session = self._session, None
+        if session is not None:
+            await session.leave(self)
+
+    async def take_bytes(self, data: bytes) -> None:
+        """Take in events."""
+        events = self.events_in(data)
+        if self._session is None or not self.strokes:
+            raise RefusedError("events of a page that does not stroke")
+        await self._session.push(self, events)
+
+    async def do(self, message: Mapping[str, Any]) -> None:
+        """Join, answer, or go over to the other surface."""
+        kind, session = message["do"], self._session
+        if kind == "join":
+            await self._join(message)
+        elif session is None:
+            raise RefusedError(f"{kind} before a code was given")
+        elif kind == "done":
+            await self._finish(session, message)
+        elif kind == "side":
+            await session.turn(str(message["side"]), "participant")
+
+    async def _finish(self, session: Session, message: Mapping[str, Any]) -> None:
+        """Take an answer; a refusal says whether it may be sent again as it is."""
+        before = session.step["id"]
+        try:
+            await session.finish(str(message["step"]), message)
+        except RefusedError as refused:
+            again = isinstance(refused, NotYetError)
+            await self.say({"refused": str(refused), "step": message["step"], "again": again})
+            return
+        if session.step["id"] != before:
+            await session.show()
+        else:
+            await self.show()
+
+    async def _join(self, message: Mapping[str, Any]) -> None:
+        server = self._server
+        code = message.get("code")
+        if code is None and server.design.setup.operator:
+            raise RefusedError("ask the operator for a code")
+        session = await server.begin(message.get("fresh")) if code is None else server.by_code(str(code))
+        await self.leave()
+        self.role = str(message.get("role", "all"))
+        self.rate_hz = float(message.get("rate_hz", SOUND_RATE_HZ))
+        self.volume_db = float(message.get("volume_db", 0.0))
+        self.calibration = pressure_calibration(message)
+        for other in list(session.pages):  # a tab that was forgotten, or this page before its connection was lost
+            if other.strokes == self.strokes or "all" in (other.role, self.role):
+                await other.make_way()
+        self._session = session
+        session.pages.add(self)
+        await self.say({"joined": session.code, "plays": server.output is None})
+        await self.show()
+
+    async def make_way(self) -> None:
+        """Leave the participant to another page."""
+        await self.leave()
+        with contextlib.suppress(RuntimeError, WebSocketDisconnect):
+            await self.socket.close(ELSEWHERE, "open on another page")
+
+    async def show(self) -> None:
+        """Show the step."""
+        session = self._session
+        if session is None:
+            return
+        if session.step["kind"] == "trial" and not session.held and not session.shown_at:
+            session.shown_at = time.monotonic()
+        await self.say({"step": session.shown()})

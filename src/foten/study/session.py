@@ -1,0 +1,242 @@
+"""One participant while the study runs: the present step, the pages that show it, and the contact of its trial."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import time
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from foten.runtime.live.devices import SOUND_RATE_HZ
+from foten.studio.live_contact import Contact
+from foten.studio.messages import RefusedError
+from foten.studio.websocket import packed_block
+from foten.study.orders import Trial
+from foten.study.steps import Step, checked_answers, public_step, steps_of
+from foten.study.store import Rated
+from foten.study.trial_log import TrialLog
+
+if TYPE_CHECKING:
+    from foten.study.participant_page import ParticipantPage
+    from foten.study.study_server import StudyServer
+
+SAVE_STROKES_S = 3.0  # between two writings of a stroke
+CLOCK_TOLERANCE_S = 0.25  # by which a page's clock may be ahead of the server's
+
+
+class NotYetError(RefusedError):
+    """A good answer, which can be sent again as it is a little later."""
+
+
+class Session:
+    """A participant of a study that runs.
+
+    A step that was answered is in the database before the next is shown; where a participant is, the database knows.
+    """
+
+    def __init__(self, server: StudyServer, number: int, code: str, trials: Sequence[Trial], done: set[str]) -> None:
+        self.server, self.number, self.code = server, number, code
+        self.steps, self.done = steps_of(server.design, trials), done
+        self.pages: set[ParticipantPage] = set()
+        self.contact: Contact | None = None
+        self._page: ParticipantPage | None = None  # that the contact plays for
+        self._unsaved: list[NDArray[np.float64]] = []  # events
+        self._saved_at = 0.0
+        self._changing = asyncio.Lock()
+        self._arrive()
+        step = self.step
+        if step["kind"] == "trial":  # as it was before the server ended
+            self.n_switches = server.store.switches(number, step["trial"].number)
+            self._log.resumed = len(server.store.strokes(number, step["trial"].number)) > 0
+
+    @property
+    def step(self) -> Step:
+        """First step that is not behind the participant."""
+        return next((step for step in self.steps if step["id"] not in self.done), self.steps[-1])
+
+    def _arrive(self) -> None:
+        """Begin a step: with an operator, a trial waits until the real sample lies there."""
+        self.held = self.step["kind"] == "trial" and self.server.design.setup.operator
+        self.side, self.n_switches, self.shown_at = "virtual", 0, 0.0
+        self._log = TrialLog()
+
+    def shown(self) -> Step:
+        """The step as a participant's page gets it."""
+        public = public_step(self.step, self.server.design)
+        public |= {"title": self.server.design.title, "simulated": self.server.store.simulated, "held": self.held}
+        return public | ({"side": self.side} if self.step["kind"] == "trial" else {})
+
+    async def show(self) -> None:
+        """Show the step on all pages."""
+        for page in list(self.pages):
+            await page.show()
+
+    async def finish(self, step_id: str, message: Mapping[str, Any]) -> None:
+        """Take the answers of a step, into the database, and go on; a step that is behind already is left as it is.
+
+        Raises:
+            RefusedError: it is not this step's turn, or an answer is missing or wrong, or cannot be stored.
+        """
+        async with self._changing:
+            if step_id in self.done:
+                return  # sent again by a page that did not learn that it was taken
+            step = self.step
+            if step_id != step["id"]:
+                raise RefusedError(f"it is the turn of {step['id']}, not of {step_id[:40]!r}")
+            if step["kind"] == "end":
+                return
+            await self._store(step, message)
+            self.done.add(step_id)
+            await self.end_contact(save=False)
+            self._arrive()
+            if self.step["kind"] == "end":
+                with contextlib.suppress(OSError):
+                    await self.server.on_disk(lambda: self.server.store.take_step(self.number, "end"))
+
+    async def _store(self, step: Step, message: Mapping[str, Any]) -> None:
+        store, number = self.server.store, self.number
+        answers: dict[str, Any] = {}
+        if step["kind"] == "consent":
+            answers["consent"] = step["text"]
+        elif step["kind"] == "questions":
+            answers["answers"], answers["private"] = checked_answers(step["questions"], message.get("answers", {}))
+        elif step["kind"] == "trial":
+            self._check_trial_may_end(message)
+            await self.save_strokes()
+            answers["rated"] = step["trial"].number, self._rated(message)
+        try:
+            await self.server.on_disk(lambda: store.take_step(number, step["id"], **answers))
+        except OSError as error:
+            raise NotYetError(f"not stored, and your answer is kept here: {error}") from error
+
+    def _check_trial_may_end(self, message: Mapping[str, Any]) -> None:
+        if "rating" not in message:
+            raise RefusedError("done: rating is missing")
+        if self.held:
+            raise NotYetError("the operator holds this trial; your answer is kept here")
+        min_s = self.server.design.rating.min_seconds
+        shown_s = time.monotonic() - self.shown_at if self.shown_at else 0.0
+        # The page has counted on while the server was away.
+        if max(shown_s, float(message.get("seconds") or 0.0)) < min_s - CLOCK_TOLERANCE_S:
+            raise RefusedError(f"explore both surfaces for {min_s:g} s first")
+
+    def _rated(self, message: Mapping[str, Any]) -> Rated:
+        log = self._log.summary([] if self.contact is None else [self.contact.statistics])
+        if self.server.output is None:  # the sound runs dry in the tablet, if anywhere, and its page counts that
+            log["n_underruns"] = None if "underruns" not in message else int(message["underruns"])
+        if self.shown_at:
+            log["shown_s"] = round(time.monotonic() - self.shown_at, 3)
+        page = next((page for page in self.pages if page.strokes), None)
+        if page is not None:
+            log |= {"volume_db": page.volume_db, "rate_hz": page.rate_hz, "n_unsent": page.blocks.n_unsent}
+            page.blocks.n_unsent = 0
+        seconds = message.get("seconds")
+        return Rated(float(message["rating"]), None if seconds is None else float(seconds), self.n_switches, log)
+
+    async def turn(self, side: str, marked_by: str) -> None:
+        """Go over to the real or the virtual surface; on the real surface the virtual one is silent."""
+        step = self.step
+        if step["kind"] != "trial" or self.held or side == self.side:
+            return
+        self.side = side
+        self.n_switches += 1
+        trial = step["trial"].number
+        with contextlib.suppress(OSError):  # a full disk does not stop a hand; the answer will say it
+            await self.server.on_disk(lambda: self.server.store.add_switch(self.number, trial, side, marked_by))
+        if side == "real" and self.contact is not None:
+            self.contact.lift()
+        await self.show()
+
+    async def hold(self, held: bool) -> None:
+        """Hold the trial that is shown, or let it go on."""
+        self.held = held and self.step["kind"] == "trial"
+        if self.held:
+            await self.end_contact(save=True)
+        await self.show()
+
+    async def push(self, page: ParticipantPage, events: NDArray[np.float64]) -> None:
+        """Take in events of the pen; the first of a trial make its texture ready."""
+        step = self.step
+        if step["kind"] != "trial" or self.held or self.side == "real":
+            return
+        if self.contact is None:
+            async with self._changing:
+                if self.contact is None and self.step is step:
+                    await self._open(page, step["trial"])
+        if self.contact is not None:
+            self.contact.push(events)
+            self._unsaved.append(events)
+            if time.monotonic() - self._saved_at > SAVE_STROKES_S:
+                await self.save_strokes()
+
+    async def _open(self, page: ParticipantPage, trial: Trial) -> None:
+        server, key = self.server, (trial.texture, trial.method)
+        plays_in_page = server.output is None
+        loop, conditions = asyncio.get_running_loop(), self._log.conditions
+
+        def on_block(samples: NDArray[np.float32], speed: float, force: float) -> None:
+            conditions.append((speed, force))
+            if plays_in_page:
+                block = samples * np.float32(contact.gain)  # the page bends what is too loud
+                with contextlib.suppress(RuntimeError):  # the loop has ended, and so does the contact
+                    loop.call_soon_threadsafe(page.blocks.put, packed_block(block, speed, force))
+
+        try:
+            player = await asyncio.to_thread(server.player, page.rate_hz if plays_in_page else SOUND_RATE_HZ)
+            contact = Contact(player, on_block)
+            contact.set_volume(server.design.output.volume_db + server.gains[key])
+            seed = 1000 * self.number + trial.number + 500
+            await asyncio.to_thread(contact.open, server.stimuli.bytes_of[key], page.calibration, seed)
+        except (OSError, ValueError) as error:
+            raise RefusedError(f"nothing can be played: {error}") from error
+        self._log.block_s = player.statistics.block_ms / 1000
+        self.contact, self._page, self._saved_at = contact, page, time.monotonic()
+
+    async def save_strokes(self) -> None:
+        """Write the events that are not in the database yet."""
+        events, self._unsaved = self._unsaved, []
+        self._saved_at = time.monotonic()
+        step = self.step
+        if not events or step["kind"] != "trial":
+            return
+        number, trial, stroke = self.number, step["trial"].number, np.concatenate(events)
+        with contextlib.suppress(OSError):
+            await self.server.on_disk(lambda: self.server.store.add_strokes(number, trial, stroke))
+
+    async def end_contact(self, save: bool) -> None:
+        """End playing, and save the strokes where the trial goes on later."""
+        if save:
+            await self.save_strokes()
+        else:
+            self._unsaved = []
+        contact, self.contact = self.contact, None
+        if contact is not None:
+            self._log.ended.append(contact.statistics)
+            with contextlib.suppress(OSError, ValueError, RuntimeError):
+                await asyncio.to_thread(contact.close)
+
+    async def leave(self, page: ParticipantPage) -> None:
+        """Go on without a page: its strokes are saved, and its trial stays where it is."""
+        self.pages.discard(page)
+        if self._page is page:
+            await self.end_contact(save=True)
+            self._page = None
+
+    def for_operator(self) -> dict[str, Any]:
+        """What the operator's page gets: the texture, and nothing of the method."""
+        step = self.step
+        trials = [s["id"] for s in self.steps if s["kind"] == "trial" and s["n"] > 0]
+        shown: dict[str, Any] = {"number": self.number, "code": self.code, "step": step["id"], "kind": step["kind"]}
+        shown |= {"n": sum(trial in self.done for trial in trials), "of": len(trials), "held": self.held}
+        shown |= {"pages": sorted(page.role for page in self.pages), "side": self.side, "switches": self.n_switches}
+        if step["kind"] == "trial":
+            texture = self.server.design.textures[step["trial"].texture]
+            shown |= {"texture": texture.name, "real": texture.real, "practice": step["trial"].practice}
+        if self.contact is not None:
+            live = self.contact.statistics  # how long a block takes would tell methods apart
+            shown |= {"n_missed": live.n_missed, "n_underruns": live.n_underruns}
+        return shown

@@ -1,0 +1,183 @@
+"""The server of a study.
+
+GET  /                participants' page; its files
+GET  /pictures/N      the picture of a texture
+WS   /session         a participant's page (`participant_page`)
+GET  /operator        the operator's page, by the key in its link
+WS   /operate         what it shows, and does (`operator_page`)
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import io
+import secrets
+from collections.abc import AsyncIterator, Callable
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+from urllib.parse import urlencode
+
+from starlette.applications import Starlette
+from starlette.datastructures import Headers
+from starlette.requests import Request
+from starlette.responses import FileResponse, PlainTextResponse, RedirectResponse, Response
+from starlette.routing import Route, WebSocketRoute
+from starlette.types import ASGIApp
+from starlette.websockets import WebSocket
+
+from foten.studio.access import Access, Guarded, cookie_in, is_same
+from foten.studio.messages import RefusedError
+from foten.studio.players import OutputDevice, Player, RoundRobinRenderer
+from foten.studio.studio_server import missing, page_file, page_files
+from foten.studio.websocket import serve_page
+from foten.study.design import Design
+from foten.study.operator_page import OperatorPage
+from foten.study.participant_page import ParticipantPage
+from foten.study.session import Session
+from foten.study.stimuli import Stimuli
+from foten.study.store import Store
+
+OPERATOR_COOKIE = "foten-operator"
+LETTERS = "ABCDEFGHJKMNPQRSTUVWXYZ"  # that are not taken for one another
+CODE_LETTERS = 5
+MAX_PAGES = 64
+PAGES = Path(__file__).with_name("pages")
+OPERATOR_PAGE = "operator.html"
+SHARED = ("studio.css", "pad.js", "settings.js", "stream.js")  # not the kernel, whose bytes name models
+
+
+class StudyServer:
+    """A study that runs.
+
+    Args:
+        store: its database.
+        design, stimuli: as the database has them.
+        output: plays here; None where the pages play.
+    """
+
+    def __init__(self, store: Store, design: Design, stimuli: Stimuli, output: OutputDevice | None) -> None:
+        self.store, self.design, self.stimuli, self.output = store, design, stimuli, output
+        self.operator_key = secrets.token_urlsafe(16)
+        self.gains = {key: stimulus.gain_db for key, stimulus in store.stimuli().items()}
+        self.player: Callable[[float], Player] = (output or RoundRobinRenderer()).player
+        self.link: Callable[[str], str] = lambda query: f"/?{query}"  # by which the next device comes in
+        self.sessions: dict[int, Session] = {}
+        self.pages: set[ParticipantPage] = set()
+        self.operators: set[OperatorPage] = set()
+        # One thread: SQLite waits for the disk, which the sound must not.
+        self.disk = ThreadPoolExecutor(1, thread_name_prefix="foten-store")
+        for code, number in store.codes().items():
+            self._session(number, code)
+
+    def _session(self, number: int, code: str) -> Session:
+        self.sessions[number] = Session(self, number, code, self.store.trials(number), self.store.done(number))
+        return self.sessions[number]
+
+    async def on_disk(self, work: Callable[[], Any]) -> Any:
+        """Result of some work with the database."""
+        return await asyncio.get_running_loop().run_in_executor(self.disk, work)
+
+    async def begin(self, code: str | None = None) -> Session:
+        """Session of a new participant, under a code that the page drew: a page that asks again gets the same.
+
+        Raises:
+            RefusedError: the design has no more.
+        """
+        if code is None:
+            code = "".join(secrets.choice(LETTERS) for _ in range(CODE_LETTERS))
+        elif len(code) != CODE_LETTERS or not set(code) <= set(LETTERS):
+            raise RefusedError(f"join: fresh is {code[:40]!r}, expected {CODE_LETTERS} letters")
+        for session in self.sessions.values():
+            if session.code == code:
+                return session
+        try:
+            return await self.on_disk(lambda: self._session(self.store.join(code), code))
+        except (ValueError, OSError) as error:
+            raise RefusedError(str(error)) from error
+
+    def by_code(self, code: str) -> Session:
+        """Session that a code names, or raise RefusedError."""
+        for session in self.sessions.values():
+            if is_same(code.strip().upper(), session.code):
+                return session
+        raise RefusedError("there is no such code; the operator's page shows it")
+
+    def app(self, access: Access) -> ASGIApp:
+        """Application, behind its access."""
+        routes = [
+            Route("/operator", self._operator),
+            Route("/pictures/{number:int}", self._picture),
+            Route("/codes/{code}.svg", self._code),
+            WebSocketRoute("/session", self._serve_page),
+            WebSocketRoute("/operate", self._serve_operator),
+            Route("/{name:path}", self._file),
+        ]
+        return Guarded(Starlette(routes=routes, lifespan=self._lifespan), access)
+
+    @contextlib.asynccontextmanager
+    async def _lifespan(self, _app: Starlette) -> AsyncIterator[None]:
+        yield
+        for session in self.sessions.values():
+            await session.end_contact(save=True)
+        self.disk.shutdown()
+
+    async def _file(self, request: Request) -> Response:
+        return page_file(study_files(), request.path_params["name"] or "study.html")
+
+    async def _picture(self, request: Request) -> Response:
+        number = request.path_params["number"]
+        textures = self.design.textures
+        path = textures[number].picture if number < len(textures) else None
+        shown = path is not None and self.design.setup.show_names
+        return FileResponse(path) if path is not None and shown else missing("there is no such picture here")
+
+    async def _operator(self, request: Request) -> Response:
+        key = request.query_params.get("key")
+        if key is not None and is_same(key, self.operator_key):
+            moved = RedirectResponse("/operator", status_code=303)
+            secure = request.url.scheme == "https"
+            moved.set_cookie(OPERATOR_COOKIE, self.operator_key, httponly=True, samesite="lax", secure=secure)
+            return moved
+        if not self._is_operator(request.headers):
+            return PlainTextResponse(
+                "this page is the operator's: open the link that the server printed\n", status_code=403
+            )
+        return FileResponse(PAGES / OPERATOR_PAGE, media_type="text/html")
+
+    async def _code(self, request: Request) -> Response:
+        """A code to scan, which opens a participant's page."""
+        if not self._is_operator(request.headers):
+            return missing("this is the operator's")
+        import segno
+
+        try:
+            query = {"code": self.by_code(request.path_params["code"]).code}
+        except RefusedError as error:
+            return missing(str(error))
+        role = request.query_params.get("role", "all")
+        if role in ("stroke", "answer"):
+            query["role"] = role
+        drawn = io.BytesIO()
+        segno.make(self.link(urlencode(query)), error="l").save(drawn, kind="svg", scale=8, border=2)
+        return Response(drawn.getvalue(), media_type="image/svg+xml")
+
+    def _is_operator(self, headers: Headers) -> bool:
+        return is_same(cookie_in(headers, OPERATOR_COOKIE) or "", self.operator_key)
+
+    async def _serve_page(self, socket: WebSocket) -> None:
+        await serve_page(socket, self.pages, MAX_PAGES, lambda socket: ParticipantPage(self, socket))
+
+    async def _serve_operator(self, socket: WebSocket) -> None:
+        if self._is_operator(socket.headers):
+            await serve_page(socket, self.operators, MAX_PAGES, lambda socket: OperatorPage(self, socket))
+        else:
+            await socket.close(1008, "this is the operator's")
+
+
+def study_files() -> dict[str, Path]:
+    """Files of the participants' page by name."""
+    shared = page_files()
+    files = {path.name: path for path in PAGES.iterdir() if path.is_file() and path.name != OPERATOR_PAGE}
+    return files | {name: shared[name] for name in SHARED}

@@ -1,0 +1,153 @@
+"""Who may talk to the server: hosts, origins, devices that came by a link, and the certificate."""
+
+from __future__ import annotations
+
+import os
+import ssl
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+pytest.importorskip("starlette")
+from starlette.testclient import TestClient
+from starlette.websockets import WebSocketDisconnect
+
+from foten.runtime.renderer import EXAMPLE
+from foten.studio.access import Access, access_to, write_certificate
+from foten.studio.shelf import Shelf
+from foten.studio.studio_server import Studio
+from test_studio_server import HERE, LOCAL, WS
+
+
+@pytest.fixture
+def studio() -> Studio:
+    return Studio(Shelf([EXAMPLE]))
+
+
+def test_a_page_that_another_name_leads_to_is_refused(studio: Studio) -> None:
+    """A name of someone else's that resolves to this machine would let their page read ours."""
+    for host in ("evil.example:8000", "127.0.0.1:8001", "127.0.0.1", "[::1", ""):
+        with TestClient(studio.app(LOCAL), base_url=HERE) as client:
+            answer = client.get("/textures.json", headers={"host": host})
+            assert answer.status_code == 403
+            assert "does not answer to" in answer.text
+    with TestClient(studio.app(LOCAL), base_url=HERE) as client:
+        for host in ("localhost:8000", "[::1]:8000"):
+            assert client.get("/textures.json", headers={"host": host}).status_code == 200
+
+
+@pytest.mark.parametrize(
+    "origin", ["http://evil.example", "null", "https://127.0.0.1:8000", "http://127.0.0.1:8001", None]
+)
+def test_a_socket_from_another_page_is_refused(studio: Studio, origin: str | None) -> None:
+    headers = {} if origin is None else {"origin": origin}
+    with TestClient(studio.app(LOCAL), base_url=HERE) as client:
+        connection = client.websocket_connect(f"{WS}/stroke", headers=headers)
+        with pytest.raises(WebSocketDisconnect) as refused, connection:
+            pass
+    assert refused.value.code == 1008
+    assert "origin" in refused.value.reason
+
+
+def test_this_machine_alone_needs_no_token() -> None:
+    assert access_to("127.0.0.1", 8000) == LOCAL
+    assert LOCAL.link("127.0.0.1") == "http://127.0.0.1:8000/"
+
+
+def test_a_certificate_is_for_the_hosts_and_its_key_is_for_the_owner_alone(tmp_path: Path) -> None:
+    certificate, key = write_certificate(tmp_path, ["192.0.2.7", "localhost"])
+    context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+    context.load_cert_chain(certificate, key)
+    names = ssl._ssl._test_decode_cert(str(certificate))["subjectAltName"]  # type: ignore[attr-defined]
+    assert names == (("IP Address", "192.0.2.7"), ("DNS", "localhost"))
+    if os.name == "posix":
+        assert key.stat().st_mode & 0o077 == 0
+
+
+def on_the_network(studio: Studio) -> tuple[Access, list[Access], Any]:
+    """Return the access to a server on a network, those that it was renewed to, and how to come there with a new device."""
+    renewed: list[Access] = []
+    access = access_to("192.0.2.7", 8443, on_joined=renewed.append)
+    app, there = studio.app(access), "https://192.0.2.7:8443"
+    return access, renewed, lambda: TestClient(app, base_url=there, headers={"origin": there}, follow_redirects=False)
+
+
+def test_a_link_lets_one_device_in_by_a_cookie_and_the_next_one_has_another(studio: Studio) -> None:
+    access, renewed, device = on_the_network(studio)
+    first, second, third = device(), device(), device()
+    assert access.token is not None
+    assert access.link("192.0.2.7") == f"https://192.0.2.7:8443/?token={access.token}"
+    assert access.token not in repr(access)
+    for options in ({}, {"params": {"token": access.token[:-1] + "~"}}, {"headers": {"cookie": b"foten=\xe9\xff"}}):
+        assert first.get("/", **options).status_code == 403
+    with pytest.raises(WebSocketDisconnect), first.websocket_connect("wss://192.0.2.7:8443/stroke"):
+        pass
+    moved = first.get("/", params={"token": access.token})
+    assert (moved.status_code, moved.headers["location"]) == (303, "/")
+    cookie = moved.headers["set-cookie"].lower()
+    assert all(word in cookie for word in ("httponly", "secure", "samesite=lax"))
+    assert access.token.lower() not in cookie
+    (newest,) = renewed
+    assert newest.token not in (None, access.token)
+    assert (newest.hosts, newest.port) == (access.hosts, access.port)
+    refused = second.get("/", params={"token": access.token})
+    assert refused.status_code == 403
+    assert "open the newest link" in refused.text
+    assert second.get("/", params={"token": newest.token}).status_code == 303
+    assert first.get("/").status_code == second.get("/").status_code == 200
+    assert first.cookies["foten"] != second.cookies["foten"]
+    # The link of the second device is used up too, and a device's secret is no token.
+    for token in (newest.token, first.cookies["foten"]):
+        assert third.get("/", params={"token": token}).status_code == 403
+    assert len(renewed) == 2
+    # A device whose cookies are gone comes in by the newest link, like any other.
+    first.cookies.clear()
+    assert first.get("/").status_code == 403
+    assert first.get("/", params={"token": renewed[-1].token}).status_code == 303
+
+
+def test_a_device_that_is_in_opens_an_old_link_and_uses_up_no_new_one(studio: Studio) -> None:
+    access, renewed, device = on_the_network(studio)
+    client = device()
+    client.get("/", params={"token": access.token})
+    cookie = client.cookies["foten"]
+    for token in (access.token, renewed[0].token, "of another start"):
+        moved = client.get("/", params={"token": token})
+        assert (moved.status_code, moved.headers["location"]) == (303, "/")
+        assert "set-cookie" not in moved.headers
+    assert client.cookies["foten"] == cookie
+    assert len(renewed) == 1
+    assert client.get("https://192.0.2.7:8443//evil.example/x?token=x").headers["location"] == "/evil.example/x"
+
+
+@pytest.mark.parametrize(
+    "headers",
+    [{"sec-purpose": "prefetch;prerender"}, {"purpose": "prefetch"}, {"x-purpose": "preview"}, {"x-moz": "prefetch"}],
+)
+def test_who_looks_ahead_does_not_use_up_the_link(studio: Studio, headers: dict[str, str]) -> None:
+    access, renewed, device = on_the_network(studio)
+    client = device()
+    assert client.head("/", params={"token": access.token}).status_code == 200
+    assert client.get("/", params={"token": access.token}, headers=headers).status_code == 503
+    assert client.post("/", params={"token": access.token}).status_code == 403
+    with pytest.raises(WebSocketDisconnect):
+        client.websocket_connect(f"wss://192.0.2.7:8443/stroke?token={access.token}").__enter__()
+    assert not renewed
+    assert not client.cookies
+    assert client.get("/", params={"token": access.token}).status_code == 303
+    with client.websocket_connect("wss://192.0.2.7:8443/stroke"):
+        pass
+
+
+def test_a_host_is_known_in_whatever_case_it_is_written(studio: Studio) -> None:
+    """A browser asks for `mybox.local` where the link says `MyBox.local`."""
+    access = access_to("MyBox.local", 8443)
+    with TestClient(studio.app(access), base_url="https://mybox.local:8443") as client:
+        for host in ("mybox.local:8443", "MyBox.local:8443"):
+            headers = {"host": host, "origin": "https://mybox.local:8443"}
+            assert client.get("/", params={"token": access.token}, headers=headers).status_code == 200
+            with client.websocket_connect("wss://mybox.local:8443/stroke", headers=headers):
+                pass
+        assert client.get("/", headers={"host": "other.local:8443"}).status_code == 403
+    assert access_to("LocalHost", 8000) == LOCAL

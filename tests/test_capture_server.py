@@ -1,0 +1,313 @@
+"""The server's side of a capture: what it takes, what it refuses, what it keeps, and that a texture comes of it."""
+
+from __future__ import annotations
+
+import json
+import re
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+pytest.importorskip("starlette")
+import scipy.io.wavfile
+from starlette.testclient import TestClient
+
+from foten.datasets.hdf5 import load_recording
+from foten.dsp import Array
+from foten.models.texture_file import read_texture
+from foten.recording.capture_folder import About, file_name
+from foten.recording.recording import RELATIVE
+from foten.runtime.renderer import EXAMPLE
+from foten.simulation.simulated_capture import FULL_SCALE, SOUND_HZ, SimulatedCapture, simulate_capture
+from foten.studio import capture_server, studio_server
+from foten.studio.access import LOOPBACK, Access
+from foten.studio.capture_session import CaptureSession, in_order
+from foten.studio.messages import MAX_BYTES, RefusedError
+from foten.studio.shelf import Shelf
+from foten.studio.studio_server import Studio
+
+HERE, WS = "http://127.0.0.1:8000", "ws://127.0.0.1:8000/capture"
+BEGIN = {"do": "begin", "name": "Old denim, washed", "rate_hz": 48000}
+PIECE = 896  # samples
+
+
+@pytest.fixture
+def studio(tmp_path: Path) -> Studio:
+    return Studio(Shelf([EXAMPLE]), tmp_path / "captures")
+
+
+@pytest.fixture
+def client(studio: Studio) -> Iterator[TestClient]:
+    with TestClient(studio.app(Access(LOOPBACK, 8000)), base_url=HERE, headers={"origin": HERE}) as client:
+        yield client
+
+
+def sound(samples: Array) -> bytes:
+    return b"s" + samples.astype("<f4").tobytes()
+
+
+def events(*rows: tuple[float, float, float, float]) -> bytes:
+    return b"e" + np.array(rows, dtype="<f8").tobytes()
+
+
+def answered(socket: Any, kind: str, seconds: float = 60.0) -> dict[str, Any]:
+    """Return the first answer of a kind, or the refusal."""
+    end = time.monotonic() + seconds
+    while time.monotonic() < end:
+        document: dict[str, Any] = json.loads(socket.receive_text())
+        if kind in document or "refused" in document:
+            return document
+    raise AssertionError(f"no {kind} within {seconds:g} s")
+
+
+def say(socket: Any, performance: SimulatedCapture, hz: float = 200.0) -> None:
+    """Send a whole performance: its sound in pieces, its events in between, one of them a millisecond late."""
+    plan = performance.plan[:: round(1000 / hz)]
+    down = plan[:, 3] > 0
+    samples_in = down | np.append(False, down[:-1])  # what touches, and the lift after it
+    rows = plan[samples_in][:, [1, 2, 3, 0]]
+    middle = int(np.flatnonzero((rows[1:-1, 2] > 0) & (rows[:-2, 2] > 0))[len(rows) // 3]) + 1  # amid a stroke
+    rows[middle, 3] = rows[middle - 1, 3] - 0.001
+    piece_s, sent = PIECE / SOUND_HZ, 0
+    for k in range(performance.sound.size // PIECE):
+        until = int(np.searchsorted(np.maximum.accumulate(rows[:, 3]), (k + 1) * piece_s))
+        if until > sent:
+            socket.send_bytes(events(*map(tuple, rows[sent:until].tolist())))
+            sent = until
+        socket.send_bytes(sound(performance.sound[k * PIECE : (k + 1) * PIECE]))
+
+
+def test_a_capture_is_kept_in_files_that_import_reads(client: TestClient, studio: Studio, monkeypatch: Any) -> None:
+    monkeypatch.setattr(studio.trainings, "start", lambda folder, say: None)
+    rng = np.random.default_rng(0)
+    samples_in = rng.uniform(-1, 1, 3 * PIECE).astype(np.float32)
+    with client.websocket_connect(WS) as socket:
+        socket.send_text(json.dumps({**BEGIN, "full_scale_m_s2": 50, "input": "Built-in"}))
+        assert answered(socket, "ready") == {"ready": True}
+        socket.send_bytes(sound(samples_in[:PIECE]))
+        socket.send_bytes(events((1, 2, 0.5, 0.01), (1.5, 2, 0.6, 0.015)))
+        socket.send_bytes(sound(samples_in[PIECE : 2 * PIECE]))
+        socket.send_bytes(sound(samples_in[2 * PIECE :]))
+        socket.send_bytes(events((1.5, 2, 0.0, 0.02)))
+        socket.send_text('{"do": "train"}')
+        kept = answered(socket, "saved")
+    assert "saved" in kept, kept
+    folder = studio.trainings.captures / kept["saved"]
+    assert (folder.name, kept["seconds"]) == ("old-denim-washed", samples_in.size / 48000)
+    rate, samples = scipy.io.wavfile.read(folder / "sound.wav")
+    assert rate == 48000
+    np.testing.assert_array_equal(samples, samples_in)
+    rows = np.loadtxt(folder / "pen.csv", delimiter=",", skiprows=1)
+    np.testing.assert_allclose(rows, [[0.01, 1, 2, 0.5], [0.015, 1.5, 2, 0.6], [0.02, 1.5, 2, 0.0]])
+    about = json.loads((folder / "capture.json").read_text())
+    assert about["full_scale_m_s2"] == 50
+    assert about["input"] == "Built-in"
+
+
+def test_a_second_capture_of_one_name_has_a_folder_of_its_own(tmp_path: Path) -> None:
+    for expected in ("denim", "denim-2", "denim-3"):
+        capture = CaptureSession(About("Denim", 48000))
+        capture.add_sound(np.zeros(100, dtype=np.float32))
+        capture.add_events(np.array([[0, 0, 0.5, 1.0]]))
+        assert capture.write(tmp_path).name == expected
+
+
+@pytest.mark.parametrize(
+    ("name", "expected"),
+    [("../../etc/passwd", "etc-passwd"), ("…", "surface"), ("Wool 2", "wool-2"), ("a" * 90, "a" * 60)],
+)
+def test_a_name_is_no_path(name: str, expected: str) -> None:
+    assert file_name(name) == expected
+
+
+def test_what_is_out_of_order_is_refused_and_ends_the_capture(client: TestClient) -> None:
+    with client.websocket_connect(WS) as socket:
+        socket.send_bytes(b"s" + bytes(MAX_BYTES))
+        assert f"expected {MAX_BYTES} at most" in answered(socket, "ready")["refused"]
+        socket.send_bytes(sound(np.zeros(4)))
+        assert "before a capture was begun" in answered(socket, "ready")["refused"]
+        socket.send_text('{"do": "train"}')
+        assert "train before a capture was begun" in answered(socket, "ready")["refused"]
+        socket.send_text(json.dumps(BEGIN))
+        assert answered(socket, "ready") == {"ready": True}
+        socket.send_bytes(events((0, 0, 0.5, 2.0)))
+        socket.send_bytes(events((0, 0, 0.5, 1.0)))
+        socket.send_text('{"do": "nothing"}')  # is refused in any case: nobody waits for a refusal that does not come
+        assert "not in the order" in answered(socket, "saved")["refused"]
+        assert "unknown message 'nothing'" in answered(socket, "saved")["refused"]
+        socket.send_text('{"do": "train"}')
+        assert "before a capture was begun" in answered(socket, "saved")["refused"]
+        socket.send_text(json.dumps(BEGIN))
+        assert answered(socket, "ready") == {"ready": True}
+        socket.send_text('{"do": "train"}')
+        assert "the pen has not touched yet" in answered(socket, "saved")["refused"]
+
+
+def test_events_that_come_late_are_left_out_and_counted() -> None:
+    taken = [
+        [0, 0, 0.5, 1.000],
+        [1, 0, 0.5, 1.005],
+        [2, 0, 0.5, 1.004],  # late
+        [3, 0, 0.5, 1.010],
+        [4, 0, 0.0, 1.009],  # late, and lifts: the touch ended, whatever the clock says
+        [5, 0, 0.6, 1.020],
+        [6, 0, 0.0, 1.030],
+        [7, 0, 0.7, 1.030],  # touches at the time of the lift
+        [8, 0, 0.7, 1.030_000_4],  # one time, as the file has it
+    ]
+    kept, n_late = in_order(np.array(taken, dtype=float))
+    np.testing.assert_array_equal(kept[:, 0], [0, 1, 4, 5, 8])
+    np.testing.assert_allclose(kept[:, 3], [1.0, 1.005, 1.010, 1.020, 1.030])
+    assert n_late == 2
+
+
+def with_late_events(n: int, n_late: int) -> CaptureSession:
+    rows = np.column_stack([np.arange(n), np.zeros(n), np.full(n, 0.5), 0.005 * np.arange(n)])
+    rows[10 : 10 + 3 * n_late : 3, 3] -= 0.006
+    capture = CaptureSession(About("Denim", 48000))
+    capture.add_sound(np.zeros(100, dtype=np.float32))
+    for row in rows:
+        capture.add_events(row[None])
+    return capture
+
+
+def test_a_capture_says_how_many_events_came_late_and_is_refused_where_these_are_many(tmp_path: Path) -> None:
+    folder = with_late_events(1000, 10).write(tmp_path)
+    assert json.loads((folder / "capture.json").read_text())["n_late_events"] == 10
+    times = np.loadtxt(folder / "pen.csv", delimiter=",", skiprows=1)[:, 0]
+    assert times.size == 990
+    assert (np.diff(times) > 0).all()
+    with pytest.raises(
+        RefusedError, match="not in the order of their times: 11 of 1000 came late, expected 1 % at most"
+    ):
+        with_late_events(1000, 11).write(tmp_path)
+    capture = with_late_events(100, 0)
+    capture.add_events(np.array([[0, 0, 0.5, 0.4]]))
+    with pytest.raises(RefusedError, match="one is 105 ms back, expected 100 at most"):
+        capture.add_events(np.array([[0, 0, 0.5, 0.39]]))
+
+
+def test_a_capture_that_never_ends_is_refused(monkeypatch: Any) -> None:
+    capture = CaptureSession(About("x", 8000))
+    for _ in range(300):
+        capture.add_sound(np.zeros(8000, dtype=np.float32))
+    with pytest.raises(RefusedError, match="longer than 300 s"):
+        capture.add_sound(np.zeros(1, dtype=np.float32))
+
+
+def test_only_so_many_pages_capture_at_once_and_one_that_left_makes_room(client: TestClient, studio: Studio) -> None:
+    sockets = [client.websocket_connect(WS) for _ in range(studio_server.MAX_CAPTURING)]
+    for socket in sockets:
+        socket.__enter__()
+        socket.send_text(json.dumps(BEGIN))
+        answered(socket, "ready")
+    with client.websocket_connect(WS) as one_more:
+        message = one_more.receive()
+        assert (message["type"], message["code"]) == ("websocket.close", 1013)
+    sockets[0].__exit__(None, None, None)
+    end = time.monotonic() + 5
+    while len(studio.capturing) == studio_server.MAX_CAPTURING and time.monotonic() < end:
+        time.sleep(0.01)
+    with client.websocket_connect(WS) as socket:
+        socket.send_text(json.dumps(BEGIN))
+        assert answered(socket, "ready") == {"ready": True}
+    for socket in sockets[1:]:
+        socket.__exit__(None, None, None)
+
+
+def test_without_what_trains_a_capture_says_so_before_it_begins(client: TestClient, monkeypatch: Any) -> None:
+    monkeypatch.setattr(
+        capture_server, "why_not", lambda: "the server cannot train without torch: pip install 'foten[train]'"
+    )
+    with client.websocket_connect(WS) as socket:
+        socket.send_text(json.dumps(BEGIN))
+        assert "pip install 'foten[train]'" in answered(socket, "ready")["refused"]
+
+
+def test_noise_without_taps_is_refused_in_words_and_kept(client: TestClient, studio: Studio) -> None:
+    rng = np.random.default_rng(0)
+    with client.websocket_connect(WS) as socket:
+        socket.send_text(json.dumps(BEGIN))
+        for k in range(60):
+            socket.send_bytes(sound(0.01 * rng.standard_normal(PIECE)))
+            socket.send_bytes(events((k, 0, 0.5, 0.02 * k)))
+        socket.send_text('{"do": "train"}')
+        kept = answered(socket, "saved")
+        assert "tap three times before the strokes" in answered(socket, "done")["refused"]
+    assert (studio.trainings.captures / kept["saved"] / "sound.wav").is_file()
+    assert len(studio.shelf) == 1
+
+
+def printing(text: str) -> tuple[str, ...]:
+    return (sys.executable, "-c", f"print({text!r})")
+
+
+@pytest.mark.parametrize(
+    ("command", "why"),
+    [
+        (printing("Downloading a network"), "it said 'Downloading a network', expected a JSON object"),
+        (printing("[1]"), r"it said '\[1\]', expected a JSON object"),
+        (printing('{"joined": {"delay_ms": NaN}}'), "NaN.*expected a JSON object"),
+        (printing("x" * 70_000), "a line of more than 65536 bytes"),
+        (printing('{"done": "missing.foten"}'), "no such file|No such file|missing.foten"),
+        (printing('{"playable": 5}'), "TypeError"),
+        (("/nowhere/python",), "/nowhere/python: no such file"),
+        ((sys.executable, "-c", "raise SystemExit('out of memory')"), "the training died: out of memory"),
+    ],
+)
+def test_a_training_that_fails_says_so_to_the_page_and_lets_the_next_one_run(
+    client: TestClient, monkeypatch: pytest.MonkeyPatch, command: tuple[str, ...], why: str
+) -> None:
+    monkeypatch.setattr(capture_server, "COMMAND", command)
+    with client.websocket_connect(WS) as socket:
+        for _ in range(2):
+            socket.send_text(json.dumps(BEGIN))
+            socket.send_bytes(sound(np.zeros(PIECE)))
+            socket.send_bytes(events((0, 0, 0.5, 0.01)))
+            socket.send_text('{"do": "train"}')
+            assert "saved" in answered(socket, "saved")
+            refused = answered(socket, "done")["refused"]
+            assert re.search(why, refused), refused
+            assert "\n" not in refused
+
+
+def captured(socket: Any, studio: Studio, performance: SimulatedCapture, **begin: Any) -> Path:
+    """Send a capture, have it trained, and return its folder."""
+    socket.send_text(json.dumps({**BEGIN, **begin}))
+    say(socket, performance)
+    socket.send_text('{"do": "train"}')
+    folder = studio.trainings.captures / answered(socket, "saved")["saved"]
+    assert abs(answered(socket, "joined")["joined"]["delay_ms"]) < 3  # one clock gave both here
+    return folder
+
+
+def test_a_texture_is_there_before_its_training_ends_and_the_servers_end_ends_that(tmp_path: Path) -> None:
+    studio = Studio(Shelf([EXAMPLE]), tmp_path / "captures")
+    with TestClient(studio.app(Access(LOOPBACK, 8000)), base_url=HERE, headers={"origin": HERE}) as client:
+        with client.websocket_connect(WS) as socket:
+            folder = captured(socket, studio, simulate_capture("steel-mesh-1", 14.0))
+            assert "1 event of the pen came late" in answered(socket, "notes")["notes"][0]
+            playable = answered(socket, "playable", 300.0)["playable"]
+        assert (playable["name"], playable["file"]) == ("Old denim, washed", "old-denim-washed.foten")
+        assert playable["relative"]
+        assert client.get("/textures.json").json()["textures"][1] == playable
+    card = read_texture(folder / "old-denim-washed.foten").card
+    assert card["units"]["acceleration"] == RELATIVE
+    assert any("came late" in sentence for sentence in load_recording(folder / "old-denim-washed.h5").history)
+    assert not studio.trainings._running
+
+
+@pytest.mark.slow
+def test_a_texture_comes_of_a_capture_in_true_units(client: TestClient, studio: Studio) -> None:
+    with client.websocket_connect(WS) as socket:
+        folder = captured(socket, studio, simulate_capture("steel-mesh-1", 14.0), full_scale_m_s2=FULL_SCALE)
+        done = answered(socket, "done", 300.0)["done"]
+    assert studio.shelf.get(done["file"]) is not None
+    card = read_texture(folder / "old-denim-washed.foten").card
+    assert (card["texture"], card["units"]["acceleration"]) == ("Old denim, washed", "m/s^2")
+    assert load_recording(folder / "old-denim-washed.h5")["force"].samples.max() > 1.0

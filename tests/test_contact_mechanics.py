@@ -1,0 +1,250 @@
+"""The mechanics of contact: what theory says of a ball on a flat, on a wave, in flight, and held by friction."""
+
+from dataclasses import asdict, replace
+
+import numpy as np
+import pytest
+
+from foten.simulation import contact_mechanics
+from foten.simulation.contact_mechanics import (
+    CONTACT,
+    GRID_MM,
+    LOOP_MM,
+    ContactParameters,
+    contact_vibration,
+    profile,
+    under_ball,
+)
+from foten.simulation.simulate import second_realisation, simulate
+from foten.simulation.stroking import Stroking, stroking
+
+RATE_HZ = 10_000.0
+FLAT = replace(
+    CONTACT["ribbed-plastic"],
+    roughness_um=0.0,
+    depth_um=0.0,
+    grains_per_mm=0.0,
+    friction=0.0,
+    stick=0.0,
+    hand_damping_n_s_m=6.0,
+)
+
+
+def steady(speed: float, force: float, seconds: float = 1.0) -> Stroking:
+    n = round(seconds * RATE_HZ)
+    velocity = np.column_stack([np.full(n, speed), np.zeros(n)])
+    return Stroking(RATE_HZ, np.cumsum(velocity, axis=0) / RATE_HZ, velocity, np.full(n, force), np.zeros((n, 2)))
+
+
+def forces(
+    parameters: ContactParameters, surface: np.ndarray, speed: float, force: float, seconds: float = 1.0
+) -> tuple[np.ndarray, np.ndarray]:
+    """Contact force and friction of one long piece over a surface [mm]."""
+    n = round(seconds * RATE_HZ)
+    place = np.arange(1, n + 1) * speed / RATE_HZ
+    found = contact_mechanics._integrate(
+        parameters, surface, place[None], np.full((1, n), speed), np.full((1, n), force), RATE_HZ
+    )
+    return found[0][0], found[1][0]
+
+
+def wave(amplitude_um: float, wavelength_mm: float) -> np.ndarray:
+    n = round(200 * wavelength_mm / GRID_MM)
+    return 1e-3 * amplitude_um * np.sin(2 * np.pi * np.arange(n) * GRID_MM / wavelength_mm)
+
+
+def test_a_ramp_rises_evenly_from_step_to_step() -> None:
+    """Two pieces at 100 and 50 mm/s over a slope of 0.2: the steps of a sample lie between it and the one before."""
+    surface = 0.2 * GRID_MM * np.arange(20_000)
+    places = 1.0 + np.arange(50)[:, None] * np.array([0.1, 0.05])  # mm, at 1 kHz
+    passed = list(contact_mechanics._passed(surface, places, 1e-3 / contact_mechanics.SUBSTEPS))
+    heights, rates = (np.concatenate(part) for part in zip(*passed, strict=True))
+    rising = np.broadcast_to([0.02, 0.01], rates[contact_mechanics.SUBSTEPS :].shape)  # m/s: slope times speed
+    np.testing.assert_allclose(
+        rates[contact_mechanics.SUBSTEPS :], rising, atol=1e-9
+    )  # of heights near 1e-3 m, over 0.25 ms
+    np.testing.assert_allclose(
+        heights[contact_mechanics.SUBSTEPS - 1 :: contact_mechanics.SUBSTEPS], 0.2e-3 * places, atol=1e-12
+    )
+    assert not rates[: contact_mechanics.SUBSTEPS].any()  # nothing is known before the first
+
+
+def test_on_a_flat_nothing_moves() -> None:
+    """From equilibrium on: Hertz's K δ^1.5 is the hand's force."""
+    force, friction = forces(FLAT, np.zeros(4000), 100.0, 0.7)
+    np.testing.assert_allclose(force, 0.7, rtol=1e-9)
+    np.testing.assert_array_equal(friction, 0.0)
+
+
+@pytest.mark.parametrize("hertz", [20.0, 60.0])
+def test_a_tip_that_follows_a_wave_is_pushed_with_mass_times_its_acceleration(hertz: float) -> None:
+    """F − P = m z̈ + c ż, of z that follows the surface: amplitudes A √((m ω²)² + (c ω)²)."""
+    amplitude_um, wavelength_mm = 5.0, 1.0
+    force, _ = forces(FLAT, wave(amplitude_um, wavelength_mm), hertz * wavelength_mm, 1.0)
+    omega = 2 * np.pi * hertz
+    expected = 1e-6 * amplitude_um * np.hypot(FLAT.mass_kg * omega**2, FLAT.hand_damping_n_s_m * omega)
+    settled = force[3000:]
+    # A contact of 1.3 MN/m gives by some thousandths of that; kinks of the grid of 10 µm are smoothed by the mass.
+    assert np.sqrt(2) * settled.std() == pytest.approx(expected, rel=0.03)
+    assert settled.mean() == pytest.approx(1.0, abs=0.01)
+
+
+def test_contact_is_lost_where_the_surface_falls_away_faster_than_the_hand_presses() -> None:
+    """A tip leaves where m A ω² and c A ω exceed P: here from √((m ω²)² + (c ω)²) = 17 kN/m on, which is 129 mm/s."""
+    surface = wave(60.0, 1.0)
+    shares = [np.mean(forces(FLAT, surface, speed, 1.0)[0][3000:] == 0.0) for speed in (100.0, 160.0, 280.0)]
+    assert shares[0] == 0.0
+    assert 0.02 < shares[1] < shares[2] < 0.9
+
+
+def test_a_flying_tip_comes_down_by_the_hands_force_alone() -> None:
+    """Over a step down of h it flies √(2 h m / P) s, without damping by the hand."""
+    p = replace(FLAT, hand_damping_n_s_m=0.0)
+    drop_mm, force_n = 0.5, 0.5
+    n_points = 40_000
+    surface = np.where(np.arange(n_points) < 1000, 0.0, -drop_mm)  # met at 10 mm
+    force, _ = forces(p, surface, 100.0, force_n, seconds=0.5)
+    aloft = np.flatnonzero(force == 0.0)
+    landed = aloft[0] + np.flatnonzero(force[aloft[0] :] > 0)[0]
+    expected_s = np.sqrt(2 * drop_mm * 1e-3 * p.mass_kg / force_n)
+    assert (landed - aloft[0]) / RATE_HZ == pytest.approx(
+        expected_s, abs=4e-4
+    )  # four samples, and it starts from 2 µm inside
+    assert force[landed : landed + 40].max() > 10 * force_n  # and it lands with an impact
+
+
+def test_a_bounce_loses_what_its_damping_says() -> None:
+    surface = np.where(np.arange(40_000) < 1000, 0.0, -0.3)
+
+    def impacts(damping: float) -> int:
+        force, _ = forces(replace(FLAT, hand_damping_n_s_m=0.0, damping_s_m=damping), surface, 100.0, 0.5, seconds=0.4)
+        return int(np.sum((force[1:] > 0) & (force[:-1] == 0)))
+
+    assert impacts(0.2) > impacts(2.0) >= 1
+
+
+def test_a_contact_pushes_and_never_pulls() -> None:
+    """However fast a tip leaves: Hunt and Crossley's damping alone would pull it back from 1/D on, here 0.1 m/s."""
+    surface = np.where(np.arange(40_000) < 1000, 0.0, 0.5)  # a step up, from which it is thrown
+    force, _ = forces(replace(FLAT, hand_damping_n_s_m=0.0, damping_s_m=10.0), surface, 100.0, 0.5, seconds=0.3)
+    assert force.min() == 0.0
+    assert force.max() > 5.0
+
+
+def test_friction_is_coulombs_while_it_slides_and_what_holds_while_it_sticks() -> None:
+    p = replace(FLAT, friction=0.5, stick=0.0, shaft_damping=0.3)
+    _, friction = forces(p, np.zeros(4000), 100.0, 0.8)
+    np.testing.assert_allclose(friction[5000:], -0.5 * 0.8, rtol=1e-6)  # slides: μ P, against the motion
+    force, held = forces(p, np.zeros(4000), 0.0, 0.8)
+    np.testing.assert_array_equal(held, 0.0)  # at rest nothing pulls
+    assert force == pytest.approx(0.8)
+
+
+def test_a_sticky_surface_squeals_when_slow_and_not_when_fast() -> None:
+    """Friction that falls with speed feeds the tip's spring; above the fall it damps. It squeals near the spring's own tone."""
+    p = replace(FLAT, friction=0.8, stick=0.6, shaft_damping=0.05, shaft_hz=90.0)
+    slow, fast = (forces(p, np.zeros(4000), speed, 1.0, seconds=2.0)[1][10_000:] for speed in (8.0, 200.0))
+    assert slow.std() > 0.05
+    assert fast.std() < 0.001
+    hertz = np.fft.rfftfreq(slow.size, 1 / RATE_HZ)[np.abs(np.fft.rfft(slow - slow.mean())).argmax()]
+    assert 30.0 < hertz < 100.0  # slower than the spring by the time it sticks
+
+
+@pytest.mark.parametrize("height_um", [10.0, -10.0])
+def test_grains_that_overlap_do_not_grow_through_each_other(height_um: float) -> None:
+    """Ten caps of 1 mm in every mm, all of one height: the highest of each place stands, not their sum."""
+    p = replace(FLAT, grains_per_mm=10.0, grain_um=height_um, grain_spread=0.0, grain_mm=1.0)
+    grown = contact_mechanics._with_grains(np.zeros(100_000), p, np.random.default_rng(0)) / (height_um * 1e-3)
+    assert grown.max() == pytest.approx(1.0, rel=1e-12)
+    assert grown.mean() > 0.9  # they lie everywhere
+
+
+def test_a_ball_bridges_what_is_narrower_than_itself() -> None:
+    """Oracle: the dilation by its definition, at every hundredth point."""
+    p = CONTACT["sandpaper-fine"]
+    surface, lifted = profile(p, "sandpaper-fine"), under_ball(p, "sandpaper-fine")
+    u = np.arange(-40, 41)
+    for i in range(100, 40_000, 997):
+        expected = (surface[i + u] - (u * GRID_MM) ** 2 / (2 * p.tip_mm)).max()
+        assert lifted[i] == pytest.approx(expected, abs=1e-12)
+    assert (lifted >= surface).all()
+    assert np.diff(lifted).std() < 0.5 * np.diff(surface).std()
+
+
+@pytest.mark.parametrize("key", CONTACT)
+def test_a_profile_is_the_textures_and_closed_to_a_loop(key: str) -> None:
+    p = CONTACT[key]
+    surface = profile(p, key)
+    assert surface.shape == (round(LOOP_MM / GRID_MM),)
+    assert surface.mean() == pytest.approx(0.0, abs=1e-9)
+    assert abs(surface[0] - surface[-1]) < 12 * np.abs(np.diff(surface)).std() + 1e-4
+    profile.cache_clear()
+    np.testing.assert_array_equal(profile(p, key), surface)
+
+
+@pytest.mark.parametrize("key", ["ribbed-plastic", "wire-mesh", "canvas"])
+def test_periods_are_where_they_are_said_to_be(key: str) -> None:
+    p = CONTACT[key]
+    surface = profile(p, key)
+    cycles = np.fft.rfftfreq(surface.size, GRID_MM)
+    power = np.abs(np.fft.rfft(surface)) ** 2
+    above = cycles > 0.8 / p.wavelength_mm  # below are pairs of periods
+    assert cycles[above][power[above].argmax()] * p.wavelength_mm == pytest.approx(1.0, rel=0.03)
+    pairs = power[np.abs(cycles * p.wavelength_mm - 0.5) < 0.05].sum()
+    assert (pairs > 0.002 * power[above].sum()) == (p.alternating > 0)
+
+
+@pytest.mark.parametrize("key", CONTACT)
+def test_a_realisation_is_another_place_of_the_same_profile(key: str) -> None:
+    recording = simulate(key, 6, seed=3)
+    again, other = second_realisation(recording, 3), second_realisation(recording, 4)
+    assert again.sha256() == recording.sha256() != other.sha256()
+    one, two = (r["acceleration_z"].samples[10_000:] for r in (recording, other))
+    assert one.std() == pytest.approx(two.std(), rel=0.35)  # of five seconds
+    assert abs(np.corrcoef(one, two)[0, 1]) < 0.3
+    assert np.abs(recording["acceleration_z"].samples).max() <= 3 * 9.81
+    speed = stroking(6, 3, RATE_HZ).speed
+    assert 0.05 < (one - one.mean())[speed[10_000:] > 60].std() < 15
+    assert recording["force_z"].samples.mean() == pytest.approx(stroking(6, 3, RATE_HZ).force.mean(), rel=0.05)
+
+
+def test_pieces_side_by_side_are_one_long_integration() -> None:
+    """Where contact is kept nothing is chaotic, and a settled piece does not know where it began."""
+    p, key = CONTACT["leather"], "leather"
+    stroke = steady(80.0, 1.0, seconds=1.2)
+    place = 7.0 + np.cumsum(stroke.speed) / RATE_HZ
+    pieces = contact_mechanics._pieces(p, key, place, stroke.speed, stroke.force, RATE_HZ)
+    whole = contact_mechanics._integrate(
+        p, under_ball(p, key), place[None], stroke.speed[None], stroke.force[None], RATE_HZ
+    )
+    for ours, expected in zip(pieces, whole, strict=True):
+        apart = np.abs(ours - expected[0])[3000:]
+        assert apart.max() < 0.02 * expected[0].std()
+
+
+def test_more_force_keeps_the_tip_down_and_more_speed_throws_it_off() -> None:
+    p, key = CONTACT["sandpaper-coarse"], "sandpaper-coarse"
+
+    def lost(speed: float, force: float) -> float:
+        return float(
+            np.mean(contact_vibration(p, key, steady(speed, force), np.random.default_rng(0))[1][2000:] == 0.0)
+        )
+
+    assert lost(150.0, 0.3) > lost(150.0, 2.5) + 0.1
+    assert lost(250.0, 1.0) > lost(60.0, 1.0) + 0.1
+
+
+@pytest.mark.parametrize(
+    ("changed", "message"),
+    [
+        ({"tip_mm": 0.0}, "tip_mm is 0.0, expected 0.001 to 10"),
+        ({"friction": -0.1}, "friction is -0.1, expected 0 to 100000"),
+        ({"grain_mm": 6.0}, "grain_mm is 6.0, expected 0.04 to 5"),
+        ({"grain_mm": 0.02}, "grain_mm is 0.02, expected 0.04 to 5"),
+        ({"modulus_mpa": 90_000.0, "tip_mass_g": 0.5}, "is too stiff for steps of 25 µs"),
+        ({"tip_mm": float("nan")}, "tip_mm is nan, expected 0.001 to 10"),
+    ],
+)
+def test_parameters_that_cannot_be_are_refused(changed: dict[str, float], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        ContactParameters(**{**asdict(CONTACT["canvas"]), **changed})

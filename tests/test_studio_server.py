@@ -1,0 +1,360 @@
+"""The studio's server: what it gives, whom it refuses, and that nobody's page is lost or left behind."""
+
+from __future__ import annotations
+
+import json
+import re
+import signal
+import socket
+import ssl
+import subprocess
+import sys
+import threading
+import time
+import urllib.request
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+pytest.importorskip("starlette")
+from numpy.typing import NDArray
+from starlette.testclient import TestClient
+
+from foten.models.texture_file import read_texture
+from foten.runtime.actuator import ActuatorProfile
+from foten.runtime.live import devices
+from foten.runtime.renderer import EXAMPLE
+from foten.runtime.stylus import PressureCalibration
+from foten.studio import studio_server
+from foten.studio.access import LOOPBACK, Access
+from foten.studio.live_contact import Contact
+from foten.studio.players import OutputDevice, RoundRobinRenderer
+from foten.studio.shelf import Shelf
+from foten.studio.studio_server import Studio
+from test_live import FakeDaq
+
+LOCAL = Access(LOOPBACK, 8000)
+HERE = "http://127.0.0.1:8000"
+WS = "ws://127.0.0.1:8000"
+KEY = EXAMPLE.name
+
+
+@pytest.fixture
+def studio() -> Studio:
+    return Studio(Shelf([EXAMPLE]))
+
+
+@pytest.fixture
+def client(studio: Studio) -> Iterator[TestClient]:
+    with TestClient(studio.app(LOCAL), base_url=HERE, headers={"origin": HERE}) as client:
+        yield client
+
+
+@contextmanager
+def stroking(studio: Studio) -> Iterator[Any]:
+    """Return the socket of a page that strokes."""
+    client = TestClient(studio.app(LOCAL), base_url=HERE, headers={"origin": HERE})
+    with client, client.websocket_connect(f"{WS}/stroke") as socket:
+        yield socket
+
+
+def event(x: float, t: float, pressure: float = 0.5) -> bytes:
+    return np.array([x, 0.0, pressure, t], dtype="<f8").tobytes()
+
+
+def until(socket: Any, *keys: str) -> dict[str, Any]:
+    while True:
+        message = socket.receive()
+        if message.get("text"):
+            document: dict[str, Any] = json.loads(message["text"])
+            if document.keys() & set(keys):
+                return document
+
+
+def until_opened(socket: Any) -> dict[str, Any]:
+    return until(socket, "opened", "refused")
+
+
+def test_the_page_and_what_it_needs_are_served(client: TestClient) -> None:
+    assert "<title>foten</title>" in client.get("/").text
+    for name, kind in {
+        "studio.js": "text/javascript",
+        "worklet.js": "text/javascript",
+        "studio.css": "text/css",
+    }.items():
+        answer = client.get(f"/{name}")
+        assert answer.status_code == 200
+        assert answer.headers["content-type"].startswith(kind)
+    assert client.get("/foten.mjs").headers["content-type"].startswith("text/javascript")
+    assert client.get("/foten.wasm").headers["content-type"] == "application/wasm"
+    assert client.get("/foten.wasm").content[:4] == b"\0asm"
+
+
+def test_nothing_of_the_page_comes_from_elsewhere() -> None:
+    """It works without a network: no address of another host in any of its files."""
+    for name, path in studio_server.page_files().items():
+        if path.suffix in (".js", ".mjs", ".html", ".css"):
+            text = path.read_text(encoding="utf-8").replace("http://www.w3.org/2000/svg", "")
+            assert not re.search("https?://|[\"'(]//", text), name
+
+
+def test_the_page_weighs_at_most_500_kb() -> None:
+    assert sum(path.stat().st_size for path in studio_server.page_files().values()) <= 500_000
+
+
+def test_a_texture_is_listed_and_given_as_it_is(client: TestClient) -> None:
+    (listed,) = client.get("/textures.json").json()["textures"]
+    assert listed == {"file": KEY, "name": "steel-mesh-1", "method": "foten-plus", "picture": None, "relative": False}
+    assert client.get(f"/textures/{KEY}").content == EXAMPLE.read_bytes()
+
+
+def test_a_photograph_beside_a_texture_is_its_picture(tmp_path: Path) -> None:
+    (tmp_path / "mesh.foten").write_bytes(EXAMPLE.read_bytes())
+    (tmp_path / "mesh.jpg").write_bytes(b"\xff\xd8 picture")
+    (tmp_path / "mesh.png").write_bytes(b"what foten render draws")
+    with TestClient(Studio(Shelf([tmp_path])).app(LOCAL), base_url=HERE) as client:
+        (listed,) = client.get("/textures.json").json()["textures"]
+        assert client.get(f"/{listed['picture']}").content == b"\xff\xd8 picture"
+
+
+def test_textures_of_one_name_have_keys_of_their_own(tmp_path: Path) -> None:
+    for folder in ("a", "b"):
+        (tmp_path / folder).mkdir()
+        (tmp_path / folder / "mesh.foten").write_bytes(EXAMPLE.read_bytes())
+    shelf = Shelf([tmp_path / "a", tmp_path / "b"])
+    assert [one["file"] for one in shelf.listed()["textures"]] == ["mesh.foten", "mesh-2.foten"]
+
+
+@pytest.mark.parametrize(
+    "path",
+    [
+        "/textures/../server.py",
+        "/textures/..%2f..%2f..%2fpyproject.toml",
+        "/textures/%2e%2e/%2e%2e/pyproject.toml",
+        "/textures/%2fetc%2fpasswd",
+        f"/textures/{KEY}%00.png",
+        f"/textures/..\\{KEY}",
+        "/..%2fserver.py",
+        "/%2e%2e%2fserver.py",
+        "/page/index.html",
+        "/access.py",
+        "/textures/nothing.foten",
+        f"/pictures/{KEY}.png",
+        "/pictures/..%2f..%2fpyproject.toml",
+    ],
+)
+def test_a_name_is_looked_up_and_is_no_path(client: TestClient, path: str) -> None:
+    answer = client.get(path)
+    assert answer.status_code == 404
+    assert "there is no" in answer.text
+    assert answer.text.count("\n") == 1
+
+
+def test_a_stroke_is_rendered_and_sent_back(client: TestClient, studio: Studio) -> None:
+    with client.websocket_connect(f"{WS}/stroke") as socket:
+        socket.send_text(json.dumps({"do": "open", "texture": KEY, "rate_hz": 8000}))
+        assert until_opened(socket) == {"opened": KEY, "sink": "stream", "rate_hz": 8000.0}
+        loudest = fastest = firmest = 0.0
+        begin = time.monotonic()
+        n = 0
+        while time.monotonic() - begin < 10 and not (loudest > 0.5 and fastest > 60):
+            socket.send_bytes(event(80 * 0.005 * n, 0.005 * n))  # by the pen's clock, however busy this machine is
+            n += 1
+            data = socket.receive().get("bytes")
+            if data:
+                speed, force, *samples = np.frombuffer(data, dtype="<f4")
+                loudest, fastest = max(loudest, float(np.abs(samples).max())), max(fastest, float(speed))
+                firmest = max(firmest, float(force))
+        assert loudest > 0.5  # m/s²
+        assert 60 < fastest < 90  # of 80 mm/s, and 4 % that the low-pass overshoots
+        assert 0.5 < firmest < 0.9  # Eq. 12 at a pressure of 0.5: 0.68 N
+        (page,) = studio.pages
+        assert page.state()["n_events"] == n
+    deadline = time.monotonic() + 10
+    while studio.pages and time.monotonic() < deadline:
+        time.sleep(0.01)
+    assert not studio.pages
+    assert not [thread for thread in threading.enumerate() if thread.name in ("foten-render", "foten-sink")]
+
+
+COIL = ActuatorProfile(name="coil", resonance_hz=80.0, damping=0.3, gain=40.0, unit="V", limit=5.0)
+
+
+@pytest.fixture
+def daq(monkeypatch: pytest.MonkeyPatch) -> FakeDaq:
+    fake = FakeDaq(every_s=0.01)  # half of its buffer, in real time
+    monkeypatch.setattr(devices, "_nidaqmx", lambda: fake)
+    return fake
+
+
+def test_a_page_is_played_through_a_daq(daq: FakeDaq) -> None:
+    """Its volts are what is rendered, which the page is sent to draw."""
+    studio = Studio(Shelf([EXAMPLE]), output_device=OutputDevice("daq:Dev1/ao0", COIL))
+    drawn: list[NDArray[np.float32]] = []
+    with stroking(studio) as socket:
+        socket.send_text(json.dumps({"do": "open", "texture": KEY, "sink": "device", "rate_hz": 8000}))
+        assert until(socket, "opened")["sink"] == "device"
+        begin = time.monotonic()
+        while time.monotonic() - begin < 10 and sum(np.abs(one).max() > 1e-3 for one in drawn) < 20:
+            socket.send_bytes(event(0.4 * len(drawn), 0.005 * len(drawn)))
+            data = None
+            while data is None:
+                data = socket.receive().get("bytes")
+            drawn.append(np.frombuffer(data, dtype="<f4")[2:])
+    assert ("Dev1/ao0", {"min_val": -10.0, "max_val": 10.0}) in daq.log
+    assert daq.log[-2] == ("volts", 0.0)
+    # But silence where this machine was too busy, and what fades as it stops.
+    seen, volts = (every[every != 0.0] for every in (np.concatenate(drawn), np.concatenate(daq.written)))
+    n = min(seen.size, volts.size - 2 * daq.n)
+    assert np.abs(volts[:n]).max() > 1e-3
+    np.testing.assert_allclose(volts[:n], seen[:n], rtol=1e-6)
+
+
+def test_a_page_that_opens_slowly_is_not_taken_for_one_that_died(
+    studio: Studio, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Reports of how rendering keeps up come in between."""
+    opens = Contact.open
+
+    def slowly(*arguments: Any, **options: Any) -> None:
+        time.sleep(0.3)
+        opens(*arguments, **options)
+
+    monkeypatch.setattr(Contact, "open", slowly)
+    monkeypatch.setattr(studio_server, "STATE_S", 0.05)
+    with stroking(studio) as socket:
+        socket.send_text(json.dumps({"do": "open", "texture": KEY}))
+        assert "opened" in until_opened(socket)
+        socket.send_bytes(event(0.0, 0.0))
+        assert "state" in until(socket, "state", "refused")
+
+
+def test_a_device_that_goes_is_said_and_the_page_may_open_again(daq: FakeDaq) -> None:
+    studio = Studio(Shelf([EXAMPLE]), output_device=OutputDevice("daq:Dev1/ao0", gain=0.5))
+    opening = json.dumps({"do": "open", "texture": KEY, "sink": "device", "rate_hz": 8000})
+    with stroking(studio) as socket:
+        socket.send_text(opening)
+        assert "opened" in until_opened(socket)
+        daq.fails = "samples"
+        assert "plays no more: the NI-DAQ takes no samples" in until(socket, "refused")["refused"]
+        daq.fails = ""
+        socket.send_text(opening)
+        assert "opened" in until_opened(socket)
+
+
+def test_pages_have_states_of_their_own(client: TestClient, studio: Studio) -> None:
+    with client.websocket_connect(f"{WS}/stroke") as one, client.websocket_connect(f"{WS}/stroke") as other:
+        one.send_text(json.dumps({"do": "open", "texture": KEY}))
+        until_opened(one)
+        other.send_bytes(event(0, 0))
+        assert "before a texture was opened" in json.loads(other.receive()["text"])["refused"]
+        state = client.get("/state").json()
+        assert sorted(page["texture"] for page in state["pages"]) == ["", KEY]
+        assert state["n_refused"] == 1
+
+
+@pytest.mark.parametrize("damage", ["truncated", "another", "proof"])
+def test_a_hostile_texture_is_refused(tmp_path: Path, damage: str) -> None:
+    data = bytearray(EXAMPLE.read_bytes())
+    if damage == "truncated":
+        data = data[: len(data) // 2]
+    elif damage == "another":
+        data = bytearray(b"PK\3\4" + bytes(1000))
+    else:
+        tensors = {name: tensor.copy() for name, tensor in read_texture(EXAMPLE).tensors.items()}
+        tensors["golden.one_step"] += 1.0
+        from safetensors.numpy import save
+
+        data = bytearray(save(tensors, metadata={"foten": json.dumps(dict(read_texture(EXAMPLE).card))}))
+    path = tmp_path / "hostile.foten"
+    path.write_bytes(data)
+    contact = Contact(RoundRobinRenderer().player(48_000.0), lambda *_: None)
+    with pytest.raises(ValueError, match=r"texture file|truncated|proof"):
+        contact.open(bytes(data), PressureCalibration())
+    contact.close()
+    if damage != "proof":  # which only rendering finds
+        with pytest.raises(ValueError, match=r"hostile\.foten"):
+            Shelf([path])
+
+
+def test_a_shelf_says_what_is_missing(tmp_path: Path) -> None:
+    with pytest.raises(FileNotFoundError, match=r"no such file: .*nothing\.foten"):
+        Shelf([tmp_path / "nothing.foten"])
+    with pytest.raises(ValueError, match=r"holds no texture file \(\.foten\)"):
+        Shelf([tmp_path])
+    assert len(Shelf()) >= 1
+
+
+@contextmanager
+def serving(*arguments: str) -> Iterator[tuple[subprocess.Popen[str], str]]:
+    """A server, until it has ended cleanly, and the link that it printed."""
+    command = [sys.executable, "-c", "from foten.cli import main; main()", "serve", "--no-open", "--port", "0"]
+    process = subprocess.Popen([*command, *arguments], stderr=subprocess.PIPE, text=True, start_new_session=True)
+    assert process.stderr is not None
+    try:
+        yield process, process.stderr.readline().rsplit(" ", 1)[-1].strip()
+    finally:
+        if process.poll() is None:
+            process.terminate()
+            assert "Traceback" not in process.communicate(timeout=30)[1]
+
+
+def check_page(link: str, *handlers: Any) -> None:
+    with urllib.request.build_opener(urllib.request.ProxyHandler({}), *handlers).open(link, timeout=20) as answer:
+        assert b"<title>foten</title>" in answer.read()
+
+
+@pytest.mark.parametrize(("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_it_starts_says_where_and_ends_cleanly(number: int, status: int) -> None:
+    with serving(str(EXAMPLE)) as (process, link):
+        check_page(link)
+        process.send_signal(number)
+        assert "Traceback" not in process.communicate(timeout=30)[1]
+    assert process.returncode in (status, -number)
+
+
+def test_on_a_network_the_next_link_is_printed_once_one_is_used() -> None:
+    own = ssl.create_default_context()
+    own.check_hostname, own.verify_mode = False, ssl.CERT_NONE  # as a tablet does that was told to
+    with serving(str(EXAMPLE), "--host", "0.0.0.0") as (process, link):
+        assert process.stderr is not None
+        for _ in range(2):
+            device = urllib.request.HTTPSHandler(context=own), urllib.request.HTTPCookieProcessor()
+            for _ in range(2):  # a reload of the same link
+                check_page(link, *device)
+            line = next(line for line in process.stderr if "for the next one: " in line)
+            before, link = link, line.rsplit(" ", 1)[-1].strip()
+            assert link.partition("?")[0] == before.partition("?")[0]
+            assert link != before
+            assert "▀" in "".join(process.stderr.readline() for _ in range(5))  # and its code
+
+
+@pytest.mark.skipif(not socket.has_ipv6, reason="needs IPv6")
+def test_the_address_that_is_printed_is_the_one_it_listens_at() -> None:
+    with socket.socket(socket.AF_INET6) as probe:
+        try:
+            probe.bind(("::1", 0))
+        except OSError:
+            pytest.skip("this machine has no ::1")
+    for host, shown in (("::1", "http://[::1]:"), ("localhost", "http://127.0.0.1:")):
+        with serving(str(EXAMPLE), "--host", host) as (_, link):
+            assert link.startswith(shown)
+            check_page(link)
+
+
+def test_a_damaged_capture_is_left_out_and_said(tmp_path: Path) -> None:
+    for name, data in {"cork": EXAMPLE.read_bytes(), "cloth": EXAMPLE.read_bytes()[:5000], "oak": b""}.items():
+        (tmp_path / name).mkdir()
+        (tmp_path / name / f"{name}.foten").write_bytes(data)
+    with serving(str(EXAMPLE), "--captures", str(tmp_path)) as (process, _):
+        assert process.stderr is not None
+        lines = [process.stderr.readline() for _ in range(2)]  # the first was read by `serving`
+        link = lines[1].rsplit(" ", 1)[-1].strip()
+        with urllib.request.urlopen(link + "textures.json", timeout=20) as answer:
+            listed = [entry["file"] for entry in json.load(answer)["textures"]]
+    assert listed == [KEY, "cork.foten"]
+    assert lines[0].startswith(f"left out {tmp_path / 'oak' / 'oak.foten'}: the file has 0 bytes")

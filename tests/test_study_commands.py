@@ -1,0 +1,148 @@
+"""`foten study` from texture files to a report, and what runs until it is ended."""
+
+from __future__ import annotations
+
+import csv
+import json
+import signal
+import subprocess
+import sys
+import threading
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+pytest.importorskip("starlette")
+pytest.importorskip("statsmodels")
+from foten.datasets.importing import read_stroke
+from foten.runtime.stroke import tabled_stroke
+from foten.study.store import Store
+from test_study_server import study_file
+
+
+def foten(*arguments: str | Path, ok: bool = True) -> str:
+    command = [sys.executable, "-c", "from foten.cli import main; main()", "study", *map(str, arguments)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=120)  # none of these serves
+    if ok:
+        assert done.returncode == 0, done.stderr
+        return done.stdout + done.stderr
+    assert done.returncode == 2, done.stdout + done.stderr
+    assert done.stderr.count("\n") == 1
+    return done.stderr
+
+
+def test_from_texture_files_to_a_report_without_anyone(tmp_path: Path) -> None:
+    study_file(tmp_path, 3, 2)
+    study, database, results = tmp_path / "mine.toml", tmp_path / "mine.db", tmp_path / "results"
+    textures = sorted(tmp_path.glob("*.foten"))
+    assert "3 textures × 2 methods, 15 participants" in foten("new", study, *textures, "--participants", "15")
+    assert "6 trials of each of 15 participants" in foten("check", study)
+    foten("simulate", study, "-o", database, "--difference", "12", "--better", "dstn", "--missing", "0.2")
+    status = foten("status", database)
+    assert "15 simulated raters" in status
+    assert "the file is sound" in status
+    said = foten("analyze", database, "-o", results, "--reference", "dstn")
+    assert "The highest mean is that of dstn." in said
+    assert "simulated raters rated 2 methods on 3 textures" in said
+    page = (results / "report.html").read_text(encoding="utf-8")
+    assert "Simulated ratings: of a model of raters, and not of people." in page
+    assert "did not rate everything" in page
+    assert page.count("<svg") == 2
+    with (results / "ratings.csv").open(newline="", encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    assert {row["simulated"] for row in rows} == {"1"}
+    assert {row["method"] for row in rows} == {"ar", "dstn"}
+    with (results / "ratings-wide.csv").open(newline="", encoding="utf-8") as file:
+        wide = list(csv.reader(file))
+    assert wide[0][:3] == ["participant", "simulated", "ar.artificial-grass"]
+    assert 12 <= len(wide) <= 16  # who left during practice has no row
+    document = json.loads((results / "results.json").read_text(encoding="utf-8"))
+    assert document["simulated"] is True
+    assert document["anova_one_way"][0]["p_corrected"] < 0.01
+    assert document["mixed_model"]["n_participants"] == len(wide) - 1
+    foten("backup", database, "-o", tmp_path / "copy.db")
+    assert "is there already" in foten("simulate", study, "-o", database, ok=False)
+    with Store(database) as store:
+        store.add_strokes(1, 3, np.array([[0.4 * k, 0.0, 0.5, 7.0 + 0.005 * k] for k in range(100)]))
+    strokes = ("strokes", database, "--participant", "1", "-o", tmp_path / "stroke.csv")
+    assert "100 events, 0.5 s" in foten(*strokes, "--trial", "3")
+    stroke = tabled_stroke(read_stroke(tmp_path / "stroke.csv", {}), 1000.0)
+    assert 0.5 < stroke.force.max() < 0.9
+    assert "no stroke of participant 1 in trial 2" in foten(*strokes, "--trial", "2", ok=False)
+    foten("correct", database, "--participant", "1", "--trial", "1", "--rating", "5", "--reason", "slipped")
+    foten("forget", database, "--participant", "2", "--yes")
+    assert "14 simulated raters" in foten("status", database)
+    assert "15 simulated raters" in foten("status", tmp_path / "copy.db")
+
+
+def test_what_a_command_refuses_is_a_line(tmp_path: Path) -> None:
+    study, database = study_file(tmp_path), tmp_path / "s.db"
+    foten("simulate", study, "-o", database)
+    textures = sorted(tmp_path.glob("*.foten"))
+    assert "is there already" in foten("new", study, *textures, ok=False)
+    assert "has one method, expected two texture files or more" in foten(
+        "new", tmp_path / "x.toml", textures[0], ok=False
+    )
+    assert not (tmp_path / "x.toml").exists()
+    assert "expected one of ar, dstn" in foten("analyze", database, "--reference", "x", "-o", tmp_path / "r", ok=False)
+    assert not (tmp_path / "r").exists()
+    assert "no such file" in foten("status", tmp_path / "nothing.db", ok=False)
+
+
+def test_power_says_how_many() -> None:
+    document = json.loads(
+        foten("power", "--studies", "60", "--difference", "12", "--methods", "2", "--textures", "3", "--json")
+    )
+    assert 4 < document["participants"] < 60
+    assert document["power"][0]["participants"] == 4
+
+
+def started_study(path: Path, *options: str) -> tuple[subprocess.Popen[str], str, str]:
+    """Return a study that runs, its operator's link and its participants'."""
+    command = [
+        sys.executable,
+        "-c",
+        "from foten.cli import main; main()",
+        "study",
+        "run",
+        str(path),
+        "--no-open",
+        *options,
+    ]
+    process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
+    assert process.stderr is not None
+    operator = participants = ""
+    for line in process.stderr:
+        if line.startswith("operator: "):
+            operator = line.split()[-1]
+        if line.startswith("participants at "):
+            participants = line.split()[-1]
+            break
+    assert participants, "the study did not start"
+    threading.Thread(target=_read_out, args=(process.stderr,), daemon=True).start()  # so that it never waits for us
+    return process, operator, participants
+
+
+def _read_out(stream: Any) -> None:
+    with stream:
+        stream.read()
+
+
+def test_a_study_that_runs_ends_cleanly_and_goes_on(tmp_path: Path) -> None:
+    study = study_file(tmp_path)
+    for begun in (0, 0):
+        process, operator, participants = started_study(study, "--port", "0")
+        assert "is in use: end the 'foten study run' of it first" in foten("run", study, "--port", "0", ok=False)
+        with Store(tmp_path / "study.db") as store:
+            if not store.codes():
+                store.join("ABCDE")
+        assert "is in use" in foten("forget", tmp_path / "study.db", "--participant", "1", "--yes", ok=False)
+        assert "/operator?key=" in operator
+        assert participants.startswith("http://127.0.0.1:")
+        process.send_signal(signal.SIGINT)
+        assert process.wait(timeout=20) in (0, 130)
+        with Store(tmp_path / "study.db") as store:
+            assert len(store.codes()) == begun + 1
+            assert len(store.ordered()) == 3 + 2  # and some for those who leave

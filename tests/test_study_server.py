@@ -1,0 +1,377 @@
+"""A study's server: the steps of a participant, what pages get, and what is refused."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import re
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+pytest.importorskip("starlette")
+pytest.importorskip("statsmodels")
+from starlette.testclient import TestClient
+from starlette.websockets import WebSocketDisconnect
+
+from foten.models.texture_file import read_texture, write_texture
+from foten.runtime.renderer import EXAMPLE
+from foten.studio.access import LOOPBACK, Access
+from foten.study.loading import load_study
+from foten.study.new_study import study_text
+from foten.study.participant_page import ELSEWHERE
+from foten.study.store import Store
+from foten.study.study_server import OPERATOR_COOKIE, StudyServer, study_files
+
+LOCAL = Access(LOOPBACK, 8000)
+HERE = "http://127.0.0.1:8000"
+WS = "ws://127.0.0.1:8000"
+NAMES = ("artificial-grass", "steel-mesh-1", *(f"surface-{i}" for i in range(3, 13)))
+METHODS = ("ar", "dstn", "ldhtd", "foten")
+
+
+def study_file(folder: Path, n_textures: int = 2, n_methods: int = 2, participants: int = 3, **changes: str) -> Path:
+    """Return a study of textures that come along, under other names, and lines of its file replaced by others."""
+    sources = [read_texture(path) for path in sorted(EXAMPLE.parent.glob("*.foten"))]
+    files: dict[str, dict[str, str]] = {}
+    for t, name in enumerate(NAMES[:n_textures]):
+        for m, method in enumerate(METHODS[:n_methods]):
+            source = sources[(t + m) % len(sources)]
+            path = folder / f"{name}-{method}.foten"
+            write_texture(type(source)({**source.card, "texture": name, "licence": method}, source.tensors), path)
+            files.setdefault(name, {})[method] = path.name
+    text = study_text("Surfaces", files, participants, 1).replace("min_seconds = 3 ", "min_seconds = 0")
+    for given, instead in changes.items():
+        line = re.search(rf"^{given} = .*$", text, re.M)
+        assert line is not None, given
+        text = text.replace(line[0], f"{given} = {instead}")
+    path = folder / "study.toml"
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def server_of(path: Path) -> StudyServer:
+    study = load_study(path)
+    return StudyServer(study.open_store(path.with_suffix(".db")), study.design, study.stimuli, None)
+
+
+@contextlib.contextmanager
+def served(server: StudyServer) -> Iterator[TestClient]:
+    with TestClient(server.app(LOCAL), base_url=HERE, headers={"origin": HERE}) as client:
+        yield client
+
+
+@contextlib.contextmanager
+def joined(server: StudyServer, **joining: Any) -> Iterator[Page]:
+    with served(server) as client, client.websocket_connect(f"{WS}/session") as socket:
+        yield Page(socket, **joining)
+
+
+class Page:
+    """A participant's page, as the server sees it."""
+
+    def __init__(self, socket: Any, **joining: Any) -> None:
+        self.socket, self.bytes, self.texts = socket, 0, []
+        self.say(do="join", **joining)
+        self.code = self.until("joined")["joined"]
+        self.step = self.until("step")["step"]
+
+    def say(self, **message: Any) -> None:
+        self.socket.send_text(json.dumps(message))
+
+    def until(self, *keys: str) -> dict[str, Any]:
+        while True:
+            message = self.socket.receive()
+            if message["type"] == "websocket.close":
+                raise WebSocketDisconnect(message["code"], message.get("reason"))
+            if message.get("bytes"):
+                self.bytes += len(message["bytes"])
+            if message.get("text"):
+                self.texts.append(message["text"])
+                document: dict[str, Any] = json.loads(message["text"])
+                if document.keys() & set(keys):
+                    return document
+
+    def done(self, **answer: Any) -> dict[str, Any]:
+        self.say(do="done", step=self.step["id"], **answer)
+        document = self.until("step", "refused")
+        if "refused" not in document:
+            self.step = document["step"]
+        return document
+
+    def answer(self, rating: float = 50.0) -> dict[str, Any]:
+        """Do what the step asks for."""
+        kind = self.step["kind"]
+        if kind == "trial":
+            return self.done(rating=rating, seconds=2.5, underruns=0)
+        if kind == "questions":
+            given = {
+                q["key"]: {"number": "30", "choice": (q["options"] or [""])[0]}.get(q["kind"], "fine")
+                for q in self.step["questions"]
+            }
+            return self.done(answers=given)
+        return self.done()
+
+    def to_trial(self) -> None:
+        while self.step["kind"] != "trial":
+            self.answer()
+
+    def stroke(self, n: int = 10) -> None:
+        for k in range(n):
+            self.socket.send_bytes(np.array([0.8 * k, 0.0, 0.5, 0.01 * k], dtype="<f8").tobytes())
+
+    def stroke_until_it_sounds(self) -> None:
+        self.stroke()
+        while self.bytes == 0:
+            self.bytes += len(self.socket.receive().get("bytes") or b"")
+
+
+def test_a_participant_goes_through_all_steps_and_each_is_in_the_database(tmp_path: Path) -> None:
+    server = server_of(study_file(tmp_path, break_every="2"))
+    with joined(server) as page:
+        seen = []
+        while page.step["kind"] != "end":
+            seen.append(page.step["id"])
+            before = page.step["id"]
+            page.answer(10.0 * len(seen))
+            assert before in server.store.done(1)  # before the page moves on
+        trials = "trial:-1 trial:0 trial:1 trial:2 break:2 trial:3 trial:4"
+        assert " ".join(seen) == f"consent questions:start instructions {trials} questions:end"
+    with Store(tmp_path / "study.db") as store:
+        rows = store.ratings()
+        assert [row["trial"] for row in rows] == [1, 2, 3, 4]
+        assert [row["response_s"] for row in rows] == [2.5] * 4
+        designed = [(trial.texture, trial.method) for trial in store.trials(1) if not trial.practice]
+        assert [(row["texture"], row["method"]) for row in rows] == designed
+        assert [one["question"] for one in store.abouts()] == ["age", "experience", "gender", "handedness"]
+        assert [one["question"] for one in store.answers()] == ["remarks"]
+        assert store.counts()[1]["ended"] == 1
+
+
+def test_a_trial_is_stroked_switched_and_measured(tmp_path: Path) -> None:
+    server = server_of(study_file(tmp_path, practice="0"))
+    with joined(server, rate_hz=8000, volume_db=-3.0) as page:
+        page.to_trial()
+        begin = time.monotonic()
+        for k in range(100):
+            page.socket.send_bytes(np.array([0.4 * k, 0.0, 0.5, 0.005 * k], dtype="<f8").tobytes())
+            time.sleep(max(0.0, begin + 0.005 * k - time.monotonic()))
+        page.say(do="side", side="real")
+        assert page.until("step")["step"]["side"] == "real"
+        page.say(do="side", side="virtual")
+        assert page.until("step")["step"]["side"] == "virtual"
+        page.answer(71.0)
+        assert page.bytes > 8000  # of samples
+    with Store(tmp_path / "study.db") as store:
+        (row,) = store.ratings()
+        assert row["switches"] == 2
+        about = row["measured"]
+        assert about["contact_s"] > 0.2
+        assert 60 < about["speed_mm_s_p50"] < 100
+        assert 0.5 < about["force_n_p50"] < 0.9
+        assert about["block_p99_ms"] > 0
+        assert (about["n_underruns"], about["volume_db"], about["rate_hz"]) == (0, -3.0, 8000.0)
+        events = store.strokes(1, 1)
+        assert events.shape == (100, 4)
+        np.testing.assert_allclose(events[:, 0], 0.4 * np.arange(100))
+
+
+def test_no_byte_that_a_participant_is_sent_names_or_orders_methods(tmp_path: Path) -> None:
+    """All text of two participants whose methods differ in every trial is the same; nothing names a method or a file."""
+    server = server_of(study_file(tmp_path, 1, 4, participants=4, order='"random"'))
+    said: list[list[str]] = []
+    with served(server) as client:
+        for _ in range(3):
+            with client.websocket_connect(f"{WS}/session") as socket:
+                page = Page(socket, rate_hz=8000)
+                while page.step["kind"] != "end":
+                    if page.step["kind"] == "trial":
+                        page.stroke()
+                    page.answer()
+                said.append([text.replace(page.code, "CODE") for text in page.texts])
+        for name in ("", *study_files()):
+            answer = client.get(f"/{name}")
+            said.append([answer.text, str(answer.headers)])
+        for path in (
+            "operator",
+            "operate",
+            "textures.json",
+            f"textures/{EXAMPLE.name}",
+            "state",
+            "gains",
+            "pictures/0",
+        ):
+            assert client.get(f"/{path}").status_code in (403, 404)
+    stored = [[trial.method for trial in server.store.trials(n)] for n in (1, 2, 3)]
+    assert len({tuple(one) for one in stored}) == 3  # they were given different orders
+    assert said[0] == said[1] == said[2]
+    everything = "\n".join(text for texts in said for text in texts).lower()
+    for word in ("dstn", "ldhtd", ".foten", *(one.sha256 for one in server.stimuli.listed)):
+        assert word not in everything
+    assert '"method' not in everything
+    assert not re.search(r"[\"' -]ar[\"' ,.]", "\n".join(text for texts in said[:3] for text in texts).lower())
+
+
+def test_an_answer_that_is_said_again_counts_once(tmp_path: Path) -> None:
+    server = server_of(study_file(tmp_path, practice="0"))
+    with joined(server) as page:
+        page.to_trial()
+        page.done(rating=40.0)
+        page.say(do="done", step="trial:1", rating=90.0)  # the page did not learn that it was taken
+        assert page.until("step", "refused")["step"]["id"] == "trial:2"
+        page.say(do="done", step="trial:4", rating=90.0)
+        assert "it is the turn of trial:2" in page.until("step", "refused")["refused"]
+        page.say(do="done", step="trial:2")
+        assert "rating is missing" in page.until("step", "refused")["refused"]
+    assert [row["rating"] for row in server.store.ratings()] == [40.0]
+
+
+def test_two_screens_are_joined_by_a_code_and_the_operator_lets_trials_begin(tmp_path: Path) -> None:
+    server = server_of(study_file(tmp_path, screens="2", operator="true", practice="0"))
+    with served(server) as client:
+        cookie = {"cookie": f"{OPERATOR_COOKIE}={server.operator_key}"}
+        with client.websocket_connect(f"{WS}/operate", headers=cookie) as operator:
+
+            def until(kind: str) -> dict[str, Any]:
+                while True:
+                    document: dict[str, Any] = json.loads(operator.receive_text())
+                    if kind in document:
+                        return document
+
+            def shown(**expected: Any) -> dict[str, Any]:
+                while True:
+                    (one,) = until("sessions")["sessions"]
+                    if all(one.get(name) == value for name, value in expected.items()):
+                        return dict(one)
+
+            operator.send_text(json.dumps({"do": "begin"}))
+            code = until("started")["code"]
+            with client.websocket_connect(f"{WS}/session") as a, client.websocket_connect(f"{WS}/session") as b:
+                tablet, screen = Page(a, code=code, role="stroke", rate_hz=8000), Page(b, code=code, role="answer")
+                while screen.step["kind"] != "trial":
+                    screen.answer()
+                    tablet.step = tablet.until("step")["step"]
+                assert screen.step["held"]
+                assert tablet.step["id"] == screen.step["id"] == "trial:1"
+                one = shown(kind="trial", held=True)
+                assert one["pages"] == ["answer", "stroke"]
+                assert one["texture"] in NAMES
+                assert "method" not in one
+                assert "the operator holds this trial" in screen.done(rating=5.0)["refused"]
+                operator.send_text(json.dumps({"do": "go", "number": 1}))
+                assert not tablet.until("step")["step"]["held"]
+                assert not screen.until("step")["step"]["held"]
+                tablet.stroke()
+                operator.send_text(json.dumps({"do": "side", "number": 1, "side": "real"}))
+                assert tablet.until("step")["step"]["side"] == "real"
+                screen.until("step")
+                b.send_bytes(bytes(32))
+                assert "events of a page that does not stroke" in screen.until("refused")["refused"]
+                screen.answer(61.0)
+                assert screen.step["id"] == "trial:2"
+                assert tablet.until("step")["step"]["id"] == "trial:2"
+                assert server.store.ratings()[0]["switches"] == 1
+                operator.send_text(json.dumps({"do": "go", "number": 9}))
+                assert "there is no participant 9" in until("refused")["refused"]
+        with client.websocket_connect(f"{WS}/session") as socket:
+            socket.send_text(json.dumps({"do": "join"}))
+            assert "ask the operator for a code" in json.loads(socket.receive_text())["refused"]
+            socket.send_text(json.dumps({"do": "join", "code": "AAAAA"}))
+            assert "there is no such code" in json.loads(socket.receive_text())["refused"]
+
+
+def test_after_a_restart_a_trial_goes_on_with_what_was_counted(tmp_path: Path) -> None:
+    """The page has counted on while the server was away: its answer is good at once."""
+    path = study_file(tmp_path, practice="0", min_seconds="3")
+    with joined(server_of(path), rate_hz=8000) as page:
+        page.to_trial()
+        page.stroke()
+        for side in ("real", "virtual"):
+            page.say(do="side", side=side)
+            page.until("step")
+        code, step_id = page.code, page.step["id"]
+    with joined(server_of(path), code=code.lower()) as page:
+        assert page.step["id"] == step_id
+        page.done(rating=44.0, seconds=9.0)
+        assert page.step["id"] == "trial:2"
+    with Store(tmp_path / "study.db") as store:
+        (row,) = store.ratings()
+        assert (row["switches"], row["measured"]["resumed"]) == (2, True)
+
+
+def test_the_page_that_strokes_is_the_one_that_sounds(tmp_path: Path) -> None:
+    """After a lost network the old connection may be there still; both count for the trial."""
+    server = server_of(study_file(tmp_path, practice="0"))
+    with served(server) as client, client.websocket_connect(f"{WS}/session") as old:
+        first = Page(old, rate_hz=8000)
+        first.to_trial()
+        first.stroke_until_it_sounds()
+        with client.websocket_connect(f"{WS}/session") as new:
+            second = Page(new, code=first.code, rate_hz=8000)
+            assert len(server.sessions[1].pages) == 1
+            with pytest.raises(WebSocketDisconnect) as gone:
+                first.until("never")
+            assert gone.value.code == ELSEWHERE
+            second.stroke_until_it_sounds()
+            second.answer()
+    (row,) = server.store.ratings()
+    assert row["measured"]["n_contacts"] >= 2
+    assert len(server.store.strokes(1, 1)) > 10  # of both; what the old one still had on its way is not taken any more
+
+
+def test_a_page_that_joins_again_is_no_second_participant(tmp_path: Path) -> None:
+    server = server_of(study_file(tmp_path))
+    with served(server) as client:
+        for _ in range(2):
+            with client.websocket_connect(f"{WS}/session") as socket:
+                assert Page(socket, fresh="KXWQA").code == "KXWQA"
+        with client.websocket_connect(f"{WS}/session") as socket:
+            socket.send_text(json.dumps({"do": "join", "fresh": "ab"}))
+            assert "expected 5 letters" in json.loads(socket.receive_text())["refused"]
+    assert server.store.codes() == {"KXWQA": 1}
+
+
+def test_the_operators_page_is_the_operators(tmp_path: Path) -> None:
+    server = server_of(study_file(tmp_path))
+    with served(server) as client:
+        assert client.get("/operator").status_code == 403
+        assert client.get("/operator", params={"key": "wrong"}).status_code == 403
+        assert client.get("/operator.html").status_code == 404
+        assert client.get("/codes/AAAAA.svg").status_code == 404
+        with pytest.raises(WebSocketDisconnect), client.websocket_connect(f"{WS}/operate"):
+            pass
+        moved = client.get("/operator", params={"key": server.operator_key}, follow_redirects=False)
+        assert (moved.status_code, moved.headers["location"]) == (303, "/operator")
+        assert "httponly" in moved.headers["set-cookie"].lower()
+        assert "New participant" in client.get("/operator").text
+        assert client.get("/codes/AAAAA.svg").status_code == 404  # there is no such participant
+
+
+def test_a_full_disk_is_said_to_the_page_and_the_answer_can_be_given_again(tmp_path: Path) -> None:
+    server = server_of(study_file(tmp_path, practice="0"))
+    with joined(server) as page:
+        page.to_trial()
+        server.store._connection.execute("PRAGMA query_only = ON")
+        refused = page.answer(33.0)
+        assert "not stored, and your answer is kept here: study.db: the disk is full" in refused["refused"]
+        assert refused["again"]
+        server.store._connection.execute("PRAGMA query_only = OFF")
+        page.answer(33.0)
+        assert page.step["id"] == "trial:2"
+    assert [row["rating"] for row in server.store.ratings()] == [33.0]
+
+
+def test_a_trial_lasts_as_long_as_the_study_asks(tmp_path: Path) -> None:
+    server = server_of(study_file(tmp_path, practice="0", min_seconds="1"))
+    with joined(server) as page:
+        page.to_trial()
+        refused = page.done(rating=5.0, seconds=0.2)
+        assert "explore both surfaces for 1 s first" in refused["refused"]
+        assert (refused["step"], refused["again"]) == ("trial:1", False)
+        time.sleep(1.0)
+        page.done(rating=5.0, seconds=1.2)
+        assert page.step["id"] == "trial:2"
