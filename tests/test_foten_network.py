@@ -113,14 +113,14 @@ def test_the_pruned_network_is_the_papers(name: str) -> None:
     """Oracle: an unpruned network of the paper's equations, in float64; the reference in NumPy is beside it too."""
     sizes = SIZES[name]
     network = untrained("foten", sizes).double()
-    given = windows(sizes)
+    inputs = windows(sizes)
     with torch.no_grad():
-        predicted = network(given)
-    expected = Equations(network, sizes)(given)
+        predicted = network(inputs)
+    expected = Equations(network, sizes)(inputs)
     assert expected.std() > 1e-3  # or there would be nothing to compare
     # Rounding through six layers, and √(|Z|² + 1e-16), which is 5e-17/|Z| off.
     np.testing.assert_allclose(predicted, expected, atol=1e-10)
-    np.testing.assert_allclose(Network(sizes, tensors_of(network))(given.numpy()), expected, atol=1e-10)
+    np.testing.assert_allclose(Network(sizes, tensors_of(network))(inputs.numpy()), expected, atol=1e-10)
 
 
 def n_parameters(network: torch.nn.Module) -> int:
@@ -142,8 +142,8 @@ def test_it_has_the_papers_sizes() -> None:
 
 
 def test_positions_and_matrices_are_not_parameters() -> None:
-    kept = set(build("foten", FotenSizes()).state_dict())
-    assert not {name for name in kept if "positions" in name or name.endswith(("real", "imaginary", "sine"))}
+    names = set(build("foten", FotenSizes()).state_dict())
+    assert not {name for name in names if "positions" in name or name.endswith(("real", "imaginary", "sine"))}
 
 
 @pytest.mark.parametrize("pre_norm", [True, False])
@@ -151,14 +151,14 @@ def test_the_literal_width_of_one_is_degenerate(pre_norm: bool) -> None:
     """A layer normalisation over one feature gives its bias, so the encoders add a constant, or are one."""
     sizes = FotenSizes(**{**SMALL, "spectral_width": 1}, pre_norm=pre_norm)
     branch = untrained("foten", sizes).double().spectral
-    given = torch.from_numpy(np.random.default_rng(0).uniform(0, 9, (30, sizes.window)))
+    inputs = torch.from_numpy(np.random.default_rng(0).uniform(0, 9, (30, sizes.window)))
     for name in ("magnitude", "phase"):
         with torch.no_grad():
-            left = branch._encode(name, given) - given * pre_norm
+            left = branch._encode(name, inputs) - inputs * pre_norm
         assert left.std() < 1e-12  # rounding
     wide = untrained("foten", FotenSizes(**SMALL, pre_norm=pre_norm)).double().spectral
     with torch.no_grad():
-        assert (wide._encode("magnitude", given) - given * pre_norm).std() > 1e-3
+        assert (wide._encode("magnitude", inputs) - inputs * pre_norm).std() > 1e-3
 
 
 @pytest.mark.parametrize("name", ["magnitude", "phase"])
@@ -182,13 +182,13 @@ def test_the_temporal_branch_knows_the_order() -> None:
 
 def test_only_the_last_speed_and_force_matter() -> None:
     network = untrained("foten").double()
-    given = windows(FotenSizes())
-    before, last = given.clone(), given.clone()
+    inputs = windows(FotenSizes())
+    before, last = inputs.clone(), inputs.clone()
     before[:, :-1, 1:] += 5.0
     last[:, -1, 1:] += 5.0
     with torch.no_grad():
-        torch.testing.assert_close(network(before), network(given), rtol=0, atol=0)
-        assert (network(last) - network(given)).abs().min() > 0
+        torch.testing.assert_close(network(before), network(inputs), rtol=0, atol=0)
+        assert (network(last) - network(inputs)).abs().min() > 0
 
 
 @pytest.mark.parametrize("fields", [{}, {"pre_norm": False}, {"spectral_width": 1}])

@@ -19,12 +19,12 @@ from foten.models.foten_plus.fit import (
     calibrated_network,
     extrapolation_exponents,
     fit_drawing_network,
+    fit_predicting_network,
     nearest,
     nearest_linear_model,
     texture_builder,
     texture_of,
 )
-from foten.models.foten_plus.likelihood import innovations_of, scored
 from foten.models.foten_plus.linear_model import LinearModel, fit_level, fit_linear_model, silent_tones
 from foten.models.foten_plus.network import InnovationNetwork
 from foten.models.foten_plus.sizes import FotenPlusSizes
@@ -86,19 +86,10 @@ def fitted(recording: Recording) -> Fitted:
     torch.manual_seed(0)
     network = perturbed(InnovationNetwork(sizes))
     linear_only, report = nearest_linear_model(linear, None, network, builder, QUICK)
-    return Fitted(blocks, builder, linear_only, report, network_of(linear, network, blocks))
-
-
-def network_of(linear: LinearModel, network: InnovationNetwork, blocks: ScaledBlocks) -> FittedNetwork:
-    """A network as if it had been fitted for an epoch."""
-    warm_up, validation = linear.sizes.window, blocks.split.validation
-    data = innovations_of(linear, blocks, linear.sizes.history - warm_up)
-    nats, error, gain = scored(network, data, data.tensors(torch.device("cpu")), validation, warm_up)
-    moving = blocks.moving()[list(validation), data.first + 1 + warm_up :]
-    likelihood, mae = float(nats.mean()), float((error * gain).mean())
-    lines = [Epoch(0, np.nan, 9.0, 9.0, 0.0, True), Epoch(1, 0.9, likelihood, mae, 0.0, True)]
-    metric = float((nats + np.log(gain))[moving].mean())
-    return FittedNetwork(linear, network, data, Progress(lines, likelihood), likelihood, metric)
+    predicting = fit_predicting_network(network, linear_only, blocks, QUICK, Monitor())
+    (line,) = predicting.progress.epochs
+    progress = Progress([replace(line, validation_loss=9.0), replace(line, epoch=1)], line.validation_loss)
+    return Fitted(blocks, builder, linear_only, report, replace(predicting, progress=progress))
 
 
 def test_a_block_too_short_to_calibrate_its_level_is_refused_before_anything_is_fitted(recording: Recording) -> None:

@@ -58,9 +58,9 @@ def test_it_starts_as_its_lattice() -> None:
     for name in ("weight", "bias"):  # of the means
         tensors[f"network.out.{name}"][k : 2 * k] = 0.0
     tensors["lattice.reflections"] = reflections_of(np.array([-0.9, 1.6]))[None]
-    given = windows(40, sizes.history)
-    expected = given[:, -2:, 0] @ (np.array([-0.9, 1.6]) * LEAK ** np.array([2, 1]))
-    np.testing.assert_allclose(model(sizes, tensors).predict(given), expected, atol=1e-12)
+    inputs = windows(40, sizes.history)
+    expected = inputs[:, -2:, 0] @ (np.array([-0.9, 1.6]) * LEAK ** np.array([2, 1]))
+    np.testing.assert_allclose(model(sizes, tensors).predict(inputs), expected, atol=1e-12)
 
 
 @pytest.mark.parametrize("noise", [-5.6, None, 5.6])
@@ -68,11 +68,11 @@ def test_what_the_network_draws_is_bounded(noise: float | None) -> None:
     """In the unit that σ has, whatever the network says; without noise as well."""
     sizes, tensors = with_sizes(order=6)
     tensors["excitation.innovation_limit"] = np.array([2.5, 1e6])
-    given = windows(200, sizes.history)
+    inputs = windows(200, sizes.history)
     silent = {**tensors, "rendering_network.out.weight": 0 * tensors["rendering_network.out.weight"]}
     silent["rendering_network.out.bias"] = tensors["rendering_network.out.bias"] * 0
     loud = {**tensors, "rendering_network.out.weight": 1e3 * tensors["rendering_network.out.weight"]}
-    linear, drawn = (model(sizes, some).start(given).predict() for some in (silent, loud))
+    linear, drawn = (model(sizes, some).start(inputs).predict() for some in (silent, loud))
     assert drawn.scale is not None
     sample = drawn.sample if noise is None else drawn.excited(np.full(200, noise))
     share = (sample - linear.sample) / drawn.scale
@@ -84,9 +84,9 @@ def test_what_the_network_draws_is_bounded(noise: float | None) -> None:
 def test_the_network_sees_a_vibration_of_unit_size_whatever_the_level(before: bool) -> None:
     """Twice the level and twice the vibration: twice the prediction."""
     sizes, tensors = with_sizes(order=6, gain_before_filter=before)
-    given = windows(40, sizes.history)
-    doubled = given.copy()
+    inputs = windows(40, sizes.history)
+    doubled = inputs.copy()
     doubled[..., 0] *= 2
     louder = {**tensors, "lattice.level.out.bias": tensors["lattice.level.out.bias"].astype(float) + math.log(2)}
-    expected = 2 * model(sizes, tensors).predict(given)
+    expected = 2 * model(sizes, tensors).predict(inputs)
     np.testing.assert_allclose(model(sizes, louder).predict(doubled), expected, rtol=1e-9)  # rounding

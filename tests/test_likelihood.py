@@ -65,8 +65,9 @@ def fitted(blocks: ScaledBlocks, data: Innovations, config: TrainConfig = CONFIG
     return fit_innovation_network(new_network(), data, blocks, 20, config, Monitor())
 
 
-def test_of_noise_nothing_is_learned_and_of_bursts_when_they_are() -> None:
+def test_of_noise_nothing_is_learned_and_of_bursts_when_they_are(monkeypatch: pytest.MonkeyPatch) -> None:
     """Gaussian noise has ½ log 2πe; bursts that are known have their own share of it, and 20 samples hide little."""
+    monkeypatch.setattr(likelihood, "N_STEPS", 50)
     gaussian = 0.5 * math.log(2 * math.pi * math.e)
     assert fitted(*process("noise")).best_loss == pytest.approx(gaussian, abs=0.03)
     known = gaussian + 0.8 * math.log(0.1) - 0.5 * math.log(0.2 + 0.8 * 0.01)
@@ -103,9 +104,9 @@ def captured_loop(monkeypatch: pytest.MonkeyPatch, module: str, fit: Callable[[]
     """The loop that a fit runs, and its progress."""
     loops: list[Loop] = []
 
-    def captured(loop: Loop, *rest: object) -> Progress:
+    def captured(loop: Loop, *arguments: object) -> Progress:
         loops.append(loop)
-        return run_loop(loop, *rest)  # type: ignore[arg-type]
+        return run_loop(loop, *arguments)  # type: ignore[arg-type]
 
     monkeypatch.setattr(f"foten.models.foten_plus.{module}.run_loop", captured)
     progress = fit()

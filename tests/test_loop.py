@@ -106,10 +106,10 @@ def test_the_best_epoch_is_kept_and_patience_ends_the_loop() -> None:
 
 
 def test_the_averaged_weights_are_validated_and_kept() -> None:
-    """By hand: a step leaves min(0.6, n / (n + 9)) of the average; without averaging the last weight of all is nearest to 9."""
+    """By hand: a step leaves min(0.4, n / (n + 9)) of the average; without averaging the last weight of all is nearest to 9."""
     averaged, steps = [0.0], 0.0
     for n in range(1, 13):
-        share = min(0.6, n / (n + 9))
+        share = min(0.4, n / (n + 9))
         steps = share * steps + (1 - share) * n
         averaged += [steps] * (n % 2 == 0)
     asked = list[float]()
@@ -118,7 +118,7 @@ def test_the_averaged_weights_are_validated_and_kept() -> None:
         asked.append(weight)
         return abs(weight - 9.0)
 
-    loop = counting(loss_at, 2, 0.6)
+    loop = counting(loss_at, 2, 0.4)
     progress = run_loop(loop, CONFIG, Monitor())
     assert asked == pytest.approx(averaged, rel=1e-6)
     best = min(averaged, key=lambda weight: abs(weight - 9.0))

@@ -70,8 +70,8 @@ def test_the_order_is_the_best_of_those_tried(trained: Trained) -> None:
     recorded = blocks.samples[list(trained.split.validation)]
     window, first = trained.texture.window, MAX_ORDER + 1
     predicted = predict_blocks(NativeTexture(trained.texture.to_bytes()), recorded).sample
-    missed = predicted[:, first - window :] - recorded[:, first:, 0]
-    assert np.abs(missed).mean() == pytest.approx(errors[best], rel=1e-9)
+    error = predicted[:, first - window :] - recorded[:, first:, 0]
+    assert np.abs(error).mean() == pytest.approx(errors[best], rel=1e-9)
 
 
 def test_the_mesh_covers_what_was_trained_and_is_silent_without_motion(trained: Trained) -> None:
@@ -142,8 +142,8 @@ def test_a_hand_that_hardly_moves_is_refused() -> None:
     [(0.0, 1000, "hold 0 pieces"), (1.0, 20, "a block of 20 samples is too short for filters of order 20")],
 )
 def test_what_cannot_be_fitted_is_one_line(force: float, block_ms: float, message: str) -> None:
-    made = moving(np.random.default_rng(0).standard_normal(12_000))
-    channels = {**made.channels, "force": Channel(np.full(12_000, force), 1000.0)}
+    noise = moving(np.random.default_rng(0).standard_normal(12_000))
+    channels = {**noise.channels, "force": Channel(np.full(12_000, force), 1000.0)}
     with pytest.raises(ValueError, match=message):
         learned(Recording(channels), PreprocessConfig(trim_ms=0, block_ms=block_ms))
 

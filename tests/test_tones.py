@@ -96,9 +96,9 @@ def test_tones_are_recovered_under_noise_and_jitter() -> None:
     # The variance grows by 0.04 to 0.12 rad² on what is compared, and a few hundred such places scatter by a fifth.
     assert 4 * np.pi**2 * fitted.period_jitter**2 / LENGTH == pytest.approx(3e-3, rel=0.5)
     held = list(data.validation)  # its phases are fitted, its amplitudes are not
-    missed = np.square(fitted.played - true)[held, 100:-100].mean() / np.square(true)[held, 100:-100].mean()
+    error = np.square(fitted.played - true)[held, 100:-100].mean() / np.square(true)[held, 100:-100].mean()
     # Noise of a third of the tones' power, and a phase known from about a wavelength: 17 periods of 3 multiples a second.
-    assert missed < 0.1
+    assert error < 0.1
 
 
 def with_tones(period_jitter: float = 0.03) -> tuple[Texture, FotenPlus]:
@@ -180,9 +180,9 @@ def test_a_phase_that_the_tool_turns_with_speed_is_not_period_jitter() -> None:
     path = np.cumsum(speed / RATE, axis=1)
     q = 4 * np.pi**2 * 0.03**2 / LENGTH
     jittered = np.cumsum(np.sqrt(q * speed / RATE) * rng.standard_normal(speed.shape), axis=1)
-    turned = np.pi * speed / 150  # by π within 150 mm/s
+    shift = np.pi * speed / 150  # by π within 150 mm/s
     # Some hundred places whose variances scatter by a tenth, a little turned by what their speeds still differ.
-    assert _period_jitter(path, jittered + turned, speed, LENGTH) == pytest.approx(0.03, rel=0.4)
+    assert _period_jitter(path, jittered + shift, speed, LENGTH) == pytest.approx(0.03, rel=0.4)
 
 
 @pytest.mark.parametrize("varied", [0.0, 0.1])

@@ -53,17 +53,6 @@ def test_a_target_of_its_own_is_learned_and_reported_in_its_unit() -> None:
     assert line.validation_mae == pytest.approx(10 * error, rel=1e-5)
 
 
-def test_the_best_epoch_is_kept_and_patience_ends_the_training() -> None:
-    network, windows = untrained(), white()
-    config = TrainConfig(epochs=60, patience=3, batch=64, schedule="constant", threads=1)
-    progress = fit_windows(network, windows, config, Monitor())
-    best = min(progress.epochs, key=lambda line: line.validation_loss)
-    assert progress.best is best
-    assert progress.epochs[-1].epoch == best.epoch + 3  # white noise: only overfitting is left
-    error = np.abs(windows.samples[windows.validation, 0] - predict(network, windows, windows.validation)).mean()
-    assert error == pytest.approx(best.validation_mae, rel=1e-5)
-
-
 def test_two_threads_learn_what_one_does_and_give_the_same_network_twice() -> None:
     """Without dropout, of which each share draws its own, they differ by the rounding of another sum."""
     losses = []
