@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import torch
 from torch import Tensor
+from torch.nn import TransformerEncoderLayer
 from torch.nn.functional import layer_norm, linear
 
 from conftest import SMALL, untrained
@@ -40,31 +41,22 @@ class Equations:
     def affine(self, name: str, x: Tensor) -> Tensor:
         return linear(x, self.w[f"{name}.weight"], self.w[f"{name}.bias"])
 
-    def norm(self, name: str, x: Tensor) -> Tensor:
-        weight = self.w[f"{name}.weight"]
-        return layer_norm(x, weight.shape, weight, self.w[f"{name}.bias"], 1e-5)
-
-    def attention(self, name: str, x: Tensor) -> Tensor:
-        """Eq. 3 to 5, one head after the other."""
-        width = x.shape[-1]
-        n_heads = self.sizes.n_heads if width % self.sizes.n_heads == 0 else 1
-        query, key, value = self.affine(f"{name}.attention_in", x).split(width, dim=-1)
-        heads = []
-        for head in range(n_heads):
-            part = slice(head * width // n_heads, (head + 1) * width // n_heads)
-            scores = query[..., part] @ key[..., part].transpose(1, 2) / math.sqrt(width // n_heads)
-            heads.append(torch.softmax(scores, dim=-1) @ value[..., part])
-        return self.affine(f"{name}.attention_out", torch.cat(heads, dim=-1))
-
     def layer(self, name: str, x: Tensor) -> Tensor:
-        def feedforward(x: Tensor) -> Tensor:
-            return self.affine(f"{name}.feedforward_out", torch.relu(self.affine(f"{name}.feedforward_in", x)))
-
-        if self.sizes.pre_norm:
-            x = x + self.attention(name, self.norm(f"{name}.norm_1", x))
-            return x + feedforward(self.norm(f"{name}.norm_2", x))
-        x = self.norm(f"{name}.norm_1", x + self.attention(name, x))
-        return self.norm(f"{name}.norm_2", x + feedforward(x))
+        """Eq. 3 to 5, by PyTorch's own layer."""
+        sizes, width = self.sizes, x.shape[-1]
+        n_heads = sizes.n_heads if width % sizes.n_heads == 0 else 1
+        options = {"dropout": 0.0, "batch_first": True, "norm_first": sizes.pre_norm, "dtype": torch.float64}
+        layer = TransformerEncoderLayer(width, n_heads, sizes.d_feedforward, **options)
+        names = {"self_attn.in_proj_": "attention_in.", "self_attn.out_proj.": "attention_out."}
+        names |= {
+            "linear1.": "feedforward_in.",
+            "linear2.": "feedforward_out.",
+            "norm1.": "norm_1.",
+            "norm2.": "norm_2.",
+        }
+        parts = [(theirs + part, ours + part) for theirs, ours in names.items() for part in ("weight", "bias")]
+        layer.load_state_dict({theirs: self.w[f"{name}.{ours}"] for theirs, ours in parts})
+        return layer(x).detach()
 
     def temporal(self, a: Tensor) -> Tensor:
         m, d = a.shape[1], self.sizes.d_model
@@ -76,7 +68,9 @@ class Equations:
         x = self.affine("temporal.embedding", a[..., None]) + positions
         for i in range(self.sizes.n_layers):
             x = self.layer(f"temporal.layers.{i}", x)
-        return self.norm("temporal.norm", x) if self.sizes.pre_norm else x
+        if not self.sizes.pre_norm:
+            return x
+        return layer_norm(x, x.shape[-1:], self.w["temporal.norm.weight"], self.w["temporal.norm.bias"], 1e-5)
 
     def encode(self, name: str, tokens: Tensor) -> Tensor:
         if self.sizes.spectral_width > 1:

@@ -146,19 +146,6 @@ def test_the_states_energy_is_a_lyapunov_function_for_all_reflections() -> None:
         energy = after
 
 
-def test_a_state_left_alone_is_forgotten_whatever_the_reflections_are() -> None:
-    """Nearly undamped, constant or switched at every sample: down by e in 3333 samples, as documented."""
-    rng = np.random.default_rng(4)
-    states = rng.uniform(-50, 50, (4, 16))
-    at_first = np.square(states).sum(axis=0)
-    k = rng.choice([-lattice.MAX_REFLECTION, lattice.MAX_REFLECTION], (4, 16))
-    for _ in range(3334):
-        k[:, 8:] = rng.permutation(k[:, 8:], axis=1)
-        x, _ = predict(states, k)
-        states, _ = push(states, k, x)
-    assert (np.square(states).sum(axis=0) < at_first * np.exp(-2) * 1.001).all()  # rounding of push
-
-
 def test_a_schedule_is_bilinear_between_its_vertices_and_constant_outside() -> None:
     schedule = SpeedForceTable(
         np.array([10.0, 20.0]), np.log(np.array([0.55, 1.05])), np.array([[0.1], [0.3], [0.5], [0.9]])
