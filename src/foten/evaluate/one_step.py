@@ -60,7 +60,8 @@ def excitation_scores(
     """How well the random part, a network's distribution or an excitation's scale, describes the one-step error.
 
     Calibrating an excitation's level in the closed loop (`training.calibration`) trades likelihood for level. The error is that
-    of the prediction which a rendering uses, with the network or without. It is not known where a rendering has tones (`dsp.tones`).
+    of the prediction which a rendering uses, with the network or without. It is not known where a rendering has tones
+    (`dsp.tones`).
     Of two networks the distribution is that of the one which predicts.
 
     Args:
