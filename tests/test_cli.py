@@ -8,6 +8,7 @@ import errno
 import json
 import pickle
 import re
+from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,7 @@ import pytest
 from rich.text import Text
 from typer.main import get_command
 
+from foten.atomic_write import atomic_write
 from foten.cli.command_line import _status, app
 from foten.cli.evaluate import network_summary
 from foten.models.texture_file import read_texture, write_texture
@@ -150,17 +152,19 @@ def test_ctrl_c_keeps_the_best_and_resume_goes_on(
 def test_ctrl_c_after_the_last_epoch_is_one_too_and_says_how_to_go_on(
     recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """While the network is trained on its own output, here in name only: the blocks are too short for it."""
-    from foten.models.foten_plus.closed_loop_training import ClosedLoopResult
-    from foten.models.foten_plus.fit import FotenPlusTask
+    """While the network is trained in its closed loop, here in name only: the blocks are too short for it."""
+    from foten.models.foten_plus import fit
 
-    monkeypatch.setattr("foten.models.foten_plus.fit.MIN_GAIN_NAT", -1e3)
-    monkeypatch.setattr(FotenPlusTask, "_on_own_output", lambda *_: ClosedLoopResult(1.0, 1.0, interrupted=True))
+    def interrupted(_network: object, drawing: fit.FittedNetwork, *_: object) -> None:
+        drawing.progress.interrupted = True
+
+    monkeypatch.setattr(fit, "MIN_GAIN_NAT", -1e3)
+    monkeypatch.setattr(fit, "_train_in_closed_loop", interrupted)
     out = tmp_path / "o.foten"
     command = ["train", str(recording), "-o", str(out), *FAST, *TINY]
     assert _status(command) == 130
     assert "next: the same command with --resume" in capsys.readouterr().out
-    monkeypatch.setattr(FotenPlusTask, "_on_own_output", lambda *_: ClosedLoopResult(1.0, 1.0))
+    monkeypatch.setattr(fit, "_train_in_closed_loop", lambda *_: None)
     assert _status([*command, "--resume"]) == 0
     assert "next: foten evaluate" in capsys.readouterr().out
 
@@ -202,17 +206,19 @@ def test_a_disk_that_fills_up_while_training_costs_no_more_than_the_run_folder(
     recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """From the first checkpoint on nothing can be written into the run folder: a line each for checkpoint, log and the rest."""
-    from foten.training import loop as epochs
+    from foten.training import loop
     from foten.training import run_folder as run
 
     def full(path: Path, *_: object) -> None:
         raise OSError(errno.ENOSPC, "No space left on device", str(path))
 
-    def save(path: Path, *_: object) -> None:
-        monkeypatch.setattr(run, "write_log", full)
-        full(path)
+    def write(path: Path) -> AbstractContextManager[Path]:
+        if path.name == "checkpoint.pt":
+            monkeypatch.setattr(run, "write_log", full)
+            full(path)
+        return atomic_write(path)
 
-    monkeypatch.setattr(epochs, "save_progress", save)
+    monkeypatch.setattr(loop, "atomic_write", write)
     out, folder = tmp_path / "d.foten", tmp_path / "d.run"
     capsys.readouterr()
     assert _status(["train", str(recording), "-o", str(out), *FAST, *TINY, "--epochs", "3"]) == 0

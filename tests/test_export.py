@@ -6,14 +6,16 @@ import numpy as np
 import pytest
 
 from conftest import CARD, SCALING, SMALL, sizes_with, untrained, untrained_tensors
-from foten.models.texture_file import CLOSED_LOOP_TOLERANCE, MIN_GOLDEN, ONE_STEP_TOLERANCE, Texture
+from foten.models.definitions import model_of
+from foten.models.model_sizes import ModelSizes
+from foten.models.texture_file import CLOSED_LOOP_TOLERANCE, ONE_STEP_TOLERANCE, Texture
 from foten.recording.split import Split
 from foten.recording.trace import Trace
 from foten.recording.windows import windows
 from foten.runtime.loops import run_loops
 from foten.runtime.native import NativeTexture
 from foten.training.blocks import ScaledBlocks, scaled_blocks
-from foten.training.texture_builder import TextureBuilder, pick_warm_start, proved
+from foten.training.texture_builder import N_GOLDEN, TextureBuilder, pick_warm_start, proved
 
 
 @pytest.fixture(scope="module")
@@ -70,7 +72,7 @@ def test_a_draft_goes_on_from_its_warm_start_and_is_proved_on_validation_windows
     assert texture.card["warm_start"] == condition
     np.testing.assert_allclose(texture.tensors["warm_start"], window, rtol=1e-6)
     golden = texture.tensors["golden.windows"]
-    assert len(golden) == MIN_GOLDEN
+    assert len(golden) == N_GOLDEN
     validation = windows(blocks.flat, blocks.targets(sizes.window)[1], sizes.window)
     for one in golden[:-2]:
         assert np.abs(validation - one).max(axis=(1, 2)).min() < 1e-6
@@ -84,27 +86,23 @@ def test_a_draft_goes_on_from_its_warm_start_and_is_proved_on_validation_windows
     np.testing.assert_allclose(rendered[0], texture.tensors["golden.closed_loop"], atol=1e-4)
 
 
-def test_what_the_kernel_does_not_reproduce_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_the_kernel_does_not_reproduce_is_refused() -> None:
     """A reference that is wrong by a thousandth of a standard deviation, ten times what a file may be off."""
-    from foten.training import texture_builder as export
-
     sizes, rng = sizes_with("foten", SMALL), np.random.default_rng(0)
     tensors = untrained_tensors("foten", sizes, untrained("foten", sizes))
-    reference = export.model_of
 
     class Wrong:
-        def __init__(self, *given: object) -> None:
-            self._model = reference(*given)  # type: ignore[arg-type]
+        def __init__(self, sizes: ModelSizes, tensors: dict[str, np.ndarray]) -> None:
+            self._model = model_of(sizes, tensors)
             self.start = self._model.start
 
-        def predict(self, some: np.ndarray) -> np.ndarray:
-            return self._model.predict(some) + 1e-3
+        def predict(self, windows: np.ndarray) -> np.ndarray:
+            return self._model.predict(windows) + 1e-3
 
     golden = rng.standard_normal((8, sizes.window, 3))
     proved("foten", sizes, tensors, SCALING, golden, golden[0], CARD)
-    monkeypatch.setattr(export, "model_of", Wrong)
     with pytest.raises(ValueError, match=r"golden|proof|reproduce"):
-        proved("foten", sizes, tensors, SCALING, golden, golden[0], CARD)
+        proved("foten", sizes, tensors, SCALING, golden, golden[0], CARD, definition=Wrong)
 
 
 def test_a_chaotic_loop_is_held_to_as_much_as_it_amplifies() -> None:

@@ -172,7 +172,7 @@ def test_without_excitation_there_is_one_run(texture: Texture, plain_texture: Te
 
 def test_the_first_free_sample_is_the_one_step_prediction() -> None:
     """Where σ is 1, as it is before the level is settled."""
-    unscaled = ("excitation.out.weight", "excitation.out.bias", "excitation.power_law.weight")
+    unscaled = ("excitation.out.weight", "excitation.out.bias", "excitation.exponents")
     sizes = FotenPlusSizes(**PLUS, order=6)
     shapes = sizes.tensor_shapes()
     texture = exported("foten-plus", sizes, {name: np.zeros(shapes[name]) for name in unscaled})

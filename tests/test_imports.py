@@ -28,8 +28,9 @@ def table() -> dict[str, set[str] | None]:
     _, rows, _ = re.split(r"<!-- /?imports -->\n", DOCUMENT.read_text(encoding="utf-8"))
     cells = [[cell.strip() for cell in row.strip("|").split("|")] for row in rows.splitlines()[2:]]
     return {
-        package.strip("`"): None if names == "everything" else {name.strip(" `") for name in names.split(",") if name}
-        for package, names in cells
+        package.strip(" `"): None if names == "everything" else {name.strip(" `") for name in names.split(",") if name}
+        for packages, names in cells
+        for package in packages.split(",")
     }
 
 

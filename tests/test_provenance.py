@@ -63,11 +63,17 @@ def test_what_is_imported_at_once_counts_whoever_it_belongs_to(root: Path) -> No
 def test_a_run_depends_on_its_measures_and_not_on_others() -> None:
     sources = sources_of("foten", ())
     assert {"foten", "foten.experiments.run", "foten.models.foten.network", "foten.dsp.filters"} <= set(sources)
-    assert [name.partition(".")[0] for name in sources if name.startswith(KERNEL)] == ["kernel/libfoten"]
-    others = {"foten.experiments.stability", "foten.experiments.innovations", "foten.evaluate.listener_network"}
+    assert [name.partition(".")[0] for name in sources if name.startswith(KERNEL)] == [
+        "kernel/libfoten",
+        "kernel/libfoten_training",
+    ]
+    others = {"foten.experiments.stability", "foten.evaluate.listener_network"}
     others |= {"foten.experiments.sweep", "foten.experiments.tables", "foten.reporting.table", "foten.study.store"}
     assert not others & set(sources)
-    assert set(sources_of("foten", ("stability",))) - set(sources) == {"foten.experiments.stability"}
+    assert set(sources_of("foten", ("stability",))) - set(sources) == {
+        "foten.baselines.graph_model",
+        "foten.experiments.stability",
+    }
     assert "foten.evaluate.listener_network" in sources_of("foten", ("listener",))
     for model in TRAINABLE:
         assert "foten.evaluate.listener_network" not in sources_of(model, ())
@@ -75,7 +81,7 @@ def test_a_run_depends_on_its_measures_and_not_on_others() -> None:
 
 def test_a_run_reads_no_file_of_the_package_but_sources_and_the_kernel() -> None:
     """A module that names a file beside it would be one more dependency; this one lists experiments."""
-    sources = sources_of("foten-plus", ("stability", "onset", "innovations", "listener"))
+    sources = sources_of("foten-plus", ("stability", "onset", "listener"))
     modules = closure((name for name in sources if not name.startswith(KERNEL)), ROOT)
     reading = {name for name, path in modules.items() if "__file__" in path.read_text(encoding="utf-8")}
     assert reading == {"foten.experiments.experiment"}

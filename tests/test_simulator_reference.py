@@ -116,7 +116,7 @@ def test_what_is_chosen_by_is_another_hand_and_another_place_than_what_is_report
 def test_the_area_of_a_linear_process_is_near_chance_and_of_a_louder_one_certainty() -> None:
     """Of 60 s the area scatters by 0.07, as in `test_listener`; twice as loud is plain."""
     recording = simulate("linear-cloth", 30, seed=1)
-    config = recipe_of("foten-plus", threads=1, epochs=0, volatility=False, tails=False)
+    config = recipe_of("foten-plus", threads=1, epochs=0)
     texture = train(TrainingJob(recording, "foten-plus", trainable_sizes("foten-plus", {}), config)).texture
     assert validation_listener(texture, recording)["area"] < 0.75
     scaling = texture.card["scaling"]["sd"]

@@ -18,12 +18,10 @@ static void expect_finite(const float *samples, size_t n) {
 }
 
 /* Of a network that is run elsewhere: now and then what is no number. */
-static void answer(void *user, const float *window, float *next, int n_next) {
+static float answer(void *user, const float *window) {
     (void)user;
-    for (int i = 0; i < n_next; i++) {
-        float x = 0.9f * window[0] + 0.1f * window[1] - 0.01f * (float)i;
-        next[i] = x > 0.5f && x < 0.51f ? NAN : x;
-    }
+    float x = 0.9f * window[0] + 0.1f * window[1];
+    return x > 0.5f && x < 0.51f ? NAN : x;
 }
 
 int LLVMFuzzerTestOneInput(const uint8_t *data, size_t n) {
