@@ -1,280 +1,220 @@
-"""What training takes from a model's own closed loop: on recordings that the model itself made, the answer is known."""
+"""Training in the closed loop: roll-outs are the definition's, the averaged network is validated, on validation blocks alone."""
 
 from __future__ import annotations
 
-import dataclasses
-import math
+import copy
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import pytest
 import torch
-from foten.training.scale import Excitation
-from scipy.signal import lfilter
 
-from conftest import CARD, PLUS, SCALING, untrained, untrained_tensors
-from foten.dsp.lattice import polynomial
-from foten.dsp.noise import gaussian
+from conftest import PLUS, perturbed
+from foten.dsp.lattice import analyse
+from foten.dsp.tones import tone
 from foten.models.definitions import model_of
-from foten.models.foten_plus.linear_model import LinearModel
+from foten.models.excitation import Excitation
+from foten.models.foten_plus import closed_loop_training
+from foten.models.foten_plus.closed_loop_training import Excerpts, excerpts_of, fit_closed_loop
+from foten.models.foten_plus.definition import Tones
+from foten.models.foten_plus.likelihood import innovations_of
+from foten.models.foten_plus.linear_model import LinearModel, fit_level, fit_linear_model, fit_tonal_model
+from foten.models.foten_plus.network import InnovationNetwork
 from foten.models.foten_plus.sizes import FotenPlusSizes
-from foten.models.stream import run
-from foten.recording.split import Split
-from foten.recording.trace import Trace
-from foten.runtime.loops import run_loops
-from foten.runtime.native import NativeTexture
-from foten.training import calibration as closed_loop
+from foten.recording.preprocess import PreprocessConfig
+from foten.simulation.simulate import simulate
 from foten.training.blocks import ScaledBlocks
-from foten.training.calibration import (
-    N_RUNS,
-    ClosedLoop,
-    _filtered,
-    _jackknifed,
-    _lasts_s,
-    _level_variance,
-    calibrate_level,
-    calibrate_network_gain,
-    distance,
-    fit_volatility,
-)
 from foten.training.config import TrainConfig
-from foten.training.texture_builder import Tensors, proved, tensors_of
+from foten.training.job import TrainingJob
+from foten.training.loop import Monitor, Progress
+from foten.training.scale_fit import constant_scale
+from foten.training.tensors import tensors_of
+from test_likelihood import captured_loop
 
-BLOCK, N_BLOCKS = 1000, 24
-
-
-def model(before: bool = False) -> tuple[FotenPlusSizes, Tensors]:
-    """Return a lattice that rings at 120 Hz, its gain before or after the filter, with an excitation that is Gaussian."""
-    sizes = FotenPlusSizes(**PLUS, order=2, network_in_loop=False, gain_before_filter=before)
-    tensors = untrained_tensors("foten-plus", sizes, untrained("foten-plus", sizes))
-    tensors["excitation.volatility"] = np.zeros(2, dtype=np.float32)
-    return sizes, tensors
+CONFIG = TrainConfig(epochs=2, threads=1, batch=8, max_order=20, table=False)
+LIMIT, WARM_UP = 5.0, 12
 
 
-def excitation_of(tensors: Tensors) -> Excitation:
-    excitation = Excitation(len(tensors["excitation.hidden.bias"])).requires_grad_(False)
-    state = {name: torch.from_numpy(tensors[f"excitation.{name}"]).clone() for name in excitation.state_dict()}
-    excitation.load_state_dict(state)
-    return excitation
+@dataclass(frozen=True)
+class Surface:
+    """A surface fitted but for its network, which is as if trained."""
+
+    blocks: ScaledBlocks
+    model: LinearModel
+    network: InnovationNetwork
+
+    def excerpts(self, n: int) -> Excerpts:
+        data = innovations_of(self.model, self.blocks, 22, residual=True)
+        return Excerpts(self.blocks, self.model, data, n, LIMIT)
 
 
-def loop_of(before: bool = False, louder: float = 1.0) -> tuple[ClosedLoop, Excitation]:
-    """Return a loop whose recording is one long free run of the model with the returned excitation, or louder by a factor."""
-    sizes, tensors = model(before)
-    rng, m = np.random.default_rng(7), sizes.history
-
-    def kernel(excitation: Excitation) -> NativeTexture:
-        given = {**tensors, **tensors_of(excitation, "excitation.")}
-        golden = np.random.default_rng(1).standard_normal((6, m, 3))
-        return proved("foten-plus", sizes, given, SCALING, golden, 0.1 * golden[0], CARD).kernel
-
-    excitation = excitation_of(tensors)
-    n, t = N_BLOCKS * BLOCK, np.arange(N_BLOCKS * BLOCK) / 1000
-    speed, force = 100 * 2.0 ** np.sin(1.1 * t), 1.0 * 1.6 ** np.sin(1.7 * t)
-    stacked = SCALING.scale(np.stack([np.zeros(n), speed, force], axis=1))
-    condition = np.concatenate([stacked[:, 1:], speed[:, None]], axis=1)
-    noise = rng.standard_normal((1, n))
-    stacked[:, 0] = louder * run_loops(kernel(excitation), np.zeros((1, m, 3)), condition[None], noise)[0]
-    trace = Trace(SCALING.unscale_acceleration(stacked[:, 0]), speed, force, 1000.0, BLOCK)
-    split = Split(tuple(range(16)), tuple(range(16, 20)), tuple(range(20, 24)), 24, BLOCK, "contiguous", 0)
-    blocks = ScaledBlocks(trace, split, SCALING, stacked.reshape(N_BLOCKS, BLOCK, 3))
-    part = LinearModel(sizes, tensors, None, {})
-    return ClosedLoop(blocks, m, kernel, part.power, part.response(BLOCK - m)), excitation
+@pytest.fixture(scope="module", params=["artificial-grass", "steel-mesh-1"])
+def surface(request: pytest.FixtureRequest) -> Surface:
+    """One without tones, and one with them."""
+    sizes, preprocess = FotenPlusSizes(**PLUS), PreprocessConfig(trim_ms=0, block_ms=1000)
+    blocks = TrainingJob(simulate(request.param, 9.0), "foten-plus", sizes, CONFIG, preprocess).blocks()
+    level = fit_level(blocks.flat[:, 0], sizes, blocks, CONFIG)
+    linear = fit_linear_model(level, sizes, blocks, CONFIG)
+    model = fit_tonal_model(linear, level, blocks, CONFIG) or linear
+    assert (model.phase is None) == (request.param == "artificial-grass")
+    torch.manual_seed(0)
+    return Surface(blocks, model, perturbed(InnovationNetwork(model.sizes, model.sizes.n_rendering_inputs)))
 
 
-def test_free_runs_are_those_of_the_reference() -> None:
-    """Oracle: the model in NumPy, under the same noise; float64 against float64 but for the lattice's float32 tensors."""
-    loop, excitation = loop_of()
-    sizes, tensors = model()
-    recorded, rendered = loop.free_runs(excitation, (3, 17), 5, 40, 2)
-    assert recorded.shape == (2, BLOCK - loop.settled)
-    assert rendered.shape == (2, 2, BLOCK - loop.settled)
-    np.testing.assert_array_equal(recorded, loop.blocks.samples[[3, 17], loop.settled :, 0])
-    reference, m = model_of(sizes, tensors), loop.history
-    for which, (stream, number) in enumerate([(40, 3), (41, 17), (42, 3), (43, 17)]):
-        start = reference.start(loop.blocks.samples[[number], :m])
-        condition = loop.blocks.path_conditions()[[number], m:]
-        expected = run(start, condition, gaussian(5, stream, 0, BLOCK - m)[None])[0, loop.settled - m :]
-        np.testing.assert_allclose(rendered[which // 2, which % 2], expected, atol=1e-9)
+without_tones = pytest.mark.parametrize("surface", ["artificial-grass"], indirect=True)
 
 
-@pytest.mark.parametrize("before", [False, True])
-def test_a_level_is_settled_in_the_closed_loop(before: bool) -> None:
-    """An excitation twice too strong is 6 dB too loud, since the lattice is linear; two adjustments later it is not."""
-    loop, excitation = loop_of(before)
-    true = float(excitation.out.bias)
-    chance = calibrate_level(loop, excitation_of(model(before)[1]), 0)[0]
-    excitation.out.bias += math.log(2)
-    errors = calibrate_level(loop, excitation, 0)
-    assert errors[0] - chance == pytest.approx(6.02, abs=0.05)
-    # What is left is less than twenty seconds tell: half a dB.
-    assert abs(errors[-1]) < 0.5
-    assert 20 / math.log(10) * (float(excitation.out.bias) - true) == pytest.approx(0.0, abs=0.5)
+@pytest.fixture(autouse=True)
+def brief(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A few steps of a few excerpts, validated by one draw of them."""
+    for name, value in {"N_STEPS": 3, "N_EXCERPTS": 6, "N_KNOWN": 40, "N_VALIDATIONS": 1}.items():
+        monkeypatch.setattr(closed_loop_training, name, value)
 
 
-def test_a_slope_over_speed_is_settled_too() -> None:
-    """σ that does not follow speed where the recording's does: most of the slope comes back, and the level is right."""
-    loop, excitation = loop_of()
-    true = excitation.power_law.weight[0, 0].item()
-    excitation.power_law.weight[0, 0] = 0.0
-    before = distance(loop, excitation, 0)[1]
-    calibrate_level(loop, excitation, 0)
-    assert excitation.power_law.weight[0, 0].item() == pytest.approx(true, abs=0.25)
-    assert distance(loop, excitation, 0)[1] < before - 0.5
+def definition_of(surface: Surface) -> Any:
+    """The model in NumPy, σ = 1, its network warmed up as an excerpt's is."""
+    model, network = surface.model, surface.network
+    excitation = Excitation(constant_scale(model.sizes.excitation_width, surface.blocks.scaling), (LIMIT, 1e6))
+    torch.manual_seed(0)
+    weights = tensors_of(InnovationNetwork(model.sizes), "network.") | tensors_of(network, "rendering_network.")
+    sizes = replace(model.sizes, network_in_loop=True, window=closed_loop_training.WARM_UP)
+    return model_of(sizes, {**model.tensors, **weights, **excitation.tensors()})
 
 
-def test_the_scale_stays_within_that_of_the_trained_range() -> None:
-    loop, excitation = loop_of()
-    calibrate_level(loop, excitation, 0)
-    n, _ = loop.blocks.targets(loop.history)
-    within = torch.from_numpy(loop.blocks.flat[n - 1, 1:]).float()
-    with torch.no_grad():
-        free = excitation.highest.clone()
-        excitation.highest.fill_(1e6)
-        assert float(free) == pytest.approx(float(torch.quantile(excitation(within), 0.97)), rel=1e-5)
+def start_on_path(stream: Any, definition: Any, of: Excerpts, block: np.ndarray, start: np.ndarray) -> None:
+    """Give a stream the phase that is known of a recording, where the definition finds one of its own."""
+    assert of.model.phase is not None
+    phase = of.model.phase[block, start]
+    stream.begin_path(definition.tones, phase, phase)
+    rows, at = block[:, None], start[:, None] + np.arange(-definition.sizes.history, 0)
+    before = of.blocks.path_conditions()[rows, at - 1].reshape(-1, 3)
+    lattice, tones = of.model.excited_lattice, Tones(of.model.tensors, of.model.level)
+    played = tone(tones.coefficients(before).reshape(*at.shape, -1), of.model.phase[rows, at])
+    _, after = lattice.gains(lattice.level(before[:, :2]).reshape(at.shape))
+    reflections = lattice.reflections(before[:, :2]).T.reshape(*at.shape, -1)
+    stream.states = analyse((of.blocks.samples[rows, at, 0] - played) / after, reflections)[2]
+    inputs = of.data.inputs[rows, start[:, None] + np.arange(-closed_loop_training.WARM_UP, 0)]
+    stream.hidden_state = np.zeros_like(stream.hidden_state)
+    for i in range(inputs.shape[1]):
+        stream.hidden_state = stream.network.push(stream.hidden_state, inputs[:, i])
+    stream.inputs = inputs[:, -1]
 
 
-@pytest.mark.parametrize("settled", [False, True])
-def test_a_network_s_innovations_are_bounded_by_no_more_than_they_need(settled: bool) -> None:
-    """σ of a network that settled its own level had a limit of 10⁶, and so had the bound that is proven of its file."""
-    loop, _ = loop_of()
-    fitted = calibrate_network_gain(16, [5.0, 3.0], loop, TrainConfig(), None, settled).excitation
-    n, _ = loop.blocks.targets(loop.history)
-    with torch.no_grad():
-        sigma = fitted(torch.from_numpy(loop.blocks.flat[n - 1, 1:]).float())
-    assert float(fitted.highest) < 1.5 * float(sigma.max())
-    assert not settled or set(sigma.tolist()) == {1.0}
+def test_a_roll_out_is_the_definitions_closed_loop(surface: Surface) -> None:
+    """Its samples, taken in by the definition after the same recorded window, are worth the innovations that were drawn.
+
+    And with tones their phase is the definition's. To what float32 leaves of 60 steps.
+    """
+    of, definition = surface.excerpts(60), definition_of(surface)
+    block, start = of.draw(surface.blocks.split.train, 4, np.random.default_rng(1))
+    run, vibration = of.rollout(surface.network, block, start, np.random.default_rng(2))
+    rows = block[:, None]
+    stream = definition.start(surface.blocks.samples[rows, start[:, None] + np.arange(-definition.sizes.history, 0)])
+    if surface.model.phase is not None:
+        start_on_path(stream, definition, of, block, start)
+    conditions = surface.blocks.path_conditions()[rows, start[:, None] + np.arange(60)]
+    for i in range(60):
+        if surface.model.phase is not None:
+            np.testing.assert_allclose(stream.phase, run.phase[:, i], atol=1e-4)
+        mixture = stream.network.mixture(stream.hidden_state, stream.inputs)
+        innovation = copy.deepcopy(stream).analyse(vibration[:, i] - stream.tone)
+        np.testing.assert_allclose(innovation, run.innovation[i], atol=2e-4)
+        assert (np.abs(innovation - mixture.expected()) < 12 * mixture.sd()).all()
+        stream.push(vibration[:, i], conditions[:, i], None)
 
 
-def test_a_free_run_is_as_far_as_it_is_too_loud() -> None:
-    near, louder = (distance(*loop_of(louder=factor), seed=0) for factor in (1.0, 2.0))
-    # Of what the model itself made: chance alone. In a frame of 40 ms a resonance 16 Hz wide is known to 3 dB.
-    assert near[0] < 3.0
-    assert near[1] < 3.5
-    assert louder[1] == pytest.approx(6.02, abs=0.7)
-    assert louder[0] > near[0] + 2
+def fitted(
+    surface: Surface, rate: float, patch: pytest.MonkeyPatch, config: TrainConfig = CONFIG, **monitored: Any
+) -> tuple[InnovationNetwork, Progress]:
+    """A copy of the surface's network, trained, and how that went."""
+    patch.setitem(closed_loop_training.RECIPE, "learning_rate", rate)
+    network = copy.deepcopy(surface.network)
+    return network, fit_closed_loop(network, surface.excerpts(320), WARM_UP, config, Monitor(**monitored))
 
 
-def test_volatility_is_given_to_a_recording_that_is_spikier_than_its_free_run() -> None:
-    """The same blocks, and the same with a quarter of each eight times louder: kurtosis 3 and about 12."""
-    loop, excitation = loop_of()
-    given = []
-    for louder in (0.0, 0.25):
-        samples = loop.blocks.samples.copy()
-        samples[:, BLOCK - round(louder * BLOCK) :, 0] *= 8
-        blocks = dataclasses.replace(loop.blocks, samples=samples)
-        fit_volatility(dataclasses.replace(loop, blocks=blocks), excitation, 0)
-        given.append(excitation.volatility.numpy().copy())
-        excitation.volatility.zero_()
-    assert given[0][1] < 0.15
-    assert given[1][1] > 0.3
+def equal(network: torch.nn.Module, other: torch.nn.Module) -> bool:
+    return all(map(torch.equal, network.parameters(), other.parameters()))
 
 
-@pytest.mark.parametrize(
-    ("spikier", "varied", "sd"),
-    [
-        (0.4, (1.0, 0.0), 0.5 * math.sqrt(0.4 * 0.75)),
-        (0.15, (1.0, 0.0), 0.0),
-        (-0.3, (1.0, 0.0), 0.0),
-        (0.4, (0.03, 0.0), 0.2),
-        (0.4, (0.04, 0.02), 0.2),
-        (0.4, (0.01, 0.0), 0.0),
-        (0.4, (-0.02, 0.01), 0.0),
-        (9.0, (9.0, 0.0), 0.6),
-    ],
-)
-def test_volatility_is_as_large_as_what_is_beyond_chance(
-    monkeypatch: pytest.MonkeyPatch, spikier: float, varied: tuple[float, float], sd: float
+def test_what_does_not_gain_is_left_as_it_was(surface: Surface, monkeypatch: pytest.MonkeyPatch) -> None:
+    worse, progress = fitted(surface, 30.0, monkeypatch)  # which leaves the network anywhere
+    assert progress.best.epoch == 0
+    assert progress.best_loss == progress.epochs[0].validation_loss
+    assert equal(worse, surface.network)
+    better, progress = fitted(surface, 2e-2, monkeypatch)  # of a network that nobody trained
+    assert progress.best_loss < progress.epochs[0].validation_loss
+    assert not equal(better, surface.network)
+    assert equal(better, fitted(surface, 2e-2, monkeypatch)[0])
+
+
+@without_tones
+def test_the_averaged_network_is_what_is_validated(surface: Surface, monkeypatch: pytest.MonkeyPatch) -> None:
+    networks: list[InnovationNetwork] = []
+
+    def fit() -> Progress:
+        network, progress = fitted(surface, 2e-2, monkeypatch)
+        networks.append(network)
+        return progress
+
+    loop, progress = captured_loop(monkeypatch, "closed_loop_training", fit)
+    assert loop.averaging > 0
+    assert progress.best.epoch > 0
+    assert loop.validate(networks[0])[0] == progress.best_loss
+    assert loop.validate(surface.network)[0] == progress.epochs[0].validation_loss
+
+
+@without_tones
+@pytest.mark.parametrize("part", ["test", "validation", "train"])
+def test_the_validation_blocks_have_a_say_and_the_test_blocks_none(
+    surface: Surface, monkeypatch: pytest.MonkeyPatch, part: str
 ) -> None:
-    """Known to within 0.2, a logarithm of 0.4 counts three quarters: 1 − (0.2/0.4)². Of varying levels 0.01 is the level's."""
-    monkeypatch.setattr(closed_loop, "_spikier", lambda recorded, rendered: (spikier, 0.2))
-    monkeypatch.setattr(closed_loop, "_level_variance", lambda *signals: varied)
-    monkeypatch.setattr(closed_loop, "_lasts_s", lambda *signals: 0.05)
-    shape = (len(KNOWN.known), BLOCK - 200)
-    runs = np.zeros(shape), np.zeros((N_RUNS, *shape))
-    monkeypatch.setattr(ClosedLoop, "free_runs", lambda *_: runs)
-    excitation = Excitation(2).requires_grad_(False)
-    fit_volatility(ClosedLoop(KNOWN, 3, None, None), excitation, 0)  # type: ignore[arg-type]
-    assert excitation.volatility.numpy() == pytest.approx([math.exp(-1 / 50), sd], rel=1e-6)
+    """Samples of one of the three are others: of training the first loss is another too, whose unit they give."""
+    network, progress = fitted(surface, 2e-2, monkeypatch)
+    samples = surface.blocks.samples.copy()
+    numbers = list(getattr(surface.blocks.split, part))
+    samples[numbers, :, 0] = 3 * np.random.default_rng(0).standard_normal(samples[numbers, :, 0].shape)
+    other = replace(surface, blocks=replace(surface.blocks, samples=samples))
+    changed, again = fitted(other, 2e-2, monkeypatch)
+    same_losses = [line.validation_loss for line in again.epochs] == [line.validation_loss for line in progress.epochs]
+    same_training = [line.train_loss for line in again.epochs[1:]] == [line.train_loss for line in progress.epochs[1:]]
+    assert same_losses == (part == "test")
+    assert same_training == (part != "train")
+    assert equal(changed, network) or part != "test"
 
 
-def still_blocks(n: int, block: int, known: tuple[int, ...]) -> ScaledBlocks:
-    """Return blocks under a steady hand, of which some may be looked at."""
-    trace = Trace(np.zeros(n * block), np.full(n * block, 50.0), np.full(n * block, 1.0), 1000.0, block)
-    others = tuple(k for k in range(n) if k not in known)
-    split = Split(known[:-1], known[-1:], others, n, block, "contiguous", 0)
-    return ScaledBlocks(trace, split, SCALING, np.zeros((n, block, 3)))
+@without_tones
+@pytest.mark.parametrize(("epochs", "n"), [(1, 1), (12, 8)])
+def test_a_short_training_is_short_in_its_closed_loop_too(
+    surface: Surface, monkeypatch: pytest.MonkeyPatch, epochs: int, n: int
+) -> None:
+    """And a long one has eight epochs at most, whether they gain or not, and none on probation."""
+    monkeypatch.setattr(closed_loop_training, "N_STEPS", 1)
+    stages: list[str] = []
+    config = replace(CONFIG, epochs=epochs, patience=1, probation=1)
+    _, progress = fitted(surface, 1e-9, monkeypatch, config, on_stage=stages.append)
+    assert [line.epoch for line in progress.epochs] == list(range(n + 1))
+    assert [stage.split(": ")[1] for stage in stages] == [f"{100 * line.epoch // n} %" for line in progress.epochs]
 
 
-KNOWN = still_blocks(4, BLOCK, (0, 1, 3))
+@without_tones
+def test_interrupted_what_is_best_so_far_is_kept(surface: Surface, monkeypatch: pytest.MonkeyPatch) -> None:
+    def on_stage(stage: str) -> None:
+        if "50 %" in stage:
+            raise KeyboardInterrupt
+
+    network, progress = fitted(surface, 2e-2, monkeypatch, on_stage=on_stage)
+    assert progress.interrupted
+    assert [line.epoch for line in progress.epochs] == [0, 1]
+    assert not equal(network, surface.network)
 
 
-@pytest.mark.parametrize("lasts", [0.005, 0.02, 0.1])
-def test_how_long_volatility_lasts_is_read_from_frames(lasts: float) -> None:
-    """White noise at 10 kHz whose log loudness is an exponentially correlated Gaussian of standard deviation 0.35."""
-    rng = np.random.default_rng(11)
-    rate, shape = 10_000.0, (20, 10_000)
-    kept = math.exp(-1 / (lasts * rate))
-    shocks = rng.standard_normal(shape) * math.sqrt(1 - kept * kept)
-    shocks[:, 0] /= math.sqrt(1 - kept * kept)
-    loudness = lfilter([1.0], [1.0, -kept], shocks, axis=1)
-    recorded = np.exp(0.35 * loudness) * rng.standard_normal(shape)
-    estimate = _lasts_s(recorded, rng.standard_normal(shape), rate)
-    assert lasts / 2 <= estimate <= 2 * lasts
-
-
-@pytest.mark.parametrize("sd", [0.0, 0.35])
-def test_levels_vary_by_the_volatility_alone(sd: float) -> None:
-    """Heavy-tailed noise under a hand that makes it ten times as loud; volatility of 100 ms; frames at rest do not count."""
-    rng = np.random.default_rng(3)
-    rate, shape, kept = 1000.0, (30, 2000), math.exp(-0.01)
-    hand = 10 ** np.sin(np.arange(shape[1]) / 100)
-    shocks = rng.standard_normal(shape) * math.sqrt(1 - kept * kept)
-    shocks[:, 0] /= math.sqrt(1 - kept * kept)
-    loudness = np.exp(sd * lfilter([1.0], [1.0, -kept], shocks, axis=1))
-    recorded = loudness * hand * rng.standard_t(4, shape)
-    recorded[:, :195] *= 50
-    moving = np.ones(shape, dtype=bool)
-    moving[:, :195] = False  # half of a frame
-    variance, doubt = _level_variance(recorded, hand * rng.standard_t(4, (5, *shape)), moving, rate)
-    # The mean over 10 of 100 ms leaves 0.967 of the variance.
-    assert abs(variance - 0.967 * sd**2) < 4 * doubt
-    assert doubt < 0.01
-
-
-def test_the_jackknife_of_a_mean_is_its_standard_error() -> None:
-    values = np.random.default_rng(0).standard_normal(30)
-    result = _jackknifed(np.stack([values, np.ones(30)]), np.divide)
-    assert result == pytest.approx((values.mean(), values.std(ddof=1) / math.sqrt(30)), rel=1e-9)
-
-
-def test_a_still_hand_or_one_in_the_air_does_not_count() -> None:
-    n = np.arange(4000).reshape(4, 1000)
-    speed, force = 5.0 + 0 * n, 0.1 + 0 * n
-    speed[1, 900:], force[3, 950:] = 4.9, 0.09
-    trace = Trace(np.zeros(4000), speed.ravel(), force.ravel(), 1000.0, 1000)
-    moving = dataclasses.replace(KNOWN, trace=trace).moving()
-    assert moving.shape == (4, 1000)
-    assert moving[[0, 2]].all()
-    assert list(np.flatnonzero(~moving[1])) == list(range(900, 1000))
-    assert list(np.flatnonzero(~moving[3])) == list(range(950, 1000))
-
-
-@pytest.mark.parametrize("before", [False, True])
-def test_power_that_enters_a_lattice_rings_on(before: bool) -> None:
-    """Oracle: the mean square of what a lattice makes of noise whose power jumps, over 4000 runs."""
-    k = np.array([-0.9, 0.95])
-    sizes = FotenPlusSizes(**PLUS, order=2, gain_before_filter=before)
-    response = LinearModel(sizes, {"lattice.reflections": k[None]}, None, {}).response(200)
-    power = np.concatenate([np.full(100, 4.0), np.full(100, 0.01)])
-    leaving = _filtered(power[None, :, None], response)[0, :, 0]
-    if not before:
-        np.testing.assert_array_equal(leaving, power)
-        return
-    noise = np.sqrt(power) * np.random.default_rng(0).standard_normal((4000, 200))
-    gain = math.sqrt((1 - k * k).prod())
-    expected = np.square(lfilter([gain], polynomial(k), noise, axis=1)).mean(axis=0)
-    # From the jump on, and once what came before the first sample, which `_filtered` holds, no longer rings. A mean over 4000 of
-    # squares that ring alike is known to √(2/4000) = 2.2 %; four standard errors.
-    np.testing.assert_allclose(leaving[90:], expected[90:], rtol=0.09)
-    assert leaving[105] > 100 * power[105]
-    assert leaving[0] == pytest.approx(4.0, rel=0.02)  # what is left of the answer after 200 samples
+@without_tones
+@pytest.mark.parametrize(("rate_hz", "block", "n"), [(1e3, 1000, 512), (1e3, 500, None), (1e4, 8000, None)])
+def test_blocks_too_short_or_too_fine_are_not_rolled_out(
+    surface: Surface, rate_hz: float, block: int, n: int | None
+) -> None:
+    of = surface.excerpts(0)
+    trace = replace(surface.blocks.trace, rate_hz=rate_hz, block=block)
+    excerpts = excerpts_of(replace(surface.blocks, trace=trace), of.model, of.data, LIMIT)
+    assert (None if excerpts is None else excerpts.n) == n

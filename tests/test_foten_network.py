@@ -7,14 +7,15 @@ import math
 import numpy as np
 import pytest
 import torch
-from foten.training.networks import build
 from torch import Tensor
+from torch.nn import TransformerEncoderLayer
 from torch.nn.functional import layer_norm, linear
 
 from conftest import SMALL, untrained
+from foten.baselines.networks import build
 from foten.models.foten.definition import Network
 from foten.models.foten.sizes import FotenSizes
-from foten.training.texture_builder import tensors_of
+from foten.training.tensors import tensors_of
 
 SIZES = {
     "paper": FotenSizes(),
@@ -40,31 +41,22 @@ class Equations:
     def affine(self, name: str, x: Tensor) -> Tensor:
         return linear(x, self.w[f"{name}.weight"], self.w[f"{name}.bias"])
 
-    def norm(self, name: str, x: Tensor) -> Tensor:
-        weight = self.w[f"{name}.weight"]
-        return layer_norm(x, weight.shape, weight, self.w[f"{name}.bias"], 1e-5)
-
-    def attention(self, name: str, x: Tensor) -> Tensor:
-        """Eq. 3 to 5, one head after the other."""
-        width = x.shape[-1]
-        n_heads = self.sizes.n_heads if width % self.sizes.n_heads == 0 else 1
-        query, key, value = self.affine(f"{name}.attention_in", x).split(width, dim=-1)
-        heads = []
-        for head in range(n_heads):
-            part = slice(head * width // n_heads, (head + 1) * width // n_heads)
-            scores = query[..., part] @ key[..., part].transpose(1, 2) / math.sqrt(width // n_heads)
-            heads.append(torch.softmax(scores, dim=-1) @ value[..., part])
-        return self.affine(f"{name}.attention_out", torch.cat(heads, dim=-1))
-
     def layer(self, name: str, x: Tensor) -> Tensor:
-        def feedforward(x: Tensor) -> Tensor:
-            return self.affine(f"{name}.feedforward_out", torch.relu(self.affine(f"{name}.feedforward_in", x)))
-
-        if self.sizes.pre_norm:
-            x = x + self.attention(name, self.norm(f"{name}.norm_1", x))
-            return x + feedforward(self.norm(f"{name}.norm_2", x))
-        x = self.norm(f"{name}.norm_1", x + self.attention(name, x))
-        return self.norm(f"{name}.norm_2", x + feedforward(x))
+        """Eq. 3 to 5, by PyTorch's own layer."""
+        sizes, width = self.sizes, x.shape[-1]
+        n_heads = sizes.n_heads if width % sizes.n_heads == 0 else 1
+        options = {"dropout": 0.0, "batch_first": True, "norm_first": sizes.pre_norm, "dtype": torch.float64}
+        layer = TransformerEncoderLayer(width, n_heads, sizes.d_feedforward, **options)
+        names = {"self_attn.in_proj_": "attention_in.", "self_attn.out_proj.": "attention_out."}
+        names |= {
+            "linear1.": "feedforward_in.",
+            "linear2.": "feedforward_out.",
+            "norm1.": "norm_1.",
+            "norm2.": "norm_2.",
+        }
+        parts = [(theirs + part, ours + part) for theirs, ours in names.items() for part in ("weight", "bias")]
+        layer.load_state_dict({theirs: self.w[f"{name}.{ours}"] for theirs, ours in parts})
+        return layer(x).detach()
 
     def temporal(self, a: Tensor) -> Tensor:
         m, d = a.shape[1], self.sizes.d_model
@@ -76,7 +68,9 @@ class Equations:
         x = self.affine("temporal.embedding", a[..., None]) + positions
         for i in range(self.sizes.n_layers):
             x = self.layer(f"temporal.layers.{i}", x)
-        return self.norm("temporal.norm", x) if self.sizes.pre_norm else x
+        if not self.sizes.pre_norm:
+            return x
+        return layer_norm(x, x.shape[-1:], self.w["temporal.norm.weight"], self.w["temporal.norm.bias"], 1e-5)
 
     def encode(self, name: str, tokens: Tensor) -> Tensor:
         if self.sizes.spectral_width > 1:
@@ -113,14 +107,14 @@ def test_the_pruned_network_is_the_papers(name: str) -> None:
     """Oracle: an unpruned network of the paper's equations, in float64; the reference in NumPy is beside it too."""
     sizes = SIZES[name]
     network = untrained("foten", sizes).double()
-    given = windows(sizes)
+    inputs = windows(sizes)
     with torch.no_grad():
-        predicted = network(given)
-    expected = Equations(network, sizes)(given)
+        predicted = network(inputs)
+    expected = Equations(network, sizes)(inputs)
     assert expected.std() > 1e-3  # or there would be nothing to compare
     # Rounding through six layers, and √(|Z|² + 1e-16), which is 5e-17/|Z| off.
     np.testing.assert_allclose(predicted, expected, atol=1e-10)
-    np.testing.assert_allclose(Network(sizes, tensors_of(network))(given.numpy()), expected, atol=1e-10)
+    np.testing.assert_allclose(Network(sizes, tensors_of(network))(inputs.numpy()), expected, atol=1e-10)
 
 
 def n_parameters(network: torch.nn.Module) -> int:
@@ -142,8 +136,8 @@ def test_it_has_the_papers_sizes() -> None:
 
 
 def test_positions_and_matrices_are_not_parameters() -> None:
-    kept = set(build("foten", FotenSizes()).state_dict())
-    assert not {name for name in kept if "positions" in name or name.endswith(("real", "imaginary", "sine"))}
+    names = set(build("foten", FotenSizes()).state_dict())
+    assert not {name for name in names if "positions" in name or name.endswith(("real", "imaginary", "sine"))}
 
 
 @pytest.mark.parametrize("pre_norm", [True, False])
@@ -151,14 +145,14 @@ def test_the_literal_width_of_one_is_degenerate(pre_norm: bool) -> None:
     """A layer normalisation over one feature gives its bias, so the encoders add a constant, or are one."""
     sizes = FotenSizes(**{**SMALL, "spectral_width": 1}, pre_norm=pre_norm)
     branch = untrained("foten", sizes).double().spectral
-    given = torch.from_numpy(np.random.default_rng(0).uniform(0, 9, (30, sizes.window)))
+    inputs = torch.from_numpy(np.random.default_rng(0).uniform(0, 9, (30, sizes.window)))
     for name in ("magnitude", "phase"):
         with torch.no_grad():
-            left = branch._encode(name, given) - given * pre_norm
+            left = branch._encode(name, inputs) - inputs * pre_norm
         assert left.std() < 1e-12  # rounding
     wide = untrained("foten", FotenSizes(**SMALL, pre_norm=pre_norm)).double().spectral
     with torch.no_grad():
-        assert (wide._encode("magnitude", given) - given * pre_norm).std() > 1e-3
+        assert (wide._encode("magnitude", inputs) - inputs * pre_norm).std() > 1e-3
 
 
 @pytest.mark.parametrize("name", ["magnitude", "phase"])
@@ -182,13 +176,13 @@ def test_the_temporal_branch_knows_the_order() -> None:
 
 def test_only_the_last_speed_and_force_matter() -> None:
     network = untrained("foten").double()
-    given = windows(FotenSizes())
-    before, last = given.clone(), given.clone()
+    inputs = windows(FotenSizes())
+    before, last = inputs.clone(), inputs.clone()
     before[:, :-1, 1:] += 5.0
     last[:, -1, 1:] += 5.0
     with torch.no_grad():
-        torch.testing.assert_close(network(before), network(given), rtol=0, atol=0)
-        assert (network(last) - network(given)).abs().min() > 0
+        torch.testing.assert_close(network(before), network(inputs), rtol=0, atol=0)
+        assert (network(last) - network(inputs)).abs().min() > 0
 
 
 @pytest.mark.parametrize("fields", [{}, {"pre_norm": False}, {"spectral_width": 1}])

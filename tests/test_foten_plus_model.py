@@ -1,4 +1,4 @@
-"""foten-plus as its family describes it: the reference, held to direct forms; the kernel is held to the reference elsewhere."""
+"""foten-plus as its sizes describe it: the definition, held to direct forms; the kernel is held to it elsewhere."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from foten.models.foten_plus.sizes import FotenPlusSizes
 from foten.training.texture_builder import Tensors
 
 
-def made(**sizes: object) -> tuple[FotenPlusSizes, Tensors]:
-    made_sizes = FotenPlusSizes(**{**PLUS, **sizes})  # type: ignore[arg-type]
-    return made_sizes, untrained_tensors("foten-plus", made_sizes, untrained("foten-plus", made_sizes))
+def with_sizes(**changed: object) -> tuple[FotenPlusSizes, Tensors]:
+    sizes = FotenPlusSizes(**{**PLUS, **changed})  # type: ignore[arg-type]
+    return sizes, untrained_tensors("foten-plus", sizes, untrained("foten-plus", sizes))
 
 
 def model(sizes: FotenPlusSizes, tensors: Tensors) -> FotenPlus:
@@ -36,7 +36,7 @@ def test_a_prediction_takes_no_more_than_its_history(before: bool) -> None:
 
     With the gain before the filter the lattice is of the acceleration itself, whose first sample needs no level.
     """
-    sizes, tensors = made(window=5, order=4, n_speed=3, gain_before_filter=before)
+    sizes, tensors = with_sizes(window=5, order=4, n_speed=3, gain_before_filter=before)
     predictor, m = model(sizes, tensors), sizes.history
     longer = windows(30, m + 3)
     changed, first = longer.copy(), longer.copy()
@@ -51,28 +51,28 @@ def test_a_prediction_takes_no_more_than_its_history(before: bool) -> None:
 
 def test_it_starts_as_its_lattice() -> None:
     """Oracle: the direct form of an AR(2); the means of the network's mixture are zero."""
-    sizes, tensors = made(order=2)
-    for name in ("out.weight", "out.bias", "power_law.weight"):
+    sizes, tensors = with_sizes(order=2)
+    for name in ("out.weight", "out.bias", "exponents"):
         tensors[f"lattice.level.{name}"] = np.zeros_like(tensors[f"lattice.level.{name}"])
     k = sizes.n_components
     for name in ("weight", "bias"):  # of the means
         tensors[f"network.out.{name}"][k : 2 * k] = 0.0
     tensors["lattice.reflections"] = reflections_of(np.array([-0.9, 1.6]))[None]
-    given = windows(40, sizes.history)
-    expected = given[:, -2:, 0] @ (np.array([-0.9, 1.6]) * LEAK ** np.array([2, 1]))
-    np.testing.assert_allclose(model(sizes, tensors).predict(given), expected, atol=1e-12)
+    inputs = windows(40, sizes.history)
+    expected = inputs[:, -2:, 0] @ (np.array([-0.9, 1.6]) * LEAK ** np.array([2, 1]))
+    np.testing.assert_allclose(model(sizes, tensors).predict(inputs), expected, atol=1e-12)
 
 
 @pytest.mark.parametrize("noise", [-5.6, None, 5.6])
 def test_what_the_network_draws_is_bounded(noise: float | None) -> None:
     """In the unit that σ has, whatever the network says; without noise as well."""
-    sizes, tensors = made(order=6)
+    sizes, tensors = with_sizes(order=6)
     tensors["excitation.innovation_limit"] = np.array([2.5, 1e6])
-    given = windows(200, sizes.history)
+    inputs = windows(200, sizes.history)
     silent = {**tensors, "rendering_network.out.weight": 0 * tensors["rendering_network.out.weight"]}
     silent["rendering_network.out.bias"] = tensors["rendering_network.out.bias"] * 0
     loud = {**tensors, "rendering_network.out.weight": 1e3 * tensors["rendering_network.out.weight"]}
-    linear, drawn = (model(sizes, some).start(given).predict() for some in (silent, loud))
+    linear, drawn = (model(sizes, some).start(inputs).predict() for some in (silent, loud))
     assert drawn.scale is not None
     sample = drawn.sample if noise is None else drawn.excited(np.full(200, noise))
     share = (sample - linear.sample) / drawn.scale
@@ -83,10 +83,10 @@ def test_what_the_network_draws_is_bounded(noise: float | None) -> None:
 @pytest.mark.parametrize("before", [False, True])
 def test_the_network_sees_a_vibration_of_unit_size_whatever_the_level(before: bool) -> None:
     """Twice the level and twice the vibration: twice the prediction."""
-    sizes, tensors = made(order=6, gain_before_filter=before)
-    given = windows(40, sizes.history)
-    doubled = given.copy()
+    sizes, tensors = with_sizes(order=6, gain_before_filter=before)
+    inputs = windows(40, sizes.history)
+    doubled = inputs.copy()
     doubled[..., 0] *= 2
     louder = {**tensors, "lattice.level.out.bias": tensors["lattice.level.out.bias"].astype(float) + math.log(2)}
-    expected = 2 * model(sizes, tensors).predict(given)
+    expected = 2 * model(sizes, tensors).predict(inputs)
     np.testing.assert_allclose(model(sizes, louder).predict(doubled), expected, rtol=1e-9)  # rounding

@@ -1,4 +1,4 @@
-"""The noise that every language draws alike: exact integers, moments, independence; and volatility."""
+"""The noise that every language draws alike: exact integers, moments, independence."""
 
 import math
 from itertools import pairwise
@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from foten.dsp.noise import Volatility, gaussian, philox
+from foten.dsp.noise import gaussian, philox
 
 N = 1_000_000
 
@@ -106,35 +106,3 @@ def test_streams_and_keys_are_independent() -> None:
     # 4.5 standard errors: 1/√n beside the diagonal, √2/√n on it.
     assert np.abs(correlation - np.diag(np.diag(correlation))).max() < 4.5 / math.sqrt(n)
     assert np.abs(np.diag(correlation)).max() < 4.5 * math.sqrt(2 / n)
-
-
-def test_volatility_keeps_the_power_raises_the_kurtosis_and_is_forgotten() -> None:
-    rng = np.random.default_rng(0)
-    n, streams, sd = 6000, 200, 0.3
-    factor = np.empty((n, streams))
-    volatility = Volatility(math.exp(-1 / 50), sd, np.zeros(streams))
-    noise = rng.standard_normal((n, streams))
-    for i in range(n):
-        factor[i] = volatility.factor()
-        volatility.push(noise[i])
-    excited = factor[500:] * noise[500:]
-    # 110 000 independent stretches of 50 samples; |z| is skewed, so the exponential is not quite a lognormal.
-    assert np.square(excited).mean() == pytest.approx(1.0, abs=0.03)
-    kurtosis = (excited**4).mean() / np.square(excited).mean() ** 2
-    assert kurtosis == pytest.approx(3 * math.exp(4 * sd**2), rel=0.1)
-    other = Volatility(volatility.kept, sd, np.full(streams, 3 * sd))
-    again = Volatility(volatility.kept, sd, np.full(streams, -3 * sd))
-    for i in range(1000):
-        other.push(noise[i])
-        again.push(noise[i])
-    np.testing.assert_allclose(other.state, again.state, atol=1e-7)
-
-
-def test_volatility_is_bounded_and_does_not_move_without_noise() -> None:
-    volatility = Volatility(0.9999, 0.5, np.zeros(1))
-    for _ in range(20_000):
-        volatility.push(np.array([5.6]))
-    assert volatility.state == pytest.approx([1.5])
-    before = volatility.state.copy()
-    volatility.push(None)
-    np.testing.assert_array_equal(volatility.state, before)

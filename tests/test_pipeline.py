@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-import dataclasses
 import json
-from collections.abc import Iterator
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,8 +14,9 @@ import pytest
 from conftest import PLUS, sizes_with
 from foten.baselines.sizes import TRAINABLE
 from foten.models.foten.sizes import FotenSizes
-from foten.models.foten_plus import closed_loop_training as closed_loop_training
+from foten.models.foten_plus import closed_loop_training, likelihood
 from foten.models.foten_plus import fit as foten_plus
+from foten.models.foten_plus.sizes import FotenPlusSizes
 from foten.models.texture_file import Texture, texture_from_bytes
 from foten.recording.preprocess import PreprocessConfig
 from foten.recording.recording import Recording
@@ -23,22 +25,23 @@ from foten.simulation.simulate import simulate
 from foten.training.blocks import ScaledBlocks
 from foten.training.config import TrainConfig
 from foten.training.job import Trained, TrainingJob
-from foten.training.loop import Epoch
-from foten.training.pipeline import PREPARE, train
+from foten.training.loop import Checkpoint, Epoch, Monitor, Progress
+from foten.training.pipeline import FITS, train
 
 SMALL = {"d_model": 8, "n_heads": 2, "n_layers": 2, "d_feedforward": 16, "head": (16, 8), "spectral_width": 8, **PLUS}
 # A lattice of one set of reflection coefficients is fitted in a fraction of the time that a table takes.
 QUICK = TrainConfig(epochs=2, batch=32, threads=1, max_order=20, table=False, tones=False)
 SHORT = PreprocessConfig(trim_ms=0, block_ms=500)
+SECONDS = PreprocessConfig(trim_ms=0, block_ms=1000)
 
 
 @pytest.fixture(scope="module", autouse=True)
-def brief() -> Iterator[None]:
-    """Train on own output for a few steps."""
+def brief() -> Any:
+    """Fit networks for a few steps."""
     with pytest.MonkeyPatch.context() as patch:
-        for module in (closed_loop_training, foten_plus):
-            patch.setattr(module, "JUDGED_EVERY", 4)
-        patch.setattr(closed_loop_training, "N_JUDGED", 2)
+        patch.setattr(likelihood, "N_STEPS", 10)
+        for name, value in {"N_STEPS": 2, "N_EXCERPTS": 6, "N_KNOWN": 40, "N_VALIDATIONS": 1}.items():
+            patch.setattr(closed_loop_training, name, value)
         yield
 
 
@@ -48,9 +51,8 @@ def recording() -> Recording:
 
 
 def job_of(recording: Recording, model: str = "foten-plus", **changed: Any) -> TrainingJob:
-    """Return a quick job, with other settings of its training where they are given."""
-    config = dataclasses.replace(QUICK, **changed)
-    return TrainingJob(recording, model, sizes_with(model, SMALL), config, SHORT)
+    """A quick job, with other settings of its training where they are given."""
+    return TrainingJob(recording, model, sizes_with(model, SMALL), replace(QUICK, **changed), SHORT)
 
 
 @pytest.fixture(scope="module")
@@ -59,23 +61,18 @@ def trained(recording: Recording) -> Trained:
 
 
 def rendered(texture: Texture) -> np.ndarray:
-    """Return what a texture makes of one stroke."""
+    """What a texture makes of a stroke."""
     n = np.arange(1500)
     return Renderer(texture, seed=3).render(100 + 60 * np.sin(n / 200), 1 + 0.3 * np.sin(n / 300))
 
 
-def test_every_family_is_prepared() -> None:
-    assert set(PREPARE) == set(TRAINABLE)
-
-
-def test_the_network_starts_at_the_linear_part(recording: Recording) -> None:
-    unfitted = train(job_of(recording, epochs=0))
-    assert unfitted.progress.epochs[0].validation_mae == pytest.approx(unfitted.linear_mae, rel=1e-5)  # float32
+def test_every_model_has_a_fit() -> None:
+    assert set(FITS) == set(TRAINABLE)
 
 
 @pytest.mark.parametrize("model", ["foten", "ten"])
 def test_the_papers_networks_learn(recording: Recording, model: str) -> None:
-    config = TrainConfig(epochs=4, batch=128, learning_rate=2e-3, threads=1)
+    config = TrainConfig(epochs=3, batch=128, learning_rate=2e-3, threads=1)
     trained = train(TrainingJob(recording, model, sizes_with(model, SMALL), config, SHORT))
     errors = [line.validation_mae for line in trained.progress.epochs]
     assert min(errors) < 0.9 * errors[0]
@@ -86,9 +83,10 @@ def test_the_papers_networks_learn(recording: Recording, model: str) -> None:
 
 
 def test_a_texture_is_playable_before_the_network_is_fitted(recording: Recording, trained: Trained) -> None:
-    """It is the linear part, with a network that adds nothing; its proof and its level are already those of a texture."""
+    """It is the linear model, with a network that adds nothing; its proof and its level are already those of a texture."""
     happened: list[Any] = []
-    again = train(job_of(recording), on_epoch=lambda line: happened.append(line.epoch), on_playable=happened.append)
+    monitor = Monitor(on_epoch=lambda line: happened.append(line.epoch), on_playable=happened.append)
+    again = train(job_of(recording), monitor)
     assert isinstance(happened[0], Texture)
     assert happened[1:] == [0, 1, 2]
     playable = texture_from_bytes(happened[0].to_bytes())
@@ -97,35 +95,23 @@ def test_a_texture_is_playable_before_the_network_is_fitted(recording: Recording
     metrics = playable.card["metrics"]
     assert metrics["validation_mae_scaled"] == metrics["validation_mae_scaled_lattice"] == again.linear_mae
     assert len(metrics["level_errors_db"]) == 3
-    assert abs(metrics["level_errors_db"][-1]) < 0.5
+    assert abs(metrics["level_errors_db"][-1]) < 1.0  # twelve seconds of a resonance tell no more of its level
     assert (metrics["best_epoch"], metrics["n_epochs"]) == (0, 0)
     assert rendered(playable).std() > 0
     assert again.texture.to_bytes() == trained.texture.to_bytes()
 
 
 def test_where_the_network_gains_nothing_the_texture_renders_as_the_playable_one(recording: Recording) -> None:
-    given: list[Texture] = []
-    texture = train(job_of(recording, epochs=0), on_playable=given.append).texture
-    np.testing.assert_array_equal(rendered(texture), rendered(given[0]))
-    assert set(texture.tensors) == set(given[0].tensors)
-    for name, tensor in given[0].tensors.items():
+    """The network starts at the linear model, to what float32 leaves."""
+    playable: list[Texture] = []
+    unfitted = train(job_of(recording, epochs=0), Monitor(on_playable=playable.append))
+    assert unfitted.progress.epochs[0].validation_mae == pytest.approx(unfitted.linear_mae, rel=1e-5)
+    texture = unfitted.texture
+    np.testing.assert_array_equal(rendered(texture), rendered(playable[0]))
+    assert texture.card["sizes"] == playable[0].card["sizes"]
+    assert set(texture.tensors) == set(playable[0].tensors)
+    for name, tensor in playable[0].tensors.items():
         np.testing.assert_array_equal(texture.tensors[name], tensor, name)
-    assert texture.card["sizes"] == given[0].card["sizes"]
-
-
-def interrupting(at: int) -> Any:
-    def on_epoch(line: Epoch) -> None:
-        if line.epoch == at:
-            raise KeyboardInterrupt
-
-    return on_epoch
-
-
-def test_interrupted_training_keeps_the_best(recording: Recording) -> None:
-    result = train(job_of(recording), interrupting(1))
-    assert result.progress.interrupted
-    assert [line.epoch for line in result.progress.epochs] == [0, 1]
-    assert result.texture.has_excitation
 
 
 def test_a_training_interrupted_before_its_first_epoch_has_given_a_playable_texture(
@@ -136,30 +122,88 @@ def test_a_training_interrupted_before_its_first_epoch_has_given_a_playable_text
     def interrupted(*_: object) -> tuple[float, float]:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("foten.models.foten_plus.likelihood.validated", interrupted)
-    given: list[Texture] = []
+    monkeypatch.setattr(likelihood, "validated", interrupted)
+    playable: list[Texture] = []
     with pytest.raises(KeyboardInterrupt):
-        train(job_of(recording), on_playable=given.append)
-    (playable,) = given
-    assert rendered(texture_from_bytes(playable.to_bytes())).std() > 0
+        train(job_of(recording), Monitor(on_playable=playable.append))
+    assert rendered(texture_from_bytes(playable[0].to_bytes())).std() > 0
 
 
-@pytest.mark.parametrize(("model", "n"), [("foten-plus", 1), ("ar", 1), ("fnn", 0)])
-def test_only_what_needs_no_network_is_playable_before(recording: Recording, model: str, n: int) -> None:
-    given: list[Texture] = []
-    config = TrainConfig(epochs=0, threads=1, max_order=10, table=False, tones=False)
-    sizes = sizes_with(model, SMALL) if model == "foten-plus" else TRAINABLE[model]()
-    preprocess = PreprocessConfig(trim_ms=0, block_ms=1000)
-    train(TrainingJob(recording, model, sizes, config, preprocess), on_playable=given.append)
-    assert len(given) == n
+LOOPS = ("network", "phase-conditioned network", "closed loop")
 
 
-def test_resumed_training_gives_the_same_bytes(recording: Recording, trained: Trained, tmp_path) -> None:
-    checkpoint = tmp_path / "checkpoint.pt"
-    train(job_of(recording), interrupting(2), checkpoint)
-    assert checkpoint.exists()
-    again = train(job_of(recording), checkpoint=checkpoint, resume=True)
-    assert again.texture.to_bytes() == trained.texture.to_bytes()
+class InterruptedCheckpoint(Checkpoint):
+    """One after whose first epoch of a loop somebody presses Ctrl-C."""
+
+    def __init__(self, path: Path, config: TrainConfig, loop: str) -> None:
+        super().__init__(path, config)
+        self._loop = loop
+        self.saved = list[str]()
+
+    def save(self, name: str, parts: Any, progress: Progress) -> None:
+        super().save(name, parts, progress)
+        self.saved.append(name)
+        if name == self._loop:
+            raise KeyboardInterrupt
+
+
+FITTED: dict[str, Any] = {}  # of the mesh, whose linear models are always the same
+
+
+@pytest.fixture
+def mesh(monkeypatch: pytest.MonkeyPatch) -> TrainingJob:
+    """A job of a surface that repeats, all of whose loops are run."""
+
+    def once(name: str) -> Callable[..., Any]:
+        fit = getattr(foten_plus, name)
+
+        def fit_once(*arguments: object) -> Any:
+            if name not in FITTED:
+                FITTED[name] = fit(*arguments)
+            return FITTED[name]
+
+        return fit_once
+
+    monkeypatch.setattr(foten_plus, "MIN_GAIN_NAT", -1e3)  # whatever the networks gain
+    for name in ("fit_level", "fit_linear_model", "fit_tonal_model", "nearest_linear_model"):
+        monkeypatch.setattr(foten_plus, name, once(name))
+    sizes, config = FotenPlusSizes(**PLUS), replace(QUICK, tones=True)
+    return TrainingJob(simulate("steel-mesh-1", 9.0), "foten-plus", sizes, config, SECONDS)
+
+
+@pytest.fixture
+def of_mesh(mesh: TrainingJob) -> Trained:
+    """Its training without an interruption: the log is of the network that predicts, and stages say of the others."""
+    if "trained" not in FITTED:
+        lines, stages = list[Epoch](), list[str]()
+        FITTED["trained"] = train(mesh, Monitor(on_epoch=lines.append, on_stage=stages.append))
+        assert lines == FITTED["trained"].progress.epochs
+        assert "training a network that is given the phase of the surface" in stages
+        in_loop = "training the network in its closed loop: "
+        assert [stage for stage in stages if in_loop in stage] == [f"{in_loop}{n} %" for n in (0, 50, 100)]
+    trained: Trained = FITTED["trained"]
+    assert trained.texture.sizes.n_tones  # type: ignore[attr-defined]
+    return trained
+
+
+@pytest.mark.parametrize("loop", LOOPS)
+def test_a_training_goes_on_in_the_loop_where_it_was_interrupted(
+    mesh: TrainingJob, of_mesh: Trained, loop: str, tmp_path: Path
+) -> None:
+    """Three loops in one checkpoint: in each Ctrl-C keeps the best, is reported, and the resumed run ends with the same bytes."""
+    assert not of_mesh.progress.interrupted
+    path = tmp_path / "checkpoint.pt"
+    checkpoint = InterruptedCheckpoint(path, mesh.config, loop)
+    interrupted = train(mesh, Monitor(checkpoint=checkpoint))
+    n = LOOPS.index(loop)
+    assert checkpoint.saved == [*(name for name in LOOPS[:n] for _ in range(2)), loop]
+    assert interrupted.progress.interrupted
+    assert rendered(interrupted.texture).std() > 0
+    assert interrupted.texture.to_bytes() != of_mesh.texture.to_bytes()
+    again = train(mesh, Monitor(checkpoint=Checkpoint(path, mesh.config, resume=True)))
+    assert again.texture.to_bytes() == of_mesh.texture.to_bytes()
+    assert not again.progress.interrupted
+    assert [line.epoch for line in again.progress.epochs] == [0, 1, 2]
 
 
 def test_another_seed_gives_another_texture(recording: Recording, trained: Trained) -> None:
@@ -168,17 +212,14 @@ def test_another_seed_gives_another_texture(recording: Recording, trained: Train
 
 
 def test_the_card_says_how_it_came_about(trained: Trained) -> None:
-    card = trained.texture.card
-    assert card["split_sha256"] == trained.split.sha256()
-    assert card["recording_sha256"] == trained.trace.recording_sha256
+    """Statistics are of the training blocks."""
+    card, trace, split = trained.texture.card, trained.trace, trained.split
+    assert card["split_sha256"] == split.sha256()
+    assert card["recording_sha256"] == trace.recording_sha256
     assert card["training"]["seed"] == 0
     metrics = card["metrics"]
     assert metrics["validation_mae_scaled"] <= metrics["validation_mae_scaled_lattice"] * 1.001
     assert texture_from_bytes(trained.texture.to_bytes()).card == json.loads(json.dumps(card))
-
-
-def test_statistics_come_from_the_training_blocks_only(trained: Trained) -> None:
-    trace, split = trained.trace, trained.split
     blocks = trace.blocks(trace.acceleration)
     assert trained.texture.scaling.sd[0] == pytest.approx(blocks[list(split.train)].std(), rel=1e-12)
     assert trained.texture.scaling.sd[0] != pytest.approx(blocks.std(), rel=1e-6)
@@ -192,11 +233,16 @@ def test_blocks_shorter_than_five_windows_are_refused(recording: Recording) -> N
 
 @pytest.mark.parametrize("model", ["foten-plus", "ar", "fnn", "dftnet"])
 def test_the_test_blocks_have_no_say(recording: Recording, monkeypatch: pytest.MonkeyPatch, model: str) -> None:
-    """Their samples are others, a hundred times as loud, under another hand: the texture is the same to the last digit."""
-    config = dataclasses.replace(QUICK, epochs=1)
+    """Their samples are others, a hundred times as loud, under another hand: the texture is the same to the last digit.
+
+    And only foten-plus is playable before a network is fitted.
+    """
+    monkeypatch.setattr(foten_plus, "MIN_GAIN_NAT", -1e3)  # with its network trained in the closed loop
     sizes = sizes_with(model, SMALL) if model == "foten-plus" else TRAINABLE[model]()
-    job = TrainingJob(recording, model, sizes, config, PreprocessConfig(trim_ms=0, block_ms=1000))
-    expected = train(job).texture
+    job = TrainingJob(recording, model, sizes, replace(QUICK, epochs=1), SECONDS)
+    playable: list[Texture] = []
+    expected = train(job, Monitor(on_playable=playable.append)).texture
+    assert len(playable) == (model == "foten-plus")
     blocks_of = TrainingJob.blocks
 
     def spoilt(job: TrainingJob) -> ScaledBlocks:
@@ -209,8 +255,8 @@ def test_the_test_blocks_have_no_say(recording: Recording, monkeypatch: pytest.M
             samples[number] = 100 * rng.standard_normal(samples[number].shape)
             acceleration[number], speed[number], force[number] = 100.0, 300.0, 9.0
         channels = {"acceleration": acceleration, "speed": speed, "force": force}
-        other = dataclasses.replace(trace, **{name: channel.ravel() for name, channel in channels.items()})
-        return dataclasses.replace(blocks, trace=other, samples=samples)
+        other = replace(trace, **{name: channel.ravel() for name, channel in channels.items()})
+        return replace(blocks, trace=other, samples=samples)
 
     monkeypatch.setattr(TrainingJob, "blocks", spoilt)
     assert train(job).texture.to_bytes() == expected.to_bytes()

@@ -12,16 +12,11 @@ from foten.models.definitions import model_of
 from foten.models.foten_plus.definition import FotenPlus
 from foten.models.foten_plus.lattice_fit import LatticeData
 from foten.models.foten_plus.sizes import FotenPlusSizes
-from foten.models.foten_plus.tones_fit import _unevenness, fit_tones, n_tones, wavelength
+from foten.models.foten_plus.tones_fit import _period_jitter, fit_tones, n_tones, wavelength
 from foten.models.texture_file import Texture
-from foten.recording.preprocess import PreprocessConfig
 from foten.runtime.loops import run_loops
 from foten.runtime.native import NativeTexture
 from foten.runtime.renderer import Renderer
-from foten.simulation.simulate import simulate
-from foten.training.config import TrainConfig
-from foten.training.job import TrainingJob
-from foten.training.pipeline import train
 
 RATE = 1000.0
 LENGTH = 1.7  # mm
@@ -101,15 +96,15 @@ def test_tones_are_recovered_under_noise_and_jitter() -> None:
     # The variance grows by 0.04 to 0.12 rad² on what is compared, and a few hundred such places scatter by a fifth.
     assert 4 * np.pi**2 * fitted.period_jitter**2 / LENGTH == pytest.approx(3e-3, rel=0.5)
     held = list(data.validation)  # its phases are fitted, its amplitudes are not
-    missed = np.square(fitted.played - true)[held, 100:-100].mean() / np.square(true)[held, 100:-100].mean()
+    error = np.square(fitted.played - true)[held, 100:-100].mean() / np.square(true)[held, 100:-100].mean()
     # Noise of a third of the tones' power, and a phase known from about a wavelength: 17 periods of 3 multiples a second.
-    assert missed < 0.1
+    assert error < 0.1
 
 
 def with_tones(period_jitter: float = 0.03) -> tuple[Texture, FotenPlus]:
     """Return an untrained texture of three tones, 2.5 mm long, and its model in the reference."""
-    motion = np.array([2 * np.pi / 2.5 / RATE, period_jitter, 2e-3])
-    texture = exported("foten-plus", WITH_TONES, {"tones.phase_params": motion})
+    phase_params = np.array([2 * np.pi / 2.5 / RATE, period_jitter, 2e-3])
+    texture = exported("foten-plus", WITH_TONES, {"tones.phase_params": phase_params})
     model = model_of(WITH_TONES, texture.tensors)
     assert isinstance(model, FotenPlus)
     return texture, model
@@ -170,21 +165,6 @@ def test_a_rendering_forgets_the_window_that_it_started_from(period_jitter: floa
     assert apart[4000:].max() < 0.02 * out[0].std()
 
 
-def test_tones_are_fitted_to_a_mesh_and_to_nothing_that_has_none() -> None:
-    """The simulator's coarse mesh repeats every 2.5 mm; a process with a ringing resonance repeats nothing."""
-    lengths = {}
-    for key in ("steel-mesh-1", "linear-hum"):
-        config = TrainConfig(epochs=0, threads=1, max_order=20)
-        blocks = PreprocessConfig(trim_ms=500, block_ms=1000)
-        job = TrainingJob(simulate(key, 12.0, seed=3), "foten-plus", FotenPlusSizes(**PLUS), config, blocks)
-        texture = train(job).texture
-        lengths[key] = texture.card["metrics"]["linear_part"]["wavelength_mm"]
-        assert isinstance(texture.sizes, FotenPlusSizes)
-        assert (lengths[key] is None) == (texture.sizes.n_tones == 0)
-    assert lengths["steel-mesh-1"] == pytest.approx(2.5, rel=2e-3)
-    assert lengths["linear-hum"] is None
-
-
 def test_a_multiple_that_is_louder_than_the_fundamental_does_not_halve_the_wavelength() -> None:
     rng = np.random.default_rng(5)
     speed, force = stroke(12)
@@ -194,15 +174,15 @@ def test_a_multiple_that_is_louder_than_the_fundamental_does_not_halve_the_wavel
     assert wavelength(data, RATE) == pytest.approx(LENGTH, rel=0.03)
 
 
-def test_a_phase_that_the_tool_turns_with_speed_is_not_unevenness() -> None:
+def test_a_phase_that_the_tool_turns_with_speed_is_not_period_jitter() -> None:
     rng = np.random.default_rng(0)
     speed, _ = stroke(30)
     path = np.cumsum(speed / RATE, axis=1)
     q = 4 * np.pi**2 * 0.03**2 / LENGTH
     jittered = np.cumsum(np.sqrt(q * speed / RATE) * rng.standard_normal(speed.shape), axis=1)
-    turned = np.pi * speed / 150  # by π within 150 mm/s
+    shift = np.pi * speed / 150  # by π within 150 mm/s
     # Some hundred places whose variances scatter by a tenth, a little turned by what their speeds still differ.
-    assert _unevenness(path, jittered + turned, speed, LENGTH) == pytest.approx(0.03, rel=0.4)
+    assert _period_jitter(path, jittered + shift, speed, LENGTH) == pytest.approx(0.03, rel=0.4)
 
 
 @pytest.mark.parametrize("varied", [0.0, 0.1])

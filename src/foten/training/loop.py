@@ -56,6 +56,11 @@ class Progress:
         """The epoch whose weights are kept."""
         return next(line for line in reversed(self.epochs) if line.best)
 
+    def include(self, later: Progress) -> None:
+        """Take over that a later loop of the same training was interrupted, and its notes that are new."""
+        self.interrupted |= later.interrupted
+        self.notes += [note for note in later.notes if note not in self.notes]
+
     def add(self, network: nn.Module, epoch: int, train_loss: float, loss: float, error: float, seconds: float) -> None:
         """Add an epoch to the log, and keep the network's weights where its validation loss is the lowest yet."""
         best = loss < self.best_loss
@@ -297,6 +302,8 @@ class Checkpoint:
             content = torch.load(path, weights_only=True, map_location="cpu")
         except (pickle.UnpicklingError, RuntimeError, EOFError, OSError) as error:
             raise ValueError(f"{path.name} is damaged and cannot be resumed; delete it and start again") from error
+        if "loops" not in content:
+            raise ValueError(f"{path.name} is of another version of foten; delete it and start again")
         if content.get("config") != self._config:
             raise ValueError(f"{path.name} was written by a run with other settings; resume with the same ones")
         self._loops = dict(content["loops"])

@@ -77,6 +77,7 @@ def fit(job: TrainingJob, monitor: Monitor) -> Trained:
     predicting = fit_predicting_network(network, linear_only, blocks, config, monitor)
     drawing = fit_drawing_network(predicting, linear_only, linear, tonal, blocks, config, monitor)
     chosen = calibrated_network(drawing, linear_only, network, builder, config, monitor)
+    predicting.progress.include(drawing.progress)
     monitor.on_stage("proving the texture file")
     candidates = [linear_only, *([chosen] if chosen is not None else [])]
     texture = texture_of(candidates[-1], network, predicting, report, candidates, builder)
@@ -171,6 +172,7 @@ def fit_drawing_network(
     monitor.on_stage("training a network that is given the phase of the surface")
     quiet = replace(monitor, on_epoch=lambda epoch: None)
     phase_conditioned = _fitted(network, model, data, blocks, config, quiet, "phase-conditioned network")
+    predicting.progress.include(phase_conditioned.progress)  # that of the training, whichever is drawn from
     likelier = predicting.likelihood - phase_conditioned.likelihood >= MIN_GAIN_NAT
     return phase_conditioned if with_tones or likelier else predicting
 
@@ -188,6 +190,8 @@ def calibrated_network(
     if not drawing.progress.best.epoch or before - drawing.likelihood < MIN_GAIN_NAT:
         return None
     blocks, network = builder.blocks, copy.deepcopy(drawing.network)
+    if network.recurrent.input_size != drawing.model.sizes.n_rendering_inputs:
+        return None  # it was interrupted before there was one that is given the phase of its tones
     model = replace(drawing.model, sizes=replace(drawing.model.sizes, network_in_loop=True))
     limit, closed_loop = _innovation_limit(drawing.data, blocks), None
     if config.closed_loop_training and not drawing.progress.interrupted:
@@ -272,7 +276,7 @@ def _train_in_closed_loop(
     if excerpts is None:
         return None
     progress = fit_closed_loop(network, excerpts, model.sizes.window, config, monitor)
-    drawing.progress.interrupted |= progress.interrupted
+    drawing.progress.include(progress)
     return {"before": progress.epochs[0].validation_loss, "after": progress.best_loss}
 
 

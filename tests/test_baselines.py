@@ -7,27 +7,32 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from foten.training.networks import build
 from scipy.fft import dct
 from scipy.signal import welch
 
-from foten.baselines import gan_fit as adversarial
 from foten.baselines.features import MfccBranch, WaveletBranch, cosine_transform, mel_bands, wavelet_transform
+from foten.baselines.fit import distilled, log_spectra
 from foten.baselines.fnn import EDGES, lagged_bands
 from foten.baselines.gan import Gan
 from foten.baselines.gan_fit import fit_adversarial
+from foten.baselines.graph import multiply_adds
+from foten.baselines.networks import build
 from foten.baselines.noise_filter import NoiseFilter, log_magnitudes
-from foten.baselines.sizes import TRAINABLE, DftnetSizes, GanSizes, TenMfccSizes, TenWaveletSizes, trainable_sizes
-from foten.models.foten.fit import distilled, log_spectra
+from foten.baselines.sizes import (
+    BASELINES,
+    DftnetSizes,
+    GanSizes,
+    NoiseModelSizes,
+    TenMfccSizes,
+    TenWaveletSizes,
+    trainable_sizes,
+)
 from foten.recording.split import Split
 from foten.recording.trace import Trace
 from foten.training.blocks import ScaledBlocks, scaled_blocks
 from foten.training.config import TrainConfig
-from foten.training.loop import Epoch, Progress
-from foten.training.texture_builder import multiply_adds
-from foten.training.window_fit import TrainingWindows, fit
-
-GRAPHS = [model for model, sizes in TRAINABLE.items() if sizes.in_graph]
+from foten.training.loop import Checkpoint, Epoch, Monitor, Progress
+from foten.training.window_fit import TrainingWindows, fit_windows
 
 
 def test_bands_add_up_to_the_vibration() -> None:
@@ -84,11 +89,11 @@ def test_wavelets_keep_what_is_smooth_out_of_the_details() -> None:
     assert np.square(x @ transform).sum() == pytest.approx(np.square(x).sum(), rel=1e-12)
 
 
-@pytest.mark.parametrize("model", GRAPHS)
+@pytest.mark.parametrize("model", BASELINES)
 def test_every_window_is_predicted_by_itself(model: str) -> None:
     """No window's prediction depends on the others in its batch, nor on dropout once trained."""
     torch.manual_seed(0)
-    sizes = TRAINABLE[model]()
+    sizes = BASELINES[model]()
     network = build(model, sizes).double().eval()
     windows = torch.from_numpy(np.random.default_rng(4).standard_normal((6, sizes.history, 3)))
     with torch.no_grad():
@@ -99,11 +104,11 @@ def test_every_window_is_predicted_by_itself(model: str) -> None:
     torch.testing.assert_close(at_once, alone, rtol=1e-9, atol=1e-12)
 
 
-@pytest.mark.parametrize("model", GRAPHS)
+@pytest.mark.parametrize("model", BASELINES)
 def test_a_size_that_cannot_be_is_refused(model: str) -> None:
     with pytest.raises(ValueError, match="window is 1"):
         trainable_sizes(model, {"window": 1})
-    what = "has no size 'excitation'" if TRAINABLE[model].from_noise else "excitation is 1"
+    what = "has no size 'excitation'" if issubclass(BASELINES[model], NoiseModelSizes) else "excitation is 1"
     with pytest.raises(ValueError, match=what):
         trainable_sizes(model, {"excitation": 1})
     with pytest.raises(ValueError, match="has no size 'colour'"):
@@ -139,7 +144,7 @@ def test_the_student_learns_half_from_its_teacher() -> None:
     samples = rng.standard_normal((400, 3))
     windows = TrainingWindows(samples, np.arange(20, 300), np.arange(320, 400), 20)
     config = TrainConfig(epochs=1, batch=64, threads=1, loss="mse")
-    target = distilled(windows, 20, config, lambda stage: None).target
+    target = distilled(windows, 20, config, Monitor()).target
     assert target is not None
     np.testing.assert_array_equal(target[windows.validation], samples[windows.validation, 0])
     # A teacher that knows next to nothing of white noise predicts about zero, so the targets are about half.
@@ -163,10 +168,10 @@ def test_recurrent_layers_are_counted() -> None:
 
 
 def test_an_interrupted_teacher_ends_the_training(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("foten.models.foten.fit.fit", lambda *_: Progress(interrupted=True))
+    monkeypatch.setattr("foten.baselines.fit.fit_windows", lambda *_: Progress(interrupted=True))
     windows = TrainingWindows(np.zeros((100, 3)), np.arange(20, 60), np.arange(60, 100), 20)
     with pytest.raises(KeyboardInterrupt):
-        distilled(windows, 20, TrainConfig(), lambda stage: None)
+        distilled(windows, 20, TrainConfig(), Monitor())
 
 
 @pytest.mark.parametrize("level", [-4.0, 0.0, 3.5])
@@ -185,8 +190,8 @@ def test_filtered_noise_has_the_logarithms_that_are_asked_for(n: int, level: flo
     noise = torch.randn(40_000, 2 * n - 1, dtype=torch.float64)
     logs = log_magnitudes(NoiseFilter(n).double()(noise.unfold(1, n, 1), asked)).mean(0)
     # The last bin of an odd frame lies half of one below half of the rate, and is a little of either kind.
-    kept = slice(None) if n % 2 == 0 else slice(-1)
-    torch.testing.assert_close(logs[kept], asked[kept], rtol=0, atol=0.03)
+    compared = slice(None) if n % 2 == 0 else slice(-1)
+    torch.testing.assert_close(logs[compared], asked[compared], rtol=0, atol=0.03)
 
 
 def test_a_generator_plays_sample_by_sample_what_it_was_judged_by() -> None:
@@ -227,11 +232,8 @@ def test_spectra_follow_the_hand() -> None:
     torch.manual_seed(0)
     network = build("dftnet", DftnetSizes(window=40, n_conditions=4, first=16, second=16, third=16))
     before = network.spectrum(torch.zeros(1, 40, 3)).detach()
-    fit(
-        network.spectrum,
-        log_spectra(windows, blocks),
-        TrainConfig(epochs=30, patience=30, batch=32, threads=1, loss="mse", learning_rate=3e-3),
-    )
+    config = TrainConfig(epochs=12, patience=12, batch=32, threads=1, loss="mse", learning_rate=3e-3)
+    fit_windows(network.spectrum, log_spectra(windows, blocks), config, Monitor())
     hand = torch.zeros(2, 40, 3)
     hand[0, :, 1], hand[1, :, 1] = -1.0, 1.0
     with torch.no_grad():
@@ -248,60 +250,35 @@ def small_gan() -> Gan:
 
 
 def test_an_adversarial_training_goes_on_where_it_stopped(tmp_path: Path) -> None:
-    blocks = noise_blocks(n_blocks=5, block=200)
+    """Discriminator and optimiser in the checkpoint; the crops, the noise and the loss are those of each epoch."""
+    blocks, path = noise_blocks(n_blocks=5, block=200), tmp_path / "checkpoint.pt"
     config = TrainConfig(epochs=3, batch=2, threads=1, learning_rate=1e-3)
-    uninterrupted = small_gan()
-    torch.manual_seed(2)
-    expected = fit_adversarial(uninterrupted, 42, blocks, config)
-    stopped = small_gan()
-    torch.manual_seed(2)
+
+    def fitted(seed: int, monitor: Monitor) -> tuple[Gan, Progress]:
+        network = small_gan()
+        torch.manual_seed(seed)
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr("foten.baselines.gan_fit.STEPS", 10)
+            progress = fit_adversarial(network, 42, blocks, config, monitor)
+        return network, progress
 
     def stop(line: Epoch) -> None:
         if line.epoch == 2:
             raise KeyboardInterrupt
 
-    first = fit_adversarial(stopped, 42, blocks, config, stop, tmp_path / "checkpoint.pt")
-    assert first.interrupted
-    resumed = small_gan()
-    torch.manual_seed(5)
-    log = fit_adversarial(resumed, 42, blocks, config, checkpoint=tmp_path / "checkpoint.pt", resume=True)
+    uninterrupted, expected = fitted(2, Monitor())
+    assert fitted(2, Monitor(on_epoch=stop, checkpoint=Checkpoint(path, config)))[1].interrupted
+    resumed, log = fitted(5, Monitor(checkpoint=Checkpoint(path, config, resume=True)))
     assert [line.validation_loss for line in log.epochs] == [line.validation_loss for line in expected.epochs]
     for name, tensor in uninterrupted.state_dict().items():
         assert torch.equal(tensor, resumed.state_dict()[name]), name
     assert expected.epochs[-1].validation_loss != expected.epochs[0].validation_loss
 
 
-def test_an_adversarial_training_that_is_stopped_keeps_what_there_is(monkeypatch: pytest.MonkeyPatch) -> None:
-    """After epoch 0 the untrained network; before there is any, Ctrl-C goes on to the caller."""
-
-    def stop(*_: object) -> None:
-        raise KeyboardInterrupt
-
-    blocks = noise_blocks(n_blocks=5, block=200)
-    config = TrainConfig(epochs=1, batch=4, threads=1)
-    progress = fit_adversarial(small_gan(), 42, blocks, config, stop)
-    assert progress.interrupted
-    assert [line.epoch for line in progress.epochs] == [0]
-    monkeypatch.setattr("foten.baselines.gan_fit.made", stop)
-    with pytest.raises(KeyboardInterrupt):
-        fit_adversarial(small_gan(), 42, blocks, config)
-
-
-def test_an_adversarial_training_that_is_lost_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
-    blocks, made_before = noise_blocks(n_blocks=5, block=200), adversarial.made
-
-    def lost(network: Gan, windows: torch.Tensor, n_frames: int) -> torch.Tensor:
-        return made_before(network, windows, n_frames) * (np.nan if network.training else 1.0)
-
-    monkeypatch.setattr("foten.baselines.gan_fit.made", lost)
-    with pytest.raises(ValueError, match="the training loss is not finite"):
-        fit_adversarial(small_gan(), 42, blocks, TrainConfig(epochs=5, batch=4, threads=1))
-
-
 def test_blocks_too_short_for_spectrograms_are_refused() -> None:
     blocks = noise_blocks(n_blocks=5, block=60)
     with pytest.raises(ValueError, match="expected 65 or more: use a longer --block"):
-        fit_adversarial(small_gan(), 42, blocks, TrainConfig(epochs=1, threads=1))
+        fit_adversarial(small_gan(), 42, blocks, TrainConfig(epochs=1, threads=1), Monitor())
 
 
 def noise_blocks(n_blocks: int, block: int) -> ScaledBlocks:

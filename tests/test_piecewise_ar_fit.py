@@ -14,7 +14,7 @@ from foten.dsp.lsf import MIN_GAP_RAD
 from foten.dsp.segmentation import MAX_ORDER
 from foten.evaluate.evaluate import evaluate
 from foten.experiments.simulator_reference import reference_for
-from foten.models.piecewise_ar.fit import ORDERS, fitted
+from foten.models.piecewise_ar.fit import ORDERS, local_models
 from foten.models.piecewise_ar.sizes import PiecewiseArSizes
 from foten.models.texture_file import read_texture
 from foten.recording.preprocess import PreprocessConfig, preprocess
@@ -70,8 +70,8 @@ def test_the_order_is_the_best_of_those_tried(trained: Trained) -> None:
     recorded = blocks.samples[list(trained.split.validation)]
     window, first = trained.texture.window, MAX_ORDER + 1
     predicted = predict_blocks(NativeTexture(trained.texture.to_bytes()), recorded).sample
-    missed = predicted[:, first - window :] - recorded[:, first:, 0]
-    assert np.abs(missed).mean() == pytest.approx(errors[best], rel=1e-9)
+    error = predicted[:, first - window :] - recorded[:, first:, 0]
+    assert np.abs(error).mean() == pytest.approx(errors[best], rel=1e-9)
 
 
 def test_the_mesh_covers_what_was_trained_and_is_silent_without_motion(trained: Trained) -> None:
@@ -120,7 +120,7 @@ def test_models_in_one_place_are_one(recording: Recording) -> None:
     def piece(speed: float, force: float, loud: float) -> np.ndarray:
         return np.stack([loud * rng.standard_normal(4000), np.full(4000, speed), np.full(4000, force)], axis=1)
 
-    models = fitted([piece(50, 1, 1.0), piece(50.01, 1, 2.0), piece(150, 2, 1.0), piece(80, 1.5, 1.0)], blocks, 4)
+    models = local_models([piece(50, 1, 1.0), piece(50.01, 1, 2.0), piece(150, 2, 1.0), piece(80, 1.5, 1.0)], blocks, 4)
     (both,) = np.flatnonzero(np.abs(models.points - [50.005, 1]).sum(axis=1) < 0.01)
     assert models.variance[both] == pytest.approx(2.5, rel=0.05)
     np.testing.assert_allclose(models.lsf[both], np.pi * np.arange(1, 5) / 5, atol=0.05)
@@ -142,8 +142,8 @@ def test_a_hand_that_hardly_moves_is_refused() -> None:
     [(0.0, 1000, "hold 0 pieces"), (1.0, 20, "a block of 20 samples is too short for filters of order 20")],
 )
 def test_what_cannot_be_fitted_is_one_line(force: float, block_ms: float, message: str) -> None:
-    made = moving(np.random.default_rng(0).standard_normal(12_000))
-    channels = {**made.channels, "force": Channel(np.full(12_000, force), 1000.0)}
+    noise = moving(np.random.default_rng(0).standard_normal(12_000))
+    channels = {**noise.channels, "force": Channel(np.full(12_000, force), 1000.0)}
     with pytest.raises(ValueError, match=message):
         learned(Recording(channels), PreprocessConfig(trim_ms=0, block_ms=block_ms))
 

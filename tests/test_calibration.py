@@ -1,0 +1,252 @@
+"""The random part, fitted and calibrated: on recordings that the model itself made, the answer is known."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+from scipy.stats import norm
+
+from conftest import CARD, PLUS, SCALING, untrained, untrained_tensors
+from foten.dsp.lattice import polynomial
+from foten.dsp.noise import gaussian
+from foten.models.definitions import model_of
+from foten.models.excitation import Excitation
+from foten.models.foten_plus.linear_model import LinearModel
+from foten.models.foten_plus.sizes import FotenPlusSizes
+from foten.models.stream import run
+from foten.recording.split import Split
+from foten.recording.trace import Trace
+from foten.runtime.loops import run_loops
+from foten.runtime.native import NativeTexture
+from foten.training.blocks import ScaledBlocks
+from foten.training.calibration import (
+    Calibrated,
+    ClosedLoop,
+    Residuals,
+    _beyond_chance,
+    _filtered,
+    _jackknifed,
+    calibrate_excitation,
+    calibrate_level,
+    calibrate_network_gain,
+)
+from foten.training.scale_fit import fit_scale
+from foten.training.texture_builder import Tensors, proved
+
+BLOCK, N_BLOCKS = 1000, 24
+GAIN = 0.5  # of an innovation of 1, in acceleration
+
+
+def model(before: bool = False) -> tuple[FotenPlusSizes, Tensors]:
+    """A lattice that rings at 120 Hz, its gain before or after the filter, with an excitation."""
+    sizes = FotenPlusSizes(**PLUS, order=2, network_in_loop=False, gain_before_filter=before)
+    return sizes, untrained_tensors("foten-plus", sizes, untrained("foten-plus", sizes))
+
+
+def loop_of(before: bool = False, louder: float = 1.0) -> tuple[ClosedLoop, Excitation]:
+    """A loop whose recording is one long free run of the model with the returned excitation, or louder by a factor."""
+    sizes, tensors = model(before)
+    rng, m = np.random.default_rng(7), sizes.history
+
+    def kernel(excitation: Excitation) -> NativeTexture:
+        golden = np.random.default_rng(1).standard_normal((6, m, 3))
+        fitted = {**tensors, **excitation.tensors()}
+        return proved("foten-plus", sizes, fitted, SCALING, golden, 0.1 * golden[0], CARD).kernel
+
+    excitation = Excitation.of(tensors)
+    n, t = N_BLOCKS * BLOCK, np.arange(N_BLOCKS * BLOCK) / 1000
+    speed, force = 100 * 2.0 ** np.sin(1.1 * t), 1.0 * 1.6 ** np.sin(1.7 * t)
+    stacked = SCALING.scale(np.stack([np.zeros(n), speed, force], axis=1))
+    condition = np.concatenate([stacked[:, 1:], speed[:, None]], axis=1)
+    noise = rng.standard_normal((1, n))
+    stacked[:, 0] = louder * run_loops(kernel(excitation), np.zeros((1, m, 3)), condition[None], noise)[0]
+    trace = Trace(SCALING.unscale_acceleration(stacked[:, 0]), speed, force, 1000.0, BLOCK)
+    split = Split(tuple(range(16)), tuple(range(16, 20)), tuple(range(20, 24)), 24, BLOCK, "contiguous", 0)
+    blocks = ScaledBlocks(trace, split, SCALING, stacked.reshape(N_BLOCKS, BLOCK, 3))
+    linear = LinearModel(sizes, tensors)
+    return ClosedLoop(blocks, m, kernel, linear.power, linear.response(BLOCK - m)), excitation
+
+
+def changed(excitation: Excitation, **parts: np.ndarray) -> Excitation:
+    return replace(excitation, sigma=replace(excitation.sigma, **parts))
+
+
+def under(loop: ClosedLoop) -> np.ndarray:
+    """Speed and force that go with the training samples."""
+    return np.asarray(loop.blocks.flat[loop.blocks.targets(loop.history)[0] - 1, 1:])
+
+
+def test_free_runs_are_those_of_the_definition() -> None:
+    """Oracle: the model in NumPy, under the same noise; float64 against float64 but for the lattice's float32 tensors."""
+    loop, excitation = loop_of()
+    recorded, rendered = loop.free_runs(excitation, (3, 17), 5, 40, 2)
+    assert recorded.shape == (2, BLOCK - loop.first)
+    assert rendered.shape == (2, 2, BLOCK - loop.first)
+    np.testing.assert_array_equal(recorded, loop.blocks.samples[[3, 17], loop.first :, 0])
+    definition, m = model_of(*model()), loop.history
+    for which, (stream, number) in enumerate([(40, 3), (41, 17), (42, 3), (43, 17)]):
+        start = definition.start(loop.blocks.samples[[number], :m])
+        condition = loop.blocks.path_conditions()[[number], m:]
+        expected = run(start, condition, gaussian(5, stream, 0, BLOCK - m)[None])[0, loop.first - m :]
+        np.testing.assert_allclose(rendered[which // 2, which % 2], expected, atol=1e-9)
+
+
+@pytest.mark.parametrize("before", [False, True])
+def test_a_level_is_calibrated_in_the_closed_loop(before: bool) -> None:
+    """An excitation twice too strong is 6 dB too loud, since the lattice is linear; two adjustments later it is not.
+
+    σ stays within its range over the training blocks.
+    """
+    loop, true = loop_of(before)
+    chance = calibrate_level(loop, true, 0)[1][0]
+    louder = changed(true, out_bias=true.sigma.out_bias + math.log(2))
+    excitation, errors = calibrate_level(loop, louder, 0)
+    assert errors[0] - chance == pytest.approx(6.02, abs=0.05)
+    # What is left is less than twenty seconds tell: half a dB.
+    assert abs(errors[-1]) < 0.5
+    assert 20 / math.log(10) * (excitation.sigma.out_bias - true.sigma.out_bias) == pytest.approx([0.0], abs=0.5)
+    assert excitation.innovation_limit == true.innovation_limit
+    free = replace(excitation.sigma, sigma_max=np.array([1e6]))(under(loop))
+    assert excitation.sigma.sigma_max == pytest.approx([np.quantile(free, 0.97)], rel=1e-5)
+
+
+def test_a_slope_over_speed_is_calibrated_too() -> None:
+    """σ that does not follow speed where the recording's does: most of the slope comes back, and the level is right."""
+    loop, true = loop_of()
+    level = changed(true, exponents=true.sigma.exponents * [0, 1, 1, 1, 1])
+    excitation = calibrate_level(loop, level, 0)[0]
+    assert excitation.sigma.exponents[0] == pytest.approx(true.sigma.exponents[0], abs=0.25)
+    assert loop.distance(excitation, 0)[1] < loop.distance(level, 0)[1] - 0.5
+
+
+@pytest.mark.parametrize("level", [True, False])
+def test_a_networks_innovations_are_bounded_by_no_more_than_they_need(level: bool) -> None:
+    """σ begins at 1, and stays there for a network that has learned its level in the closed loop."""
+    loop, _ = loop_of()
+    calibrated = calibrate_network_gain(16, (5.0, 3.0), loop, 0, None, level)
+    sigma = calibrated.excitation.sigma(under(loop))
+    assert calibrated.excitation.innovation_limit == (5.0, 3.0)
+    assert calibrated.excitation.sigma.sigma_max < 1.5 * sigma.max()
+    assert len(calibrated.level_errors_db) == (3 if level else 0)
+    assert (set(sigma.tolist()) == {1.0}) != level
+
+
+def test_a_free_run_is_as_far_as_it_is_too_loud() -> None:
+    near, louder = (loop.distance(excitation, 0) for loop, excitation in (loop_of(), loop_of(louder=2.0)))
+    # Of what the model itself made: chance alone. In a frame of 40 ms a resonance 16 Hz wide is known to 3 dB.
+    assert near[0] < 3.0
+    assert near[1] < 3.5
+    assert louder[1] == pytest.approx(6.02, abs=0.7)
+    assert louder[0] > near[0] + 2
+    assert Calibrated(loop_of()[1], (2.0, 1.5), None).nearness == 3.0
+
+
+def residuals_of(loop: ClosedLoop, excitation: Excitation, share: float) -> Residuals:
+    """Innovations a share as large as those that the recording was made of; a third of them at rest."""
+    n = np.concatenate(loop.blocks.targets(loop.history))
+    condition = loop.blocks.flat[n - 1, 1:]
+    innovation = share * excitation.sigma(condition) * np.random.default_rng(4).standard_normal(n.size)
+    n_train = len(loop.blocks.targets(loop.history)[0])
+    return Residuals(condition, innovation, np.full(n.size, GAIN), n_train, np.arange(n.size) % 3 > 0)
+
+
+@pytest.fixture(scope="module")
+def halved() -> tuple[ClosedLoop, Residuals, Calibrated]:
+    """An excitation fitted to innovations half as large as those of the recording."""
+    loop, excitation = loop_of()
+    residuals = residuals_of(loop, excitation, 0.5)
+    return loop, residuals, calibrate_excitation(16, residuals, loop, 0)
+
+
+def test_the_closed_loop_has_the_last_word_on_the_level(halved: tuple[ClosedLoop, Residuals, Calibrated]) -> None:
+    """By likelihood alone it would be 6 dB too soft."""
+    loop, _, calibrated = halved
+    assert calibrated.level_errors_db[0] == pytest.approx(-6.02, abs=1.0)
+    assert abs(calibrated.level_errors_db[-1]) < 0.5
+    recorded, runs = loop.free_runs(calibrated.excitation, loop.blocks.known, 9, 77, 4)
+    # Four runs of 16 s, 16 Hz wide: known to 0.15 dB, the recording to 0.3.
+    assert 10 * math.log10(np.square(runs).mean() / np.square(recorded).mean()) == pytest.approx(0, abs=0.8)
+    assert calibrated.distance == loop.distance(calibrated.excitation, 0)
+
+
+def test_no_excitation_is_larger_than_what_was_left_to_explain(
+    halved: tuple[ClosedLoop, Residuals, Calibrated],
+) -> None:
+    """At the training samples, in σ and in acceleration, whichever is less; the definition draws none that is."""
+    _, residuals, calibrated = halved
+    in_sigma, in_acceleration = calibrated.excitation.innovation_limit
+    left = np.abs(residuals.innovation[: residuals.n_train])
+    assert in_acceleration == pytest.approx(GAIN * left.max(), rel=1e-6)
+    assert 3 < in_sigma < 6
+    condition = np.array([[-1.0, 0.0], [1.0, 0.0]])
+    for gain in (0.05, 10.0):
+        prediction = calibrated.excitation.added_to(np.zeros(2), np.full(2, gain), condition)
+        assert prediction.scale is not None
+        shocks = np.abs([prediction.excited(np.full(2, z)) for z in (9.0, -9.0)])
+        limit = np.minimum(in_sigma * prediction.scale, in_acceleration)
+        np.testing.assert_allclose(shocks, [limit, limit], rtol=1e-9)
+
+
+def test_the_likelihood_is_that_of_the_validation_samples_where_the_hand_moves(
+    halved: tuple[ClosedLoop, Residuals, Calibrated],
+) -> None:
+    """Oracle: SciPy's normal density. That of innovations is of all, before the level was calibrated."""
+    loop, residuals, calibrated = halved
+    of = slice(residuals.n_train, None)
+    condition, e, moving = residuals.condition[of], residuals.innovation[of], residuals.moving[of]
+    sigma = calibrated.excitation.sigma(condition)
+    expected = -norm.logpdf(GAIN * e, scale=GAIN * sigma)[moving].mean()
+    assert calibrated.likelihood == pytest.approx(expected, rel=1e-6)
+    before = fit_scale(16, residuals.condition, residuals.innovation, residuals.n_train, loop.blocks.scaling, 0)
+    expected = -norm.logpdf(e, scale=before(condition)).mean()
+    assert calibrated.likelihood_of_innovations == pytest.approx(expected, rel=1e-6)
+    rested = calibrate_excitation(16, replace(residuals, moving=np.zeros_like(residuals.moving)), loop, 0)
+    assert rested.likelihood is None
+    for name, tensor in calibrated.excitation.tensors().items():  # and the same seed gives the same excitation
+        np.testing.assert_array_equal(rested.excitation.tensors()[name], tensor, name)
+
+
+def test_the_jackknife_of_a_mean_is_its_standard_error_and_chance_is_taken_off() -> None:
+    values = np.random.default_rng(0).standard_normal(30)
+    result = _jackknifed(np.stack([values, np.ones(30)]), np.divide)
+    assert result == pytest.approx((values.mean(), values.std(ddof=1) / math.sqrt(30)), rel=1e-9)
+    # Known to within 0.2, an error of 0.4 counts three quarters: 1 − (0.2/0.4)².
+    taken = [_beyond_chance(value, 0.2) for value in (0.4, -0.4, 0.15, 0.0)]
+    assert taken == pytest.approx([0.3, -0.3, 0.0, 0.0])
+
+
+def test_a_still_hand_or_one_in_the_air_does_not_count() -> None:
+    n = np.arange(4000).reshape(4, 1000)
+    speed, force = 5.0 + 0 * n, 0.1 + 0 * n
+    speed[1, 900:], force[3, 950:] = 4.9, 0.09
+    trace = Trace(np.zeros(4000), speed.ravel(), force.ravel(), 1000.0, 1000)
+    split = Split((0, 1), (2,), (3,), 4, 1000, "contiguous", 0)
+    moving = ScaledBlocks(trace, split, SCALING, np.zeros((4, 1000, 3))).moving()
+    at_rest = np.zeros((4, 1000), dtype=bool)
+    at_rest[1, 900:] = at_rest[3, 950:] = True
+    np.testing.assert_array_equal(moving, ~at_rest)
+
+
+@pytest.mark.parametrize("before", [False, True])
+def test_power_that_enters_a_lattice_rings_on(before: bool) -> None:
+    """Oracle: the mean square of what a lattice makes of noise whose power jumps, over 4000 runs."""
+    k = np.array([-0.9, 0.95])
+    sizes = FotenPlusSizes(**PLUS, order=2, gain_before_filter=before)
+    response = LinearModel(sizes, {"lattice.reflections": k[None]}).response(200)
+    power = np.concatenate([np.full(100, 4.0), np.full(100, 0.01)])
+    leaving = _filtered(power[None, :, None], response)[0, :, 0]
+    if not before:
+        np.testing.assert_array_equal(leaving, power)
+        return
+    noise = np.sqrt(power) * np.random.default_rng(0).standard_normal((4000, 200))
+    gain = math.sqrt((1 - k * k).prod())
+    expected = np.square(lfilter([gain], polynomial(k), noise, axis=1)).mean(axis=0)
+    # From the jump on, and once what came before the first sample, which `_filtered` holds, no longer rings. A mean over 4000 of
+    # squares that ring alike is known to √(2/4000) = 2.2 %; four standard errors.
+    np.testing.assert_allclose(leaving[90:], expected[90:], rtol=0.09)
+    assert leaving[105] > 100 * power[105]
+    assert leaving[0] == pytest.approx(4.0, rel=0.02)  # what is left of the answer after 200 samples
