@@ -106,7 +106,7 @@ def test_what_the_kernel_does_not_reproduce_is_refused() -> None:
 
 
 def test_a_chaotic_loop_is_held_to_as_much_as_it_amplifies() -> None:
-    """A network on its own output may amplify what float32 rounds a millionfold within 64 steps; its first steps say enough."""
+    """A network in its closed loop may amplify what float32 rounds a millionfold within 64 steps; its first steps say enough."""
     sizes, rng = sizes_with("foten", SMALL), np.random.default_rng(0)
     tensors = untrained_tensors("foten", sizes, untrained("foten", sizes))
     golden = rng.standard_normal((8, sizes.window, 3))

@@ -1,4 +1,4 @@
-"""What a network of innovations is fitted to, and what it makes of known processes."""
+"""What an innovation network is fitted to, and what it makes of known processes."""
 
 from __future__ import annotations
 

@@ -211,7 +211,7 @@ def foten_plus_diagram(arguments: argparse.Namespace) -> None:
 
 
 def one_step(arguments: argparse.Namespace) -> None:
-    """The same network one step ahead and on its own output."""
+    """The same network one step ahead and in the closed loop."""
     recording = simulate(SHOWN, 64.0, seed=SEED)
     paper, ours = (texture_of(SHOWN, model) for model in ("foten", OURS_KEY))
     kernel, our_kernel = (NativeTexture(file.to_bytes()) for file in (paper, ours))
@@ -495,7 +495,7 @@ def rates(arguments: argparse.Namespace) -> None:
 
 
 def compared(arguments: argparse.Namespace) -> None:
-    """Waveforms of each method of the reduced comparison on its own output, of three textures."""
+    """Waveforms of each method of the reduced comparison in the closed loop, of three textures."""
     results = chosen_results(read_results(arguments.sweep))
     shown = [result for result in results if result["run"]["texture"] in ("steel-mesh-1", "cardboard", "towel")]
     save(waveforms(shown), "compared")

@@ -149,7 +149,7 @@ typedef enum {
 /* What is not known is 0, and so is the scale if nothing is random. */
 typedef struct {
     double sample;       /* scaled */
-    double scale;        /* of the random part at mean volatility: a standard deviation but for its tails, scaled */
+    double scale;        /* standard deviation of the random part, scaled */
     double standardised; /* what came, as a standard normal number if the distribution is right */
     double nll;          /* negative log-likelihood of what came [nat, scaled] */
 } foten_prediction;

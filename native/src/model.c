@@ -167,7 +167,7 @@ static int prove(foten_model *m, texture_file *file, arena *memory) {
     }
     if (sigma && !proven(file, "the excitation", ours, sigma, NULL, n, FOTEN_ONE_STEP_TOLERANCE)) return 0;
     m->kind->start(m, m->begin, warm, m->history, 0);
-    /* A network on its own output may be chaotic, and it jumps where a phase wraps from pi to -pi: what one step rounds
+    /* A network in its closed loop may be chaotic, and it jumps where a phase wraps from pi to -pi: what one step rounds
      * is a thousand times as large some steps later. Each is held to what becomes by then of starts and conditions that
      * are off, either way, by as much as a step may be. */
     double *moved = arena_take(memory, GOLDEN_STEPS, sizeof *moved),

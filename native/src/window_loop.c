@@ -33,7 +33,7 @@ static void predict(const foten_model *m, loop *l, foten_prediction_part part, d
 
 static double scale_of_noise(const foten_model *m, const loop *l) { return m->excited ? l->sigma : 0; }
 
-/* Nothing bounds a network on its own output, so it goes on from the cut sample. */
+/* Nothing bounds a network in its closed loop, so it goes on from the cut sample. */
 static double step(const foten_model *m, loop *l, const condition *c, const double *noise, double limit) {
     double sample = predictor_predict(&m->predictor, &l->predictor);
     if (noise && m->excited) sample += l->sigma * excitation_limited(&m->excitation, *noise, l->sigma);

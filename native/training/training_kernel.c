@@ -1,4 +1,4 @@
-/* What training a network of innovations spends its time on: its recurrent unit over chunks, and roll-outs in the
+/* What training an innovation network spends its time on: its recurrent unit over chunks, and roll-outs in the
  * closed loop, forward and back, all streams of a batch side by side. A library of its own, libfoten_training, which
  * comes with the Python package alone; `training.training_kernel` binds it.
  *

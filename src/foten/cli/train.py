@@ -47,7 +47,7 @@ def train(
     epochs: Annotated[
         int | None,
         Option(
-            help="At most; the recipe's by default. Below 8, foten-plus is trained for less on its own output too."
+            help="At most; the recipe's by default. Below 8, closed-loop training of foten-plus is shorter too."
             " (Of gan, of 50 steps each.)"
         ),
     ] = None,
@@ -62,8 +62,8 @@ def train(
         bool,
         Option(
             "--excitation",
-            help="Give a network a random part, as foten-plus always has one: without it its free run falls silent. Noise; with "
-            "--set network_in_loop=true, for foten and ten, what a network of innovations draws.",
+            help="Give a network a random part, as foten-plus always has one: Gaussian noise, without which its free run falls "
+            "silent.",
         ),
     ] = False,
     settings: Annotated[

@@ -71,8 +71,8 @@ def excitation_scores(
 
     Returns:
         `nll`: mean negative log-likelihood [nat, scaled]; `coverage_50`, `coverage_90`: the share of samples inside the
-        central 50 and 90 % of the predicted distribution; `standardised_sd`: of the errors, taken back through the tails to
-        what should be a standard normal, 1 when the excitation is right; `intervals`.
+        central 50 and 90 % of the predicted distribution; `standardised_sd`: of the errors as standard normal
+        numbers, 1 where the distribution is right; `intervals`.
     """
     unknown = dict.fromkeys(("nll", "coverage_50", "coverage_90", "standardised_sd"))
     predicted = predict(texture, samples, n, "rendering")

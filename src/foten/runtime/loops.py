@@ -56,7 +56,7 @@ class Prediction(NamedTuple):
     """
 
     sample: Array
-    scale: Array  # of what is random, at mean volatility: a standard deviation but for its tails
+    scale: Array  # standard deviation of what is random
     standardised: Array  # what came, as standard normal numbers, if the distribution is right
     nll: Array  # negative log-likelihood of what came [nat, scaled]
 

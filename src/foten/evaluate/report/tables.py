@@ -147,15 +147,15 @@ def free_run_section(document: Mapping[str, Any]) -> str:
 
 
 def _excitation(one_step: Mapping[str, Any]) -> str:
-    """How well the excitation's distribution fits the errors of a rendering's prediction, as a paragraph."""
+    """How well the random part's distribution fits the errors of a rendering's prediction, as a paragraph."""
     if one_step.get("nll") is None:
         return ""
     return (
-        "<p>The excitation, its scale and tails, against the error of what a rendering expects of the next sample: "
+        "<p>The random part against the error of what a rendering expects of the next sample: "
         f"<b>{100 * one_step['coverage_50']:.0f} %</b> of "
-        f"the samples inside its central 50 %, <b>{100 * one_step['coverage_90']:.0f} %</b> inside its 90 %; errors taken "
-        f"back through scale and tails have standard deviation <b>{one_step['standardised_sd']:.2f}</b> (1 when they are "
-        f"right); negative log-likelihood {minus(format(one_step['nll'], '.3f'))} nat.</p>"
+        f"the samples inside its central 50 %, <b>{100 * one_step['coverage_90']:.0f} %</b> inside its 90 %; errors as "
+        f"standard normal numbers have standard deviation <b>{one_step['standardised_sd']:.2f}</b> (1 where the "
+        f"distribution is right); negative log-likelihood {minus(format(one_step['nll'], '.3f'))} nat.</p>"
     )
 
 

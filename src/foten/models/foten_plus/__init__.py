@@ -1,1 +1,1 @@
-"""foten-plus: a level, a lattice, tones, and a network of innovations."""
+"""foten-plus: a level, a lattice, tones, and an innovation network."""

@@ -1,4 +1,4 @@
-"""A network of innovations trained in its own closed loop, after it was fitted by likelihood: `rollout`, `envelope_loss`.
+"""An innovation network trained in its own closed loop, after it was fitted by likelihood: `rollout`, `envelope_loss`.
 
 Likelihood asks what comes after recorded samples. A rendering never has these: it goes on from what it drew itself, and a small
 error of each step becomes another texture. What is best on the validation blocks is kept: on artificial grass that is the

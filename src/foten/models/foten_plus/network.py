@@ -1,4 +1,4 @@
-"""The network of innovations: how the next one is distributed. Lattice and tones of foten-plus are not trained by gradient."""
+"""The innovation network: how the next one is distributed. Lattice and tones of foten-plus are not trained by gradient."""
 
 from __future__ import annotations
 

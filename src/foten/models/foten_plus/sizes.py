@@ -92,7 +92,7 @@ class FotenPlusSizes(ModelSizes):
         return N_INPUTS + (N_PHASE_INPUTS if self.n_tones else 0)
 
     def network_shapes(self, name: str, inputs: int) -> Shapes:
-        """Return the tensors of a network of innovations."""
+        """Return the tensors of an innovation network."""
         return innovation_shapes(name, inputs, self.n_hidden, self.head_width, self.n_components)
 
     def network_cost(self) -> int:
