@@ -39,7 +39,7 @@ def built(folder: Path) -> Path:
 
 
 def measured(program: Path, file: Path, isa: str, share: float, seconds: int, tick_us: float) -> dict[str, Any]:
-    """Return what the loop measured in one instruction set."""
+    """What the loop measured in one instruction set."""
     done = subprocess.run(
         [str(program), str(file), f"{share:g}", str(seconds), f"{tick_us:g}"],
         env={**os.environ, "FOTEN_ISA": isa},

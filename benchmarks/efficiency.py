@@ -57,7 +57,7 @@ WARM = 50  # steps that are not counted
 
 
 def p50_us(step: Callable[[], object], n: int) -> float:
-    """Return the median time of a step [µs]."""
+    """The median time of a step [µs]."""
     for _ in range(WARM):
         step()
     times = np.empty(n)
@@ -69,7 +69,7 @@ def p50_us(step: Callable[[], object], n: int) -> float:
 
 
 def steps(model: str, n: int, texture: Texture | None) -> dict[str, float]:
-    """Return the median time of a step of each runtime [µs]."""
+    """The median time of a step of each runtime [µs]."""
     torch.manual_seed(0)
     sizes = TRAINABLE[model]()
     network = build(model, sizes).eval()
@@ -91,7 +91,7 @@ def steps(model: str, n: int, texture: Texture | None) -> dict[str, float]:
 
 
 def epoch_s(model: str, blocks: ScaledBlocks, recipe: str) -> float:
-    """Return how long an epoch takes with its validation, the quicker of two [s]; of the GAN, as many spectrograms as windows."""
+    """How long an epoch takes with its validation, the quicker of two [s]; of the GAN, as many spectrograms as windows."""
     own = {**OWN_RECIPES.get(model, {}), "epochs": 2, "threads": 1, "batch": RECIPES[recipe].batch}
     config, sizes = dataclasses.replace(RECIPES[recipe], **own), TRAINABLE[model]()
     windows = one_step_windows(blocks, sizes.window)
@@ -109,7 +109,7 @@ def epoch_s(model: str, blocks: ScaledBlocks, recipe: str) -> float:
 
 
 def untrained(model: str, recording: Recording, blocks: ScaledBlocks, config: PreprocessConfig) -> Texture:
-    """Return a texture that the kernel runs, its network untrained."""
+    """A texture that the kernel runs, its network untrained."""
     sizes = TRAINABLE[model]()
     card = TrainingJob(recording, model, sizes, RECIPES["default"], config, texture_name="towel").card(blocks, "cpu")
     card |= {"warm_start": {}, "metrics": {"validation_mae_scaled": 1.0}}
@@ -120,7 +120,7 @@ def untrained(model: str, recording: Recording, blocks: ScaledBlocks, config: Pr
 
 
 def measure(arguments: argparse.Namespace) -> dict[str, Any]:
-    """Return all times of all models."""
+    """All times of all models."""
     recording, config = simulate("towel", arguments.seconds + 4.0), PreprocessConfig()
     trace = preprocess(recording, config)
     blocks = scaled_blocks(trace, split_blocks(trace))
@@ -144,7 +144,7 @@ def measure(arguments: argparse.Namespace) -> dict[str, Any]:
 
 
 def table(models: dict[str, Any]) -> list[list[str]]:
-    """Return the table: the cost of a step, and of an epoch beside the paper's ratio to its own network."""
+    """The table: the cost of a step, and of an epoch beside the paper's ratio to its own network."""
     own = models.get("foten", {}).get("epoch_s", {}).get("paper")
     head = ["model", "PyTorch [µs]", "ONNX Runtime [µs]", "kernel [µs]", "paper's CPU [µs]", "epoch [s]"]
     head += ["foten's epoch ÷ its", "the paper's"]

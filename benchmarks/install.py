@@ -42,7 +42,7 @@ def run(environment: Path, *arguments: str | Path) -> str:
 
 
 def seconds(environment: Path, wanted: str, first: str) -> float:
-    """Return how long installing and the first use take."""
+    """How long installing and the first use take."""
     venv.create(environment, with_pip=True)
     begin = time.perf_counter()
     pip = ("-m", "pip", "install", "--quiet", "--disable-pip-version-check", "--only-binary", ":all:")

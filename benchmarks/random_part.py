@@ -57,7 +57,7 @@ HEADING = (
 
 
 def block_us(path: Path) -> float:
-    """Return the mean time of a sample in blocks of 10 ms [µs], the median of all blocks."""
+    """The mean time of a sample in blocks of 10 ms [µs], the median of all blocks."""
     texture = NativeTexture(path.read_bytes())
     state = NativeState(texture)
     out = np.empty(round(BLOCK_S * texture.info.rate_hz), dtype=np.float32)
@@ -71,7 +71,7 @@ def block_us(path: Path) -> float:
 
 
 def step_ms() -> list[tuple[str, ...]]:
-    """Return a table of what steps of training take [ms], in batches as training has them."""
+    """A table of what steps of training take [ms], in batches as training has them."""
     torch.set_num_threads(1)
     sizes, batch = trainable_sizes("foten-plus", {}), recipe_of("foten-plus").batch
     assert isinstance(sizes, FotenPlusSizes)

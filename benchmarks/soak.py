@@ -122,7 +122,7 @@ class Tablet:
             self._push(t + 1e-5 * k, pressure)
 
     def expected(self) -> dict[str, int]:
-        """Return what the stylus has to have counted, by the names of foten_stylus_stats."""
+        """What the stylus has to have counted, by the names of foten_stylus_stats."""
         return {
             "n_refused": self.done["not a number"],
             "n_late": self.done["doubled"] + self.done["late"] + CLOCK_IS_BELIEVED * self.done["clock begins anew"],
@@ -133,13 +133,13 @@ class Tablet:
 
 
 def resident_bytes() -> int:
-    """Return the memory of this process that is in use."""
+    """The memory of this process that is in use."""
     pages = int(Path("/proc/self/statm").read_text().split()[1])
     return pages * os.sysconf("SC_PAGE_SIZE")
 
 
 def soaked(texture: Any, hours: float, ratio: float) -> dict[str, Any]:
-    """Return what came of it."""
+    """What came of it."""
     rate = 8 * float(texture.rate_hz)
     renderer = Renderer(texture, rate)
     stylus = Stylus(renderer)

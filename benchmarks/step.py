@@ -84,7 +84,7 @@ class Child:
         self.isa = self._line()
 
     def __call__(self, n: int) -> list[float]:
-        """Return n times [ns]."""
+        """Times of n calls [ns]."""
         assert self._process.stdin is not None
         self._process.stdin.write(f"{n}\n")
         self._process.stdin.flush()
@@ -105,7 +105,7 @@ class Child:
 
 
 def timed(call: Callable[[], Any]) -> Callable[[int], list[float]]:
-    """Return what times a call n times [ns]."""
+    """What times a call n times [ns]."""
 
     def times(n: int) -> list[float]:
         times_ns = []
@@ -119,7 +119,7 @@ def timed(call: Callable[[], Any]) -> Callable[[int], list[float]]:
 
 
 def texture_of(path: Path | None) -> tuple[Any, bytes]:
-    """Return a texture of the paper's network with its default sizes, untrained unless one is given: its time is the same."""
+    """A texture of the paper's network with its default sizes, untrained unless one is given: its time is the same."""
     from foten.models.texture_file import texture_from_bytes
 
     if path is not None:
@@ -133,7 +133,7 @@ def texture_of(path: Path | None) -> tuple[Any, bytes]:
 
 
 def engines(texture: Any, file: Path) -> dict[str, Any]:
-    """Return what times each engine that is here, by name; None for one that is missing, which is told."""
+    """What times each engine that is here, by name; None for one that is missing, which is told."""
     low, high = texture.trained_range("speed")
     hand = [f"{0.5 * (low + high):g}", f"{sum(texture.trained_range('force')) / 2:g}"]
     runners: dict[str, Any] = {}
@@ -157,7 +157,7 @@ def engines(texture: Any, file: Path) -> dict[str, Any]:
 
 
 def frameworks(texture: Any, file: Path) -> dict[str, Any]:
-    """Return what times PyTorch, eager and compiled, ONNX Runtime and OpenVINO on the same window."""
+    """What times PyTorch, eager and compiled, ONNX Runtime and OpenVINO on the same window."""
     import torch
 
     from foten.baselines.networks import build
@@ -208,7 +208,7 @@ def frameworks(texture: Any, file: Path) -> dict[str, Any]:
 
 
 def _plain(windows: np.ndarray) -> np.ndarray:
-    """Return a window whose mean, and whose sum in turns, are positive.
+    """A window whose mean, and whose sum in turns, are positive.
 
     ONNX has no atan2, and what PyTorch writes for it gives (0, −1) the angle −π: for others it would not be the same network.
     """
@@ -227,7 +227,7 @@ def _agrees(engine: str, predicted: np.ndarray, network: Any, tensor: Any) -> No
 
 
 def peaks(folder: Path) -> dict[str, float]:
-    """Return the multiply-adds a second of this core by instruction set; none without a compiler."""
+    """The multiply-adds a second of this core by instruction set; none without a compiler."""
     compiler = shutil.which("cc") or shutil.which("gcc")
     if compiler is None:
         print("floor: left out, no C compiler", file=sys.stderr)
@@ -242,7 +242,7 @@ def peaks(folder: Path) -> dict[str, float]:
 
 
 def measured(path: Path | None, n: int) -> dict[str, Any]:
-    """Return the document: times by engine [µs], ratios of the best native build, and what it was measured on."""
+    """The document: times by engine [µs], ratios of the best native build, and what it was measured on."""
     import torch
 
     texture, data = texture_of(path)
@@ -288,7 +288,7 @@ def measured(path: Path | None, n: int) -> dict[str, Any]:
 
 
 def table(document: dict[str, Any]) -> list[list[str]]:
-    """Return the engines, the fastest first."""
+    """The engines, the fastest first."""
     best = document["best_native"]
     cells = [["engine", "p50 [µs]", "p99", "p99.9", f"÷ {best}"]]
     for name, p50 in sorted(document["p50_us"].items(), key=lambda item: item[1]):

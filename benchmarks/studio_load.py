@@ -77,13 +77,13 @@ async def stroked(link: str, index: int, events_hz: float, seconds: float, begin
 
 
 async def all_stroke(link: str, pages: int, events_hz: float, seconds: float) -> list[dict[str, Any]]:
-    """Return what each of some pages says that stroke at once."""
+    """What each of some pages says that stroke at once."""
     begin = time.monotonic() + 2.0
     return await asyncio.gather(*(stroked(link, i, events_hz, seconds, begin) for i in range(pages)))
 
 
 def row(name: str, link: str, pages: int, events_hz: float, seconds: float) -> list[str]:
-    """Return a line of the table."""
+    """A line of the table."""
     pages_said = asyncio.run(all_stroke(link, pages, events_hz, seconds))
     with urllib.request.urlopen(f"{link}state") as answer:
         assert json.load(answer)["n_refused"] == 0

@@ -64,7 +64,7 @@ QUANTA = """async ({ rate, quantum, n, file }) => {
 
 
 def native_quanta(path: Path) -> list[float]:
-    """Return how long each quantum takes with this machine's kernel [ms]."""
+    """How long each quantum takes with this machine's kernel [ms]."""
     renderer = Renderer(path.read_bytes(), rate=RATE_HZ)
     stylus, out, took = Stylus(renderer), np.zeros(QUANTUM, dtype=np.float32), []
     for k in range(N):
@@ -77,7 +77,7 @@ def native_quanta(path: Path) -> list[float]:
 
 
 def first_changes(path: Path, n: int = 200) -> list[float]:
-    """Return how long after an event that says something else the first sample differs [ms]: of two pens that did the same."""
+    """How long after an event that says something else the first sample differs [ms]: of two pens that did the same."""
     delays = []
     for k in range(n):
         pens = [Stylus(Renderer(path.read_bytes(), rate=RATE_HZ)) for _ in range(2)]
@@ -94,7 +94,7 @@ def first_changes(path: Path, n: int = 200) -> list[float]:
 
 
 def measured(page: Any, link: str, seconds: float) -> tuple[list[float], dict[str, float], list[float]]:
-    """Return the times to first sound [ms], the latencies, and how long a quantum takes in the page [ms]."""
+    """The times to first sound [ms], the latencies, and how long a quantum takes in the page [ms]."""
     first = []
     for _ in range(5):
         page.goto(link)

@@ -28,7 +28,7 @@ FOTEN = (sys.executable, "-c", "from foten.cli import main; main()", "study")
 
 
 def prepared(folder: Path, participants: int) -> Path:
-    """Return a study's file in a folder, with its simulated ratings beside it."""
+    """A study's file in a folder, with its simulated ratings beside it."""
     sources = [read_texture(path) for path in sorted(EXAMPLE.parent.glob("*.foten"))]
     for t in range(TEXTURES):
         for m, method in enumerate(METHODS):

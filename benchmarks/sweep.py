@@ -41,7 +41,7 @@ HOST, PORT = "127.0.0.2", 6399  # of the loopback, where Ray does not take it fo
 
 
 def experiment(n_runs: int, epochs: int) -> Experiment:
-    """Return quick runs, a split each."""
+    """Quick runs, a split each."""
     return Experiment(
         title="quick runs",
         textures=("linear-cloth",),
@@ -102,7 +102,7 @@ def kill(process: subprocess.Popen[bytes]) -> None:
 
 
 def results_of(folder: Path) -> dict[str, dict[str, Any]]:
-    """Return the results by name, without what no two runs share."""
+    """The results by name, without what no two runs share."""
     found = {path.name: json.loads(path.read_text()) for path in folder.glob("*.json")}
     for result in found.values():
         del result["seconds"]

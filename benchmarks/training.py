@@ -41,7 +41,7 @@ from report import add_csv, report
 
 
 def history(name: str, model: str, windows: TrainingWindows, config: TrainConfig) -> list[Epoch]:
-    """Return the log of one training from the same initial weights."""
+    """The log of one training from the same initial weights."""
     with reproducible():
         torch.manual_seed(config.seed)
         network = build(model, TRAINABLE[model]()).to(pick_device())
@@ -58,7 +58,7 @@ def history(name: str, model: str, windows: TrainingWindows, config: TrainConfig
 
 
 def seconds_to(epochs: list[Epoch], loss: float) -> float | None:
-    """Return the wall time until the validation loss is at or below one, None where it never is."""
+    """The wall time until the validation loss is at or below one, None where it never is."""
     elapsed = 0.0
     for line in epochs:
         elapsed += line.seconds
@@ -93,7 +93,7 @@ def main() -> None:
 
 
 def table(arms: dict[str, TrainConfig], logs: dict[str, list[Epoch]]) -> list[list[str]]:
-    """Return the seconds of each recipe, and those to the lowest loss of the paper's."""
+    """The seconds of each recipe, and those to the lowest loss of the paper's."""
     lowest = min(line.validation_loss for line in logs["paper"])
     cells = [["recipe", "threads", "s an epoch", "s in all", "lowest loss", "s to the paper's lowest", "paper's ÷ its"]]
     paper = seconds_to(logs["paper"], lowest)
@@ -107,7 +107,7 @@ def table(arms: dict[str, TrainConfig], logs: dict[str, list[Epoch]]) -> list[li
 
 
 def command_seconds(recording: Recording) -> float:
-    """Return the wall time of `foten train REC.h5 -o T.foten` with its defaults, start and proof included."""
+    """The wall time of `foten train REC.h5 -o T.foten` with its defaults, start and proof included."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "recording.h5"
         write_recording(recording, path)

@@ -44,7 +44,7 @@ PLUS: dict[str, Any] = {"window": 12, "n_hidden": 6, "head_width": 5, "n_compone
 
 
 def sizes_with(model: str, wanted: dict[str, Any]) -> ModelSizes:
-    """Return a model's sizes with those that are wanted and that it has."""
+    """A model's sizes with those that are wanted and that it has."""
     has = {field.name for field in fields(TRAINABLE[model])}
     return TRAINABLE[model](**{name: value for name, value in wanted.items() if name in has})
 
@@ -73,20 +73,20 @@ CARD: dict[str, Any] = {
 
 
 def resonance(hz: float, radius: float, m: int, rate_hz: float = 1000.0) -> np.ndarray:
-    """Return m taps, oldest first, of a stable AR(2) with poles at ±hz."""
+    """M taps, oldest first, of a stable AR(2) with poles at ±hz."""
     taps = np.zeros(m)
     taps[-2:] = -(radius**2), 2 * radius * np.cos(2 * np.pi * hz / rate_hz)
     return taps
 
 
 def reflections_of(taps: np.ndarray) -> np.ndarray:
-    """Return the two reflection coefficients of an AR(2), taps oldest first."""
+    """The two reflection coefficients of an AR(2), taps oldest first."""
     second, first = -taps
     return np.array([first / (1 + second), second])
 
 
 def untrained(model: str, sizes: ModelSizes | None = None, seed: int = 0) -> Any:
-    """Return a seeded network in PyTorch whose every parameter matters."""
+    """A seeded network in PyTorch whose every parameter matters."""
     import torch
 
     from foten.baselines.networks import build
@@ -96,7 +96,7 @@ def untrained(model: str, sizes: ModelSizes | None = None, seed: int = 0) -> Any
 
 
 def perturbed(network: Any) -> Any:
-    """Return a network with seeded changes to every parameter."""
+    """A network with seeded changes to every parameter."""
     with torch.no_grad():
         for parameter in network.parameters():
             parameter += 0.1 * torch.randn_like(parameter)
@@ -104,7 +104,7 @@ def perturbed(network: Any) -> Any:
 
 
 def scale(width: int, level: float, seed: int) -> Scale:
-    """Return a seeded scale over speed and force that grows with both."""
+    """A seeded scale over speed and force that grows with both."""
     rng = np.random.default_rng(seed)
     return Scale(
         hidden_weight=rng.uniform(-0.6, 0.6, (width, 4)),
@@ -120,7 +120,7 @@ def scale(width: int, level: float, seed: int) -> Scale:
 
 
 def untrained_tensors(model: str, sizes: ModelSizes, network: Any, seed: int = 0) -> dict[str, np.ndarray]:
-    """Return a network's tensors and seeded ones of all else; foten-plus resonates near 120 Hz through its lattice."""
+    """A network's tensors and seeded ones of all else; foten-plus resonates near 120 Hz through its lattice."""
     from foten.models.foten_plus.network import InnovationNetwork
     from foten.training.tensors import tensors_of
 
@@ -160,7 +160,7 @@ def untrained_tensors(model: str, sizes: ModelSizes, network: Any, seed: int = 0
 
 
 def local_models(sizes: PiecewiseArSizes) -> LocalModels:
-    """Return seeded local models, silent at rest, over a fan of triangles; the first stands in the middle."""
+    """Seeded local models, silent at rest, over a fan of triangles; the first stands in the middle."""
     from foten.models.piecewise_ar.local_models import LocalModels
 
     rng = np.random.default_rng(2)
@@ -185,7 +185,7 @@ def local_models(sizes: PiecewiseArSizes) -> LocalModels:
 def exported(
     model: str, sizes: ModelSizes | None = None, tensors: dict[str, np.ndarray] | None = None, **card: Any
 ) -> Texture:
-    """Return an untrained network, or local models that nobody fitted, as a proved texture.
+    """An untrained network, or local models that nobody fitted, as a proved texture.
 
     Args:
         model: its key.
@@ -216,7 +216,7 @@ def exported(
 
 
 def packed(network: Any, sizes: BaselineSizes | NoiseModelSizes) -> Packed:
-    """Return a baseline's network as its texture file holds it."""
+    """A baseline's network as its texture file holds it."""
     from foten.baselines.fit import noise_graph, one_step_graph
 
     return noise_graph(network, sizes, 0.5) if isinstance(sizes, NoiseModelSizes) else one_step_graph(network, sizes)
@@ -224,13 +224,13 @@ def packed(network: Any, sizes: BaselineSizes | NoiseModelSizes) -> Packed:
 
 @pytest.fixture(scope="session")
 def texture() -> Texture:
-    """Return a foten-plus texture: rings at 120 Hz, excited, trained for 8–220 mm/s and 0.3–2.5 N."""
+    """A foten-plus texture: rings at 120 Hz, excited, trained for 8–220 mm/s and 0.3–2.5 N."""
     return exported("foten-plus", TRAINABLE["foten-plus"](**PLUS, order=6, n_speed=3, n_force=2))
 
 
 @pytest.fixture(scope="session")
 def plain_texture() -> Texture:
-    """Return a texture of the paper's network, without excitation."""
+    """A texture of the paper's network, without excitation."""
     return exported("foten", TRAINABLE["foten"](**SMALL))
 
 
@@ -248,7 +248,7 @@ block_ms = 1000
 
 
 def experiment(folder: Path, text: str = TINY) -> Path:
-    """Return the path of an experiment, written to a folder."""
+    """The path of an experiment, written to a folder."""
     path = folder / "experiment.toml"
     path.write_text(text)
     return path

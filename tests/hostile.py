@@ -58,7 +58,7 @@ class Result:
 
     @property
     def clean(self) -> bool:
-        """Return whether it did its work, or refused the file in one line, and printed nothing that a terminal would obey."""
+        """Whether it did its work, or refused the file in one line, and printed nothing that a terminal would obey."""
         if "Traceback" in self.err or "Warning" in self.err:
             return False
         if not (self.out + self.err).replace("\n", "").isprintable():
@@ -275,7 +275,7 @@ _CELLS = [
 
 
 def hostile_value(rng: random.Random) -> Any:
-    """Return a JSON value that seldom belongs where it is put."""
+    """A JSON value that seldom belongs where it is put."""
     numbers = [-1, 0, 1, 3, 2**31, 2**63, 2**70, 10**400, 0.5, 1e308, -1e308, 5e-324, math.nan, math.inf]
     others = [
         None,
@@ -296,7 +296,7 @@ def hostile_value(rng: random.Random) -> Any:
 
 
 def damaged(data: bytes, rng: random.Random) -> bytes:
-    """Return bytes with bits flipped, a piece overwritten, moved or cut out, or the end missing."""
+    """Bytes with bits flipped, a piece overwritten, moved or cut out, or the end missing."""
     out = bytearray(data)
     # Headers are short and decide most.
     reach = len(out) if rng.random() < 0.5 else min(len(out), 3000)
@@ -393,7 +393,7 @@ def _odd_dataset(file: h5py.File, name: str, rng: random.Random) -> None:
 
 
 def _npy(rng: random.Random) -> bytes:
-    """Return a .npy file whose header lies or is odd."""
+    """A .npy file whose header lies or is odd."""
     shapes = [
         "(1000000000000,)",
         "(-1,)",
@@ -471,7 +471,7 @@ def run_commands(
     of: str = "foten.cli.command_line",
     path: Path | None = None,
 ) -> list[Result]:
-    """Return what each command did: many in one process, and a new process after one that crashed or hung.
+    """What each command did: many in one process, and a new process after one that crashed or hung.
 
     Args:
         cases: the arguments of each.
@@ -510,7 +510,7 @@ def run_commands(
 
 
 def run_hostile(generator: Generator, numbers: Sequence[int], folder: Path) -> list[Result]:
-    """Return what the command line did with the hostile files of some numbers; the files are gone afterwards."""
+    """What the command line did with the hostile files of some numbers; the files are gone afterwards."""
     cases: list[list[str]] = []
     for number in numbers:
         cases += generator.write(number, folder)[1]

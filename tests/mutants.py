@@ -54,7 +54,7 @@ MUTANTS = (
         "smoothing begins from rest", NATIVE + "api.c", "= settled(&s->filter, speed_force[i]);", "= (memory){0, 0};"
     ),
     Mutant("there is no fade", NATIVE + "api.c", "if (x < fade) c.fade *= x / fade;", ""),
-    Mutant("the level does not grow", NATIVE + "api.c", "growth *= pow(kept[i] / m->high[i], m->exponents[i]);", ";"),
+    Mutant("the level does not grow", NATIVE + "api.c", "growth *= pow(held[i] / m->high[i], m->exponents[i]);", ";"),
     Mutant(
         "the level grows without end",
         NATIVE + "constants.h",
@@ -664,7 +664,7 @@ MUTANTS = (
     Mutant(
         "an actuator's new figures begin from rest",
         NATIVE + "actuator.c",
-        "made.memory = into->memory;",
+        "designed.memory = into->memory;",
         "",
         ("tests/test_actuator.py",),
     ),

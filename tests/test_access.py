@@ -66,7 +66,7 @@ def test_a_certificate_is_for_the_hosts_and_its_key_is_for_the_owner_alone(tmp_p
 
 
 def on_the_network(studio: Studio) -> tuple[Access, list[Access], Any]:
-    """Return the access to a server on a network, those that it was renewed to, and how to come there with a new device."""
+    """The access to a server on a network, those that it was renewed to, and how to come there with a new device."""
     renewed: list[Access] = []
     access = access_to("192.0.2.7", 8443, on_joined=renewed.append)
     app, there = studio.app(access), "https://192.0.2.7:8443"

@@ -16,7 +16,7 @@ from foten.runtime.renderer import Renderer
 
 
 def driven(texture: Texture, profile: ActuatorProfile, rate: float, n: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return what is rendered without and with an actuator, shapes (n,), under one hand and noise."""
+    """What is rendered without and with an actuator, shapes (n,), under one hand and noise."""
     return tuple(
         Renderer(texture, rate=rate, seed=5, actuator=actuator).render(100.0, 1.0, n).astype(float)
         for actuator in (None, profile)

@@ -282,7 +282,7 @@ def test_blocks_too_short_for_spectrograms_are_refused() -> None:
 
 
 def noise_blocks(n_blocks: int, block: int) -> ScaledBlocks:
-    """Return white noise as loud as a hand is fast, which moves by chance from block to block."""
+    """White noise as loud as a hand is fast, which moves by chance from block to block."""
     rng = np.random.default_rng(6)
     speed = np.repeat(rng.uniform(40, 200, n_blocks), block)
     trace = Trace(

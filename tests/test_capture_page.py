@@ -125,7 +125,7 @@ def browser(tmp_path: Path, performance: SimulatedCapture) -> Iterator[Any]:
 
 
 def lag_s(recording: Recording, sound: Array, rate_hz: int, performance: SimulatedCapture) -> float:
-    """Return how much later than in truth the pen is in a recording; where its sound begins in the true one is seen in both."""
+    """How much later than in truth the pen is in a recording; where its sound begins in the true one is seen in both."""
     known = scipy.signal.resample_poly(performance.sound, rate_hz // 300, round(SOUND_HZ) // 300)
     n = 1 << (known.size + sound.size).bit_length()
     product = np.fft.rfft(known, n) * np.conj(np.fft.rfft(sound, n))
@@ -145,7 +145,7 @@ def lag_s(recording: Recording, sound: Array, rate_hz: int, performance: Simulat
 
 
 def judged(path: Path, recording: Recording) -> float:
-    """Return the log-spectral distance [dB] of a texture's free run over a recording that it was not trained on."""
+    """The log-spectral distance [dB] of a texture's free run over a recording that it was not trained on."""
     document = evaluate(read_texture(path), recording).document
     distance: float = document["free_run"]["lsd_db"]
     return distance

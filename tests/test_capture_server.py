@@ -56,7 +56,7 @@ def events(*rows: tuple[float, float, float, float]) -> bytes:
 
 
 def answered(socket: Any, kind: str, seconds: float = 60.0) -> dict[str, Any]:
-    """Return the first answer of a kind, or the refusal."""
+    """The first answer of a kind, or the refusal."""
     end = time.monotonic() + seconds
     while time.monotonic() < end:
         document: dict[str, Any] = json.loads(socket.receive_text())

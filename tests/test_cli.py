@@ -169,6 +169,23 @@ def test_ctrl_c_after_the_last_epoch_is_one_too_and_says_how_to_go_on(
     assert "next: foten evaluate" in capsys.readouterr().out
 
 
+@pytest.mark.parametrize(
+    ("options", "refused"),
+    [
+        (["--loss", "mae", "--delta", "1"], "delta is the threshold of the huber loss, and the loss is mae"),
+        (["--set", "excitation_width=8"], "excitation_width is of an excitation, and there is none"),
+        (["--set", "n_hidden=8"], "foten has no size 'n_hidden'"),
+    ],
+)
+def test_an_option_without_an_effect_is_refused(
+    recording: Path, tmp_path: Path, options: list[str], refused: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "t.foten"
+    assert _status(["train", str(recording), "-o", str(out), "--model", "foten", *options]) == 2
+    assert refused in one_line(capsys)
+    assert not list(tmp_path.glob("t.*"))
+
+
 def test_ctrl_c_is_a_line_and_status_130(
     texture: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

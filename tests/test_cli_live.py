@@ -58,7 +58,7 @@ def test_play_counts_and_says_what_lies_between(file: Path, capsys: pytest.Captu
 
 
 def wav(path: Path) -> tuple[np.ndarray, dict[str, Any]]:
-    """Return a WAV's float samples, and its comment."""
+    """A WAV's float samples, and its comment."""
     data = path.read_bytes()
     at = data.index(b"data") + 8
     comment = data[data.index(b"ICMT") + 8 :].split(b"\0")[0]

@@ -49,5 +49,8 @@ def test_recipes_change_what_a_config_has() -> None:
 def test_settings_that_mean_nothing_to_a_model_are_refused() -> None:
     check_used("foten", ["loss", "dropout"])
     check_used("gan", ["epochs", "batch", "learning_rate"])
+    with pytest.raises(ValueError, match="delta is the threshold of the huber loss, and the loss is mae"):
+        check_used("foten", ["delta"], "mae")
+    check_used("foten", ["delta"], "huber")
     with pytest.raises(ValueError, match="clip-norm means nothing to gan"):
         check_used("gan", ["epochs", "clip_norm"])

@@ -51,7 +51,7 @@ def recording() -> Recording:
 
 @pytest.fixture(scope="module")
 def textures(recording: Recording) -> dict[str, Texture]:
-    """Return every model, trained for a moment; few closed loops settle its level, which take graphs seconds."""
+    """Every model, trained for a moment; few closed loops settle its level, which take graphs seconds."""
     made = {}
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(calibration, "N_CALIBRATIONS", 1)

@@ -107,7 +107,7 @@ def test_the_recordings_tutorial_ends_in_a_report(tmp_path: Path) -> None:
 
 
 def commands_of(tutorial: str) -> list[str]:
-    """Return the subcommands that a tutorial's tests run, `study new` as two words."""
+    """The subcommands that a tutorial's tests run, `study new` as two words."""
     lines = [
         line.split()
         for block in runnable(ROOT / "docs" / "tutorials" / f"{tutorial}.md", slow=False)

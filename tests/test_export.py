@@ -20,7 +20,7 @@ from foten.training.texture_builder import N_GOLDEN, TextureBuilder, pick_warm_s
 
 @pytest.fixture(scope="module")
 def speeding_up() -> ScaledBlocks:
-    """Return noise under a hand that speeds up through 45 mm/s; a burst ends where it is at 45."""
+    """Noise under a hand that speeds up through 45 mm/s; a burst ends where it is at 45."""
     rng = np.random.default_rng(0)
     n = 12_000
     speed, force = np.linspace(20.0, 75.0, n) + 1e-4 * rng.standard_normal(n), np.full(n, 0.8)

@@ -20,7 +20,7 @@ RATE_HZ, BLOCK = 1000.0, 2000
 
 
 def resonant(*shape: int, seed: int) -> np.ndarray:
-    """Return realisations of one AR(2) process, settled."""
+    """Realisations of one AR(2) process, settled."""
     noise = np.random.default_rng(seed).standard_normal((*shape[:-1], shape[-1] + 500))
     return np.asarray(lfilter([1.0], [1.0, *-resonance(120.0, 0.9, 2)[::-1]], noise))[..., 500:]
 

@@ -65,7 +65,7 @@ def may_train(module: str) -> bool:
 
 
 def package(module: str) -> str:
-    """Return the part of a module's name that the table speaks of."""
+    """The part of a module's name that the table speaks of."""
     return module.split(".")[1] if "." in module else ""
 
 
@@ -76,7 +76,7 @@ def source(module: str) -> ast.Module:
 
 
 def imported(tree: ast.AST) -> Iterator[str]:
-    """Return every module that the code under a node names in an import."""
+    """Every module that the code under a node names in an import."""
     for node in ast.walk(tree):
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)
@@ -90,7 +90,7 @@ def imported(tree: ast.AST) -> Iterator[str]:
 
 
 def imported_at_once(module: str) -> Iterator[str]:
-    """Return what a module imports when it is imported: nothing in functions, nothing for type checkers alone."""
+    """What a module imports when it is imported: nothing in functions, nothing for type checkers alone."""
     waiting: list[ast.AST] = list(source(module).body)
     while waiting:
         node = waiting.pop()
@@ -162,7 +162,7 @@ def test_the_reader_of_imports_sees_what_it_should() -> None:
 
 
 def run(code: str, *arguments: str) -> str:
-    """Return what a fresh interpreter prints, every warning an error."""
+    """What a fresh interpreter prints, every warning an error."""
     done = subprocess.run(
         [sys.executable, "-W", "error", "-c", code, *arguments], capture_output=True, text=True, timeout=120
     )

@@ -73,7 +73,7 @@ def corpus(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
 
 
 def stroke_of(file: Path) -> np.ndarray:
-    """Return what `stroke` renders in every language: 2 s in blocks of 32 samples, faster from one to the next, smoothed."""
+    """What `stroke` renders in every language: 2 s in blocks of 32 samples, faster from one to the next, smoothed."""
     renderer = Renderer(file, smooth=True)
     low, high = renderer.native_texture.info.trained_speed
     n = int(2 * renderer.rate)

@@ -23,7 +23,7 @@ from foten.models.foten_plus.lattice_fit import (
 
 
 def validation_error(table: SpeedForceTable, data: LatticeData, first: int) -> float:
-    """Return the mean absolute one-step error over validation blocks, but for the first samples of each."""
+    """The mean absolute one-step error over validation blocks, but for the first samples of each."""
     errors = []
     for block in data.validation:
         e, gain, _ = analyse(data.x[block][None], table.at(data.speed[block], data.force[block])[None])
@@ -32,7 +32,7 @@ def validation_error(table: SpeedForceTable, data: LatticeData, first: int) -> f
 
 
 def polynomial(reflections: np.ndarray) -> np.ndarray:
-    """Return A(z) of constant reflections, by the step-up recursion, its poles moved inwards by the leak."""
+    """A(z) of constant reflections, by the step-up recursion, its poles moved inwards by the leak."""
     a = np.ones(1)
     for k in reflections:
         a = np.append(a, 0.0) + k * np.append(a, 0.0)[::-1]
@@ -40,7 +40,7 @@ def polynomial(reflections: np.ndarray) -> np.ndarray:
 
 
 def synthesized(reflections: np.ndarray, e: np.ndarray, states: np.ndarray | None = None) -> np.ndarray:
-    """Return the lattice's output for innovations (s, n) under reflections (s, n, p)."""
+    """The lattice's output for innovations (s, n) under reflections (s, n, p)."""
     p = reflections.shape[2]
     states = np.zeros((p, len(e))) if states is None else states
     out = np.empty_like(e)
@@ -165,7 +165,7 @@ def test_a_schedule_that_would_not_be_stable_is_refused(largest: float) -> None:
 
 
 def moving_tone(n_blocks: int, seed: int) -> tuple[LatticeData, np.ndarray]:
-    """Return a process whose resonance moves with speed, and its true reflections."""
+    """A process whose resonance moves with speed, and its true reflections."""
     rng = np.random.default_rng(seed)
     block = 1000
     t = np.arange(n_blocks * block)
@@ -349,7 +349,7 @@ def test_soft_blocks_count_as_much_as_loud_ones() -> None:
 
 
 def steady(x: np.ndarray, gain: np.ndarray) -> LatticeData:
-    """Return blocks for training under one hand."""
+    """Blocks for training under one hand."""
     return LatticeData(x, gain, np.full(x.shape, 100.0), np.ones(x.shape), tuple(range(len(x))), ())
 
 

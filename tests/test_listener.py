@@ -34,12 +34,12 @@ def stroke(acceleration: np.ndarray, pieces: int = 1) -> LongStroke:
 
 
 def hiss(seed: int) -> np.ndarray:
-    """Return coloured Gaussian noise whose level follows the speed."""
+    """Coloured Gaussian noise whose level follows the speed."""
     return lfilter([1.0], [1.0, -0.9, 0.5], np.random.default_rng(seed).standard_normal(N)) * hand()[0] / 100
 
 
 def crackle(seed: int) -> np.ndarray:
-    """Return the same spectrum and level, of 50 impacts a second."""
+    """The same spectrum and level, of 50 impacts a second."""
     rng = np.random.default_rng(seed)
     impacts = np.where(rng.random(N) < 0.05, rng.standard_normal(N) / np.sqrt(0.05), 0.0)
     return lfilter([1.0], [1.0, -0.9, 0.5], impacts) * hand()[0] / 100
@@ -174,7 +174,7 @@ def test_every_listener_s_control_is_another_true_vibration(monkeypatch: pytest.
 
 def test_two_halves_of_a_recording_are_not_paired_by_moment(monkeypatch: pytest.MonkeyPatch) -> None:
     """They are two strokes, also where they are as long as one another; a rendering is under the recorded one."""
-    monkeypatch.setattr("foten.evaluate.listener.LEAST_S", 20.0)
+    monkeypatch.setattr("foten.evaluate.listener.MIN_LISTENED_S", 20.0)
     paired: list[bool] = []
     monkeypatch.setattr(
         networks, "listener_auc", lambda *two, seed, same_stroke=True: paired.append(same_stroke) or 0.5
@@ -193,7 +193,7 @@ def test_a_recording_needs_enough_for_a_listener_and_twice_that_for_a_control(mo
         listener_scores(blocks.picked(slice(0, 19)), lambda seed: hiss(seed))
     alone = listener_scores(blocks, lambda seed: hiss(20 + seed).reshape(30, -1))
     assert alone["listener_auc_control"] is None
-    monkeypatch.setattr("foten.evaluate.listener.LEAST_S", 30.0)
+    monkeypatch.setattr("foten.evaluate.listener.MIN_LISTENED_S", 30.0)
     halves = listener_scores(blocks, lambda seed: hiss(20 + seed).reshape(30, -1))
     assert halves["listener_control_of"] == "every other block of the recording"
     assert halves["listener_auc_control"] is not None

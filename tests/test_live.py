@@ -374,7 +374,7 @@ class FakeSound:
         pass
 
     def call(self) -> np.ndarray:
-        """Return what the card plays next, shape (n, n_channels)."""
+        """What the card plays next, shape (n, n_channels)."""
         out = np.full((self.asked["blocksize"], self.asked["channels"]), np.nan, dtype=np.float32)
         self.asked["callback"](out, len(out), None, SimpleNamespace(output_underflow=False))
         return out

@@ -58,7 +58,7 @@ def test_an_actuator_is_driven_as_it_needs(there: bool) -> None:
 
 
 def stroked(contact: Contact, player: Held, n: int, seconds: float) -> NDArray[np.float32]:
-    """Return what a player is given for n events of a steady stroke at 80 mm/s and what follows, in blocks of 8 ms."""
+    """What a player is given for n events of a steady stroke at 80 mm/s and what follows, in blocks of 8 ms."""
     blocks = []
     for k in range(round(seconds / 0.008)):
         contact.push(np.array([[80 * t, 0.0, 0.5, t] for t in (0.008 * k, 0.008 * k + 0.004) if k < n]).reshape(-1, 4))

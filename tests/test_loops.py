@@ -41,7 +41,7 @@ EVERY = [*CASES, *(("ar", name) for name in LOCAL), *((key, "graph") for key in 
 
 @cache
 def case(key: str, variant: str) -> tuple[Texture, Model]:
-    """Return a case's texture, and its model in the reference."""
+    """A case's texture, and its model in the reference."""
     if key == "ar":
         texture = exported(key, PiecewiseArSizes(**LOCAL[variant]))
         return texture, model_of(texture.sizes, texture.tensors)
@@ -54,12 +54,12 @@ def case(key: str, variant: str) -> tuple[Texture, Model]:
 
 
 def in_float64_alone(sizes: ModelSizes) -> bool:
-    """Return whether the kernel does all of a loop in float64: no network of windows is in it."""
+    """Whether the kernel does all of a loop in float64: no network of windows is in it."""
     return isinstance(sizes, FotenPlusSizes | PiecewiseArSizes)
 
 
 def moving(n_streams: int, n: int, seed: int = 0) -> np.ndarray:
-    """Return scaled conditions over the trained range, and the speed of their path [mm/s]; they stand still at times."""
+    """Scaled conditions over the trained range, and the speed of their path [mm/s]; they stand still at times."""
     rng = np.random.default_rng(seed)
     speed = 110 + 100 * np.sin(np.cumsum(0.05 * rng.standard_normal((n_streams, n)), axis=1))
     force = 1.4 + np.sin(np.cumsum(0.05 * rng.standard_normal((n_streams, n)), axis=1))
@@ -70,13 +70,13 @@ def moving(n_streams: int, n: int, seed: int = 0) -> np.ndarray:
 
 
 def recorded(n_streams: int, n: int, seed: int = 1) -> np.ndarray:
-    """Return blocks of noise under such conditions, scaled, shape (n_streams, n, 3)."""
+    """Blocks of noise under such conditions, scaled, shape (n_streams, n, 3)."""
     samples = np.random.default_rng(seed).standard_normal((n_streams, n, 1))
     return np.concatenate([samples, moving(n_streams, n, seed)[..., :2]], axis=2)
 
 
 def rounding(sizes: ModelSizes) -> float:
-    """Return what float64 rounds in sums of another order, as a share of a sample."""
+    """What float64 rounds in sums of another order, as a share of a sample."""
     if isinstance(sizes, PiecewiseArSizes):
         return 1e-9 if sizes.order < 40 else 1e-6  # from forty angles to a polynomial digits are lost
     return 1e-9
@@ -115,7 +115,7 @@ def standardised(mixture: Mixture, values: np.ndarray) -> np.ndarray:
 def followed(
     model: Model, blocks: np.ndarray, part: PredictionPart
 ) -> tuple[np.ndarray, np.ndarray | None, np.ndarray | None, np.ndarray | None]:
-    """Return the reference's predictions of recorded blocks, which it takes in sample by sample; with scales, z and nll."""
+    """The reference's predictions of recorded blocks, which it takes in sample by sample; with scales, z and nll."""
     m, n = model.window, blocks.shape[1]  # type: ignore[attr-defined]
     if isinstance(model, FotenPlus):
         in_loop = model.sizes.network_in_loop and not model.sizes.n_tones

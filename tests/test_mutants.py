@@ -23,7 +23,7 @@ RUN = (
 
 @pytest.fixture(scope="module")
 def copy(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Return a copy of the sources and tests, and of all that these read, its kernel built."""
+    """A copy of the sources and tests, and of all that these read, its kernel built."""
     folder = tmp_path_factory.mktemp("mutants") / "copy"
     listed = subprocess.run(
         ["git", "ls-files", "--cached", "--others", "--exclude-standard"],

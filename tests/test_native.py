@@ -87,7 +87,7 @@ def test_a_stroke_of_a_network_that_grows_begins_within_bounds() -> None:
 
 @pytest.fixture(scope="module")
 def files(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
-    """Return a texture file of every family."""
+    """A texture file of every family."""
     folder = tmp_path_factory.mktemp("families")
     for key in TRAINABLE:
         (folder / f"{key}.foten").write_bytes(exported(key).to_bytes())

@@ -14,7 +14,7 @@ N = 1_000_000
 
 
 def scalar_philox(counter: tuple[int, ...], key: int) -> tuple[int, ...]:
-    """Return Philox4x32-10 in plain integers, as its paper writes it."""
+    """Philox4x32-10 in plain integers, as its paper writes it."""
     c, k = list(counter), [key % 2**32, key >> 32]
     for _ in range(10):
         first, second = 0xD2511F53 * c[0], 0xCD9E8D57 * c[2]
@@ -24,7 +24,7 @@ def scalar_philox(counter: tuple[int, ...], key: int) -> tuple[int, ...]:
 
 
 def scalar_gaussian(key: int, stream: int, n: int) -> float:
-    """Return one sample by the four steps of the module's docstring."""
+    """One sample by the four steps of the module's docstring."""
     words = scalar_philox((n % 2**32, n >> 32, stream % 2**32, stream >> 32), key)
     total = sum(word % 2**16 + (word >> 16) for word in words)
     x = (total - 262140) / math.sqrt(8 * (2**32 - 1) / 12)

@@ -10,14 +10,14 @@ import torch
 from torch import nn
 
 from foten.training.config import RECIPES
-from foten.training.optimiser import LEAST_SIDE, Optimiser, orthogonalised
+from foten.training.optimiser import MIN_SIDE, Optimiser, orthogonalised
 
 CONFIG = replace(RECIPES["default"], weight_decay=0.0)
 
 
 def parameters(seed: int = 0) -> dict[str, nn.Parameter]:
     torch.manual_seed(seed)
-    shapes = {"square": (12, 12), "tall": (24, 8), "narrow": (16, LEAST_SIDE), "bias": (12,)}
+    shapes = {"square": (12, 12), "tall": (24, 8), "narrow": (16, MIN_SIDE), "bias": (12,)}
     return {name: nn.Parameter(torch.randn(*shape)) for name, shape in shapes.items()}
 
 

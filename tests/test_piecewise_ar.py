@@ -34,7 +34,7 @@ def made(name: str) -> Texture:
 
 
 def steady(texture: Texture, model: int, n: int) -> np.ndarray:
-    """Return n samples under the condition of one model, scaled."""
+    """N samples under the condition of one model, scaled."""
     condition = (np.full(n, value, np.float32) for value in texture.tensors["piecewise_ar.points"][model])
     rendered = NativeState(NativeTexture(texture.to_bytes()), seed=0).render_stroke(*condition)
     return (rendered.astype(float) - SCALING.mean[0]) / SCALING.sd[0]
@@ -88,7 +88,7 @@ SWITCHED = 0.98  # radius of the poles of two resonances, one at 100 Hz and one 
 
 
 def two_tones() -> LocalModels:
-    """Return models of two sharp resonances, as loud as each other, that stable filters in turn grow with."""
+    """Models of two sharp resonances, as loud as each other, that stable filters in turn grow with."""
     tones = [np.array([1.0, -2 * SWITCHED * np.cos(2 * np.pi * hz / 1000), SWITCHED**2]) for hz in (100.0, 400.0)]
     angles = np.array([line_spectral_frequencies(a) for a in tones])[[0, 1, 0]]
     return LocalModels(

@@ -89,7 +89,7 @@ def test_the_mesh_covers_what_was_trained_and_is_silent_without_motion(trained: 
 
 
 def moving(acceleration: np.ndarray) -> Recording:
-    """Return a recording at 1 kHz of a hand between 40 and 160 mm/s and 0.5 and 1.5 N."""
+    """A recording at 1 kHz of a hand between 40 and 160 mm/s and 0.5 and 1.5 N."""
     t = np.arange(acceleration.size) / 1000
     channels = {"acceleration": acceleration, "speed": 100 + 60 * np.sin(1.3 * t), "force": 1 + 0.5 * np.sin(0.7 * t)}
     return Recording({name: Channel(samples, 1000.0) for name, samples in channels.items()}, texture="noise")

@@ -50,7 +50,7 @@ PLUS_VARIANTS: dict[str, dict[str, Any]] = {
 
 
 def cases() -> list[tuple[str, str]]:
-    """Return each family that the kernel runs but the piecewise one, with each variant that it has."""
+    """Each family that the kernel runs but the piecewise one, with each variant that it has."""
     pairs = []
     for key in ("foten", "ten"):
         known = {one.name for one in fields(TRAINABLE[key])}
@@ -63,12 +63,12 @@ CASES = cases()
 
 
 def sizes_for(key: str, variant: str) -> Any:
-    """Return the sizes of a case."""
+    """The sizes of a case."""
     return sizes_with(key, {**VARIANTS, **PLUS_VARIANTS}[variant])
 
 
 def network_windows(sizes: TransformerSizes) -> np.ndarray:
-    """Return windows for a network: chance, loud and soft, silence, and spectra of one bin."""
+    """Windows for a network: chance, loud and soft, silence, and spectra of one bin."""
     rng = np.random.default_rng(0)
     m, n_channels = sizes.window, 3
     rows = rng.standard_normal((60, m, n_channels))

@@ -10,7 +10,7 @@ BLOCK = 400
 
 
 def process(taps: np.ndarray, n_blocks: int, sd: float = 0.5, seed: int = 0) -> np.ndarray:
-    """Return scaled samples (n, 3) of an AR process (taps oldest first) under a wandering hand."""
+    """Scaled samples (n, 3) of an AR process (taps oldest first) under a wandering hand."""
     rng = np.random.default_rng(seed)
     n = n_blocks * BLOCK
     x = lfilter([sd], np.concatenate([[1.0], -taps[::-1]]), rng.standard_normal(n + 500))[500:]
@@ -42,7 +42,7 @@ def test_other_blocks_have_no_say_and_none_is_straddled() -> None:
 
 
 def scheduled_process(n_blocks: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
-    """Return samples whose taps are affine in the speed and force of the sample before, and those coefficients."""
+    """Samples whose taps are affine in the speed and force of the sample before, and those coefficients."""
     rng = np.random.default_rng(seed)
     coefficients = np.array([[-0.6, 0.9, 0.1], [0.1, -0.15, 0.0], [-0.05, 0.05, 0.2]])
     n = n_blocks * BLOCK

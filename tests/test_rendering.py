@@ -30,7 +30,7 @@ FLOAT32 = 1e-6  # relative: 24 bits of what goes in and what comes out, where th
 
 
 def stroke(n: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
-    """Return speeds [mm/s] and forces [N] that wander over and beyond the trained range, with rests."""
+    """Speeds [mm/s] and forces [N] that wander over and beyond the trained range, with rests."""
     rng = np.random.default_rng(seed)
     speed = np.abs(100 + np.cumsum(5 * rng.standard_normal(n)))
     force = np.abs(1 + np.cumsum(0.1 * rng.standard_normal(n)))
@@ -39,22 +39,22 @@ def stroke(n: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
 
 
 def steady(n: int, speed: float = 80.0, force: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
-    """Return a condition that stays."""
+    """A condition that stays."""
     return np.full(n, speed), np.full(n, force)
 
 
 def with_card(texture: Texture, **entries: Any) -> Texture:
-    """Return a texture with other entries in its card."""
+    """A texture with other entries in its card."""
     return dataclasses.replace(texture, card={**texture.card, **entries})
 
 
 def rendered(texture: Texture, speed: np.ndarray, force: np.ndarray, **options: Any) -> np.ndarray:
-    """Return a rendering from its beginning [m/s²]."""
+    """A rendering from its beginning [m/s²]."""
     return Renderer(texture, **options).render(speed, force).astype(float)
 
 
 def streams(texture: Texture, n: int, speed: np.ndarray, force: np.ndarray, seed: int = 0) -> np.ndarray:
-    """Return renderings of n independent streams, shape (n, len(speed))."""
+    """Renderings of n independent streams, shape (n, len(speed))."""
     native = NativeTexture(texture.to_bytes())
     return np.array(
         [NativeState(native, seed=seed, stream=k).render_stroke(speed, force) for k in range(n)], dtype=float

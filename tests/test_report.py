@@ -452,7 +452,7 @@ def test_the_verdict_says_who_is_better(judged, error, best, tone, words):
 
 
 def _good(judged):
-    """Return a document whose four findings are good, and whose data bear it."""
+    """A document whose four findings are good, and whose data bear it."""
     document = copy.deepcopy(judged.document)
     document["references"]["bound"] = dict.fromkeys(ONE_STEP)
     document["references"]["ar"]["mae_scaled"] = document["references"]["ar_best"]["mae_scaled"] = 1.0

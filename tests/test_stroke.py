@@ -10,7 +10,7 @@ from foten.runtime.stroke import PressureCalibration, Stroke, constant_stroke, r
 
 
 def stroke_of(table: dict[str, np.ndarray], rate_hz: float) -> Stroke:
-    """Return the stroke in columns that are called as in a file."""
+    """The stroke in columns that are called as in a file."""
     names = {"t": "time", "x": "position_x", "y": "position_y"}
     return tabled_stroke({names.get(name, name): samples for name, samples in table.items()}, rate_hz)
 
@@ -29,7 +29,7 @@ def test_time_may_start_anywhere_and_be_uneven() -> None:
     t = 7.5 + np.array([0.0, 0.1, 0.15, 0.4, 1.0])
     stroke = stroke_of({"t": t, "speed": 100 * (t - 7.5), "force": t}, 500.0)
     assert stroke.force.size == 500
-    np.testing.assert_allclose(stroke.moved[0], 100 * np.arange(500) / 500, atol=1e-6)
+    np.testing.assert_allclose(stroke.velocity[0], 100 * np.arange(500) / 500, atol=1e-6)
 
 
 def test_pressure_is_equation_12_and_lifting_is_no_force() -> None:
@@ -43,7 +43,7 @@ def test_conditioning_keeps_a_constant_and_slows_a_step() -> None:
     assert speed == pytest.approx(80.0, rel=1e-9)
     assert force == pytest.approx(1.2, rel=1e-9)
     stroke = constant_stroke(80.0, 1.2, 0.3, 1000.0)
-    stroke.moved[0, :100] = 0.0
+    stroke.velocity[0, :100] = 0.0
     speed, _ = stroke.conditioned(20.0)
     half = int(np.argmax(speed > 40.0)) - 100
     assert 8 <= half <= 16  # ms; the low-pass's delay at 0 Hz is 11.2
@@ -132,7 +132,7 @@ def test_a_pen_may_land_elsewhere_but_not_jump_in_contact() -> None:
     table = rows(pen(np.arange(0, 1, 0.01)), up, pen(np.arange(1.01, 2, 0.01), 300.0))
     stroke = stroke_of(table, 1000.0)
     assert stroke.n_lifted == 1
-    assert float(np.abs(stroke.moved).max()) == pytest.approx(80, rel=1e-3)
+    assert float(np.abs(stroke.velocity).max()) == pytest.approx(80, rel=1e-3)
     table = rows(pen(np.arange(0, 1, 0.01)), pen(np.arange(1, 2, 0.01), 300.0))
     with pytest.raises(ValueError, match=r"speed reaches 3.* mm/s"):
         stroke_of(table, 1000.0)

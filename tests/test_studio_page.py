@@ -43,7 +43,7 @@ QUANTUM = 128  # samples that an AudioWorklet renders at once
 
 @pytest.fixture(scope="module")
 def shelf(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Return a folder with two methods of a mesh, of which one is grass by its sound and not as loud, and a towel by name."""
+    """A folder with two methods of a mesh, of which one is grass by its sound and not as loud, and a towel by name."""
     folder = tmp_path_factory.mktemp("shelf")
     mesh, grass = read_texture(EXAMPLE), read_texture(EXAMPLE.with_name("artificial-grass.foten"))
     named = {
@@ -156,7 +156,7 @@ class Pen:
 
 
 def recorded(page: Any, stroke: Any) -> dict[str, Any]:
-    """Return what the page recorded of a stroke: samples, events, rate, and the texture's id."""
+    """What the page recorded of a stroke: samples, events, rate, and the texture's id."""
     page.evaluate(
         f"""() => {{
           window.taken = null;
@@ -177,7 +177,7 @@ def recorded(page: Any, stroke: Any) -> dict[str, Any]:
 
 
 def rendered(path: Path, taken: dict[str, Any]) -> Array:
-    """Return what the kernel of this machine renders of the same events, given at the same samples."""
+    """What the kernel of this machine renders of the same events, given at the same samples."""
     renderer = Renderer(path, rate=taken["rate"], seed=taken["seed"])
     stylus, events = Stylus(renderer), taken["events"]
     out, at = [], 0

@@ -56,7 +56,7 @@ def client(studio: Studio) -> Iterator[TestClient]:
 
 @contextmanager
 def stroking(studio: Studio) -> Iterator[Any]:
-    """Return the socket of a page that strokes."""
+    """The socket of a page that strokes."""
     client = TestClient(studio.app(LOCAL), base_url=HERE, headers={"origin": HERE})
     with client, client.websocket_connect(f"{WS}/stroke") as socket:
         yield socket

@@ -100,7 +100,7 @@ def test_power_says_how_many() -> None:
 
 
 def started_study(path: Path, *options: str) -> tuple[subprocess.Popen[str], str, str]:
-    """Return a study that runs, its operator's link and its participants'."""
+    """A study that runs, its operator's link and its participants'."""
     command = [
         sys.executable,
         "-c",

@@ -75,7 +75,7 @@ def free_port() -> int:
 
 @contextlib.contextmanager
 def running(study: Path, *options: str) -> Iterator[tuple[str, str]]:
-    """Return the links of the operator and of participants while a study runs."""
+    """The links of the operator and of participants while a study runs."""
     process, operator, participants = started_study(study, *(options or ("--port", "0")))
     try:
         yield operator, participants

@@ -48,7 +48,7 @@ def table(path: Path) -> list[dict[str, str]]:
 
 @pytest.fixture(scope="module")
 def asked(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Return the folder of a report of 6 participants, some of whom answered questions."""
+    """The folder of a report of 6 participants, some of whom answered questions."""
     folder = tmp_path_factory.mktemp("asked")
     path = database(folder / "s.db", 6, 3, 2)
     private = [

@@ -35,7 +35,7 @@ METHODS = ("ar", "dstn", "ldhtd", "foten")
 
 
 def study_file(folder: Path, n_textures: int = 2, n_methods: int = 2, participants: int = 3, **changes: str) -> Path:
-    """Return a study of textures that come along, under other names, and lines of its file replaced by others."""
+    """A study of textures that come along, under other names, and lines of its file replaced by others."""
     sources = [read_texture(path) for path in sorted(EXAMPLE.parent.glob("*.foten"))]
     files: dict[str, dict[str, str]] = {}
     for t, name in enumerate(NAMES[:n_textures]):

@@ -36,7 +36,7 @@ from foten.study.statistics import (
 
 
 def data(n: int, a: int, b: int) -> Array:
-    """Return numbers that R makes too."""
+    """Numbers that R makes too."""
     i, j, k = np.indices((n, a, b))
     y = 50 + 9 * np.sin(3.1 * i + 1) + 4 * j * (1 + np.sin(i)) / 2 + 2 * np.sin(2.3 * k)
     y = y + 6 * np.sin(12.9898 * i + 78.233 * j + 37.719 * k + 1.3 * j * k) + 3 * np.sin(5.5 * i * (k + 1))

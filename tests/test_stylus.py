@@ -23,13 +23,13 @@ CURVE = PressureCalibration()
 
 
 def lowpassed(signal: np.ndarray) -> np.ndarray:
-    """Return a signal through the low-pass that recordings went through."""
+    """A signal through the low-pass that recordings went through."""
     rows = [[b0, b1, b2, 1.0, a1, a2] for b0, b1, b2, a1, a2 in butterworth("lowpass", 20.0, RATE)]
     return np.asarray(sosfilt(np.array(rows), signal))
 
 
 def hands(stylus: Stylus, events: np.ndarray, n: int, late_s: np.ndarray | float = 0.0) -> np.ndarray:
-    """Return speed and force of n samples, (n, 2), of events (k, 4): x, y, pressure, t, told `late_s` after their time."""
+    """Speed and force of n samples, (n, 2), of events (k, 4): x, y, pressure, t, told `late_s` after their time."""
     told = np.maximum.accumulate(events[:, 3] + late_s)
     out, k = np.empty((n, 2)), 0
     for i in range(n):
@@ -41,7 +41,7 @@ def hands(stylus: Stylus, events: np.ndarray, n: int, late_s: np.ndarray | float
 
 
 def lag_of(found: np.ndarray, truth: np.ndarray) -> int:
-    """Return by how many samples a signal comes after another."""
+    """By how many samples a signal comes after another."""
     return int(np.argmax([np.corrcoef(found[lag:], truth[: truth.size - lag])[0, 1] for lag in range(40)]))
 
 

@@ -33,7 +33,7 @@ from foten.simulation.simulate import simulate
 
 @pytest.fixture(scope="module")
 def swept(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Return the results of a sweep by the command, Ray in a process of its own."""
+    """The results of a sweep by the command, Ray in a process of its own."""
     folder = tmp_path_factory.mktemp("sweep")
     program = "from foten.cli import main; main()"
     command = [sys.executable, "-c", program, "sweep", str(experiment(folder)), "-o", str(folder / "results")]
@@ -516,7 +516,7 @@ def test_what_is_not_complete_is_said_and_not_compared(records: list[dict]) -> N
 
 
 def papers(records: list[dict]) -> dict[str, str]:
-    """Return the paper's figure of each method in the summary, empty where it has none."""
+    """The paper's figure of each method in the summary, empty where it has none."""
     heading, *rows = summary(records).cells()
     lines = [dict(zip(heading, row, strict=True)) for row in rows]
     return {line[""].removesuffix(", without excitation"): line.get(PAPERS, "") for line in lines}

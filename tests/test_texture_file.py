@@ -23,7 +23,7 @@ from foten.runtime.native import NativeTexture
 
 
 def raw(card: Any, tensors: dict[str, np.ndarray]) -> bytes:
-    """Return a file with any card, valid or not."""
+    """A file with any card, valid or not."""
     text = card if isinstance(card, str) else json.dumps(card)
     return bytes(save({name: np.ascontiguousarray(t) for name, t in tensors.items()}, metadata={"foten": text}))
 

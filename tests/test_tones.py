@@ -26,7 +26,7 @@ WITH_TONES = FotenPlusSizes(
 
 
 def stroke(n_blocks: int, block: int = 1500) -> tuple[np.ndarray, np.ndarray]:
-    """Return speeds [mm/s] between 30 and 170 and forces [N], each (n_blocks, block)."""
+    """Speeds [mm/s] between 30 and 170 and forces [N], each (n_blocks, block)."""
     t = np.arange(n_blocks * block) / RATE
     speed = 100 + 70 * np.sin(2 * np.pi * 0.9 * t)
     force = 1 + 0.6 * np.sin(2 * np.pi * 0.37 * t)
@@ -34,7 +34,7 @@ def stroke(n_blocks: int, block: int = 1500) -> tuple[np.ndarray, np.ndarray]:
 
 
 def periodic(n_blocks: int, noise: float, jitter: float, seed: int = 0) -> tuple[LatticeData, np.ndarray]:
-    """Return a surface of three multiples whose phase jitters by `jitter` [rad²/mm], under coloured noise, and its true tones."""
+    """A surface of three multiples whose phase jitters by `jitter` [rad²/mm], under coloured noise, and its true tones."""
     rng = np.random.default_rng(seed)
     speed, force = stroke(n_blocks)
     moved = speed / RATE
@@ -102,7 +102,7 @@ def test_tones_are_recovered_under_noise_and_jitter() -> None:
 
 
 def with_tones(period_jitter: float = 0.03) -> tuple[Texture, FotenPlus]:
-    """Return an untrained texture of three tones, 2.5 mm long, and its model in the reference."""
+    """An untrained texture of three tones, 2.5 mm long, and its model in the reference."""
     phase_params = np.array([2 * np.pi / 2.5 / RATE, period_jitter, 2e-3])
     texture = exported("foten-plus", WITH_TONES, {"tones.phase_params": phase_params})
     model = model_of(WITH_TONES, texture.tensors)

@@ -49,7 +49,7 @@ TAGS = sorted(HERE.values())
 
 
 def script(path: Path) -> ModuleType:
-    """Return a script of native as a module."""
+    """A script of native as a module."""
     spec = importlib.util.spec_from_file_location(path.stem, path)
     assert spec is not None
     assert spec.loader is not None
@@ -168,7 +168,7 @@ def test_the_npm_package_renders_what_python_does(tmp_path: Path) -> None:
 
 @pytest.fixture(scope="module")
 def built(wheels: ModuleType, tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path]:
-    """Return a function from a tag to its wheel, built once; building checks it."""
+    """A function from a tag to its wheel, built once; building checks it."""
     out = tmp_path_factory.mktemp("wheels")
 
     def built(tag: str) -> Path:
@@ -181,7 +181,7 @@ def built(wheels: ModuleType, tmp_path_factory: pytest.TempPathFactory) -> Calla
 
 
 def installed(wheel: Path, folder: Path) -> dict[str, Any]:
-    """Return what a wheel renders from a fresh environment that has no compiler in its path."""
+    """What a wheel renders from a fresh environment that has no compiler in its path."""
     environment = folder / "environment"
     venv.create(environment, with_pip=True)
     programs = environment / ("Scripts" if os.name == "nt" else "bin")
@@ -234,7 +234,7 @@ def corpus(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
 
 @pytest.fixture(scope="module")
 def textures(tmp_path_factory: pytest.TempPathFactory, corpus: list[Path]) -> list[Path]:
-    """Return the files that the kernel runs itself: networks of full size and the smallest, in the loop and beside it."""
+    """The files that the kernel runs itself: networks of full size and the smallest, in the loop and beside it."""
     folder = tmp_path_factory.mktemp("textures")
     for key in ("foten", "foten-plus", "ten", "ar"):
         (folder / f"{key}.foten").write_bytes(exported(key).to_bytes())

@@ -16,7 +16,7 @@ int actuator_make(actuator *into, const foten_actuator *of, double rate_hz) {
     double lowest = of->lowest_hz > 0 ? of->lowest_hz : FOTEN_ACTUATOR_LOWEST_HZ;
     if (!isfinite(of->gain) || of->gain == 0 || !(of->limit >= 0) || !(of->resonance_hz >= 0) || !(of->damping >= 0))
         return 0;
-    actuator made = {.on = 1, .limit = of->limit, .max_drive = below(of->limit), .filter.b0 = 1 / of->gain};
+    actuator designed = {.on = 1, .limit = of->limit, .max_drive = below(of->limit), .filter.b0 = 1 / of->gain};
     if (of->resonance_hz > 0) {
         /* Nearer to the rate the bilinear transform would be more than 0.3 dB off between 40 and 400 Hz. */
         if (!(rate_hz >= MIN_RATE_HZ && of->resonance_hz * MIN_RATE_OVER_RESONANCE <= rate_hz && lowest < rate_hz / 4 &&
@@ -26,13 +26,13 @@ int actuator_make(actuator *into, const foten_actuator *of, double rate_hz) {
          * tan(pi f / rate). */
         double w = tan(PI * of->resonance_hz / rate_hz), v = tan(PI * lowest / rate_hz);
         double norm = 1 + 2 * DAMPED * v + v * v, gain = 1 / (of->gain * norm);
-        made.filter = (section){gain * (1 + 2 * of->damping * w + w * w), gain * 2 * (w * w - 1),
-                                gain * (1 - 2 * of->damping * w + w * w), 2 * (v * v - 1) / norm,
-                                (1 - 2 * DAMPED * v + v * v) / norm};
-        made.memory = into->memory; /* which stays where only the figures change */
+        designed.filter = (section){gain * (1 + 2 * of->damping * w + w * w), gain * 2 * (w * w - 1),
+                                    gain * (1 - 2 * of->damping * w + w * w), 2 * (v * v - 1) / norm,
+                                    (1 - 2 * DAMPED * v + v * v) / norm};
+        designed.memory = into->memory; /* which stays where only the figures change */
     }
-    if (!isfinite(made.filter.b0) || !isfinite(made.filter.b1) || !isfinite(made.filter.b2)) return 0;
-    *into = made;
+    if (!isfinite(designed.filter.b0) || !isfinite(designed.filter.b1) || !isfinite(designed.filter.b2)) return 0;
+    *into = designed;
     return 1;
 }
 

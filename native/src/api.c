@@ -152,7 +152,7 @@ foten_status foten_set_actuator(foten_state *s, const foten_actuator *of) {
 
 /* A sample as it leaves. What is no number, which nothing that was checked gives, is silence, and the loop begins
  * again. */
-static float given(foten_state *s, double sample) {
+static float output_of(foten_state *s, double sample) {
     int bent;
     float out = (float)actuator_drive(&s->actuator, sample, &bent);
     count(s, LIMITED, bent);
@@ -242,7 +242,7 @@ static double sample_of(foten_state *s, const double speed_force[2]) {
     const foten_model *m = s->model;
     uint64_t n = counted(s, N);
     condition c = {.fade = 1};
-    double growth = 1, kept[2];
+    double growth = 1, held[2];
     int below = 0;
     for (int i = 0; i < 2; i++) {
         double x = speed_force[i], clamped = x < m->low[i] ? m->low[i] : x > m->high[i] ? m->high[i] : x;
@@ -250,12 +250,12 @@ static double sample_of(foten_state *s, const double speed_force[2]) {
         below |= x < fade;
         count(s, SPEED_BEYOND + i, x > m->high[i]);
         count(s, SPEED_CLAMPED + i, x > FOTEN_EXTRAPOLATION_LIMIT * m->high[i]);
-        kept[i] = x < FOTEN_EXTRAPOLATION_LIMIT * m->high[i] ? x : FOTEN_EXTRAPOLATION_LIMIT * m->high[i];
+        held[i] = x < FOTEN_EXTRAPOLATION_LIMIT * m->high[i] ? x : FOTEN_EXTRAPOLATION_LIMIT * m->high[i];
         c.scaled[i] = (clamped - m->mean[1 + i]) / m->sd[1 + i];
         if (x < fade) c.fade *= x / fade;
-        if (kept[i] > m->high[i]) growth *= pow(kept[i] / m->high[i], m->exponents[i]);
+        if (held[i] > m->high[i]) growth *= pow(held[i] / m->high[i], m->exponents[i]);
     }
-    c.path_speed = kept[0];
+    c.path_speed = held[0];
     if (s->fresh) {
         noise_source initial = {s->seed, s->stream, FOTEN_FIRST_INITIAL};
         if (!s->deterministic) m->kind->begin(m, s->loop, &c, initial);
@@ -294,7 +294,7 @@ static void render(foten_state *s, foten_stylus *stylus, float *out, size_t n) {
     if (stylus) stylus_block(stylus);
     for (size_t i = 0; i < n; i++) {
         while (s->resampler && resampler_wants(s->resampler)) resampler_give(s->resampler, sample_under(s, stylus));
-        out[i] = given(s, s->resampler ? resampler_take(s->resampler) : sample_under(s, stylus));
+        out[i] = output_of(s, s->resampler ? resampler_take(s->resampler) : sample_under(s, stylus));
     }
 }
 
@@ -314,7 +314,8 @@ size_t foten_render_stroke(foten_state *s, const float *speed, const float *forc
     for (size_t i = 0; i <= n; i++) {
         /* What the last sample of the texture's still has to give, after a block that ended between two of them, comes
          * first. */
-        while (s->resampler && !resampler_wants(s->resampler)) out[rendered++] = given(s, resampler_take(s->resampler));
+        while (s->resampler && !resampler_wants(s->resampler))
+            out[rendered++] = output_of(s, resampler_take(s->resampler));
         if (i == n) break;
         float now[2] = {speed[i], force[i]};
         if (accepted(s, &now[0], &now[1])) {
@@ -323,7 +324,7 @@ size_t foten_render_stroke(foten_state *s, const float *speed, const float *forc
         }
         double sample = sample_of(s, held);
         if (s->resampler) resampler_give(s->resampler, sample);
-        else out[rendered++] = given(s, sample);
+        else out[rendered++] = output_of(s, sample);
     }
     return rendered;
 }

@@ -6,7 +6,7 @@
 
 #include "constants.h"
 
-enum { MOST_LAYERS = 64 };
+enum { MAX_LAYERS = 64 };
 static const double LARGEST[3] = {1e5, 1e5, 1e4}; /* m/s2, mm/s and N that a card may speak of */
 static const double LARGEST_SATURATION = 1e4;     /* standard deviations */
 
@@ -112,7 +112,7 @@ static int check_sizes(texture_file *file, card_sizes *s) {
         return n->window > s->order || wrong_size(file, "window");
     }
     if (s->model == CARD_PLUS) return 1;
-    if (n->n_layers > MOST_LAYERS) return wrong_size(file, "n_layers");
+    if (n->n_layers > MAX_LAYERS) return wrong_size(file, "n_layers");
     if (n->d_model % n->n_heads || (n->spectral_width > 1 && n->spectral_width % n->n_heads))
         return wrong_size(file, "n_heads");
     n->fourier = s->model != CARD_TEN;

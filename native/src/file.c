@@ -29,9 +29,9 @@ static int list_entries(texture_file *file, json header) {
 }
 
 /* Where a tensor begins and ends among the data, as the header says. */
-static int ends_of(json said, long long *begin, long long *end) {
+static int ends_of(json tensor_entry, long long *begin, long long *end) {
     json ends[2];
-    return json_items(json_member(said, "data_offsets"), ends, 2) == 2 && json_integer(ends[0], begin) &&
+    return json_items(json_member(tensor_entry, "data_offsets"), ends, 2) == 2 && json_integer(ends[0], begin) &&
            json_integer(ends[1], end);
 }
 
@@ -96,11 +96,11 @@ typedef struct {
 
 /* Where a tensor lies: nothing is trusted, neither its shape nor its offsets. */
 static int locate(const texture_file *file, size_t shape[4], tensor *at) {
-    json said = entry_of(file, at->name), kind = json_member(said, "dtype"), sizes[4];
-    int dimensions = json_items(json_member(said, "shape"), sizes, 4), wide = json_is_string(kind, "F64");
+    json tensor_entry = entry_of(file, at->name), kind = json_member(tensor_entry, "dtype"), sizes[4];
+    int dimensions = json_items(json_member(tensor_entry, "shape"), sizes, 4), wide = json_is_string(kind, "F64");
     long long size, begin, end;
     size_t n = 1;
-    if (dimensions < 0 || !ends_of(said, &begin, &end) || (!wide && !json_is_string(kind, "F32"))) return -1;
+    if (dimensions < 0 || !ends_of(tensor_entry, &begin, &end) || (!wide && !json_is_string(kind, "F32"))) return -1;
     for (int i = 0; i < dimensions; i++) {
         if (!json_integer(sizes[i], &size) || size < 0 || size > 1 << 28 ||
             (size && n > (SIZE_MAX >> 8) / (size_t)size))

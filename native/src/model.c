@@ -83,7 +83,7 @@ void loop_copy(const foten_model *m, loop *to, const loop *from) {
 }
 
 /* The proof that a texture file carries: golden windows and steps, which have to come out as they did in training. */
-enum { GOLDEN_STEPS = 64, MOST_GOLDEN = 4096 };
+enum { GOLDEN_STEPS = 64, MAX_GOLDEN = 4096 };
 
 /* Of n golden windows or steps, how many are replayed: all, but to a fuzzer, whose time is short, two are as good as
  * many. */
@@ -97,12 +97,12 @@ static size_t replayed(size_t n) {
 
 /* Whether n numbers are near enough to those in the file, each within the tolerance times its share (NULL for 1 each);
  * a reason in the file where they are not. */
-static int proven(texture_file *file, const char *what, const double *ours, const double *expected,
+static int proven(texture_file *file, const char *what, const double *computed, const double *expected,
                   const double *shares, size_t n, double tolerance) {
     double worst = 0;
     for (size_t i = 0; i < n; i++) {
         double size = fabs(expected[i]) > 1 ? fabs(expected[i]) : 1,
-               error = fabs(ours[i] - expected[i]) / size / (shares ? shares[i] : 1);
+               error = fabs(computed[i] - expected[i]) / size / (shares ? shares[i] : 1);
         if (error > worst || isnan(error)) worst = error; /* than which nothing is larger */
     }
 #ifdef FOTEN_FUZZING
@@ -123,8 +123,8 @@ static void run_golden(const foten_model *m, loop *l, const double *warm, double
     for (int i = 0; i < 3 * m->history; i++) start[i] = warm[i] + (i & 1 ? off : -off);
     m->kind->start(m, l, start, m->history, 0);
     for (size_t i = 0; i < replayed(GOLDEN_STEPS); i++) {
-        double moved[2] = {conditions[2 * i] + (i & 1 ? off : -off), conditions[2 * i + 1] + (i & 2 ? off : -off)};
-        condition c = condition_of(&m->lattice.level, moved);
+        double perturbed[2] = {conditions[2 * i] + (i & 1 ? off : -off), conditions[2 * i + 1] + (i & 2 ? off : -off)};
+        condition c = condition_of(&m->lattice.level, perturbed);
         double noise = noise_at(0, 0, i);
         out[i] = m->kind->step(m, l, &c, model_is_random(m) ? &noise : NULL, INFINITY);
     }
@@ -133,10 +133,10 @@ static void run_golden(const foten_model *m, loop *l, const double *warm, double
 /* Replay the golden windows, with memory that is needed no longer then. */
 static int prove(foten_model *m, texture_file *file, arena *memory) {
     size_t shape[4], length = (size_t)m->history;
-    if (file_shape(file, "golden.one_step", shape) != 1 || shape[0] < FOTEN_MIN_GOLDEN || shape[0] > MOST_GOLDEN)
+    if (file_shape(file, "golden.one_step", shape) != 1 || shape[0] < FOTEN_MIN_GOLDEN || shape[0] > MAX_GOLDEN)
         return file_refuse(file, FOTEN_BAD_FILE,
                            "the file holds no golden windows, or not from %d to %d of them, which prove it",
-                           FOTEN_MIN_GOLDEN, MOST_GOLDEN);
+                           FOTEN_MIN_GOLDEN, MAX_GOLDEN);
     size_t n = shape[0];
     const double *windows, *one_step, *conditions, *closed, *warm, *sigma = NULL;
     if (!(windows = file_take(file, memory, "golden.", "windows", (size_t[4]){n, length, 3}))) return 0;
@@ -149,43 +149,44 @@ static int prove(foten_model *m, texture_file *file, arena *memory) {
 
     block size = {0};
     loop_place(m, &size);
-    block kept = {arena_take(&m->memory, size.used, 1), 0}, tried = {arena_take(memory, size.used, 1), 0};
-    double *ours = arena_take(memory, n > GOLDEN_STEPS ? n : GOLDEN_STEPS, sizeof *ours);
-    if (!kept.base || !tried.base || !ours) return file_refuse(file, FOTEN_NO_MEMORY, "no memory");
-    m->begin = loop_place(m, &kept);
-    loop *l = loop_place(m, &tried);
+    block begin_memory = {arena_take(&m->memory, size.used, 1), 0},
+          trial_memory = {arena_take(memory, size.used, 1), 0};
+    double *computed = arena_take(memory, n > GOLDEN_STEPS ? n : GOLDEN_STEPS, sizeof *computed);
+    if (!begin_memory.base || !trial_memory.base || !computed) return file_refuse(file, FOTEN_NO_MEMORY, "no memory");
+    m->begin = loop_place(m, &begin_memory);
+    loop *l = loop_place(m, &trial_memory);
     for (size_t i = 0; i < replayed(n); i++) {
         foten_prediction prediction;
         m->kind->start(m, l, windows + i * length * 3, m->history, 1);
         m->kind->predict(m, l, FOTEN_PREDICT_MODEL, 0, &prediction);
-        ours[i] = prediction.sample;
+        computed[i] = prediction.sample;
     }
-    if (!proven(file, "one step", ours, one_step, NULL, n, FOTEN_ONE_STEP_TOLERANCE)) return 0;
+    if (!proven(file, "one step", computed, one_step, NULL, n, FOTEN_ONE_STEP_TOLERANCE)) return 0;
     for (size_t i = 0; sigma && i < replayed(n); i++) {
         m->kind->start(m, l, windows + i * length * 3, m->history, 0);
-        ours[i] = m->kind->scale(m, l);
+        computed[i] = m->kind->scale(m, l);
     }
-    if (sigma && !proven(file, "the excitation", ours, sigma, NULL, n, FOTEN_ONE_STEP_TOLERANCE)) return 0;
+    if (sigma && !proven(file, "the excitation", computed, sigma, NULL, n, FOTEN_ONE_STEP_TOLERANCE)) return 0;
     m->kind->start(m, m->begin, warm, m->history, 0);
-    /* A network in its closed loop may be chaotic, and it jumps where a phase wraps from pi to -pi: what one step rounds
-     * is a thousand times as large some steps later. Each is held to what becomes by then of starts and conditions that
-     * are off, either way, by as much as a step may be. */
-    double *moved = arena_take(memory, GOLDEN_STEPS, sizeof *moved),
+    /* A network in its closed loop may be chaotic, and it jumps where a phase wraps from pi to -pi: what one step
+     * rounds is a thousand times as large some steps later. Each is held to what becomes by then of starts and
+     * conditions that are off, either way, by as much as a step may be. */
+    double *perturbed = arena_take(memory, GOLDEN_STEPS, sizeof *perturbed),
            *shares = arena_take(memory, GOLDEN_STEPS, sizeof *shares);
     double *begin = arena_take(memory, 3 * length, sizeof *begin);
-    if (!moved || !shares || !begin) return file_refuse(file, FOTEN_NO_MEMORY, "no memory");
-    run_golden(m, l, warm, begin, conditions, 0, ours);
+    if (!perturbed || !shares || !begin) return file_refuse(file, FOTEN_NO_MEMORY, "no memory");
+    run_golden(m, l, warm, begin, conditions, 0, computed);
     for (size_t i = 0; i < GOLDEN_STEPS; i++) shares[i] = 1;
     for (int way = -1; way <= 1; way += 2) {
-        run_golden(m, l, warm, begin, conditions, way * FOTEN_ONE_STEP_TOLERANCE, moved);
-        double most = 0;
+        run_golden(m, l, warm, begin, conditions, way * FOTEN_ONE_STEP_TOLERANCE, perturbed);
+        double largest = 0;
         for (size_t i = 0; i < GOLDEN_STEPS; i++) {
-            double grown = fabs(moved[i] - ours[i]) / FOTEN_CLOSED_LOOP_TOLERANCE;
-            if (grown > most && isfinite(grown)) most = grown;
-            shares[i] = fmax(shares[i], 1 + most);
+            double grown = fabs(perturbed[i] - computed[i]) / FOTEN_CLOSED_LOOP_TOLERANCE;
+            if (grown > largest && isfinite(grown)) largest = grown;
+            shares[i] = fmax(shares[i], 1 + largest);
         }
     }
-    return proven(file, "64 closed-loop steps", ours, closed, shares, GOLDEN_STEPS, FOTEN_CLOSED_LOOP_TOLERANCE);
+    return proven(file, "64 closed-loop steps", computed, closed, shares, GOLDEN_STEPS, FOTEN_CLOSED_LOOP_TOLERANCE);
 }
 
 int model_prove(foten_model *m, texture_file *file) {

@@ -5,7 +5,7 @@
 
 #include "loop.h"
 
-static const double LEAST_SCALE = 1e-9; /* scaled; what varies by nothing at all has no likelihood */
+static const double MIN_SCALE = 1e-9; /* scaled; what varies by nothing at all has no likelihood */
 
 static void place(const foten_model *m, loop *l, block *from) {
     size_t n = (size_t)m->piecewise_ar->ma;
@@ -72,7 +72,7 @@ static void predict(const foten_model *m, loop *l, foten_prediction_part part, d
     (void)part;
     double scale = scale_of_noise(m, l);
     *out = (foten_prediction){.sample = expected(m, l)};
-    excitation_score(recorded - out->sample, scale < LEAST_SCALE ? LEAST_SCALE : scale, out);
+    excitation_score(recorded - out->sample, scale < MIN_SCALE ? MIN_SCALE : scale, out);
 }
 
 static double step(const foten_model *m, loop *l, const condition *c, const double *noise, double limit) {

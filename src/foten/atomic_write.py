@@ -45,7 +45,7 @@ def write_json(path: Path, document: Mapping[str, Any], indent: int | None = 1) 
 
 
 def reason(error: OSError) -> str:
-    """Return what the system refuses, in a line: the file first, and no number."""
+    """What the system refuses, in a line: the file first, and no number."""
     if error.strerror and error.filename is not None:
         return f"{error.filename}: {error.strerror[:1].lower()}{error.strerror[1:]}"
     return str(error) or type(error).__name__

@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import json
 import sys
+from collections.abc import Callable
+from dataclasses import MISSING, fields
+from inspect import Parameter, Signature
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, TypeVar, get_type_hints
 
 from typer import Argument, Option
 
@@ -15,6 +18,33 @@ from foten.untrusted import shown
 JsonOption = Annotated[bool, Option("--json", help="Print the result as JSON on stdout.")]
 TextureFile = Annotated[Path, Argument(metavar="T.foten", help="A texture file.")]
 RecordingFile = Annotated[Path, Argument(metavar="REC.h5", help="A recording that foten import wrote.")]
+
+
+Options = TypeVar("Options")
+
+
+def options_from(kind: type[Options]) -> Callable[[Callable[[Options], None]], Callable[..., None]]:
+    """Make a command of a function of one frozen dataclass, whose fields are the command's arguments and options."""
+    hints = get_type_hints(kind, include_extras=True)
+
+    def command_of(function: Callable[[Options], None]) -> Callable[..., None]:
+        def command(**values: Any) -> None:
+            function(kind(**values))
+
+        parameters = [
+            Parameter(field.name, Parameter.KEYWORD_ONLY, default=_default(field.default), annotation=hints[field.name])
+            for field in fields(kind)  # type: ignore[arg-type]
+        ]
+        command.__signature__ = Signature(parameters)  # type: ignore[attr-defined]
+        command.__annotations__ = hints
+        command.__name__, command.__doc__ = function.__name__, function.__doc__
+        return command
+
+    return command_of
+
+
+def _default(value: Any) -> Any:
+    return Parameter.empty if value is MISSING else value
 
 
 def folder_option(help_text: str) -> Any:

@@ -28,7 +28,7 @@ def check_regular(path: Path) -> None:
 
 
 def parse_json(text: str | bytes) -> Any:
-    """Return the value that JSON text holds.
+    """The value that JSON text holds.
 
     Raises:
         ValueError: it is no JSON, is nested more than `DEEPEST`, or holds an integer of too many digits.
@@ -59,7 +59,7 @@ def check_numbers(value: Any, what: str) -> None:
 
 
 def printable(text: str) -> str:
-    """Return text with a question mark for each character that would not be printed as itself, such as an escape or a newline."""
+    """Text with a question mark for each character that would not be printed as itself, such as an escape or a newline."""
     return "".join(mark if mark.isprintable() else "?" for mark in text)
 
 
@@ -69,6 +69,6 @@ def shown(line: str, longest: int = MAX_LINE) -> str:
 
 
 def brief(error: Exception) -> str:
-    """Return what an error of a library says, on one short line: some repeat the file that they could not read."""
+    """What an error of a library says, on one short line: some repeat the file that they could not read."""
     text = " ".join(printable(str(error).replace("\n", " ")).split()) or type(error).__name__
     return shown(text, LONGEST_TEXT)

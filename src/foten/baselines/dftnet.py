@@ -25,7 +25,7 @@ class Spectrum(nn.Module):
         self.dropout = Dropout()
 
     def forward(self, windows: Tensor) -> Tensor:
-        """Return log |X| of frames under a Hann window: windows (b, m, 3) scaled → (b, m // 2 + 1)."""
+        """Log |X| of frames under a Hann window: windows (b, m, 3) scaled → (b, m // 2 + 1)."""
         hidden = windows[:, self.samples, 1:].flatten(1)
         for layer in self.hidden:
             hidden = self.dropout(torch.relu(layer(hidden)))
@@ -46,5 +46,5 @@ class Dftnet(nn.Module):
         self.filter = NoiseFilter(sizes.window)
 
     def forward(self, windows: Tensor) -> Tensor:
-        """Return the next samples: windows (b, m, 3) of noise, speed and force, scaled → (b,) scaled."""
+        """The next samples: windows (b, m, 3) of noise, speed and force, scaled → (b,) scaled."""
         return self.filter(windows[:, :, 0], self.spectrum(windows))

@@ -35,7 +35,7 @@ class Dstn(nn.Module):
         self.dropout = Dropout()
 
     def forward(self, windows: Tensor) -> Tensor:
-        """Return the next samples: windows (b, m, 3) scaled → (b,) scaled."""
+        """The next samples: windows (b, m, 3) scaled → (b,) scaled."""
         features = self.convolution_1(windows.transpose(1, 2)).transpose(1, 2)
         features = torch.relu(self.norm_1(features))
         features = self.convolution_2(features.transpose(1, 2)).transpose(1, 2)

@@ -38,7 +38,7 @@ class MfccBranch(nn.Module):
             self.register_buffer(name, torch.from_numpy(matrix), persistent=False)
 
     def forward(self, acceleration: Tensor) -> Tensor:
-        """Return the coefficients: (b, m) scaled → (b, n_coefficients)."""
+        """The coefficients: (b, m) scaled → (b, n_coefficients)."""
         real, imaginary, bands, cosines = (
             matrix.to(acceleration.dtype) for matrix in (self.real, self.imaginary, self.bands, self.cosines)
         )
@@ -58,12 +58,12 @@ class WaveletBranch(nn.Module):
         self.register_buffer("transform", transform, persistent=False)
 
     def forward(self, acceleration: Tensor) -> Tensor:
-        """Return the coefficients: (b, m) scaled → (b, k)."""
+        """The coefficients: (b, m) scaled → (b, k)."""
         return acceleration @ self.transform.to(acceleration.dtype)
 
 
 def mel_bands(n_bins: int, n_bands: int) -> Array:
-    """Return triangular bands, evenly spaced in mel and at least a bin wide, shape (n_bins, n_bands), each adding up to 1."""
+    """Triangular bands, evenly spaced in mel and at least a bin wide, shape (n_bins, n_bands), each adding up to 1."""
     hz = np.linspace(0.0, 8000.0, n_bins)
     edges = np.linspace(0.0, 2595 * math.log10(1 + 8000 / 700), n_bands + 2)
     edges = 700 * (10 ** (edges / 2595) - 1)
@@ -75,14 +75,14 @@ def mel_bands(n_bins: int, n_bands: int) -> Array:
 
 
 def cosine_transform(n: int, k: int) -> Array:
-    """Return the first k rows of the orthonormal cosine transform (DCT-II) of n numbers, as columns (n, k)."""
+    """The first k rows of the orthonormal cosine transform (DCT-II) of n numbers, as columns (n, k)."""
     columns = np.sqrt(2 / n) * np.cos(np.pi / n * (np.arange(n)[:, None] + 0.5) * np.arange(k))
     columns[:, 0] *= math.sqrt(0.5)
     return np.asarray(columns)
 
 
 def wavelet_transform(m: int, n_levels: int) -> Array:
-    """Return the matrix that takes a window (m,) to its wavelet coefficients, shape (m, k)."""
+    """The matrix that takes a window (m,) to its wavelet coefficients, shape (m, k)."""
     root = math.sqrt(3)
     low = np.array([1 + root, 3 + root, 3 - root, 1 - root]) / (4 * math.sqrt(2))
     high = low[::-1] * np.array([1, -1, 1, -1])

@@ -36,14 +36,14 @@ class Fnn(nn.Module):
         self.register_buffer("lags", torch.from_numpy(lagged_bands(sizes.window, sizes.n_lags)), persistent=False)
 
     def forward(self, windows: Tensor) -> Tensor:
-        """Return the next samples: windows (b, m, 3) scaled → (b,) scaled."""
+        """The next samples: windows (b, m, 3) scaled → (b,) scaled."""
         lagged = torch.einsum("bm,klm->kbl", windows[:, :, 0], self.lags.to(windows.dtype))
         pieces = [band(torch.cat([lagged[k], windows[:, -1, 1:]], dim=1))[:, 0] for k, band in enumerate(self.bands)]
         return torch.stack(pieces).sum(dim=0)
 
 
 def lagged_bands(m: int, n_lags: int) -> Array:
-    """Return what a window of m samples is multiplied with to give the bands at their lags, shape (4, n_lags, m).
+    """What a window of m samples is multiplied with to give the bands at their lags, shape (4, n_lags, m).
 
     Lag 1 of each band is the window's last sample; of the filters' responses as much is kept as the window holds.
     """

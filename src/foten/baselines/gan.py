@@ -41,7 +41,7 @@ class Gan(nn.Module):
         self.register_buffer("kernels", kernels[:, None].float(), persistent=False)
 
     def forward(self, windows: Tensor) -> Tensor:
-        """Return the next samples: windows (b, m, 3) of noise, speed and force, scaled → (b,) scaled."""
+        """The next samples: windows (b, m, 3) of noise, speed and force, scaled → (b,) scaled."""
         features = self._frames(windows)
         for layer in self.layers:
             # The last frame alone, which each layer needs every third of what is before it for.
@@ -49,14 +49,14 @@ class Gan(nn.Module):
         return self.filter(windows[:, -self.frame :, 0], self.out(features)[:, :, 0])
 
     def spectra(self, windows: Tensor) -> Tensor:
-        """Return log |X| for every stride of longer windows (b, n, 3): (b, frames − 26, bins), the first as `forward`'s of m."""
+        """Log |X| for every stride of longer windows (b, n, 3): (b, frames − 26, bins), the first as `forward`'s of m."""
         features = self._frames(windows)
         for layer, spread in zip(self.layers, (1, 3, 9), strict=True):  # frames between what a layer looks at
             features = torch.relu(conv1d(features, layer.weight, layer.bias, dilation=spread))
         return self.out(features).transpose(1, 2)
 
     def played(self, windows: Tensor) -> Tensor:
-        """Return samples as they are rendered, but for a spectrum that stands still for a stride: (b, n, 3) → (b, k · stride).
+        """Samples as they are rendered, but for a spectrum that stands still for a stride: (b, n, 3) → (b, k · stride).
 
         The first follows m samples, and the last of n are followed by none.
         """
@@ -65,7 +65,7 @@ class Gan(nn.Module):
         return self.filter(noise, logs.repeat_interleave(self.stride, dim=1))
 
     def _frames(self, windows: Tensor) -> Tensor:
-        """Return noise and condition of every frame: (b, n, 3) → (b, LATENTS + 2, frames)."""
+        """Noise and condition of every frame: (b, n, 3) → (b, LATENTS + 2, frames)."""
         noise, condition = windows[:, None, :, 0], windows[:, self.frame - 1 :: self.stride, 1:]
         latents = conv1d(noise, self.kernels.to(noise.dtype), stride=self.stride)
         return torch.cat([latents, condition.transpose(1, 2)], dim=1)
@@ -81,7 +81,7 @@ class Discriminator(nn.Module):
         self.out = spectral_norm(nn.Linear(widths[-1], 1))
 
     def forward(self, spectrogram: Tensor, condition: Tensor) -> Tensor:
-        """Return how recorded it looks, above 0 or below: (b, frames, bins) standardised, (b, frames, 2) scaled → (b,)."""
+        """How recorded it looks, above 0 or below: (b, frames, bins) standardised, (b, frames, 2) scaled → (b,)."""
         condition = condition.transpose(1, 2)[..., None].expand(-1, -1, -1, spectrogram.shape[2])
         features = torch.cat([spectrogram[:, None], condition], dim=1)
         for layer in self.layers:

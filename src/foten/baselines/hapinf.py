@@ -33,7 +33,7 @@ class Hapinf(nn.Module):
         self.register_buffer("positions", torch.from_numpy(position_encoding(sizes.window + 1, d)), persistent=False)
 
     def forward(self, windows: Tensor) -> Tensor:
-        """Return the next samples: windows (b, m, 3) scaled → (b,) scaled."""
+        """The next samples: windows (b, m, 3) scaled → (b,) scaled."""
         m = windows.shape[1]
         positions = self.positions.to(windows.dtype)
         memory = self.dropout(self.embedding(windows) + positions[:m])

@@ -33,7 +33,7 @@ class Ldhtd(nn.Module):
         self.register_buffer("positions", torch.from_numpy(position_encoding(sizes.window, d)), persistent=False)
 
     def forward(self, windows: Tensor) -> Tensor:
-        """Return the next samples: windows (b, m, 3) scaled → (b,) scaled."""
+        """The next samples: windows (b, m, 3) scaled → (b,) scaled."""
         memory, _ = self.hand(windows[:, :, 1:])
         tokens = self.dropout(self.embedding(windows[:, :, :1]) + self.positions.to(windows.dtype))
         last = self.decoded(self.decoder(tokens, self.hand_out(memory))[:, -1])

@@ -11,7 +11,7 @@ _LIMIT = 10.0  # of log |X|, scaled: beyond it is no vibration
 
 
 def log_magnitudes(frames: Tensor) -> Tensor:
-    """Return log |X| of frames under a Hann window: (..., n) scaled → (..., n // 2 + 1)."""
+    """Log |X| of frames under a Hann window: (..., n) scaled → (..., n // 2 + 1)."""
     window = torch.hann_window(frames.shape[-1], dtype=torch.float64).to(frames)
     return torch.fft.rfft(frames * window).abs().clamp(min=FAINTEST).log()
 
@@ -38,6 +38,6 @@ class NoiseFilter(nn.Module):
         self.register_buffer("offset", torch.from_numpy(scatter - 0.5 * np.log(power)).float(), persistent=False)
 
     def forward(self, noise: Tensor, logs: Tensor) -> Tensor:
-        """Return a sample of each frame of noise: (..., n), its log |X| (..., n // 2 + 1) → (...)."""
+        """A sample of each frame of noise: (..., n), its log |X| (..., n // 2 + 1) → (...)."""
         magnitudes = torch.exp(logs.clamp(-_LIMIT, _LIMIT) + self.offset.to(logs.dtype))
         return ((noise @ self.cosines.to(noise.dtype)) * magnitudes).sum(-1)

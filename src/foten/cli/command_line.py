@@ -95,7 +95,7 @@ def main() -> None:
 
 
 def _status(arguments: list[str]) -> int:
-    """Return the exit status of one command; an expected failure is printed as one line."""
+    """The exit status of one command; an expected failure is printed as one line."""
     if os.environ.get("FOTEN_DEBUG"):  # the whole traceback, for developers
         return app(arguments, standalone_mode=False) or 0
     try:

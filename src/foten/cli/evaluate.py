@@ -100,7 +100,7 @@ def _unit(texture: Texture) -> str:
 
 
 def _linear_model(texture: Texture) -> dict[str, str]:
-    """Return what `info` says of the local models, or of the lattice and the tones; nothing of a model that has none."""
+    """What `info` says of the local models, or of the lattice and the tones; nothing of a model that has none."""
     sizes, metrics = texture.card["sizes"], texture.card["metrics"]
     if texture.card["model"] == "ar":
         zeros = f", {sizes['ma']} zeros" if sizes["ma"] else ""
@@ -125,7 +125,7 @@ def _linear_model(texture: Texture) -> dict[str, str]:
 
 
 def network_summary(card: Mapping[str, Any]) -> str:
-    """Return what the network of a foten-plus texture is used for, in words."""
+    """What the network of a foten-plus texture is used for, in words."""
     sizes, metrics = card["sizes"], card["metrics"]
     if metrics.get("n_epochs") == 0:
         return "not trained: the file was written before"
@@ -142,7 +142,7 @@ def network_summary(card: Mapping[str, Any]) -> str:
 
 
 def validation_summary(card: Mapping[str, Any]) -> str:
-    """Return the validation errors that a card holds, in words."""
+    """The validation errors that a card holds, in words."""
     if card["split"] is None:
         return "none here: its models were imported"
     metrics = card["metrics"]

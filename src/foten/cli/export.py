@@ -115,7 +115,7 @@ def _only(files: list[Path], kind: str) -> Texture:
 
 
 def _rendered(texture: Texture, hand: tuple[Any, ...], renderer: Renderer, seed: int) -> tuple[Array, dict[str, Any]]:
-    """Return the samples of a stroke, shape (n,), and what made them; by default 2 s at 80 mm/s and 0.8 N."""
+    """The samples of a stroke, shape (n,), and what made them; by default 2 s at 80 mm/s and 0.8 N."""
     stroke, units, recording_file, speed, force, seconds = hand
     if all(option is None for option in (stroke, recording_file, speed, force, seconds)):
         speed, force, seconds = 80.0, 0.8, 2.0
@@ -139,7 +139,7 @@ def _clip(texture: Texture, hand: tuple[Any, ...], full_scale: float | None, act
 
 
 def _said(seconds: float, rate_hz: float, full_scale: float, unit: str, keeps: str) -> tuple[dict[str, Any], str]:
-    """Return what is said of a clip, as JSON has it and as text."""
+    """What is said of a clip, as JSON has it and as text."""
     from foten.recording.recording import RELATIVE
 
     words = "times the recording's RMS" if unit == RELATIVE else unit.replace("^2", "²")

@@ -230,7 +230,7 @@ def import_(
 
 
 def _named(file: Path) -> str:
-    """Return what a file is of by its name; of a `sound.wav`, as a page keeps it, by its folder's."""
+    """What a file is of by its name; of a `sound.wav`, as a page keeps it, by its folder's."""
     folder = file.resolve().parent.name
     return folder if file.stem == "sound" and folder else file.stem
 

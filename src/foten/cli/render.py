@@ -2,20 +2,22 @@
 
 from __future__ import annotations
 
-import dataclasses
 import os
 import time
+from dataclasses import asdict, dataclass
 from math import inf
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from typer import Argument, Exit, Option
 
-from foten.console import JsonOption, TextureFile, check_folders, print_json, say
+from foten.console import JsonOption, TextureFile, check_folders, options_from, print_json, say
 
 if TYPE_CHECKING:
     from foten.dsp import Array
     from foten.models.texture_file import Texture
+    from foten.runtime.live.play import Hand, Played
+    from foten.runtime.native import NativeInfo
     from foten.runtime.renderer import Renderer
     from foten.runtime.stroke import Stroke
 
@@ -99,133 +101,150 @@ def render(
         say(f"{texture.card['model']} carries no excitation, so the loop is deterministic and may fall silent")
 
 
-def play(
+@dataclass(frozen=True)
+class PlayOptions:
+    """Options of `foten play`."""
+
     texture_file: Annotated[
         Path | None, Argument(metavar="T.foten", help="A texture file; by default one that comes with foten.")
-    ] = None,
-    to: Annotated[str, Option(help="sound, null, FILE.wav, daq:Dev1/ao0, udp:HOST:PORT or osc:HOST:PORT.")] = "sound",
+    ] = None
+    to: Annotated[str, Option(help="sound, null, FILE.wav, daq:Dev1/ao0, udp:HOST:PORT or osc:HOST:PORT.")] = "sound"
     stroke: Annotated[
         Path | None,
         Option(metavar="S.csv", help="As of 'foten render', over and over, without a pause; by default a circle."),
-    ] = None,
-    units: StrokeUnits = None,
-    speed: Annotated[float | None, Option(help="Constant speed (mm/s), with --force.")] = None,
-    force: Annotated[float | None, Option(help="Constant force (N), with --speed.")] = None,
+    ] = None
+    units: StrokeUnits = None
+    speed: Annotated[float | None, Option(help="Constant speed (mm/s), with --force.")] = None
+    force: Annotated[float | None, Option(help="Constant force (N), with --speed.")] = None
     seconds: Annotated[
         float | None, Option(min=0.0, help="How long (s); by default until Ctrl-C, and 10 s into a file.")
-    ] = None,
-    rate: Annotated[
-        float | None, Option(help="Of the output (Hz); by default 48000 for sound, else 8000 or more.")
-    ] = None,
-    actuator: Annotated[Path | None, Option(metavar="P.json", help="Profile of the actuator that is driven.")] = None,
+    ] = None
+    rate: Annotated[float | None, Option(help="Of the output (Hz); by default 48000 for sound, else 8000 or more.")] = (
+        None
+    )
+    actuator: Annotated[Path | None, Option(metavar="P.json", help="Profile of the actuator that is driven.")] = None
     gain: Annotated[
         float | None,
         Option(help="Full scale (sound) or volts (daq) for 1 m/s², or for 1 of the actuator's drive; of these alone."),
-    ] = None,
+    ] = None
     device: Annotated[
         str | None, Option(help="Number or name of the sound card, as 'python -m sounddevice' lists them.")
-    ] = None,
-    channel: Annotated[
-        int | None, Option(min=0, help="Of the sound card that is played on, from 0; 0 by default.")
-    ] = None,
-    lead_ms: Annotated[float | None, Option(help="Rendered ahead of what is heard (ms); 10 by default.")] = None,
-    seed: Annotated[int, Option(min=0, max=2**64 - 1, help="Of the excitation.")] = 0,
-    deterministic: Annotated[bool, Option("--deterministic", help="Without excitation.")] = False,
-    as_json: JsonOption = False,
-) -> None:
+    ] = None
+    channel: Annotated[int | None, Option(min=0, help="Of the sound card that is played on, from 0; 0 by default.")] = (
+        None
+    )
+    lead_ms: Annotated[float | None, Option(help="Rendered ahead of what is heard (ms); 10 by default.")] = None
+    seed: Annotated[int, Option(min=0, max=2**64 - 1, help="Of the excitation.")] = 0
+    deterministic: Annotated[bool, Option("--deterministic", help="Without excitation.")] = False
+    as_json: JsonOption = False
+
+    def __post_init__(self) -> None:
+        stroke, speed, force = self.stroke, self.speed, self.force
+        if (speed is None) != (force is None) or (stroke is not None and speed is not None):
+            raise ValueError("expected --stroke, or --speed with --force, or neither for a circle")
+        _check_units(self.units, stroke)
+        for name, value, unit in (("speed", speed, " mm/s"), ("force", force, " N"), ("seconds", self.seconds, "")):
+            if value is not None and not 0 <= value < inf:
+                raise ValueError(f"--{name} is {value}{unit}, expected a finite number, 0 or more")
+
+    def conditions(self, texture: Texture, info: NativeInfo) -> tuple[Hand, str]:
+        """Speed and force from sample to sample, and where they are from."""
+        from foten.runtime.live.play import along, circling, holding
+        from foten.runtime.stroke import doubts_of
+
+        if self.stroke is not None:
+            stroke = _stroke_from(self.stroke, self.units, texture.rate_hz)
+            _report(stroke)
+            return along(stroke, info.lowpass_hz), self.stroke.name
+        if self.speed is not None and self.force is not None:
+            for doubt in (*doubts_of("speed", self.speed), *doubts_of("force", self.force)):
+                say(doubt)
+            return holding(self.speed, self.force), f"{self.speed:g} mm/s, {self.force:g} N"
+        return circling(info.trained_speed, info.trained_force, texture.rate_hz), "a circle"
+
+
+@options_from(PlayOptions)
+def play(options: PlayOptions) -> None:
     """Play a texture live: to the sound card, a file, an NI-DAQ or another program."""
     from foten.models.texture_file import read_texture
-    from foten.recording.inspection.values import counted
     from foten.runtime.actuator import read_profile
     from foten.runtime.live.live import LEAD_MS
-    from foten.runtime.live.play import along, circling, gain_for, holding, rate_for, sink_of
+    from foten.runtime.live.play import gain_for, rate_for, sink_of
     from foten.runtime.live.play import play as play_live
     from foten.runtime.renderer import EXAMPLE, Renderer
-    from foten.runtime.stroke import doubts_of
 
-    texture_file = texture_file or EXAMPLE
-    if (speed is None) != (force is None) or (stroke is not None and speed is not None):
-        raise ValueError("expected --stroke, or --speed with --force, or neither for a circle")
-    _check_units(units, stroke)
-    if seconds is not None and not 0 <= seconds < inf:
-        raise ValueError(f"--seconds is {seconds}, expected a finite number, 0 or more")
-    profile = read_profile(actuator) if actuator is not None else None
+    texture_file, to, seconds = options.texture_file or EXAMPLE, options.to, options.seconds
+    profile = read_profile(options.actuator) if options.actuator is not None else None
     texture = read_texture(texture_file)
-    own = texture.rate_hz
-    renderer = Renderer(texture, rate_for(to, rate, own), seed, excitation=not deterministic, actuator=profile)
+    rate, excitation = rate_for(to, options.rate, texture.rate_hz), not options.deterministic
+    renderer = Renderer(texture, rate, options.seed, excitation=excitation, actuator=profile)
     info = renderer.native_texture.info
-    if stroke is not None:
-        looped_stroke = _stroke_from(stroke, units, own)
-        _report(looped_stroke)
-        conditions, source = along(looped_stroke, info.lowpass_hz), stroke.name
-    elif speed is not None and force is not None:
-        for name, value, unit in (("speed", speed, "mm/s"), ("force", force, "N")):
-            if not 0 <= value < inf:
-                raise ValueError(f"--{name} is {value} {unit}, expected a finite number, 0 or more")
-            for doubt in doubts_of(name, value):
-                say(doubt)
-        conditions, source = holding(speed, force), f"{speed:g} mm/s, {force:g} N"
-    else:
-        conditions, source = circling(info.trained_speed, info.trained_force, own), "a circle"
-    scale = gain_for(profile, gain, info.acceleration_sd, to)
-    about = provenance(texture, source, seed, deterministic)
+    conditions, source = options.conditions(texture, info)
+    scale = gain_for(profile, options.gain, info.acceleration_sd, to)
+    about = provenance(texture, source, options.seed, options.deterministic)
     if profile is not None:
-        about |= {"actuator": dataclasses.asdict(profile), "unit": profile.unit}
+        about |= {"actuator": asdict(profile), "unit": profile.unit}
     if seconds is None and to.lower().endswith(".wav"):
         seconds = 10.0
-    sink = sink_of(to, renderer.rate, scale, seconds, device, channel, about)
+    sink = sink_of(to, renderer.rate, scale, seconds, options.device, options.channel, about)
 
     def on_start() -> None:
         name, long = info.texture or texture_file.name, "" if seconds is None else f" for {seconds:g} s"
         say(f"{name} to {to} at {renderer.rate:g} Hz{long}; Ctrl-C ends it")
 
-    lead_ms = LEAD_MS if lead_ms is None else lead_ms
+    lead_ms = LEAD_MS if options.lead_ms is None else options.lead_ms
     played = play_live(renderer, sink, conditions, seconds, lead_ms, on_start)
-    statistics, counts = played.statistics, played.counted
-    if as_json:
-        block_ms = {
-            f"block_p{name}_ms": 1000 * statistics.block.percentile_s(percent)
-            for name, percent in (("50", 50), ("99", 99), ("999", 99.9))
-        }
-        print_json(
-            {
-                "n_samples": statistics.n_samples,
-                "block_ms": statistics.block_ms,
-                **block_ms,
-                "block_largest_ms": 1000 * statistics.block.largest_s,
-                "n_missed": statistics.n_missed,
-                "n_underruns": statistics.n_underruns,
-                "n_lacking": statistics.n_lacking,
-                "ring_least_ms": statistics.least_ms if statistics.least_ms < inf else None,
-                "gain": scale,
-                **{name: value for name, value in vars(played).items() if name not in ("statistics", "counted")},
-                **counts,
-            }
-        )
+    if options.as_json:
+        print_json({**_document_of(played), "gain": scale, **played.counted})
     else:
-        print(statistics.line())
-        delays = ", ".join(f"{ms:.1f} ms {name}" for name, ms in played.delays_ms.items())
-        print(f"delay from stroke to output: {delays}")
-        print_outside_range(counts, texture)
-        if n := counts["n_limited"]:
-            print(f"the actuator's limit bent {counted(n, 'sample')}")
-        if n := statistics.n_underruns:
-            silence = f"{counted(statistics.n_lacking, 'sample')} of silence"
-            print(f"the ring ran empty {counted(n, 'time')}, {silence}; a longer --lead-ms than {lead_ms:g} helps")
-        if n := played.n_device_underruns:
-            busy = "this machine is busy with something else"
-            print(f"the sound card got its samples too late {counted(n, 'time')}, whatever the ring held: {busy}")
-        if n := played.n_late:
-            print(f"this machine stood still for {counted(n, 'block')} of the sink, which were not made up for")
-        if n := played.n_cut:
-            cut = f"cut beyond full scale: {counted(n, 'sample')}"
-            print(f"{cut}; a smaller --gain than {scale:.3g} keeps them")
+        _print_played(played, texture, lead_ms, scale)
     if played.interrupted:
         raise Exit(130)
 
 
+def _document_of(played: Played) -> dict[str, Any]:
+    """What was played, for programs."""
+    statistics = played.statistics
+    percentiles = (("50", 50), ("99", 99), ("999", 99.9))
+    return {
+        "n_samples": statistics.n_samples,
+        "block_ms": statistics.block_ms,
+        **{f"block_p{name}_ms": 1000 * statistics.block.percentile_s(percent) for name, percent in percentiles},
+        "block_largest_ms": 1000 * statistics.block.largest_s,
+        "n_missed": statistics.n_missed,
+        "n_underruns": statistics.n_underruns,
+        "n_lacking": statistics.n_lacking,
+        "ring_least_ms": statistics.least_ms if statistics.least_ms < inf else None,
+        **{name: value for name, value in vars(played).items() if name not in ("statistics", "counted")},
+    }
+
+
+def _print_played(played: Played, texture: Texture, lead_ms: float, scale: float) -> None:
+    """What was played, for people, and what to do where something went wrong."""
+    from foten.recording.inspection.values import counted
+
+    statistics = played.statistics
+    print(statistics.line())
+    delays = ", ".join(f"{ms:.1f} ms {name}" for name, ms in played.delays_ms.items())
+    print(f"delay from stroke to output: {delays}")
+    print_outside_range(played.counted, texture)
+    if n := played.counted["n_limited"]:
+        print(f"the actuator's limit bent {counted(n, 'sample')}")
+    if n := statistics.n_underruns:
+        silence = f"{counted(statistics.n_lacking, 'sample')} of silence"
+        print(f"the ring ran empty {counted(n, 'time')}, {silence}; a longer --lead-ms than {lead_ms:g} helps")
+    if n := played.n_device_underruns:
+        busy = "this machine is busy with something else"
+        print(f"the sound card got its samples too late {counted(n, 'time')}, whatever the ring held: {busy}")
+    if n := played.n_late:
+        print(f"this machine stood still for {counted(n, 'block')} of the sink, which were not made up for")
+    if n := played.n_cut:
+        cut = f"cut beyond full scale: {counted(n, 'sample')}"
+        print(f"{cut}; a smaller --gain than {scale:.3g} keeps them")
+
+
 def provenance(texture: Texture, source: str, seed: int, deterministic: bool) -> dict[str, Any]:
-    """Return what made a rendering, as it is kept in the file that it is written to."""
+    """What made a rendering, as it is kept in the file that it is written to."""
     from foten import __version__
 
     return {
@@ -247,7 +266,7 @@ def stroke_given(
     seconds: float | None,
     rate_hz: float,
 ) -> tuple[Stroke, str]:
-    """Return the stroke that the options give, at a texture's rate, and what it is called; doubts about it are said."""
+    """The stroke that the options give, at a texture's rate, and what it is called; doubts about it are said."""
     from foten.runtime.stroke import constant_stroke, recorded_stroke
 
     constants = (speed, force, seconds)
@@ -283,7 +302,7 @@ def _stroke_from(path: Path, units: list[str] | None, rate_hz: float) -> Stroke:
 
 
 def rendered_by(renderer: Renderer, speed: Array, force: Array) -> Array:
-    """Return the acceleration [m/s²] under a stroke, second by second: a Ctrl-C ends it, and a long one says how far it is."""
+    """The acceleration [m/s²] under a stroke, second by second: a Ctrl-C ends it, and a long one says how far it is."""
     import numpy as np
 
     second = max(1, round(renderer.texture_rate))

@@ -2,62 +2,66 @@
 
 from __future__ import annotations
 
-import dataclasses
 import json
 from collections.abc import Iterator
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from typer import Exit, Option
 
 from foten.cli.evaluate import network_summary, validation_summary
-from foten.console import JsonOption, RecordingFile, check_folders, print_result
+from foten.console import JsonOption, RecordingFile, check_folders, options_from, print_result
 
 if TYPE_CHECKING:
     from foten.recording.recording import Recording
-    from foten.training.job import Trained
+    from foten.training.config import TrainConfig
+    from foten.training.job import Trained, TrainingJob
 
 
-def train(
-    recording_file: RecordingFile,
-    output: Annotated[Path, Option("-o", "--output", metavar="T.foten", help="The texture file to write.")],
+@dataclass(frozen=True)
+class TrainOptions:
+    """Options of `foten train`; None is the recipe's, or the model's."""
+
+    recording_file: RecordingFile
+    output: Annotated[Path, Option("-o", "--output", metavar="T.foten", help="The texture file to write.")]
     model: Annotated[
         str,
         Option(
             help="foten-plus (ours), foten (the paper's); its variants ten, ten-mfcc, ten-wavelet, foten-d; the systems it is "
             "compared with, re-implemented: ar (piecewise AR), fnn, dstn, hapinf, ldhtd, dftnet, gan."
         ),
-    ] = "foten-plus",
-    recipe: Annotated[str, Option(help="default (ours) or paper (Adam 1e-3, batch 16, 100 epochs).")] = "default",
+    ] = "foten-plus"
+    recipe: Annotated[str, Option(help="default (ours) or paper (Adam 1e-3, batch 16, 100 epochs).")] = "default"
     rate: Annotated[
         float | None, Option(help="Of the model (Hz); the acceleration's own at most.", show_default="1000")
-    ] = None,
-    trim: Annotated[float | None, Option(help="Discarded at both ends (ms).", show_default="2000")] = None,
-    block: Annotated[float | None, Option(help="Unit of the split (ms).", show_default="2000")] = None,
+    ] = None
+    trim: Annotated[float | None, Option(help="Discarded at both ends (ms).", show_default="2000")] = None
+    block: Annotated[float | None, Option(help="Unit of the split (ms).", show_default="2000")] = None
     window: Annotated[
         int | None,
         Option(
             help="m, samples that a prediction sees.",
             show_default="20; ten 25, ten-mfcc and ten-wavelet 30, dstn 40, fnn 144",
         ),
-    ] = None,
-    seed: Annotated[int, Option(min=0, max=2**32 - 1, help="Of initial weights, order and dropout.")] = 0,
-    split: Annotated[str, Option(help="regrouped by speed and force, or contiguous in time.")] = "regrouped",
-    split_seed: Annotated[int, Option(min=0, help="Of the regrouped split.")] = 0,
+    ] = None
+    seed: Annotated[int, Option(min=0, max=2**32 - 1, help="Of initial weights, order and dropout.")] = 0
+    split: Annotated[str, Option(help="regrouped by speed and force, or contiguous in time.")] = "regrouped"
+    split_seed: Annotated[int, Option(min=0, help="Of the regrouped split.")] = 0
     epochs: Annotated[
         int | None,
         Option(
             help="At most; the recipe's by default. Below 8, closed-loop training of foten-plus is shorter too."
             " (Of gan, of 50 steps each.)"
         ),
-    ] = None,
+    ] = None
     loss: Annotated[
         str | None, Option(help="huber, mse or mae; foten-plus has a likelihood.", show_default="huber")
-    ] = None,
-    delta: Annotated[float | None, Option(help="Huber threshold, scaled.", show_default="1.6")] = None,
-    batch: Annotated[int | None, Option(help="Windows a step, of foten-plus chunks; the recipe's by default.")] = None,
-    learning_rate: Annotated[float | None, Option(help="Highest; the recipe's by default.")] = None,
-    dropout: Annotated[float | None, Option(help="Share of hidden values.", show_default="0; paper 0.2")] = None,
+    ] = None
+    delta: Annotated[float | None, Option(help="Huber threshold, scaled.", show_default="1.6")] = None
+    batch: Annotated[int | None, Option(help="Windows a step, of foten-plus chunks; the recipe's by default.")] = None
+    learning_rate: Annotated[float | None, Option(help="Highest; the recipe's by default.")] = None
+    dropout: Annotated[float | None, Option(help="Share of hidden values.", show_default="0; paper 0.2")] = None
     excitation: Annotated[
         bool,
         Option(
@@ -65,7 +69,7 @@ def train(
             help="Give a network a random part, as foten-plus always has one: Gaussian noise, without which its free run falls "
             "silent.",
         ),
-    ] = False,
+    ] = False
     settings: Annotated[
         list[str] | None,
         Option(
@@ -75,121 +79,168 @@ def train(
             "d_model, n_heads, n_layers, d_feedforward, head=[256,64], "
             "spectral_width (1 is the literal reading), pre_norm=false, bins=half.",
         ),
-    ] = None,
-    zero_phase: Annotated[
-        bool, Option("--zero-phase", help="Filter forwards and backwards, as the paper offline.")
-    ] = False,
+    ] = None
+    zero_phase: Annotated[bool, Option("--zero-phase", help="Filter forwards and backwards, as the paper offline.")] = (
+        False
+    )
     force_units: Annotated[
         bool, Option("--force-units", help="Accept what no hand does: above 5 m/s, 1000 m/s² or 500 N.")
-    ] = False,
-    resume: Annotated[bool, Option("--resume", help="Go on from the run folder's checkpoint.")] = False,
+    ] = False
+    resume: Annotated[bool, Option("--resume", help="Go on from the run folder's checkpoint.")] = False
     run_folder: Annotated[
         Path | None, Option("--run", metavar="DIR", help="Log, curves, split, checkpoint.", show_default="T.run")
-    ] = None,
-    texture: Annotated[str, Option(help="Name in the card; the recording's by default.")] = "",
-    licence: Annotated[str, Option(help="Licence of the texture, for the card.")] = "",
+    ] = None
+    texture: Annotated[str, Option(help="Name in the card; the recording's by default.")] = ""
+    licence: Annotated[str, Option(help="Licence of the texture, for the card.")] = ""
     threads: Annotated[
         int | None,
         Option(help="Share each batch among so many cores (on a GPU there is one share).", show_default="2; paper 1"),
-    ] = None,
-    as_json: JsonOption = False,
-) -> None:
+    ] = None
+    as_json: JsonOption = False
+
+    def __post_init__(self) -> None:
+        from foten.baselines.sizes import TRAINABLE
+        from foten.training.config import RECIPES, check_used
+
+        if self.model not in TRAINABLE:
+            raise ValueError(f"unknown model {self.model!r}, expected one of {', '.join(TRAINABLE)}")
+        if self.recipe not in RECIPES:
+            raise ValueError(f"unknown recipe {self.recipe!r}, expected one of {', '.join(RECIPES)}")
+        if self.output.suffix != ".foten":
+            raise ValueError(f"a texture file is written as .foten, got -o {self.output.name}")
+        check_folders([self.output, self.run_folder or self.output])
+        of_networks = self.changes() | _given(window=self.window, set=self.settings, run=self.run_folder)
+        of_networks |= {name: True for name in ("resume", "seed", "excitation") if getattr(self, name)}
+        of_networks |= {} if self.recipe == "default" else {"recipe": self.recipe}
+        if of_networks and not self.has_network:
+            name = next(iter(of_networks)).replace("_", "-")
+            raise ValueError(f"--{name} is for networks, and --model ar is none: leave it out")
+        if self.excitation and self.of_spectra:
+            raise ValueError(
+                f"--excitation is for models that predict samples, and {self.model} is made of noise: leave it out"
+            )
+        check_used(self.model, self.changes(), self.config().loss)
+
+    @property
+    def has_network(self) -> bool:
+        """Whether there is a run folder, with a log and a checkpoint."""
+        return self.model != "ar"
+
+    @property
+    def of_spectra(self) -> bool:
+        """Whether the model is fitted to spectra, and not to samples."""
+        from foten.baselines.sizes import TRAINABLE, NoiseModelSizes
+
+        return issubclass(TRAINABLE[self.model], NoiseModelSizes)
+
+    def changes(self) -> dict[str, Any]:
+        """Settings of `TrainConfig` that differ from the recipe's, by name."""
+        names = ("epochs", "loss", "delta", "batch", "learning_rate", "dropout", "threads")
+        return _given(**{name: getattr(self, name) for name in names})
+
+    def config(self) -> TrainConfig:
+        """The recipe with the changes."""
+        from foten.training.config import recipe_of
+
+        return recipe_of(self.model, self.recipe, seed=self.seed, **self.changes())
+
+    def job(self, recording: Recording) -> TrainingJob:
+        """What is to be learned from a recording."""
+        from foten.baselines.sizes import trainable_sizes
+        from foten.recording.preprocess import PreprocessConfig
+        from foten.training.job import TrainingJob
+
+        # The paper trains with 25 Hz and renders with 20 Hz.
+        lowpass_hz = 25.0 if self.recipe == "paper" else None
+        cut = _given(rate_hz=self.rate, trim_ms=self.trim, block_ms=self.block, lowpass_hz=lowpass_hz)
+        preprocess = PreprocessConfig(zero_phase=self.zero_phase, force_units=self.force_units, **cut)
+        sizes = _given(window=self.window) | _settings(self.settings or [])
+        sizes |= {"excitation": True} if self.excitation else {}
+        trained_sizes = trainable_sizes(self.model, sizes)
+        if "excitation_width" in sizes and not trained_sizes.excited:
+            raise ValueError(
+                "excitation_width is of an excitation, and there is none: leave it out, or add --excitation"
+            )
+        return TrainingJob(
+            recording,
+            self.model,
+            trained_sizes,
+            self.config(),
+            preprocess,
+            self.split,
+            self.split_seed,
+            self.texture or recording.texture,
+            self.licence,
+        )
+
+
+@options_from(TrainOptions)
+def train(options: TrainOptions) -> None:
     """Learn a texture file from a recording. Ctrl-C keeps the best so far."""
-    from foten.baselines.sizes import TRAINABLE, NoiseModelSizes, trainable_sizes
     from foten.datasets.hdf5 import load_recording
     from foten.models.texture_file import Texture, write_texture
-    from foten.recording.preprocess import PreprocessConfig
-    from foten.training.config import RECIPES, check_used, recipe_of
-    from foten.training.job import TrainingJob
-    from foten.training.loop import Checkpoint, Monitor
+    from foten.training.loop import Checkpoint, Epoch, Monitor
     from foten.training.pipeline import train as train_texture
     from foten.training.run_folder import RunFolder, TrainingDisplay
 
-    if model not in TRAINABLE:
-        raise ValueError(f"unknown model {model!r}, expected one of {', '.join(TRAINABLE)}")
-    if recipe not in RECIPES:
-        raise ValueError(f"unknown recipe {recipe!r}, expected one of {', '.join(RECIPES)}")
-    if output.suffix != ".foten":
-        raise ValueError(f"a texture file is written as .foten, got -o {output.name}")
-    check_folders([output, run_folder or output])
-    asked = _given(epochs=epochs, loss=loss, delta=delta, batch=batch, learning_rate=learning_rate)
-    asked |= _given(dropout=dropout, threads=threads)
-    config = recipe_of(model, recipe, seed=seed, **asked)
-    # The paper trains with 25 Hz and renders with 20 Hz.
-    lowpass_hz = 25.0 if recipe == "paper" else None
-    cut = _given(rate_hz=rate, trim_ms=trim, block_ms=block, lowpass_hz=lowpass_hz)
-    preprocess_config = PreprocessConfig(zero_phase=zero_phase, force_units=force_units, **cut)
-    own = _settings(settings or []) | ({"excitation": True} if excitation else {})
-    recording = load_recording(recording_file)
-    if model == "ar":
-        for_networks = asked | _given(
-            window=window, set=settings, run=run_folder, resume=resume or None, seed=seed or None
-        )
-        for_networks |= _given(recipe=recipe if recipe != "default" else None, excitation=excitation or None)
-        if for_networks:
-            name = next(iter(for_networks)).replace("_", "-")
-            raise ValueError(f"--{name} is for networks, and --model ar is none: leave it out")
-    of_spectra = issubclass(TRAINABLE[model], NoiseModelSizes)
-    if excitation and of_spectra:
-        raise ValueError(f"--excitation is for models that predict samples, and {model} is made of noise: leave it out")
-    check_used(model, list(asked))
-    sizes = trainable_sizes(model, own if window is None else {"window": window, **own})
-    job = TrainingJob(
-        recording, model, sizes, config, preprocess_config, split, split_seed, texture or recording.texture, licence
-    )
-    display = TrainingDisplay(config.epochs, "nat" if of_spectra else "sd")
-    folder = RunFolder(run_folder or output.with_suffix(".run"), display.note)
-    if model != "ar":
-        folder.open(
-            {
-                "model": model,
-                "train": dataclasses.asdict(config),
-                "preprocess": dataclasses.asdict(preprocess_config),
-                "sizes": sizes.to_card(),
-                "split": split,
-                "split_seed": split_seed,
-                "recording_sha256": recording.sha256(),
-            },
-            resume,
-        )
+    output, config = options.output, options.config()
+    recording = load_recording(options.recording_file)
+    job = options.job(recording)
+    display = TrainingDisplay(config.epochs, "nat" if options.of_spectra else "sd")
+    folder = RunFolder(options.run_folder or output.with_suffix(".run"), display.note)
+    if options.has_network:
+        folder.open(_settled(job), options.resume)
     with display:
 
         def on_playable(playable: Texture) -> None:
             write_texture(playable, output)
             display.note(f"wrote {output}, playable without its network; it is replaced by a better one")
 
-        def on_epoch(line: Any) -> None:
-            if line.epoch == 0:  # once the recording was taken: a refusal is one line
-                for note in _notes(recording, preprocess_config.rate_hz):
+        def on_epoch(epoch: Epoch) -> None:
+            if epoch.epoch == 0:  # once the recording was taken: a refusal is one line
+                for note in _notes(recording, job.preprocess.rate_hz):
                     display.note(note)
-            display.show(line)
-            folder.log(line)
+            display.show(epoch)
+            folder.log(epoch)
 
-        checkpoint = Checkpoint(folder.checkpoint, config, resume)
+        checkpoint = Checkpoint(folder.checkpoint, config, options.resume)
         trained = train_texture(job, Monitor(display.stage, on_epoch, on_playable, checkpoint))
         for note in trained.progress.notes:
             display.note(note)
     write_texture(trained.texture, output)
     outputs = str(output)
-    if model != "ar":
+    if options.has_network:
         folder.close(trained)
         outputs += f" and {folder.path}"
-    following = f"foten evaluate {output} {recording_file}"
+    following = f"foten evaluate {output} {options.recording_file}"
     if trained.progress.interrupted and folder.checkpoint.exists():
         following = "the same command with --resume, which goes on from here"
     text = f"{_summary(trained)}\nwrote {outputs}; next: {following}"
-    print_result({"output": str(output), **_document(trained)}, text, as_json)
+    print_result({"output": str(output), **_document(trained)}, text, options.as_json)
     if trained.progress.interrupted:
         raise Exit(130)
 
 
+def _settled(job: TrainingJob) -> dict[str, Any]:
+    """What two runs have to have in common for one to go on with the other's checkpoint."""
+    return {
+        "model": job.model,
+        "train": asdict(job.config),
+        "preprocess": asdict(job.preprocess),
+        "sizes": job.sizes.to_card(),
+        "split": job.split_method,
+        "split_seed": job.split_seed,
+        "recording_sha256": job.recording.sha256(),
+    }
+
+
 def _given(**options: Any) -> dict[str, Any]:
-    """Return the options that were given, by name."""
+    """The options that were given, by name."""
     return {name: value for name, value in options.items() if value is not None}
 
 
 def _document(trained: Trained) -> dict[str, Any]:
-    """Return the result of a training for programs."""
+    """The result of a training for programs."""
     texture, trace = trained.texture, trained.trace
     return {
         "sha256": texture.sha256(),
@@ -204,7 +255,7 @@ def _document(trained: Trained) -> dict[str, Any]:
 
 
 def _summary(trained: Trained) -> str:
-    """Return the result of a training for people, in lines."""
+    """The result of a training for people, in lines."""
     from foten.recording.inspection.values import counted
 
     card, trace = trained.texture.card, trained.trace
@@ -233,7 +284,7 @@ def _summary(trained: Trained) -> str:
 
 
 def _notes(recording: Recording, rate_hz: float) -> Iterator[str]:
-    """Return what the inspection of a recording has to say to its training."""
+    """What the inspection of a recording has to say to its training."""
     from foten.dsp import perception
     from foten.recording.inspection import inspect_recording
     from foten.recording.inspection.values import counted
@@ -250,7 +301,7 @@ def _notes(recording: Recording, rate_hz: float) -> Iterator[str]:
 
 
 def _settings(pairs: list[str]) -> dict[str, Any]:
-    """Return SIZE=VALUE pairs as a mapping, values read as JSON where they are, else as words."""
+    """SIZE=VALUE pairs as a mapping, values read as JSON where they are, else as words."""
     sizes: dict[str, Any] = {}
     for pair in pairs:
         name, equals, value = pair.partition("=")

@@ -32,7 +32,7 @@ from foten.dsp import Array
 # A state left alone falls by e in 3333 samples at most, whatever the reflections are. On the real four at 10 kHz it raises the
 # one-step error by 0.00 to 0.05 % over 0.9999, 0.999 by 0.2 to 0.5 %; two streams then meet thrice as fast.
 LEAK = 0.9997
-LEAST_GAIN = 1e-150  # Π c_i below which section by section, since products of more would be no numbers
+MIN_GAIN = 1e-150  # Π c_i below which section by section, since products of more would be no numbers
 MAX_REFLECTION = 0.99999  # of a vertex; 1 would be an undamped oscillation
 
 
@@ -45,7 +45,7 @@ def check_reflections(reflections: Array) -> None:
 
 
 def analyse(x: Array, reflections: Array) -> tuple[Array, Array, Array]:
-    """Return what signals x (s, n) that begin from rest are made of by reflections (s, n, p) that go with each sample.
+    """What signals x (s, n) that begin from rest are made of by reflections (s, n, p) that go with each sample.
 
     Returns:
         Innovations e (s, n), of unit variance where the reflections fit; Π c_i (s, n), with which the prediction of each sample
@@ -61,27 +61,27 @@ def analyse(x: Array, reflections: Array) -> tuple[Array, Array, Array]:
 
 
 def delayed(b: Array) -> Array:
-    """Return β b[n−1], zero before the first sample: (…, n) → (…, n)."""
+    """The states times the leak, β b[n−1], zero before the first sample: (…, n) → (…, n)."""
     out = np.zeros_like(b)
     out[..., 1:] = LEAK * b[..., :-1]
     return out
 
 
 def rotate_back(f: Array, b: Array, k: Array) -> tuple[Array, Array, Array]:
-    """Return f_i, b_i and c_i from f_{i−1} and the delayed b_{i−1}: a section run from output to innovation."""
+    """F_i, b_i and c_i from f_{i−1} and the delayed b_{i−1}: a section run from output to innovation."""
     cosine = np.sqrt(1 - k * k)
     return (f + k * b) / cosine, (b + k * f) / cosine, cosine
 
 
 def predict(states: Array, reflections: Array) -> tuple[Array, Array]:
-    """Return the next sample without innovation, and by how much a unit of innovation moves it, (s,) each.
+    """The next sample without innovation, and by how much a unit of innovation moves it, (s,) each.
 
     From b₀ … b_{p−1} after the last sample and k₁ … k_p of the next, shapes (p, s), all sections at once: with f_p = 0,
     f₀ = −Σ k_i β b_{i−1} Π_{j<i} c_j.
     """
     cosines = np.sqrt(1 - reflections * reflections)
     gains = np.cumprod(cosines, axis=0)
-    if not (gains[-1] > LEAST_GAIN).all():
+    if not (gains[-1] > MIN_GAIN).all():
         f = np.zeros(states.shape[1])
         for i in range(len(states) - 1, -1, -1):
             f = cosines[i] * f - reflections[i] * (LEAK * states[i])
@@ -92,7 +92,7 @@ def predict(states: Array, reflections: Array) -> tuple[Array, Array]:
 
 
 def push(states: Array, reflections: Array, x: Array) -> tuple[Array, Array]:
-    """Return the states after a sample x, shape (s,), and its innovation: states and its reflections (p, s) → (p, s), (s,).
+    """The states after a sample x, shape (s,), and its innovation: states and its reflections (p, s) → (p, s), (s,).
 
     All sections at once: f_i Π_{j≤i} c_j = x + Σ_{l≤i} k_l β b_{l−1} Π_{j<l} c_j.
     """
@@ -100,7 +100,7 @@ def push(states: Array, reflections: Array, x: Array) -> tuple[Array, Array]:
     gains = np.cumprod(cosines, axis=0)
     f = np.empty((len(states) + 1, len(x)))
     f[0] = x
-    if (gains[-1] > LEAST_GAIN).all():
+    if (gains[-1] > MIN_GAIN).all():
         weighed = reflections * b
         weighed[1:] *= gains[:-1]
         f[1:] = (x + np.cumsum(weighed, axis=0)) / gains
@@ -114,7 +114,7 @@ def push(states: Array, reflections: Array, x: Array) -> tuple[Array, Array]:
 
 
 def polynomial(reflections: Array, leak: float = LEAK) -> Array:
-    """Return A(z) of a lattice of constant reflections (p,), 1 first, shape (p + 1,); its all-pole filter is Π c_i / A."""
+    """A(z) of a lattice of constant reflections (p,), 1 first, shape (p + 1,); its all-pole filter is Π c_i / A."""
     a = np.ones(1)
     for k in reflections:
         a = np.append(a, 0.0) + k * np.append(a, 0.0)[::-1]
@@ -122,7 +122,7 @@ def polynomial(reflections: Array, leak: float = LEAK) -> Array:
 
 
 def reflections_of(polynomials: Array) -> Array:
-    """Return the reflections with which a lattice, its leak included, is 1/A, stable or made so: (b, p + 1), 1 first → (b, p).
+    """The reflections with which a lattice, its leak included, is 1/A, stable or made so: (b, p + 1), 1 first → (b, p).
 
     The inverse of `polynomial`. Zeros of A nearer to the unit circle than the leak allows come out a little further inside.
     """

@@ -30,7 +30,7 @@ _LINEAR, _CUBIC = 0.97846856, 0.00750807
 
 
 def philox(counter: NDArray[np.uint64], key: int) -> NDArray[np.uint64]:
-    """Return ten rounds of Philox4x32: counters (n, 4) of 32-bit words → random 32-bit words (n, 4)."""
+    """Ten rounds of Philox4x32: counters (n, 4) of 32-bit words → random 32-bit words (n, 4)."""
     c0, c1, c2, c3 = counter.T
     k0, k1 = key & _MASK, (key >> 32) & _MASK
     for _ in range(10):
@@ -41,7 +41,7 @@ def philox(counter: NDArray[np.uint64], key: int) -> NDArray[np.uint64]:
 
 
 def gaussian(key: int, stream: int, first: int, n: int) -> Array:
-    """Return samples `first` … `first + n − 1` of one stream, shape (n,): zero mean, unit variance.
+    """Samples `first` … `first + n − 1` of one stream, shape (n,): zero mean, unit variance.
 
     Key and stream from 0 to 2⁶⁴ − 1; streams of one key are independent.
     """

@@ -9,7 +9,7 @@ import numpy as np
 from foten.dsp import Array
 
 FORCE_FLOOR = 0.05  # N; what a logarithm of force starts from
-LEAST_SPREAD = 0.02  # of the largest speed, and of force: what a hand has to vary by for a second vertex
+MIN_SPREAD = 0.02  # of the largest speed, and of force: what a hand has to vary by for a second vertex
 
 
 @dataclass(frozen=True)
@@ -25,30 +25,30 @@ class SpeedForceTable:
             raise ValueError("the knots of speed or force do not rise")
 
     def weights(self, speed: Array, force: Array) -> Array:
-        """Return how much each vertex counts: speed [mm/s] and force [N] (n,) → (n, n_v · n_f), rows sum to 1."""
+        """How much each vertex counts: speed [mm/s] and force [N] (n,) → (n, n_v · n_f), rows sum to 1."""
         over_speed = hat_weights(speed, self.speed_knots)
         over_force = hat_weights(log_force(force), self.force_knots)
         return (over_speed[:, :, None] * over_force[:, None, :]).reshape(len(over_speed), -1)
 
     def at(self, speed: Array, force: Array) -> Array:
-        """Return the values at speeds [mm/s] and forces [N]: (n,) → (n, k)."""
+        """The values at speeds [mm/s] and forces [N]: (n,) → (n, k)."""
         if len(self.values) == 1:
             return np.broadcast_to(self.values, (len(speed), self.values.shape[1]))
         return self.weights(speed, force) @ self.values
 
 
 def log_force(force: Array) -> Array:
-    """Return log(force + 0.05), force [N], negative ones as 0."""
+    """Log(force + 0.05), force [N], negative ones as 0."""
     return np.log(np.maximum(force, 0.0) + FORCE_FLOOR)
 
 
 def hat_weights(values: Array, knots: Array) -> Array:
-    """Return the weights of linear interpolation between knots, the end ones outside: (n,), (k,) → (n, k)."""
+    """The weights of linear interpolation between knots, the end ones outside: (n,), (k,) → (n, k)."""
     return np.stack([np.interp(values, knots, hat) for hat in np.eye(len(knots))], axis=1)
 
 
 def spanning(speed: Array, force: Array, n_speed: int, n_force: int) -> SpeedForceTable:
-    """Return an empty table over where a hand was: speeds [mm/s] and forces [N], any equal shapes.
+    """An empty table over where a hand was: speeds [mm/s] and forces [N], any equal shapes.
 
     One vertex stands for all where the hand did not vary by 2 %. The outermost hundredths of force are too rare for a vertex.
     """
@@ -56,7 +56,7 @@ def spanning(speed: Array, force: Array, n_speed: int, n_force: int) -> SpeedFor
     def knots(low: float, high: float, n: int, least: float) -> Array:
         return np.linspace(low, high, n) if n > 1 and high - low > least else np.zeros(1)
 
-    speed_knots = knots(speed.min(), speed.max(), n_speed, LEAST_SPREAD * speed.max())
+    speed_knots = knots(speed.min(), speed.max(), n_speed, MIN_SPREAD * speed.max())
     low, high = np.quantile(log_force(force), [0.01, 0.99])
-    force_knots = knots(low, high, n_force, LEAST_SPREAD)
+    force_knots = knots(low, high, n_force, MIN_SPREAD)
     return SpeedForceTable(speed_knots, force_knots, np.zeros((len(speed_knots) * len(force_knots), 0)))

@@ -37,7 +37,7 @@ N_CANDIDATES = 32  # phases that a window is compared with
 
 
 def tone(coefficients: Array, phase: Array) -> Array:
-    """Return T, in the unit of the coefficients of cosine and sine in turn: (…, 2 n_tones), phase [rad] (…) → (…)."""
+    """T, in the unit of the coefficients of cosine and sine in turn: (…, 2 n_tones), phase [rad] (…) → (…)."""
     cosine, sine, _ = _waves(coefficients, phase)
     return (coefficients[..., 0::2] * cosine + coefficients[..., 1::2] * sine).sum(axis=-1)
 
@@ -64,7 +64,7 @@ def _waves(coefficients: Array, phase: Array) -> tuple[Array, Array, NDArray[np.
 
 
 def fitted_phase(samples: Array, coefficients: Array, travelled: Array) -> Array:
-    """Return the phase [rad] (s,), of a few candidates, at which the tone is nearest a window, where `travelled` is zero.
+    """The phase [rad] (s,), of a few candidates, at which the tone is nearest a window, where `travelled` is zero.
 
     Samples (s, n) and coefficients (s, n, 2 n_tones) are in one unit; `travelled` is what the path alone adds to the phase up to
     each sample [rad], shape (s, n).

@@ -25,7 +25,7 @@ LEVEL_JND_DB = 2.3  # just noticeable difference of a level, 20 to 35 dB above t
 
 
 def scored(block: int) -> slice:
-    """Return the scored part of a block: all but the first fifth, in which the loop settles."""
+    """The scored part of a block: all but the first fifth, in which the loop settles."""
     return slice(round(SETTLING * block), None)
 
 
@@ -37,7 +37,7 @@ def synthesize(
     seed: int = 0,
     n_seeds: int = N_SEEDS,
 ) -> tuple[Array, int]:
-    """Return the free run under recorded speed and force [m/s²], and how often the saturator cut it.
+    """The free run under recorded speed and force [m/s²], and how often the saturator cut it.
 
     Rendered as for a user, by the kernel; each block goes on from its own recorded window. The shape is (n_seeds, n_blocks,
     block); without excitation n_seeds is 1.
@@ -61,7 +61,7 @@ def synthesize(
 def synthesize_linear(
     predictor: Linear, trace: Trace, blocks: tuple[int, ...], scaling: Scaling, seed: int = 0, n_seeds: int = N_SEEDS
 ) -> Array:
-    """Return the free run of a linear predictor with white noise of one scale [m/s²], shape (n_seeds, n_blocks, block).
+    """The free run of a linear predictor with white noise of one scale [m/s²], shape (n_seeds, n_blocks, block).
 
     The anchor to beat: the filter 1/A, started from the recorded window of each block.
     """
@@ -78,13 +78,13 @@ def synthesize_linear(
 
 
 def _after_recorded(given: Array, rendered: Array) -> Array:
-    """Return whole blocks (n_seeds, n_blocks, block): recorded windows (n_blocks, m), then what went on from them."""
+    """Whole blocks (n_seeds, n_blocks, block): recorded windows (n_blocks, m), then what went on from them."""
     by_seed = rendered.reshape(-1, len(given), rendered.shape[1])
     return np.concatenate([np.broadcast_to(given, (len(by_seed), *given.shape)), by_seed], axis=2)
 
 
 def nearest_training_blocks(trace: Trace, blocks: tuple[int, ...], train: tuple[int, ...]) -> Array:
-    """Return for each block the recorded one of the training blocks nearest in mean speed and force, (1, n_blocks, block).
+    """For each block the recorded one of the training blocks nearest in mean speed and force, (1, n_blocks, block).
 
     Distances are in standard deviations of the training blocks' samples.
     """
@@ -99,7 +99,7 @@ def nearest_training_blocks(trace: Trace, blocks: tuple[int, ...], train: tuple[
 def free_run(
     recorded: Array, synthesized: Array, speed: Array, force: Array, rate_hz: float, sd: float, n_given: int = 0
 ) -> dict[str, Any]:
-    """Return the free-run figures of synthesized blocks beside recorded ones.
+    """The free-run figures of synthesized blocks beside recorded ones.
 
     Args:
         recorded, speed, force: [m/s², mm/s, N], shape (n_blocks, block), whole blocks; the first fifth of each is not scored.
@@ -124,7 +124,7 @@ def free_run(
     _, q = welch(synthesized, rate_hz, n_segment)
     bins = scored_bins(frequencies, rate_hz)
     p, q = p[:, bins], q[:, :, bins]
-    distance, moved = log_spectral_distance(p[None], q), earth_mover_octaves(frequencies[bins], p[None], q)
+    distance, octaves = log_spectral_distance(p[None], q), earth_mover_octaves(frequencies[bins], p[None], q)
     reference = float(np.sqrt(np.square(recorded).mean()))
     level_p, level_q = (frame_levels(x, rate_hz, reference) for x in (recorded, synthesized))
     frame_speed, frame_force = frame_means(speed, rate_hz), frame_means(force, rate_hz)
@@ -154,7 +154,7 @@ def free_run(
                 level_q[:, index].mean(axis=0), frame_speed[index], frame_force[index]
             ),
             "modulation_db": modulation,
-            "emd_octaves": float(moved[:, index].mean()),
+            "emd_octaves": float(octaves[:, index].mean()),
             "level_jnd": float(np.abs(difference).mean()) / LEVEL_JND_DB if framed else None,
             "band_correlation_error": _correlation_error(energy_p[index], energy_q[:, index]),
         }
@@ -170,12 +170,12 @@ def free_run(
 
 
 def _pooled(recorded: Array, synthesized: Array, index: NDArray[np.int64]) -> tuple[Array, Array]:
-    """Return the mean spectra of some blocks: recorded (n_blocks, k), synthesized (n_seeds, n_blocks, k) → (k,) each."""
+    """The mean spectra of some blocks: recorded (n_blocks, k), synthesized (n_seeds, n_blocks, k) → (k,) each."""
     return recorded[index].mean(axis=0), synthesized[:, index].mean(axis=(0, 1))
 
 
 def _correlation_error(recorded: Array, synthesized: Array) -> float | None:
-    """Return the RMS difference of the correlations between bands, mean over seeds; None without two frames."""
+    """The RMS difference of the correlations between bands, mean over seeds; None without two frames."""
     if recorded.shape[0] * recorded.shape[2] < 2:
         return None
     target = metrics.band_correlations(recorded)
@@ -184,7 +184,7 @@ def _correlation_error(recorded: Array, synthesized: Array) -> float | None:
 
 
 def _kurtosis(moments: Array) -> float:
-    """Return Pearson's kurtosis from the means of a signal's first to fourth powers, shape (4,); 0 for silence."""
+    """Pearson's kurtosis from the means of a signal's first to fourth powers, shape (4,); 0 for silence."""
     mean, second, third, fourth = (float(moment) for moment in moments)
     variance = second - mean**2
     central = fourth - 4 * mean * third + 6 * mean**2 * second - 3 * mean**4
@@ -192,7 +192,7 @@ def _kurtosis(moments: Array) -> float:
 
 
 def _correlation(recorded: Array, synthesized: Array) -> float | None:
-    """Return Pearson's correlation of frame levels over all frames, mean over seeds; None where one does not vary."""
+    """Pearson's correlation of frame levels over all frames, mean over seeds; None where one does not vary."""
     a, b = recorded.ravel() - recorded.mean(), synthesized.reshape(len(synthesized), -1)
     b = b - b.mean(axis=1, keepdims=True)
     norms = np.sqrt((a @ a) * np.square(b).sum(axis=1))

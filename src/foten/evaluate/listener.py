@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 N_LISTENERS = 3  # each with a seed of its own, and another rendering
 TRAIN_SHARE, TEST_SHARE = 0.6, 0.3  # the first and the last part of a stroke; what lies between keeps them apart
 STREAM = 2**35  # of noise, the first that listeners are played
-LEAST_S = (
+MIN_LISTENED_S = (
     40.0  # of a stroke: 24 s to learn from, and 12 s, 100 excerpts that overlap by three quarters, to be scored on
 )
 FLOOR = 1e-4  # of the mean energy of a band: what is 40 dB below it counts as that
@@ -52,27 +52,27 @@ class LongStroke:
 
     @property
     def seconds(self) -> float:
-        """Return how long all pieces last."""
+        """How long all pieces last."""
         return self.acceleration.size / self.rate_hz
 
     def picked(self, pieces: slice) -> LongStroke:
-        """Return some of its pieces."""
+        """Some of its pieces."""
         return LongStroke(self.acceleration[pieces], self.speed[pieces], self.force[pieces], self.rate_hz)
 
     def with_acceleration(self, acceleration: Array) -> LongStroke:
-        """Return another vibration under the same hand."""
+        """Another vibration under the same hand."""
         return LongStroke(acceleration, self.speed, self.force, self.rate_hz)
 
 
 def long_stroke(trace: Trace, blocks: tuple[int, ...] | None = None) -> LongStroke:
-    """Return a trace as one piece, or some of its blocks as a piece each."""
+    """A trace as one piece, or some of its blocks as a piece each."""
     if blocks is None:
         return LongStroke(trace.acceleration[None], trace.speed[None], trace.force[None], trace.rate_hz)
     return LongStroke(*trace.picked(blocks), trace.rate_hz)
 
 
 def renderings(kernel: NativeTexture, recorded: LongStroke) -> Callable[[int], Array]:
-    """Return what renders a texture under a recorded hand: seed → vibration [m/s²], of the recorded shape."""
+    """What renders a texture under a recorded hand: seed → vibration [m/s²], of the recorded shape."""
 
     def rendered(seed: int) -> Array:
         run = np.empty_like(recorded.acceleration)
@@ -94,10 +94,10 @@ def listener_scores(
     seed: int = 0,
     on_stage: Callable[[str], None] = lambda stage: None,
 ) -> dict[str, Any]:
-    """Return how well listeners tell renderings from a recording: areas under their curves, 0.5 chance, 1 certainty.
+    """How well listeners tell renderings from a recording: areas under their curves, 0.5 chance, 1 certainty.
 
     Args:
-        recorded: at least `LEAST_S` of it.
+        recorded: at least `MIN_LISTENED_S` of it.
         rendered: seed → a rendering under the recorded hand [m/s²], of the recorded shape.
         others: other true vibrations under the same hand, for the controls, one for each in turn; without any, every other
             piece of the recording stands for them, where the two halves are long enough.
@@ -113,13 +113,13 @@ def listener_scores(
     """
     from foten.evaluate.listener_network import listener_auc
 
-    if recorded.seconds < LEAST_S:
-        raise ValueError(f"{recorded.seconds:.0f} s to listen to, expected at least {LEAST_S:g}")
+    if recorded.seconds < MIN_LISTENED_S:
+        raise ValueError(f"{recorded.seconds:.0f} s to listen to, expected at least {MIN_LISTENED_S:g}")
     pairs: list[tuple[LongStroke, LongStroke]] = []
     control_of = None
     if others:
         pairs, control_of = [(recorded, other) for other in others], "other realisations of the same stroke"
-    elif len(recorded.speed) > 1 and recorded.seconds >= 2 * LEAST_S:
+    elif len(recorded.speed) > 1 and recorded.seconds >= 2 * MIN_LISTENED_S:
         pairs = [(recorded.picked(slice(0, None, 2)), recorded.picked(slice(1, None, 2)))]
         control_of = "every other block of the recording"
     scores: dict[str, Any] = {}
@@ -143,7 +143,7 @@ def listener_scores(
 
 
 def level_biases(recorded: LongStroke, rendered: Array) -> dict[str, float] | None:
-    """Return by how much a rendering is louder than a recording [dB]: in each quarter of the moving samples, by their speed.
+    """By how much a rendering is louder than a recording [dB]: in each quarter of the moving samples, by their speed.
 
     From `slowest` to `fastest`; None where the hand never moves, or one of the two is silent.
     """
@@ -152,53 +152,59 @@ def level_biases(recorded: LongStroke, rendered: Array) -> dict[str, float] | No
         return None
     edges = np.quantile(recorded.speed[moving], (0.25, 0.5, 0.75))
     quarter = np.searchsorted(edges, recorded.speed[moving])
-    powers = [np.bincount(quarter, np.square(one[moving]), len(QUARTERS)) for one in (rendered, recorded.acceleration)]
+    powers = [
+        np.bincount(quarter, np.square(signal[moving]), len(QUARTERS)) for signal in (rendered, recorded.acceleration)
+    ]
     if not all((power > 0).all() for power in powers):
         return None
     return dict(zip(QUARTERS, (10 * np.log10(powers[0] / powers[1])).tolist(), strict=True))
 
 
 def vibrations(first: LongStroke, second: LongStroke, waveform: bool) -> tuple[Vibration, Vibration]:
-    """Return two vibrations as a listener is shown them, standardised by what both are in the part that it learns from."""
+    """Two vibrations as a listener is shown them, standardised by what both are in the part that it learns from."""
     from foten.evaluate.listener_network import EXCERPT, Vibration
 
     both = (first, second)
-    energies = [band_energies(one.acceleration, one.rate_hz) for one in both]  # (n_pieces, bands, frames)
-    floor = FLOOR * np.mean([one.mean(axis=(0, 2)) for one in energies], axis=0)[:, None]
-    moving = [_moving(one) for one in both]  # (n_pieces, frames)
-    starts = [_starts(len(one), one.shape[1], EXCERPT) for one in moving]
-    logs = [np.log(one + floor + np.finfo(float).tiny) for one in energies]
+    energies = [band_energies(stroke.acceleration, stroke.rate_hz) for stroke in both]  # (n_pieces, bands, frames)
+    floor = FLOOR * np.mean([energy.mean(axis=(0, 2)) for energy in energies], axis=0)[:, None]
+    moving = [_moving(stroke) for stroke in both]  # (n_pieces, frames)
+    starts = [_starts(len(moves), moves.shape[1], EXCERPT) for moves in moving]
+    logs = [np.log(energy + floor + np.finfo(float).tiny) for energy in energies]
     of_bands = _standardisation(logs, moving, starts)
-    hands = [_hand(one) for one in both]
-    of_hand = _standardisation(hands, [np.ones_like(one) for one in moving], starts)
-    scale = float(np.sqrt(np.mean([np.square(one.acceleration).mean() for one in both]))) or 1.0
-    made = []
-    for one, log, hand, moves, (train, test) in zip(both, logs, hands, moving, starts, strict=True):
+    speed_forces = [_speed_force(stroke) for stroke in both]
+    of_speed_force = _standardisation(speed_forces, [np.ones_like(moves) for moves in moving], starts)
+    scale = float(np.sqrt(np.mean([np.square(stroke.acceleration).mean() for stroke in both]))) or 1.0
+    shown_vibrations = []
+    for stroke, log, speed_force, moves, (train, test) in zip(both, logs, speed_forces, moving, starts, strict=True):
         shown = np.where(moves[:, None], _standardised(log, of_bands), 0.0)
-        frames = np.concatenate([shown, _standardised(hand, of_hand)], axis=1)
+        frames = np.concatenate([shown, _standardised(speed_force, of_speed_force)], axis=1)
         samples = None
         if waveform:
-            cut = framed(one.acceleration, BAND_FRAME_MS, one.rate_hz)
+            cut = framed(stroke.acceleration, BAND_FRAME_MS, stroke.rate_hz)
             samples = np.arcsinh(2 * cut / scale) * moves[..., None]
             samples = samples.reshape(-1, cut.shape[-1])
-        made.append(Vibration(np.moveaxis(frames, 1, 0).reshape(frames.shape[1], -1), samples, train, test))
-    return made[0], made[1]
+        shown_vibrations.append(Vibration(np.moveaxis(frames, 1, 0).reshape(frames.shape[1], -1), samples, train, test))
+    return shown_vibrations[0], shown_vibrations[1]
 
 
 def _moving(stroke: LongStroke) -> NDArray[np.bool_]:
-    """Return in which frames a rendering does not fade, (n_pieces, frames)."""
-    speed, force = (framed(one, BAND_FRAME_MS, stroke.rate_hz).min(axis=-1) for one in (stroke.speed, stroke.force))
+    """In which frames a rendering does not fade, (n_pieces, frames)."""
+    speed, force = (
+        framed(channel, BAND_FRAME_MS, stroke.rate_hz).min(axis=-1) for channel in (stroke.speed, stroke.force)
+    )
     return np.asarray((speed >= FADE_SPEED) & (force >= FADE_FORCE))
 
 
-def _hand(stroke: LongStroke) -> Array:
-    """Return log speed and log force of each frame, (n_pieces, 2, frames)."""
-    speed, force = (framed(one, BAND_FRAME_MS, stroke.rate_hz).mean(axis=-1) for one in (stroke.speed, stroke.force))
+def _speed_force(stroke: LongStroke) -> Array:
+    """Log speed and log force of each frame, (n_pieces, 2, frames)."""
+    speed, force = (
+        framed(channel, BAND_FRAME_MS, stroke.rate_hz).mean(axis=-1) for channel in (stroke.speed, stroke.force)
+    )
     return np.stack([np.log(speed + 2.0), np.log(force + 0.05)], axis=1)
 
 
 def _starts(n_pieces: int, n_frames: int, excerpt: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return the frames with which excerpts to learn from, and to be scored on, begin: each within one piece."""
+    """The frames with which excerpts to learn from, and to be scored on, begin: each within one piece."""
     from foten.evaluate.listener_network import HOP
 
     n = n_pieces * n_frames
@@ -212,10 +218,10 @@ def _starts(n_pieces: int, n_frames: int, excerpt: int) -> tuple[NDArray[np.int6
 def _standardisation(
     channels: list[Array], counted: list[NDArray[np.bool_]], starts: list[tuple[NDArray[np.int64], Any]]
 ) -> tuple[Array, Array]:
-    """Return mean and standard deviation of each channel over the counted frames that are learned from."""
+    """Mean and standard deviation of each channel over the counted frames that are learned from."""
     known = []
-    for one, counts, (train, _) in zip(channels, counted, starts, strict=True):
-        flat, until = np.moveaxis(one, 1, 0).reshape(one.shape[1], -1), train[-1] + 1
+    for channel, counts, (train, _) in zip(channels, counted, starts, strict=True):
+        flat, until = np.moveaxis(channel, 1, 0).reshape(channel.shape[1], -1), train[-1] + 1
         known.append(flat[:, :until][:, counts.ravel()[:until]])
     joined = np.concatenate(known, axis=1)
     if not joined.shape[1]:

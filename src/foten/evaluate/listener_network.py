@@ -59,7 +59,7 @@ class Listener(nn.Module):
         self.out = nn.Linear(128, 1)
 
     def forward(self, frames: Tensor, waveform: Tensor | None) -> Tensor:
-        """Return log odds (b,): frames (b, channels, EXCERPT) and, where it takes them, waveforms (b, n)."""
+        """Log odds (b,): frames (b, channels, EXCERPT) and, where it takes them, waveforms (b, n)."""
         if self.of_waveform is not None and waveform is not None:
             frames = torch.cat([frames, self.of_waveform(waveform[:, None])], dim=1)
         over_time = self.layers(frames)
@@ -67,7 +67,7 @@ class Listener(nn.Module):
 
 
 def listener_auc(first: Vibration, second: Vibration, seed: int, same_stroke: bool = True) -> float:
-    """Return the area under the curve of a listener that was trained on these two for a fixed budget, on one core.
+    """The area under the curve of a listener that was trained on these two for a fixed budget, on one core.
 
     Of two under the same stroke it is shown the same moments, so that the hand says nothing.
     """
@@ -82,8 +82,10 @@ def listener_auc(first: Vibration, second: Vibration, seed: int, same_stroke: bo
 
 
 def _listener_auc(both: tuple[Vibration, Vibration], rng: np.random.Generator, same_stroke: bool) -> float:
-    frames = [torch.from_numpy(one.frames).float() for one in both]
-    waveforms = [None if one.waveform is None else torch.from_numpy(one.waveform).float() for one in both]
+    frames = [torch.from_numpy(listened.frames).float() for listened in both]
+    waveforms = [
+        None if listened.waveform is None else torch.from_numpy(listened.waveform).float() for listened in both
+    ]
     frame = None if waveforms[0] is None else waveforms[0].shape[1]
     offsets = torch.arange(EXCERPT)
 
@@ -98,10 +100,10 @@ def _listener_auc(both: tuple[Vibration, Vibration], rng: np.random.Generator, s
     half = BATCH // 2
     known = torch.arange(2).repeat_interleave(half).float()
     for _ in range(N_STEPS):
-        starts = [rng.choice(one.train, half) for one in both]
+        starts = [rng.choice(listened.train, half) for listened in both]
         if same_stroke:
             starts[1] = both[1].train[np.searchsorted(both[0].train, starts[0])]
-        (x, w), (y, u) = (excerpts(k, one) for k, one in enumerate(starts))
+        (x, w), (y, u) = (excerpts(k, start) for k, start in enumerate(starts))
         odds = listener(torch.cat([x, y]), None if w is None or u is None else torch.cat([w, u]))
         loss = functional.binary_cross_entropy_with_logits(odds, known)
         optimiser.zero_grad()
@@ -110,12 +112,12 @@ def _listener_auc(both: tuple[Vibration, Vibration], rng: np.random.Generator, s
         schedule.step()
     listener.eval()
     with torch.no_grad():
-        odds_of = [listener(*excerpts(k, one.test)).double().numpy() for k, one in enumerate(both)]
+        odds_of = [listener(*excerpts(k, listened.test)).double().numpy() for k, listened in enumerate(both)]
     return area_under_curve(*odds_of)
 
 
 def area_under_curve(first: Array, second: Array) -> float:
-    """Return the share of pairs in which a score of the second is the larger, ties by half: shapes (n,) and (k,)."""
+    """The share of pairs in which a score of the second is the larger, ties by half: shapes (n,) and (k,)."""
     order = np.sort(first)
     below, up_to = (np.searchsorted(order, second, side) for side in ("left", "right"))
     return float((below + up_to).mean() / (2 * len(first)))

@@ -27,7 +27,7 @@ _HALF, _NINE_TENTHS = 0.6744897501960817, 1.6448536269514722  # quantiles of a s
 
 
 def one_step(recorded: Array, predicted: Array, sd: float, linear: Array | None = None) -> dict[str, Any]:
-    """Return the one-step figures of a predictor over the scored samples of some blocks.
+    """The one-step figures of a predictor over the scored samples of some blocks.
 
     Args:
         recorded, predicted: scaled acceleration, shape (n_blocks, k); the same samples for every method that is compared.
@@ -50,7 +50,7 @@ def one_step(recorded: Array, predicted: Array, sd: float, linear: Array | None 
 
 
 def predict(texture: NativeTexture, samples: Array, n: NDArray[np.int64], part: PredictionPart = "model") -> Prediction:
-    """Return what a texture expects of scaled samples (t, 3) at rows of consecutive indices n, shape (n_blocks, k)."""
+    """What a texture expects of scaled samples (t, 3) at rows of consecutive indices n, shape (n_blocks, k)."""
     return predict_blocks(texture, stretches(samples, n, texture.info.window), part)
 
 
@@ -104,33 +104,33 @@ class Linear:
 
     @property
     def window(self) -> int:
-        """Return the order p."""
+        """The order p."""
         return self.coefficients.shape[-1] - 1
 
     @property
     def scheduled(self) -> bool:
-        """Return whether the coefficients follow speed and force."""
+        """Whether the coefficients follow speed and force."""
         return self.coefficients.ndim == 2
 
     def predict(self, samples: Array, n: NDArray[np.int64]) -> Array:
-        """Return one-step predictions of scaled samples (t, 3) at rows of consecutive indices: (s, k) → (s, k)."""
+        """One-step predictions of scaled samples (t, 3) at rows of consecutive indices: (s, k) → (s, k)."""
         designs = (_design(row, self.window, self.scheduled) for row in stretches(samples, n, self.window))
         return np.stack([design @ self.coefficients.ravel() for design in designs])
 
     def stable(self) -> Linear:
-        """Return an unscheduled predictor with its poles inside 0.9995, for a closed loop."""
+        """An unscheduled predictor with its poles inside 0.9995, for a closed loop."""
         return Linear(np.append(stabilised(self.coefficients[:-1], MAX_POLE), self.coefficients[-1]), self.noise_sd)
 
 
 def first_scored(block: int) -> int:
-    """Return the first sample of a block that methods are scored on: the same for all, and at most half of a block."""
+    """The first sample of a block that methods are scored on: the same for all, and at most half of a block."""
     return max(20, min(FIRST_SCORED, block // 2))
 
 
 def fit_linear(
     samples: Array, blocks: tuple[int, ...], block: int, order: int, scheduled: bool = False
 ) -> Linear | None:
-    """Return AR(order) by least squares over whole blocks of scaled samples (n, 3).
+    """AR(order) by least squares over whole blocks of scaled samples (n, 3).
 
     None where the blocks hold fewer than twice as many windows as coefficients.
     """
@@ -140,8 +140,8 @@ def fit_linear(
         return None
     gram, moment, power = np.zeros((n_coefficients,) * 2), np.zeros(n_coefficients), 0.0
     for number in blocks:
-        one = samples[number * block : (number + 1) * block]
-        design, target = _design(one, order, scheduled), one[order:, 0]
+        rows = samples[number * block : (number + 1) * block]
+        design, target = _design(rows, order, scheduled), rows[order:, 0]
         gram += design.T @ design
         moment += design.T @ target
         power += float(target @ target)
@@ -152,7 +152,7 @@ def fit_linear(
 
 
 def _design(block: Array, order: int, scheduled: bool) -> Array:
-    """Return history and a constant, then both times speed and force of the sample before, for a block (n, 3) from `order` on."""
+    """History and a constant, then both times speed and force of the sample before, for a block (n, 3) from `order` on."""
     history = np.lib.stride_tricks.sliding_window_view(block[:-1, 0], order)
     design = np.column_stack([history, np.ones(len(history))])
     if not scheduled:
@@ -162,7 +162,7 @@ def _design(block: Array, order: int, scheduled: bool) -> Array:
 
 
 def best_linear(samples: Array, train: tuple[int, ...], validation: tuple[int, ...], block: int) -> Linear | None:
-    """Return the AR of any order of `ORDERS`, scheduled or not, with the lowest absolute error on the validation blocks.
+    """The AR of any order of `ORDERS`, scheduled or not, with the lowest absolute error on the validation blocks.
 
     Orders beyond what is left out of every block (`first_scored`) are not tried.
     """
@@ -180,5 +180,5 @@ def best_linear(samples: Array, train: tuple[int, ...], validation: tuple[int, .
 
     kinds = product([order for order in ORDERS if order <= first], (False, True))
     with ThreadPoolExecutor() as pool:  # NumPy's products release the interpreter's lock
-        candidates = [one for one in pool.map(judged, kinds) if one is not None]
-    return min(candidates, key=lambda one: one[0])[1] if candidates else None
+        candidates = [judgement for judgement in pool.map(judged, kinds) if judgement is not None]
+    return min(candidates, key=lambda judgement: judgement[0])[1] if candidates else None

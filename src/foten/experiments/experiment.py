@@ -155,8 +155,8 @@ class Experiment:
             preprocess = asdict(PreprocessConfig(**self.preprocess))
             if model != "ar":
                 sizes = trainable_sizes(model, sizes).to_card()
-                check_used(model, changed)
                 settings = {"threads": 1, "seed": split_seed, **OWN_RECIPES.get(model, {}), **self.train, **changed}
+                check_used(model, changed, settings.get("loss", RECIPES[base].loss))
                 train = asdict(replace(RECIPES[base], **settings))
             elif sizes or changed or method.recipe or method.recipes:
                 raise ValueError("'ar' is fitted without a recipe and finds its sizes: leave them out")

@@ -143,7 +143,7 @@ def with_path(texture: Texture, condition: Array) -> Array:
 
 
 def outwards(texture: Texture, windows: Array, path: Array, limit: float, rng: np.random.Generator) -> Array:
-    """Return the largest noise that the generator draws, of every other stream with the sign of what is predicted, (s, n)."""
+    """The largest noise that the generator draws, of every other stream with the sign of what is predicted, (s, n)."""
     model = model_of_graph(texture) if GRAPH in texture.tensors else model_of(texture.sizes, texture.tensors)
     stream = model.start(windows)
     noise = MAX_NOISE * rng.choice([-1.0, 1.0], path.shape[:2])

@@ -24,7 +24,7 @@ LONG_S, SLOW_STEP_S = 60.0, 0.5  # a stroke as long as that, in steps as long as
 class Stroke:
     """A hand at a rate, as it was given: not yet low-passed."""
 
-    moved: Array  # velocity of each axis [mm/s], shape (n_axes, n); one axis where only the speed is known
+    velocity: Array  # velocity of each axis [mm/s], shape (n_axes, n); one axis where only the speed is known
     force: Array  # [N], shape (n,)
     rate_hz: float
     gap_s: float = 0.0  # the longest hole between given samples that was bridged, of ten times the usual step; else 0
@@ -33,7 +33,7 @@ class Stroke:
 
     def conditioned(self, lowpass_hz: float) -> tuple[Array, Array]:
         """Speed [mm/s] and force [N] through the causal low-pass of rendering, shapes (n,)."""
-        return condition(self.moved, self.force, self.rate_hz, lowpass_hz)
+        return condition(self.velocity, self.force, self.rate_hz, lowpass_hz)
 
 
 def constant_stroke(speed: float, force: float, seconds: float, rate_hz: float) -> Stroke:
@@ -56,8 +56,8 @@ def constant_stroke(speed: float, force: float, seconds: float, rate_hz: float) 
 
 def recorded_stroke(recording: Recording, rate_hz: float) -> Stroke:
     """Stroke of a whole recording at a model's rate; an acceleration is not needed."""
-    moved, pressed = velocity_and_force(recording, rate_hz)
-    return Stroke(moved, np.maximum(pressed, 0.0), rate_hz)
+    velocities, force = velocity_and_force(recording, rate_hz)
+    return Stroke(velocities, np.maximum(force, 0.0), rate_hz)
 
 
 def tabled_stroke(
@@ -102,16 +102,16 @@ def tabled_stroke(
     if n < 1:
         raise ValueError(f"the stroke lasts {times[-1]:g} s, less than one sample at {rate_hz:g} Hz; is t in seconds?")
     if "speed" in columns:
-        moved = at_rate(columns["speed"], times, rate_hz, n)[None]
+        velocities = at_rate(columns["speed"], times, rate_hz, n)[None]
     else:
-        moved = velocity(np.stack([at_rate(axis, times, rate_hz, n) for axis in positions]), rate_hz)
-    fastest = float(np.abs(moved).max())
+        velocities = velocity(np.stack([at_rate(axis, times, rate_hz, n) for axis in positions]), rate_hz)
+    fastest = float(np.abs(velocities).max())
     if fastest > LIMITS["speed"]:
         raise ValueError(f"the stroke's speed reaches {fastest:g} mm/s; is it, or t, in another unit?")
     if force.max() > 100:
         raise ValueError(f"the stroke's force reaches {force.max():g} N; is it in mN or grams?")
     gap = 0.0 if n_lifted else float(np.diff(times)[_holes(times)].max(initial=0.0))
-    return Stroke(moved, at_rate(force, times, rate_hz, n), rate_hz, gap, n_lifted, tuple(doubts))
+    return Stroke(velocities, at_rate(force, times, rate_hz, n), rate_hz, gap, n_lifted, tuple(doubts))
 
 
 def doubts_of(kind: str, largest: float) -> list[str]:
@@ -144,5 +144,5 @@ def _lifted(times: Array, positions: Array, force: Array) -> tuple[Array, Array,
     merged = np.concatenate([times, added])
     order = np.argsort(merged, kind="stable")
     rows = [np.concatenate([axis, np.interp(added, times, axis)])[order] for axis in positions]
-    pressed = np.concatenate([force, np.zeros_like(added)])[order]
-    return merged[order], np.stack(rows), pressed, int(lifts.size)
+    all_forces = np.concatenate([force, np.zeros_like(added)])[order]
+    return merged[order], np.stack(rows), all_forces, int(lifts.size)

@@ -26,40 +26,40 @@ class ScaledBlocks:
 
     @property
     def known(self) -> tuple[int, ...]:
-        """Return the numbers of the blocks that training may look at."""
+        """The numbers of the blocks that training may look at."""
         return (*self.split.train, *self.split.validation)
 
     @property
     def flat(self) -> Array:
-        """Return the samples one after the other, shape (n, 3)."""
+        """The samples one after the other, shape (n, 3)."""
         return self.samples.reshape(-1, 3)
 
     @property
     def peak_sd(self) -> float:
-        """Return the largest sample of the training blocks, in standard deviations."""
+        """The largest sample of the training blocks, in standard deviations."""
         return float(np.abs(self.samples[list(self.split.train), :, 0]).max())
 
     @property
     def saturation(self) -> float:
-        """Return what samples are cut to, for safety only: well beyond what was recorded, in standard deviations."""
+        """What samples are cut to, for safety only: well beyond what was recorded, in standard deviations."""
         return max(12.0, 1.5 * self.peak_sd)
 
     def training_blocks(self) -> Array:
-        """Return the training blocks in m/s², mm/s and N: (n_train, block, 3)."""
+        """The training blocks in m/s², mm/s and N: (n_train, block, 3)."""
         return self.trace.stacked().reshape(self.samples.shape)[list(self.split.train)]
 
     def moving(self) -> NDArray[np.bool_]:
-        """Return where a rendering does not fade, shape (n_blocks, block)."""
+        """Where a rendering does not fade, shape (n_blocks, block)."""
         moving = (self.trace.speed >= FADE_SPEED) & (self.trace.force >= FADE_FORCE)
         return moving.reshape(self.samples.shape[:2])
 
     def targets(self, m: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Return the indices of the training and the validation samples that m samples of their block lie before."""
+        """The indices of the training and the validation samples that m samples of their block lie before."""
         block = self.trace.block
         return targets(self.split.train, block, m), targets(self.split.validation, block, m)
 
     def condition_before(self) -> tuple[Array, Array, Array]:
-        """Return the condition of the sample before, which a prediction knows; of a block's first, never predicted, its own.
+        """The condition of the sample before, which a prediction knows; of a block's first, never predicted, its own.
 
         Speed [mm/s] and force [N], (n_blocks, block) each, and both scaled, one sample after the other, (n, 2).
         """
@@ -68,13 +68,13 @@ class ScaledBlocks:
         return speed, force, scaled.reshape(-1, 2)
 
     def path_conditions(self) -> Array:
-        """Return speed and force, scaled, and the speed [mm/s], as the kernel's loop takes them: (n_blocks, block, 3)."""
+        """Speed and force, scaled, and the speed [mm/s], as the kernel's loop takes them: (n_blocks, block, 3)."""
         speed = self.trace.blocks(self.trace.speed)
         return np.concatenate([self.samples[..., 1:], speed[..., None]], axis=2)
 
 
 def scaled_blocks(trace: Trace, split: Split) -> ScaledBlocks:
-    """Return a trace scaled by its training blocks."""
+    """A trace scaled by its training blocks."""
     scaling = fit_scaling(trace, split.train)
     samples = scaling.scale(trace.stacked())
     return ScaledBlocks(trace, split, scaling, samples.reshape(trace.n_blocks, trace.block, 3))

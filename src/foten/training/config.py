@@ -114,13 +114,15 @@ UNUSED: dict[str, tuple[str, ...]] = {
 
 
 def recipe_of(model: str, recipe: str = "default", **changed: Any) -> TrainConfig:
-    """Return a recipe with what a model changes of it, and what somebody asks for."""
+    """A recipe with what a model changes of it, and what somebody asks for."""
     return replace(RECIPES[recipe], **(OWN_RECIPES.get(model, {}) | changed))
 
 
-def check_used(model: str, given: Iterable[str]) -> None:
-    """Refuse settings that somebody gave and that mean nothing to a model."""
+def check_used(model: str, given: Iterable[str], loss: str = "huber") -> None:
+    """Refuse settings that somebody gave and that mean nothing to a model, or beside its loss."""
     for name in given:
+        option = name.replace("_", "-")
         if name in UNUSED.get(model, ()):
-            option = name.replace("_", "-")
             raise ValueError(f"{option} means nothing to {model}: leave it out")
+        if name == "delta" and loss != "huber":
+            raise ValueError(f"delta is the threshold of the huber loss, and the loss is {loss}: leave it out")

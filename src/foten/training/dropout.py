@@ -23,7 +23,7 @@ def masks_from(source: Callable[[torch.Size, torch.device, float], Tensor]) -> I
 
 
 def mask(shape: torch.Size, device: torch.device, p: float, generator: torch.Generator | None = None) -> Tensor:
-    """Return what values of a shape are multiplied by: 0 for a share p of them, and 1 ÷ (1 − p) for the others.
+    """What values of a shape are multiplied by: 0 for a share p of them, and 1 ÷ (1 − p) for the others.
 
     Four from each 64 random bits: six times as fast as `bernoulli_`, which was a third of a training step.
     """
@@ -47,7 +47,7 @@ class Dropout(nn.Module):
         self.p = 0.0
 
     def forward(self, values: Tensor) -> Tensor:
-        """Return the values with some of them zero: any shape → the same."""
+        """The values with some of them zero: any shape → the same."""
         if not self.training or self.p == 0:
             return values
         return values * getattr(_THREAD, "source", mask)(values.shape, values.device, self.p)

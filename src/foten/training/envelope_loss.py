@@ -82,12 +82,13 @@ class EnvelopeEnergyDistance:
         """
         n_before = prefix.shape[-1] // round(BAND_FRAME_MS * self._rate_hz / 1000)
         first, second, truth = (
-            energies(torch.cat([prefix, one], dim=-1), self._rate_hz)[..., n_before:] for one in (*drawn, recorded)
+            energies(torch.cat([prefix, signal], dim=-1), self._rate_hz)[..., n_before:]
+            for signal in (*drawn, recorded)
         )
-        of_statistics = [self._statistics(one, moving) / self._unit for one in (first, second, truth)]
-        loss = _energy_distance(*(one[..., None] for one in of_statistics))
-        stretches = zip(*(self._stretches(one, moving) for one in (first, second, truth)), strict=True)
-        return loss + STRETCH_WEIGHT * torch.stack([_energy_distance(*one) for one in stretches]).mean()
+        of_statistics = [self._statistics(energy, moving) / self._unit for energy in (first, second, truth)]
+        loss = _energy_distance(*(statistics[..., None] for statistics in of_statistics))
+        stretches = zip(*(self._stretches(energy, moving) for energy in (first, second, truth)), strict=True)
+        return loss + STRETCH_WEIGHT * torch.stack([_energy_distance(*stretch) for stretch in stretches]).mean()
 
     def _statistics(self, energy: Tensor, moving: Tensor) -> Tensor:
         """What describes excerpts (k, N_BANDS, f) whose frames move or rest (k, f): (k, n_statistics).
@@ -131,7 +132,7 @@ class EnvelopeEnergyDistance:
             if n < 2:
                 break
             pooled, counted = (
-                one[..., : n * length].unflatten(-1, (n, length)).sum(dim=-1) for one in (counts * energy, counts)
+                values[..., : n * length].unflatten(-1, (n, length)).sum(dim=-1) for values in (counts * energy, counts)
             )
             logs = torch.log(pooled / counted.clamp_min(1) + self._floor) / self._sd * (counted > 0)
             parts.append(torch.cat([logs[..., :-1], logs[..., 1:]], dim=-2).transpose(-1, -2))

@@ -11,7 +11,7 @@ from torch import Tensor, nn
 from foten.training.config import TrainConfig
 
 MOMENTUM = 0.95
-LEAST_SIDE = 4  # a matrix is wider and taller than that: of what is narrower little is left by orthogonalisation
+MIN_SIDE = 4  # a matrix is wider and taller than that: of what is narrower little is left by orthogonalisation
 
 
 class Optimiser:
@@ -27,12 +27,12 @@ class Optimiser:
     def __init__(self, parameters: Mapping[str, nn.Parameter], config: TrainConfig) -> None:
         self._config = config
         self._matrices = {
-            name: one
-            for name, one in parameters.items()
-            if config.optimiser == "muon" and one.ndim == 2 and min(one.shape) > LEAST_SIDE
+            name: matrix
+            for name, matrix in parameters.items()
+            if config.optimiser == "muon" and matrix.ndim == 2 and min(matrix.shape) > MIN_SIDE
         }
-        self._momentum = {name: torch.zeros_like(one) for name, one in self._matrices.items()}
-        others = [one for name, one in parameters.items() if name not in self._matrices]
+        self._momentum = {name: torch.zeros_like(matrix) for name, matrix in self._matrices.items()}
+        others = [parameter for name, parameter in parameters.items() if name not in self._matrices]
         self._adam = torch.optim.AdamW(others, lr=config.learning_rate, weight_decay=config.weight_decay, fused=True)
 
     def step(self, rate: float) -> None:
@@ -51,7 +51,7 @@ class Optimiser:
                 matrix.sub_(direction, alpha=config.matrix_learning_rate * rate * tall)
 
     def state_dict(self) -> dict[str, Any]:
-        """Return what a checkpoint keeps."""
+        """What a checkpoint keeps."""
         return {"adam": self._adam.state_dict(), "momentum": self._momentum}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
@@ -63,7 +63,7 @@ class Optimiser:
 
 @torch.no_grad()
 def orthogonalised(matrices: Sequence[Tensor]) -> list[Tensor]:
-    """Return the orthogonal factors of matrices, roughly: (…, a, b) each → singular values of 0.7 to 1.2.
+    """The orthogonal factors of matrices, roughly: (…, a, b) each → singular values of 0.7 to 1.2.
 
     A quintic in odd powers, five times over, which is Newton and Schulz's iteration with a steeper start. Matrices of one shape
     are one batched product.
@@ -78,7 +78,7 @@ def orthogonalised(matrices: Sequence[Tensor]) -> list[Tensor]:
         for _ in range(5):
             gram = x @ x.mT
             x = torch.baddbmm(x, torch.baddbmm(gram, gram, gram, beta=b, alpha=c), x, beta=a)
-        for i, one in zip(alike, x.split([wide[i].numel() // shape.numel() for i in alike]), strict=True):
-            factor = one.reshape(wide[i].shape)
+        for i, product in zip(alike, x.split([wide[i].numel() // shape.numel() for i in alike]), strict=True):
+            factor = product.reshape(wide[i].shape)
             out[i] = factor.mT if wide[i].shape != matrices[i].shape else factor
     return out

@@ -90,6 +90,19 @@ def repeated(streams: Streams, times: int) -> Streams:
     return replace(streams, **several)
 
 
+def _tones_of(inputs: RolloutInputs) -> dict[str, Any]:
+    """How the phase of tones moves, by the kernel's names; nothing of a surface without any."""
+    if inputs.tones is None:
+        return {}
+    assert inputs.phase_increment is not None
+    return {
+        "phase_increment": np.ascontiguousarray(inputs.phase_increment.T),
+        "period_jitter": inputs.tones.period_jitter,
+        "phase_leak": inputs.tones.phase_leak,
+        "max_jitter_drive": MAX_JITTER_DRIVE,
+    }
+
+
 class Rollout:
     """s streams of n samples in the closed loop, each of which the network has drawn.
 
@@ -116,22 +129,13 @@ class Rollout:
         level = np.ascontiguousarray(inputs.level.T)
         network = np.zeros((n + 1, s, h + m), np.float32)
         network[0, :, : self._n_hidden], network[0, :, h : h + self._n_inputs] = state.hidden, state.inputs
-        phase = np.zeros((n, s))
-        tones: dict[str, Any] = {}
-        if inputs.tones is not None:
-            assert inputs.phase_increment is not None
+        phase, tones = np.zeros((n, s)), _tones_of(inputs)
+        if tones:
             phase[0] = state.phase
-            phase_params = {"period_jitter": inputs.tones.period_jitter, "phase_leak": inputs.tones.phase_leak}
-            increment = np.ascontiguousarray(inputs.phase_increment.T)
-            tones = {"phase_increment": increment, **phase_params, "max_jitter_drive": MAX_JITTER_DRIVE}
         self._scale = np.ones_like(level) if inputs.gain_before_filter else level
         counts = {"n": n, "s": s, "p": p, "n_inputs": m, "n_hidden": h, "head_width": w, "n_components": k, "n_out": o}
-        recurrent = {
-            "from_input": from_input,
-            "input_bias": input_bias,
-            "from_hidden": from_hidden,
-            "hidden_bias": hidden_bias,
-        }
+        recurrent = {"from_input": from_input, "input_bias": input_bias}
+        recurrent |= {"from_hidden": from_hidden, "hidden_bias": hidden_bias}
         heads = {"head": head, "head_bias": widened(b_1, w), "out": widened(w_2, o, w), "out_bias": widened(b_2, o)}
         lattice = {"reflections": reflections, "cosines": np.sqrt(1 - reflections * reflections), "level": level}
         lattice |= {

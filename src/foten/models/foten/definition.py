@@ -36,7 +36,7 @@ class Network:
         return w.linear("head_3", hidden)[:, 0]
 
     def _spectral(self, sizes: SpectralSizes, acceleration: Array) -> Array:
-        """Return a_spec: (b, m) → (b, m), Eq. 6 to 9."""
+        """A_spec: (b, m) → (b, m), Eq. 6 to 9."""
         real, imaginary = (acceleration @ matrix[:, : sizes.n_bins] for matrix in dft_matrices(sizes.window))
         power = real * real + imaginary * imaginary
         # What is nothing but rounding is zero: its phase, or by its sign that of a negative real part (π or −π), would differ
@@ -59,7 +59,7 @@ class Network:
         return (self._w.linear(f"spectral.{name}_out", tokens) if lifted else tokens)[..., 0]
 
     def _encoder(self, name: str, tokens: Array) -> Array:
-        """Return what an encoder layer makes of tokens (b, n, width), Eq. 3 to 5."""
+        """What an encoder layer makes of tokens (b, n, width), Eq. 3 to 5."""
         w, before = self._w, self._sizes.pre_norm
         normed = w.norm(f"{name}.norm_1", tokens) if before else tokens
         hidden = tokens + self._attention(name, normed)

@@ -36,11 +36,11 @@ class TransformerSizes(ModelSizes):
 
     @property
     def n_features(self) -> int:
-        """Return how many numbers the branches give the head."""
+        """How many numbers the branches give the head."""
         return self.n_branches * self.d_model
 
     def network_shapes(self) -> Shapes:
-        """Return the tensors of the temporal branch and the head."""
+        """The tensors of the temporal branch and the head."""
         d, (first, second) = self.d_model, self.head
         shapes = linear_shapes("temporal.embedding", d, 1)
         for layer in range(self.n_layers):
@@ -51,7 +51,7 @@ class TransformerSizes(ModelSizes):
         return shapes | linear_shapes("head_2", second, first) | linear_shapes("head_3", 1, second)
 
     def network_cost(self) -> int:
-        """Return the multiply-adds of a step of the network.
+        """The multiply-adds of a step of the network.
 
         Of the last temporal layer one query counts: the others change nothing.
         """
@@ -66,11 +66,11 @@ class TenSizes(TransformerSizes, WithExcitation):
     """TEN, Table II."""
 
     def tensor_shapes(self) -> Shapes:
-        """Return the network's, and those of the excitation where there is one."""
+        """The network's, and those of the excitation where there is one."""
         return self.network_shapes() | WithExcitation.tensor_shapes(self)
 
     def multiply_adds(self) -> int:
-        """Return the cost of the network, and of the excitation where there is one."""
+        """The cost of the network, and of the excitation where there is one."""
         return self.network_cost() + self.excitation * (scale_cost(self.excitation_width) + 5)
 
 
@@ -97,11 +97,11 @@ class SpectralSizes(TransformerSizes):
 
     @property
     def n_bins(self) -> int:
-        """Return how many bins the spectral branch is given."""
+        """How many bins the spectral branch is given."""
         return self.window if self.bins == "all" else self.window // 2 + 1
 
     def network_shapes(self) -> Shapes:
-        """Return the tensors of both branches and the head."""
+        """The tensors of both branches and the head."""
         width, shapes = self.spectral_width, super().network_shapes()
         shapes |= linear_shapes("spectral_embedding", self.d_model, 1)
         for name in ("magnitude", "phase"):
@@ -112,7 +112,7 @@ class SpectralSizes(TransformerSizes):
         return shapes
 
     def network_cost(self) -> int:
-        """Return the multiply-adds of a step of the network.
+        """The multiply-adds of a step of the network.
 
         Of the magnitudes those up to half of the rate count, whose mirror images are equal, and of Eq. 9 the last sample.
         """
@@ -130,7 +130,7 @@ class FotenSizes(SpectralSizes, TenSizes):
 
 
 def encoder_shapes(name: str, width: int, d_feedforward: int) -> Shapes:
-    """Return the tensors of an encoder layer."""
+    """The tensors of an encoder layer."""
     shapes = linear_shapes(f"{name}.attention_in", 3 * width, width)
     shapes |= linear_shapes(f"{name}.attention_out", width, width)
     shapes |= linear_shapes(f"{name}.feedforward_in", d_feedforward, width)
@@ -140,7 +140,7 @@ def encoder_shapes(name: str, width: int, d_feedforward: int) -> Shapes:
 
 
 def encoder_cost(n_tokens: int, n_queries: int, width: int, d_feedforward: int) -> int:
-    """Return the multiply-adds of an encoder layer."""
+    """The multiply-adds of an encoder layer."""
     projected = 2 * n_tokens * width * width + n_queries * width * width
     attended = 2 * n_queries * n_tokens * width + n_queries * width * width
     return projected + attended + 2 * n_queries * width * d_feedforward

@@ -27,7 +27,7 @@ class InnovationNetwork(nn.Module):
             self.out.bias[2 * k :] = torch.linspace(-1.5, 1.0, k) if k > 1 else 0.0
 
     def forward(self, inputs: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Return log w, μ and log s after each sample: u (b, n, n_inputs) → (b, n, k) each."""
+        """Log w, μ and log s after each sample: u (b, n, n_inputs) → (b, n, k) each."""
         hidden, _ = self.recurrent(inputs)
         return self.mixture(hidden, inputs)
 
@@ -38,7 +38,7 @@ class InnovationNetwork(nn.Module):
         return torch.log_softmax(logit, dim=-1), mean, LOG_SCALE_LIMIT * torch.tanh(log_scale / LOG_SCALE_LIMIT)
 
     def expected(self, inputs: Tensor) -> Tensor:
-        """Return the mean of the next innovation after each sample: (b, n, n_inputs) → (b, n)."""
+        """The mean of the next innovation after each sample: (b, n, n_inputs) → (b, n)."""
         log_weight, mean, _ = self(inputs)
         return (log_weight.exp() * mean).sum(dim=-1)
 
@@ -51,12 +51,12 @@ class NextInnovation(nn.Module):
         self.network = network
 
     def forward(self, inputs: Tensor) -> Tensor:
-        """Return the distribution of the innovation after the last sample."""
+        """The distribution of the innovation after the last sample."""
         return torch.cat([part[:, -1] for part in self.network(inputs)], dim=-1)
 
 
 def negative_log_likelihood(mixture: tuple[Tensor, Tensor, Tensor], innovation: Tensor) -> Tensor:
-    """Return −log p of innovations [nat]: mixtures (…, k) each, innovations (…) → (…)."""
+    """−log p of innovations [nat]: mixtures (…, k) each, innovations (…) → (…)."""
     log_weight, mean, log_scale = mixture
     z = (innovation[..., None] - mean) * torch.exp(-log_scale)
     constant = 0.9189385332046727  # log √2π

@@ -68,11 +68,11 @@ class FotenPlusSizes(ModelSizes):
 
     @property
     def history(self) -> int:
-        """Return how many samples a prediction is given: what the network takes in, the lattice's order before it, and one."""
+        """How many samples a prediction is given: what the network takes in, the lattice's order before it, and one."""
         return self.window + max(self.order, self.residual_order) + 1
 
     def tensor_shapes(self) -> Shapes:
-        """Return the tensors of networks, lattices, tones and excitation."""
+        """The tensors of networks, lattices, tones and excitation."""
         width = self.excitation_width
         shapes = self.network_shapes("network", N_INPUTS)
         if self.network_in_loop:
@@ -88,31 +88,31 @@ class FotenPlusSizes(ModelSizes):
 
     @property
     def n_rendering_inputs(self) -> int:
-        """Return how many numbers the network of a rendering is given of a sample."""
+        """How many numbers the network of a rendering is given of a sample."""
         return N_INPUTS + (N_PHASE_INPUTS if self.n_tones else 0)
 
     def network_shapes(self, name: str, inputs: int) -> Shapes:
-        """Return the tensors of an innovation network."""
+        """The tensors of an innovation network."""
         return innovation_shapes(name, inputs, self.n_hidden, self.head_width, self.n_components)
 
     def network_cost(self) -> int:
-        """Return the multiply-adds of a step of the network of a rendering."""
+        """The multiply-adds of a step of the network of a rendering."""
         return innovation_cost(self.n_rendering_inputs, self.n_hidden, self.head_width, self.n_components)
 
     def multiply_adds(self) -> int:
-        """Return what a rendered sample costs: predicted and taken in, four vertices mixed for each coefficient."""
+        """What a rendered sample costs: predicted and taken in, four vertices mixed for each coefficient."""
         order = self.residual_order if self.n_tones else self.order
         linear = 10 * order + 12 * self.n_tones + (2 + (self.n_tones > 0)) * scale_cost(self.excitation_width)
         return linear + self.network_in_loop * self.network_cost()
 
 
 def lattice_shapes(name: str, n_speed: int, n_force: int, order: int, width: int) -> Shapes:
-    """Return the tensors of a lattice and its level."""
+    """The tensors of a lattice and its level."""
     return table_shapes(name, n_speed, n_force, "reflections", order) | scale_shapes(f"{name}.level", width)
 
 
 def table_shapes(name: str, n_speed: int, n_force: int, values: str, k: int) -> Shapes:
-    """Return the tensors of a table of k numbers over speed and force."""
+    """The tensors of a table of k numbers over speed and force."""
     knots: Shapes = {f"{name}.speed_knots": (n_speed,), f"{name}.force_knots": (n_force,)}
     return knots | {f"{name}.{values}": (n_speed * n_force, k)}
 

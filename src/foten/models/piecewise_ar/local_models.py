@@ -25,7 +25,7 @@ from foten.training.texture_builder import ProvedTexture, warm_start_entry, with
 
 _SETTLED = 1000  # samples before a golden window
 _WITH_ZEROS = 256  # samples that innovations are inferred from, where there are zeros
-_LEAST_SD = np.array([1.0, 0.01])  # mm/s and N; models all at one force still have a scale
+_MIN_SD = np.array([1.0, 0.01])  # mm/s and N; models all at one force still have a scale
 _SETTLING = 4096  # samples of an impulse response that a level is told from
 _LICENCE = "as of the model file; Penn's toolkit: non-profit research, no distribution, see the notice in the file"
 
@@ -107,7 +107,7 @@ def _window(samples: Array, hand: Array) -> Array:
 
 
 def _direct_form(models: LocalModels, i: int, sd: float) -> tuple[Array, Array]:
-    """Return b and a of a model in units of `sd` [m/s²]: y[n] = Σ b_k z[n−k] − Σ a_k y[n−k], z of unit variance."""
+    """B and a of a model in units of `sd` [m/s²]: y[n] = Σ b_k z[n−k] − Σ a_k y[n−k], z of unit variance."""
     a, b = (polynomial_of(lsf[i : i + 1])[0] for lsf in (models.lsf, models.ma_lsf))
     radius = float(np.abs(np.roots(a)).max())
     if not radius < LEAK:
@@ -166,7 +166,7 @@ def imported_texture(models: HattModels, digest: str, name: str = "", notes: str
     if not (level > 0).any():
         raise ValueError("every model is silent, expected a variance and a gain above 0")
     sd = float(np.median(level[level > 0]))
-    mean, scale = models.points.mean(axis=0), np.maximum(models.points.std(axis=0), _LEAST_SD)
+    mean, scale = models.points.mean(axis=0), np.maximum(models.points.std(axis=0), _MIN_SD)
     scaling = Scaling(mean=(0.0, *mean.tolist()), sd=(sd, *scale.tolist()))
     lsf, ma_lsf = (spread_out(np.array([line_spectral_frequencies(row) for row in rows])) for rows in (ar, ma))
     local = LocalModels(models.points, lsf, models.variance, models.triangles, scale, ma_lsf, gain).of_mesh()

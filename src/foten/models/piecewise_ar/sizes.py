@@ -28,7 +28,7 @@ class PiecewiseArSizes(ModelSizes):
         check_count("window", self.window, self.order + 1)
 
     def tensor_shapes(self) -> Shapes:
-        """Return the tensors of the models and of the mesh between them."""
+        """The tensors of the models and of the mesh between them."""
         n = self.n_models
         shapes: Shapes = {"points": (n, 2), "lsf": (n, self.order), "variance": (n,)}
         if self.ma:
@@ -37,7 +37,7 @@ class PiecewiseArSizes(ModelSizes):
         return {f"piecewise_ar.{name}": shape for name, shape in shapes.items()}
 
     def multiply_adds(self) -> int:
-        """Return what a sample costs: mixed, multiplied out, stepped down to reflection coefficients, and run.
+        """What a sample costs: mixed, multiplied out, stepped down to reflection coefficients, and run.
 
         Under a condition that stands still a sample costs the last alone.
         """

@@ -66,7 +66,7 @@ def along(stroke: Stroke, lowpass_hz: float) -> Hand:
     from the end to the beginning at once. The low-pass rounds that step as it does those within.
     """
     n = stroke.force.size
-    speed, force = condition(np.tile(stroke.moved, 2), np.tile(stroke.force, 2), stroke.rate_hz, lowpass_hz)
+    speed, force = condition(np.tile(stroke.velocity, 2), np.tile(stroke.force, 2), stroke.rate_hz, lowpass_hz)
 
     def hand(at: NDArray[np.int64]) -> tuple[Array, Array]:
         i = np.where(at < n, at, n + at % n)
