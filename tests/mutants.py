@@ -510,8 +510,8 @@ MUTANTS = (
     Mutant(
         "the likelihood counts a hand at rest",
         PACKAGE + "training/calibration.py",
-        "float(nats[moving].mean()) if moving.any()",
-        "float(nats.mean()) if moving.any()",
+        "float(nll[moving].mean()) if moving.any()",
+        "float(nll.mean()) if moving.any()",
         ("tests/test_calibration.py",),
     ),
     Mutant(

@@ -61,20 +61,22 @@ class Fitted:
 
     blocks: ScaledBlocks
     builder: TextureBuilder
-    linear_only: Candidate
+    excited_linear: Candidate
     report: dict[str, Any]
     network: FittedNetwork
 
     def finish(self, likelier: float, config: TrainConfig = QUICK, monitor: Monitor | None = None) -> Texture:
         """The texture where the network finds the validation blocks likelier than noise by that many nat."""
-        linear_only, predicting = self._likelier(likelier), self.network.network
-        chosen = calibrated_network(self.network, linear_only, predicting, self.builder, config, monitor or Monitor())
-        candidates = [linear_only, *([] if chosen is None else [chosen])]
+        excited_linear, predicting = self._likelier(likelier), self.network.network
+        chosen = calibrated_network(
+            self.network, excited_linear, predicting, self.builder, config, monitor or Monitor()
+        )
+        candidates = [excited_linear, *([] if chosen is None else [chosen])]
         return texture_of(candidates[-1], predicting, self.network, self.report, candidates, self.builder)
 
     def _likelier(self, nat: float) -> Candidate:
-        part = replace(self.linear_only.random_part, likelihood_of_innovations=self.network.likelihood + nat)
-        return replace(self.linear_only, random_part=part)
+        part = replace(self.excited_linear.random_part, likelihood_of_innovations=self.network.likelihood + nat)
+        return replace(self.excited_linear, random_part=part)
 
 
 @pytest.fixture(scope="module")
@@ -85,11 +87,11 @@ def fitted(recording: Recording) -> Fitted:
     linear = fit_linear_model(fit_level(blocks.flat[:, 0], sizes, blocks, QUICK), sizes, blocks, QUICK)
     torch.manual_seed(0)
     network = perturbed(InnovationNetwork(sizes))
-    linear_only, report = nearest_linear_model(linear, None, network, builder, QUICK)
-    predicting = fit_predicting_network(network, linear_only, blocks, QUICK, Monitor())
+    excited_linear, report = nearest_linear_model(linear, None, network, builder, QUICK)
+    predicting = fit_predicting_network(network, excited_linear, blocks, QUICK, Monitor())
     (line,) = predicting.progress.epochs
     progress = Progress([replace(line, validation_loss=9.0), replace(line, epoch=1)], line.validation_loss)
-    return Fitted(blocks, builder, linear_only, report, replace(predicting, progress=progress))
+    return Fitted(blocks, builder, excited_linear, report, replace(predicting, progress=progress))
 
 
 def test_a_block_too_short_to_calibrate_its_level_is_refused_before_anything_is_fitted(recording: Recording) -> None:
@@ -176,21 +178,22 @@ def test_a_rendering_draws_from_the_network_that_knows_the_phase_where_that_is_l
     fitted: Fitted, monkeypatch: pytest.MonkeyPatch, with_tones: bool, likelier: float, interrupted: bool
 ) -> None:
     """Or where it has tones. An interrupted fit of it is an interrupted training, whichever is drawn from."""
-    linear = fitted.linear_only.model
+    linear = fitted.excited_linear.model
     phase = np.zeros(fitted.blocks.samples.shape[:2])
     tonal = silent_tones(linear, LinearModel(linear.sizes, {"tones.phase_params": np.array([0.1, 0.0, 0.1])}, phase))
     predicting = replace(fitted.network, progress=copy.deepcopy(fitted.network.progress))
     progress = Progress(interrupted=interrupted)
     knowing = replace(predicting, likelihood=predicting.likelihood - likelier, progress=progress)
     monkeypatch.setattr(foten_plus, "_fitted", lambda *_: knowing)
-    linear_only = replace(fitted.linear_only, model=tonal if with_tones else linear)
-    drawing = fit_drawing_network(predicting, linear_only, linear, tonal, fitted.blocks, QUICK, Monitor())
+    excited_linear = replace(fitted.excited_linear, model=tonal if with_tones else linear)
+    drawing = fit_drawing_network(predicting, excited_linear, linear, tonal, fitted.blocks, QUICK, Monitor())
     assert (drawing is knowing) == (with_tones or likelier > 0.005)
     assert predicting.progress.interrupted == interrupted
     if interrupted:  # then the other is not begun
         monkeypatch.delattr(foten_plus, "_fitted")
         assert (
-            fit_drawing_network(predicting, linear_only, linear, tonal, fitted.blocks, QUICK, Monitor()) is predicting
+            fit_drawing_network(predicting, excited_linear, linear, tonal, fitted.blocks, QUICK, Monitor())
+            is predicting
         )
 
 

@@ -24,10 +24,10 @@ from foten.training.loop import (
     Progress,
     SharedGradients,
     epoch_seed,
-    goes_on,
     reproducible,
     run_loop,
     schedule,
+    should_continue,
 )
 from foten.training.optimiser import Optimiser
 
@@ -237,7 +237,7 @@ def progress_of(errors: list[float]) -> Progress:
 )
 def test_probation_and_patience_end_a_training(errors: list[float], on: bool, noted: bool) -> None:
     progress = progress_of(errors)
-    assert goes_on(progress, replace(CONFIG, probation=3, min_gain=1e-3, patience=4)) == on
+    assert should_continue(progress, replace(CONFIG, probation=3, min_gain=1e-3, patience=4)) == on
     note = "the network gains 0.05 % on the validation blocks in 3 epochs, less than 0.1 %: its training stops there"
     assert progress.notes == [note] * noted
 

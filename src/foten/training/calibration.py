@@ -88,15 +88,12 @@ class Calibrated:
 
     excitation: Excitation
     distance: tuple[float, float]  # log-spectral distance and level error of the free run on the validation blocks [dB]
-    likelihood: (
-        float | None
-    )  # negative, mean over the validation blocks where a rendering does not fade [nat]; None: it does
-    level_errors_db: list[float] = field(
-        default_factory=list
-    )  # by how much the loop was too loud before each adjustment
-    likelihood_of_innovations: float = (
-        math.nan
-    )  # the same of innovations over all of them, before the level was calibrated
+    # Negative log-likelihood, mean over the validation blocks where a rendering does not fade [nat]; None where it always does.
+    likelihood: float | None
+    # By how much the loop was too loud before each adjustment [dB].
+    level_errors_db: list[float] = field(default_factory=list)
+    # The negative log-likelihood of innovations over all of the validation blocks, before the level was calibrated [nat].
+    likelihood_of_innovations: float = math.nan
 
     @property
     def nearness(self) -> float:
@@ -124,9 +121,9 @@ def calibrate_excitation(width: int, residuals: Residuals, loop: ClosedLoop, see
 
     def likelihood(excitation: Excitation) -> tuple[float | None, float]:
         scale = excitation.sigma(residuals.condition[n:]) * gain[n:]
-        _, nats = innovation_likelihood((innovation * gain)[n:], scale)
+        _, nll = innovation_likelihood((innovation * gain)[n:], scale)
         moving = residuals.moving[n:]
-        return float(nats[moving].mean()) if moving.any() else None, float((nats - np.log(gain[n:])).mean())
+        return float(nll[moving].mean()) if moving.any() else None, float((nll - np.log(gain[n:])).mean())
 
     _, of_innovations = likelihood(fitted)
     excitation, errors = calibrate_level(loop, fitted, seed)
@@ -180,7 +177,7 @@ def calibrate_level(loop: ClosedLoop, excitation: Excitation, seed: int) -> tupl
         rendered = loop.free_runs(excitation, blocks.known, seed, CALIBRATION_STREAM, 1)[1][0]
         error = (frame_levels(rendered, rate, reference) - level).ravel()
         block_powers = np.stack([np.square(signal).mean(axis=1) for signal in (rendered, recorded)])
-        louder, doubt = _jackknifed(block_powers, lambda ours, theirs: 10 * np.log10(ours / theirs))
+        louder, standard_error = _jackknifed(block_powers, lambda ours, theirs: 10 * np.log10(ours / theirs))
         errors.append(louder)
         # A frame's power is the mean of ℓ²σ² and the tones': it answers to a term of log σ by that term's mean under ℓ²σ².
         random_power = innovation_power * np.square(excitation.sigma(condition))
@@ -194,7 +191,7 @@ def calibrate_level(loop: ClosedLoop, excitation: Excitation, seed: int) -> tupl
         # it is known to a dB, and calibrated on that the real copper's free run was 2 to 9 % further from the recording.
         loud = 10 ** (level.ravel() / 10)
         answer = (loud[:, None] * answers).sum(axis=0) / loud.sum()
-        step[0] = -(_beyond_chance(louder, doubt) + float(answer[1:] @ step[1:])) / answer[0]
+        step[0] = -(_beyond_chance(louder, standard_error) + float(answer[1:] @ step[1:])) / answer[0]
         step = np.clip(step * math.log(10) / 20, -MAX_ADJUSTMENT, MAX_ADJUSTMENT)
         excitation = Excitation(_adjusted(excitation.sigma, step, within), excitation.innovation_limit)
     return excitation, errors
@@ -223,6 +220,6 @@ def _jackknifed(parts: Array, figure: Callable[..., Array]) -> tuple[float, floa
     return figure(*total).item(), float(np.sqrt((n - 1) / n * np.square(without - without.mean()).sum()))
 
 
-def _beyond_chance(value: float, doubt: float) -> float:
+def _beyond_chance(value: float, standard_error: float) -> float:
     """A value less the share of it that chance explains, 0 where that is all."""
-    return value * max(0.0, 1 - (doubt / value) ** 2) if value else 0.0
+    return value * max(0.0, 1 - (standard_error / value) ** 2) if value else 0.0

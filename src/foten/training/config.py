@@ -31,13 +31,11 @@ class TrainConfig:
     dropout: float = 0.0  # share of hidden values; 0.2 in Sec. IV-e
     loss: str = "huber"
     delta: float = 1.6  # Huber threshold, scaled; Sec. VI-b
-    max_order: int = 240  # samples that the lattice remembers at most; foten-plus alone, as the next six
+    max_order: int = 240  # samples that the lattice remembers at most; foten-plus alone, as the next four
     table: bool = True  # try reflection coefficients that follow speed and force
     gain_before_filter: bool = True  # try the level before the lattice as well as after it
     tones: bool = True  # try tones of the path
-    closed_loop_training: bool = (
-        True  # train the network of a rendering in its closed loop, once it is fitted by likelihood
-    )
+    closed_loop_training: bool = True  # of a rendering's network, once it is fitted by likelihood
     seed: int = 0  # of the initial weights, the order of windows and dropout
     threads: int = 2  # each takes a share of every batch; part of what makes a file reproducible
 

@@ -106,18 +106,21 @@ class EnvelopeEnergyDistance:
         def pairs(lag: int) -> Tensor:
             return (counts[..., lag:] * counts[..., :-lag]).sum(dim=-1).clamp_min(1)
 
-        goes_on = [
+        autocorrelation = [
             (off[..., lag:] * off[..., :-lag]).sum(dim=-1) / pairs(lag) / variance
             for lag in LAGS
             if lag < off.shape[-1]
         ]
         unit = off / sd[..., None]
         row, column = np.triu_indices(N_BANDS, 1)
-        alike = unit @ unit.transpose(-1, -2) / n[..., None]
+        correlation = unit @ unit.transpose(-1, -2) / n[..., None]
         later = unit[..., 1:] @ unit[..., :-1].transpose(-1, -2) / pairs(1)[..., None]
-        leads = later - later.transpose(-1, -2)
+        lag_difference = later - later.transpose(-1, -2)
         asymmetry = unit.pow(3).sum(dim=-1) / n
-        described = torch.cat([mean, sd, *goes_on, asymmetry, alike[..., row, column], leads[..., row, column]], dim=-1)
+        described = torch.cat(
+            [mean, sd, *autocorrelation, asymmetry, correlation[..., row, column], lag_difference[..., row, column]],
+            dim=-1,
+        )
         return described * (n >= MIN_FRAMES)
 
     def _stretches(self, energy: Tensor, moving: Tensor) -> list[Tensor]:

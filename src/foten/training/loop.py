@@ -86,13 +86,11 @@ class Loop:
     network: nn.Module  # trained in place, left at its lowest validation loss
     n_steps: int  # of an epoch
     step: Callable[[int, int], Tensor]  # moves the weights at epoch 1, 2, … and step 0, 1, …, and gives the loss
-    validate: Callable[
-        [nn.Module], tuple[float, float]
-    ]  # validation loss, and the error of the log (`Epoch.validation_mae`)
+    # Validation loss, and the error of the log (`Epoch.validation_mae`).
+    validate: Callable[[nn.Module], tuple[float, float]]
     parts: Mapping[str, Stateful]  # of a checkpoint, beside the network
-    averaging: float = (
-        0.0  # share of the averaged weights that a step leaves; these are validated and kept. 0: no average
-    )
+    # Decay of the exponential moving average of the weights, which is what is validated and kept; 0 for none.
+    averaging: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -148,7 +146,7 @@ def run_loop(
             finish(0, math.nan, time.perf_counter())
         for epoch in range(len(progress.epochs), config.epochs + 1):
             # Of a validation that is not finite, nothing that follows is.
-            if not progress.best_state or not goes_on(progress, config):
+            if not progress.best_state or not should_continue(progress, config):
                 break
             started = time.perf_counter()
             finish(epoch, train(epoch), started)
@@ -167,7 +165,7 @@ def run_loop(
     return progress
 
 
-def goes_on(progress: Progress, config: TrainConfig) -> bool:
+def should_continue(progress: Progress, config: TrainConfig) -> bool:
     """Whether another epoch may gain anything; where none has, the progress says so in a note.
 
     None does where the last `patience` epochs brought no better loss, or where the first `probation` ones lowered the error by
@@ -259,7 +257,7 @@ def pick_device() -> torch.device:
 
 @contextmanager
 def reproducible() -> Iterator[None]:
-    """Fix the algorithms, so that one seed gives one network, and PyTorch's own threads to one; restored afterwards.
+    """Fix the algorithms, so that one seed gives one network, and PyTorch's own threads to one, until the end of the block.
 
     The matrices are too small to share among threads: two gained 15 % on two idle cores, and lost a factor of ten when
     another program kept one of them busy. `SharedGradients` shares out the batch instead.

@@ -58,7 +58,7 @@ MAX_ADJOINT = 3.0
 
 @dataclass(frozen=True)
 class RolloutInputs:
-    """What does not depend on the network in s roll-outs of n samples: all but the last three known from sample to sample."""
+    """What does not depend on the network in s roll-outs of n samples: arrays are known from sample to sample."""
 
     reflections: Floats  # k of each sample's lattice, (s, n, p)
     level: Floats  # ℓ of each sample, (s, n)

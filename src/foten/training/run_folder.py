@@ -99,10 +99,10 @@ def _draw_curves(path: Path, trained: Trained) -> None:
     validation: dict[str, Any] = {"marker": "s", "ms": 3, "color": "#D55E00"}
     loss.plot(numbers, [line.train_loss for line in epochs], "o-", ms=3, color="#0072B2", label="training")
     loss.plot(numbers, [line.validation_loss for line in epochs], label="validation", **validation)
-    loss.set(xlabel="epoch", ylabel="loss of spectra" if of_spectra else "one-step loss, weighted")
-    known = [value for line in epochs for value in (line.train_loss, line.validation_loss) if value > 0]
-    # Within a factor of three a logarithmic axis has no ticks to read.
-    if max(known) > 3 * min(known):
+    loss.set(xlabel="epoch", ylabel="loss of spectra" if of_spectra else "one-step loss")
+    losses = [value for line in epochs for value in (line.train_loss, line.validation_loss) if not math.isnan(value)]
+    # Within a factor of three a logarithmic axis has no ticks to read; a likelihood may be negative.
+    if 0 < 3 * min(losses) < max(losses):
         loss.set_yscale("log")
     error.plot(numbers, [line.validation_mae for line in epochs], label="network", **validation)
     if trained.linear_mae is not None:

@@ -13,9 +13,8 @@ from foten.recording.scaling import Scaling
 
 SHAPE_SHARES = (0.0, 0.25, 0.5, 0.75, 1.0)  # of the fitted shape of log σ, that validation chooses from
 FLOOR = (2.0, 0.05)  # mm/s and N, that a logarithm starts from
-ROUGHNESS = (
-    1e-4  # of the squares of the network's weights, beside the likelihood [nat]: σ is smooth where a hand hardly went
-)
+# Penalty of the squares of the network's weights, beside the likelihood [nat]: σ is smooth where a hand hardly went.
+WEIGHT_PENALTY = 1e-4
 MAX_ITERATIONS = 60
 
 
@@ -40,8 +39,8 @@ def fit_scale(width: int, condition: Array, residual: Array, n_train: int, scali
     for share in SHAPE_SHARES:
         # The factor that maximises the likelihood of a given shape, in closed form.
         factor = math.sqrt((squared[:n_train] * np.exp(-2 * share * shape[:n_train])).mean())
-        nats = _likelihood(math.log(factor) + share * shape[n_train:], squared[n_train:])
-        likelihoods.append((nats, share, math.log(factor)))
+        nll = _likelihood(math.log(factor) + share * shape[n_train:], squared[n_train:])
+        likelihoods.append((nll, share, math.log(factor)))
     _, share, log_factor = min(likelihoods)
     chosen = _with(fitted, out_weight=share * fitted.out_weight, exponents=share * fitted.exponents)
     chosen = _with(chosen, out_bias=np.array([log_factor])).bounded(condition[:n_train])
@@ -97,13 +96,13 @@ def _minimised(start: Scale, features: Array, terms: Array, squared: Array) -> S
         by_sigma = (1 - squared * np.exp(-2 * log_sigma)) / len(squared)
         by_hidden = by_sigma[:, None] * w["out_weight"] * (1 - hidden * hidden)
         gradient = [
-            by_hidden.T @ features + 2 * ROUGHNESS * w["hidden_weight"],
+            by_hidden.T @ features + 2 * WEIGHT_PENALTY * w["hidden_weight"],
             by_hidden.sum(axis=0),
-            by_sigma @ hidden + 2 * ROUGHNESS * w["out_weight"],
+            by_sigma @ hidden + 2 * WEIGHT_PENALTY * w["out_weight"],
             by_sigma.sum(keepdims=True),
             by_sigma @ terms,
         ]
-        rough = ROUGHNESS * (np.square(w["hidden_weight"]).sum() + np.square(w["out_weight"]).sum())
+        rough = WEIGHT_PENALTY * (np.square(w["hidden_weight"]).sum() + np.square(w["out_weight"]).sum())
         return _likelihood(log_sigma, squared) + float(rough), np.concatenate([part.ravel() for part in gradient])
 
     x = np.concatenate([getattr(start, name).ravel() for name in _FITTED])

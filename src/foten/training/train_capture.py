@@ -4,7 +4,7 @@ What it does is said on stdout, a JSON object a line:
 
     {"joined": {"delay_ms": 81.2, "drift_ppm": 48.0, "n_taps": 6, "residual_ms": 0.9, "text": "6 taps join …"}}
     {"notes": ["…"]}                       what is to be known of the recording
-    {"stage": "fitting level and lattice", "share": 0.2}
+    {"stage": "fitting level and lattice", "share": 0.17}
     {"playable": "denim.foten"}            there is a texture, and a better one may follow
     {"done": "denim.foten", "network_in_loop": true}
     {"refused": "…"}                       why none will
@@ -43,7 +43,7 @@ MODEL = "foten-plus"
 NICENESS = 5  # below what renders: sound under a hand comes first
 HIGHEST_HZ = 2500.0  # of the texture: it carries all that skin feels
 ENOUGH_BLOCKS = 12
-STAGES = 4  # before a texture is playable
+STAGES, LATE_STAGES = 3, 12  # before a texture is playable, and after its network is fitted
 PLAYABLE_SHARE, FITTED_SHARE = 0.4, 0.9  # of all the work, by and large
 
 
@@ -105,7 +105,7 @@ def train_recording(recording: Recording, carried: Mapping[float, float], output
 
     def on_stage(stage: str) -> None:
         nonlocal share
-        share += (PLAYABLE_SHARE - 0.05) / STAGES if share < PLAYABLE_SHARE else (1 - FITTED_SHARE) / STAGES
+        share += (PLAYABLE_SHARE - 0.05) / STAGES if share < PLAYABLE_SHARE else (1 - FITTED_SHARE) / LATE_STAGES
         _say(stage=stage, share=min(share, 0.99))
 
     def on_playable(texture: Texture) -> None:

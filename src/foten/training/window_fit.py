@@ -29,7 +29,6 @@ class TrainingWindows:
     validation: NDArray[np.int64]
     window: int  # m
     target: NDArray[np.floating] | None = None  # to predict, (n,), or (n, k) for k numbers; None for the acceleration
-    innovation_gain: NDArray[np.float64] | None = None  # of 1 of the target in scaled acceleration, (n,); None for 1
 
 
 class DeviceWindows:
@@ -37,10 +36,9 @@ class DeviceWindows:
 
     def __init__(self, data: TrainingWindows, network: nn.Module) -> None:
         self.device = next(network.parameters()).device
-        gain = np.ones(len(data.samples)) if data.innovation_gain is None else data.innovation_gain
         target = data.samples[:, 0] if data.target is None else data.target
-        self.samples, self.target, self.innovation_gain = (
-            torch.from_numpy(values).to(self.device, torch.float32) for values in (data.samples, target, gain)
+        self.samples, self.target = (
+            torch.from_numpy(values).to(self.device, torch.float32) for values in (data.samples, target)
         )
         offsets = window_indices(np.zeros(1, dtype=np.int64), data.window)
         self.train, self.validation, self._offsets = (
@@ -99,7 +97,7 @@ def fit_windows(network: nn.Module, data: TrainingWindows, config: TrainConfig, 
 
 
 def mask_seed(seed: int, epoch: int, number: int) -> int:
-    """Seed of a step's dropout: none comes twice in any run of fewer than a million steps."""
+    """Seed of a step's dropout: none comes twice in 1000 epochs of a million steps."""
     return (seed * 1_000 + epoch) * 1_000_000 + number
 
 
@@ -131,8 +129,7 @@ def validated(
         with torch.no_grad():
             predicted, target = network(data.windows(batch)), data.target[batch]
             error = (predicted - target).abs().reshape(len(batch), -1).mean(1)
-            gain = data.innovation_gain[batch].abs()
-            return float(criterion(predicted, target)) * len(batch), float((gain * error).sum())
+            return float(criterion(predicted, target)) * len(batch), float(error.sum())
 
     loss, mae = (
         sum(each) / len(data.validation) for each in zip(*over(sums, data.validation.split(1024)), strict=True)

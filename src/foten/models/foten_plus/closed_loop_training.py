@@ -156,7 +156,8 @@ def fit_closed_loop(
 ) -> Progress:
     """Train a network in place in its own closed loop, and leave it where the validation blocks are nearest, or as it was.
 
-    The loss is the envelope energy distance of two roll-outs of each excerpt, and a share of the likelihood; see `run_loop`.
+    The loss is the envelope energy distance of two roll-outs of each excerpt, and a share of the likelihood, which the log
+    leaves out; see `run_loop`.
 
     Args:
         warm_up: samples of a chunk that the likelihood does not count.
@@ -177,11 +178,11 @@ def fit_closed_loop(
         (by_drawn,) = torch.autograd.grad(loss, [drawn])
         by_rollout = run.gradients(by_drawn.numpy())
         inputs, follows = batches.draw(rng)
-        nats = negative_log_likelihood(mixtures(network, inputs), follows)[:, warm_up:].mean()
-        by_likelihood = torch.autograd.grad(LIKELIHOOD_WEIGHT * nats, list(network.parameters()))
+        nll = negative_log_likelihood(mixtures(network, inputs), follows)[:, warm_up:].mean()
+        by_likelihood = torch.autograd.grad(LIKELIHOOD_WEIGHT * nll, list(network.parameters()))
         names = [name for name, _ in network.named_parameters()]
         both = zip(names, by_likelihood, strict=True)
-        return loss.detach(), [torch.from_numpy(by_rollout[name]).to(device) + by_nats for name, by_nats in both]
+        return loss.detach(), [torch.from_numpy(by_rollout[name]).to(device) + by_nll for name, by_nll in both]
 
     def validate(averaged: InnovationNetwork) -> tuple[float, float]:
         validation = np.random.default_rng(config.seed + 1)  # the same excerpts and noise each time

@@ -1,4 +1,4 @@
-"""foten-plus fitted to a recording: level → lattice → tones → likelihood → closed loop → calibrate → prove."""
+"""foten-plus fitted to a recording: level → lattice → tones → excitation → likelihood → closed loop → calibrate → prove."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ import torch
 from foten.dsp.level import FRAME_MS, frame_levels, frame_means
 from foten.models.conditions import FADE_FORCE, FADE_SPEED
 from foten.models.foten_plus.closed_loop_training import excerpts_of, fit_closed_loop
-from foten.models.foten_plus.innovation_network import InnovationNetwork as Definition
+from foten.models.foten_plus.innovation_network import InnovationNetwork as ReferenceNetwork
 from foten.models.foten_plus.likelihood import Innovations, fit_innovation_network, innovations_of, scored
 from foten.models.foten_plus.linear_model import LinearModel, fit_level, fit_linear_model, fit_tonal_model, silent_tones
 from foten.models.foten_plus.network import InnovationNetwork
@@ -71,15 +71,15 @@ def fit(job: TrainingJob, monitor: Monitor) -> Trained:
     torch.manual_seed(config.seed)
     network = InnovationNetwork(sizes).to(pick_device())
     monitor.on_stage("fitting the excitation and calibrating its level in the closed loop")
-    linear_only, report = nearest_linear_model(linear, tonal, network, builder, config)
-    playable = texture_of(linear_only, network, None, report, [], builder)
+    excited_linear, report = nearest_linear_model(linear, tonal, network, builder, config)
+    playable = texture_of(excited_linear, network, None, report, [], builder)
     monitor.on_playable(playable)
-    predicting = fit_predicting_network(network, linear_only, blocks, config, monitor)
-    drawing = fit_drawing_network(predicting, linear_only, linear, tonal, blocks, config, monitor)
-    chosen = calibrated_network(drawing, linear_only, network, builder, config, monitor)
+    predicting = fit_predicting_network(network, excited_linear, blocks, config, monitor)
+    drawing = fit_drawing_network(predicting, excited_linear, linear, tonal, blocks, config, monitor)
+    chosen = calibrated_network(drawing, excited_linear, network, builder, config, monitor)
     predicting.progress.include(drawing.progress)
     monitor.on_stage("proving the texture file")
-    candidates = [linear_only, *([chosen] if chosen is not None else [])]
+    candidates = [excited_linear, *([chosen] if chosen is not None else [])]
     texture = texture_of(candidates[-1], network, predicting, report, candidates, builder)
     mae = texture.card["metrics"]["validation_mae_scaled_lattice"]
     return Trained(texture, blocks.trace, blocks.split, predicting.progress, mae)
@@ -142,16 +142,16 @@ def nearest(candidates: Sequence[Candidate]) -> tuple[Candidate, dict[str, Any]]
 
 
 def fit_predicting_network(
-    network: InnovationNetwork, linear_only: Candidate, blocks: ScaledBlocks, config: TrainConfig, monitor: Monitor
+    network: InnovationNetwork, excited_linear: Candidate, blocks: ScaledBlocks, config: TrainConfig, monitor: Monitor
 ) -> FittedNetwork:
     """The network that predicts a recorded sample, over the linear model's lattice."""
-    data = innovations_of(linear_only.model, blocks, _first(linear_only.model))
-    return _fitted(network, linear_only.model, data, blocks, config, monitor, "network")
+    data = innovations_of(excited_linear.model, blocks, _first(excited_linear.model))
+    return _fitted(network, excited_linear.model, data, blocks, config, monitor, "network")
 
 
 def fit_drawing_network(
     predicting: FittedNetwork,
-    linear_only: Candidate,
+    excited_linear: Candidate,
     linear: LinearModel,
     tonal: LinearModel | None,
     blocks: ScaledBlocks,
@@ -164,8 +164,8 @@ def fit_drawing_network(
     """
     if tonal is None or predicting.progress.interrupted:
         return predicting
-    with_tones = linear_only.model.phase is not None
-    model = linear_only.model if with_tones else silent_tones(linear, tonal)
+    with_tones = excited_linear.model.phase is not None
+    model = excited_linear.model if with_tones else silent_tones(linear, tonal)
     data = innovations_of(model, blocks, predicting.data.first, residual=True)
     torch.manual_seed(config.seed + 1)
     network = InnovationNetwork(model.sizes, model.sizes.n_rendering_inputs).to(pick_device())
@@ -179,14 +179,14 @@ def fit_drawing_network(
 
 def calibrated_network(
     drawing: FittedNetwork,
-    linear_only: Candidate,
+    excited_linear: Candidate,
     predicting: InnovationNetwork,
     builder: TextureBuilder,
     config: TrainConfig,
     monitor: Monitor,
 ) -> Candidate | None:
     """The rendering that draws from a network, trained in its closed loop and calibrated; None where noise is as likely."""
-    before = linear_only.random_part.likelihood_of_innovations
+    before = excited_linear.random_part.likelihood_of_innovations
     if not drawing.progress.best.epoch or before - drawing.likelihood < MIN_GAIN_NAT:
         return None
     blocks, network = builder.blocks, copy.deepcopy(drawing.network)
@@ -256,10 +256,10 @@ def _fitted(
     warm_up, validation = model.sizes.window, blocks.split.validation
     progress = fit_innovation_network(network, data, blocks, warm_up, config, monitor, name)
     tensors = data.tensors(next(network.parameters()).device)
-    nats, _, gain = scored(network, data, tensors, validation, warm_up)
+    nll, _, gain = scored(network, data, tensors, validation, warm_up)
     moving = blocks.moving()[list(validation), data.first + 1 + warm_up :]
-    metric = float((nats + np.log(gain))[moving].mean()) if moving.any() else None
-    return FittedNetwork(model, network, data, progress, float(nats.mean()), metric)
+    metric = float((nll + np.log(gain))[moving].mean()) if moving.any() else None
+    return FittedNetwork(model, network, data, progress, float(nll.mean()), metric)
 
 
 def _train_in_closed_loop(
@@ -299,10 +299,10 @@ def _residuals(model: LinearModel, blocks: ScaledBlocks) -> Residuals:
     return Residuals(blocks.flat[n - 1, 1:], e.ravel()[n], gain.ravel()[n], len(train), blocks.moving().ravel()[n])
 
 
-def _linear_mae(linear_only: Candidate, blocks: ScaledBlocks) -> float:
+def _linear_mae(excited_linear: Candidate, blocks: ScaledBlocks) -> float:
     """One-step validation error of the lattice alone, scaled."""
-    _, e, gain = linear_only.model.innovations(blocks)
-    first = _first(linear_only.model) + 1 + linear_only.model.sizes.window
+    _, e, gain = excited_linear.model.innovations(blocks)
+    first = _first(excited_linear.model) + 1 + excited_linear.model.sizes.window
     return float(np.abs((e * gain)[list(blocks.split.validation), first:]).mean())
 
 
@@ -317,7 +317,7 @@ def _innovation_limit(data: Innovations, blocks: ScaledBlocks) -> tuple[float, f
 def _check_torch_matches_definition(network: InnovationNetwork, data: Innovations) -> None:
     """Check that the network in PyTorch and its definition expect the same, in float64."""
     inputs = data.inputs[:2, data.first : data.first + 16]
-    definition = Definition(tensors_of(network, "network."), "network.")
+    definition = ReferenceNetwork(tensors_of(network, "network."), "network.")
     hidden = np.zeros((len(inputs), network.recurrent.hidden_size))
     for i in range(inputs.shape[1]):
         hidden = definition.push(hidden, inputs[:, i])

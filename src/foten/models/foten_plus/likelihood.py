@@ -74,8 +74,8 @@ def asymmetry(innovation: Array) -> float:
     )
     if figures.shape[1] < 3:
         return np.inf
-    doubt = figures.std(axis=1, ddof=1) / np.sqrt(figures.shape[1])
-    return float((np.abs(figures.mean(axis=1)) / np.maximum(doubt, 1e-12)).max())
+    standard_error = figures.std(axis=1, ddof=1) / np.sqrt(figures.shape[1])
+    return float((np.abs(figures.mean(axis=1)) / np.maximum(standard_error, 1e-12)).max())
 
 
 @dataclass(frozen=True)
@@ -153,8 +153,8 @@ def fit_innovation_network(
         inputs, follows = (part.chunk(n_threads) for part in batches.draw(generator))
 
         def loss_of_share(k: int) -> Tensor:
-            nats = negative_log_likelihood(mixtures(network, inputs[k]), follows[k])[:, warm_up:]
-            return nats.mean() * (len(inputs[k]) / config.batch)
+            nll = negative_log_likelihood(mixtures(network, inputs[k]), follows[k])[:, warm_up:]
+            return nll.mean() * (len(inputs[k]) / config.batch)
 
         return shared(loss_of_share, n_shares)
 
@@ -181,8 +181,8 @@ def validated(
     warm_up: int,
 ) -> tuple[float, float]:
     """Mean negative log-likelihood of innovations [nat] and the error in scaled acceleration, over blocks."""
-    nats, error, gain = scored(network, data, tensors, numbers, warm_up)
-    return float(nats.mean()), float((error * np.abs(gain)).mean())
+    nll, error, gain = scored(network, data, tensors, numbers, warm_up)
+    return float(nll.mean()), float((error * np.abs(gain)).mean())
 
 
 def scored(
@@ -199,6 +199,6 @@ def scored(
     inputs, follows = (part[list(numbers)] for part in tensors)
     with torch.no_grad():
         mixture = mixtures(network, inputs)
-        nats = negative_log_likelihood(mixture, follows)[:, warm_up:].cpu().double().numpy()
+        nll = negative_log_likelihood(mixture, follows)[:, warm_up:].cpu().double().numpy()
         error = (follows - (mixture[0].exp() * mixture[1]).sum(dim=-1))[:, warm_up:].abs().cpu().double().numpy()
-    return nats, error, data.innovation_gain[list(numbers), data.first + 1 :][:, warm_up:]
+    return nll, error, data.innovation_gain[list(numbers), data.first + 1 :][:, warm_up:]

@@ -88,7 +88,7 @@ def wavelength(data: LatticeData, rate_hz: float) -> float | None:
 
 
 def _stretches(path: Array, span: float) -> Iterator[slice]:
-    """The samples of half-overlapping stretches of a path [mm], without those of fewer than 30 samples."""
+    """The samples of half-overlapping stretches of a path [mm], without those of 30 samples or fewer."""
     first = 0
     while (last := int(np.searchsorted(path, path[first] + span))) < len(path):
         if last - first > 30:
