@@ -32,7 +32,7 @@ from foten.dsp import Array
 # A state left alone falls by e in 3333 samples at most, whatever the reflections are. On the real four at 10 kHz it raises the
 # one-step error by 0.00 to 0.05 % over 0.9999, 0.999 by 0.2 to 0.5 %; two streams then meet thrice as fast.
 LEAK = 0.9997
-MIN_GAIN = 1e-150  # Π c_i below which section by section, since products of more would be no numbers
+MIN_GAIN_PRODUCT = 1e-150  # Π c_i below which section by section, since products of more would be no numbers
 MAX_REFLECTION = 0.99999  # of a vertex; 1 would be an undamped oscillation
 
 
@@ -81,7 +81,7 @@ def predict(states: Array, reflections: Array) -> tuple[Array, Array]:
     """
     cosines = np.sqrt(1 - reflections * reflections)
     gains = np.cumprod(cosines, axis=0)
-    if not (gains[-1] > MIN_GAIN).all():
+    if not (gains[-1] > MIN_GAIN_PRODUCT).all():
         f = np.zeros(states.shape[1])
         for i in range(len(states) - 1, -1, -1):
             f = cosines[i] * f - reflections[i] * (LEAK * states[i])
@@ -100,7 +100,7 @@ def push(states: Array, reflections: Array, x: Array) -> tuple[Array, Array]:
     gains = np.cumprod(cosines, axis=0)
     f = np.empty((len(states) + 1, len(x)))
     f[0] = x
-    if (gains[-1] > MIN_GAIN).all():
+    if (gains[-1] > MIN_GAIN_PRODUCT).all():
         weighed = reflections * b
         weighed[1:] *= gains[:-1]
         f[1:] = (x + np.cumsum(weighed, axis=0)) / gains
