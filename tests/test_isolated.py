@@ -1,9 +1,7 @@
-"""Files that crash, outgrow or lead out of their library: refused in a sentence, by a process that the program outlives."""
+"""Files that crash, outgrow or lead out of their library: refused in a sentence."""
 
 import os
-import subprocess
 import sys
-import time
 from pathlib import Path
 
 import h5py
@@ -37,9 +35,8 @@ def _crashing_files(folder: Path) -> dict[str, str]:
         "def loops(path):\n    while True: pass\n"
         "def grows(path): return None, [bytearray(1 << 40)]\n"
         "def raises(path): raise RuntimeError('Unspecified error\\nin ' + 9999 * 'x')\n"
-        "def works(path): return {'pid': os.getpid()}, []\n"
     )
-    return {name: f"dying.{name}" for name in ("crashes", "loops", "grows", "raises", "works")}
+    return {name: f"dying.{name}" for name in ("crashes", "loops", "grows", "raises")}
 
 
 def test_a_library_that_dies_is_a_sentence(tmp_path: Path, recording: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -47,10 +44,9 @@ def test_a_library_that_dies_is_a_sentence(tmp_path: Path, recording: Path, monk
     monkeypatch.syspath_prepend(tmp_path)
     start = (
         f"import sys; sys.path[:] = {sys.path!r}; from foten.datasets import isolated; "
-        f"isolated.READERS.update({readers!r}); isolated.MAX_CPU_S = 1; isolated.serve()"
+        f"isolated.READERS.update({readers!r}); isolated.MAX_CPU_S = 1; isolated.answer(*sys.argv[1:])"
     )
     monkeypatch.setattr(isolated, "_START", start.replace("{", "{{").replace("}", "}}"))
-    monkeypatch.setattr(isolated, "_running", [])
     for kind, message in {
         "crashes": r"a.h5 is truncated, damaged or no crashes file \(its library crashes on it, or does not end",
         "loops": "or does not end",
@@ -60,26 +56,6 @@ def test_a_library_that_dies_is_a_sentence(tmp_path: Path, recording: Path, monk
         with pytest.raises(ValueError, match=message) as refusal:
             read_isolated(kind, recording)
         assert len(str(refusal.value)) < 320
-    # One process has served them all.
-    pids = {read_isolated("works", recording)[0]["pid"] for _ in range(3)}
-    assert len(pids) == 3
-    assert os.getpid() not in pids
-    assert len(isolated._running) == 1
-    isolated._close()
-
-
-def test_a_process_that_is_gone_is_replaced(recording: Path) -> None:
-    load_recording(recording)
-    isolated._close()
-    assert load_recording(recording)["force"].samples.size == FORCE.size
-
-
-def test_reading_is_quick(recording: Path) -> None:
-    load_recording(recording)
-    start = time.process_time()
-    for _ in range(10):
-        load_recording(recording)
-    assert time.process_time() - start < 1.0  # of this process; the first one alone waits for the imports
 
 
 @pytest.mark.parametrize(
@@ -142,21 +118,8 @@ def test_a_missing_library_is_named(recording: Path, monkeypatch: pytest.MonkeyP
     (tmp_path / "empty").mkdir()
     (tmp_path / "empty" / "h5py.py").write_text("raise ModuleNotFoundError('no h5py', name='h5py')")
     monkeypatch.syspath_prepend(tmp_path / "empty")
-    monkeypatch.setattr(isolated, "_running", [])
     assert _status(["inspect", str(recording)]) == 2
     assert "this needs h5py, which is not installed" in capsys.readouterr().err
-    isolated._close()
-
-
-def test_the_process_ends_with_the_program(recording: Path) -> None:
-    code = (
-        "import sys; from pathlib import Path; from foten.datasets import isolated, hdf5; "
-        f"hdf5.load_recording(Path({str(recording)!r})); print(isolated._running[0].pid)"
-    )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    with pytest.raises(ProcessLookupError):
-        os.kill(int(done.stdout), 0)
-    assert done.stderr == ""
 
 
 def test_a_loop_of_links_as_output_is_one_line_or_replaced(

@@ -88,7 +88,7 @@ def read_hdf5(path: Path) -> list[Column]:
     for entry in contents["objects"]:
         name = entry["name"]
         if "array" in entry:
-            columns += columns_of_array(name, arrays[entry["array"]].reshape(entry["shape"]))
+            columns += columns_of_array(name, arrays[entry["array"]])
         elif "texts" in entry:
             texts[name] = entry["texts"] if len(entry["texts"]) > 1 else entry["texts"][0]
             columns.append(Column(name, fault="holds no plain numbers"))

@@ -23,8 +23,8 @@ _ELSEWHERE = "keeps its samples in another place, which is not opened"
 def hdf5_contents(path: Path) -> Contents:
     """Contents of an HDF5 file, `{"attributes": …, "objects": […]}`, objects in the order of their names.
 
-    An object has a name, attributes, and, where it is a dataset, the index and shape of its array, or its texts, or the fault for
-    which it was not read. Links and samples in other files are never followed: they could lead to any file of this machine.
+    An object has a name, attributes, and, where it is a dataset, the index of its array, or its texts, or the fault for which it
+    was not read. Links and samples in other files are never followed: they could lead to any file of this machine.
     """
     try:
         file = h5py.File(path, "r")
@@ -48,7 +48,7 @@ def hdf5_contents(path: Path) -> Contents:
                 entry |= _unread(item, left)
                 if not {"fault", "texts"} & entry.keys():
                     array = np.asarray(item[()], dtype=np.float64)
-                    entry |= {"array": len(arrays), "shape": array.shape}
+                    entry["array"] = len(arrays)
                     arrays.append(array)
                     left -= array.size
         return {"attributes": _attributes(file), "objects": objects}, arrays

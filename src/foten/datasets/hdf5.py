@@ -158,8 +158,9 @@ def _vector(entry: Mapping[str, Any], arrays: list[NDArray[np.float64]], where: 
     if "array" not in entry:
         raise ValueError(f"{where}: expected a dataset of numbers")
     samples = arrays[entry["array"]]
-    if samples.size == 0 or samples.size != max(entry["shape"], default=0):
-        raise ValueError(f"{where}: has shape {tuple(entry['shape'])}, expected (n,) with n > 0")
+    if samples.size == 0 or samples.size != max(samples.shape, default=0):
+        raise ValueError(f"{where}: has shape {samples.shape}, expected (n,) with n > 0")
+    samples = samples.ravel()
     bad = np.flatnonzero(~np.isfinite(samples))
     if bad.size:
         raise ValueError(f"{where}: {counted(bad.size, 'sample')} NaN or infinite, the first is sample {bad[0]}")
