@@ -11,7 +11,7 @@ import pytest
 from foten.cli.command_line import _status
 from foten.datasets import isolated
 from foten.datasets.binary import read_hdf5
-from foten.datasets.hdf5 import load_recording, write_recording
+from foten.datasets.hdf5 import write_recording
 from foten.datasets.isolated import read_isolated
 from foten.models.texture_file import Texture, write_texture
 from foten.recording.recording import Channel, Recording

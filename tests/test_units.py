@@ -138,7 +138,6 @@ def test_a_unit_in_a_header_is_converted_and_said(channel, header, factor):
         ("force", "force [mm]", "is not one of N"),
         ("acceleration", "acceleration [-]", "is not one of m/s"),
         ("force", "force [%]", "say how many N one % is"),
-        ("position_x", "pos_in", "if that is its unit: --unit position_x=in, else --unit position_x=mm"),
         ("time", "t [samples]", "leave time out and give --rate"),
     ],
 )
@@ -151,6 +150,7 @@ def test_a_unit_that_is_not_one_is_refused_with_what_may_be_meant(channel, heade
 def test_what_the_user_says_goes_before_the_file_and_is_kept():
     assert factor_of("force", "force [lbf]", by_user="N") == (1.0, "force was taken as N, where its file states lbf")
     assert factor_of("force", "force [V]", by_user="V*4.9")[0] == 4.9
+    assert factor_of("force", "force", by_user="*-2") == (-2.0, "force was multiplied by -2 to get N")
     with pytest.raises(ValueError, match="is in lbf by its name and in N by its unit"):
         factor_of("force", "force [lbf]", "N")
 

@@ -9,8 +9,9 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from foten.datasets.units import FACTORS, quantity
+from foten.datasets.units import quantity
 from foten.dsp import Array
+from foten.recording.inspection.one_channel import unit_doubt
 from foten.recording.inspection.values import counted
 from foten.recording.recording import LIMITS, UNITS, Channel
 
@@ -18,11 +19,6 @@ MAX_SAMPLE = 1e12  # of a sample in any unit; a converter of 32 bits counts to 4
 MAX_DURATION_S = 14_400.0  # of a channel: four hours
 MIN_DURATION_S = 0.1
 MAX_RATE_HZ = 1e7
-
-_USUAL: Mapping[str, float] = {"speed": 400.0, "acceleration": 100.0, "force": 3.0, "position": 300.0}
-"""What the largest value of a usual recording is about; only to guess which unit was meant."""
-_OFTEN = ("mg", "mm/s^2", "um", "um/s", "mN", "gf")
-"""Units in which numbers come out too large; of them too it is guessed."""
 
 
 def check_size(where: str, samples: Array) -> None:
@@ -68,13 +64,10 @@ def check_channel(name: str, channel: Channel, force_units: bool) -> str:
                 f"{what}, beyond any hand ({limit:g} {unit}), in {n_beyond} of {size.size} samples: "
                 "spikes? --force-units imports them as they are, and foten inspect shows where"
             )
-        large = float(np.quantile(size, 0.99))
-        usual = {label: factor for label, factor in FACTORS[kind].items() if label in _OFTEN or label == unit}
-        likely = min(usual, key=lambda label: abs(np.log(large * usual[label] / _USUAL[kind])))
-        guess = f"was it given in {likely}? Then: --unit {name}={likely}"
-        if likely == unit:
-            guess = f"a raw sensor reading? Give its sensitivity: --unit {name}=V*FACTOR"
-        raise ValueError(f"{what}, expected below {limit:g} {unit}; {guess} (--force-units imports it all the same)")
+        raise ValueError(
+            f"{what}, expected below {limit:g} {unit}; {name} {unit_doubt(kind, float(np.quantile(size, 0.99)))} "
+            f"Give its unit, or the sensitivity of a raw reading: --unit {name}=V*FACTOR (--force-units imports it all the same)"
+        )
     if channel.duration_s < MIN_DURATION_S:
         raise ValueError(
             f"{name} is too short: {counted(size.size, 'sample')} at {channel.rate_hz:g} Hz, {channel.duration_s * 1000:.3g} ms, "

@@ -32,7 +32,6 @@ class Column:
     fault: str = ""  # why this column cannot be a channel: a word among the numbers, for example
     file: Path = Path()  # that it was imported from
     row_numbers: Sequence[int] = ()  # of each sample and of the blank cells, from 1, where the file is a table
-    n_comments: int = 0  # lines of comment below the header of its table, which hold no samples
 
     def __post_init__(self) -> None:
         for text in ("name", "unit", "fault"):

@@ -20,11 +20,12 @@ from foten.datasets.mapping import clocks_of, column_of, guessed_mapping, names_
 from foten.datasets.options import ImportOptions
 from foten.datasets.pen import PenClock, joined, pen_channels
 from foten.datasets.table import read_delimited, read_excel
-from foten.datasets.timing import bridged, filled, irregular, rate_and_source, times_of
+from foten.datasets.timing import filled, irregular, rate_and_source, times_of
 from foten.datasets.units import factor_of, quantity, split_header
 from foten.dsp import Array
 from foten.recording.capture_folder import PenEvents
 from foten.recording.inspection.one_channel import check_units
+from foten.recording.inspection.sampling import check_missing
 from foten.recording.inspection.values import counted
 from foten.recording.recording import UNITS, Channel, Recording
 from foten.untrusted import check_regular
@@ -115,7 +116,12 @@ def import_recording(paths: Sequence[Path], options: ImportOptions) -> tuple[Rec
         decisions += on_rate
     channels = _on_one_clock(channels, columns, options.fill_gaps_ms, history)
     recording = _checked(channels, history, options.force_units)
-    decisions += _on_units(recording, columns, clocks, options) + _on_missing(recording, files)
+    decisions += _on_units(recording, columns, clocks, options)
+    decisions += [finding.text for finding in check_missing(recording)]
+    names = {name.lower(): name for name in names_of(files)}
+    if not recording.movement and {"x", "y"} <= names.keys():
+        x, y = names["x"], names["y"]
+        decisions.append(f"{x} and {y} may be positions: --map position_x={x},position_y={y},…")
     return recording, list(dict.fromkeys(decisions))
 
 
@@ -130,8 +136,6 @@ def _converted(
     """
     path = column.file
     history = []
-    if column.n_comments:
-        history.append(f"{counted(column.n_comments, 'line')} of comment in {path.name} passed over")
     if column.n_blank:
         history.append(f"{name} ends {counted(column.n_blank, 'row')} before the table does")
     factor, on_unit = factor_of(name, column.name, column.unit, options.units.get(name))
@@ -166,9 +170,8 @@ def _on_one_clock(
             why = irregular(times, channel.rate_hz)
             channel = replace(channel, times_s=times if why else None)
             history += [f"{name} keeps its own times: {why}"] if why else []
-        channel, on_samples = filled(name, channel, fill_gaps_ms, columns[name])
-        shifted[name], on_rows = bridged(name, channel, fill_gaps_ms)
-        history += [sentence for sentence in (on_samples, on_rows) if sentence]
+        shifted[name], on_gaps = filled(name, channel, fill_gaps_ms, columns[name])
+        history += [on_gaps] if on_gaps else []
     return shifted
 
 
@@ -200,25 +203,6 @@ def _on_units(
     return sentences + [finding.text for finding in findings if finding.code == "units"]
 
 
-def _on_missing(recording: Recording, files: Mapping[Path, list[Column]]) -> list[str]:
-    """Sentence on what is missing to learn from a recording."""
-    present = {
-        "acceleration": recording.axes("acceleration"),
-        "speed (or position)": recording.movement,
-        "force": recording.normal_force,
-    }
-    missing = " and no ".join(what for what, there in present.items() if not there)
-    if not missing:
-        return []
-    if missing == "acceleration":
-        return ["there is no acceleration: strokes can be rendered from this recording, nothing learned"]
-    names = {name.lower(): name for name in names_of(files)}
-    x, y = names.get("x", ""), names.get("y", "")
-    hint = f"; {x} and {y} may be positions: --map position_x={x},position_y={y},…"
-    hint = hint if "speed" in missing and x and y else ""
-    return [f"there is no {missing}: nothing can be learned from this recording{hint}"]
-
-
 def import_capture(
     sound: Path, pen: Path, options: ImportOptions, force: Callable[[Array], Array]
 ) -> tuple[Recording, PenClock, list[str]]:
@@ -243,10 +227,11 @@ def import_capture(
     stroke = read_stroke(pen, {name: unit for name, unit in options.units.items() if name != "acceleration"})
     if not {"position_x", "position_y", "pressure"} <= stroke.keys():
         raise ValueError(f"{pen.name} has no x, y and pressure, expected those of a pen")
-    lost_s = [n / rate_hz for n in _runs_of_zeros(column.samples) if n >= MIN_DROPOUT_S * rate_hz]
-    if lost_s:
+    lost_s = (np.diff(np.flatnonzero(column.samples)) - 1) / rate_hz  # of zeros between other samples
+    lost_s = lost_s[lost_s >= MIN_DROPOUT_S]
+    if lost_s.size:
         decisions.append(
-            f"the sound is zero to the last digit for {1000 * sum(lost_s):.0f} ms in {counted(len(lost_s), 'place')}: "
+            f"the sound is zero to the last digit for {1000 * lost_s.sum():.0f} ms in {counted(lost_s.size, 'place')}: "
             "parts of it were lost as it was recorded, and are learned as silence"
         )
     events = PenEvents(stroke["time"], stroke["position_x"], stroke["position_y"], stroke["pressure"])
@@ -254,7 +239,10 @@ def import_capture(
     channels = pen_channels(events, clock, force)
     unit = options.units.get("acceleration")
     if unit is None:
-        level = _stroking_level(column.samples, rate_hz, channels["force"])
+        force_at = np.interp(
+            np.arange(column.samples.size) / rate_hz, channels["force"].times, channels["force"].samples, 0, 0
+        )
+        level = float(column.samples[force_at > 0].std())
         if not level > 0:
             raise ValueError(f"{sound.name} is silent while the pen strokes: is it the right input?")
         on_unit = f"acceleration is in relative units: 1 is its RMS while the pen strokes, {level:.3g} of full scale"
@@ -269,18 +257,6 @@ def import_capture(
         on_unit,
     ]
     return _checked(channels, history, options.force_units, calibrated=unit is not None), clock, decisions
-
-
-def _stroking_level(sound: Array, rate_hz: float, force: Channel) -> float:
-    """RMS of a sound about its mean while the pen touches."""
-    touches = np.interp(np.arange(sound.size) / rate_hz, force.times, force.samples, 0.0, 0.0) > 0
-    return float(sound[touches].std())
-
-
-def _runs_of_zeros(samples: Array) -> list[int]:
-    """Length of each run of zeros between other samples [samples]."""
-    other = np.flatnonzero(samples)
-    return (np.diff(other) - 1).tolist()
 
 
 def read_stroke(path: Path, units: Mapping[str, str]) -> dict[str, Array]:

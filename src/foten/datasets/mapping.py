@@ -11,8 +11,7 @@ import numpy as np
 
 from foten.datasets.columns import Column
 from foten.datasets.options import ImportOptions
-from foten.datasets.timing import rate_of
-from foten.datasets.units import factor_of, quantity, split_header
+from foten.datasets.units import quantity, split_header
 from foten.recording.recording import AXES
 
 Files = Mapping[Path, list[Column]]
@@ -61,15 +60,7 @@ def guessed_mapping(files: Files, options: ImportOptions) -> tuple[tuple[str, st
         if len(sounds[0]) == len(names):
             places.update({name: [column] for name, column in zip(names, sounds[0], strict=True)})
     if options.rate_hz is not None:
-        for column in places.pop("time", []):
-            times = column.samples * factor_of("time", column.name, column.unit, options.units.get("time"))[0]
-            if times.size > 1 and (np.diff(times) > 0).all():
-                rate_hz = rate_of(times)
-                if abs(rate_hz - options.rate_hz) > 0.01 * rate_hz:
-                    raise ValueError(
-                        f"{column.file.name}: the column {column.name} says {rate_hz:g} Hz and --rate {options.rate_hz:g}; "
-                        "leave out --rate, or map the other columns with --map to use it"
-                    )
+        places.pop("time", None)
     for channel, candidates in places.items():
         n_allowed = len({column.file for column in candidates}) if channel == "time" else 1
         if len(candidates) > n_allowed:
@@ -121,27 +112,12 @@ def _listing(files: Files) -> str:
 
 
 def _example(files: Files) -> str:
-    """Example of a mapping: a clock by how it runs, others by words in file and column names, else in order."""
-    usable = [c for columns in files.values() for c in columns if c.n_rows > 1 and not c.fault]
-    left = {name_of(files, column): column for column in usable}
-    pairs = []
-    clocks = [name for name, column in left.items() if _runs_steadily(column)]
-    if clocks:
-        pairs.append(f"time={clocks[0]}")
-        del left[clocks[0]]
-    words_of = {"acceleration": ("acc", "besch"), "speed": ("speed", "vel", "gesch"), "force": ("force", "kraft")}
-    for channel, words in words_of.items():
-        if left:
-            place = next((name for name in left if any(word in name.lower() for word in words)), next(iter(left)))
-            del left[place]
-            pairs.append(f"{channel}={place}")
-    return shlex.quote(",".join(pairs))
-
-
-def _runs_steadily(column: Column) -> bool:
-    """Whether a column looks like a clock: always rising, by steps that are nearly alike."""
-    steps = np.diff(column.samples)
-    return bool(steps.size > 10 and (steps > 0).all() and steps.std() < 0.2 * steps.mean())
+    """Example of a mapping, columns in their order; one that always rises is a clock."""
+    usable = {name_of(files, c): c for columns in files.values() for c in columns if c.n_rows > 1 and not c.fault}
+    clocks = [name for name, column in usable.items() if (np.diff(column.samples) > 0).all()][:1]
+    others = [name for name in usable if name not in clocks]
+    pairs = [*zip(("time",), clocks, strict=False), *zip(("acceleration", "speed", "force"), others, strict=False)]
+    return shlex.quote(",".join(f"{channel}={name}" for channel, name in pairs))
 
 
 def _split(files: Files, reference: str) -> tuple[list[Path], str]:

@@ -21,12 +21,16 @@ from foten.recording.recording import Channel
 MAX_TAP_S, MAX_TAP_MM = 0.3, 3.0  # at most: how long a tap touches, and how far it moves
 KNOCK_HZ = 200.0  # above which a knock is looked for: hums are below
 FRAME_S = 0.0005  # of the sound's level
-MIN_RISE = 4.0  # times what was there in the 60 ms before is a knock
-BEFORE_S, APART_S = 0.06, 0.04
-WIDE_S, NARROW_S = 0.03, 0.012  # between a tap and its knock, before and after the drift is known
+MIN_RISE = 4.0  # of the level over what was there before, at a knock
+QUIET_S, MIN_BETWEEN_KNOCKS_S = 0.06, 0.04  # before a knock; from one to the next
+MAX_APART_BEFORE_S, MAX_APART_S = 0.03, 0.012  # between a tap and its knock, before and after the drift is known
 MAX_DRIFT, USUAL_DRIFT = 1e-3, 1e-4  # of two quartzes and whatever lies between
 MAX_GAP_S = 0.12  # between events of a stroke, over which a hand is still smooth
 MIN_TAPS, MIN_TAP_SHARE = 3, 0.6  # that have to be in the sound
+
+
+Pairs = tuple[NDArray[np.int64], NDArray[np.int64]]
+NO_PAIRS: Pairs = (np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64))
 
 
 @dataclass(frozen=True)
@@ -71,7 +75,7 @@ def knocks_of(sound: Array, rate_hz: float) -> Array:
     quick = filter_recorded(butterworth("highpass", KNOCK_HZ, rate_hz), sound)
     n = max(1, round(FRAME_S * rate_hz))
     level = np.sqrt(np.square(quick[: quick.size // n * n]).reshape(-1, n).mean(axis=1))
-    before, apart = round(BEFORE_S / FRAME_S), round(APART_S / FRAME_S)
+    before, apart = round(QUIET_S / FRAME_S), round(MIN_BETWEEN_KNOCKS_S / FRAME_S)
     floor = max(float(np.percentile(level, 10.0)), 1e-3 * float(level.max(initial=0.0)), 1e-12)
     # Up to three frames before: a knock may begin at the end of one, and rise within the next.
     recent = np.concatenate([np.full(before, floor), level])
@@ -97,15 +101,12 @@ def joined(events: PenEvents, sound: Array, rate_hz: float) -> PenClock:
             f"the pen tapped {taps.size} times, expected {MIN_TAPS} or more: tap three times before the strokes and three after"
         )
     n_required = max(MIN_TAPS, int(np.ceil(MIN_TAP_SHARE * taps.size)))
-    best = np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64)
     # By the first taps alone, near which the drift is nothing yet; then by all.
-    reach = taps - taps[0]
-    for tried in (knocks[:, None] - taps[None, : MIN_TAPS + 2]).ravel():
-        pairs = _pairs(taps + tried, knocks, WIDE_S + MAX_DRIFT * reach)
-        if pairs[0].size > best[0].size or (
-            pairs[0].size == best[0].size and _spread(taps, knocks, pairs) < _spread(taps, knocks, best)
-        ):
-            best = pairs
+    tried = (knocks[:, None] - taps[None, : MIN_TAPS + 2]).ravel()
+    reach = MAX_APART_BEFORE_S + MAX_DRIFT * (taps - taps[0])
+    best = max(
+        (_pairs(taps + delay, knocks, reach) for delay in tried), key=lambda pairs: pairs[0].size, default=NO_PAIRS
+    )
     if best[0].size < n_required:
         raise ValueError(
             f"{best[0].size} of {taps.size} taps are in the sound, expected {n_required} or more: is it the sound of this "
@@ -115,7 +116,7 @@ def joined(events: PenEvents, sound: Array, rate_hz: float) -> PenClock:
     drift, delay = _line(taps[best[0]], knocks[best[1]])
     # The landing of each stroke is a knock, too: more of them halve the error that the tablet's steps leave.
     for _ in range(6):
-        best = _pairs(landings * (1 + drift) + delay, knocks, np.full(landings.size, NARROW_S))
+        best = _pairs(landings * (1 + drift) + delay, knocks, np.full(landings.size, MAX_APART_S))
         if best[0].size < n_required:
             raise ValueError(
                 f"{best[0].size} of {landings.size} touches lie on one line with the sound's, expected {n_required} or more: was "
@@ -129,13 +130,10 @@ def joined(events: PenEvents, sound: Array, rate_hz: float) -> PenClock:
     return PenClock(delay, drift, int(n_taps), 1000 * float(np.sqrt(np.square(off).mean())))
 
 
-Pairs = tuple[NDArray[np.int64], NDArray[np.int64]]
-
-
 def _pairs(expected: Array, knocks: Array, within: Array) -> Pairs:
     """Taps that have a knock within reach, and those knocks, by number."""
     if not knocks.size:
-        return np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64)
+        return NO_PAIRS
     nearest = np.abs(knocks[None, :] - expected[:, None]).argmin(axis=1)
     near = np.flatnonzero(np.abs(knocks[nearest] - expected) <= within)
     return near, nearest[near]
@@ -169,13 +167,6 @@ def _centre(landings: Array, knocks: Array, off_by: Array) -> tuple[float, float
     share = share / share.sum()
     drift = float(share @ drifts)
     return drift, float(share @ (0.5 * (low + high))) - drift * float(usual)
-
-
-def _spread(taps: Array, knocks: Array, pairs: Pairs) -> float:
-    if not pairs[0].size:
-        return np.inf
-    drift, delay = _line(taps[pairs[0]], knocks[pairs[1]])
-    return float(np.abs(knocks[pairs[1]] - taps[pairs[0]] * (1 + drift) - delay).max())
 
 
 def _strokes(events: PenEvents) -> list[tuple[int, int]]:
@@ -216,9 +207,7 @@ def pen_channels(events: PenEvents, clock: PenClock, force: Callable[[Array], Ar
         raise ValueError("the pen only tapped, expected strokes between the taps")
     pen_s, *values = np.concatenate(rows, axis=1)
     pen_s = clock(pen_s)
-    times = np.arange(
-        pen_s[0], pen_s[-1], step
-    )  # evenly: a late event, or a few that are missing, are none of the hand's
+    times = np.arange(pen_s[0], pen_s[-1], step)  # a late event, or a few that are missing, are none of the hand's
     return {
         name: Channel(np.interp(times, pen_s, samples), 1.0 / step, times)
         for name, samples in zip(("position_x", "position_y", "force"), values, strict=True)

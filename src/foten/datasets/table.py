@@ -32,7 +32,7 @@ def read_delimited(path: Path) -> list[Column]:
     """Columns of a text table; the separator and the decimal comma are seen from its lines.
 
     Lines before the table, comments anywhere, and a second header row that holds only units are understood. A comment may
-    name the columns; those below the header are counted in each column's `n_comments`.
+    name the columns.
     """
     lines = _decode(path.read_bytes(), path.name).splitlines()
     if not any(map(str.strip, lines)):
@@ -179,10 +179,9 @@ def _table(rows: list[list[Any]], where: str, comments: Collection[int] = ()) ->
         heads.pop()
     if heads:
         names = [_words(cell) or str(k) for k, cell in enumerate(heads[-1])]
-    n_comments = sum(i > (worded[-1] if worded else start) for i in comments)
-    row_numbers = [i + 1 for i in data] if n_comments else range(start + 1, len(rows) + 1)
+    row_numbers = [i + 1 for i in data]
     return [
-        _column(Column(name, unit=unit, row_numbers=row_numbers, n_comments=n_comments), cells)
+        _column(Column(name, unit=unit, row_numbers=row_numbers), cells)
         for name, unit, cells in zip(names, units, zip(*(rows[i] for i in data), strict=True), strict=True)
     ]
 

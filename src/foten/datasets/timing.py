@@ -1,7 +1,6 @@
 """When samples were taken: from a column of times, from what the file states, or from what the user says; and gaps in them.
 
-Lost samples and lost rows of the hand's channels are filled with straight lines where that is asked for. A ValueError says what
-is missing, ambiguous or impossible.
+A ValueError says what is missing, ambiguous or impossible.
 """
 
 from __future__ import annotations
@@ -18,8 +17,8 @@ from foten.dsp import Array
 from foten.recording.inspection.values import counted
 from foten.recording.recording import Channel
 
-JITTER = 0.01  # of a period: less, and times are called regular
-FILLED = ("position", "speed", "force")  # the hand, which is slow; an acceleration is not invented
+MAX_JITTER = 0.01  # of a period: less, and times are called regular
+FILLED = ("position", "speed", "force")  # quantities that change slowly; an acceleration is not invented
 
 
 def times_of(
@@ -111,7 +110,7 @@ def _last_digit(times: Array) -> float:
 def irregular(times: Array, rate_hz: float) -> str:
     """Reason why times that count from the recording's start are not i / rate, or nothing."""
     period = 1 / rate_hz
-    tolerance = max(JITTER * period, min(_last_digit(times), period / 2))
+    tolerance = max(MAX_JITTER * period, min(_last_digit(times), period / 2))
     if abs(times[0]) > tolerance:
         return f"it starts at {times[0] * 1000:.4g} ms"
     if times.size > 1:
@@ -123,75 +122,49 @@ def irregular(times: Array, rate_hz: float) -> str:
 
 
 def filled(name: str, channel: Channel, gap_ms: float, column: Column) -> tuple[Channel, str]:
-    """Channel without NaN, marker drop-outs filled with straight lines if asked, and a sentence.
+    """Channel whose gaps are straight lines, and a sentence on them; refused where they are longer than allowed.
 
-    `column` is what the channel was taken from; it knows the rows of the samples.
+    A gap is of samples that are NaN, and in position, speed and force of rows that the times leave out, too; an acceleration
+    at irregular times is refused before it is used.
+
+    Args:
+        gap_ms: of the longest gap that is filled.
+        column: what the channel was taken from; it knows the rows of the samples.
     """
-    samples, missing, clock = channel.samples, np.isnan(channel.samples), channel.times
+    samples, times, fills = channel.samples, channel.times, quantity(name) in FILLED
+    known = np.flatnonzero(~np.isnan(samples))
 
     def place(sample: int) -> str:
-        return f"{clock[sample]:.6g} s{column.row_of(sample)}"
+        return f"{times[sample]:.6g} s{column.row_of(sample)}"
 
     infinite = np.flatnonzero(np.isinf(samples))
     if infinite.size:
-        n = infinite.size
-        are = " is" if n == 1 else "s are"
-        raise ValueError(f"{name}: {n} sample{are} infinite, the first at {place(int(infinite[0]))}")
-    if not missing.any():
+        n_infinite = counted(infinite.size, "infinite sample")
+        raise ValueError(f"{name} has {n_infinite}, the first at {place(int(infinite[0]))}")
+    if not known.size or known[0] > 0 or known[-1] < samples.size - 1:
+        end = "start" if np.isnan(samples[0]) else "end"
+        raise ValueError(f"{name} is NaN or blank at its {end}: nothing to draw a line from; cut the file there")
+    holes = channel.holes() if fills else known[:0]
+    is_gap = np.diff(known) > 1
+    is_gap[np.searchsorted(known, holes, side="right") - 1] = True
+    if not is_gap.any():
         return channel, ""
-    first, count = int(missing.argmax()), int(missing.sum())
-    what = f"{name}: {count} sample{' is' if count == 1 else 's are'} NaN or blank"
-    if quantity(name) not in FILLED:
-        raise ValueError(f"{what}, the first at {place(first)}; only position, speed and force may have gaps filled")
-    starts, ends = np.flatnonzero(np.diff(missing, prepend=False, append=False)).reshape(-1, 2).T
-    # A gap is as long as its lost samples: three of them at 100 Hz are 30 ms.
-    lengths = (ends - starts) / channel.rate_hz
-    if channel.times_s is not None:
-        lengths = clock[np.minimum(ends, clock.size - 1)] - clock[starts]
-    longest_ms = lengths.max() * 1000
-    if gap_ms == 0:
-        raise ValueError(
-            f"{what} in {counted(starts.size, 'gap')}, the first at {place(first)}, the longest {longest_ms:.4g} ms; "
-            f"--fill-gaps {max(1, int(np.ceil(longest_ms)))} would fill them"
-        )
-    if missing[0] or missing[-1]:
-        end = "start" if missing[0] else "end"
-        raise ValueError(f"{name}: NaN or blank at the {end}: nothing to draw a line from; cut the file there")
-    long = np.flatnonzero(lengths > gap_ms / 1000 * (1 + 1e-9))
-    if long.size:
-        i = int(long[0])
-        raise ValueError(
-            f"{name}: of {counted(starts.size, 'gap')} {long.size} last longer than {gap_ms:g} ms, the first, at "
-            f"{place(int(starts[i]))}, {lengths[i] * 1000:.4g} ms"
-        )
-    without = np.where(missing, np.interp(clock, clock[~missing], samples[~missing]), samples)
-    return Channel(without, channel.rate_hz, channel.times_s), (
-        f"{name}: {counted(starts.size, 'gap')} ({counted(count, 'sample')}, the longest {longest_ms:.4g} ms) filled "
-        f"with straight lines, up to {gap_ms:g} ms allowed"
-    )
-
-
-def bridged(name: str, channel: Channel, gap_ms: float) -> tuple[Channel, str]:
-    """Channel with the rows that its times say are missing filled in, if asked, and a sentence."""
-    holes = channel.holes()
-    if not holes.size or channel.times_s is None or quantity(name) not in FILLED:
-        return channel, ""  # an acceleration at irregular times is refused before it is used
-    steps = np.diff(channel.times_s)
+    steps = np.diff(times)
     period = float(np.median(steps))
-    lengths = steps[holes] - period  # as long as what was lost
-    longest = int(lengths.argmax())
-    places = counted(holes.size, "place")
-    worst, since = lengths[longest] * 1000, channel.times_s[holes[longest]]
-    what = f"{name}: rows are missing in {places}, the longest {worst:.4g} ms after {since:.4g} s"
-    if worst > gap_ms + 1e-6:
-        would = max(1, int(np.ceil(worst - 1e-6)))
+    longest_ms = 1000 * float(np.diff(times[known])[is_gap].max() - period)  # as long as what was lost
+    what = (
+        f"{name}: samples are missing, NaN or blank in {counted(int(is_gap.sum()), 'gap')}, the longest {longest_ms:.4g} ms, "
+        f"the first after {place(int(known[:-1][is_gap][0]))}"
+    )
+    if not fills:
+        raise ValueError(f"{what}; only position, speed and force may have gaps filled")
+    if longest_ms > gap_ms + 1e-6:
+        would = max(1, int(np.ceil(longest_ms - 1e-6)))
         raise ValueError(f"{what}; --fill-gaps {would} would draw straight lines there, or cut the file")
-    added = [
-        np.linspace(channel.times_s[i], channel.times_s[i + 1], round(steps[i] / period), endpoint=False)[1:]
-        for i in holes
-    ]
-    times = np.sort(np.concatenate([channel.times_s, *added]))
-    samples = np.interp(times, channel.times_s, channel.samples)
-    return Channel(samples, channel.rate_hz, times), (
-        f"{what}; {counted(times.size - channel.times_s.size, 'sample')} on straight lines put there, up to {gap_ms:g} ms allowed"
+    added = [np.linspace(times[i], times[i + 1], round(steps[i] / period), endpoint=False)[1:] for i in holes]
+    evened = np.sort(np.concatenate([times, *added]))
+    of_line = np.interp(evened, times[known], samples[known])
+    n_filled = counted(evened.size - known.size, "sample")
+    return Channel(of_line, channel.rate_hz, None if channel.times_s is None else evened), (
+        f"{what}; {n_filled} on straight lines put there, up to {gap_ms:g} ms allowed"
     )

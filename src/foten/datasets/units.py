@@ -170,12 +170,6 @@ def factor_of(channel: str, header: str, stated: str = "", by_user: str | None =
     of_file = stated or in_header
     text = of_file if by_user is None else by_user
     if not text:
-        end = re.search(r"[_\s](in|ft)(?:[_.]\w)?$", header)
-        if kind == "position" and end:
-            raise ValueError(
-                f"{channel}: column {header!r} ends in {end[1]!r}; if that is its unit: --unit {channel}={end[1]}, "
-                f"else --unit {channel}={target}"
-            )
         return 1.0, ""
     label = canonical(text)
     if label in known:

@@ -34,24 +34,17 @@ def check_missing(recording: Recording) -> Iterable[Finding]:
 
 
 def check_durations(recording: Recording) -> Iterable[Finding]:
-    """Yield notes where channels cover different times."""
-    spans = {name: channel.span_s for name, channel in recording.channels.items()}
-    fast = next((name for name in recording.channels if name.startswith("acceleration")), "")
-    outside = set()
-    for name in (*recording.movement, *recording.normal_force) if fast else []:
-        (start, end), (first, last) = spans[name], spans[fast]
-        if recording[name].times_s is not None and (start > first + 0.05 or end < last - 0.05):
-            outside.add(name)
-            text = f"{name} covers {start:.2f} to {end:.2f} s, {fast} {first:.2f} to {last:.2f} s: training uses the common part"
-            yield Finding(NOTE, "span", name, text)
-    ends = {name: end for name, (_, end) in spans.items() if name not in outside}
-    early, late = min(ends, key=lambda name: ends[name]), max(ends, key=lambda name: ends[name])
-    if ends[late] - ends[early] > max(0.05, 0.01 * ends[late]):
-        text = (
-            f"{early} ends at {ends[early]:.3f} s and {late} at {ends[late]:.3f} s; only the common part is used; "
-            "are both rates right?"
-        )
-        yield Finding(NOTE, "durations", early, text)
+    """Yield notes where a channel covers less time than others do."""
+    starts, ends = np.array([channel.span_s for channel in recording.channels.values()]).T
+    first, last = starts.min(), ends.max()
+    slack = max(0.05, 0.01 * last)
+    for name, start, end in zip(recording.channels, starts, ends, strict=True):
+        if start > first + slack or end < last - slack:
+            text = (
+                f"{name} covers {start:.2f} to {end:.2f} s, of {first:.2f} to {last:.2f} s: training uses the common part; "
+                "are all rates right?"
+            )
+            yield Finding(NOTE, "durations", name, text)
 
 
 def check_short(seconds: float, options: str) -> Iterable[Finding]:

@@ -99,8 +99,7 @@ def coverage_of(speed_force: SpeedForce) -> Coverage | None:
         top = min(max(usual, high), 2 * usual)
         cells.append(np.arange(0, np.ceil(top / cell - 1e-9) + 1) * cell)
     counts, *_ = np.histogram2d(*conditions, bins=cells)
-    beyond_s = (stroking.sum() - counts.sum()) / TRAINING_HZ
-    return Coverage(cells[0], cells[1], counts / TRAINING_HZ, beyond_s, ranges[0], ranges[1])
+    return Coverage(*cells, counts / TRAINING_HZ, *ranges)
 
 
 def check_ranges(coverage: Coverage) -> Iterable[Finding]:

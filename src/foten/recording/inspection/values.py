@@ -40,8 +40,6 @@ class ChannelReport:
     duration_s: float
     minimum: float
     maximum: float
-    low: float  # the 1st percentile
-    high: float  # the 99th
     mean: float
     rms: float
     noise_floor: float  # RMS
@@ -55,7 +53,6 @@ class Coverage:
     speed_edges: Array  # of the cells [mm/s], shape (i+1,)
     force_edges: Array  # of the cells [N], shape (j+1,)
     seconds: Array  # spent in each cell, shape (i, j)
-    beyond_s: float  # spent outside all cells
     speed_range: tuple[float, float]  # 0.1st and 99.9th percentile [mm/s]
     force_range: tuple[float, float]  # likewise [N]
 
@@ -98,7 +95,6 @@ class Inspection:
             "speed_edges_mm_s": self.coverage.speed_edges.tolist(),
             "force_edges_n": self.coverage.force_edges.tolist(),
             "seconds": self.coverage.seconds.tolist(),
-            "beyond_s": self.coverage.beyond_s,
         }
         return {
             "recording_sha256": self.recording_sha256,
