@@ -13,7 +13,7 @@ from foten.cli.command_line import _status
 from foten.models.texture_file import Texture
 from hostile import KINDS, Generator, run_commands, run_hostile
 
-N_ALWAYS, N_SLOW, BATCH = 100, 2000, 200
+N_ALWAYS, N_SLOW, BATCH = 60, 2000, 200
 
 
 @pytest.fixture(scope="module")

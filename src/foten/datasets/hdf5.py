@@ -64,10 +64,7 @@ def write_recording(recording: Recording, path: Path) -> None:
     with h5py.File("in memory", "w", driver="core", backing_store=False) as file:
         file.attrs.update({"format": FORMAT, "version": VERSION} | texts)
         for name, channel in sorted(recording.channels.items()):
-            with np.errstate(over="ignore"):
-                single = channel.samples.astype(np.float32)
-            samples = single if np.array_equal(single, channel.samples) else channel.samples
-            dataset = _store(file, f"channels/{name}", samples)
+            dataset = _store(file, f"channels/{name}", channel.samples)
             dataset.attrs["rate_hz"], dataset.attrs["unit"] = float(channel.rate_hz), recording.unit(name)
             if channel.times_s is not None:
                 _store(file, f"times_s/{name}", channel.times_s)

@@ -60,7 +60,7 @@ def check_short(seconds: float, options: str) -> Iterable[Finding]:
 
 
 def check_gaps(name: str, channel: Channel) -> Iterable[Finding]:
-    """Yield findings on lost samples and on unsteady sampling, from the times of a channel."""
+    """Yield findings on lost samples, from the times of a channel."""
     if channel.times_s is None or channel.times_s.size < 3:
         return
     steps = np.diff(channel.times_s)
@@ -75,9 +75,6 @@ def check_gaps(name: str, channel: Channel) -> Iterable[Finding]:
         )
         severity = PROBLEM if name.startswith("acceleration") or steps[longest] > 0.1 else NOTE
         yield Finding(severity, "gaps", name, text, places(channel, gaps))
-    if (jitter := np.median(np.abs(steps - usual))) > 0.05 * usual:
-        text = f"{name}: its sampling period of {usual * 1000:.4g} ms varies by {jitter / usual:.0%}"
-        yield Finding(NOTE, "jitter", name, text)
 
 
 def check_repeats(name: str, channel: Channel) -> Iterable[Finding]:
@@ -115,53 +112,41 @@ def check_order(recording: Recording) -> Iterable[Finding]:
     same rows, over much of the range, and at multiples of the length where all pieces are equally long. A finding needs many
     jumps and one of the other three.
     """
-    jumps = {
-        name: _jumps(name, channel)
+    slow = {
+        name: channel
         for name, channel in recording.channels.items()
         if not name.startswith("acceleration") and channel.samples.size >= 100
     }
-    many = {name: at for name, (at, _, _) in jumps.items() if at.size >= max(10, 0.001 * recording[name].samples.size)}
-    for name, (at, threshold, size) in jumps.items():
-        channel = recording[name]
-        correlation = _neighbour_correlation(name, channel)
-        if correlation < 0.8:
-            text = (
-                f"{name}: the rows are probably not in time order: neighbours have little to do with each other "
-                f"(correlation {correlation:.2f}), where a hand moves smoothly; or it is noise alone"
+    jumps = {name: _jumps(name, channel) for name, channel in slow.items()}
+    many = {name: at for name, (at, _, _) in jumps.items() if at.size >= max(10, 0.001 * slow[name].samples.size)}
+    for name, channel in slow.items():
+        at, threshold, share = jumps[name]
+        evidence = []
+        if (correlation := _neighbour_correlation(name, channel)) < 0.8:
+            evidence.append(
+                f"neighbours correlate by {correlation:.2f}, where a hand moves smoothly; or it is noise alone"
             )
-            yield Finding(PROBLEM, "order", name, text)
-            continue
-        if not at.size:
-            continue
-        shared = [
-            other
-            for other, there in many.items()
-            if other != name
-            and name in many
-            and recording[other].samples.size == channel.samples.size
+        if name in many and share > 0.1:
+            evidence.append(f"{at.size} jumps by {share:.0%} of its range, faster than a hand moves")
+        if name in many and (piece := _piece(at)):
+            evidence.append(f"jumps at multiples of {piece} samples, as if pieces of {piece} rows were shuffled")
+        for other in [other for other in many if other != name and name in many]:
+            common = np.isin(at, many[other]).mean()
             # Many more common rows than chance gives.
-            and np.isin(at, there).mean() > max(0.25, 3 * there.size / channel.samples.size)
-        ]
-        piece = _piece(at)
-        if name not in many or not (shared or piece or size > 0.1):
-            severity, guess = NOTE, ""
-            if name.startswith("position"):  # a jump of a position becomes a speed that was not there
-                severity, guess = PROBLEM, "; were lost markers written as 0? Blank them and import with --fill-gaps"
-            text = (
-                f"{name} jumps by more than {threshold:.3g} {UNITS[name]} between two samples in {counted(at.size, 'place')}, "
-                f"faster than a hand moves{guess}"
+            is_beside = slow[other].samples.size == channel.samples.size
+            if is_beside and common > max(0.25, 3 * many[other].size / channel.samples.size):
+                evidence.append(f"{common:.0%} of its jumps at the same rows as in {other}")
+        what, where = f"jumps by more than {threshold:.3g} {UNITS[name]}", counted(at.size, "place")
+        if evidence:
+            text = f"{name}: the rows are probably not in time order: {'; '.join(evidence)}"
+            yield Finding(PROBLEM, "order", name, text, places(channel, at))
+        elif at.size and name.startswith("position"):  # a jump of a position becomes a speed that was not there
+            text = f"{name} {what} in {where}; were lost markers written as 0? Blank them and import with --fill-gaps"
+            yield Finding(PROBLEM, "jumps", name, text, places(channel, at))
+        elif at.size:
+            yield Finding(
+                NOTE, "jumps", name, f"{name} {what} in {where}, faster than a hand moves", places(channel, at)
             )
-            yield Finding(severity, "jumps", name, text, places(channel, at))
-            continue
-        text = (
-            f"{name}: the rows are probably not in time order: {at.size} jumps larger than {threshold:.3g} {UNITS[name]} between "
-            f"neighbours, where a hand moves smoothly, typically {np.median(np.diff(at)):.0f} samples apart"
-        )
-        if piece:
-            text += f", nearly all at multiples of {piece} samples, as if pieces of {piece} rows were shuffled"
-        if shared:
-            text += f"; {np.isin(at, many[shared[0]]).mean():.0%} of them at the same rows as in {shared[0]}"
-        yield Finding(PROBLEM, "order", name, text, places(channel, at))
 
 
 def _jumps(name: str, channel: Channel) -> tuple[NDArray[np.int64], float, float]:

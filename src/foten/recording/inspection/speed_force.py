@@ -10,8 +10,8 @@ import numpy as np
 from foten.dsp import Array
 from foten.dsp.filters import butterworth, filter_recorded
 from foten.dsp.kinematics import speed_of
-from foten.recording.inspection.values import NOTE, PROBLEM, Coverage, Finding, counted, places, runs
-from foten.recording.preprocess import WRONG_SIGN, PreprocessConfig, pressing, velocity_and_force
+from foten.recording.inspection.values import NOTE, Coverage, Finding, counted, places, runs
+from foten.recording.preprocess import PreprocessConfig, pressing, velocity_and_force
 from foten.recording.recording import Recording, common_span_s
 
 CONTACT_N = 0.05  # less force is lift-off
@@ -49,14 +49,7 @@ def speed_force_of(recording: Recording) -> SpeedForce | None:
 
 
 def check_signs(recording: Recording) -> Iterable[Finding]:
-    """Yield findings on negative speeds, forces counted the other way, and forces that pull."""
-    if "speed" in recording:
-        speed = recording["speed"]
-        negative = np.flatnonzero(speed.samples < 0)
-        if negative.size:
-            lowest, where = speed.samples.min(), counted(negative.size, "sample")
-            text = f"speed is negative in {where}, down to {lowest:.4g} mm/s: a speed has no sign; is it one axis of a velocity?"
-            yield Finding(PROBLEM if lowest < -WRONG_SIGN[0] else NOTE, "sign", "speed", text, places(speed, negative))
+    """Yield notes on forces that are counted the other way, and on forces that pull."""
     for name in recording.normal_force:
         if np.median(recording[name].samples) < 0:
             yield Finding(NOTE, "sign", name, f"{name} is negative when pressing; pressing is counted positive")
