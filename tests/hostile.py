@@ -1,4 +1,4 @@
-"""A seeded generator of hostile files, and a harness that runs the command line on them in child processes.
+"""A seeded generator of hostile files.
 
 Small valid files of every format are damaged: bits flipped, ends cut off, pieces moved; or written anew with headers that lie:
 sizes beyond any memory, JSON nested 100,000 deep, odd types, numbers that are none, names with escapes, links elsewhere.
@@ -9,16 +9,10 @@ from __future__ import annotations
 import io
 import json
 import math
-import os
 import random
-import signal
 import struct
-import subprocess
-import sys
-import tempfile
 import zipfile
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -32,41 +26,12 @@ from foten.datasets.hdf5 import write_recording
 from foten.models.texture_file import Texture
 from foten.recording.recording import Channel, Recording
 
-LONGEST_S = 60.0  # of one command, on a busy machine; without one, none takes 5
 DEEP = 100_000
 RATE_HZ = 1000.0
 N = 2200
 
 KINDS = ("texture", "recording", "hdf5", "npz", "csv", "other")
 """What is made in turn; `other` is .npy, .mat, .tdms, .wav, .xlsx, .xml of models or an actuator's profile."""
-
-
-@dataclass(frozen=True)
-class Result:
-    """What one command did.
-
-    Attributes:
-        arguments: of `foten`.
-        status: its exit status; minus a signal's number where it crashed; None where it hung.
-        out, err: what it printed.
-    """
-
-    arguments: tuple[str, ...]
-    status: int | None
-    out: str
-    err: str
-
-    @property
-    def clean(self) -> bool:
-        """Whether it did its work, or refused the file in one line, and printed nothing that a terminal would obey."""
-        if "Traceback" in self.err or "Warning" in self.err:
-            return False
-        if not (self.out + self.err).replace("\n", "").isprintable():
-            return False
-        return self.status == 0 or (self.status == 2 and self.err.count("\n") == 1 and self.err[-1] == "\n")
-
-    def __str__(self) -> str:
-        return f"foten {' '.join(self.arguments)}: exit {self.status}\n{self.err[-1500:]}"
 
 
 class Generator:
@@ -426,92 +391,3 @@ def _npy(rng: random.Random) -> bytes:
     version = rng.choice([b"\x01\x00", b"\x01\x00", b"\x02\x00", b"\x09\x00"])
     size = struct.pack("<H", min(len(text), 65535)) if version == b"\x01\x00" else struct.pack("<I", len(text))
     return b"\x93NUMPY" + version + size + text.encode() + bytes(rng.choice([0, 8, 24, 8 * N]))
-
-
-# Run by a child process: each case on a line of its own, what it printed beside it.
-_CHILD = """
-import importlib, json, os, signal, sys, traceback
-from pathlib import Path
-
-class Hung(BaseException):
-    pass
-
-def hung(*_):
-    raise Hung
-
-sys.path[:0] = sys.argv[7:]
-_status = importlib.import_module(sys.argv[6])._status
-signal.signal(signal.SIGALRM, hung)
-cases, results = json.loads(Path(sys.argv[1]).read_text()), open(sys.argv[2], "a")
-for k in range(int(sys.argv[3]), len(cases)):
-    captured = os.open(sys.argv[4], os.O_RDWR | os.O_CREAT | os.O_TRUNC)
-    out = os.open(sys.argv[4] + ".out", os.O_RDWR | os.O_CREAT | os.O_TRUNC)
-    os.dup2(out, 1); os.dup2(captured, 2)
-    signal.setitimer(signal.ITIMER_REAL, float(sys.argv[5]))
-    try:
-        status = _status(cases[k])
-    except Hung:
-        status = None
-    except SystemExit as error:
-        status = error.code
-    except BaseException:
-        traceback.print_exc()
-        status = 99
-    signal.setitimer(signal.ITIMER_REAL, 0)
-    sys.stdout.flush(); sys.stderr.flush()
-    os.close(captured); os.close(out)
-    texts = [Path(sys.argv[4] + end).read_text(errors="replace") for end in (".out", "")]
-    print(json.dumps([k, status, *texts]), file=results, flush=True)
-"""
-
-
-def run_commands(
-    cases: Sequence[Sequence[str]],
-    longest_s: float = LONGEST_S,
-    of: str = "foten.cli.command_line",
-    path: Path | None = None,
-) -> list[Result]:
-    """What each command did: many in one process, and a new process after one that crashed or hung.
-
-    Args:
-        cases: the arguments of each.
-        longest_s: of one of them.
-        of: the module that has `_status`, which runs a command.
-        path: where that is looked for first.
-    """
-    results: list[Result] = []
-    environment = {**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
-    environment.pop("FOTEN_DEBUG", None)
-    with tempfile.TemporaryDirectory() as folder:
-        listed, answers, captured = (Path(folder) / name for name in ("cases", "answers", "captured"))
-        listed.write_text(json.dumps([list(case) for case in cases]))
-        while len(results) < len(cases):
-            answers.write_text("")
-            files = [str(listed), str(answers), str(len(results)), str(captured), str(longest_s), of]
-            files += [str(path)] if path else []
-            process = subprocess.Popen(
-                [sys.executable, "-c", _CHILD, *files], env=environment, stdin=subprocess.DEVNULL
-            )
-            status: int | None
-            try:
-                # Python's own alarm ends what hangs in Python; what hangs in C is ended here.
-                status = process.wait(timeout=longest_s * 2 + 2 * (len(cases) - len(results)))
-            except subprocess.TimeoutExpired:
-                process.send_signal(signal.SIGKILL)
-                process.wait()
-                status = None
-            for line in answers.read_text().splitlines():
-                k, code, out, err = json.loads(line)
-                results.append(Result(tuple(cases[k]), code, out, err))
-            if len(results) < len(cases):
-                err = captured.read_text(errors="replace") if captured.exists() else ""
-                results.append(Result(tuple(cases[len(results)]), status, "", err))
-    return results
-
-
-def run_hostile(generator: Generator, numbers: Sequence[int], folder: Path) -> list[Result]:
-    """What the command line did with the hostile files of some numbers; the files are gone afterwards."""
-    cases: list[list[str]] = []
-    for number in numbers:
-        cases += generator.write(number, folder)[1]
-    return run_commands(cases)
