@@ -19,22 +19,6 @@ def _by_name(columns):
     return {column.name: column.samples for column in columns}
 
 
-def test_npz(tmp_path):
-    np.savez(tmp_path / "a.npz", force=FORCE.astype(np.float32), acc=AXES, fs=10_000)
-    by_name = _by_name(read_numpy(tmp_path / "a.npz"))
-    assert list(by_name) == ["force", "acc.0", "acc.1", "acc.2", "fs"]
-    np.testing.assert_array_equal(by_name["acc.2"], AXES[:, 2])
-    np.testing.assert_array_equal(by_name["force"], FORCE.astype(np.float32))
-    assert by_name["fs"].tolist() == [10_000]
-
-
-def test_npy_of_one_and_of_several_columns(tmp_path):
-    np.save(tmp_path / "a.npy", FORCE)
-    np.save(tmp_path / "b.npy", AXES.T)  # the longer axis is time, whichever way round
-    assert list(_by_name(read_numpy(tmp_path / "a.npy"))) == ["0"]
-    np.testing.assert_array_equal(_by_name(read_numpy(tmp_path / "b.npy"))["1"], AXES[:, 1])
-
-
 def test_pickles_are_not_opened(tmp_path):
     class Bomb:
         def __reduce__(self):
@@ -116,13 +100,20 @@ def test_headers_that_numpy_fails_on_are_refused(tmp_path):
         assert len(str(refusal.value)) < 300
 
 
-def test_both_orders_of_an_array_are_read(tmp_path):
-    np.save(tmp_path / "a.npy", np.asfortranarray(AXES))
-    np.testing.assert_array_equal(_by_name(read_numpy(tmp_path / "a.npy"))["2"], AXES[:, 2])
-    np.savez_compressed(tmp_path / "b.npz", acc=np.asfortranarray(AXES), fs=np.float64(3), big=AXES.astype(">f4"))
-    by_name = _by_name(read_numpy(tmp_path / "b.npz"))
-    np.testing.assert_array_equal(by_name["acc.1"], AXES[:, 1])
+@pytest.mark.parametrize("order", ["C", "F"])
+def test_the_longer_axis_is_time_whichever_way_round_and_in_any_type(tmp_path, order):
+    axes = np.asarray(AXES, order=order)
+    np.save(tmp_path / "a.npy", FORCE)
+    np.save(tmp_path / "b.npy", axes.T)
+    np.savez_compressed(tmp_path / "c.npz", force=FORCE.astype(np.float32), acc=axes, fs=10_000, big=axes.astype(">f4"))
+    assert list(_by_name(read_numpy(tmp_path / "a.npy"))) == ["0"]
+    np.testing.assert_array_equal(_by_name(read_numpy(tmp_path / "b.npy"))["1"], AXES[:, 1])
+    by_name = _by_name(read_numpy(tmp_path / "c.npz"))
+    assert list(by_name) == ["force", "acc.0", "acc.1", "acc.2", "fs", "big.0", "big.1", "big.2"]
+    np.testing.assert_array_equal(by_name["acc.2"], AXES[:, 2])
+    np.testing.assert_array_equal(by_name["force"], FORCE.astype(np.float32))
     np.testing.assert_array_equal(by_name["big.1"], AXES[:, 1].astype(np.float32))
+    assert by_name["fs"].tolist() == [10_000]
 
 
 def test_names_are_printable(tmp_path):

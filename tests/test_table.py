@@ -125,13 +125,6 @@ def test_a_word_in_the_first_row_without_a_header_is_refused(tmp_path):
         read_delimited(tmp_path / "a.csv")
 
 
-def test_a_word_in_the_first_row_of_excel_loses_no_row(tmp_path):
-    _workbook(tmp_path / "a.xlsx", data=[["Rig", 7], ["t", "force"], [0, "OVL"], [1, 2], [2, 3], [3, 4]])
-    t, force = read_excel(tmp_path / "a.xlsx")
-    assert (t.name, t.samples.tolist()) == ("t", [0, 1, 2, 3])
-    assert force.fault == "row 3 is 'OVL', expected a number"
-
-
 @pytest.mark.parametrize("top", ["# fs 1000\n", "Rate 1000\n", "x force\n# offset 3\n"])
 def test_numbers_above_a_table_are_not_data(tmp_path, top):
     columns = list(_columns(tmp_path / "a.txt", top + "0 1.5\n1 2.5\n2 3.5\n").values())
@@ -171,12 +164,6 @@ def test_an_excel_sheet_with_a_header(tmp_path):
     time, force = read_excel(tmp_path / "a.xlsx")
     assert (time.name, time.samples.tolist()) == ("time", [0, 1, 2])
     assert (force.name, force.samples.tolist(), force.n_blank) == ("force", [1.5, 2.5], 1)
-
-
-def test_a_headerless_single_column_of_excel_keeps_its_first_row(tmp_path):
-    _workbook(tmp_path / "a.xlsx", data=[[0.5], [1.5], [2.5]])
-    (column,) = read_excel(tmp_path / "a.xlsx")
-    assert (column.name, column.samples.tolist()) == ("0", [0.5, 1.5, 2.5])
 
 
 def test_several_sheets_name_their_columns(tmp_path):
