@@ -284,8 +284,8 @@ def test_gaps_elsewhere_are_never_filled(tmp_path):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"map": "force=forse"}, "force: no column 'forse' in a.csv, which has acc, speed, force; did you mean force"),
-        ({"map": "acceleration=7"}, "no column '7' in a.csv"),
+        ({"map": "force=forse"}, "force: there is no column 'forse' among acc, speed, force; did you mean force"),
+        ({"map": "acceleration=7"}, "no column '7' among acc, speed, force"),
         ({"map": "acc=acc"}, "unknown channel 'acc', expected time, acceleration.*"),
         ({"map": "force=force,force=speed"}, "force is mapped twice"),
         ({"map": "time=acc"}, "only time is mapped"),

@@ -16,7 +16,7 @@ import numpy as np
 from foten.datasets.binary import read_hdf5, read_matlab, read_numpy, read_tdms, read_wav
 from foten.datasets.bounds import check_channel, check_overlap
 from foten.datasets.columns import Column, check_width
-from foten.datasets.mapping import clocks_of, column_of, guessed_mapping, names_of, stroke_columns
+from foten.datasets.mapping import columns_of, guessed_mapping, names_of, stroke_columns
 from foten.datasets.options import ImportOptions
 from foten.datasets.pen import PenClock, joined, pen_channels
 from foten.datasets.table import read_delimited, read_excel
@@ -97,8 +97,10 @@ def import_recording(paths: Sequence[Path], options: ImportOptions) -> tuple[Rec
         taken = {reference for _, reference in mapping}
         left_out = [name for name in names_of(files) if name not in taken]
         decisions += [f"left out: {', '.join(left_out)}"] if left_out else []
-    clocks = [clock for channel, reference in mapping if channel == "time" for clock in clocks_of(files, reference)]
-    columns = {channel: column_of(files, channel, column) for channel, column in mapping if channel != "time"}
+    clocks = [
+        clock for channel, reference in mapping if channel == "time" for clock in columns_of(files, channel, reference)
+    ]
+    columns = {channel: columns_of(files, channel, name)[0] for channel, name in mapping if channel != "time"}
     if not columns:
         raise ValueError("only time is mapped, expected a channel as well, e.g. --map time=0,acceleration=1")
     options = _for_axes(options, columns)

@@ -120,56 +120,31 @@ def _example(files: Files) -> str:
     return shlex.quote(",".join(f"{channel}={name}" for channel, name in pairs))
 
 
-def _split(files: Files, reference: str) -> tuple[list[Path], str]:
-    """Files that `FILE:COLUMN` or `COLUMN` may mean, and the column."""
-    for path in files:
-        for name in (str(path), path.name, path.stem):
-            if reference.startswith(f"{name}:"):
-                same = [other for other in files if name in (str(other), other.name, other.stem)]
-                if len(same) > 1:
-                    raise ValueError(f"{name} is the name of {len(same)} files, write out their paths")
-                return [path], reference[len(name) + 1 :]
-    return list(files), reference
+def columns_of(files: Files, channel: str, reference: str) -> list[Column]:
+    """Columns that a reference means, by their header or else by their number from 0.
 
-
-def _lookup(columns: Sequence[Column], name: str) -> Column | None:
-    """Column by header, else by number from 0, else none."""
-    exact = [column for column in columns if column.name == name]
-    if len(exact) > 1:
-        raise ValueError(f"{len(exact)} columns are called {name!r}; give the column's number from 0")
-    if not exact and name.isdecimal() and int(name) < len(columns):
-        return columns[int(name)]
-    return exact[0] if exact else None
-
-
-def column_of(files: Files, channel: str, reference: str) -> Column:
-    """Column that a reference means.
+    It is one, but for a header of times without `FILE:`, which is that of each file that has it.
 
     Raises:
         ValueError: there is none, there are several, or it holds no numbers.
     """
-    paths, name = _split(files, reference)
-    hits = [column for path in paths if (column := _lookup(files[path], name)) is not None]
-    if len(hits) > 1:
-        options = " or ".join(f"{column.file.name}:{name}" for column in hits)
-        raise ValueError(f"{channel}={reference} is in {len(hits)} files; write {options}")
+    every = [(path, k, column) for path, columns in files.items() for k, column in enumerate(columns)]
+    hits = [hit for hit in every if reference in _references(hit[0], hit[2].name)]
+    hits = hits or [hit for hit in every if reference in _references(hit[0], str(hit[1]))]
+    n_allowed = len({path for path, _, _ in hits}) if channel == "time" and not reference.isdecimal() else 1
+    if len(hits) > n_allowed:
+        options = " or ".join(f"{path}:{k}" for path, k, _ in hits)
+        raise ValueError(f"{channel}={reference} could be any of {len(hits)} columns; write {options}")
     if not hits:
-        there = {path: files[path] for path in paths}
-        close = difflib.get_close_matches(name, [c.name for cs in there.values() for c in cs], n=1, cutoff=0.5)
+        close = difflib.get_close_matches(reference, names_of(files), n=1, cutoff=0.5)
         hint = f"; did you mean {close[0]}?" if close else ""
-        where = paths[0].name if len(paths) == 1 else "the files"
-        raise ValueError(f"{channel}: no column {name!r} in {where}, which has {_listing(there)}{hint}")
-    column = hits[0]
-    if column.fault or not column.samples.size:
-        fault = f": {column.fault}" if column.fault else " is empty"
-        raise ValueError(f"{channel}: {column.file.name}, column {column.name}{fault}")
-    return column
+        raise ValueError(f"{channel}: there is no column {reference!r} among {_listing(files)}{hint}")
+    for _, _, column in hits:
+        if column.fault or not column.samples.size:
+            fault = f": {column.fault}" if column.fault else " is empty"
+            raise ValueError(f"{channel}: {column.file.name}, column {column.name}{fault}")
+    return [column for _, _, column in hits]
 
 
-def clocks_of(files: Files, reference: str) -> list[Column]:
-    """Time columns that a reference means: without `FILE:`, that of each file which has it."""
-    paths, name = _split(files, reference)
-    hits = [path for path in paths if _lookup(files[path], name) is not None]
-    if name.isdecimal() or not hits:
-        return [column_of(files, "time", reference)]
-    return [column_of({path: files[path]}, "time", name) for path in hits]
+def _references(path: Path, name: str) -> set[str]:
+    return {name, f"{path}:{name}", f"{path.name}:{name}", f"{path.stem}:{name}"}

@@ -24,12 +24,9 @@ _COLUMNS = 3000  # of an envelope: more than pixels, so that no spike is lost
 
 
 def _figure(width: float, height: float, **options: Any) -> tuple[Figure, Any]:
-    # Not pyplot: the user's backend and open figures stay as they are.
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
+    from matplotlib.figure import Figure  # not pyplot: the user's backend and open figures stay as they are
 
     figure = Figure(figsize=(width, height), dpi=120, layout="constrained")
-    FigureCanvasAgg(figure)
     return figure, figure.subplots(**options)
 
 
