@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -17,14 +16,13 @@ from foten.untrusted import printable
 
 MAX_OBJECTS = 10_000  # groups and datasets of a file
 MAX_TEXTS = 64  # of an attribute or a dataset; those of units have one for each column
-_ELSEWHERE = "keeps its samples in another place, which is not opened"
 
 
 def hdf5_contents(path: Path) -> Contents:
     """Contents of an HDF5 file, `{"attributes": …, "objects": […]}`, objects in the order of their names.
 
     An object has a name, attributes, and, where it is a dataset, the index of its array, or its texts, or the fault for which it
-    was not read. Links and samples in other files are never followed: they could lead to any file of this machine.
+    was not read. Links are left out, and samples in other files not read: they could lead to any file of this machine.
     """
     try:
         file = h5py.File(path, "r")
@@ -35,15 +33,19 @@ def hdf5_contents(path: Path) -> Contents:
     objects: list[dict[str, Any]] = []
     left = MAX_SAMPLES
     with file:
-        for name, item in _objects(file):
-            if len(objects) == MAX_OBJECTS:
-                raise RefusedError(f"{path.name} holds more than {MAX_OBJECTS} groups and datasets")
-            entry: dict[str, Any] = {"name": printable(name)}
+        names: list[str] = []
+
+        def listed(name: str) -> bool | None:
+            names.append(name)
+            return True if len(names) > MAX_OBJECTS else None  # which ends the visit
+
+        file.visit(listed)  # each object once, whatever groups hold each other
+        if len(names) > MAX_OBJECTS:
+            raise RefusedError(f"{path.name} holds more than {MAX_OBJECTS} groups and datasets")
+        for name in names:
+            item = file[name]
+            entry: dict[str, Any] = {"name": printable(name), "attributes": _attributes(item)}
             objects.append(entry)
-            if item is None:
-                entry["fault"] = _ELSEWHERE
-                continue
-            entry["attributes"] = _attributes(item)
             if isinstance(item, h5py.Dataset):
                 entry |= _unread(item, left)
                 if not {"fault", "texts"} & entry.keys():
@@ -54,33 +56,10 @@ def hdf5_contents(path: Path) -> Contents:
         return {"attributes": _attributes(file), "objects": objects}, arrays
 
 
-def _objects(file: Any) -> Iterator[tuple[str, Any]]:
-    """Names of all groups and datasets, each once, and None in place of those that are links."""
-    seen = {h5py.h5o.get_info(file.id).addr}
-    waiting = [("", file)]
-    while waiting:
-        name, item = waiting.pop()
-        if name:
-            yield name, item
-        if isinstance(item, h5py.Group):
-            inner = []
-            for key in item:
-                where = f"{name}/{key}" if name else key
-                if not isinstance(item.get(key, getlink=True), h5py.HardLink):
-                    inner.append((where, None))
-                    continue
-                below = item[key]
-                address = h5py.h5o.get_info(below.id).addr
-                if address not in seen and not isinstance(below, h5py.Datatype):
-                    seen.add(address)
-                    inner.append((where, below))
-            waiting += reversed(inner)
-
-
 def _unread(item: Any, left: int) -> dict[str, Any]:
     """Fault for which a dataset is not read, or its texts; nothing where it holds numbers."""
     if item.is_virtual or item.id.get_create_plist().get_external_count():
-        return {"fault": _ELSEWHERE}
+        return {"fault": "keeps its samples in another place, which is not opened"}
     try:
         kind, is_text = item.dtype.kind, h5py.check_string_dtype(item.dtype) is not None
     except TypeError:  # a type that NumPy does not have
