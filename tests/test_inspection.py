@@ -22,8 +22,7 @@ from foten.simulation.simulate import simulate
 
 DATA = Path(__file__).parents[1].parent / "shared" / "data"
 GOOD, HOSTILE = DATA / "cdplab-mdtexthapt" / "npz", DATA / "c128391-vibrotactile" / "original"
-needs_good = pytest.mark.skipif(not GOOD.is_dir(), reason="the recordings of ../shared/data are not here")
-needs_hostile = pytest.mark.skipif(not HOSTILE.is_dir(), reason="the recordings of ../shared/data are not here")
+needs_data = pytest.mark.skipif(not DATA.is_dir(), reason="the recordings of ../shared/data are not here")
 
 RATE = 1000.0
 N = 20_000
@@ -105,12 +104,7 @@ def _put(at, value):
 @pytest.mark.parametrize(
     ("channel", "change", "kind", "text"),
     [
-        (
-            "force",
-            _put([400, 9000], [505_831, -30]),
-            "problem spikes",
-            r"2 spikes .*505831 N at sample 400 \(0.400 s\)",
-        ),
+        ("force", _put([400, 9000], [505_831, -30]), "problem spikes", "2 spikes .*505831 N at sample 400 .0.400 s"),
         ("acceleration", _put(777, 200), "problem spikes", "1 spike of one or two samples"),
         ("acceleration", lambda x: np.clip(x, -3, 3), "problem clipping", "is clipped: .* highest"),
         ("acceleration", lambda x: np.maximum(x, -3), "problem clipping", "is clipped: .* lowest"),
@@ -120,12 +114,7 @@ def _put(at, value):
         ("force", _put(LIFTED, SENSOR), "note contact", "in 2 places, 0.7 s together, the longest 0.5 s at 9.00 s"),
         ("speed", lambda x: x - 100, "problem refused", "training refuses it: speed is negative"),
         ("speed", lambda x: x + 110, "note range", "never slower than 12"),
-        (
-            "speed",
-            lambda x: x + 110,
-            "note range",
-            "force above 2.7 N never visited: above it the level grows by a fitted",
-        ),
+        ("speed", lambda x: x + 110, "note range", "force above 2.7 N never visited: above it the level grows"),
         ("speed", lambda x: x / 3, "note range", "never faster than 7"),
         ("force", lambda x: x + 1, "note range", "never lighter than 1.5"),
         ("speed", lambda x: x / 1000, "problem units", r"peaks at 0.2\d+, expected mm/s .*was it given in m/s"),
@@ -297,7 +286,7 @@ def test_missing_channels_and_slow_accelerometers_are_problems():
     assert ("rate", "acceleration") in _codes(_inspect(samples, rates=dict.fromkeys(samples, 500.0)))
 
 
-@needs_good
+@needs_data
 @pytest.mark.parametrize("texture", ["copper", "fabric", "leather", "wood"])
 def test_no_false_alarm_on_real_recordings(texture):
     recording = import_recording([GOOD / f"{texture}.npz"], ImportOptions(rate_hz=10_000))[0]
@@ -308,7 +297,7 @@ def test_no_false_alarm_on_real_recordings(texture):
     assert "never slower than" in inspection.to_text()
 
 
-@needs_hostile
+@needs_data
 @pytest.mark.parametrize("k", [2, 4, 5])
 def test_a_hostile_recording_is_seen_through(k):
     paths = [HOSTILE / f"T{k}" / f"{k}-{name}.xlsx" for name in ("acc", "speed", "force")]
@@ -348,25 +337,17 @@ def test_the_command(tmp_path, capsys):
     assert capsys.readouterr().err.startswith("foten: no such file")
 
 
-N_PICTURED = 12_000
-
-
-def _recording(**extra):
-    rng = np.random.default_rng(0)
-    t = np.arange(N_PICTURED) / 1000
-    channels = {
-        "acceleration_x": Channel(np.convolve(rng.standard_normal(N_PICTURED + 7), np.ones(8), "valid"), 1000.0),
-        "acceleration_z": Channel(np.convolve(rng.standard_normal(N_PICTURED + 7), np.ones(8), "valid"), 1000.0),
-        "speed": Channel(120 + 90 * np.sin(t), 1000.0),
-        "force": Channel(1 + 0.5 * np.sin(0.7 * t), 1000.0),
-    }
-    return Recording(channels | extra, texture="denim")
+def _recording(**changed):
+    samples = _clean()
+    vibration = samples.pop("acceleration")
+    samples = {"acceleration_x": vibration, "acceleration_z": vibration[::-1].copy(), **samples, **changed}
+    return Recording({name: Channel(x, RATE) for name, x in samples.items()}, texture="denim")
 
 
 def test_one_panel_a_channel_with_its_unit_and_its_marks():
     force = _recording()["force"].samples.copy()
     force[5000] = 800
-    recording = _recording(force=Channel(force, 1000.0))
+    recording = _recording(force=force)
     figure = overview(recording, inspect_recording(recording))
     labels = [axes.get_ylabel() for axes in figure.axes]
     assert labels == ["acceleration x\n[m/s²]", "acceleration z\n[m/s²]", "speed\n[mm/s]", "force\n[N]"]

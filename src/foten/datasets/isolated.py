@@ -43,14 +43,14 @@ def read_isolated(kind: str, path: Path) -> Contents:
         if not file.read(1):
             raise ValueError(f"{path.name} is empty")
     command = [sys.executable, "-c", _START.format(path=sys.path), kind, str(path.absolute())]
-    silent = {"stdin": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
-    with subprocess.Popen(command, stdout=subprocess.PIPE, **silent) as process:
-        pipe: Any = process.stdout
+    silent, pipe = subprocess.DEVNULL, subprocess.PIPE
+    with subprocess.Popen(command, stdin=silent, stdout=pipe, stderr=silent) as process:
+        stream: Any = process.stdout
         try:
-            answer = json.loads(pipe.readline())
+            answer = json.loads(stream.readline())
             arrays = [np.empty(shape) for shape in answer.pop("shapes")]
             for array in arrays:
-                if pipe.readinto(array) < array.nbytes:
+                if stream.readinto(array) < array.nbytes:
                     raise EOFError
         except (EOFError, ValueError):
             answer = {"damaged": "its library crashes on it, or does not end"}

@@ -92,7 +92,7 @@ def coverage_of(speed_force: SpeedForce) -> Coverage | None:
         top = min(max(usual, high), 2 * usual)
         cells.append(np.arange(0, np.ceil(top / cell - 1e-9) + 1) * cell)
     counts, *_ = np.histogram2d(*conditions, bins=cells)
-    return Coverage(*cells, counts / TRAINING_HZ, *ranges)
+    return Coverage(cells[0], cells[1], counts / TRAINING_HZ, ranges[0], ranges[1])
 
 
 def check_ranges(coverage: Coverage) -> Iterable[Finding]:
