@@ -14,10 +14,10 @@ from foten.datasets.hdf5 import write_recording
 from foten.datasets.importing import import_recording
 from foten.datasets.options import ImportOptions, parse_pairs
 from foten.recording.inspection import inspect_recording
-from foten.recording.inspection.pictures import coverage, density, overview, write_pictures
 from foten.recording.inspection.values import PROBLEM
 from foten.recording.preprocess import preprocess
 from foten.recording.recording import Channel, Recording
+from foten.reporting.recording_pictures import coverage, density, overview, write_pictures
 from foten.simulation.simulate import simulate
 
 DATA = Path(__file__).parents[1].parent / "shared" / "data"

@@ -293,7 +293,8 @@ def inspect(
     """Say what a recording holds and what is wrong with it: units, coverage, clipping, gaps, order."""
     from foten import __version__
     from foten.datasets.hdf5 import load_recording
-    from foten.recording.inspection import inspect_recording, write_pictures
+    from foten.recording.inspection import inspect_recording
+    from foten.reporting.recording_pictures import write_pictures
 
     check_folder(output)
     recording = load_recording(recording_file)

@@ -22,8 +22,9 @@ MAX_TAP_S, MAX_TAP_MM = 0.3, 3.0  # at most: how long a tap touches, and how far
 KNOCK_HZ = 200.0  # above which a knock is looked for: hums are below
 FRAME_S = 0.0005  # of the sound's level
 MIN_RISE = 4.0  # of the level over what was there before, at a knock
-QUIET_S, MIN_BETWEEN_KNOCKS_S = 0.06, 0.04  # before a knock; from one to the next
-MAX_APART_BEFORE_S, MAX_APART_S = 0.03, 0.012  # between a tap and its knock, before and after the drift is known
+QUIET_S = 0.06  # before a knock
+N_RISE = 3  # frames in which a knock rises: it may begin at the end of one
+MAX_APART_S = 0.012  # between a tap and its knock
 MAX_DRIFT, USUAL_DRIFT = 1e-3, 1e-4  # of two quartzes and whatever lies between
 MAX_GAP_S = 0.12  # between events of a stroke, over which a hand is still smooth
 MIN_TAPS, MIN_TAP_SHARE = 3, 0.6  # that have to be in the sound
@@ -75,17 +76,12 @@ def knocks_of(sound: Array, rate_hz: float) -> Array:
     quick = filter_recorded(butterworth("highpass", KNOCK_HZ, rate_hz), sound)
     n = max(1, round(FRAME_S * rate_hz))
     level = np.sqrt(np.square(quick[: quick.size // n * n]).reshape(-1, n).mean(axis=1))
-    before, apart = round(QUIET_S / FRAME_S), round(MIN_BETWEEN_KNOCKS_S / FRAME_S)
+    before = round(QUIET_S / FRAME_S)
     floor = max(float(np.percentile(level, 10.0)), 1e-3 * float(level.max(initial=0.0)), 1e-12)
-    # Up to three frames before: a knock may begin at the end of one, and rise within the next.
     recent = np.concatenate([np.full(before, floor), level])
-    loudest = np.lib.stride_tricks.sliding_window_view(recent, before - 3)[: level.size].max(axis=1)
-    ratio = level / np.maximum(loudest, floor)
-    found: list[int] = []
-    for i in np.flatnonzero(ratio > MIN_RISE):
-        if not found or i - found[-1] > apart:
-            found.append(int(i))
-    return np.array(found, dtype=float) * n / rate_hz
+    loudest = np.lib.stride_tricks.sliding_window_view(recent, before - N_RISE)[: level.size].max(axis=1)
+    rising = np.flatnonzero(level > MIN_RISE * np.maximum(loudest, floor))
+    return rising[np.diff(rising, prepend=-np.inf) > N_RISE + 1] * n / rate_hz
 
 
 def joined(events: PenEvents, sound: Array, rate_hz: float) -> PenClock:
@@ -103,7 +99,7 @@ def joined(events: PenEvents, sound: Array, rate_hz: float) -> PenClock:
     n_required = max(MIN_TAPS, int(np.ceil(MIN_TAP_SHARE * taps.size)))
     # By the first taps alone, near which the drift is nothing yet; then by all.
     tried = (knocks[:, None] - taps[None, : MIN_TAPS + 2]).ravel()
-    reach = MAX_APART_BEFORE_S + MAX_DRIFT * (taps - taps[0])
+    reach = MAX_APART_S + MAX_DRIFT * (taps - taps[0])
     best = max(
         (_pairs(taps + delay, knocks, reach) for delay in tried), key=lambda pairs: pairs[0].size, default=NO_PAIRS
     )
@@ -115,16 +111,16 @@ def joined(events: PenEvents, sound: Array, rate_hz: float) -> PenClock:
     n_taps = best[0].size
     drift, delay = _line(taps[best[0]], knocks[best[1]])
     # The landing of each stroke is a knock, too: more of them halve the error that the tablet's steps leave.
-    for _ in range(6):
+    for _ in range(2):
         best = _pairs(landings * (1 + drift) + delay, knocks, np.full(landings.size, MAX_APART_S))
-        if best[0].size < n_required:
-            raise ValueError(
-                f"{best[0].size} of {landings.size} touches lie on one line with the sound's, expected {n_required} or more: was "
-                "one of the clocks stopped in between?"
-            )
         drift, delay = _line(landings[best[0]], knocks[best[1]])
     off = knocks[best[1]] - (landings[best[0]] * (1 + drift) + delay)
     near = np.abs(off) <= 1.5 * max(events.usual_step_s, FRAME_S)
+    if near.sum() < n_required:
+        raise ValueError(
+            f"{near.sum()} of {landings.size} touches lie on one line with the sound, expected {n_required} or more: was one of "
+            "the clocks stopped in between?"
+        )
     drift, delay = _centre(landings[best[0]][near], knocks[best[1]][near], off_by[best[0]][near])
     off = knocks[best[1]] - (landings[best[0]] * (1 + drift) + delay)
     return PenClock(delay, drift, int(n_taps), 1000 * float(np.sqrt(np.square(off).mean())))

@@ -13,7 +13,8 @@ from foten.evaluate.report.page import write_report
 from foten.experiments.simulator_reference import reference_for
 from foten.models.foten_plus.sizes import FotenPlusSizes
 from foten.models.texture_file import write_texture
-from foten.recording.inspection import inspect_recording, write_pictures
+from foten.recording.inspection import inspect_recording
+from foten.reporting.recording_pictures import write_pictures
 from foten.runtime.live.sinks import write_audible, write_rendered
 from foten.runtime.renderer import Renderer
 from foten.runtime.stroke import recorded_stroke

@@ -44,8 +44,8 @@ class PenEvents:
 
     def touches(self) -> NDArray[np.int64]:
         """First event of each touch and the one after its last, shape (k, 2)."""
-        down = np.concatenate([[False], self.pressure > 0, [False]])
-        return np.stack([np.flatnonzero(~down[:-1] & down[1:]), np.flatnonzero(down[:-1] & ~down[1:])], axis=1)
+        edges = np.diff(self.pressure > 0, prepend=False, append=False)
+        return np.flatnonzero(edges).reshape(-1, 2)
 
     @property
     def usual_step_s(self) -> float:

@@ -1,4 +1,3 @@
-"""What a recording holds and what is wrong with it, from its numbers alone; with pictures of both."""
+"""What a recording holds and what is wrong with it, from its numbers alone."""
 
 from foten.recording.inspection.inspect import inspect_recording as inspect_recording
-from foten.recording.inspection.pictures import write_pictures as write_pictures

@@ -140,7 +140,7 @@ def places(channel: Channel, indices: NDArray[np.int64]) -> tuple[float, ...]:
 
 def runs(mask: NDArray[np.bool_]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Starts of stretches of True, and ends, one past the last."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]]).astype(np.int8)))
+    edges = np.flatnonzero(np.diff(mask, prepend=False, append=False))
     return edges[0::2], edges[1::2]
 
 

@@ -7,27 +7,30 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from foten.atomic_write import atomic_write
 from foten.dsp import Array
 from foten.recording.inspection.speed_force import HAND_HZ
 from foten.recording.inspection.values import CELL_S, NOTE, Finding, Inspection
 from foten.recording.recording import UNITS, Recording
+from foten.reporting.figure import (
+    BLUE,
+    COLOURS,
+    GREEN,
+    MAUVE,
+    ORANGE,
+    Style,
+    add_colour_bar,
+    add_legend,
+    new_figure,
+    write_figure,
+)
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-# Okabe and Ito's colours: distinct with any colour vision.
-_COLOURS = {"acceleration": "#0072B2", "speed": "#D55E00", "force": "#009E73", "position": "#CC79A7"}
-_AXIS_COLOURS = {"x": "#0072B2", "y": "#E69F00", "z": "#009E73"}
+_STYLE = Style(grid=0.25)
+_COLOURS = {"acceleration": BLUE, "speed": ORANGE, "force": GREEN, "position": MAUVE}
 _MARKED = ("spikes", "clipping", "gaps", "frozen", "order", "sign", "contact", "jumps")
 _COLUMNS = 3000  # of an envelope: more than pixels, so that no spike is lost
-
-
-def _figure(width: float, height: float, **options: Any) -> tuple[Figure, Any]:
-    from matplotlib.figure import Figure  # not pyplot: the user's backend and open figures stay as they are
-
-    figure = Figure(figsize=(width, height), dpi=120, layout="constrained")
-    return figure, figure.subplots(**options)
 
 
 def _title(recording: Recording, what: str) -> str:
@@ -37,7 +40,7 @@ def _title(recording: Recording, what: str) -> str:
 def overview(recording: Recording, inspection: Inspection) -> Figure:
     """Channels over time, with a mark at each place that a finding lists."""
     names = [name for name in UNITS if name in recording]
-    figure, panels = _figure(10, 1.0 + 1.7 * len(names), nrows=len(names), sharex=True, squeeze=False)
+    figure, panels = new_figure(10, 1.0 + 1.7 * len(names), _STYLE, nrows=len(names), sharex=True, squeeze=False)
     for axes, name in zip(panels[:, 0], names, strict=True):
         channel, colour = recording[name], _COLOURS[name.split("_")[0]]
         if channel.samples.size <= 2 * _COLUMNS:
@@ -47,7 +50,6 @@ def overview(recording: Recording, inspection: Inspection) -> Figure:
             low, high = (extreme.reduceat(channel.samples, starts) for extreme in (np.minimum, np.maximum))
             axes.fill_between(channel.times[starts], low, high, color=colour, linewidth=0.4, edgecolor=colour)
         axes.set_ylabel(f"{name.replace('_', ' ')}\n[{UNITS[name].replace('^2', '²')}]")
-        axes.grid(alpha=0.25)
         axes.margins(x=0.01)
         _keep_readable(axes, channel.samples, UNITS[name])
         _mark(axes, [f for f in inspection.findings if f.channel == name and f.places_s and f.code in _MARKED])
@@ -69,7 +71,7 @@ def _mark(axes: Any, findings: list[Finding]) -> None:
     if findings:
         bottom, top = axes.get_ylim()
         axes.set_ylim(bottom, top + 0.09 * (len(findings) + 1) * (top - bottom))
-        axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False, fontsize=8)
+        add_legend(axes, loc="center left", bbox_to_anchor=(1.0, 0.5))
 
 
 def _keep_readable(axes: Any, samples: Array, unit: str) -> None:
@@ -90,13 +92,13 @@ def coverage(recording: Recording, inspection: Inspection) -> Figure | None:
     cells = inspection.coverage
     if cells is None:
         return None
-    figure, axes = _figure(7.5, 5)
+    figure, axes = new_figure(7.5, 5)
     shown = np.ma.masked_less(cells.seconds.T, 1e-9)
     norm = LogNorm(CELL_S / 10, max(float(cells.seconds.max()), 10 * CELL_S))
     mesh = axes.pcolormesh(cells.speed_edges, cells.force_edges, shown, cmap="viridis", norm=norm)
     axes.vlines(cells.speed_edges, *cells.force_edges[[0, -1]], color="white", linewidth=0.6)
     axes.hlines(cells.force_edges, *cells.speed_edges[[0, -1]], color="white", linewidth=0.6)
-    figure.colorbar(mesh, label="time spent [s]")
+    add_colour_bar(figure, mesh, "time spent [s]")
     axes.set(xlabel="scanning speed [mm/s]", ylabel="normal force [N]", facecolor="#eeeeee")
     visited = f"{cells.covered} of {cells.seconds.size} cells visited for {CELL_S * 1000:g} ms or more"
     axes.set_title(_title(recording, visited) + "\n(grey: never)", fontsize=11)
@@ -107,11 +109,9 @@ def density(recording: Recording, inspection: Inspection) -> Figure | None:
     """Power spectral density of each acceleration axis, or None without acceleration."""
     if not inspection.psd:
         return None
-    figure, axes = _figure(8, 4.5)
-    for name, (frequency, power) in inspection.psd.items():
-        colour = _AXIS_COLOURS.get(name.removeprefix("acceleration_"), _COLOURS["acceleration"])
-        shown = np.maximum(power, 1e-30)
-        axes.loglog(frequency, shown, color=colour, linewidth=1, label=name.replace("_", " "))
+    figure, axes = new_figure(8, 4.5, _STYLE)
+    for colour, (name, (frequency, power)) in zip(COLOURS, inspection.psd.items(), strict=False):
+        axes.loglog(frequency, np.maximum(power, 1e-30), color=colour, linewidth=1, label=name.replace("_", " "))
     frequencies, powers = zip(*inspection.psd.values(), strict=True)
     axes.set_xlim(min(*(f[0] for f in frequencies), HAND_HZ / 2), max(f[-1] for f in frequencies) * 1.05)
     axes.axvspan(axes.get_xlim()[0], HAND_HZ, color="0.5", alpha=0.15, linewidth=0)
@@ -120,10 +120,9 @@ def density(recording: Recording, inspection: Inspection) -> Figure | None:
     # Above a sensor's anti-alias filter only rounding is left, over ten decades.
     axes.set_ylim(bottom=max(axes.get_ylim()[0], max(float(power.max()) for power in powers) * 1e-9))
     axes.set(xlabel="frequency [Hz]", ylabel="density [(m/s²)²/Hz]")
-    axes.grid(alpha=0.25, which="both")
     axes.set_title(_title(recording, "power spectral density of the acceleration"))
     if len(inspection.psd) > 1:
-        axes.legend(frameon=False)
+        add_legend(axes)
     return figure
 
 
@@ -133,7 +132,6 @@ def write_pictures(recording: Recording, inspection: Inspection, folder: Path) -
     for name, draw in (("overview.png", overview), ("coverage.png", coverage), ("psd.png", density)):
         figure = draw(recording, inspection)
         if figure is not None:
-            with atomic_write(folder / name) as part:
-                figure.savefig(part, format="png", metadata={"Software": None, "Source": inspection.recording_sha256})
+            write_figure(figure, folder / name)
             written.append(folder / name)
     return written
