@@ -59,8 +59,8 @@ class Generator:
         if kind == "texture":
             path = folder / f"{name}.foten"
             path.write_bytes(self._texture(rng))
-            hand = ["--speed", "80", "--force", "0.8", "--seconds", "0.05"]
-            return path, [["info", str(path)], ["render", str(path), *hand, "-o", str(folder / f"{name}.wav")]]
+            stroke = ["--speed", "80", "--force", "0.8", "--seconds", "0.05"]
+            return path, [["info", str(path)], ["render", str(path), *stroke, "-o", str(folder / f"{name}.wav")]]
         if kind == "recording":
             path = folder / f"{name}.h5"
             self._recording(rng, path)
@@ -215,14 +215,8 @@ class Generator:
             for speed, force in corners
         )
         xml = f"<modelSet><SampleRate>10000</SampleRate><numMod>4</numMod>{models}<tri>1,2,3</tri><tri>2,3,4</tri></modelSet>"
-        profile = {
-            "format": "foten-actuator",
-            "version": 1,
-            "name": "coil",
-            "resonance_hz": 55.0,
-            "gain": 8.0,
-            "limit": 2.0,
-        }
+        profile = {"format": "foten-actuator", "version": 1, "name": "coil"}
+        profile |= {"resonance_hz": 55.0, "gain": 8.0, "limit": 2.0}
         files = [(".mat", f"{stem}73.mat")] + [
             (ending, f"{stem}{ending}") for ending in (".npy", ".mat", ".tdms", ".wav", ".xlsx")
         ]
@@ -242,21 +236,7 @@ _CELLS = [
 def hostile_value(rng: random.Random) -> Any:
     """A JSON value that seldom belongs where it is put."""
     numbers = [-1, 0, 1, 3, 2**31, 2**63, 2**70, 10**400, 0.5, 1e308, -1e308, 5e-324, math.nan, math.inf]
-    others = [
-        None,
-        True,
-        "",
-        "x",
-        "\ud800",
-        "x" * 10_000,
-        "\x1b[31m\n",
-        [],
-        [None],
-        {},
-        {"a": None},
-        [1, 2],
-        ["a", [0]],
-    ]
+    others = [None, True, "", "x", "\ud800", "x" * 10_000, "\x1b[31m\n", [], [None], {}, {"a": None}, ["a", [0]]]
     return rng.choice([rng.choice(numbers), rng.choice(numbers), rng.choice(others)])
 
 
@@ -359,33 +339,10 @@ def _odd_dataset(file: h5py.File, name: str, rng: random.Random) -> None:
 
 def _npy(rng: random.Random) -> bytes:
     """A .npy file whose header lies or is odd."""
-    shapes = [
-        "(1000000000000,)",
-        "(-1,)",
-        "(2, 99999999999999999999)",
-        "(0,)",
-        "()",
-        "(3, 1000000)",
-        "((((((1,))))))",
-        "(True,)",
-    ]
-    kinds = [
-        "'<f8'",
-        "'|O'",
-        "'<M8[ns]'",
-        "'<f2'",
-        "'>c16'",
-        "'<U3'",
-        "[('a', '<f8'), ('b', '|O')]",
-        "'|V0'",
-        "'x'",
-        "'<f16'",
-    ]
-    fields = {
-        "descr": rng.choice(kinds),
-        "fortran_order": rng.choice(["False", "True", "3"]),
-        "shape": rng.choice(shapes),
-    }
+    shapes = ["(1000000000000,)", "(-1,)", "(2, 99999999999999999999)", "(0,)", "()", "((((((1,))))))", "(True,)"]
+    kinds = ["'<f8'", "'|O'", "'<M8[ns]'", "'>c16'", "'<U3'", "[('a', '<f8'), ('b', '|O')]", "'|V0'", "'x'", "'<f16'"]
+    order = rng.choice(["False", "True", "3"])
+    fields = {"descr": rng.choice(kinds), "fortran_order": order, "shape": rng.choice(shapes)}
     text = f"{{{', '.join(f'{name!r}: {value}' for name, value in fields.items())}, }}"
     text = rng.choice([text, text, text, "(" * 9000, "[" * DEEP, "{}", "", "9" * 5000])
     version = rng.choice([b"\x01\x00", b"\x01\x00", b"\x02\x00", b"\x09\x00"])

@@ -211,11 +211,11 @@ def test_pieces_side_by_side_are_one_long_integration() -> None:
     stroke = steady(80.0, 1.0, seconds=0.7)
     place = 7.0 + np.cumsum(stroke.speed) / RATE_HZ
     pieces = contact_mechanics._pieces(p, key, place, stroke.speed, stroke.force, RATE_HZ)
-    whole = contact_mechanics._integrate(
+    long_piece = contact_mechanics._integrate(
         p, under_ball(p, key), place[None], stroke.speed[None], stroke.force[None], RATE_HZ
     )
-    for ours, expected in zip(pieces, whole, strict=True):
-        apart = np.abs(ours - expected[0])[3000:]
+    for joined, expected in zip(pieces, long_piece, strict=True):
+        apart = np.abs(joined - expected[0])[3000:]
         assert apart.max() < 0.02 * expected[0].std()
 
 

@@ -143,9 +143,6 @@ def test_irregular_times_are_kept(tmp_path):
     np.testing.assert_allclose(recording["speed"].times_s, times - times[0], atol=1e-12)
     assert recording["speed"].rate_hz == pytest.approx(1000, rel=0.02)  # the median step
     assert any("keeps its own times" in line for line in recording.history)
-
-
-def test_a_late_sample_makes_times_irregular(tmp_path):
     late = TIME.copy()
     late[700] += 0.00005  # a twentieth of a period
     recording = _import(_csv(tmp_path / "a.csv", "t,speed", late, SPEED))
@@ -209,8 +206,8 @@ def test_units_that_nobody_states_are_said_once(tmp_path):
     def decisions(**units):
         return [line for line in import_recording([path], ImportOptions(units=units))[1] if "unit" in line]
 
-    said = "no unit is stated: taken as acceleration m/s^2, force N, time s; --unit changes it"
-    assert decisions() == [said]
+    message = "no unit is stated: taken as acceleration m/s^2, force N, time s; --unit changes it"
+    assert decisions() == [message]
     assert decisions(force="N") == ["no unit is stated: taken as acceleration m/s^2, time s; --unit changes it"]
     assert decisions(force="N", acceleration="m/s^2", time="s") == []
 
@@ -226,22 +223,23 @@ def test_a_unit_that_cannot_be_is_doubted_at_once(tmp_path):
 
 def test_wav_for_acceleration_beside_a_table(tmp_path):
     wavfile.write(tmp_path / "acc.wav", 10_000, (ACC.repeat(10) * 3000).astype(np.int16))
-    hand = _csv(tmp_path / "hand.csv", "v,f", SPEED, FORCE)
+    of_speed_and_force = _csv(tmp_path / "hand.csv", "v,f", SPEED, FORCE)
     mapping = "acceleration=acc.wav:0,speed=hand:v,force=hand.csv:f"
     with pytest.raises(ValueError, match=r"fractions of full scale; say how many m/s\^2 full scale is"):
-        _import([tmp_path / "acc.wav", hand], map=mapping, rate=1000)
-    recording = _import([tmp_path / "acc.wav", hand], map=mapping, rate=1000, unit="acceleration=*50")
+        _import([tmp_path / "acc.wav", of_speed_and_force], map=mapping, rate=1000)
+    recording = _import([tmp_path / "acc.wav", of_speed_and_force], map=mapping, rate=1000, unit="acceleration=*50")
     assert (recording["acceleration"].rate_hz, recording["force"].rate_hz) == (10_000, 1000)
     expected = np.trunc(ACC.repeat(10) * 3000) / 32768 * 50
     np.testing.assert_allclose(recording["acceleration"].samples, expected, rtol=1e-12)
-
-
-def test_a_stated_rate_gives_way_only_by_name_and_not_silently(tmp_path):
-    wavfile.write(tmp_path / "a.wav", 44_100, ACC.repeat(5).astype(np.float32))
-    assert _import(tmp_path / "a.wav", map="acceleration=0", rate=1000)["acceleration"].rate_hz == 44_100
-    recording = _import(tmp_path / "a.wav", map="acceleration=0", rate="acceleration=10000")
+    # Without a mapping the sound is the acceleration; its rate gives way by name alone, and not silently.
+    wavfile.write(tmp_path / "acc.wav", 8000, np.stack([ACC] * 3, axis=1).astype(np.float32))
+    of_speed_and_force = _csv(tmp_path / "hand.csv", "t,speed,force", TIME, SPEED, FORCE)
+    assert [axis.rate_hz for axis in _import([tmp_path / "acc.wav", of_speed_and_force]).axes("acceleration")] == [
+        8000
+    ] * 3
+    recording = _import(tmp_path / "acc.wav", map="acceleration=0", rate="acceleration=10000")
     assert recording["acceleration"].rate_hz == 10_000
-    assert any("states 44100 Hz" in line for line in recording.history)
+    assert any("states 8000 Hz" in line for line in recording.history)
 
 
 GAPS_TIME = np.arange(1000) / 100  # of a motion capture, s
@@ -254,13 +252,13 @@ def test_gaps_are_filled_on_request_alone(tmp_path, written_as):
     line = 20 * GAPS_TIME
     path = _csv(tmp_path / "m.csv", "# rig\nt,x", GAPS_TIME, np.where(np.isin(np.arange(1000), LOST), np.nan, line))
     if written_as == "rows left out":
-        kept = np.delete(np.arange(1000), LOST)
-        _csv(path, "# rig\nt,x", GAPS_TIME[kept], line[kept])
+        recorded = np.delete(np.arange(1000), LOST)
+        _csv(path, "# rig\nt,x", GAPS_TIME[recorded], line[recorded])
     elif written_as == "blank at irregular times":
         path.write_text(path.read_text().replace("\n9.0,", "\n9.003,"))
     for allowed_ms in (0.0, 1999.0):
-        said = r"x: samples are missing.* in 3 gaps, the longest 2000 ms, the first after 0.49 s \(row 52\); --fill-gaps 2000 "
-        with pytest.raises(ValueError, match=said):
+        message = r"x: samples are missing.* in 3 gaps, the longest 2000 ms, the first after 0.49 s \(row 52\); --fill-gaps 2000 "
+        with pytest.raises(ValueError, match=message):
             _import(path, map="time=t,position_x=x", fill_gaps_ms=allowed_ms)
     recording = _import(path, map="time=t,position_x=x", fill_gaps_ms=2000)
     np.testing.assert_allclose(np.delete(recording["position_x"].samples, 900), np.delete(line, 900), atol=1e-9)
@@ -327,13 +325,9 @@ def test_absurd_units_are_refused_unless_forced(tmp_path, channel, factor, guess
     recording = _import(path, map=f"{channel}=x", rate=1000, force_units=True)
     np.testing.assert_array_equal(recording[channel].samples, samples)
     assert any("let through (--force-units)" in line for line in recording.history)
-
-
-def test_single_spikes_are_called_spikes(tmp_path):
-    force = FORCE.copy()
-    force[321] = 505_831
-    with pytest.raises(ValueError, match=r"force reaches 505831 N at sample 321.*1 of 2000 samples: spikes?"):
-        _import(_csv(tmp_path / "a.csv", "force", force), rate=1000)
+    spiky = np.r_[1.0, 2 * samples.max(), np.ones(N - 2)]
+    with pytest.raises(ValueError, match=rf"{channel} reaches .* at sample 1.*1 of 2000 samples: spikes?"):
+        _import(_csv(path, "x", spiky), map=f"{channel}=x", rate=1000)
 
 
 def test_a_pickle_is_refused_unopened(tmp_path):
@@ -423,14 +417,6 @@ def test_what_was_meant_is_guessed_and_helps(tmp_path, header, factors, wrong, r
     recording = _import(path, **right)
     assert (recording["acceleration"].rate_hz, recording["acceleration"].times_s) == (1000, None)
     np.testing.assert_allclose(recording["force"].samples, FORCE, rtol=1e-12)
-
-
-def test_a_sound_file_beside_a_table_is_the_acceleration(tmp_path):
-    wavfile.write(tmp_path / "a.wav", 10_000, ACC.astype(np.float32))
-    table = _csv(tmp_path / "b.csv", "t,speed,force", TIME, SPEED, FORCE)
-    assert _import([tmp_path / "a.wav", table])["acceleration"].rate_hz == 10_000
-    wavfile.write(tmp_path / "c.wav", 10_000, np.stack([ACC] * 3, axis=1).astype(np.float32))
-    assert len(_import([tmp_path / "c.wav", table]).axes("acceleration")) == 3
 
 
 def test_a_unit_of_a_quantity_serves_its_axes(tmp_path):

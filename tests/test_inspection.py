@@ -246,9 +246,9 @@ def test_a_still_pen_with_noisy_positions_is_at_a_standstill():
 
 def test_gaps_in_time():
     samples = _clean()
-    kept = np.delete(np.arange(N), np.r_[5000:5200, 8000:8003])
-    times = kept / RATE
-    inspection = _inspect(samples | {"speed": samples["speed"][kept]}, times={"speed": times})
+    recorded = np.delete(np.arange(N), np.r_[5000:5200, 8000:8003])
+    times = recorded / RATE
+    inspection = _inspect(samples | {"speed": samples["speed"][recorded]}, times={"speed": times})
     assert "2 gaps in time, about 203 samples lost; the longest lasts 201 ms at 4.999 s" in _text(inspection, "gaps")
 
 

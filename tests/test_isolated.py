@@ -121,11 +121,11 @@ def test_a_loop_of_links_as_output_is_one_line_or_replaced(
     write_texture(texture, tmp_path / "t.foten")
     (tmp_path / "loop.wav").symlink_to(tmp_path / "loop.wav")
     (tmp_path / "folder").symlink_to(tmp_path / "folder")
-    hand = ["--speed", "50", "--force", "1", "--seconds", "0.1"]
-    assert _status(["render", str(tmp_path / "t.foten"), *hand, "-o", str(tmp_path / "loop.wav")]) == 0
+    stroke = ["--speed", "50", "--force", "1", "--seconds", "0.1"]
+    assert _status(["render", str(tmp_path / "t.foten"), *stroke, "-o", str(tmp_path / "loop.wav")]) == 0
     assert (tmp_path / "loop.wav").stat().st_size > 100
     capsys.readouterr()
-    assert _status(["render", str(tmp_path / "t.foten"), *hand, "-o", str(tmp_path / "folder" / "a.wav")]) == 2
+    assert _status(["render", str(tmp_path / "t.foten"), *stroke, "-o", str(tmp_path / "folder" / "a.wav")]) == 2
     assert capsys.readouterr().err.count("\n") == 1
     assert _status(["info", str(tmp_path / "folder")]) == 2
     assert capsys.readouterr().err.count("\n") == 1

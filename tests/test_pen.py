@@ -46,8 +46,7 @@ def captured(
     return PenEvents(times, x, np.zeros(times.size), pressure), sound
 
 
-@pytest.mark.parametrize("delay_s", [0.08, -0.3, 1.4])
-@pytest.mark.parametrize("drift", [0.0, 50e-6, -200e-6])
+@pytest.mark.parametrize(("delay_s", "drift"), [(0.08, 0.0), (-0.3, 50e-6), (1.4, -200e-6), (0.08, 50e-6)])
 def test_delay_and_drift_are_found(delay_s: float, drift: float) -> None:
     worst = 0.0
     for seed in range(3):
@@ -136,9 +135,9 @@ def test_a_sound_and_events_are_imported_as_one_recording(tmp_path: Path, capsys
     sound, events, _ = written(tmp_path)
     out = tmp_path / "r.h5"
     assert _status(["import", str(sound), "--pen", str(events), "-o", str(out)]) == 0
-    said = capsys.readouterr().out
-    assert "6 taps join the clocks: the pen's is 80." in said or "the pen's is 79." in said
-    assert "in relative units: 1 is its RMS while the pen strokes" in said
+    message = capsys.readouterr().out
+    assert "6 taps join the clocks: the pen's is 80." in message or "the pen's is 79." in message
+    assert "in relative units: 1 is its RMS while the pen strokes" in message
     recording = load_recording(out)
     assert not recording.calibrated
     assert recording.unit("acceleration") == "relative"
@@ -152,8 +151,8 @@ def test_a_sound_and_events_are_imported_as_one_recording(tmp_path: Path, capsys
 def test_with_a_sensitivity_it_is_in_metres_per_second_squared(tmp_path: Path) -> None:
     sound, events, _ = written(tmp_path)
     out = tmp_path / "r.h5"
-    given = ["--unit", "acceleration=*50", "--pressure", "0.2,3"]
-    assert _status(["import", str(sound), "--pen", str(events), *given, "-o", str(out)]) == 0
+    with_units = ["--unit", "acceleration=*50", "--pressure", "0.2,3"]
+    assert _status(["import", str(sound), "--pen", str(events), *with_units, "-o", str(out)]) == 0
     recording = load_recording(out)
     assert recording.calibrated
     _, samples = scipy.io.wavfile.read(sound)
@@ -186,15 +185,15 @@ def test_sound_that_was_lost_is_said(tmp_path: Path) -> None:
     samples = np.where(samples == 0, 1, samples).astype(np.int16)
     samples[25 * rate : 25 * rate + rate // 10] = 0
     scipy.io.wavfile.write(sound, rate, samples)
-    (said,) = import_capture(sound, pen, ImportOptions(), PressureCalibration().force)[2]
-    assert "zero to the last digit for 100 ms in 1 place" in said
+    (message,) = import_capture(sound, pen, ImportOptions(), PressureCalibration().force)[2]
+    assert "zero to the last digit for 100 ms in 1 place" in message
 
 
 def test_a_stroke_ends_where_a_tablet_says_nothing_for_long() -> None:
     events, sound = captured()
     t = events.times_s
-    kept = ~((t > 5.0) & (t < 5.4))
-    fewer = PenEvents(*(values[kept] for values in (t, events.x_mm, events.y_mm, events.pressure)))
+    recorded = ~((t > 5.0) & (t < 5.4))
+    fewer = PenEvents(*(values[recorded] for values in (t, events.x_mm, events.y_mm, events.pressure)))
     channels = pen_channels(fewer, joined(fewer, sound, RATE_HZ), lambda pressure: 2.0 * pressure)
     force = channels["force"]
     assert np.interp(5.2 + 0.08, force.times, force.samples) == 0.0

@@ -17,10 +17,10 @@ def recording(
 ) -> Recording:
     """Acceleration at `rate_hz` with a steady hand unless channels say otherwise."""
     n = round(seconds * rate_hz)
-    rest = {"speed": Channel(np.full(n, 80.0), rate_hz), "force": Channel(np.full(n, 1.0), rate_hz)}
+    steady = {"speed": Channel(np.full(n, 80.0), rate_hz), "force": Channel(np.full(n, 1.0), rate_hz)}
     if any(name.startswith("position") for name in channels):
-        del rest["speed"]
-    return Recording({**{k: Channel(v, rate_hz) for k, v in acceleration.items()}, **rest, **channels})
+        del steady["speed"]
+    return Recording({**{k: Channel(v, rate_hz) for k, v in acceleration.items()}, **steady, **channels})
 
 
 def tone(hz: float, seconds: float = 6.0, rate_hz: float = 1000.0) -> np.ndarray:
@@ -120,12 +120,12 @@ def test_the_one_axis_has_the_energy_of_all() -> None:
     axes = {
         f"acceleration_{axis}": gain * rng.standard_normal(6000) for axis, gain in zip("xyz", (1, 2, 3), strict=True)
     }
-    together = preprocess(recording(axes), SHORT)
+    joint = preprocess(recording(axes), SHORT)
     alone = [preprocess(recording({"acceleration": samples}), SHORT) for samples in axes.values()]
     energy = sum(np.square(trace.blocks(trace.acceleration)).sum(axis=1) for trace in alone)
-    np.testing.assert_allclose(np.square(together.blocks(together.acceleration)).sum(axis=1), energy, rtol=1e-9)
+    np.testing.assert_allclose(np.square(joint.blocks(joint.acceleration)).sum(axis=1), energy, rtol=1e-9)
     stacked = np.stack([trace.blocks(trace.acceleration) for trace in alone], axis=1)
-    np.testing.assert_allclose(together.acceleration, dft321(stacked).ravel(), atol=1e-12)  # rounding
+    np.testing.assert_allclose(joint.acceleration, dft321(stacked).ravel(), atol=1e-12)  # rounding
 
 
 @pytest.mark.parametrize("name", ["force", "force_z"])
@@ -134,10 +134,10 @@ def test_pressing_counts_positive(name: str) -> None:
 
     def through(samples: np.ndarray) -> np.ndarray:
         channels: dict[str, Any] = {name: Channel(samples, 1000.0)}
-        made = recording({"acceleration": tone(100.0)}, **channels)
+        recorded = recording({"acceleration": tone(100.0)}, **channels)
         if name != "force":
-            made = Recording({k: v for k, v in made.channels.items() if k != "force"})
-        return preprocess(made, SHORT).force
+            recorded = Recording({k: v for k, v in recorded.channels.items() if k != "force"})
+        return preprocess(recorded, SHORT).force
 
     np.testing.assert_array_equal(through(-pressing), through(pressing))
     assert through(pressing).mean() == pytest.approx(1.0, abs=0.05)
@@ -205,17 +205,17 @@ def test_whole_blocks_and_what_was_dropped() -> None:
 
 
 def test_the_trace_says_where_it_came_from() -> None:
-    made = recording({"acceleration": tone(100.0)})
-    trace = preprocess(made, SHORT)
-    assert trace.recording_sha256 == made.sha256()
+    recorded = recording({"acceleration": tone(100.0)})
+    trace = preprocess(recorded, SHORT)
+    assert trace.recording_sha256 == recorded.sha256()
     assert PreprocessConfig(**trace.preprocess) == SHORT
 
 
 def test_a_short_recording_names_the_options() -> None:
     """As a training may choose its rate, and as a texture that has one cannot."""
     short = recording({"acceleration": tone(100.0, 5.0)}, seconds=5.0)
-    said = r"^5 s are covered.*a trim of 2000 ms.*1 s, less than 5 blocks of 2000 ms; use --rate 1000 --trim 0 --block 500$"
-    with pytest.raises(ValueError, match=said):
+    message = r"^5 s are covered.*a trim of 2000 ms.*1 s, less than 5 blocks of 2000 ms; use --rate 1000 --trim 0 --block 500$"
+    with pytest.raises(ValueError, match=message):
         preprocess(short, n_blocks=5)
     with pytest.raises(ValueError, match=r"leaves 1 s, less than a block of 2000 ms; use --trim 0 --block 500$"):
         preprocess(short)
@@ -227,11 +227,11 @@ def test_a_short_recording_names_the_options() -> None:
 @pytest.mark.parametrize("seconds", [0.53, 0.912, 1.0, 1.9, 4.7, 5.02, 8.0, 13.99, 14.0])
 def test_the_options_for_a_short_recording_fit_it(seconds: float, captured_hz: float) -> None:
     n = round(seconds * captured_hz)
-    made = Recording({name: Channel(np.ones(n), captured_hz) for name in ("acceleration", "speed", "force")})
+    recorded = Recording({name: Channel(np.ones(n), captured_hz) for name in ("acceleration", "speed", "force")})
     words = fitting_options(n / captured_hz, 1000.0, captured_hz).split()
     assert words[::2] == ["--rate", "--trim", "--block"]
     rate, trim, block = map(float, words[1::2])
-    trace = preprocess(made, PreprocessConfig(rate_hz=rate, trim_ms=trim, block_ms=block), n_blocks=5)
+    trace = preprocess(recorded, PreprocessConfig(rate_hz=rate, trim_ms=trim, block_ms=block), n_blocks=5)
     assert trace.n_blocks >= (9 if 1 <= seconds < 14 else 5)
     if captured_hz == 10_000:  # a short recording is trained at a higher rate
         assert rate == {0.53: 10_000, 0.912: 10_000, 1.0: 10_000, 1.9: 10_000, 4.7: 2500}.get(seconds, 1000)
@@ -259,8 +259,12 @@ def test_a_config_is_checked(fields: dict[str, Any], message: str) -> None:
 def test_what_not_every_channel_covers_is_left_out_and_counted() -> None:
     """Speed and force from 2 to 6 s beside 6 s of acceleration: nothing is invented for the first two."""
     times = 2.0 + np.arange(400) / 100
-    hand = {name: Channel(values, 100.0, times) for name, values in (("speed", 50 * times), ("force", 0 * times + 1))}
-    trace = preprocess(recording({"acceleration": tone(100.0)}, **hand), PreprocessConfig(trim_ms=0, block_ms=500))
+    speed_force = {
+        name: Channel(values, 100.0, times) for name, values in (("speed", 50 * times), ("force", 0 * times + 1))
+    }
+    trace = preprocess(
+        recording({"acceleration": tone(100.0)}, **speed_force), PreprocessConfig(trim_ms=0, block_ms=500)
+    )
     assert trace.n_uncovered == 2000
     # The first sample of the trace is at 2 s, where the speed is 100 mm/s, to within the low-pass's settling.
     assert trace.speed[200] == pytest.approx(50 * 2.2, rel=0.02)
@@ -268,10 +272,10 @@ def test_what_not_every_channel_covers_is_left_out_and_counted() -> None:
 
 def test_a_stroke_along_one_axis_has_a_speed_both_ways() -> None:
     position = 20 * np.sin(2 * np.pi * 1.0 * np.arange(720) / 120)
-    made = recording(
+    recorded = recording(
         {"acceleration": tone(100.0)}, position_x=Channel(position, 120.0), force=Channel(np.ones(6000), 1000.0)
     )
-    trace = preprocess(made, SHORT)
+    trace = preprocess(recorded, SHORT)
     # The mean of |cos| is 2/π.
     assert trace.speed.mean() == pytest.approx(20 * 2 * np.pi * 2 / np.pi, rel=0.05)
 

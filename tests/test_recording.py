@@ -45,9 +45,9 @@ def test_the_digest_is_of_the_samples_and_their_times() -> None:
 
 
 def test_channels_cannot_be_exchanged() -> None:
-    given = {"force": channel()}
-    recording = Recording(given)
-    given["speed"] = channel()
+    original = {"force": channel()}
+    recording = Recording(original)
+    original["speed"] = channel()
     assert "speed" not in recording
     with pytest.raises(TypeError, match="assignment"):
         recording.channels["force"] = channel()  # type: ignore[index]
@@ -124,20 +124,20 @@ def trace(seed: int = 0) -> Trace:
 
 
 def test_the_training_blocks_become_standard() -> None:
-    given = trace()
-    scaled = fit_scaling(given, (1, 3, 4)).scale(given.stacked()).reshape(6, 100, 3)[[1, 3, 4]].reshape(-1, 3)
+    original = trace()
+    scaled = fit_scaling(original, (1, 3, 4)).scale(original.stacked()).reshape(6, 100, 3)[[1, 3, 4]].reshape(-1, 3)
     np.testing.assert_allclose(scaled.mean(axis=0), 0.0, atol=1e-13)  # rounding
     np.testing.assert_allclose(scaled.std(axis=0), 1.0, rtol=1e-13)
 
 
 def test_other_blocks_have_no_say() -> None:
-    given = trace()
-    changed = given.acceleration.copy()
+    original = trace()
+    changed = original.acceleration.copy()
     changed[:100] *= 1e3
     changed[200:300] = 7.0
-    other = dataclasses.replace(given, acceleration=changed)
-    assert fit_scaling(given, (1, 3, 4)) == fit_scaling(other, (1, 3, 4))
-    assert fit_scaling(given, (0, 1)) != fit_scaling(other, (0, 1))
+    other = dataclasses.replace(original, acceleration=changed)
+    assert fit_scaling(original, (1, 3, 4)) == fit_scaling(other, (1, 3, 4))
+    assert fit_scaling(original, (0, 1)) != fit_scaling(other, (0, 1))
 
 
 def test_scaling_and_back() -> None:
@@ -150,8 +150,8 @@ def test_scaling_and_back() -> None:
 
 
 def test_one_condition_still_scales_to_order_one() -> None:
-    given = dataclasses.replace(trace(), speed=np.full(600, 80.0), force=np.full(600, 0.5))
-    scaling = fit_scaling(given, (0, 1))
+    original = dataclasses.replace(trace(), speed=np.full(600, 80.0), force=np.full(600, 0.5))
+    scaling = fit_scaling(original, (0, 1))
     assert scaling.mean[1:] == (80.0, 0.5)
     assert scaling.sd[1:] == (80.0, 1.0)
 

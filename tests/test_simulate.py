@@ -278,8 +278,8 @@ def test_reversals_pass_through_standstill() -> None:
     assert stops.size > 20
     directions = stroke.velocity / np.maximum(stroke.speed, 1e-9)[:, None]
     inner = stops[(stops > 100) & (stops < len(resting) - 200)]
-    turned = np.sum(directions[inner - 100] * directions[inner + 200], axis=1)
-    assert (turned < -0.5).sum() > 5  # back the way it came, at least sometimes
+    cosine = np.sum(directions[inner - 100] * directions[inner + 200], axis=1)
+    assert (cosine < -0.5).sum() > 5  # back the way it came, at least sometimes
 
 
 def test_velocity_is_the_derivative_of_position() -> None:

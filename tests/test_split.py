@@ -37,8 +37,8 @@ def parts(split: Split) -> tuple[set[int], set[int], set[int]]:
 @settings(max_examples=30, deadline=None)
 def test_every_block_has_one_part_and_the_totals_are_60_20_20(method: str, n_blocks: int, seed: int) -> None:
     split = split_blocks(trace(n_blocks, seed), method, seed)
-    together = [*split.train, *split.validation, *split.test]
-    assert sorted(together) == list(range(n_blocks))  # disjoint and complete
+    every = [*split.train, *split.validation, *split.test]
+    assert sorted(every) == list(range(n_blocks))  # disjoint and complete
     for part in (split.validation, split.test):
         assert abs(len(part) - 0.2 * n_blocks) <= 0.5  # the nearest whole number
     assert len(split.train) >= len(split.test)

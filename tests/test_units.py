@@ -19,8 +19,10 @@ LBF_N = 4.4482216152605  # exact: 0.45359237 kg × 9.80665 m/s²
 
 
 def test_the_help_names_units_that_are_read():
-    said = typing.get_type_hints(import_, include_extras=True)["units"].__metadata__[0].help
-    named = dict(part.strip().split(" ", 1) for part in said.split("of the file:")[1].split(". CHANNEL")[0].split(";"))
+    message = typing.get_type_hints(import_, include_extras=True)["units"].__metadata__[0].help
+    named = dict(
+        part.strip().split(" ", 1) for part in message.split("of the file:")[1].split(". CHANNEL")[0].split(";")
+    )
     assert set(named) == set(FACTORS)
     for quantity, units in named.items():
         assert {unit.strip() for unit in units.split(",")} <= set(FACTORS[quantity])
@@ -108,9 +110,9 @@ def test_headers_part_from_their_units(header, kind, split):
     ],
 )
 def test_a_unit_in_a_header_is_converted_and_said(channel, header, factor):
-    got, said = factor_of(channel, header)
+    got, message = factor_of(channel, header)
     assert got == pytest.approx(factor, rel=1e-14)
-    assert "was converted from" in said
+    assert "was converted from" in message
 
 
 @pytest.mark.parametrize(

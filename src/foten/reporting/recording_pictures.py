@@ -11,24 +11,13 @@ from foten.dsp import Array
 from foten.recording.inspection.speed_force import HAND_HZ
 from foten.recording.inspection.values import CELL_S, NOTE, Finding, Inspection
 from foten.recording.recording import UNITS, Recording
-from foten.reporting.figure import (
-    BLUE,
-    COLOURS,
-    GREEN,
-    MAUVE,
-    ORANGE,
-    Style,
-    add_colour_bar,
-    add_legend,
-    new_figure,
-    write_figure,
-)
+from foten.reporting.figure import COLOURS, Style, add_colour_bar, add_legend, new_figure, write_figure
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _STYLE = Style(grid=0.25)
-_COLOURS = {"acceleration": BLUE, "speed": ORANGE, "force": GREEN, "position": MAUVE}
+_COLOURS = dict(zip(("acceleration", "speed", "force", "position"), COLOURS, strict=False))
 _MARKED = ("spikes", "clipping", "gaps", "frozen", "order", "sign", "contact", "jumps")
 _COLUMNS = 3000  # of an envelope: more than pixels, so that no spike is lost
 
