@@ -232,6 +232,6 @@ def test_the_largest_sample_is_a_synthesized_one() -> None:
     synthesized[:, 0, 5] = 40.0  # of the recorded window
     synthesized[:, 1, 300] = -7.0
     speed = np.full((2, 2000), 80.0)
-    found = free_run(recorded, synthesized, speed, speed / 80, 1000.0, 1.0, n_given=20)
+    found = free_run(recorded, synthesized, speed, speed / 80, 1000.0, 1.0, n_history=20)
     assert found["max_sd"] == pytest.approx(7.0)
     assert free_run(recorded, synthesized, speed, speed / 80, 1000.0, 1.0)["max_sd"] == pytest.approx(40.0)

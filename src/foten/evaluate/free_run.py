@@ -70,17 +70,17 @@ def synthesize_linear(
     stable = predictor.stable()
     m, n = stable.window, trace.block - stable.window
     constant, a = stable.coefficients[-1], np.append(1.0, -stable.coefficients[-2::-1])
-    given = trace.picked(blocks)[0][:, :m]
-    initial = [lfiltic([1.0], a, window[::-1]) for window in scaling.scale_channel(0, given)]
+    history = trace.picked(blocks)[0][:, :m]
+    initial = [lfiltic([1.0], a, window[::-1]) for window in scaling.scale_channel(0, history)]
     driven = [constant + stable.noise_sd * gaussian(seed, stream, 0, n) for stream in range(n_seeds * len(blocks))]
     rendered = [lfilter([1.0], a, x, zi=zi)[0] for x, zi in zip(driven, initial * n_seeds, strict=True)]
-    return _after_recorded(given, scaling.unscale_acceleration(np.array(rendered)))
+    return _after_recorded(history, scaling.unscale_acceleration(np.array(rendered)))
 
 
-def _after_recorded(given: Array, rendered: Array) -> Array:
+def _after_recorded(history: Array, rendered: Array) -> Array:
     """Whole blocks (n_seeds, n_blocks, block): recorded windows (n_blocks, m), then what went on from them."""
-    by_seed = rendered.reshape(-1, len(given), rendered.shape[1])
-    return np.concatenate([np.broadcast_to(given, (len(by_seed), *given.shape)), by_seed], axis=2)
+    by_seed = rendered.reshape(-1, len(history), rendered.shape[1])
+    return np.concatenate([np.broadcast_to(history, (len(by_seed), *history.shape)), by_seed], axis=2)
 
 
 def nearest_training_blocks(trace: Trace, blocks: tuple[int, ...], train: tuple[int, ...]) -> Array:
@@ -97,7 +97,7 @@ def nearest_training_blocks(trace: Trace, blocks: tuple[int, ...], train: tuple[
 
 
 def free_run(
-    recorded: Array, synthesized: Array, speed: Array, force: Array, rate_hz: float, sd: float, n_given: int = 0
+    recorded: Array, synthesized: Array, speed: Array, force: Array, rate_hz: float, sd: float, n_history: int = 0
 ) -> dict[str, Any]:
     """The free-run figures of synthesized blocks beside recorded ones.
 
@@ -105,7 +105,7 @@ def free_run(
         recorded, speed, force: [m/s², mm/s, N], shape (n_blocks, block), whole blocks; the first fifth of each is not scored.
         synthesized: [m/s²], shape (n_seeds, n_blocks, block).
         sd: training standard deviation of the acceleration [m/s²].
-        n_given: samples at the start of each synthesized block that are the recorded window it started from.
+        n_history: samples at the start of each synthesized block that are the recorded window it started from.
 
     Returns:
         `lsd_db`: log-spectral distance, mean over blocks and seeds; `lsd_long_db`: the same on spectra pooled over all
@@ -118,7 +118,7 @@ def free_run(
         bands; `intervals`.
     """
     n_segment, part = segment_length(recorded.shape[-1]), scored(recorded.shape[-1])
-    worst = np.abs(synthesized[:, :, n_given:]).max(axis=(0, 2)) / sd
+    worst = np.abs(synthesized[:, :, n_history:]).max(axis=(0, 2)) / sd
     recorded, synthesized, speed, force = (x[..., part] for x in (recorded, synthesized, speed, force))
     frequencies, p = welch(recorded, rate_hz, n_segment)
     _, q = welch(synthesized, rate_hz, n_segment)
@@ -131,7 +131,7 @@ def free_run(
     raw, smooth = metrics.goodness_of_fit(recorded, synthesized), metrics.cosine(np.sqrt(p), np.sqrt(q))
     envelope_p, envelope_q = (metrics.modulation_spectra(x, rate_hz) for x in (recorded, synthesized))
     energy_p, energy_q = (band_energies(x, rate_hz) for x in (recorded, synthesized))
-    moments = np.stack([np.power(synthesized, k).mean(axis=(0, 2)) for k in range(1, 5)])
+    moments = metrics.moments(synthesized).mean(axis=1)
 
     def figures(index: NDArray[np.int64]) -> dict[str, Any]:
         difference = level_q[:, index] - level_p[index]
@@ -148,7 +148,7 @@ def free_run(
             "level_bias_db": float(difference.mean()) if framed else None,
             "level_error_db": float(np.abs(difference).mean()) if framed else None,
             "level_corr": _correlation(level_p[index], level_q[:, index]) if framed else None,
-            "kurtosis": _kurtosis(moments[:, index].mean(axis=1)),
+            "kurtosis": metrics.kurtosis(moments[:, index].mean(axis=1)),
             "band_errors_db": metrics.band_errors(pooled_p, pooled_q, frequencies[bins], metrics.band_edges(rate_hz)),
             "level_slopes": metrics.level_slopes(
                 level_q[:, index].mean(axis=0), frame_speed[index], frame_force[index]
@@ -163,7 +163,7 @@ def free_run(
     return {
         **figures(every),
         "max_sd": float(worst.max()),
-        "kurtosis_recorded": metrics.kurtosis(recorded),
+        "kurtosis_recorded": metrics.kurtosis(metrics.moments(recorded).mean(axis=1)),
         "level_slopes_recorded": metrics.level_slopes(level_p, frame_speed, frame_force),
         "intervals": metrics.intervals(figures, len(recorded)),
     }
@@ -181,14 +181,6 @@ def _correlation_error(recorded: Array, synthesized: Array) -> float | None:
     target = metrics.band_correlations(recorded)
     errors = [np.sqrt(np.square(metrics.band_correlations(run) - target).mean()) for run in synthesized]
     return float(np.mean(errors))
-
-
-def _kurtosis(moments: Array) -> float:
-    """Pearson's kurtosis from the means of a signal's first to fourth powers, shape (4,); 0 for silence."""
-    mean, second, third, fourth = (float(moment) for moment in moments)
-    variance = second - mean**2
-    central = fourth - 4 * mean * third + 6 * mean**2 * second - 3 * mean**4
-    return central / variance**2 if variance > 0 else 0.0
 
 
 def _correlation(recorded: Array, synthesized: Array) -> float | None:

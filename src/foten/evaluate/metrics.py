@@ -50,11 +50,17 @@ def level_slopes(levels: Array, speed: Array, force: Array) -> tuple[float, floa
     return float(coefficients[1]), float(coefficients[2])
 
 
-def kurtosis(samples: Array) -> float:
-    """Pearson's kurtosis over all samples: 3 for a Gaussian, more for a spiky vibration; 0 for silence."""
-    squares = np.square(samples - samples.mean())
-    variance = float(squares.mean())
-    return float(np.square(squares).mean()) / variance**2 if variance > 0 else 0.0
+def moments(samples: Array) -> Array:
+    """The means of the first to fourth powers of samples: (…, n) → (4, …)."""
+    return np.stack([np.power(samples, k).mean(axis=-1) for k in range(1, 5)])
+
+
+def kurtosis(moments: Array) -> float:
+    """Pearson's kurtosis from such moments, shape (4,): 3 for a Gaussian, more for a spiky vibration; 0 for silence."""
+    mean, second, third, fourth = (float(moment) for moment in moments)
+    variance = second - mean**2
+    central = fourth - 4 * mean * third + 6 * mean**2 * second - 3 * mean**4
+    return central / variance**2 if variance > 0 else 0.0
 
 
 def band_edges(rate_hz: float) -> Array:

@@ -2,11 +2,10 @@
 
 A first stroke begins at once with a speed and a force drawn from the trained range and holds them, under several streams of
 noise. Settled is what the same streams are from 1 s on. Level: mean over strokes of the power in a window of 40 ms over the
-settled power [dB], and mean of its size, which a start that is loud under one stroke and soft under another does not hide.
-Spectrum: mean over strokes of the same in third-octave bands (40 ms hold no finer), root mean square over the bands. Settled
-windows scatter too: the largest of ten such windows stands beside. Click: how often samples of the first 20 ms exceed the
-settled 99.9th percentile, over more streams, since that is rare; and how often settled ones do, that of each stream counted
-against the percentile of the others.
+settled power [dB]. Spectrum: mean over strokes of the same in third-octave bands (40 ms hold no finer), root mean square over
+the bands. Settled windows scatter too: the largest of ten such windows stands beside. Click: how often samples of the first
+20 ms exceed the settled 99.9th percentile, over more streams, since that is rare; and how often settled ones do, that of each
+stream counted against the percentile of the others.
 """
 
 from __future__ import annotations
@@ -22,7 +21,7 @@ from foten.models.conditions import FADE_FORCE, FADE_SPEED
 from foten.models.texture_file import Texture
 
 WINDOW_MS = 40.0
-STARTS_MS = (0.0, 20.0, 60.0, 100.0)
+STARTS_MS = (0.0, 100.0)
 SETTLED_S, LASTS_S = 1.0, 2.0
 CLICK_MS = 20.0
 MORE_STREAMS = 16  # times as many for clicks
@@ -60,13 +59,12 @@ def onset(texture: Texture, n_strokes: int = N_STROKES, n_streams: int = N_STREA
     colours = np.stack([band_powers(windows, rate) for windows in cut])
     present = (colours > 0).all(axis=0)
 
-    def away(first: int) -> tuple[float, float, float]:
+    def away(first: int) -> tuple[float, float]:
         part = rendered[:, :, first : first + window]
         level = 10 * np.log10(np.square(part).mean(axis=(1, 2)) / loud)
         powers = np.stack([band_powers(windows, rate) for windows in part])
         ratio = 10 * np.log10(powers[:, present] / colours[:, present])
-        spectrum = np.sqrt(np.square(ratio.mean(axis=0)).mean())
-        return float(level.mean()), float(spectrum), float(np.abs(level).mean())
+        return float(level.mean()), float(np.sqrt(np.square(ratio.mean(axis=0)).mean()))
 
     limits = np.quantile(np.abs(settled), 0.999, axis=(1, 2))
     usual = np.mean(
@@ -88,10 +86,8 @@ def onset(texture: Texture, n_strokes: int = N_STROKES, n_streams: int = N_STREA
         return {f"{start:g}_ms": figures[which] for start, figures in zip(STARTS_MS, begin, strict=True)}
 
     return {
-        "level_db": {**by_start(0), "settled": max(abs(level) for level, *_ in later)},
-        "spectrum_db": {**by_start(1), "settled": max(spectrum for _, spectrum, _ in later)},
-        # Of each stroke by itself, over several streams of noise: chance scatters settled ones as much.
-        "level_size_db": {**by_start(2), "settled": max(size for *_, size in later)},
+        "level_db": {**by_start(0), "settled": max(abs(level) for level, _ in later)},
+        "spectrum_db": {**by_start(1), "settled": max(spectrum for _, spectrum in later)},
         "click_share": float(loud_samples.mean()),
         "settled_share": float(usual.mean()),
         # Of their difference, over strokes.

@@ -26,21 +26,12 @@ from foten.training.pipeline import train
 def execute(run: Run, recording: Recording) -> dict[str, Any]:
     """Result of a run: its settings, its figures on the test blocks, and the seconds of both stages."""
     started = time.perf_counter()
-    trained = train(_job(run, recording))
+    sizes, preprocess = trainable_sizes(run.model, run.sizes), PreprocessConfig(**run.preprocess)
+    config = TrainConfig(**run.train)
+    trained = train(TrainingJob(recording, run.model, sizes, config, preprocess, split_seed=run.split_seed))
     if trained.progress.interrupted:
         raise KeyboardInterrupt
     return _result(run, recording, trained.texture, time.perf_counter() - started)
-
-
-def failure(error: Exception) -> dict[str, Any]:
-    """Result of a run that failed: the first line of its error."""
-    lines = str(error).splitlines() or [""]
-    return {"failed": f"{type(error).__name__}: {lines[0]}"}
-
-
-def _job(run: Run, recording: Recording) -> TrainingJob:
-    sizes, preprocess = trainable_sizes(run.model, run.sizes), PreprocessConfig(**run.preprocess)
-    return TrainingJob(recording, run.model, sizes, TrainConfig(**run.train), preprocess, split_seed=run.split_seed)
 
 
 def _result(run: Run, recording: Recording, texture: Texture, seconds: float) -> dict[str, Any]:

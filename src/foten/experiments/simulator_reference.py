@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field
-from functools import lru_cache
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -31,34 +29,21 @@ VALIDATION_HAND = 2  # the number of the hand that nothing is reported of
 N_CACHED = 12
 
 
-@dataclass(frozen=True)
-class _Realisation:
-    """A realisation, by all that it depends on; of two that are equal one is simulated."""
-
-    by: str
-    recording: Recording = field(compare=False)
-    texture: Texture = field(compare=False)
-    cut: tuple[float | None, float | None] = field(compare=False)
-    changed: Mapping[str, Any] = field(compare=False)
+_CACHE: dict[str, Trace] = {}
 
 
 def _realisation(
-    recording: Recording,
-    texture: Texture,
-    trim_ms: float | None = None,
-    block_ms: float | None = None,
-    **changed: float,
+    recording: Recording, texture: Texture, trim_ms: float | None = None, block_ms: float | None = None, **changed: Any
 ) -> Trace:
     """Further realisation, preprocessed as a texture's recording was: simulated once, however often it is asked for."""
-    by = json.dumps(
-        [dict(recording.simulation or {}), texture.card["preprocess"], trim_ms, block_ms, changed], sort_keys=True
-    )
-    return _simulated(_Realisation(by, recording, texture, (trim_ms, block_ms), changed))
-
-
-@lru_cache(maxsize=N_CACHED)
-def _simulated(of: _Realisation) -> Trace:
-    return trace_for(of.texture, second_realisation(of.recording, **of.changed), *of.cut)
+    depends_on = [dict(recording.simulation or {}), texture.card["preprocess"], trim_ms, block_ms, changed]
+    key = json.dumps(depends_on, sort_keys=True)
+    if key not in _CACHE:
+        trace = trace_for(texture, second_realisation(recording, **changed), trim_ms, block_ms)
+        for oldest in list(_CACHE)[: 1 - N_CACHED]:
+            _CACHE.pop(oldest, None)
+        _CACHE[key] = trace
+    return _CACHE[key]
 
 
 def reference_for(
@@ -140,8 +125,7 @@ def validation_listener(texture: Texture, recording: Recording) -> dict[str, Any
 
     recorded = long_stroke(strokes[0])
     rendered = renderings(NativeTexture(texture.to_bytes()), recorded)(0)
-    run = recorded.with_acceleration(rendered)
-    area = listener_auc(*vibrations(recorded, run, waveform=False), seed=0)
+    area = listener_auc(*vibrations(recorded, replace(recorded, acceleration=rendered), waveform=False), seed=0)
     return {"area": area, "level_bias_db": level_biases(recorded, rendered)}
 
 

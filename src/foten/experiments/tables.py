@@ -2,28 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import replace
+import math
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from operator import sub, truediv
 from typing import Any
 
 import numpy as np
 
-from foten.experiments.comparison import (
+from foten.dsp import Array
+from foten.experiments.results import (
+    BEST_LINEAR,
     FIGURES,
-    PAPER,
-    PERSISTENCE,
+    LINEAR_RUN,
     WITHOUT,
     Figure,
     Record,
     Records,
-    Row,
-    as_in_paper,
-    compared,
-    complete,
-    rows_of,
+    by_recipe,
+    chosen,
+    mixture,
+    title_of,
 )
-from foten.experiments.results import by_recipe, chosen, mixture, title_of
 from foten.reporting.table import Number, Table, mean_number
 
 CHANGES: tuple[tuple[str, str, Callable[[float, float], float]], ...] = (
@@ -34,12 +34,120 @@ CHANGES: tuple[tuple[str, str, Callable[[float, float], float]], ...] = (
     ("test: level error", "free_run.level_error_db", truediv),
 )
 """Of what a method is compared with the one that it stands beside, where that is in a record, and how."""
-_NAMES = (
-    *("experiment", "note", "method", "recipe", "beside", "model", "texture", "rate_hz", "split"),
-    *("excitation", "network_in_loop", "recording_sha256", "split_sha256", "training_s"),
-    *("measures", "code", "platform", "sources"),
-)
 PAPERS = "paper's MAE, unit not stated"
+
+
+PAPER = {
+    **{"ar": 0.400, "fnn": 0.378, "dstn": 0.201, "ldhtd": 0.178, "gan": 0.298, "foten": 0.149},
+    **{"ten": 0.318, "ten-mfcc": 0.281, "ten-wavelet": 0.284, "foten-d": 0.193},
+}
+"""The paper's errors, means over its twelve textures, whose unit it does not state; Tables I and II."""
+PERSISTENCE = "persistence"
+REFERENCES = {
+    "zero": "references.zero",
+    PERSISTENCE: "references.persistence",
+    "AR(20)": "references.ar",
+    "AR(20) by speed and force": "references.ar_scheduled",
+    BEST_LINEAR: "references.ar_best",
+    "least possible": "references.bound",
+}
+FREE_RUN_REFERENCES = {LINEAR_RUN: "free_run_ar", "ceiling": "ceiling"}
+
+
+@dataclass(frozen=True)
+class Row:
+    """One method or reference over textures."""
+
+    name: str  # in tables
+    model: str  # key, "" for a reference
+    values: Mapping[str, Array]  # by texture, one for each split that has one, shape (n_splits,)
+    excited: bool = False  # whether it has the random excitation, on which no one-step figure depends
+
+    def means(self, textures: Sequence[str]) -> Array:
+        """Mean over splits for each texture, NaN where there is none, shape (n_textures,)."""
+        return np.array([self.values[t].mean() if len(self.values.get(t, ())) else math.nan for t in textures])
+
+
+def rows_of(records: Records, figure: str) -> tuple[list[str], list[Row]]:
+    """Textures, and a row for each reference and each method, references first."""
+    textures = list(dict.fromkeys(record["texture"] for record in records))
+    head, _, key = FIGURES[figure].path.rpartition(".")
+    factor = FIGURES[figure].factor
+
+    def row(name: str, model: str, where: str, of: Iterable[Record], excited: bool = False) -> Row:
+        values: dict[str, list[float]] = {}
+        for record in of:
+            value = record.get(f"{where}.{key}")
+            if value is not None:
+                values.setdefault(record["texture"], []).append(factor * value)
+        return Row(name, model, {texture: np.array(splits) for texture, splits in values.items()}, excited)
+
+    # A reference is the same whatever was trained beside it: once for each recording and split.
+    names = ("texture", "recording_sha256", "split", "rate_hz")
+    distinct = {tuple(record[name] for name in names): record for record in records}
+    references = FREE_RUN_REFERENCES if head == "free_run" else REFERENCES
+    rows = [row(name, "", where, distinct.values()) for name, where in references.items()]
+    rows = [reference for reference in rows if reference.values]
+    for name in dict.fromkeys(record["method"] for record in records):
+        runs = [record for record in records if record["method"] == name]
+        model, excitation = runs[-1]["model"], {record["excitation"] for record in runs}
+        if "no" in excitation and "yes" not in excitation:
+            where = "free_run_deterministic" if head == "free_run" else head
+            rows.append(row(name + WITHOUT, model, where, runs))
+        else:
+            rows.append(row(name, model, head, runs, "yes" in excitation))
+    return textures, rows
+
+
+def holm(p: Sequence[float]) -> list[float]:
+    """P-values corrected for multiple comparisons, after Holm (1979), in their order."""
+    order = np.argsort(p, kind="stable")
+    corrected = np.empty(len(p))
+    corrected[order] = np.maximum.accumulate(np.arange(len(p), 0, -1) * np.asarray(p)[order]).clip(max=1.0)
+    return corrected.tolist()
+
+
+def complete(rows: Sequence[Row], textures: Sequence[str]) -> list[Row]:
+    """Methods that have as many splits of each texture as any has."""
+    methods = [row for row in rows if row.model]
+    n_splits = {texture: max(len(row.values.get(texture, ())) for row in methods) for texture in textures}
+    return [row for row in methods if all(len(row.values.get(t, ())) == n_splits[t] > 0 for t in textures)]
+
+
+def compared(rows: Sequence[Row], textures: Sequence[str], better: int) -> tuple[str, dict[str, float]]:
+    """Method that is best on the mean of the textures, and p-values of the others' differences from it.
+
+    Methods that lack a split of a texture are left out: another split of a simulated texture is another recording.
+    Wilcoxon's signed-rank test over the textures (means of splits), two-sided, Holm-corrected. Empty with fewer than six
+    textures, where no p can be below 0.05.
+    """
+    from scipy.stats import wilcoxon
+
+    methods = complete(rows, textures)
+    if not methods:
+        return "", {}
+    best = max(methods, key=lambda row: better * float(row.means(textures).mean()))
+    others = [row for row in methods if row is not best]
+    if len(textures) < 6 or not others:
+        return best.name, {}
+    differences = [row.means(textures) - best.means(textures) for row in others]
+    p = [float(wilcoxon(difference).pvalue) if difference.any() else 1.0 for difference in differences]
+    return best.name, dict(zip((row.name for row in others), holm(p), strict=True))
+
+
+def as_in_paper(rows: Sequence[Row]) -> set[str]:
+    """Names of the methods that the paper has a figure of.
+
+    A model with several settings is left out: none of them is the paper's. With and without excitation count as one, because
+    their one-step figures are the same.
+    """
+    names = set()
+    for model in PAPER:
+        with_model = [row for row in rows if row.model == model]
+        without = [row for row in with_model if not row.excited]
+        if len(with_model) == 1 or len(without) == 1:
+            names.add((without or with_model)[0].name)
+    return names
 
 
 def tables_of(records: Records) -> dict[str, Table]:
@@ -69,7 +177,7 @@ def summary(records: Records) -> Table:
             for figure, by_name in rows.items()
         )
         runs = [record for record in records if record["method"] == name.removesuffix(WITHOUT)]
-        reported = f"{PAPER[rows['mae'][name].model].mae:.3f}" if name in in_paper else ""
+        reported = f"{PAPER[rows['mae'][name].model]:.3f}" if name in in_paper else ""
         seconds = f"{np.mean([run['training_s'] for run in runs]):.0f}" if runs else ""
         cells.append((name, mae, reported, f"{p[name]:.3f}" if name in p else "", gfc, lsd, level, seconds))
     heading = ("", "MAE [sd]", PAPERS, "p", "GFC [%]", "LSD [dB]", "level error [dB]", "training [s]")
@@ -107,8 +215,8 @@ def brief(records: Records) -> list[dict[str, Any]]:
     """Of each run its names, and the figures that methods are compared by."""
     paths = {figure.path for figure in FIGURES.values()} | {path for _, path, _ in CHANGES}
     listening = {key for record in records for key in record if key.startswith(("listener.", "validation_listener."))}
-    keys = {*_NAMES, *paths, *listening}
-    return [{key: value for key, value in record.items() if key in keys} for record in records]
+    keys = paths | listening
+    return [{key: value for key, value in record.items() if "." not in key or key in keys} for record in records]
 
 
 def ratios(records: Records) -> Table:
@@ -224,9 +332,9 @@ def _beside_linear(figure: Figure, means: Mapping[str, float], linear: float) ->
 def _order(records: Records) -> Iterator[str]:
     textures, rows = rows_of(records, "mae")
     known = as_in_paper(rows)
-    ours = {row.model: float(row.means(textures).mean()) for row in complete(rows, textures) if row.name in known}
-    if len(ours) > 1:
-        here, there = sorted(ours, key=ours.__getitem__), sorted(ours, key=lambda model: PAPER[model].mae)
+    means = {row.model: float(row.means(textures).mean()) for row in complete(rows, textures) if row.name in known}
+    if len(means) > 1:
+        here, there = sorted(means, key=means.__getitem__), sorted(means, key=PAPER.__getitem__)
         same = "the same order" if here == there else "another order"
         yield (
             f"By one-step error, best first: {', '.join(here)} here; {', '.join(there)} in the paper, whose regime and unit "

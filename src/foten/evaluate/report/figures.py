@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 INK = PAGE.ink
 COLOURS = {"recorded": INK, "free_run": BLUE, "free_run_deterministic": ORANGE, "free_run_ar": GREEN, "ceiling": MAUVE}
 STYLES = {"free_run_deterministic": (0, (4, 2)), "free_run_ar": (0, (6, 1.5, 1.5, 1.5)), "ceiling": (0, (1.5, 1.5))}
+UNSCORED: dict[str, Any] = {"color": INK, "alpha": 0.06, "linewidth": 0}  # of the shade where nothing is scored
 _SPECTROGRAM_MS = 64.0  # of a spectrogram's window: a texture's level changes within a few frames of 40 ms
 _SPECTROGRAM_COLUMNS = 700
 _SPECTROGRAM_DB = 50.0  # of the colour scale, down from the loudest recorded cell
@@ -72,22 +73,12 @@ def spectrum(judgement: Judgement) -> Figure:
         axes.plot(frequencies, line, color=COLOURS[name], markersize=3, label=LABELS[name] + hidden, **style)
     axes.set_ylim(bottom, top + 3)
     log_hertz(axes, MIN_SCORED_HZ, rate_hz / 2, PAGE)
-    _shade_unscored(axes, max_scored_hz(rate_hz), rate_hz / 2)
-    axes.set(
-        xlabel=_up_to_half("frequency [Hz]", rate_hz), ylabel=f"density [dB re 1 ({judgement.document['unit']})²/Hz]"
-    )
+    axes.axvspan(max_scored_hz(rate_hz), rate_hz / 2, **UNSCORED)
+    scored_hz = f"scored from {MIN_SCORED_HZ:g} to {max_scored_hz(rate_hz):g} Hz"
+    axes.set_xlabel(f"frequency [Hz], up to half the rate; {scored_hz}")
+    axes.set_ylabel(f"density [dB re 1 ({judgement.document['unit']})²/Hz]")
     add_legend(axes, PAGE, fontsize=9)
     return figure
-
-
-def _up_to_half(label: str, rate_hz: float) -> str:
-    """Axis label that says up to where is drawn, and scored."""
-    return f"{label}, up to half the rate; scored from {MIN_SCORED_HZ:g} to {max_scored_hz(rate_hz):g} Hz"
-
-
-def _shade_unscored(axes: Any, first: float, last: float) -> None:
-    """Shade the part of the x axis that is not scored."""
-    axes.axvspan(first, last, color=INK, alpha=0.06, linewidth=0)
 
 
 def bands(judgement: Judgement) -> Figure | None:
@@ -121,7 +112,7 @@ def bands(judgement: Judgement) -> Figure | None:
     axes.set_xticks(np.arange(len(every)) - 0.5, [f"{edge:.0f}" for edge in every])
     axes.tick_params(axis="x", labelsize=8, rotation=45 if len(every) > len(edges) else 0)
     if len(every) > len(edges):
-        _shade_unscored(axes, len(edges) - 1.5, len(every) - 1.5)
+        axes.axvspan(len(edges) - 1.5, len(every) - 1.5, **UNSCORED)
     axes.grid(visible=False, axis="x")
     low, high = axes.get_ylim()
     axes.set(xlabel=f"band edges [Hz]; scored from {edges[0]:g} to {edges[-1]:g} Hz", ylabel="energy error [dB]")

@@ -162,14 +162,14 @@ def _excitation(one_step: Mapping[str, Any]) -> str:
 def _slopes(document: Mapping[str, Any]) -> str:
     """How the level grows with speed and force, as a paragraph, empty where it is not known."""
     run = document["free_run" if document["free_run"].get("level_slopes") else "free_run_deterministic"]
-    ours, theirs = run.get("level_slopes"), run.get("level_slopes_recorded")
-    if not ours or not theirs:
+    slopes, recorded = run.get("level_slopes"), run.get("level_slopes_recorded")
+    if not slopes or not recorded:
         return ""
-    return (
-        f"<p>How the level grows with the hand: <b>{signed(ours[0], 1)}</b> dB per decade of speed (recorded "
-        f"{signed(theirs[0], 1)}), <b>{signed(ours[1], 1)}</b> dB per decade of force (recorded "
-        f"{signed(theirs[1], 1)}).</p>"
+    by_speed, by_force = (
+        f"<b>{signed(slope, 1)}</b> dB per decade of {name} (recorded {signed(target, 1)})"
+        for name, slope, target in zip(("speed", "force"), slopes, recorded, strict=True)
     )
+    return f"<p>How the level grows with the hand: {by_speed}, {by_force}.</p>"
 
 
 def to_text(document: Mapping[str, Any]) -> str:
