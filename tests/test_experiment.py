@@ -11,11 +11,11 @@ import pytest
 from conftest import TINY, experiment, exported
 from foten.cli.command_line import _status
 from foten.datasets.hdf5 import write_recording
-from foten.experiments.experiment import MEASURES, Experiment, Method, experiment_path, read_experiment
+from foten.evaluate.evaluate import Judgement
+from foten.experiments.experiment import Experiment, Method, experiment_path, read_experiment
 from foten.experiments.onset import onset
-from foten.experiments.results import by_recipe, read_records
-from foten.experiments.run import _measures, _result
-from foten.experiments.stability import into, proven, stability
+from foten.experiments.run import _result
+from foten.experiments.stability import proven, stability
 from foten.models.foten_plus.sizes import FotenPlusSizes
 from foten.models.texture_file import Texture
 from foten.simulation.simulate import simulate
@@ -94,63 +94,31 @@ def test_recordings_are_where_it_is_said(tmp_path: Path) -> None:
     assert str(tmp_path / "elsewhere" / "a.h5") in read_experiment(path, tmp_path / "elsewhere").textures
 
 
-def test_ours_of_table_1_are_the_best_of_the_recipes_on_validation(tmp_path: Path) -> None:
-    """What Table I calls ours was chosen by the experiment `recipes`, whose runs are in the documents."""
-    path = Path(__file__).parents[1] / "docs" / "results" / "recipes.csv"
-    if not path.exists():
-        pytest.skip("the recipes have not been run")
-    best = {method: next(iter(errors)) for method, errors in by_recipe(read_records(path)).items()}
-    candidates = {(run.method, run.recipe): run.train for run in read_experiment(experiment_path("recipes")).runs()}
-    own = {"seed", "epochs", "patience", "recipe"}
-    for texture in ("copper", "fabric", "leather", "wood"):
-        (tmp_path / f"{texture}.h5").touch()
-    for name in ("table-1-small", "table-1-real"):
-        for run in read_experiment(experiment_path(name), tmp_path).runs():
-            if run.recipe == "ours" and run.model != "foten-plus":  # which has one of its own
-                method = run.method.removesuffix(" with excitation")  # as FoTEN
-                chosen = candidates[method, best[method]]
-                assert {k: v for k, v in run.train.items() if k not in own} == {
-                    k: v for k, v in chosen.items() if k not in own
-                }
-
-
 @pytest.mark.parametrize(
     ("old", "new", "match"),
     [
         ('"FNN [13]"}', '"FNN [13]", beside = "DSTN"}', "'FNN [13]' stands beside 'DSTN', which is no method"),
         ('"FNN [13]"}', '"FNN [13]", recipes = {a = {epoch = 1}}}', "unknown key 'epoch' in recipe 'a' of a method"),
-        ('"FNN [13]"}', '"FNN [13]", recipes = {a = 5}}', "recipe 'a' of a method is 5, expected a table"),
         ('"FNN [13]"}', '"FNN [13]", recipes = {a = {recipe = "x"}}}', "unknown recipe 'x'"),
-        (
-            '"FNN [13]"}',
-            '"FNN [13]", measures = ["onse"]}',
-            "unknown key 'onse' in 'measures' of a method, expected 'onset'",
-        ),
+        ('"FNN [13]"}', '"FNN [13]", measures = ["onse"]}', "unknown key 'onse' in 'measures' of a method"),
         ('"FNN [13]"}', '"FNN [13]", split_seeds = [9]}', "its split_seeds are not all among the experiment's"),
         ("seconds = 8", "seconds = ", "this is not TOML"),
         ("seconds = 8", "second = 8", "unknown key 'second' in the file, expected 'seconds'?"),
         ("seconds = 8", "seconds = '8'", "'seconds' of the file is '8', expected a number"),
         ('"linear-twin"', '"silk"', "unknown texture 'silk'"),
-        ('"linear-twin"', '"silk.h5"', "there is no recording silk.h5 in "),
         ('name = "excited"', 'name = "FNN [13]"', "two methods have the same name"),
         ('"fnn", name = "e', '"fn", name = "e', "unknown model 'fn'"),
         ("excitation = true", "excited = true", "method 'excited': fnn has no size 'excited'"),
         ("epochs = 1", "epoch = 1", "unknown key 'epoch' in [train], expected 'epochs'?"),
         ("epochs = 1", "epochs = -1", "epochs is -1, expected 0 or more"),
-        ("block_ms = 1000", "block = 1000", "unknown key 'block' in [preprocess], expected 'block_ms'?"),
-        ("[train]", "split_seeds = [1.5]\n[train]", "split_seeds is"),
         (
             "[train]",
             "split_seeds = [1, 1]\n[train]",
             "split_seeds is [1, 1], expected a list of whole numbers, each once",
         ),
         ("[train]", "[grid]\nepoch = [1]\n[train]", "unknown key 'epoch' in [grid], expected 'epochs'?"),
-        ('"FNN [13]"}', '"FNN [13]", train = {epoch = 1}}', "unknown key 'epoch' in 'train' of a method"),
-        ("epochs = 1", 'recipe = "paper"', "unknown key 'recipe' in [train]"),
-        ("epochs = 1", "batch = 2.5", "batch is 2.5, expected a whole number"),
         ('"FNN [13]"}', '"FNN [13]"}, {model = "fnn", name = "again"}', "'FNN [13]' and 'again' are the same run"),
         ('"FNN [13]"}', '"FNN [13]"}, {model = "ar", train = {epochs = 3}}', "'ar' is fitted without a recipe"),
-        ('{model = "fnn", name = "FNN [13]"}', "5", "a method is 5, expected a model's name or a table"),
         ("sizes = {excitation = true}", "sizes = 5", "'sizes' of a method is 5, expected a table"),
         ('"linear-twin"', '"linear-cloth"', "two textures have the same name"),
         ("[train]", "[grid]\nloss = 'mse'\n[train]", "'loss' in the grid is 'mse', expected a list"),
@@ -211,11 +179,6 @@ def test_the_proven_bound_grows_with_the_level(texture: Texture) -> None:
     assert proven(exported("foten")) is None
 
 
-def test_strokes_are_stretched_each_by_itself() -> None:
-    stretched = into(np.array([[0.0, 1.0, 2.0], [5.0, 5.5, 7.0]]), 10.0, 20.0)
-    np.testing.assert_allclose(stretched, [[10.0, 15.0, 20.0], [10.0, 12.5, 20.0]])
-
-
 def test_a_first_stroke_is_as_a_settled_one(texture: Texture) -> None:
     figures = onset(texture, n_strokes=12, n_streams=6)
     # 72 windows of 40 ms: what ten settled ones reach at most, and half as much again.
@@ -226,34 +189,24 @@ def test_a_first_stroke_is_as_a_settled_one(texture: Texture) -> None:
     assert abs(excess) < 4 * figures["click_standard_error"]
 
 
-def test_every_measure_that_a_file_may_name_is_there(texture: Texture, monkeypatch: pytest.MonkeyPatch) -> None:
-    functions = {
-        name: f"{module}.{name}" for name, module in MEASURES.items() if module.startswith("foten.experiments")
-    }
-    functions["validation_listener"] = "foten.experiments.run.validation_listener"
-    assert {*functions, "listener"} == set(MEASURES)  # the listener is asked by the evaluation
-    for name, function in functions.items():
-        monkeypatch.setattr(function, lambda *_, name=name: {"named": name})
-    expected = {name: {"named": name} for name in functions}
-    assert _measures([*MEASURES], texture, None, None) == expected  # type: ignore[arg-type]
-
-
-@pytest.mark.parametrize("measures", [(), ("stability", "listener")])
-def test_the_listener_is_asked_where_a_file_names_it(
+@pytest.mark.parametrize("measures", [(), ("stability", "onset", "listener", "validation_listener")])
+def test_what_a_file_names_is_measured(
     texture: Texture, monkeypatch: pytest.MonkeyPatch, measures: tuple[str, ...]
 ) -> None:
-    asked: dict[str, bool] = {}
-
-    class EnoughError(Exception):
-        pass
-
-    def evaluated(*_: object, listener: bool) -> None:
-        asked["evaluation"] = listener
-        raise EnoughError
-
-    monkeypatch.setattr("foten.experiments.run.reference_for", lambda *_, listener: asked.update(reference=listener))
-    monkeypatch.setattr("foten.experiments.run.evaluate", evaluated)
+    """The listener by the evaluation, the others beside it."""
+    recording = simulate("linear-hum", 4)
+    judgement = Judgement({"recording_sha256": ""}, None, (), {})  # type: ignore[arg-type]
+    called: list[str] = []
+    monkeypatch.setattr(
+        "foten.experiments.run.reference_for", lambda *_, listener: called.extend(["listener"] * listener)
+    )
+    monkeypatch.setattr(
+        "foten.experiments.run.evaluate", lambda *_, listener: called.append(str(listener)) or judgement
+    )
+    for name in ("stability.stability", "onset.onset", "run.validation_listener"):
+        monkeypatch.setattr(f"foten.experiments.{name}", lambda *_, name=name: name)
     run = next(iter(Experiment("t", ("linear-hum",), (Method("foten", measures=measures),)).runs()))
-    with pytest.raises(EnoughError):
-        _result(run, simulate("linear-hum", 4), texture, 0.0)
-    assert asked == {"reference": "listener" in measures, "evaluation": "listener" in measures}
+    texture = dataclasses.replace(texture, card={**texture.card, "training": {"versions": {}}})
+    measured = _result(run, recording, texture, 0.0)["measures"]
+    assert {name.split(".")[1] for name in measured.values()} == set(measured) == {*measures} - {"listener"}
+    assert called == (["listener", "True"] if measures else ["False"])

@@ -111,14 +111,6 @@ def test_excerpts_lie_within_a_piece_and_none_is_both_learned_and_scored(pieces:
     assert len(one.test) > 0.3 * n_frames / HOP / 2
 
 
-def test_frames_are_standardised_by_what_is_learned_from() -> None:
-    one, other = vibrations(stroke(hiss(1)), stroke(hiss(2)), waveform=False)
-    until = one.train[-1] + 1
-    both = np.concatenate([one.frames[:, :until], other.frames[:, :until]], axis=1)
-    np.testing.assert_allclose(both.mean(axis=1), 0.0, atol=1e-9)  # rounding
-    np.testing.assert_allclose(both.std(axis=1), 1.0, atol=1e-9)
-
-
 def test_the_area_is_the_share_of_pairs() -> None:
     """Oracle: all pairs, directly."""
     rng = np.random.default_rng(6)
@@ -159,18 +151,6 @@ def test_every_listener_has_a_rendering_of_its_own_and_the_control_a_true_one(mo
     assert scores["listener_s"] == SECONDS
     assert scores["level_bias_db"] == level_biases(recorded, hiss(14))  # of the first rendering
     assert scores["level_bias_db_control"] == level_biases(recorded, hiss(2))
-
-
-def test_every_listener_s_control_is_another_true_vibration(monkeypatch: pytest.MonkeyPatch) -> None:
-    heard: list[float] = []
-    monkeypatch.setattr(
-        networks, "listener_auc", lambda first, second, **given: heard.append(float(second.frames.sum())) or 0.5
-    )
-    others = [stroke(k * hiss(2)) for k in (1, 2, 4)]
-    listener_scores(stroke(hiss(1)), lambda seed: hiss(1), others, seed=4)
-    controls = heard[1:6:2]
-    assert len(set(controls)) == 3
-    assert heard[7::2] == controls  # with the waveform the same
 
 
 def test_two_halves_of_a_recording_are_not_paired_by_moment(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -219,13 +199,6 @@ def test_a_hand_at_rest_says_nothing() -> None:
     still = Trace(hiss(1), np.zeros(N), np.ones(N), RATE_HZ, N)
     with pytest.raises(ValueError, match="the hand is at rest where a listener is to learn"):
         vibrations(still, still, waveform=False)
-
-
-def test_a_trace_is_one_piece_or_a_piece_for_each_block() -> None:
-    trace = Trace(hiss(1), *hand(), RATE_HZ, 2000)
-    assert long_stroke(trace).n_blocks == 1
-    some = long_stroke(trace, (3, 5))
-    np.testing.assert_array_equal(some.blocks(some.speed), trace.blocks(trace.speed)[[3, 5]])
 
 
 @pytest.mark.parametrize("rate_hz", [2500.0, 10_000.0])

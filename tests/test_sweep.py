@@ -25,19 +25,7 @@ from foten.experiments.figures import figures
 from foten.experiments.provenance import platform_here, provenance_of
 from foten.experiments.results import by_recipe, chosen, read_records, read_results, records_of, runs_table, title_of
 from foten.experiments.sweep import _stoppable, lacking, planned, sweep
-from foten.experiments.tables import (
-    PAPER,
-    PAPERS,
-    Row,
-    compared,
-    findings,
-    holm,
-    ratios,
-    rows_of,
-    summary,
-    table,
-    tables_of,
-)
+from foten.experiments.tables import PAPER, PAPERS, Row, compared, findings, holm, ratios, summary, table, tables_of
 from foten.reporting.table import Number
 from foten.simulation.simulate import simulate
 
@@ -414,12 +402,6 @@ def test_waveforms_have_a_scale_and_say_where_one_is_silent(results: list[dict])
         np.testing.assert_array_equal(axes.get_lines()[0].get_ydata(), recorded)
 
 
-def test_splits_that_are_the_same_blocks_are_said(records: list[dict]) -> None:
-    assert not any("same blocks" in line for line in findings(records))
-    again = records[0] | {"split": 2}
-    assert any("splits 1, 2 are the same blocks" in line for line in findings([*records, again]))
-
-
 def test_a_sweep_names_what_it_has_anew_and_makes_again_what_is_damaged(swept: Path, tmp_path: Path) -> None:
     folder = tmp_path / "results"
     shutil.copytree(swept, folder)
@@ -524,12 +506,6 @@ def test_a_folder_without_results_is_said(tmp_path: Path, capsys: pytest.Capture
     (tmp_path / "folder.toml").mkdir()
     assert _status(["sweep", str(tmp_path / "folder.toml"), "-o", str(tmp_path / "y")]) == 2
     assert "is a folder, expected a .toml file" in capsys.readouterr().err
-
-
-def test_references_are_counted_once_for_each_split(records: list[dict]) -> None:
-    _, rows = rows_of(records, "mae")
-    zero = next(row for row in rows if row.name == "zero")
-    assert all(len(values) == 1 for values in zero.values.values())
 
 
 def test_holm_is_at_least_as_strict_as_the_false_discovery_rate_and_never_above_bonferroni() -> None:

@@ -1,13 +1,9 @@
 """The listener's verdict: can a network that is trained for it tell the free run from the surface?
 
-Every other figure of a free run compares averages, and a rendering can be at the ceiling of all of them and be told apart at
-once: its impacts are smeared, say. Here a small network is shown half a second of recorded or rendered vibration under one hand,
-as a hand may know it, and answers which it is. It learns from the first 60 % of a long stroke and is scored on the last 30 %.
-
-Beside it stands the control: the same listener on two true vibrations, of which it should be able to tell nothing. A rendering
-is as good as it can be where its figure is the control's.
-
-Moments at rest are hidden from it: a rendering is silent there by rule, and a sensor is not. PyTorch is loaded when it is asked.
+The other figures of a free run compare averages. Here a small network is shown half a second of recorded or rendered vibration
+with its speed and force, and answers which it is. It learns from the first 60 % of a long stroke and is scored on the last 30 %.
+The control is the same listener on two true vibrations. Moments at rest are hidden: a rendering is silent there by rule, and a
+sensor is not. PyTorch is loaded when a listener is trained.
 """
 
 from __future__ import annotations

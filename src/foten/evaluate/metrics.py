@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from itertools import pairwise
 from typing import Any
 
@@ -111,7 +111,7 @@ def band_correlations(energies: Array) -> Array:
     return np.asarray(correlations[np.triu_indices(len(envelopes), 1)])
 
 
-def intervals(figures: Callable[[NDArray[np.int64]], Mapping[str, Any]], n_blocks: int) -> dict[str, Any]:
+def intervals(figures: Callable[[NDArray[np.int64]], Mapping[str, Any]], n_blocks: int) -> dict[str, list[float]]:
     """The 95 % confidence interval of each figure over blocks: Student's t with the jackknife's standard error.
 
     Samples within a block are correlated and do not count as independent. Resampling blocks with replacement covers the mean of
@@ -119,11 +119,10 @@ def intervals(figures: Callable[[NDArray[np.int64]], Mapping[str, Any]], n_block
     empty.
 
     Args:
-        figures: block numbers → figures, each a number, a list of numbers, or None where these blocks have none.
+        figures: block numbers → figures, each a number, a list, or None where these blocks have none.
 
     Returns:
-        By figure [low, high], around the figure of all blocks; for a list one such pair for each entry, None where the figure is
-        None.
+        By figure that is a number [low, high], around the figure of all blocks.
 
     Source: Efron & Stein (1981), the standard error; leaving one block out at a time.
     """
@@ -132,17 +131,12 @@ def intervals(figures: Callable[[NDArray[np.int64]], Mapping[str, Any]], n_block
     from scipy.special import stdtrit
 
     all_blocks = np.arange(n_blocks)
-    full = figures(all_blocks)
     left_out = [figures(np.delete(all_blocks, i)) for i in all_blocks]
     t = float(stdtrit(n_blocks - 1, 0.975))
-    bounds = {name: _interval(value, [figures[name] for figures in left_out], t) for name, value in full.items()}
-    return {name: bound for name, bound in bounds.items() if bound is not None}
-
-
-def _interval(full: Any, left_out: Sequence[Any], t: float) -> list[Any] | None:
-    if isinstance(full, list | tuple):
-        return [_interval(figure, [values[i] for values in left_out], t) for i, figure in enumerate(full)]
-    if full is None or any(value is None for value in left_out):
-        return None
-    error = np.sqrt((len(left_out) - 1) * np.var(left_out))
-    return [float(full - t * error), float(full + t * error)]
+    bounds = {}
+    for name, figure in figures(all_blocks).items():
+        others = [without[name] for without in left_out]
+        if isinstance(figure, float) and None not in others:
+            error = t * float(np.sqrt((n_blocks - 1) * np.var(others)))
+            bounds[name] = [figure - error, figure + error]
+    return bounds

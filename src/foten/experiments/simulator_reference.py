@@ -23,6 +23,7 @@ from foten.simulation.linear_family import LINEAR_FAMILY, linear_truth, one_step
 from foten.simulation.simulate import second_realisation
 
 LONG_S = 240.0  # of a stroke for listeners
+SEED_STEP = 1_000_003  # between realisations
 VALIDATION_HAND = 2  # the number of the hand that nothing is reported of
 # Realisations that a process keeps: the methods of an experiment are judged by the same ones, texture by texture. 2 MB each at
 # 1 kHz, a long stroke's 6 MB.
@@ -66,7 +67,7 @@ def reference_for(
         used = int(recording.simulation["noise_seed"])
 
         def realisation(k: int) -> Trace:
-            return _realisation(recording, texture, trim_ms, block_ms, noise_seed=used + 1_000_003 * k)
+            return _realisation(recording, texture, trim_ms, block_ms, noise_seed=used + SEED_STEP * k)
 
         with ThreadPoolExecutor() as pool:  # filters and transforms release the interpreter's lock
             realisations = list(pool.map(realisation, range(1, N_SEEDS + 1)))
@@ -74,16 +75,16 @@ def reference_for(
         return SimulatorReference(why_no_bound=f"the simulator's parameters in the recording cannot be used ({error})")
     strokes = long_strokes(recording, texture) if listener else ()
     config = PreprocessConfig(**texture.card["preprocess"])
+    known = SimulatorReference(realisations, strokes)
     if recording.simulation["key"] not in LINEAR_FAMILY:
-        return SimulatorReference(realisations, strokes)
+        return known
     if recording["acceleration"].rate_hz != config.rate_hz:
-        return SimulatorReference(realisations, strokes, why_no_bound="known at the simulated rate alone")
+        return replace(known, why_no_bound="known at the simulated rate alone")
     if config.highpass_order != 2 or config.zero_phase:
-        return SimulatorReference(realisations, strokes, why_no_bound="known with a causal high-pass of order 2 alone")
+        return replace(known, why_no_bound="known with a causal high-pass of order 2 alone")
     trace = trace_for(texture, recording, trim_ms, block_ms)
-    return SimulatorReference(
-        realisations, strokes, *linear_bounds(recording, trace, config.highpass_hz, texture.window)
-    )
+    bound, bound_window = linear_bounds(recording, trace, config.highpass_hz, texture.window)
+    return replace(known, bound=bound, bound_window=bound_window)
 
 
 def long_strokes(
@@ -96,14 +97,11 @@ def long_strokes(
     try:
         if recording.simulation is None:
             return ()
-        used, hand = (int(recording.simulation[name]) for name in ("noise_seed", "stroke_seed"))
+        noise, stroke = (int(recording.simulation[name]) for name in ("noise_seed", "stroke_seed"))
 
         def realisation(k: int) -> Trace:
-            seeds = {
-                "noise_seed": used + 1_000_003 * (100 * hand_number + k),
-                "stroke_seed": hand + 1_000_003 * hand_number,
-            }
-            return _realisation(recording, texture, seconds=LONG_S, **seeds)
+            noise_seed, stroke_seed = noise + SEED_STEP * (100 * hand_number + k), stroke + SEED_STEP * hand_number
+            return _realisation(recording, texture, seconds=LONG_S, noise_seed=noise_seed, stroke_seed=stroke_seed)
 
         with ThreadPoolExecutor() as pool:
             return tuple(pool.map(realisation, range(n)))

@@ -1,16 +1,12 @@
 """Ten minutes of random strokes on a texture file, and a million steps of an attack: is it bounded, and does it forget.
 
-The strokes are the simulator's, 0 to 350 mm/s and 0.1 to 4 N, whatever range the texture was trained in; half of them with speed
-and force scaled into the trained range, so that narrow recordings are not mostly clamped.
+The strokes are the simulator's, 0 to 350 mm/s and 0.1 to 4 N; half of them have speed and force scaled into the trained range.
 
-The attack: streams that begin from windows at ±50 standard deviations, the excitation's noise at ± the largest that the
-generator can draw, in one half at random, in the other always outwards. A third of each switch speed and force to another
-corner of the trained range at every sample, a third every 50 ms, a third stay at one corner. The saturator, which bounds
-anything, is left out where the loop goes on from the uncut sample. The largest sample of the second half, when the windows are
-forgotten, stands beside the bound that is proven for any stroke and noise. Afterwards they are given ordinary noise and a steady
-stroke for 12 s (3 s at 10 kHz): by how much the stream that differs most is louder or softer, in the last fifth of it, than one
-under the same stroke and noise that was never attacked. Which way is outwards is asked of the reference in NumPy; all that is
-measured is rendered by the kernel, of the same noise.
+The attack: streams that begin from windows at ±50 standard deviations. The noise is ± the largest that the generator can draw,
+in one half at random, in the other always with the sign of the prediction. A third of each switch speed and force to another
+corner of the trained range at every sample, a third every 50 ms, a third stay. The saturator is left out where the loop goes on
+from the uncut sample. Afterwards the streams are given ordinary noise and a steady stroke for 12 s (3 s at 10 kHz); the level of
+the last fifth of it is compared with that of a stream that was never attacked.
 
 Besides, pairs of streams that began from such windows, under the same noise, under slow, middling, fast and moving strokes: the
 time after which they differ by less than 1 % of their level, and stay so.

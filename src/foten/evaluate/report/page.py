@@ -144,7 +144,7 @@ def _figures_section(judgement: Judgement, texture: Texture) -> str:
     )
     bands = _figure(
         *("bands", figures.bands(judgement), "Error by band"),
-        "Energy against the recorded, in bands equal in log frequency; above 0 is too much. Shaded bands are not scored.",
+        "Energy against the recorded, in bands equal in log frequency; above 0 is too much.",
     )
     conditions = _figure(
         *("conditions", figures.conditions(judgement, texture), "Where it is right"),
