@@ -396,9 +396,9 @@ def test_waveforms_have_a_scale_and_say_where_one_is_silent(results: list[dict])
     for factor, words in ((0.9, []), (0.01, ["silent here: 40 dB below the recording"])):
         result["signals"] |= {"recorded": recorded.tolist(), "free_run": (factor * recorded).tolist()}
         axes = dict(figures([result]))["figure-6"].axes[0]
-        assert [text.get_text() for text in axes.texts] == [*words, "2 m/s²"]
+        assert [text.get_text() for text in axes.texts] == [*words, "3 m/s²"]
         bar = axes.get_lines()[-1].get_ydata()
-        assert bar[1] - bar[0] == 2  # in the unit of the recorded one, drawn as it is
+        assert bar[1] - bar[0] == 3  # in the unit of the recorded one, drawn as it is
         np.testing.assert_array_equal(axes.get_lines()[0].get_ydata(), recorded)
 
 

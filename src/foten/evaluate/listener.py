@@ -32,7 +32,6 @@ STREAM = 2**35  # of noise, the first that listeners are played
 # Of a stroke: 24 s to learn from, and 12 s, 100 excerpts that overlap by three quarters, to be scored on.
 MIN_LISTENED_S = 40.0
 FLOOR = 1e-4  # of the mean energy of a band: what is 40 dB below it counts as that
-QUARTERS = ("slowest", "slow", "fast", "fastest")  # of a stroke
 SOFTENING = np.array([[2.0], [0.05]])  # added to speed [mm/s] and force [N] before their logarithm
 SD_FLOOR = 1e-6  # a band or a hand that does not vary is not divided by zero
 
@@ -79,8 +78,7 @@ def listener_scores(
 
     Returns:
         `listener_auc` and `listener_auc_waveform`, of bands alone and with the waveform, means over listeners; `…_control`, the
-        same of two true vibrations, None where there is too little; `listener_auc_each`; `listener_control_of`; and
-        `level_bias_db`, of the first rendering and of the first other vibration (`…_control`): `level_biases`.
+        same of two true vibrations, None where there is too little; `listener_auc_each`; `listener_control_of`; `listener_s`.
 
     Raises:
         ValueError: the recording is too short.
@@ -98,39 +96,18 @@ def listener_scores(
         halves = (long_stroke(recorded, range(first, recorded.n_blocks, 2)) for first in (0, 1))
         pairs, control_of = [(next(halves), next(halves))], "every other block of the recording"
     scores: dict[str, Any] = {}
-    biases: dict[str, float] | None = None
     for name, waveform in (("listener_auc", False), ("listener_auc_waveform", True)):
         each, control = [], []
         for k in range(seed, seed + N_LISTENERS):
             on_stage(f"listener {k - seed + 1} of {N_LISTENERS}{', with the waveform' if waveform else ''}")
             run = replace(recorded, acceleration=rendered(k))
-            if not scores and k == seed:
-                biases = level_biases(recorded, run.acceleration)
             each.append(listener_auc(*vibrations(recorded, run, waveform), seed=k))
             if pairs:
                 two = vibrations(*pairs[(k - seed) % len(pairs)], waveform)
                 control.append(listener_auc(*two, seed=k, same_stroke=bool(others)))
         scores[name], scores[f"{name}_each"] = float(np.mean(each)), each
         scores[f"{name}_control"] = float(np.mean(control)) if control else None
-    scores["level_bias_db"] = biases
-    scores["level_bias_db_control"] = level_biases(recorded, others[0].acceleration) if others else None
     return {**scores, "listener_s": seconds, "listener_control_of": control_of}
-
-
-def level_biases(recorded: Trace, rendered: Array) -> dict[str, float] | None:
-    """By how much a rendering is louder than a recording [dB]: in each quarter of the moving samples, by their speed.
-
-    From `slowest` to `fastest`; None where the hand never moves, or one of the two is silent.
-    """
-    moving = (recorded.speed >= FADE_SPEED) & (recorded.force >= FADE_FORCE)
-    if not moving.any():
-        return None
-    quarter = np.searchsorted(np.quantile(recorded.speed[moving], (0.25, 0.5, 0.75)), recorded.speed[moving])
-    signals = (rendered, recorded.acceleration)
-    powers = [np.bincount(quarter, np.square(signal[moving]), len(QUARTERS)) for signal in signals]
-    if not all((power > 0).all() for power in powers):
-        return None
-    return dict(zip(QUARTERS, (10 * np.log10(powers[0] / powers[1])).tolist(), strict=True))
 
 
 def vibrations(first: Trace, second: Trace, waveform: bool) -> tuple[Vibration, Vibration]:

@@ -174,7 +174,7 @@ def waveforms(results: Results) -> Figure:
             if below > SILENT_DB:
                 place = {"xy": (times[-1], (0.12 - k - 1) * step), "ha": "right", "va": "bottom"}
                 axes.annotate(f"silent here: {below:.0f} dB below the recording", **place, fontsize=6.5)
-        bar, beyond = _round_below(0.45 * step), 1.03 * times[-1]
+        bar, beyond = float(f"{0.45 * step:.1g}"), 1.03 * times[-1]
         axes.plot([beyond, beyond], [-bar / 2, bar / 2], color=RECORDED, lw=2)
         axes.annotate(f"{bar:g} m/s²", (1.04 * times[-1], 0), rotation=90, va="center", fontsize=6.5)
         names = [method.replace(", ", ",\n") for method in by_method]
@@ -185,13 +185,7 @@ def waveforms(results: Results) -> Figure:
 
 def _below_db(recorded: float, synthesized: float) -> float:
     """How far a power lies below the recorded one [dB], 300 at most."""
-    return 10 * float(np.log10(recorded / max(synthesized, 1e-30 * recorded))) if recorded > 0 else 0.0
-
-
-def _round_below(limit: float) -> float:
-    """Largest of 1, 2 and 5 times a power of ten up to a limit."""
-    power = 10.0 ** np.floor(np.log10(limit)) if limit > 0 else 1.0
-    return max(step * power for step in (1, 2, 5) if step == 1 or step * power <= limit)
+    return 10 * float(np.log10(recorded / max(synthesized, 1e-30 * recorded)))
 
 
 def spectra(results: Results) -> Figure:

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from foten.dsp import Array
+from foten.dsp.distance import welch
 from foten.experiments.stability import rendered_strokes
 from foten.models.conditions import FADE_FORCE, FADE_SPEED
 from foten.models.texture_file import Texture
@@ -36,10 +37,8 @@ def third_octaves(rate_hz: float) -> Array:
 
 def band_powers(windows: Array, rate_hz: float) -> Array:
     """Power in each band, mean over windows (k, n) → (bands,)."""
-    n = windows.shape[1]
-    power = (np.abs(np.fft.rfft(windows * np.hanning(n), axis=1)) ** 2).mean(axis=0)
-    hertz = np.fft.rfftfreq(n, 1 / rate_hz)
-    edges = third_octaves(rate_hz)
+    hertz, density = welch(windows, rate_hz, windows.shape[1])
+    power, edges = density.mean(axis=0), third_octaves(rate_hz)
     return np.array([power[(hertz >= low) & (hertz < high)].sum() for low, high in pairwise(edges)])
 
 

@@ -13,7 +13,7 @@ from foten.dsp import Array
 from foten.dsp.filters import butterworth
 from foten.evaluate.evaluate import SimulatorReference, trace_for
 from foten.evaluate.free_run import N_SEEDS
-from foten.evaluate.listener import N_LISTENERS, level_biases, long_stroke, renderings, vibrations
+from foten.evaluate.listener import N_LISTENERS, long_stroke, renderings, vibrations
 from foten.models.texture_file import Texture
 from foten.recording.preprocess import PreprocessConfig
 from foten.recording.recording import Recording
@@ -109,8 +109,8 @@ def long_strokes(
         return ()
 
 
-def validation_listener(texture: Texture, recording: Recording) -> dict[str, Any]:
-    """`area`, that under a listener's curve, and `level_bias_db`; nothing of what was not simulated, or is silent.
+def validation_listener(texture: Texture, recording: Recording) -> dict[str, float]:
+    """`area`, that under a listener's curve; nothing of what was not simulated, or is silent.
 
     As the evaluation's, of band energies, but under a third hand: neither the one that was learned from nor that of the reported
     figures, so that it can be chosen by. One listener, since what is chosen by is a mean over many textures, and two fits of one
@@ -124,7 +124,7 @@ def validation_listener(texture: Texture, recording: Recording) -> dict[str, Any
     recorded = long_stroke(strokes[0])
     rendered = renderings(NativeTexture(texture.to_bytes()), recorded)(0)
     area = listener_auc(*vibrations(recorded, replace(recorded, acceleration=rendered), waveform=False), seed=0)
-    return {"area": area, "level_bias_db": level_biases(recorded, rendered)}
+    return {"area": area}
 
 
 def linear_bounds(recording: Recording, trace: Trace, highpass_hz: float, window: int) -> tuple[Array, Array]:

@@ -120,13 +120,11 @@ def planned(experiment: Experiment, results: Path) -> tuple[list[Planned], dict[
         ValueError: two textures are the same recording.
     """
     recordings: dict[Any, Recording] = {}
-    digests: dict[Any, str] = {}
     plan: dict[Path, Planned] = {}
     for index, run in enumerate(experiment.runs()):
         if run.source not in recordings:
             recordings[run.source] = recording_of(run)
-            digests[run.source] = recordings[run.source].sha256()
-        provenance = provenance_of(run, digests[run.source])
+        provenance = provenance_of(run, recordings[run.source].sha256())
         path = results / f"{provenance.name}.json"
         if path in plan:
             raise ValueError(

@@ -42,10 +42,9 @@ PAPER = {
     **{"ten": 0.318, "ten-mfcc": 0.281, "ten-wavelet": 0.284, "foten-d": 0.193},
 }
 """The paper's errors, means over its twelve textures, whose unit it does not state; Tables I and II."""
-PERSISTENCE = "persistence"
 REFERENCES = {
     "zero": "references.zero",
-    PERSISTENCE: "references.persistence",
+    "persistence": "references.persistence",
     "AR(20)": "references.ar",
     "AR(20) by speed and force": "references.ar_scheduled",
     BEST_LINEAR: "references.ar_best",
@@ -181,7 +180,7 @@ def summary(records: Records) -> Table:
         seconds = f"{np.mean([run['training_s'] for run in runs]):.0f}" if runs else ""
         cells.append((name, mae, reported, f"{p[name]:.3f}" if name in p else "", gfc, lsd, level, seconds))
     heading = ("", "MAE [sd]", PAPERS, "p", "GFC [%]", "LSD [dB]", "level error [dB]", "training [s]")
-    return Table.of(heading, cells).without_empty_columns()
+    return Table.of(heading, cells).known()
 
 
 def _best(rows: Sequence[Row], textures: Sequence[str], figure: Figure) -> set[str]:
@@ -250,13 +249,8 @@ def _change(pairs: Sequence[tuple[Record, Record]], path: str, change: Callable[
 def caveats(records: Records, name: str = "summary") -> list[str]:
     """What a reader of a table has to know: what the experiment reduced, and what a figure is blind to."""
     notes = list(dict.fromkeys(record["note"] for record in records if record.get("note")))
-    textures, rows = rows_of(records, "gfc")
-    for row in rows:
-        if row.name == PERSISTENCE and name in ("summary", "gfc"):
-            blind = "The GFC of a one-step prediction is blind to delay and gain"
-            notes.append(
-                f"{blind}: {PERSISTENCE}, which repeats the last sample, has {row.means(textures).mean():.1f} %."
-            )
+    if name in ("summary", "gfc"):
+        notes.append("The GFC of a one-step prediction is blind to delay and gain, as persistence shows.")
     return notes
 
 
@@ -297,36 +291,24 @@ def _same_blocks(records: Records) -> Iterator[str]:
 def _best_method(records: Records, name: str) -> Iterator[str]:
     figure = FIGURES[name]
     textures, rows = rows_of(records, name)
-    methods = [row for row in rows if row.model]
-    without = [row.name for row in methods if not row.values]
-    if without:
-        yield f"{figure.name}: there is none of {', '.join(without)}."
-    lacking = [row.name for row in methods if row.values and row not in complete(rows, textures)]
+    with_all = complete(rows, textures)
+    lacking = [row.name for row in rows if row.model and row not in with_all]
     if lacking:
         yield f"{figure.name}: not compared, for want of textures or splits: {', '.join(lacking)}."
     best, p = compared(rows, textures, figure.better)
     if best:
-        means = {row.name: float(row.means(textures).mean()) for row in complete(rows, textures)}
+        means = {row.name: float(row.means(textures).mean()) for row in with_all}
         chance = ", ".join(other for other, value in p.items() if value >= 0.05)
-        differ = (
-            f"; the difference may be chance for {chance}" if chance else "; all others differ (p < 0.05)" if p else ""
-        )
+        differ = f"; the difference may be chance for {chance}" if chance else ""
+        differ = "; all others differ (p < 0.05)" if p and not chance else differ
         is_best = f"is best on the mean of {len(means)} trained methods, with" if len(means) > 1 else "has"
-        shown = f"{figure.name}: {best} {is_best} {means[best]:.{figure.digits}f}{differ}."
-        linear = next((row for row in rows if row.name == figure.linear), None)
-        yield shown + ("" if linear is None else _beside_linear(figure, means, float(linear.means(textures).mean())))
-
-
-def _beside_linear(figure: Figure, means: Mapping[str, float], linear: float) -> str:
-    """How many of the methods a linear predictor loses to; nothing where it lacks a texture (NaN)."""
-    if not np.isfinite(linear):
-        return ""
-    n, n_better = len(means), sum(figure.better * (mean - linear) > 0 for mean in means.values())
-    those = f"{n_better} of {n} trained methods are better"
-    if n_better in (0, n):
-        every = next(iter(means)) if n == 1 else "every trained method"
-        those = f"{every} {'is better' if n_better else 'loses to it'}"
-    return f" A linear predictor, {figure.linear}, has {linear:.{figure.digits}f}: {those}."
+        linear = [float(row.means(textures).mean()) for row in rows if row.name == figure.linear]
+        beside = ""
+        if linear and np.isfinite(linear[0]):
+            n_better = sum(figure.better * (mean - linear[0]) > 0 for mean in means.values())
+            beside = f" A linear predictor, {figure.linear}, has {linear[0]:.{figure.digits}f}: "
+            beside += f"{n_better} of {len(means)} trained methods are better."
+        yield f"{figure.name}: {best} {is_best} {means[best]:.{figure.digits}f}{differ}.{beside}"
 
 
 def _order(records: Records) -> Iterator[str]:

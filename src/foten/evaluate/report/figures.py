@@ -214,12 +214,10 @@ def _spectrogram(blocks: Array, rate_hz: float, highest_hz: float) -> tuple[tupl
     hop = max(n_segment // 8, -(-blocks.size // _SPECTROGRAM_COLUMNS))
     # Each block is mirrored at its ends, so that no window crosses a border.
     padded = np.pad(blocks, ((0, 0), (n_segment // 2, n_segment // 2 + n % 2)), mode="reflect")
-    windows = np.lib.stride_tricks.sliding_window_view(padded, n_segment, axis=1)[:, np.arange(0, n, hop)]
-    taper = signal.get_window("hann", n_segment)
-    density = np.square(np.abs(np.fft.rfft(windows * taper, axis=-1))) * 2 / (rate_hz * np.square(taper).sum())
-    frequencies = np.fft.rfftfreq(n_segment, 1 / rate_hz)
+    frequencies, _, density = signal.spectrogram(padded, rate_hz, "hann", n_segment, n_segment - hop, detrend=False)
     shown = frequencies <= highest_hz
-    decibels = 10 * np.log10(np.maximum(density[..., shown], 1e-30)).reshape(-1, int(shown.sum())).T
+    density = density[:, shown, : -(-n // hop)].swapaxes(0, 1).reshape(int(shown.sum()), -1)
+    decibels = 10 * np.log10(np.maximum(density, 1e-30))
     half = frequencies[1] / 2
     return (-half, float(frequencies[shown][-1]) + half), decibels
 

@@ -204,10 +204,4 @@ def _listener_lines(scores: Mapping[str, Any]) -> list[str]:
     names = {"listener_auc": "band energies", "listener_auc_waveform": "and the waveform"}
     rows = [(name, Number(scores[key]), Number(scores[f"{key}_control"])) for key, name in names.items()]
     about = f"area under its curve over {scores['listener_s']:.0f} s, 0.5 is chance, 1 certainty{control}"
-    lines = [f"Listener: {about}", *Table.of(("", "this texture", "control"), rows).text()]
-    if biases := scores.get("level_bias_db"):
-        by_speed = ", ".join(f"{value:+.2f}" for value in biases.values())
-        lines.append(
-            f"Level beside the recorded one, from the slowest quarter of that stroke to the fastest: {by_speed} dB"
-        )
-    return lines
+    return [f"Listener: {about}", *Table.of(("", "this texture", "control"), rows).text()]
