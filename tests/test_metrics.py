@@ -165,36 +165,6 @@ def test_modulation_wants_a_second() -> None:
     assert metrics.modulation_spectra(np.zeros((2, 999)), RATE_HZ) is None
 
 
-@pytest.mark.parametrize(("alpha", "beta"), [(0.7, 0.35), (0.0, 1.0), (-0.3, 0.0)])
-def test_the_slopes_of_a_power_law_are_recovered(alpha: float, beta: float) -> None:
-    rng = np.random.default_rng(0)
-    speed, force = rng.uniform(10, 200, (20, 40)), rng.uniform(0.2, 3, (20, 40))
-    level = 20 * np.log10(speed**alpha * force**beta)
-    slopes = metrics.level_slopes(level, speed, force)
-    assert slopes is not None
-    assert slopes == pytest.approx((20 * alpha, 20 * beta), abs=1e-9)  # dB per decade; least squares: rounding
-    noisy = metrics.level_slopes(level + rng.standard_normal(level.shape), speed, force)
-    # 1 dB over √800 frames and a spread of 0.3 decades: 0.12 dB a decade; four of them.
-    assert noisy == pytest.approx((20 * alpha, 20 * beta), abs=0.5)
-
-
-def test_a_slope_over_too_small_a_range_is_unknown() -> None:
-    rng = np.random.default_rng(0)
-    speed, force, level = rng.uniform(10, 200, 100), rng.uniform(0.2, 3, 100), rng.standard_normal(100)
-    assert metrics.level_slopes(level, np.full(100, 80.0), force) is None
-    assert metrics.level_slopes(level, speed, 1 + 0.01 * force) is None
-    assert metrics.level_slopes(level, 0 * speed, force) is None
-    assert metrics.level_slopes(level[:10], speed[:10], force[:10]) is None
-
-
-def test_frames_at_standstill_do_not_change_the_slope() -> None:
-    rng = np.random.default_rng(0)
-    speed, force = rng.uniform(10, 200, 200), rng.uniform(0.2, 3, 200)
-    level = 14 * np.log10(speed) + 7 * np.log10(force)
-    speed[::4], level[::4] = 0.5, -30.0
-    assert metrics.level_slopes(level, speed, force) == pytest.approx((14, 7), abs=1e-9)
-
-
 def mean_of(values: np.ndarray) -> Any:
     return lambda index: {"mean": float(values[index].mean())}
 

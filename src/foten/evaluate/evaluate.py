@@ -32,7 +32,6 @@ _WHY_UNKNOWN = {
     "level_bias_db": "blocks hold no frame of 40 ms after their first fifth",
     "level_corr": "the level does not vary",
     "modulation_db": "blocks under 1 s",
-    "level_slopes": "speed or force spans less than a factor of 1.2",
 }
 
 
@@ -225,7 +224,7 @@ def _one_step(case: _Case, samples: Array, fitted: Mapping[str, Linear | None]) 
 def _free_run(case: _Case, linear: Linear | None) -> tuple[dict[str, Any], dict[str, Array]]:
     texture, trace, blocks, reasons = case.texture, case.trace, case.blocks, case.reasons
     scores: dict[str, Any] = {name: dict.fromkeys(FREE_RUN_KEYS) for name in RUNS}
-    recorded, speed, force = trace.picked(blocks)
+    recorded, *_ = trace.picked(blocks)
     if recorded[:, runs.scored(trace.block)].shape[1] < 64:
         reasons["free_run"] = f"blocks of {trace.block} samples are too short for a spectrum"
         return scores, {}
@@ -251,7 +250,7 @@ def _free_run(case: _Case, linear: Linear | None) -> tuple[dict[str, Any], dict[
         reasons["ceiling"] = "a foreign recording has no training blocks"
     for name, signal in signals.items():
         n_history = {"ceiling": 0, "free_run_ar": ANCHOR_ORDER}.get(name, texture.window)
-        scores[name] = runs.free_run(recorded, signal, speed, force, trace.rate_hz, texture.scaling.sd[0], n_history)
+        scores[name] = runs.free_run(recorded, signal, trace.rate_hz, texture.scaling.sd[0], n_history)
         reasons.update({f"{name}.{key}": why for key, why in _WHY_UNKNOWN.items() if scores[name][key] is None})
         if name in saturated:
             scores[name]["n_saturated"] = saturated[name]

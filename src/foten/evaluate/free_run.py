@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from foten.dsp import Array
 from foten.dsp.bands import band_energies
 from foten.dsp.distance import earth_mover_octaves, log_spectral_distance, scored_bins, segment_length, welch
-from foten.dsp.level import frame_levels, frame_means
+from foten.dsp.level import frame_levels
 from foten.dsp.noise import gaussian
 from foten.evaluate import metrics
 from foten.evaluate.one_step import Linear
@@ -96,30 +96,26 @@ def nearest_training_blocks(trace: Trace, blocks: tuple[int, ...], train: tuple[
     return acceleration[distance.argmin(axis=1)][None]
 
 
-def free_run(
-    recorded: Array, synthesized: Array, speed: Array, force: Array, rate_hz: float, sd: float, n_history: int = 0
-) -> dict[str, Any]:
+def free_run(recorded: Array, synthesized: Array, rate_hz: float, sd: float, n_history: int = 0) -> dict[str, Any]:
     """The free-run figures of synthesized blocks beside recorded ones.
 
     Args:
-        recorded, speed, force: [m/s², mm/s, N], shape (n_blocks, block), whole blocks; the first fifth of each is not scored.
+        recorded: [m/s²], shape (n_blocks, block), whole blocks; the first fifth of each is not scored.
         synthesized: [m/s²], shape (n_seeds, n_blocks, block).
         sd: training standard deviation of the acceleration [m/s²].
         n_history: samples at the start of each synthesized block that are the recorded window it started from.
 
     Returns:
-        `lsd_db`: log-spectral distance, mean over blocks and seeds; `lsd_long_db`: the same on spectra pooled over all
-        of them; `gfc_raw`, `gfc_welch`: Eq. 13 on raw and on Welch amplitudes, means; `level_bias_db`,
-        `level_error_db`, `level_corr`: of levels in frames of 40 ms; `kurtosis` of all samples, and `kurtosis_recorded`;
-        `max_sd`: largest synthesized sample over `sd`, the first fifth included; `band_errors_db`; `level_slopes` and
-        `level_slopes_recorded` [dB per decade of speed, of force]; `modulation_db`: distance of envelope spectra, 1 to 50 Hz;
-        `emd_octaves`: earth-mover distance of power over log frequency, mean over blocks and seeds; `level_jnd`: the level error
-        in just noticeable differences; `band_correlation_error`: RMS difference of the correlations between the envelopes of
-        bands; `intervals`.
+        `lsd_db`: log-spectral distance, mean over blocks and seeds, `lsd_long_db` on spectra pooled over all of them;
+        `gfc_raw`, `gfc_welch`: Eq. 13 on raw and on Welch amplitudes, means; `level_bias_db`, `level_error_db`, `level_corr`: of
+        levels in frames of 40 ms, `level_jnd`: the level error in just noticeable differences; `kurtosis` of all samples, and
+        `kurtosis_recorded`; `max_sd`: largest synthesized sample over `sd`, the first fifth included; `band_errors_db`;
+        `modulation_db`: distance of envelope spectra, 1 to 50 Hz; `emd_octaves`: earth-mover distance of power over log
+        frequency; `band_correlation_error`: RMS difference of the correlations between the envelopes of bands; `intervals`.
     """
     n_segment, part = segment_length(recorded.shape[-1]), scored(recorded.shape[-1])
     worst = np.abs(synthesized[:, :, n_history:]).max(axis=(0, 2)) / sd
-    recorded, synthesized, speed, force = (x[..., part] for x in (recorded, synthesized, speed, force))
+    recorded, synthesized = recorded[..., part], synthesized[..., part]
     frequencies, p = welch(recorded, rate_hz, n_segment)
     _, q = welch(synthesized, rate_hz, n_segment)
     bins = scored_bins(frequencies, rate_hz)
@@ -127,7 +123,6 @@ def free_run(
     distance, octaves = log_spectral_distance(p[None], q), earth_mover_octaves(frequencies[bins], p[None], q)
     reference = float(np.sqrt(np.square(recorded).mean()))
     level_p, level_q = (frame_levels(x, rate_hz, reference) for x in (recorded, synthesized))
-    frame_speed, frame_force = frame_means(speed, rate_hz), frame_means(force, rate_hz)
     raw, smooth = metrics.goodness_of_fit(recorded, synthesized), metrics.cosine(np.sqrt(p), np.sqrt(q))
     envelope_p, envelope_q = (metrics.modulation_spectra(x, rate_hz) for x in (recorded, synthesized))
     energy_p, energy_q = (band_energies(x, rate_hz) for x in (recorded, synthesized))
@@ -150,9 +145,6 @@ def free_run(
             "level_corr": _correlation(level_p[index], level_q[:, index]) if framed else None,
             "kurtosis": metrics.kurtosis(moments[:, index].mean(axis=1)),
             "band_errors_db": metrics.band_errors(pooled_p, pooled_q, frequencies[bins], metrics.band_edges(rate_hz)),
-            "level_slopes": metrics.level_slopes(
-                level_q[:, index].mean(axis=0), frame_speed[index], frame_force[index]
-            ),
             "modulation_db": modulation,
             "emd_octaves": float(octaves[:, index].mean()),
             "level_jnd": float(np.abs(difference).mean()) / LEVEL_JND_DB if framed else None,
@@ -164,7 +156,6 @@ def free_run(
         **figures(every),
         "max_sd": float(worst.max()),
         "kurtosis_recorded": metrics.kurtosis(metrics.moments(recorded).mean(axis=1)),
-        "level_slopes_recorded": metrics.level_slopes(level_p, frame_speed, frame_force),
         "intervals": metrics.intervals(figures, len(recorded)),
     }
 

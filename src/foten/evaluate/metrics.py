@@ -36,20 +36,6 @@ def cosine(a: Array, b: Array) -> Array:
     return np.asarray((a * b).sum(axis=-1) / np.maximum(norm, np.finfo(np.float64).tiny))
 
 
-def level_slopes(levels: Array, speed: Array, force: Array) -> tuple[float, float] | None:
-    """How the level grows with speed and with force [dB per decade], by least squares over frames, any equal shape.
-
-    None where speed or force spans less than a factor of 1.2 (10th to 90th percentile), over which a slope is noise.
-    """
-    moving = (speed > 1.0) & (force > 0.01)
-    logs = np.log10(speed[moving]), np.log10(force[moving])
-    if moving.sum() < 20 or any(np.subtract(*np.percentile(log, [90, 10])) < math.log10(1.2) for log in logs):
-        return None
-    design = np.stack([np.ones(moving.sum()), *logs], axis=1)
-    coefficients = np.linalg.lstsq(design, levels[moving], rcond=None)[0]
-    return float(coefficients[1]), float(coefficients[2])
-
-
 def moments(samples: Array) -> Array:
     """The means of the first to fourth powers of samples: (…, n) → (4, …)."""
     return np.stack([np.power(samples, k).mean(axis=-1) for k in range(1, 5)])

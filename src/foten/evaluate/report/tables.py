@@ -8,7 +8,7 @@ from typing import Any
 from foten.evaluate.evaluate import RUNS
 from foten.evaluate.report.signals import LABELS
 from foten.evaluate.report.verdict import ar_name, reason
-from foten.reporting.table import Cell, Heading, Number, Table, minus, signed
+from foten.reporting.table import Cell, Heading, Number, Table, minus
 
 REFERENCES = {
     "lattice": ("the model without its network", "the lattice; what the network adds is the difference to it"),
@@ -137,12 +137,11 @@ def one_step_section(document: Mapping[str, Any]) -> str:
 
 
 def free_run_section(document: Mapping[str, Any]) -> str:
-    """Section of the page: figures of the free runs, and how the level follows the hand."""
+    """Section of the page: figures of the free runs."""
     return (
         '<section id="free-run"><h2>Free run</h2><p>Synthesized under the recorded speed and force, its own output as '
         "history, and compared with what was recorded; the first fifth of each block is not scored. The ceiling says "
-        f"what a true vibration of the same texture reaches.</p>{free_run_table(document).html('b')}"
-        f"{_slopes(document)}</section>"
+        f"what a true vibration of the same texture reaches.</p>{free_run_table(document).html('b')}</section>"
     )
 
 
@@ -157,19 +156,6 @@ def _excitation(one_step: Mapping[str, Any]) -> str:
         f"standard normal numbers have standard deviation <b>{one_step['standardised_sd']:.2f}</b> (1 where the "
         f"distribution is right); negative log-likelihood {minus(format(one_step['nll'], '.3f'))} nat.</p>"
     )
-
-
-def _slopes(document: Mapping[str, Any]) -> str:
-    """How the level grows with speed and force, as a paragraph, empty where it is not known."""
-    run = document["free_run" if document["free_run"].get("level_slopes") else "free_run_deterministic"]
-    slopes, recorded = run.get("level_slopes"), run.get("level_slopes_recorded")
-    if not slopes or not recorded:
-        return ""
-    by_speed, by_force = (
-        f"<b>{signed(slope, 1)}</b> dB per decade of {name} (recorded {signed(target, 1)})"
-        for name, slope, target in zip(("speed", "force"), slopes, recorded, strict=True)
-    )
-    return f"<p>How the level grows with the hand: {by_speed}, {by_force}.</p>"
 
 
 def to_text(document: Mapping[str, Any]) -> str:
