@@ -117,7 +117,6 @@ def test_recordings_are_where_it_is_said(tmp_path: Path) -> None:
             "split_seeds is [1, 1], expected a list of whole numbers, each once",
         ),
         ("[train]", "[grid]\nepoch = [1]\n[train]", "unknown key 'epoch' in [grid], expected 'epochs'?"),
-        ('"FNN [13]"}', '"FNN [13]"}, {model = "fnn", name = "again"}', "'FNN [13]' and 'again' are the same run"),
         ('"FNN [13]"}', '"FNN [13]"}, {model = "ar", train = {epochs = 3}}', "'ar' is fitted without a recipe"),
         ("sizes = {excitation = true}", "sizes = 5", "'sizes' of a method is 5, expected a table"),
         ('"linear-twin"', '"linear-cloth"', "two textures have the same name"),

@@ -418,14 +418,23 @@ def test_a_sweep_names_what_it_has_anew_and_makes_again_what_is_damaged(swept: P
             read_results(folder)
 
 
-def test_one_recording_under_two_names_is_refused(tmp_path: Path) -> None:
+def test_the_same_run_under_two_names_is_refused(tmp_path: Path) -> None:
     recording = simulate("linear-cloth", 8, seed=1)
     for name in ("a.h5", "b.h5"):
         write_recording(recording, tmp_path / name)
-    text = TINY.replace('"linear-cloth", "linear-twin"', '"a.h5", "b.h5"')
-    with pytest.raises(ValueError, match=r"a\.h5 and .*b\.h5 are the same recording"):
-        sweep(read_experiment(experiment(tmp_path, text)), tmp_path / "results")
-    assert not list((tmp_path / "results").iterdir())
+    textures = (
+        '"linear-cloth", "linear-twin"',
+        '"a.h5", "b.h5"',
+        r"'FNN \[13\]' on .*a\.h5 and 'FNN \[13\]' on .*b\.h5",
+    )
+    methods = (
+        '"FNN [13]"}',
+        '"FNN [13]"}, {model = "fnn", name = "again"}',
+        r"'FNN .*' on linear-cloth and 'again' on",
+    )
+    for old, new, match in (textures, methods):
+        with pytest.raises(ValueError, match=f"{match}.* are the same run: leave one of them out"):
+            planned(read_experiment(experiment(tmp_path, TINY.replace(old, new))), tmp_path / "results")
 
 
 def test_an_address_where_nobody_listens_is_said_at_once(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -490,9 +499,6 @@ def test_a_folder_without_results_is_said(tmp_path: Path, capsys: pytest.Capture
         (tmp_path / "x.json").write_bytes(content)
         assert _status(["tables", str(tmp_path)]) == 2
         assert "x.json is no result" in capsys.readouterr().err
-    (tmp_path / "folder.toml").mkdir()
-    assert _status(["sweep", str(tmp_path / "folder.toml"), "-o", str(tmp_path / "y")]) == 2
-    assert "is a folder, expected a .toml file" in capsys.readouterr().err
 
 
 def test_holm_is_at_least_as_strict_as_the_false_discovery_rate_and_never_above_bonferroni() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -164,12 +165,12 @@ def _listener(case: _Case, on_stage: Callable[[str], None]) -> dict[str, Any] | 
     if not case.texture.has_excitation:
         case.reasons["listener"] = f"{case.texture.card['model']} carries no excitation"
         return None
-    from foten.evaluate.listener import listener_scores, long_stroke, renderings
+    from foten.evaluate.listener import listener_scores, long_stroke, rendering
 
     strokes = [long_stroke(stroke) for stroke in case.simulated.strokes]
     recorded, *others = strokes or [long_stroke(case.trace, case.blocks)]
     try:
-        return listener_scores(recorded, renderings(case.kernel, recorded), others, case.seed, on_stage)
+        return listener_scores(recorded, partial(rendering, case.kernel, recorded), others, case.seed, on_stage)
     except ValueError as error:
         case.reasons["listener"] = str(error)
         return None

@@ -44,20 +44,16 @@ def long_stroke(trace: Trace, blocks: Sequence[int] | None = None) -> Trace:
     return Trace(acceleration, speed, force, trace.rate_hz, trace.block)
 
 
-def renderings(kernel: NativeTexture, recorded: Trace) -> Callable[[int], Array]:
-    """What renders a texture under a recorded hand: seed → vibration [m/s²], shape (n,)."""
+def rendering(kernel: NativeTexture, recorded: Trace, seed: int) -> Array:
+    """A texture rendered under a recorded hand [m/s²], shape (n,)."""
     speed, force = recorded.blocks(recorded.speed), recorded.blocks(recorded.force)
+    run = np.empty(speed.shape)
 
-    def rendered(seed: int) -> Array:
-        run = np.empty(speed.shape)
+    def render(piece: int) -> None:
+        run[piece] = NativeState(kernel, seed=seed, stream=STREAM + piece).render_stroke(speed[piece], force[piece])
 
-        def render(piece: int) -> None:
-            run[piece] = NativeState(kernel, seed=seed, stream=STREAM + piece).render_stroke(speed[piece], force[piece])
-
-        on_all_cores(render, len(run))
-        return run.ravel()
-
-    return rendered
+    on_all_cores(render, len(run))
+    return run.ravel()
 
 
 def listener_scores(
@@ -78,7 +74,7 @@ def listener_scores(
 
     Returns:
         `listener_auc` and `listener_auc_waveform`, of bands alone and with the waveform, means over listeners; `…_control`, the
-        same of two true vibrations, None where there is too little; `listener_auc_each`; `listener_control_of`; `listener_s`.
+        same of two true vibrations, None where there is too little; `listener_control_of`; `listener_s`.
 
     Raises:
         ValueError: the recording is too short.
@@ -105,7 +101,7 @@ def listener_scores(
             if pairs:
                 two = vibrations(*pairs[(k - seed) % len(pairs)], waveform)
                 control.append(listener_auc(*two, seed=k, same_stroke=bool(others)))
-        scores[name], scores[f"{name}_each"] = float(np.mean(each)), each
+        scores[name] = float(np.mean(each))
         scores[f"{name}_control"] = float(np.mean(control)) if control else None
     return {**scores, "listener_s": seconds, "listener_control_of": control_of}
 

@@ -135,7 +135,7 @@ class Experiment:
         Raises:
             ValueError: a setting is unknown or out of range; the message names the method.
         """
-        runs = [
+        return [
             self._resolved(texture, method, split_seed, dict(zip(self.grid, values, strict=False)), recipe)
             for texture in self.textures
             for split_seed in self.split_seeds
@@ -144,13 +144,6 @@ class Experiment:
             for recipe in method.recipes or [""]
             for values in (itertools.product(*self.grid.values()) if method.model != "ar" else [()])
         ]
-        labels: dict[Any, str] = {}
-        for run in runs:
-            key = run.source, run.configuration
-            if key in labels:
-                raise ValueError(f"{labels[key]!r} and {run.label!r} are the same run: leave one of them out")
-            labels[key] = run.label
-        return runs
 
     def _resolved(self, texture: str, method: Method, split_seed: int, cell: Mapping[str, Any], recipe: str) -> Run:
         name, model = method.title, method.model
@@ -205,13 +198,9 @@ def read_experiment(path: Path, recordings: Path | None = None) -> Experiment:
         recordings: folder of its recordings; by default that of the file.
 
     Raises:
-        FileNotFoundError: there is none.
+        OSError: there is none.
         ValueError: it is no TOML, has an unknown key, or a value does not fit; one line says which.
     """
-    if not path.exists():
-        raise FileNotFoundError(f"no such file: {path}")
-    if path.is_dir():
-        raise ValueError(f"{path} is a folder, expected a .toml file")
     try:
         return _experiment(tomllib.loads(path.read_text(encoding="utf-8")), recordings or path.parent)
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:

@@ -104,8 +104,7 @@ def split(result: Mapping[str, Any], recordings: Path | None = None) -> Figure:
     trace = preprocess(recording, PreprocessConfig(**run.preprocess))
     parts = split_blocks(trace, seed=run.split_seed)
     figure, panels = new_figure(10.0, 5.0, nrows=3, sharex=True)
-    length = trace.block / trace.rate_hz
-    times = np.arange(trace.n_blocks * trace.block) / trace.rate_hz
+    length, times = trace.block / trace.rate_hz, np.arange(len(trace)) / trace.rate_hz
     rows = (("acceleration [m/s²]", trace.acceleration), ("speed [mm/s]", trace.speed), ("force [N]", trace.force))
     for axes, (label, values) in zip(panels, rows, strict=True):
         for name, colour in PARTS.items():

@@ -81,15 +81,9 @@ def closure(entries: Iterable[str], root: Path, others: Collection[str] = ()) ->
 
     Args:
         root: folder of the package.
-
-    Raises:
-        ValueError: there is no such module to begin with.
     """
     files: dict[str, Path] = {}
     waiting = list(entries)
-    for name in waiting:
-        if file_of(name, root) is None:
-            raise ValueError(f"there is no module {name}")
     while waiting:
         name = waiting.pop()
         path = file_of(name, root)

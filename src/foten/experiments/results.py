@@ -76,8 +76,6 @@ def read_results(folder: Path, mixed: bool = False) -> list[dict[str, Any]]:
         ValueError: there is none, a file is no result, two are of one method on one texture and split, or of different code or
             platform.
     """
-    if not folder.is_dir():
-        raise ValueError(f"there is no folder {folder}")
     results: list[dict[str, Any]] = []
     paths: dict[tuple[str, str, str, int], str] = {}
     for path in sorted(folder.glob("*.json")):
@@ -218,16 +216,11 @@ def read_records(path: Path) -> list[dict[str, Any]]:
     """
     if path.suffix != ".csv":
         return records_of(read_results(path, mixed=True))
-    if not path.is_file():
-        raise ValueError(f"there is no {path}")
     with path.open(encoding="utf-8", newline="") as file:
         rows = list(csv.DictReader(file))
     if not rows or not {"method", "texture", "split", *(figure.path for figure in FIGURES.values())} <= set(rows[0]):
         raise ValueError(f"{path.name} is no runs.csv of foten tables")
-    try:
-        return [dict.fromkeys(_TEXTS, "") | {key: _parsed(key, text) for key, text in row.items()} for row in rows]
-    except ValueError as error:
-        raise ValueError(f"{path.name} is no runs.csv of foten tables: {error}") from error
+    return [dict.fromkeys(_TEXTS, "") | {key: _parsed(key, text) for key, text in row.items()} for row in rows]
 
 
 def _parsed(key: str, text: str) -> Any:

@@ -13,7 +13,7 @@ from foten.dsp import Array
 from foten.dsp.filters import butterworth
 from foten.evaluate.evaluate import SimulatorReference, trace_for
 from foten.evaluate.free_run import N_SEEDS
-from foten.evaluate.listener import N_LISTENERS, long_stroke, renderings, vibrations
+from foten.evaluate.listener import N_LISTENERS, long_stroke, rendering, vibrations
 from foten.models.texture_file import Texture
 from foten.recording.preprocess import PreprocessConfig
 from foten.recording.recording import Recording
@@ -122,7 +122,7 @@ def validation_listener(texture: Texture, recording: Recording) -> dict[str, flo
     from foten.evaluate.listener_network import listener_auc
 
     recorded = long_stroke(strokes[0])
-    rendered = renderings(NativeTexture(texture.to_bytes()), recorded)(0)
+    rendered = rendering(NativeTexture(texture.to_bytes()), recorded, 0)
     area = listener_auc(*vibrations(recorded, replace(recorded, acceleration=rendered), waveform=False), seed=0)
     return {"area": area}
 

@@ -117,7 +117,7 @@ def planned(experiment: Experiment, results: Path) -> tuple[list[Planned], dict[
     """Runs of an experiment with the files of their results, and the recordings by source.
 
     Raises:
-        ValueError: two textures are the same recording.
+        ValueError: two runs are of the same recording and settings.
     """
     recordings: dict[Any, Recording] = {}
     plan: dict[Path, Planned] = {}
@@ -127,9 +127,8 @@ def planned(experiment: Experiment, results: Path) -> tuple[list[Planned], dict[
         provenance = provenance_of(run, recordings[run.source].sha256())
         path = results / f"{provenance.name}.json"
         if path in plan:
-            raise ValueError(
-                f"{plan[path].run.texture} and {run.texture} are the same recording: leave one of them out"
-            )
+            first, other = (f"{one.label!r} on {one.texture}" for one in (plan[path].run, run))
+            raise ValueError(f"{first} and {other} are the same run: leave one of them out")
         titles = {"title": experiment.title, "note": experiment.note}
         plan[path] = Planned(run, path, {"index": index, "experiment": titles, "run": asdict(run)}, provenance)
     return list(plan.values()), recordings

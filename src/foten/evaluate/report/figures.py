@@ -116,8 +116,8 @@ def conditions(judgement: Judgement, texture: Texture) -> Figure | None:
     errors = signals.level_errors(judgement, name)
     figure, axes = new_figure(4.9, 3.4, PAGE)
     if judgement.document["split"] != "foreign":
-        _, *hand = judgement.trace.picked(texture.card["split"]["train"])
-        means = (channel.mean(axis=1) for channel in hand)
+        _, *speed_force = judgement.trace.picked(texture.card["split"]["train"])
+        means = (channel.mean(axis=1) for channel in speed_force)
         axes.plot(*means, "x", color=INK, alpha=0.45, markersize=4, label="training")
     limit = max(1.0, float(np.abs(errors).max()))
     colours = {"c": errors, "cmap": "RdBu_r", "vmin": -limit, "vmax": limit, "edgecolors": INK}

@@ -171,10 +171,8 @@ def _figure(name: str, figure: Figure | None, title: str, caption: str) -> str:
 
 
 def _raw_section(document: Mapping[str, Any], texture: Texture) -> str:
-    shown = {"All figures (JSON)": document, "The texture's card (JSON)": texture.card}
-    blocks = "".join(
-        f"<details><summary>{title}</summary><pre>{html.escape(json.dumps(dict(value), indent=1, ensure_ascii=False))}</pre>"
-        "</details>"
-        for title, value in shown.items()
-    )
+    blocks = ""
+    for title, value in {"All figures (JSON)": document, "The texture's card (JSON)": texture.card}.items():
+        raw = html.escape(json.dumps(dict(value), indent=1, ensure_ascii=False))
+        blocks += f"<details><summary>{title}</summary><pre>{raw}</pre></details>"
     return f'<section id="raw"><h2>Raw</h2>{blocks}</section>'
