@@ -138,8 +138,6 @@ def test_what_is_wrong_in_a_file_is_said_in_one_line(
 def test_runs_are_listed_without_running(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert _status(["sweep", str(experiment(tmp_path)), "-o", str(tmp_path / "results"), "--dry-run"]) == 0
     assert capsys.readouterr().out.splitlines()[0] == "FNN [13], linear-cloth, split 1"
-    assert _status(["sweep", str(experiment(tmp_path)), "--dry-run"]) == 0
-    assert capsys.readouterr().out.splitlines()[0] == "FNN [13], linear-cloth, split 1"
     assert _status(["sweep", "no-such", "-o", str(tmp_path / "results")]) == 2
     assert "table-1-small" in capsys.readouterr().err
 

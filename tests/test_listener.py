@@ -180,19 +180,3 @@ def test_a_hand_at_rest_says_nothing() -> None:
     still = Trace(hiss(1), np.zeros(N), np.ones(N), RATE_HZ, N)
     with pytest.raises(ValueError, match="the hand is at rest where a listener is to learn"):
         vibrations(still, still, waveform=False)
-
-
-@pytest.mark.parametrize("rate_hz", [2500.0, 10_000.0])
-def test_any_rate_has_the_same_frames(rate_hz: float) -> None:
-    n = round(45 * rate_hz)
-    rng = np.random.default_rng(8)
-    one, other = (Trace(a, np.full(n, 80.0), np.ones(n), rate_hz, n) for a in rng.standard_normal((2, n)))
-    first, second = vibrations(one, other, waveform=True)
-    assert first.frames.shape == (10, 45 * 125)
-    assert first.waveform.shape == (45 * 125, round(0.008 * rate_hz))
-    listener = networks.Listener(10, first.waveform.shape[1])
-    import torch
-
-    odds = listener(torch.zeros(2, 10, EXCERPT), torch.zeros(2, EXCERPT * first.waveform.shape[1]))
-    assert odds.shape == (2,)
-    assert len(second.test) > 50

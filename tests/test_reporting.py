@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from foten.reporting.figure import PAGE, add_legend, new_figure, panel_grid, write_figure
+from foten.reporting.figure import add_legend, new_figure, write_figure
 from foten.reporting.table import Heading, Number, Table, mean_number, minus, signed
 
 COLUMNS = (Heading("model", words=True), Heading("error", "sd", note="lower is better"), Heading("LSD", "dB"))
@@ -109,10 +109,3 @@ def test_the_same_figure_is_the_same_bytes(tmp_path: Path, suffix: str, colours:
         with Image.open(first) as image:
             assert (image.size, image.mode) == ((150, 100), "P" if colours else "RGBA")
             assert "Software" not in image.info
-
-
-def test_panels_are_named_and_those_that_are_too_many_hidden() -> None:
-    figure, panels = panel_grid(["a", "b", "c", "d"], 2.0, 1.0, PAGE)
-    assert [axes.get_title(loc="left") for axes in panels] == ["a", "b", "c", "d"]
-    assert [axes.get_visible() for axes in figure.axes] == [True] * 4 + [False] * 2
-    assert tuple(figure.get_size_inches()) == (6.0, pytest.approx(2.6))

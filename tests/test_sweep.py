@@ -349,20 +349,6 @@ def test_a_panel_is_of_one_recording(results: list[dict]) -> None:
     assert [label.get_text() for label in axes.get_yticklabels()] == ["recorded", "FNN [13],\nwithout excitation"]
 
 
-def test_blocks_without_a_free_run_have_tables(results: list[dict]) -> None:
-    """Blocks too short for a spectrum: all figures of the free run are missing, and what is not known is left empty."""
-    for one in results:
-        for run in ("free_run", "free_run_deterministic", "free_run_ar", "ceiling"):
-            one["evaluation"][run] = dict.fromkeys(one["evaluation"][run])
-    records = records_of(results)
-    assert len(table(records, "mae").rows) == 3
-    assert table(records, "lsd").cells()[1][1:] == ["–", "–"]
-    assert {one["excitation"] for one in records} == {""}
-    heading, *rows = runs_table(records).cells()
-    assert "excitation" not in heading  # a column without a cell is left out
-    assert len(rows) == 4
-
-
 def test_what_falls_silent_runs_along_the_lower_edge_and_is_said(results: list[dict]) -> None:
     result, other = results[0::2]  # one method, two textures
     for one in (result, other):

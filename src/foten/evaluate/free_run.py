@@ -58,6 +58,26 @@ def synthesize(
     return _after_recorded(channels[0][:, :m], rendered), int(n_saturated.sum())
 
 
+def render_strokes(
+    texture: NativeTexture, seed: int, speed: Array, force: Array, first_stream: int = 0
+) -> tuple[Array, int]:
+    """Acceleration [m/s²] of strokes with noise of their own, shape (s, n), and how many samples the saturator cut.
+
+    Args:
+        seed: of the noise; stroke s draws that of stream `first_stream` + s.
+        speed, force: at the texture's own rate [mm/s, N], each of shape (s, n).
+    """
+    rendered, n_saturated = np.empty(speed.shape), np.zeros(len(speed), dtype=np.int64)
+
+    def render(stroke: int) -> None:
+        state = NativeState(texture, seed=seed, stream=first_stream + stroke)
+        rendered[stroke] = state.render_stroke(speed[stroke], force[stroke])
+        n_saturated[stroke] = state.statistics.n_saturated
+
+    on_all_cores(render, len(rendered))
+    return rendered, int(n_saturated.sum())
+
+
 def synthesize_linear(
     predictor: Linear, trace: Trace, blocks: tuple[int, ...], scaling: Scaling, seed: int = 0, n_seeds: int = N_SEEDS
 ) -> Array:

@@ -18,10 +18,10 @@ from numpy.typing import NDArray
 from foten.dsp import Array
 from foten.dsp.bands import BAND_FRAME_MS, band_energies
 from foten.dsp.level import framed
+from foten.evaluate.free_run import render_strokes
 from foten.models.conditions import FADE_FORCE, FADE_SPEED
 from foten.recording.trace import Trace
-from foten.runtime.loops import on_all_cores
-from foten.runtime.native import NativeState, NativeTexture
+from foten.runtime.native import NativeTexture
 
 if TYPE_CHECKING:
     from foten.evaluate.listener_network import Vibration
@@ -47,13 +47,7 @@ def long_stroke(trace: Trace, blocks: Sequence[int] | None = None) -> Trace:
 def rendering(kernel: NativeTexture, recorded: Trace, seed: int) -> Array:
     """A texture rendered under a recorded hand [m/s²], shape (n,)."""
     speed, force = recorded.blocks(recorded.speed), recorded.blocks(recorded.force)
-    run = np.empty(speed.shape)
-
-    def render(piece: int) -> None:
-        run[piece] = NativeState(kernel, seed=seed, stream=STREAM + piece).render_stroke(speed[piece], force[piece])
-
-    on_all_cores(render, len(run))
-    return run.ravel()
+    return render_strokes(kernel, seed, speed, force, STREAM)[0].ravel()
 
 
 def listener_scores(

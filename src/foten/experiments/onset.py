@@ -17,9 +17,10 @@ import numpy as np
 
 from foten.dsp import Array
 from foten.dsp.distance import welch
-from foten.experiments.stability import rendered_strokes
+from foten.evaluate.free_run import render_strokes
 from foten.models.conditions import FADE_FORCE, FADE_SPEED
 from foten.models.texture_file import Texture
+from foten.runtime.native import NativeTexture
 
 WINDOW_MS = 40.0
 STARTS_MS = (0.0, 100.0)
@@ -45,13 +46,13 @@ def band_powers(windows: Array, rate_hz: float) -> Array:
 def onset(texture: Texture, n_strokes: int = N_STROKES, n_streams: int = N_STREAMS, seed: int = 0) -> dict[str, Any]:
     """Levels and spectra of first strokes beside settled ones [dB], by where a window begins, and the share of clicks."""
     rng = np.random.default_rng(seed)
-    rate = texture.rate_hz
+    kernel, rate = NativeTexture(texture.to_bytes()), texture.rate_hz
     window, n = round(WINDOW_MS * rate / 1000), round(LASTS_S * rate)
     (slow, fast), (light, heavy) = (texture.trained_range(channel) for channel in ("speed", "force"))
     speeds = rng.uniform(max(slow, min(FADE_SPEED, fast)), fast, n_strokes)
     forces = rng.uniform(max(light, min(FADE_FORCE, heavy)), heavy, n_strokes)
     strokes = (np.repeat(values, n_streams)[:, None] + np.zeros(n) for values in (speeds, forces))
-    rendered = rendered_strokes(texture, seed, *strokes)[0].reshape(n_strokes, n_streams, n)
+    rendered = render_strokes(kernel, seed, *strokes)[0].reshape(n_strokes, n_streams, n)
     settled = rendered[:, :, round(SETTLED_S * rate) :]
     cut = settled[..., : settled.shape[2] // window * window].reshape(n_strokes, -1, window)
     loud = np.square(settled).mean(axis=(1, 2))
@@ -76,7 +77,7 @@ def onset(texture: Texture, n_strokes: int = N_STROKES, n_streams: int = N_STREA
     first = np.ones(round(CLICK_MS * rate / 1000))
     streams = MORE_STREAMS * n_streams
     strokes = (np.repeat(values, streams)[:, None] * first for values in (speeds, forces))
-    at_once, _ = rendered_strokes(texture, seed + 1, *strokes)
+    at_once, _ = render_strokes(kernel, seed + 1, *strokes)
     loud_samples = np.abs(at_once.reshape(n_strokes, streams, -1)) > limits[:, None, None]
     begin = [away(round(start * rate / 1000)) for start in STARTS_MS]
     later = [away(round(SETTLED_S * rate) + k * window) for k in range(10)]

@@ -21,12 +21,13 @@ import numpy as np
 from foten.baselines.graph_model import model_of_graph
 from foten.dsp import Array
 from foten.dsp.lattice import LEAK
+from foten.evaluate.free_run import render_strokes
 from foten.models.definitions import model_of
 from foten.models.foten_plus.sizes import FotenPlusSizes
 from foten.models.graph_sizes import GRAPH
 from foten.models.texture_file import Texture
 from foten.runtime.loops import run_loops
-from foten.runtime.native import NativeState, NativeTexture
+from foten.runtime.native import NativeTexture
 from foten.simulation.stroking import stroking
 
 BOUNDED = ("foten-plus", "ar", "gan", "dftnet")  # models that no sample of their own drives further than their bound
@@ -48,7 +49,7 @@ def stability(texture: Texture, minutes: float = MINUTES, n_attack: int = N_ATTA
     half = N_STROKES // 2
     speed[half:] = into(speed[half:], *texture.trained_range("speed"))
     force[half:] = into(force[half:], *texture.trained_range("force"))
-    rendered, n_saturated = rendered_strokes(texture, 1, speed, force)
+    rendered, n_saturated = render_strokes(NativeTexture(texture.to_bytes()), 1, speed, force)
     return {
         "n_samples": rendered.size,
         "recorded_max_sd": texture.card["metrics"]["recorded_peak_sd"],
@@ -56,22 +57,6 @@ def stability(texture: Texture, minutes: float = MINUTES, n_attack: int = N_ATTA
         "n_saturated": n_saturated,
         **attack(texture, n_attack),
     }
-
-
-def rendered_strokes(texture: Texture, seed: int, speed: Array, force: Array) -> tuple[Array, int]:
-    """Acceleration [m/s²] of strokes with noise of their own, shape (s, n), and how many samples the saturator cut.
-
-    Args:
-        seed: of the noise; stroke s draws that of stream s.
-        speed, force: at the texture's own rate [mm/s, N], each of shape (s, n).
-    """
-    native = NativeTexture(texture.to_bytes())
-    out, n_saturated = np.empty(speed.shape), 0
-    for stream, stroke in enumerate(zip(speed.astype(np.float32), force.astype(np.float32), strict=True)):
-        state = NativeState(native, seed=seed, stream=stream)
-        out[stream] = state.render_stroke(*stroke)
-        n_saturated += int(state.statistics.n_saturated)
-    return out, n_saturated
 
 
 def strokes(rate_hz: float, seconds: float, n_streams: int) -> tuple[Array, Array]:
