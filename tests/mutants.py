@@ -432,10 +432,10 @@ MUTANTS = (
     ),
     Mutant(
         "kurtosis is not about the mean",
-        PACKAGE + "evaluate/free_run.py",
+        PACKAGE + "evaluate/metrics.py",
         "6 * mean**2 * second - 3 * mean**4",
         "6 * mean**2 * second",
-        ("tests/test_free_run.py",),
+        ("tests/test_metrics.py",),
     ),
     Mutant(
         "a linear predictor's free run forgets its constant",

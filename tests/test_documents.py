@@ -101,11 +101,6 @@ def test_every_long_command_of_a_tutorial_runs(page: Path, tmp_path: Path) -> No
         run(block, tmp_path)
 
 
-def test_the_recordings_tutorial_ends_in_a_report(tmp_path: Path) -> None:
-    """What a reader was promised: the commands are there in this order, and none of them is left out of running."""
-    assert commands_of("recordings") == ["import", "import", "import", "inspect", "train", "evaluate", "render", "play"]
-
-
 def commands_of(tutorial: str) -> list[str]:
     """The subcommands that a tutorial's tests run, `study new` as two words."""
     lines = [

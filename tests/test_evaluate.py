@@ -12,7 +12,7 @@ from scipy.signal import lfilter
 from conftest import SCALING, SMALL, exported, sizes_with
 from foten.evaluate.evaluate import Judgement, evaluate
 from foten.evaluate.free_run import synthesize_linear
-from foten.evaluate.one_step import ORDERS, Linear, best_linear, excitation_scores
+from foten.evaluate.one_step import ORDERS, Linear, excitation_scores
 from foten.models.conditions import FADE_FORCE, FADE_SPEED
 from foten.models.texture_file import Texture
 from foten.recording.preprocess import PreprocessConfig, preprocess
@@ -150,13 +150,3 @@ def test_the_excitation_is_scored_where_the_tool_moves_and_touches(recording: Re
     )
     assert judged.document["one_step"]["nll"] == pytest.approx(scored)
     assert abs(more - scored) > 0.01
-
-
-def test_the_best_linear_predictor_never_sees_other_blocks(trace: Trace) -> None:
-    samples = SCALING.scale(trace.stacked())
-    spoilt = samples.copy().reshape(N_BLOCKS, BLOCK, 3)
-    spoilt[list(SPLIT.test)] = 1e3
-    fitted = [best_linear(some.reshape(-1, 3), SPLIT.train, SPLIT.validation, BLOCK) for some in (samples, spoilt)]
-    assert fitted[0] is not None
-    assert fitted[1] is not None
-    np.testing.assert_array_equal(fitted[0].coefficients, fitted[1].coefficients)

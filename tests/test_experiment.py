@@ -11,11 +11,11 @@ import pytest
 from conftest import TINY, experiment, exported
 from foten.cli.command_line import _status
 from foten.datasets.hdf5 import write_recording
-from foten.experiments.experiment import MEASURES, Experiment, Method, experiment_path, read_experiment
+from foten.evaluate.evaluate import Judgement
+from foten.experiments.experiment import Experiment, Method, experiment_path, read_experiment
 from foten.experiments.onset import onset
-from foten.experiments.results import by_recipe, read_records
-from foten.experiments.run import _measures, _result
-from foten.experiments.stability import into, proven, stability
+from foten.experiments.run import _result
+from foten.experiments.stability import proven, stability
 from foten.models.foten_plus.sizes import FotenPlusSizes
 from foten.models.texture_file import Texture
 from foten.simulation.simulate import simulate
@@ -56,7 +56,10 @@ def test_a_setting_that_a_method_does_not_use_is_no_grid(tmp_path: Path) -> None
     with pytest.raises(ValueError, match="method 'gan': loss means nothing to gan"):
         read_experiment(experiment(tmp_path, gan)).runs()
     ar = 'title = "x"\nmethods = ["ar"]\ntextures = ["towel"]\n'
-    for more, match in (("[train]\nepoch = 1", "unknown key 'epoch'"), ("[grid]\nepochs = [1]", "a grid is of netw")):
+    for more, match in (
+        ("[train]\nepoch = 1", "unknown key 'epoch'"),
+        ("[grid]\nepochs = [1]", "unknown key 'epochs'"),
+    ):
         with pytest.raises(ValueError, match=match):
             read_experiment(experiment(tmp_path, ar + more))
 
@@ -91,59 +94,30 @@ def test_recordings_are_where_it_is_said(tmp_path: Path) -> None:
     assert str(tmp_path / "elsewhere" / "a.h5") in read_experiment(path, tmp_path / "elsewhere").textures
 
 
-def test_ours_of_table_1_are_the_best_of_the_recipes_on_validation(tmp_path: Path) -> None:
-    """What Table I calls ours was chosen by the experiment `recipes`, whose runs are in the documents."""
-    path = Path(__file__).parents[1] / "docs" / "results" / "recipes.csv"
-    if not path.exists():
-        pytest.skip("the recipes have not been run")
-    best = {method: next(iter(errors)) for method, errors in by_recipe(read_records(path)).items()}
-    candidates = {(run.method, run.recipe): run.train for run in read_experiment(experiment_path("recipes")).runs()}
-    own = {"seed", "epochs", "patience", "recipe"}
-    for texture in ("copper", "fabric", "leather", "wood"):
-        (tmp_path / f"{texture}.h5").touch()
-    for name in ("table-1-small", "table-1-real"):
-        for run in read_experiment(experiment_path(name), tmp_path).runs():
-            if run.recipe == "ours" and run.model != "foten-plus":  # which has one of its own
-                method = run.method.removesuffix(" with excitation")  # as FoTEN
-                chosen = candidates[method, best[method]]
-                assert {k: v for k, v in run.train.items() if k not in own} == {
-                    k: v for k, v in chosen.items() if k not in own
-                }
-
-
 @pytest.mark.parametrize(
     ("old", "new", "match"),
     [
         ('"FNN [13]"}', '"FNN [13]", beside = "DSTN"}', "'FNN [13]' stands beside 'DSTN', which is no method"),
         ('"FNN [13]"}', '"FNN [13]", recipes = {a = {epoch = 1}}}', "unknown key 'epoch' in recipe 'a' of a method"),
-        ('"FNN [13]"}', '"FNN [13]", recipes = {a = 5}}', "recipe 'a' of a method is 5, expected a table"),
         ('"FNN [13]"}', '"FNN [13]", recipes = {a = {recipe = "x"}}}', "unknown recipe 'x'"),
-        (
-            '"FNN [13]"}',
-            '"FNN [13]", measures = ["onse"]}',
-            "unknown key 'onse' in 'measures' of a method, expected 'onset'",
-        ),
+        ('"FNN [13]"}', '"FNN [13]", measures = ["onse"]}', "unknown key 'onse' in 'measures' of a method"),
         ('"FNN [13]"}', '"FNN [13]", split_seeds = [9]}', "its split_seeds are not all among the experiment's"),
         ("seconds = 8", "seconds = ", "this is not TOML"),
         ("seconds = 8", "second = 8", "unknown key 'second' in the file, expected 'seconds'?"),
-        ("seconds = 8", "seconds = 0", "seconds is 0, expected 1 to 3600"),
+        ("seconds = 8", "seconds = '8'", "'seconds' of the file is '8', expected a number"),
         ('"linear-twin"', '"silk"', "unknown texture 'silk'"),
-        ('"linear-twin"', '"silk.h5"', "there is no recording silk.h5 in "),
         ('name = "excited"', 'name = "FNN [13]"', "two methods have the same name"),
         ('"fnn", name = "e', '"fn", name = "e', "unknown model 'fn'"),
         ("excitation = true", "excited = true", "method 'excited': fnn has no size 'excited'"),
         ("epochs = 1", "epoch = 1", "unknown key 'epoch' in [train], expected 'epochs'?"),
         ("epochs = 1", "epochs = -1", "epochs is -1, expected 0 or more"),
-        ("block_ms = 1000", "block = 1000", "unknown key 'block' in [preprocess], expected 'block_ms'?"),
-        ("[train]", "split_seeds = [1.5]\n[train]", "split_seeds is"),
-        ("[train]", "split_seeds = [1, 1]\n[train]", "split_seeds is [1, 1], expected each once"),
+        (
+            "[train]",
+            "split_seeds = [1, 1]\n[train]",
+            "split_seeds is [1, 1], expected a list of whole numbers, each once",
+        ),
         ("[train]", "[grid]\nepoch = [1]\n[train]", "unknown key 'epoch' in [grid], expected 'epochs'?"),
-        ('"FNN [13]"}', '"FNN [13]", train = {epoch = 1}}', "unknown key 'epoch' in 'train' of a method"),
-        ("epochs = 1", 'recipe = "paper"', "'recipe' stands beside [train]"),
-        ("epochs = 1", "batch = 2.5", "batch is 2.5, expected a whole number"),
-        ('"FNN [13]"}', '"FNN [13]"}, {model = "fnn", name = "again"}', "'FNN [13]' and 'again' are the same run"),
         ('"FNN [13]"}', '"FNN [13]"}, {model = "ar", train = {epochs = 3}}', "'ar' is fitted without a recipe"),
-        ('{model = "fnn", name = "FNN [13]"}', "5", "a method is 5, expected a model's name or a table"),
         ("sizes = {excitation = true}", "sizes = 5", "'sizes' of a method is 5, expected a table"),
         ('"linear-twin"', '"linear-cloth"', "two textures have the same name"),
         ("[train]", "[grid]\nloss = 'mse'\n[train]", "'loss' in the grid is 'mse', expected a list"),
@@ -163,8 +137,6 @@ def test_what_is_wrong_in_a_file_is_said_in_one_line(
 
 def test_runs_are_listed_without_running(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert _status(["sweep", str(experiment(tmp_path)), "-o", str(tmp_path / "results"), "--dry-run"]) == 0
-    assert capsys.readouterr().out.splitlines()[0] == "FNN [13], linear-cloth, split 1"
-    assert _status(["sweep", str(experiment(tmp_path)), "--dry-run"]) == 0
     assert capsys.readouterr().out.splitlines()[0] == "FNN [13], linear-cloth, split 1"
     assert _status(["sweep", "no-such", "-o", str(tmp_path / "results")]) == 2
     assert "table-1-small" in capsys.readouterr().err
@@ -191,11 +163,9 @@ def texture() -> Texture:
 
 def test_a_texture_is_bounded_and_forgets(texture: Texture) -> None:
     figures = stability(texture, minutes=0.5, n_attack=12_000)
-    assert figures["finite"]
     assert figures["n_samples"] == 30_000
-    assert figures["still_m_s2"] == 0.0
-    assert figures["attack_later_max_sd"] <= figures["attack_bound_sd"]
-    assert figures["attack_max_sd"] > figures["attack_later_max_sd"]
+    assert 1 < figures["max_sd"] < np.inf
+    assert 0 < figures["attack_later_max_sd"] <= figures["attack_bound_sd"]
     assert 0 < figures["forgets_s"] < 12
     assert figures["attack_after_db"] < 0.5
 
@@ -206,49 +176,34 @@ def test_the_proven_bound_grows_with_the_level(texture: Texture) -> None:
     assert proven(exported("foten")) is None
 
 
-def test_strokes_are_stretched_each_by_itself() -> None:
-    stretched = into(np.array([[0.0, 1.0, 2.0], [5.0, 5.5, 7.0]]), 10.0, 20.0)
-    np.testing.assert_allclose(stretched, [[10.0, 15.0, 20.0], [10.0, 12.5, 20.0]])
-
-
 def test_a_first_stroke_is_as_a_settled_one(texture: Texture) -> None:
     figures = onset(texture, n_strokes=12, n_streams=6)
     # 72 windows of 40 ms: what ten settled ones reach at most, and half as much again.
-    for name in ("level_db", "spectrum_db", "level_size_db"):
-        for start in ("0_ms", "20_ms", "60_ms", "100_ms"):
+    for name in ("level_db", "spectrum_db"):
+        for start in ("0_ms", "100_ms"):
             assert abs(figures[name][start]) < 1.5 * figures[name]["settled"] + 0.2
     excess = figures["click_share"] - figures["settled_share"]
     assert abs(excess) < 4 * figures["click_standard_error"]
 
 
-def test_every_measure_that_a_file_may_name_is_there(texture: Texture, monkeypatch: pytest.MonkeyPatch) -> None:
-    functions = {
-        name: f"{module}.{name}" for name, module in MEASURES.items() if module.startswith("foten.experiments")
-    }
-    functions["validation_listener"] = "foten.experiments.run.validation_listener"
-    assert {*functions, "listener"} == set(MEASURES)  # the listener is asked by the evaluation
-    for name, function in functions.items():
-        monkeypatch.setattr(function, lambda *_, name=name: {"named": name})
-    expected = {name: {"named": name} for name in functions}
-    assert _measures([*MEASURES], texture, None, None) == expected  # type: ignore[arg-type]
-
-
-@pytest.mark.parametrize("measures", [(), ("stability", "listener")])
-def test_the_listener_is_asked_where_a_file_names_it(
+@pytest.mark.parametrize("measures", [(), ("stability", "onset", "listener", "validation_listener")])
+def test_what_a_file_names_is_measured(
     texture: Texture, monkeypatch: pytest.MonkeyPatch, measures: tuple[str, ...]
 ) -> None:
-    asked: dict[str, bool] = {}
-
-    class EnoughError(Exception):
-        pass
-
-    def evaluated(*_: object, listener: bool) -> None:
-        asked["evaluation"] = listener
-        raise EnoughError
-
-    monkeypatch.setattr("foten.experiments.run.reference_for", lambda *_, listener: asked.update(reference=listener))
-    monkeypatch.setattr("foten.experiments.run.evaluate", evaluated)
+    """The listener by the evaluation, the others beside it."""
+    recording = simulate("linear-hum", 4)
+    judgement = Judgement({"recording_sha256": ""}, None, (), {})  # type: ignore[arg-type]
+    called: list[str] = []
+    monkeypatch.setattr(
+        "foten.experiments.run.reference_for", lambda *_, listener: called.extend(["listener"] * listener)
+    )
+    monkeypatch.setattr(
+        "foten.experiments.run.evaluate", lambda *_, listener: called.append(str(listener)) or judgement
+    )
+    for name in ("stability.stability", "onset.onset", "run.validation_listener"):
+        monkeypatch.setattr(f"foten.experiments.{name}", lambda *_, name=name: name)
     run = next(iter(Experiment("t", ("linear-hum",), (Method("foten", measures=measures),)).runs()))
-    with pytest.raises(EnoughError):
-        _result(run, simulate("linear-hum", 4), texture, 0.0)
-    assert asked == {"reference": "listener" in measures, "evaluation": "listener" in measures}
+    texture = dataclasses.replace(texture, card={**texture.card, "training": {"versions": {}}})
+    measured = _result(run, recording, texture, 0.0)["measures"]
+    assert {name.split(".")[1] for name in measured.values()} == set(measured) == {*measures} - {"listener"}
+    assert called == (["listener", "True"] if measures else ["False"])

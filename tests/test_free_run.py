@@ -33,7 +33,7 @@ def hand(n_blocks: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
 
 
 def figures(recorded: np.ndarray, synthesized: np.ndarray) -> dict[str, Any]:
-    return free_run(recorded, synthesized, *hand(len(recorded)), RATE_HZ, float(recorded.std()))
+    return free_run(recorded, synthesized, RATE_HZ, float(recorded.std()))
 
 
 def test_two_realisations_of_one_process_are_as_far_as_chance_sets_them() -> None:
@@ -61,7 +61,6 @@ def test_the_same_signal_is_perfect() -> None:
     for key in ("gfc_raw", "gfc_welch", "level_corr"):
         assert found[key] == pytest.approx(1.0, abs=1e-9), key
     assert found["kurtosis"] == pytest.approx(found["kurtosis_recorded"], rel=1e-12)
-    assert found["level_slopes"] == pytest.approx(found["level_slopes_recorded"], abs=1e-9)
 
 
 @pytest.mark.parametrize("gain", [2.0, 0.5])
@@ -122,19 +121,8 @@ def test_a_level_that_follows_the_hand_is_told_from_one_that_does_not() -> None:
     level = (speed / 100) ** 0.7 * force**0.35
     recorded = level * resonant(8, BLOCK, seed=0)
     faithful, dull = level * resonant(2, 8, BLOCK, seed=1), 1.5 * resonant(2, 8, BLOCK, seed=2)
-    good, bad = (free_run(recorded, s, speed, force, RATE_HZ, 1.0) for s in (faithful, dull))
+    good, bad = (free_run(recorded, s, RATE_HZ, 1.0) for s in (faithful, dull))
     assert good["level_corr"] > 0.75 > 0.2 > abs(bad["level_corr"])
-    # 2 dB a frame over 320 frames and a spread of 0.25 decades: 0.5 dB a decade, in mean over two runs; three of them.
-    assert good["level_slopes"] == pytest.approx((14.0, 7.0), abs=1.5)
-    assert good["level_slopes_recorded"] == pytest.approx((14.0, 7.0), abs=2.0)
-    assert bad["level_slopes"] == pytest.approx((0.0, 0.0), abs=1.5)
-
-
-def test_intervals_hold_their_figures() -> None:
-    found = figures(resonant(10, BLOCK, seed=0), resonant(2, 10, BLOCK, seed=1))
-    for key in ("lsd_db", "gfc_raw", "gfc_welch", "level_bias_db", "level_error_db", "kurtosis"):
-        low, high = found["intervals"][key]
-        assert low <= found[key] <= high
 
 
 def trace(n_blocks: int, block: int = 300, seed: int = 0) -> Trace:
@@ -162,12 +150,6 @@ def test_a_texture_starts_from_each_blocks_own_window(texture: Texture) -> None:
     np.testing.assert_array_equal(again, out)
     other, _ = synthesize(NativeTexture(texture.to_bytes()), recorded, (1, 3), excitation=True, seed=1, n_seeds=3)
     assert not np.array_equal(other, out)
-
-
-def test_without_excitation_there_is_one_run(texture: Texture, plain_texture: Texture) -> None:
-    for given in (texture, plain_texture):
-        out, _ = synthesize(NativeTexture(given.to_bytes()), trace(3), (0, 2), excitation=False)
-        assert out.shape == (1, 2, 300)
 
 
 def test_the_first_free_sample_is_the_one_step_prediction() -> None:
@@ -220,8 +202,7 @@ def test_the_nearest_training_block_is_nearest_in_speed_and_force() -> None:
 
 def test_blocks_without_a_frame_have_no_level() -> None:
     rng = np.random.default_rng(0)
-    recorded, speed = rng.standard_normal((3, 400)), np.full((3, 400), 80.0)
-    found = free_run(recorded, rng.standard_normal((2, 3, 400)), speed, speed / 80, 10_000.0, 1.0)
+    found = free_run(rng.standard_normal((3, 400)), rng.standard_normal((2, 3, 400)), 10_000.0, 1.0)
     assert found["level_bias_db"] is found["level_error_db"] is found["level_corr"] is None
     assert np.isfinite(found["lsd_db"])
 
@@ -231,7 +212,5 @@ def test_the_largest_sample_is_a_synthesized_one() -> None:
     synthesized = 0.1 * recorded[None]
     synthesized[:, 0, 5] = 40.0  # of the recorded window
     synthesized[:, 1, 300] = -7.0
-    speed = np.full((2, 2000), 80.0)
-    found = free_run(recorded, synthesized, speed, speed / 80, 1000.0, 1.0, n_given=20)
-    assert found["max_sd"] == pytest.approx(7.0)
-    assert free_run(recorded, synthesized, speed, speed / 80, 1000.0, 1.0)["max_sd"] == pytest.approx(40.0)
+    assert free_run(recorded, synthesized, 1000.0, 1.0, n_history=20)["max_sd"] == pytest.approx(7.0)
+    assert free_run(recorded, synthesized, 1000.0, 1.0)["max_sd"] == pytest.approx(40.0)

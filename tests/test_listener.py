@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from foten.evaluate.listener import LongStroke, level_biases, listener_scores, long_stroke, vibrations
+from foten.evaluate.listener import listener_scores, long_stroke, vibrations
 from foten.recording.trace import Trace
 
 pytest.importorskip("torch")
@@ -29,8 +29,8 @@ def hand(seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
     return speed, force
 
 
-def stroke(acceleration: np.ndarray, pieces: int = 1) -> LongStroke:
-    return LongStroke(*(one.reshape(pieces, -1) for one in (acceleration, *hand())), RATE_HZ)
+def stroke(acceleration: np.ndarray, pieces: int = 1) -> Trace:
+    return Trace(acceleration, *hand(), RATE_HZ, N // pieces)
 
 
 def hiss(seed: int) -> np.ndarray:
@@ -87,7 +87,7 @@ def test_what_is_at_rest_is_hidden() -> None:
     still = speed == 0
     sensor = np.where(still, 0.2 * np.random.default_rng(5).standard_normal(N), 0.0)
     moving = np.where(still, 0.0, hiss(1))
-    one, other = (LongStroke(a[None], speed[None], hand()[1][None], RATE_HZ) for a in (moving, moving + sensor))
+    one, other = (Trace(a, speed, hand()[1], RATE_HZ, N) for a in (moving, moving + sensor))
     first, second = vibrations(one, other, waveform=True)
     frames = still.reshape(-1, 8).any(axis=1)
     np.testing.assert_array_equal(first.frames[:8, frames], 0.0)
@@ -108,14 +108,6 @@ def test_excerpts_lie_within_a_piece_and_none_is_both_learned_and_scored(pieces:
     assert one.test.max() + EXCERPT <= n_frames
     np.testing.assert_array_equal(one.test, other.test)
     assert len(one.test) > 0.3 * n_frames / HOP / 2
-
-
-def test_frames_are_standardised_by_what_is_learned_from() -> None:
-    one, other = vibrations(stroke(hiss(1)), stroke(hiss(2)), waveform=False)
-    until = one.train[-1] + 1
-    both = np.concatenate([one.frames[:, :until], other.frames[:, :until]], axis=1)
-    np.testing.assert_allclose(both.mean(axis=1), 0.0, atol=1e-9)  # rounding
-    np.testing.assert_allclose(both.std(axis=1), 1.0, atol=1e-9)
 
 
 def test_the_area_is_the_share_of_pairs() -> None:
@@ -146,30 +138,15 @@ def test_every_listener_has_a_rendering_of_its_own_and_the_control_a_true_one(mo
 
     def rendered(seed: int) -> np.ndarray:
         asked.append(seed)
-        return hiss(10 + seed)[None]
+        return hiss(10 + seed)
 
     scores = listener_scores(recorded, rendered, [stroke(hiss(2))], seed=4)
     assert asked == [4, 5, 6, 4, 5, 6]
-    assert len(set(scores["listener_auc_each"])) > 1
-    assert scores["listener_auc"] == pytest.approx(np.mean(scores["listener_auc_each"]))
+    assert 0 <= scores["listener_auc"] <= 1
     assert 0 <= scores["listener_auc_control"] <= 1
     assert 0 <= scores["listener_auc_waveform_control"] <= 1
     assert scores["listener_control_of"] == "other realisations of the same stroke"
     assert scores["listener_s"] == SECONDS
-    assert scores["level_bias_db"] == level_biases(recorded, hiss(14)[None])  # of the first rendering
-    assert scores["level_bias_db_control"] == level_biases(recorded, hiss(2)[None])
-
-
-def test_every_listener_s_control_is_another_true_vibration(monkeypatch: pytest.MonkeyPatch) -> None:
-    heard: list[float] = []
-    monkeypatch.setattr(
-        networks, "listener_auc", lambda first, second, **given: heard.append(float(second.frames.sum())) or 0.5
-    )
-    others = [stroke(k * hiss(2)) for k in (1, 2, 4)]
-    listener_scores(stroke(hiss(1)), lambda seed: hiss(1)[None], others, seed=4)
-    controls = heard[1:6:2]
-    assert len(set(controls)) == 3
-    assert heard[7::2] == controls  # with the waveform the same
 
 
 def test_two_halves_of_a_recording_are_not_paired_by_moment(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -179,10 +156,10 @@ def test_two_halves_of_a_recording_are_not_paired_by_moment(monkeypatch: pytest.
     monkeypatch.setattr(
         networks, "listener_auc", lambda *two, seed, same_stroke=True: paired.append(same_stroke) or 0.5
     )
-    listener_scores(stroke(hiss(1), 30), lambda seed: hiss(20 + seed).reshape(30, -1))
+    listener_scores(stroke(hiss(1), 30), lambda seed: hiss(20 + seed))
     assert paired == [True, False] * 6
     paired.clear()
-    listener_scores(stroke(hiss(1)), lambda seed: hiss(20 + seed)[None], [stroke(hiss(2))])
+    listener_scores(stroke(hiss(1)), lambda seed: hiss(20 + seed), [stroke(hiss(2))])
     assert paired == [True, True] * 6
 
 
@@ -190,59 +167,16 @@ def test_a_recording_needs_enough_for_a_listener_and_twice_that_for_a_control(mo
     monkeypatch.setattr(networks, "N_STEPS", 2)
     blocks = stroke(hiss(1), 30)
     with pytest.raises(ValueError, match="38 s to listen to, expected at least 40"):
-        listener_scores(blocks.picked(slice(0, 19)), lambda seed: hiss(seed))
-    alone = listener_scores(blocks, lambda seed: hiss(20 + seed).reshape(30, -1))
+        listener_scores(long_stroke(blocks, range(19)), lambda seed: hiss(seed))
+    alone = listener_scores(blocks, lambda seed: hiss(20 + seed))
     assert alone["listener_auc_control"] is None
     monkeypatch.setattr("foten.evaluate.listener.MIN_LISTENED_S", 30.0)
-    halves = listener_scores(blocks, lambda seed: hiss(20 + seed).reshape(30, -1))
+    halves = listener_scores(blocks, lambda seed: hiss(20 + seed))
     assert halves["listener_control_of"] == "every other block of the recording"
     assert halves["listener_auc_control"] is not None
 
 
-def test_a_level_that_is_off_where_a_hand_is_fast_is_off_there_alone() -> None:
-    """Twice as loud in the fastest quarter, 6 dB; at rest nothing counts; of nothing there is no level."""
-    speed = hand()[0]
-    recorded, fastest = stroke(hiss(1)), speed >= np.quantile(speed, 0.75)
-    louder = level_biases(recorded, (recorded.acceleration[0] * np.where(fastest, 2, 1))[None])
-    assert louder is not None
-    assert list(louder.values()) == pytest.approx([0, 0, 0, 20 * np.log10(2)], abs=1e-3)
-    resting = LongStroke(recorded.acceleration, recorded.speed, np.where(fastest, 0, recorded.force), RATE_HZ)
-    of_strokes = level_biases(resting, recorded.acceleration * np.where(fastest, 2, 1))
-    assert of_strokes is not None
-    assert list(of_strokes.values()) == pytest.approx([0, 0, 0, 0], abs=1e-9)
-    assert level_biases(recorded, 0 * recorded.acceleration) is None
-    assert (
-        level_biases(LongStroke(recorded.acceleration, 0 * recorded.speed, recorded.force, RATE_HZ), hiss(2)[None])
-        is None
-    )
-
-
 def test_a_hand_at_rest_says_nothing() -> None:
-    still = LongStroke(hiss(1)[None], np.zeros((1, N)), np.ones((1, N)), RATE_HZ)
+    still = Trace(hiss(1), np.zeros(N), np.ones(N), RATE_HZ, N)
     with pytest.raises(ValueError, match="the hand is at rest where a listener is to learn"):
         vibrations(still, still, waveform=False)
-
-
-def test_a_trace_is_one_piece_or_a_piece_for_each_block() -> None:
-    trace = Trace(hiss(1), *hand(), RATE_HZ, 2000)
-    assert long_stroke(trace).acceleration.shape == (1, N)
-    some = long_stroke(trace, (3, 5))
-    np.testing.assert_array_equal(some.speed, trace.blocks(trace.speed)[[3, 5]])
-
-
-@pytest.mark.parametrize("rate_hz", [2500.0, 10_000.0])
-def test_any_rate_has_the_same_frames(rate_hz: float) -> None:
-    n = round(45 * rate_hz)
-    rng = np.random.default_rng(8)
-    one, other = (
-        LongStroke(a[None], np.full((1, n), 80.0), np.ones((1, n)), rate_hz) for a in rng.standard_normal((2, n))
-    )
-    first, second = vibrations(one, other, waveform=True)
-    assert first.frames.shape == (10, 45 * 125)
-    assert first.waveform.shape == (45 * 125, round(0.008 * rate_hz))
-    listener = networks.Listener(10, first.waveform.shape[1])
-    import torch
-
-    odds = listener(torch.zeros(2, 10, EXCERPT), torch.zeros(2, EXCERPT * first.waveform.shape[1]))
-    assert odds.shape == (2,)
-    assert len(second.test) > 50

@@ -3,38 +3,43 @@
 from __future__ import annotations
 
 import dataclasses
+from dataclasses import asdict
 from itertools import combinations
 
 import numpy as np
 import pytest
 
-from conftest import PLUS, exported
+from conftest import PLUS, exported, sizes_with
+from conftest import SMALL as NETWORK
 from foten.baselines.sizes import trainable_sizes
 from foten.evaluate.evaluate import evaluate
 from foten.evaluate.listener import N_LISTENERS
 from foten.experiments.simulator_reference import VALIDATION_HAND, long_strokes, reference_for, validation_listener
 from foten.models.foten_plus.sizes import FotenPlusSizes
-from foten.models.texture_file import texture_from_bytes
+from foten.models.texture_file import Texture, texture_from_bytes
 from foten.recording.preprocess import PreprocessConfig, preprocess
-from foten.recording.recording import Recording
+from foten.recording.split import split_blocks
 from foten.simulation.simulate import simulate
 from foten.training.config import TrainConfig, recipe_of
-from foten.training.job import Trained, TrainingJob
+from foten.training.job import TrainingJob
 from foten.training.pipeline import train
 
 SMALL = FotenPlusSizes(**PLUS)
+CUT = PreprocessConfig(block_ms=1000)
 
 
-def trained_on(recording: Recording, config: TrainConfig) -> Trained:
-    return train(TrainingJob(recording, "foten-plus", SMALL, config, PreprocessConfig(block_ms=1000)))
+@pytest.fixture(scope="module")
+def untrained() -> Texture:
+    return exported("foten", sizes_with("foten", NETWORK), preprocess=asdict(CUT))
 
 
 def test_a_linear_process_is_predicted_at_its_bound_and_synthesized_at_its_ceiling() -> None:
     recording = simulate("linear-hum", 24.0)
-    trained = trained_on(recording, TrainConfig(epochs=1, batch=64, threads=1))
-    reference = reference_for(recording, trained.texture)
+    config = TrainConfig(epochs=1, batch=64, threads=1, closed_loop_training=False, max_order=40, tones=False)
+    texture = train(TrainingJob(recording, "foten-plus", SMALL, config, CUT)).texture
+    reference = reference_for(recording, texture)
     assert len(reference.realisations) == 5
-    document = evaluate(trained.texture, recording, reference).document
+    document = evaluate(texture, recording, reference).document
     bound = document["references"]["bound_window"]["mae_scaled"]
     # Four test blocks of 840 scored samples: the mean absolute error of a Gaussian is known to 0.76/√3360 = 1.3 %.
     assert 0.96 * bound < document["references"]["ar"]["mae_scaled"] < 1.05 * bound
@@ -44,38 +49,30 @@ def test_a_linear_process_is_predicted_at_its_bound_and_synthesized_at_its_ceili
     assert abs(document["ceiling"]["level_bias_db"]) < 1.0
 
 
-def test_realisations_are_simulated_once_for_all_methods_and_anew_for_another_recording() -> None:
-    config = TrainConfig(epochs=0, threads=1, max_order=20, table=False)
-    recording, another = simulate("linear-hum", 24.0), simulate("linear-hum", 24.0, seed=2)
-    texture = trained_on(recording, config).texture
-    first, again = reference_for(recording, texture).realisations, reference_for(recording, texture).realisations
+def test_realisations_are_simulated_once_for_all_methods_and_anew_for_another_recording(untrained: Texture) -> None:
+    recording, another = simulate("linear-hum", 8.0), simulate("linear-hum", 8.0, seed=2)
+    first, again = (reference_for(recording, untrained).realisations for _ in range(2))
     assert all(one is other for one, other in zip(first, again, strict=True))
-    of_another = reference_for(another, trained_on(another, config).texture).realisations
+    of_another = reference_for(another, untrained).realisations
     for one, other in combinations([*first, *of_another], 2):
         assert not np.array_equal(one.acceleration, other.acceleration)
-    (cut, *_) = reference_for(another, texture, trim_ms=1000).realisations
+    (cut, *_) = reference_for(another, untrained, trim_ms=1000).realisations
     assert len(cut.acceleration) - len(of_another[0].acceleration) == 2000  # 1 s at each end, and not 2
 
 
-def test_a_recording_that_was_not_simulated_has_no_truth() -> None:
-    recording = dataclasses.replace(simulate("linear-hum", 24.0), simulation=None)
-    trained = trained_on(recording, TrainConfig(epochs=0, threads=1, max_order=20, table=False))
-    reference = reference_for(recording, trained.texture)
-    assert reference.bound is None
-    assert not reference.realisations
-    document = evaluate(trained.texture, recording, reference).document
+def test_a_recording_that_was_not_simulated_or_cannot_be_again_has_no_truth(untrained: Texture) -> None:
+    recording = simulate("linear-hum", 24.0)
+    for broken in (None, {"key": "linear-hum"}, {**(recording.simulation or {}), "version": 0}):
+        reference = reference_for(dataclasses.replace(recording, simulation=broken), untrained)
+        assert reference.bound is None
+        assert not reference.realisations
+        assert ("cannot be used" in reference.why_no_bound) == (broken is not None)
+    card = {"recording_sha256": recording.sha256(), "split": asdict(split_blocks(preprocess(recording, CUT)))}
+    texture = dataclasses.replace(untrained, card={**untrained.card, **card})
+    document = evaluate(texture, recording, reference).document
     assert document["references"]["bound"]["mae_scaled"] is None
     assert document["ceiling"]["of"] == "the training block nearest in speed and force"
     assert np.isfinite(document["ceiling"]["lsd_db"])
-
-
-def test_parameters_that_cannot_be_used_cost_the_truth_and_no_more() -> None:
-    recording = simulate("linear-hum", 24.0)
-    trained = trained_on(recording, TrainConfig(epochs=0, threads=1, max_order=20, table=False))
-    for broken in ({"key": "linear-hum"}, {**(recording.simulation or {}), "version": 0}):
-        reference = reference_for(dataclasses.replace(recording, simulation=broken), trained.texture)
-        assert not reference.realisations
-        assert "cannot be used" in reference.why_no_bound
 
 
 def test_listeners_have_true_vibrations_under_another_and_longer_hand(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -116,7 +113,7 @@ def test_what_is_chosen_by_is_another_hand_and_another_place_than_what_is_report
 def test_the_area_of_a_linear_process_is_near_chance_and_of_a_louder_one_certainty() -> None:
     """Of 60 s the area scatters by 0.07, as in `test_listener`; twice as loud is plain."""
     recording = simulate("linear-cloth", 30, seed=1)
-    config = recipe_of("foten-plus", threads=1, epochs=0)
+    config = recipe_of("foten-plus", threads=1, epochs=0, max_order=40, tones=False)
     texture = train(TrainingJob(recording, "foten-plus", trainable_sizes("foten-plus", {}), config)).texture
     assert validation_listener(texture, recording)["area"] < 0.75
     scaling = texture.card["scaling"]["sd"]

@@ -23,13 +23,14 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import numpy as np
 
 from foten.dsp.level import FRAME_MS, frame_levels, frame_means
-from foten.experiments.stability import rendered_strokes
+from foten.evaluate.free_run import render_strokes
 from foten.models.foten_plus.sizes import FotenPlusSizes
 from foten.models.texture_file import Texture
 from foten.recording.preprocess import PreprocessConfig, preprocess
 from foten.recording.recording import Channel, Recording
 from foten.recording.trace import Trace
 from foten.reporting.table import Table
+from foten.runtime.native import NativeTexture
 from foten.simulation.simulate import ACCELEROMETER_NOISE, TEXTURES, vibration
 from foten.simulation.stroking import Stroking, stroking
 from foten.training.config import recipe_of
@@ -80,7 +81,7 @@ def rendered(texture: Texture, trace: Trace) -> dict[str, np.ndarray]:
 
     def streams(speed: np.ndarray, force: np.ndarray) -> np.ndarray:
         hands = (np.tile(channel, (N_STREAMS, 1)) for channel in (speed, force))
-        return rendered_strokes(texture, 0, *hands)[0]
+        return render_strokes(NativeTexture(texture.to_bytes()), 0, *hands)[0]
 
     clamped = streams(speed, force)
     exceeded = np.maximum(trace.speed, speed + 1e-9) / (speed + 1e-9)

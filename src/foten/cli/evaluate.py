@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from typer import Argument, Option
 
-from foten.console import JsonOption, TextureFile, check_folder, print_result, say, write_json
+from foten.console import JsonOption, TextureFile, check_folder, print_result, say
 
 if TYPE_CHECKING:
     from foten.models.texture_file import Texture
@@ -36,7 +36,6 @@ def evaluate(
     as_json: JsonOption = False,
 ) -> None:
     """Judge a texture on its test blocks: one-step and free-run, beside references and a ceiling."""
-    from foten import __version__
     from foten.datasets.hdf5 import load_recording
     from foten.evaluate import evaluate as judge
     from foten.evaluate.report.tables import to_text
@@ -52,8 +51,6 @@ def evaluate(
     if report is not None:
         from foten.evaluate.report.page import write_report
 
-        report.mkdir(parents=True, exist_ok=True)
-        write_json(report / "evaluation.json", {"foten": __version__, **judgement.document})
         say(f"wrote {write_report(judgement, texture, report)}")
     print_result(judgement.document, to_text(judgement.document), as_json)
 

@@ -52,8 +52,8 @@ def sweep(
     from foten.experiments.experiment import experiment_path, experiments, read_experiment
 
     if show_list:
-        ours = experiments()
-        print_result(ours, "\n".join(f"{name:28s}{title}" for name, title in ours.items()), as_json)
+        titles = experiments()
+        print_result(titles, "\n".join(f"{name:28s}{title}" for name, title in titles.items()), as_json)
         return
     if experiment_file is None or (output is None and not dry_run):
         raise ValueError("expected an experiment and -o DIR; --list shows those that come with foten")
@@ -94,13 +94,14 @@ def tables(
         Option("--brief", help="Of runs.csv only the figures that methods are compared by, not those of references."),
     ] = False,
     digits: Annotated[
-        int,
+        int | None,
         Option(
             min=1,
             max=9,
             help="Significant digits in runs.csv: tables that are made of it again may differ in the last.",
+            show_default="all, with which they do not",
         ),
-    ] = 6,
+    ] = None,
     mixed: MixedOption = False,
     as_json: JsonOption = False,
 ) -> None:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -32,7 +33,6 @@ _WHY_UNKNOWN = {
     "level_bias_db": "blocks hold no frame of 40 ms after their first fifth",
     "level_corr": "the level does not vary",
     "modulation_db": "blocks under 1 s",
-    "level_slopes": "speed or force spans less than a factor of 1.2",
 }
 
 
@@ -108,10 +108,9 @@ def evaluate(
             of_recording = f"the recording gives {trace.n_blocks} of {trace.block}"
             raise ValueError(f"the split is of {split.n_blocks} blocks of {split.block}, {of_recording}")
     blocks = tuple(range(trace.n_blocks)) if split is None else split.test
-    samples = texture.scaling.scale(trace.stacked())
-    reasons: dict[str, str] = {}
-    kernel = NativeTexture(texture.to_bytes())
+    case = _Case(texture, NativeTexture(texture.to_bytes()), trace, blocks, split, simulated, seed)
     on_stage("one-step")
+    samples = texture.scaling.scale(trace.stacked())
     fitted: dict[str, Linear | None] = {}
     if split is not None:
         train, block = split.train, split.block
@@ -120,10 +119,10 @@ def evaluate(
             "ar_scheduled": fit_linear(samples, train, block, ANCHOR_ORDER, scheduled=True),
             "ar_best": best_linear(samples, train, split.validation, block),
         }
-    one_step_scores = _one_step(texture, kernel, trace, samples, blocks, fitted, simulated, reasons)
+    one_step_scores = _one_step(case, samples, fitted)
     on_stage("free run")
-    free, synthesized = _free_run(texture, kernel, trace, blocks, split, fitted.get("ar"), simulated, seed, reasons)
-    by_listeners = _listener(kernel, texture, trace, blocks, simulated, seed, reasons, on_stage) if listener else None
+    free, synthesized = _free_run(case, fitted.get("ar"))
+    by_listeners = _listener(case, on_stage) if listener else None
     validation = ("mae_scaled", "mae_scaled_lattice", "mae_scaled_hop", "spectrum_db", "lsd_db", "level_error_db")
     document = {
         "texture": texture.card["texture"],
@@ -139,7 +138,7 @@ def evaluate(
         **one_step_scores,
         **free,
         "listener": by_listeners,
-        "reasons": reasons,
+        "reasons": case.reasons,
         "texture_sha256": texture.sha256(),
         "recording_sha256": trace.recording_sha256,
         "validation": {name: texture.card["metrics"].get(f"validation_{name}") for name in validation},
@@ -147,40 +146,38 @@ def evaluate(
     return Judgement(document, trace, blocks, synthesized)
 
 
-def _listener(
-    kernel: NativeTexture,
-    texture: Texture,
-    trace: Trace,
-    blocks: tuple[int, ...],
-    simulated: SimulatorReference,
-    seed: int,
-    reasons: dict[str, str],
-    on_stage: Callable[[str], None],
-) -> dict[str, Any] | None:
+@dataclass(frozen=True)
+class _Case:
+    """What is judged, and why figures are unknown."""
+
+    texture: Texture
+    kernel: NativeTexture
+    trace: Trace
+    blocks: tuple[int, ...]
+    split: Split | None  # None of a foreign recording
+    simulated: SimulatorReference
+    seed: int
+    reasons: dict[str, str] = field(default_factory=dict)
+
+
+def _listener(case: _Case, on_stage: Callable[[str], None]) -> dict[str, Any] | None:
     """Scores of trained listeners: under a long stroke of the simulator, else under the test blocks."""
-    if not texture.has_excitation:
-        reasons["listener"] = f"{texture.card['model']} carries no excitation"
+    if not case.texture.has_excitation:
+        case.reasons["listener"] = f"{case.texture.card['model']} carries no excitation"
         return None
-    from foten.evaluate.listener import listener_scores, long_stroke, renderings
+    from foten.evaluate.listener import listener_scores, long_stroke, rendering
 
-    recorded, *others = [long_stroke(one) for one in simulated.strokes] or [long_stroke(trace, blocks)]
+    strokes = [long_stroke(stroke) for stroke in case.simulated.strokes]
+    recorded, *others = strokes or [long_stroke(case.trace, case.blocks)]
     try:
-        return listener_scores(recorded, renderings(kernel, recorded), others, seed, on_stage)
+        return listener_scores(recorded, partial(rendering, case.kernel, recorded), others, case.seed, on_stage)
     except ValueError as error:
-        reasons["listener"] = str(error)
+        case.reasons["listener"] = str(error)
         return None
 
 
-def _one_step(
-    texture: Texture,
-    kernel: NativeTexture,
-    trace: Trace,
-    samples: Array,
-    blocks: tuple[int, ...],
-    fitted: Mapping[str, Linear | None],
-    simulated: SimulatorReference,
-    reasons: dict[str, str],
-) -> dict[str, Any]:
+def _one_step(case: _Case, samples: Array, fitted: Mapping[str, Linear | None]) -> dict[str, Any]:
+    texture, kernel, trace, reasons = case.texture, case.kernel, case.trace, case.reasons
     result: dict[str, Any] = dict.fromkeys(ONE_STEP_KEYS)
     references: dict[str, dict[str, Any]] = {name: dict.fromkeys(ONE_STEP_KEYS) for name in REFERENCES}
     best = fitted.get("ar_best")
@@ -190,7 +187,7 @@ def _one_step(
     if block < first + 8:
         reasons["one_step"] = f"blocks of {block} samples; the first {first} of each are history"
         return document
-    n = targets(blocks, block, first).reshape(len(blocks), -1)
+    n = targets(case.blocks, block, first).reshape(len(case.blocks), -1)
     recorded = samples[n, 0]
     predicted = {"zero": np.zeros(n.shape), "persistence": samples[n - 1, 0]}
     if texture.card["model"] == "foten-plus":
@@ -216,28 +213,19 @@ def _one_step(
         if scores["nll"] is None:
             reasons["one_step.nll"] = "the excitation is that of a rendering, or the hand was at rest"
         result.update({**scores, "intervals": {**result["intervals"], **scores["intervals"]}})
-    for name, bound in (("bound", simulated.bound), ("bound_window", simulated.bound_window)):
+    for name, bound in (("bound", case.simulated.bound), ("bound_window", case.simulated.bound_window)):
         if bound is None:
-            reasons[f"references.{name}"] = simulated.why_no_bound
+            reasons[f"references.{name}"] = case.simulated.why_no_bound
         else:
             mae = float(bound[n].mean())
             references[name].update(mae_scaled=mae / sd, mae_m_s2=mae)
     return document
 
 
-def _free_run(
-    texture: Texture,
-    kernel: NativeTexture,
-    trace: Trace,
-    blocks: tuple[int, ...],
-    split: Split | None,
-    linear: Linear | None,
-    simulated: SimulatorReference,
-    seed: int,
-    reasons: dict[str, str],
-) -> tuple[dict[str, Any], dict[str, Array]]:
+def _free_run(case: _Case, linear: Linear | None) -> tuple[dict[str, Any], dict[str, Array]]:
+    texture, trace, blocks, reasons = case.texture, case.trace, case.blocks, case.reasons
     scores: dict[str, Any] = {name: dict.fromkeys(FREE_RUN_KEYS) for name in RUNS}
-    recorded, speed, force = trace.picked(blocks)
+    recorded, *_ = trace.picked(blocks)
     if recorded[:, runs.scored(trace.block)].shape[1] < 64:
         reasons["free_run"] = f"blocks of {trace.block} samples are too short for a spectrum"
         return scores, {}
@@ -247,23 +235,23 @@ def _free_run(
         if excitation and not texture.has_excitation:
             reasons[name] = f"{texture.card['model']} carries no excitation"
         else:
-            signals[name], saturated[name] = runs.synthesize(kernel, trace, blocks, excitation, seed)
+            signals[name], saturated[name] = runs.synthesize(case.kernel, trace, blocks, excitation, case.seed)
     if linear is not None:
-        signals["free_run_ar"] = runs.synthesize_linear(linear, trace, blocks, texture.scaling, seed)
+        signals["free_run_ar"] = runs.synthesize_linear(linear, trace, blocks, texture.scaling, case.seed)
     else:
         reasons["free_run_ar"] = "no training blocks to fit AR(20) on, or too few"
     ceiling_of = None
-    if simulated.realisations:
-        signals["ceiling"] = np.stack([realisation.picked(blocks)[0] for realisation in simulated.realisations])
-        ceiling_of = f"{len(simulated.realisations)} further realisations of the same stroke"
-    elif split is not None:
-        signals["ceiling"] = runs.nearest_training_blocks(trace, blocks, split.train)
+    if case.simulated.realisations:
+        signals["ceiling"] = np.stack([realisation.picked(blocks)[0] for realisation in case.simulated.realisations])
+        ceiling_of = f"{len(case.simulated.realisations)} further realisations of the same stroke"
+    elif case.split is not None:
+        signals["ceiling"] = runs.nearest_training_blocks(trace, blocks, case.split.train)
         ceiling_of = "the training block nearest in speed and force"
     else:
         reasons["ceiling"] = "a foreign recording has no training blocks"
     for name, signal in signals.items():
         n_history = {"ceiling": 0, "free_run_ar": ANCHOR_ORDER}.get(name, texture.window)
-        scores[name] = runs.free_run(recorded, signal, speed, force, trace.rate_hz, texture.scaling.sd[0], n_history)
+        scores[name] = runs.free_run(recorded, signal, trace.rate_hz, texture.scaling.sd[0], n_history)
         reasons.update({f"{name}.{key}": why for key, why in _WHY_UNKNOWN.items() if scores[name][key] is None})
         if name in saturated:
             scores[name]["n_saturated"] = saturated[name]

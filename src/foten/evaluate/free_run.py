@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from foten.dsp import Array
 from foten.dsp.bands import band_energies
 from foten.dsp.distance import earth_mover_octaves, log_spectral_distance, scored_bins, segment_length, welch
-from foten.dsp.level import frame_levels, frame_means
+from foten.dsp.level import frame_levels
 from foten.dsp.noise import gaussian
 from foten.evaluate import metrics
 from foten.evaluate.one_step import Linear
@@ -58,6 +58,26 @@ def synthesize(
     return _after_recorded(channels[0][:, :m], rendered), int(n_saturated.sum())
 
 
+def render_strokes(
+    texture: NativeTexture, seed: int, speed: Array, force: Array, first_stream: int = 0
+) -> tuple[Array, int]:
+    """Acceleration [m/s²] of strokes with noise of their own, shape (s, n), and how many samples the saturator cut.
+
+    Args:
+        seed: of the noise; stroke s draws that of stream `first_stream` + s.
+        speed, force: at the texture's own rate [mm/s, N], each of shape (s, n).
+    """
+    rendered, n_saturated = np.empty(speed.shape), np.zeros(len(speed), dtype=np.int64)
+
+    def render(stroke: int) -> None:
+        state = NativeState(texture, seed=seed, stream=first_stream + stroke)
+        rendered[stroke] = state.render_stroke(speed[stroke], force[stroke])
+        n_saturated[stroke] = state.statistics.n_saturated
+
+    on_all_cores(render, len(rendered))
+    return rendered, int(n_saturated.sum())
+
+
 def synthesize_linear(
     predictor: Linear, trace: Trace, blocks: tuple[int, ...], scaling: Scaling, seed: int = 0, n_seeds: int = N_SEEDS
 ) -> Array:
@@ -70,17 +90,17 @@ def synthesize_linear(
     stable = predictor.stable()
     m, n = stable.window, trace.block - stable.window
     constant, a = stable.coefficients[-1], np.append(1.0, -stable.coefficients[-2::-1])
-    given = trace.picked(blocks)[0][:, :m]
-    initial = [lfiltic([1.0], a, window[::-1]) for window in scaling.scale_channel(0, given)]
+    history = trace.picked(blocks)[0][:, :m]
+    initial = [lfiltic([1.0], a, window[::-1]) for window in scaling.scale_channel(0, history)]
     driven = [constant + stable.noise_sd * gaussian(seed, stream, 0, n) for stream in range(n_seeds * len(blocks))]
     rendered = [lfilter([1.0], a, x, zi=zi)[0] for x, zi in zip(driven, initial * n_seeds, strict=True)]
-    return _after_recorded(given, scaling.unscale_acceleration(np.array(rendered)))
+    return _after_recorded(history, scaling.unscale_acceleration(np.array(rendered)))
 
 
-def _after_recorded(given: Array, rendered: Array) -> Array:
+def _after_recorded(history: Array, rendered: Array) -> Array:
     """Whole blocks (n_seeds, n_blocks, block): recorded windows (n_blocks, m), then what went on from them."""
-    by_seed = rendered.reshape(-1, len(given), rendered.shape[1])
-    return np.concatenate([np.broadcast_to(given, (len(by_seed), *given.shape)), by_seed], axis=2)
+    by_seed = rendered.reshape(-1, len(history), rendered.shape[1])
+    return np.concatenate([np.broadcast_to(history, (len(by_seed), *history.shape)), by_seed], axis=2)
 
 
 def nearest_training_blocks(trace: Trace, blocks: tuple[int, ...], train: tuple[int, ...]) -> Array:
@@ -96,30 +116,26 @@ def nearest_training_blocks(trace: Trace, blocks: tuple[int, ...], train: tuple[
     return acceleration[distance.argmin(axis=1)][None]
 
 
-def free_run(
-    recorded: Array, synthesized: Array, speed: Array, force: Array, rate_hz: float, sd: float, n_given: int = 0
-) -> dict[str, Any]:
+def free_run(recorded: Array, synthesized: Array, rate_hz: float, sd: float, n_history: int = 0) -> dict[str, Any]:
     """The free-run figures of synthesized blocks beside recorded ones.
 
     Args:
-        recorded, speed, force: [m/s², mm/s, N], shape (n_blocks, block), whole blocks; the first fifth of each is not scored.
+        recorded: [m/s²], shape (n_blocks, block), whole blocks; the first fifth of each is not scored.
         synthesized: [m/s²], shape (n_seeds, n_blocks, block).
         sd: training standard deviation of the acceleration [m/s²].
-        n_given: samples at the start of each synthesized block that are the recorded window it started from.
+        n_history: samples at the start of each synthesized block that are the recorded window it started from.
 
     Returns:
-        `lsd_db`: log-spectral distance, mean over blocks and seeds; `lsd_long_db`: the same on spectra pooled over all
-        of them; `gfc_raw`, `gfc_welch`: Eq. 13 on raw and on Welch amplitudes, means; `level_bias_db`,
-        `level_error_db`, `level_corr`: of levels in frames of 40 ms; `kurtosis` of all samples, and `kurtosis_recorded`;
-        `max_sd`: largest synthesized sample over `sd`, the first fifth included; `band_errors_db`; `level_slopes` and
-        `level_slopes_recorded` [dB per decade of speed, of force]; `modulation_db`: distance of envelope spectra, 1 to 50 Hz;
-        `emd_octaves`: earth-mover distance of power over log frequency, mean over blocks and seeds; `level_jnd`: the level error
-        in just noticeable differences; `band_correlation_error`: RMS difference of the correlations between the envelopes of
-        bands; `intervals`.
+        `lsd_db`: log-spectral distance, mean over blocks and seeds, `lsd_long_db` on spectra pooled over all of them;
+        `gfc_raw`, `gfc_welch`: Eq. 13 on raw and on Welch amplitudes, means; `level_bias_db`, `level_error_db`, `level_corr`: of
+        levels in frames of 40 ms, `level_jnd`: the level error in just noticeable differences; `kurtosis` of all samples, and
+        `kurtosis_recorded`; `max_sd`: largest synthesized sample over `sd`, the first fifth included; `band_errors_db`;
+        `modulation_db`: distance of envelope spectra, 1 to 50 Hz; `emd_octaves`: earth-mover distance of power over log
+        frequency; `band_correlation_error`: RMS difference of the correlations between the envelopes of bands; `intervals`.
     """
     n_segment, part = segment_length(recorded.shape[-1]), scored(recorded.shape[-1])
-    worst = np.abs(synthesized[:, :, n_given:]).max(axis=(0, 2)) / sd
-    recorded, synthesized, speed, force = (x[..., part] for x in (recorded, synthesized, speed, force))
+    worst = np.abs(synthesized[:, :, n_history:]).max(axis=(0, 2)) / sd
+    recorded, synthesized = recorded[..., part], synthesized[..., part]
     frequencies, p = welch(recorded, rate_hz, n_segment)
     _, q = welch(synthesized, rate_hz, n_segment)
     bins = scored_bins(frequencies, rate_hz)
@@ -127,11 +143,10 @@ def free_run(
     distance, octaves = log_spectral_distance(p[None], q), earth_mover_octaves(frequencies[bins], p[None], q)
     reference = float(np.sqrt(np.square(recorded).mean()))
     level_p, level_q = (frame_levels(x, rate_hz, reference) for x in (recorded, synthesized))
-    frame_speed, frame_force = frame_means(speed, rate_hz), frame_means(force, rate_hz)
     raw, smooth = metrics.goodness_of_fit(recorded, synthesized), metrics.cosine(np.sqrt(p), np.sqrt(q))
     envelope_p, envelope_q = (metrics.modulation_spectra(x, rate_hz) for x in (recorded, synthesized))
     energy_p, energy_q = (band_energies(x, rate_hz) for x in (recorded, synthesized))
-    moments = np.stack([np.power(synthesized, k).mean(axis=(0, 2)) for k in range(1, 5)])
+    moments = metrics.moments(synthesized).mean(axis=1)
 
     def figures(index: NDArray[np.int64]) -> dict[str, Any]:
         difference = level_q[:, index] - level_p[index]
@@ -148,11 +163,8 @@ def free_run(
             "level_bias_db": float(difference.mean()) if framed else None,
             "level_error_db": float(np.abs(difference).mean()) if framed else None,
             "level_corr": _correlation(level_p[index], level_q[:, index]) if framed else None,
-            "kurtosis": _kurtosis(moments[:, index].mean(axis=1)),
+            "kurtosis": metrics.kurtosis(moments[:, index].mean(axis=1)),
             "band_errors_db": metrics.band_errors(pooled_p, pooled_q, frequencies[bins], metrics.band_edges(rate_hz)),
-            "level_slopes": metrics.level_slopes(
-                level_q[:, index].mean(axis=0), frame_speed[index], frame_force[index]
-            ),
             "modulation_db": modulation,
             "emd_octaves": float(octaves[:, index].mean()),
             "level_jnd": float(np.abs(difference).mean()) / LEVEL_JND_DB if framed else None,
@@ -163,8 +175,7 @@ def free_run(
     return {
         **figures(every),
         "max_sd": float(worst.max()),
-        "kurtosis_recorded": metrics.kurtosis(recorded),
-        "level_slopes_recorded": metrics.level_slopes(level_p, frame_speed, frame_force),
+        "kurtosis_recorded": metrics.kurtosis(metrics.moments(recorded).mean(axis=1)),
         "intervals": metrics.intervals(figures, len(recorded)),
     }
 
@@ -181,14 +192,6 @@ def _correlation_error(recorded: Array, synthesized: Array) -> float | None:
     target = metrics.band_correlations(recorded)
     errors = [np.sqrt(np.square(metrics.band_correlations(run) - target).mean()) for run in synthesized]
     return float(np.mean(errors))
-
-
-def _kurtosis(moments: Array) -> float:
-    """Pearson's kurtosis from the means of a signal's first to fourth powers, shape (4,); 0 for silence."""
-    mean, second, third, fourth = (float(moment) for moment in moments)
-    variance = second - mean**2
-    central = fourth - 4 * mean * third + 6 * mean**2 * second - 3 * mean**4
-    return central / variance**2 if variance > 0 else 0.0
 
 
 def _correlation(recorded: Array, synthesized: Array) -> float | None:

@@ -1,19 +1,15 @@
 """The listener's verdict: can a network that is trained for it tell the free run from the surface?
 
-Every other figure of a free run compares averages, and a rendering can be at the ceiling of all of them and be told apart at
-once: its impacts are smeared, say. Here a small network is shown half a second of recorded or rendered vibration under one hand,
-as a hand may know it, and answers which it is. It learns from the first 60 % of a long stroke and is scored on the last 30 %.
-
-Beside it stands the control: the same listener on two true vibrations, of which it should be able to tell nothing. A rendering
-is as good as it can be where its figure is the control's.
-
-Moments at rest are hidden from it: a rendering is silent there by rule, and a sensor is not. PyTorch is loaded when it is asked.
+The other figures of a free run compare averages. Here a small network is shown half a second of recorded or rendered vibration
+with its speed and force, and answers which it is. It learns from the first 60 % of a long stroke and is scored on the last 30 %.
+The control is the same listener on two true vibrations. Moments at rest are hidden: a rendering is silent there by rule, and a
+sensor is not. PyTorch is loaded when a listener is trained.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -22,10 +18,10 @@ from numpy.typing import NDArray
 from foten.dsp import Array
 from foten.dsp.bands import BAND_FRAME_MS, band_energies
 from foten.dsp.level import framed
+from foten.evaluate.free_run import render_strokes
 from foten.models.conditions import FADE_FORCE, FADE_SPEED
 from foten.recording.trace import Trace
-from foten.runtime.loops import on_all_cores
-from foten.runtime.native import NativeState, NativeTexture
+from foten.runtime.native import NativeTexture
 
 if TYPE_CHECKING:
     from foten.evaluate.listener_network import Vibration
@@ -33,145 +29,92 @@ if TYPE_CHECKING:
 N_LISTENERS = 3  # each with a seed of its own, and another rendering
 TRAIN_SHARE, TEST_SHARE = 0.6, 0.3  # the first and the last part of a stroke; what lies between keeps them apart
 STREAM = 2**35  # of noise, the first that listeners are played
-MIN_LISTENED_S = (
-    40.0  # of a stroke: 24 s to learn from, and 12 s, 100 excerpts that overlap by three quarters, to be scored on
-)
+# Of a stroke: 24 s to learn from, and 12 s, 100 excerpts that overlap by three quarters, to be scored on.
+MIN_LISTENED_S = 40.0
 FLOOR = 1e-4  # of the mean energy of a band: what is 40 dB below it counts as that
-QUARTERS = ("slowest", "slow", "fast", "fastest")  # of a stroke
+SOFTENING = np.array([[2.0], [0.05]])  # added to speed [mm/s] and force [N] before their logarithm
 SD_FLOOR = 1e-6  # a band or a hand that does not vary is not divided by zero
 
 
-@dataclass(frozen=True)
-class LongStroke:
-    """Vibration under a known hand, in pieces that each are continuous: all arrays of shape (n_pieces, n)."""
-
-    acceleration: Array  # m/s²
-    speed: Array  # mm/s
-    force: Array  # N
-    rate_hz: float
-
-    @property
-    def seconds(self) -> float:
-        """How long all pieces last."""
-        return self.acceleration.size / self.rate_hz
-
-    def picked(self, pieces: slice) -> LongStroke:
-        """Some of its pieces."""
-        return LongStroke(self.acceleration[pieces], self.speed[pieces], self.force[pieces], self.rate_hz)
-
-    def with_acceleration(self, acceleration: Array) -> LongStroke:
-        """Another vibration under the same hand."""
-        return LongStroke(acceleration, self.speed, self.force, self.rate_hz)
-
-
-def long_stroke(trace: Trace, blocks: tuple[int, ...] | None = None) -> LongStroke:
-    """A trace as one piece, or some of its blocks as a piece each."""
+def long_stroke(trace: Trace, blocks: Sequence[int] | None = None) -> Trace:
+    """What a listener is played: a trace as one continuous piece, its only block, or some of its blocks as a piece each."""
     if blocks is None:
-        return LongStroke(trace.acceleration[None], trace.speed[None], trace.force[None], trace.rate_hz)
-    return LongStroke(*trace.picked(blocks), trace.rate_hz)
+        return replace(trace, block=len(trace))
+    acceleration, speed, force = (channel.ravel() for channel in trace.picked(blocks))
+    return Trace(acceleration, speed, force, trace.rate_hz, trace.block)
 
 
-def renderings(kernel: NativeTexture, recorded: LongStroke) -> Callable[[int], Array]:
-    """What renders a texture under a recorded hand: seed → vibration [m/s²], of the recorded shape."""
-
-    def rendered(seed: int) -> Array:
-        run = np.empty_like(recorded.acceleration)
-
-        def render(piece: int) -> None:
-            state = NativeState(kernel, seed=seed, stream=STREAM + piece)
-            run[piece] = state.render_stroke(recorded.speed[piece], recorded.force[piece])
-
-        on_all_cores(render, len(run))
-        return run
-
-    return rendered
+def rendering(kernel: NativeTexture, recorded: Trace, seed: int) -> Array:
+    """A texture rendered under a recorded hand [m/s²], shape (n,)."""
+    speed, force = recorded.blocks(recorded.speed), recorded.blocks(recorded.force)
+    return render_strokes(kernel, seed, speed, force, STREAM)[0].ravel()
 
 
 def listener_scores(
-    recorded: LongStroke,
+    recorded: Trace,
     rendered: Callable[[int], Array],
-    others: Sequence[LongStroke] = (),
+    others: Sequence[Trace] = (),
     seed: int = 0,
     on_stage: Callable[[str], None] = lambda stage: None,
 ) -> dict[str, Any]:
     """How well listeners tell renderings from a recording: areas under their curves, 0.5 chance, 1 certainty.
 
     Args:
-        recorded: at least `MIN_LISTENED_S` of it.
-        rendered: seed → a rendering under the recorded hand [m/s²], of the recorded shape.
+        recorded: at least `MIN_LISTENED_S` of it, in pieces (`long_stroke`).
+        rendered: seed → a rendering under the recorded hand [m/s²], shape (n,).
         others: other true vibrations under the same hand, for the controls, one for each in turn; without any, every other
             piece of the recording stands for them, where the two halves are long enough.
         seed: of the first listener and rendering; those of the others follow.
 
     Returns:
         `listener_auc` and `listener_auc_waveform`, of bands alone and with the waveform, means over listeners; `…_control`, the
-        same of two true vibrations, None where there is too little; `listener_auc_each`; `listener_control_of`; and
-        `level_bias_db`, of the first rendering and of the first other vibration (`…_control`): `level_biases`.
+        same of two true vibrations, None where there is too little; `listener_control_of`; `listener_s`.
 
     Raises:
         ValueError: the recording is too short.
     """
     from foten.evaluate.listener_network import listener_auc
 
-    if recorded.seconds < MIN_LISTENED_S:
-        raise ValueError(f"{recorded.seconds:.0f} s to listen to, expected at least {MIN_LISTENED_S:g}")
-    pairs: list[tuple[LongStroke, LongStroke]] = []
+    seconds = len(recorded) / recorded.rate_hz
+    if seconds < MIN_LISTENED_S:
+        raise ValueError(f"{seconds:.0f} s to listen to, expected at least {MIN_LISTENED_S:g}")
+    pairs: list[tuple[Trace, Trace]] = []
     control_of = None
     if others:
         pairs, control_of = [(recorded, other) for other in others], "other realisations of the same stroke"
-    elif len(recorded.speed) > 1 and recorded.seconds >= 2 * MIN_LISTENED_S:
-        pairs = [(recorded.picked(slice(0, None, 2)), recorded.picked(slice(1, None, 2)))]
-        control_of = "every other block of the recording"
+    elif recorded.n_blocks > 1 and seconds >= 2 * MIN_LISTENED_S:
+        halves = (long_stroke(recorded, range(first, recorded.n_blocks, 2)) for first in (0, 1))
+        pairs, control_of = [(next(halves), next(halves))], "every other block of the recording"
     scores: dict[str, Any] = {}
-    biases: dict[str, float] | None = None
     for name, waveform in (("listener_auc", False), ("listener_auc_waveform", True)):
         each, control = [], []
         for k in range(seed, seed + N_LISTENERS):
             on_stage(f"listener {k - seed + 1} of {N_LISTENERS}{', with the waveform' if waveform else ''}")
-            run = recorded.with_acceleration(rendered(k))
-            if not scores and k == seed:
-                biases = level_biases(recorded, run.acceleration)
+            run = replace(recorded, acceleration=rendered(k))
             each.append(listener_auc(*vibrations(recorded, run, waveform), seed=k))
             if pairs:
                 two = vibrations(*pairs[(k - seed) % len(pairs)], waveform)
                 control.append(listener_auc(*two, seed=k, same_stroke=bool(others)))
-        scores[name], scores[f"{name}_each"] = float(np.mean(each)), each
+        scores[name] = float(np.mean(each))
         scores[f"{name}_control"] = float(np.mean(control)) if control else None
-    scores["level_bias_db"] = biases
-    scores["level_bias_db_control"] = level_biases(recorded, others[0].acceleration) if others else None
-    return {**scores, "listener_s": recorded.seconds, "listener_control_of": control_of}
+    return {**scores, "listener_s": seconds, "listener_control_of": control_of}
 
 
-def level_biases(recorded: LongStroke, rendered: Array) -> dict[str, float] | None:
-    """By how much a rendering is louder than a recording [dB]: in each quarter of the moving samples, by their speed.
-
-    From `slowest` to `fastest`; None where the hand never moves, or one of the two is silent.
-    """
-    moving = (recorded.speed >= FADE_SPEED) & (recorded.force >= FADE_FORCE)
-    if not moving.any():
-        return None
-    edges = np.quantile(recorded.speed[moving], (0.25, 0.5, 0.75))
-    quarter = np.searchsorted(edges, recorded.speed[moving])
-    powers = [
-        np.bincount(quarter, np.square(signal[moving]), len(QUARTERS)) for signal in (rendered, recorded.acceleration)
-    ]
-    if not all((power > 0).all() for power in powers):
-        return None
-    return dict(zip(QUARTERS, (10 * np.log10(powers[0] / powers[1])).tolist(), strict=True))
-
-
-def vibrations(first: LongStroke, second: LongStroke, waveform: bool) -> tuple[Vibration, Vibration]:
+def vibrations(first: Trace, second: Trace, waveform: bool) -> tuple[Vibration, Vibration]:
     """Two vibrations as a listener is shown them, standardised by what both are in the part that it learns from."""
-    from foten.evaluate.listener_network import EXCERPT, Vibration
+    from foten.evaluate.listener_network import Vibration
 
     both = (first, second)
-    energies = [band_energies(stroke.acceleration, stroke.rate_hz) for stroke in both]  # (n_pieces, bands, frames)
+    # Shapes are (n_pieces, channels, frames) from here on.
+    energies = [band_energies(stroke.blocks(stroke.acceleration), stroke.rate_hz) for stroke in both]
     floor = FLOOR * np.mean([energy.mean(axis=(0, 2)) for energy in energies], axis=0)[:, None]
-    moving = [_moving(stroke) for stroke in both]  # (n_pieces, frames)
-    starts = [_starts(len(moves), moves.shape[1], EXCERPT) for moves in moving]
+    conditions = [_conditions(stroke) for stroke in both]
+    # Where a rendering does not fade, (n_pieces, frames).
+    moving = [((lowest[:, 0] >= FADE_SPEED) & (lowest[:, 1] >= FADE_FORCE)) for _, lowest in conditions]
+    starts = [_starts(*moves.shape) for moves in moving]
     logs = [np.log(energy + floor + np.finfo(float).tiny) for energy in energies]
     of_bands = _standardisation(logs, moving, starts)
-    speed_forces = [_speed_force(stroke) for stroke in both]
+    speed_forces = [np.log(mean + SOFTENING) for mean, _ in conditions]
     of_speed_force = _standardisation(speed_forces, [np.ones_like(moves) for moves in moving], starts)
     scale = float(np.sqrt(np.mean([np.square(stroke.acceleration).mean() for stroke in both]))) or 1.0
     shown_vibrations = []
@@ -180,37 +123,27 @@ def vibrations(first: LongStroke, second: LongStroke, waveform: bool) -> tuple[V
         frames = np.concatenate([shown, _standardised(speed_force, of_speed_force)], axis=1)
         samples = None
         if waveform:
-            cut = framed(stroke.acceleration, BAND_FRAME_MS, stroke.rate_hz)
-            samples = np.arcsinh(2 * cut / scale) * moves[..., None]
-            samples = samples.reshape(-1, cut.shape[-1])
-        shown_vibrations.append(Vibration(np.moveaxis(frames, 1, 0).reshape(frames.shape[1], -1), samples, train, test))
+            cut = framed(stroke.blocks(stroke.acceleration), BAND_FRAME_MS, stroke.rate_hz)
+            samples = (np.arcsinh(2 * cut / scale) * moves[..., None]).reshape(-1, cut.shape[-1])
+        shown_vibrations.append(Vibration(_joined(frames), samples, train, test))
     return shown_vibrations[0], shown_vibrations[1]
 
 
-def _moving(stroke: LongStroke) -> NDArray[np.bool_]:
-    """In which frames a rendering does not fade, (n_pieces, frames)."""
-    speed, force = (
-        framed(channel, BAND_FRAME_MS, stroke.rate_hz).min(axis=-1) for channel in (stroke.speed, stroke.force)
-    )
-    return np.asarray((speed >= FADE_SPEED) & (force >= FADE_FORCE))
+def _conditions(stroke: Trace) -> tuple[Array, Array]:
+    """Mean and lowest speed and force of each frame, (n_pieces, 2, frames) each."""
+    channels = np.stack([stroke.blocks(stroke.speed), stroke.blocks(stroke.force)], axis=1)
+    frames = framed(channels, BAND_FRAME_MS, stroke.rate_hz)
+    return frames.mean(axis=-1), frames.min(axis=-1)
 
 
-def _speed_force(stroke: LongStroke) -> Array:
-    """Log speed and log force of each frame, (n_pieces, 2, frames)."""
-    speed, force = (
-        framed(channel, BAND_FRAME_MS, stroke.rate_hz).mean(axis=-1) for channel in (stroke.speed, stroke.force)
-    )
-    return np.stack([np.log(speed + 2.0), np.log(force + 0.05)], axis=1)
-
-
-def _starts(n_pieces: int, n_frames: int, excerpt: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def _starts(n_pieces: int, n_frames: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """The frames with which excerpts to learn from, and to be scored on, begin: each within one piece."""
-    from foten.evaluate.listener_network import HOP
+    from foten.evaluate.listener_network import EXCERPT, HOP
 
     n = n_pieces * n_frames
     first = np.arange(n)
-    inside = first[first % n_frames <= n_frames - excerpt]
-    train = inside[inside + excerpt <= TRAIN_SHARE * n]
+    inside = first[first % n_frames <= n_frames - EXCERPT]
+    train = inside[inside + EXCERPT <= TRAIN_SHARE * n]
     later = inside[inside >= (1 - TEST_SHARE) * n]
     return train, later[(later % n_frames) % HOP == 0]
 
@@ -221,12 +154,17 @@ def _standardisation(
     """Mean and standard deviation of each channel over the counted frames that are learned from."""
     known = []
     for channel, counts, (train, _) in zip(channels, counted, starts, strict=True):
-        flat, until = np.moveaxis(channel, 1, 0).reshape(channel.shape[1], -1), train[-1] + 1
-        known.append(flat[:, :until][:, counts.ravel()[:until]])
+        until = train[-1] + 1
+        known.append(_joined(channel)[:, :until][:, counts.ravel()[:until]])
     joined = np.concatenate(known, axis=1)
     if not joined.shape[1]:
         raise ValueError("the hand is at rest where a listener is to learn, expected strokes")
     return joined.mean(axis=1), np.maximum(joined.std(axis=1), SD_FLOOR)
+
+
+def _joined(channels: Array) -> Array:
+    """Pieces one after the other: (n_pieces, channels, frames) → (channels, n_pieces·frames)."""
+    return np.moveaxis(channels, 1, 0).reshape(channels.shape[1], -1)
 
 
 def _standardised(channels: Array, by: tuple[Array, Array]) -> Array:

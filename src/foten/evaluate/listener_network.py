@@ -1,10 +1,8 @@
 """The listener: a small network that is trained to tell two vibrations under one hand apart.
 
-It is shown half a second of eight log band energies in frames of 8 ms (`dsp.bands`) beside log speed and log force, and, where it
-is asked to, the waveform. What it scores is the area under its curve on excerpts from later on than those it was trained on: the
-probability that it takes a rendered excerpt for rendered rather than a recorded one. 0.5 is chance, 1 is certainty.
+Its score is the area under its curve on later excerpts than it was trained on: 0.5 is chance, 1 is certainty.
 
-Source: the classifier two-sample test (Lopez-Paz & Oquab, ICLR 2017), of excerpts as a hand meets them.
+Source: the classifier two-sample test (Lopez-Paz & Oquab, ICLR 2017).
 """
 
 from __future__ import annotations
@@ -82,10 +80,8 @@ def listener_auc(first: Vibration, second: Vibration, seed: int, same_stroke: bo
 
 
 def _listener_auc(both: tuple[Vibration, Vibration], rng: np.random.Generator, same_stroke: bool) -> float:
-    frames = [torch.from_numpy(listened.frames).float() for listened in both]
-    waveforms = [
-        None if listened.waveform is None else torch.from_numpy(listened.waveform).float() for listened in both
-    ]
+    frames = [torch.from_numpy(each.frames).float() for each in both]
+    waveforms = [None if each.waveform is None else torch.from_numpy(each.waveform).float() for each in both]
     frame = None if waveforms[0] is None else waveforms[0].shape[1]
     offsets = torch.arange(EXCERPT)
 
@@ -100,7 +96,7 @@ def _listener_auc(both: tuple[Vibration, Vibration], rng: np.random.Generator, s
     half = BATCH // 2
     known = torch.arange(2).repeat_interleave(half).float()
     for _ in range(N_STEPS):
-        starts = [rng.choice(listened.train, half) for listened in both]
+        starts = [rng.choice(each.train, half) for each in both]
         if same_stroke:
             starts[1] = both[1].train[np.searchsorted(both[0].train, starts[0])]
         (x, w), (y, u) = (excerpts(k, start) for k, start in enumerate(starts))
@@ -112,7 +108,7 @@ def _listener_auc(both: tuple[Vibration, Vibration], rng: np.random.Generator, s
         schedule.step()
     listener.eval()
     with torch.no_grad():
-        odds_of = [listener(*excerpts(k, listened.test)).double().numpy() for k, listened in enumerate(both)]
+        odds_of = [listener(*excerpts(k, each.test)).double().numpy() for k, each in enumerate(both)]
     return area_under_curve(*odds_of)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from itertools import pairwise
 from typing import Any
 
@@ -36,25 +36,17 @@ def cosine(a: Array, b: Array) -> Array:
     return np.asarray((a * b).sum(axis=-1) / np.maximum(norm, np.finfo(np.float64).tiny))
 
 
-def level_slopes(levels: Array, speed: Array, force: Array) -> tuple[float, float] | None:
-    """How the level grows with speed and with force [dB per decade], by least squares over frames, any equal shape.
-
-    None where speed or force spans less than a factor of 1.2 (10th to 90th percentile), over which a slope is noise.
-    """
-    moving = (speed > 1.0) & (force > 0.01)
-    logs = np.log10(speed[moving]), np.log10(force[moving])
-    if moving.sum() < 20 or any(np.subtract(*np.percentile(log, [90, 10])) < math.log10(1.2) for log in logs):
-        return None
-    design = np.stack([np.ones(moving.sum()), *logs], axis=1)
-    coefficients = np.linalg.lstsq(design, levels[moving], rcond=None)[0]
-    return float(coefficients[1]), float(coefficients[2])
+def moments(samples: Array) -> Array:
+    """The means of the first to fourth powers of samples: (…, n) → (4, …)."""
+    return np.stack([np.power(samples, k).mean(axis=-1) for k in range(1, 5)])
 
 
-def kurtosis(samples: Array) -> float:
-    """Pearson's kurtosis over all samples: 3 for a Gaussian, more for a spiky vibration; 0 for silence."""
-    squares = np.square(samples - samples.mean())
-    variance = float(squares.mean())
-    return float(np.square(squares).mean()) / variance**2 if variance > 0 else 0.0
+def kurtosis(moments: Array) -> float:
+    """Pearson's kurtosis from such moments, shape (4,): 3 for a Gaussian, more for a spiky vibration; 0 for silence."""
+    mean, second, third, fourth = (float(moment) for moment in moments)
+    variance = second - mean**2
+    central = fourth - 4 * mean * third + 6 * mean**2 * second - 3 * mean**4
+    return central / variance**2 if variance > 0 else 0.0
 
 
 def band_edges(rate_hz: float) -> Array:
@@ -105,7 +97,7 @@ def band_correlations(energies: Array) -> Array:
     return np.asarray(correlations[np.triu_indices(len(envelopes), 1)])
 
 
-def intervals(figures: Callable[[NDArray[np.int64]], Mapping[str, Any]], n_blocks: int) -> dict[str, Any]:
+def intervals(figures: Callable[[NDArray[np.int64]], Mapping[str, Any]], n_blocks: int) -> dict[str, list[float]]:
     """The 95 % confidence interval of each figure over blocks: Student's t with the jackknife's standard error.
 
     Samples within a block are correlated and do not count as independent. Resampling blocks with replacement covers the mean of
@@ -113,11 +105,10 @@ def intervals(figures: Callable[[NDArray[np.int64]], Mapping[str, Any]], n_block
     empty.
 
     Args:
-        figures: block numbers → figures, each a number, a list of numbers, or None where these blocks have none.
+        figures: block numbers → figures, each a number, a list, or None where these blocks have none.
 
     Returns:
-        By figure [low, high], around the figure of all blocks; for a list one such pair for each entry, None where the figure is
-        None.
+        By figure that is a number [low, high], around the figure of all blocks.
 
     Source: Efron & Stein (1981), the standard error; leaving one block out at a time.
     """
@@ -126,17 +117,12 @@ def intervals(figures: Callable[[NDArray[np.int64]], Mapping[str, Any]], n_block
     from scipy.special import stdtrit
 
     all_blocks = np.arange(n_blocks)
-    full = figures(all_blocks)
     left_out = [figures(np.delete(all_blocks, i)) for i in all_blocks]
     t = float(stdtrit(n_blocks - 1, 0.975))
-    bounds = {name: _interval(value, [figures[name] for figures in left_out], t) for name, value in full.items()}
-    return {name: bound for name, bound in bounds.items() if bound is not None}
-
-
-def _interval(full: Any, left_out: Sequence[Any], t: float) -> list[Any] | None:
-    if isinstance(full, list | tuple):
-        return [_interval(figure, [values[i] for values in left_out], t) for i, figure in enumerate(full)]
-    if full is None or any(value is None for value in left_out):
-        return None
-    error = np.sqrt((len(left_out) - 1) * np.var(left_out))
-    return [float(full - t * error), float(full + t * error)]
+    bounds = {}
+    for name, figure in figures(all_blocks).items():
+        others = [without[name] for without in left_out]
+        if isinstance(figure, float) and None not in others:
+            error = t * float(np.sqrt((n_blocks - 1) * np.var(others)))
+            bounds[name] = [figure - error, figure + error]
+    return bounds

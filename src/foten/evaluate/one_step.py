@@ -59,10 +59,8 @@ def excitation_scores(
 ) -> dict[str, Any]:
     """How well the random part, a network's distribution or an excitation's scale, describes the one-step error.
 
-    Calibrating an excitation's level in the closed loop (`training.calibration`) trades likelihood for level. The error is that
-    of the prediction which a rendering uses, with the network or without. It is not known where a rendering has tones
-    (`dsp.tones`).
-    Of two networks the distribution is that of the one which predicts.
+    The error is that of the prediction which a rendering uses, with the network or without; it is not known where a rendering
+    has tones (`dsp.tones`). Of two networks the distribution is that of the one which predicts.
 
     Args:
         samples, n: scaled, shape (t, 3), and the indices to score, rows of consecutive ones, shape (n_blocks, k).
@@ -146,9 +144,9 @@ def fit_linear(
         moment += design.T @ target
         power += float(target @ target)
     coefficients = solved(gram, moment)
-    missed = power - 2 * coefficients @ moment + coefficients @ gram @ coefficients
+    residual = float(power - 2 * coefficients @ moment + coefficients @ gram @ coefficients)
     shaped = coefficients.reshape(3, order + 1) if scheduled else coefficients
-    return Linear(shaped, math.sqrt(max(0.0, float(missed)) / n))
+    return Linear(shaped, math.sqrt(max(0.0, residual) / n))
 
 
 def _design(block: Array, order: int, scheduled: bool) -> Array:

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
 from pathlib import Path
 
-from foten.atomic_write import atomic_write
 from foten.datasets.hdf5 import write_recording
 from foten.evaluate.evaluate import evaluate
 from foten.evaluate.report.page import write_report
@@ -50,14 +48,10 @@ def run_demo(
     write_texture(texture, paths["texture"])
     say("4/5 judging it on its test blocks")
     judgement = evaluate(texture, recording, reference_for(recording, texture), seed)
-    report = directory / "report"
-    report.mkdir(exist_ok=True)
-    with atomic_write(report / "evaluation.json") as part:
-        part.write_text(json.dumps(judgement.document, indent=1, allow_nan=False) + "\n")
-    paths["report"] = write_report(judgement, texture, report)
-    say("5/5 rendering ten seconds of a fresh hand")
-    hand = recorded_stroke(simulate(key, 10.0, seed + 1), texture.rate_hz)
-    speed, force = hand.conditioned(float(texture.card["lowpass_hz"]))
+    paths["report"] = write_report(judgement, texture, directory / "report")
+    say("5/5 rendering ten seconds of a fresh stroke")
+    stroke = recorded_stroke(simulate(key, 10.0, seed + 1), texture.rate_hz)
+    speed, force = stroke.conditioned(float(texture.card["lowpass_hz"]))
     acceleration = Renderer(texture, seed=seed).render(speed, force).astype(float)
     about = {"texture": key, "texture_sha256": texture.sha256(), "seed": seed}
     paths |= {"vibration": directory / "rendered.wav", "picture": directory / "rendered.png"}

@@ -6,6 +6,7 @@ import difflib
 import hashlib
 import itertools
 import json
+import re
 import tomllib
 from collections.abc import Collection, Mapping
 from dataclasses import asdict, dataclass, field, fields, replace
@@ -29,6 +30,13 @@ MEASURES = {
 
 Of the first split of each texture, those of `OF_FIRST_SPLIT`; of every split what listeners can tell.
 """
+KINDS: dict[str, tuple[Any, str]] = {
+    "str": (str, "a text"),
+    "float": (int | float, "a number"),
+    "tuple": (list, "a list"),
+    "Mapping": (dict, "a table"),
+}
+"""Types of the fields below, and what they are in TOML."""
 OF_TRAINING = {setting.name for setting in fields(TrainConfig)} - {"recipe"}
 
 
@@ -127,7 +135,7 @@ class Experiment:
         Raises:
             ValueError: a setting is unknown or out of range; the message names the method.
         """
-        runs = [
+        return [
             self._resolved(texture, method, split_seed, dict(zip(self.grid, values, strict=False)), recipe)
             for texture in self.textures
             for split_seed in self.split_seeds
@@ -136,13 +144,6 @@ class Experiment:
             for recipe in method.recipes or [""]
             for values in (itertools.product(*self.grid.values()) if method.model != "ar" else [()])
         ]
-        labels: dict[Any, str] = {}
-        for run in runs:
-            key = run.source, run.configuration
-            if key in labels:
-                raise ValueError(f"{labels[key]!r} and {run.label!r} are the same run: leave one of them out")
-            labels[key] = run.label
-        return runs
 
     def _resolved(self, texture: str, method: Method, split_seed: int, cell: Mapping[str, Any], recipe: str) -> Run:
         name, model = method.title, method.model
@@ -162,7 +163,7 @@ class Experiment:
                 raise ValueError("'ar' is fitted without a recipe and finds its sizes: leave them out")
         except (TypeError, ValueError) as error:
             raise ValueError(f"method {name!r}: {error}") from error
-        seconds = None if texture.endswith(RECORDED) else self.seconds
+        seconds = None if texture.endswith(RECORDED) else float(self.seconds)
         first = split_seed == self.split_seeds[0]
         measures = tuple(name for name in method.measures if first or name not in OF_FIRST_SPLIT)
         return Run(
@@ -182,11 +183,11 @@ def experiment_path(name: str) -> Path:
     Raises:
         FileNotFoundError: there is neither.
     """
-    ours = Path(__file__).parent
     if Path(name).suffix == ".toml":
         return Path(name)
-    if (ours / f"{name}.toml").exists():
-        return ours / f"{name}.toml"
+    path = Path(__file__).with_name(f"{name}.toml")
+    if path.exists():
+        return path
     raise FileNotFoundError(f"no experiment {name!r}, expected a .toml file or one of {', '.join(experiments())}")
 
 
@@ -197,13 +198,9 @@ def read_experiment(path: Path, recordings: Path | None = None) -> Experiment:
         recordings: folder of its recordings; by default that of the file.
 
     Raises:
-        FileNotFoundError: there is none.
+        OSError: there is none.
         ValueError: it is no TOML, has an unknown key, or a value does not fit; one line says which.
     """
-    if not path.exists():
-        raise FileNotFoundError(f"no such file: {path}")
-    if path.is_dir():
-        raise ValueError(f"{path} is a folder, expected a .toml file")
     try:
         return _experiment(tomllib.loads(path.read_text(encoding="utf-8")), recordings or path.parent)
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
@@ -213,44 +210,32 @@ def read_experiment(path: Path, recordings: Path | None = None) -> Experiment:
 
 
 def _experiment(content: dict[str, Any], folder: Path) -> Experiment:
-    _check_keys(content, _names(Experiment), "the file")
+    _check(content, Experiment, "the file")
     for name in ("title", "textures", "methods"):
         if not content.get(name):
             raise ValueError(f"there is no {name!r}, expected title, textures and methods")
-    _check_types(content, ("title", "note", "recipe"), str, "a text")
-    _check_types(content, ("textures", "methods"), list, "a list")
-    for name in ("train", "grid", "preprocess"):
-        _check_types(content, (name,), dict, f"a table, [{name}]")
     methods = tuple(map(_method, content["methods"]))
     names = {method.title for method in methods}
     if len(names) < len(methods):
         raise ValueError("two methods have the same name: give them a 'name' each")
-    _check_recipe(content)
     textures = tuple(_texture(texture, folder) for texture in content["textures"])
     if len(set(map(texture_name, textures))) < len(textures):
         raise ValueError("two textures have the same name, which tables could not tell apart")
-    grid, train = content.get("grid", {}), content.get("train", {})
-    if "recipe" in train:
-        raise ValueError("'recipe' stands beside [train], not in it")
-    _check_keys(train, OF_TRAINING, "[train]")
+    grid = content.get("grid", {})
+    _check_keys(content.get("train", {}), OF_TRAINING, "[train]")
     _check_keys(content.get("preprocess", {}), _names(PreprocessConfig), "[preprocess]")
-    networks = [method.model for method in methods if method.model != "ar"]
-    if grid and not networks:
-        raise ValueError("a grid is of networks, and 'ar' finds its sizes: leave it out")
+    networks = [method.model for method in methods if method.model != "ar"]  # which finds its sizes
+    _check_keys(grid, set().union(*(OF_TRAINING | _names(TRAINABLE[model]) for model in networks)), "[grid]")
     for name, values in grid.items():
         if not isinstance(values, list) or not values:
             raise ValueError(f"{name!r} in the grid is {values!r}, expected a list")
-    _check_keys(grid, OF_TRAINING | set().union(*(_names(TRAINABLE[model]) for model in networks)), "[grid]")
     seeds = _seeds(content.get("split_seeds", [1]))
     for method in methods:
         if not set(method.split_seeds or ()) <= set(seeds):
             raise ValueError(f"method {method.title!r}: its split_seeds are not all among the experiment's")
         if method.beside and method.beside not in names:
             raise ValueError(f"{method.title!r} stands beside {method.beside!r}, which is no method of the file")
-    seconds = content.get("seconds", 60.0)
-    if type(seconds) not in (int, float) or not 1 <= seconds <= 3600:
-        raise ValueError(f"seconds is {seconds!r}, expected 1 to 3600")
-    resolved = {"textures": textures, "methods": methods, "split_seeds": seeds, "seconds": float(seconds)}
+    resolved = {"textures": textures, "methods": methods, "split_seeds": seeds}
     return Experiment(**{**content, **resolved, "grid": {name: tuple(values) for name, values in grid.items()}})
 
 
@@ -259,10 +244,9 @@ def _method(content: object) -> Method:
         content = {"model": content}
     if not isinstance(content, dict):
         raise ValueError(f"a method is {content!r}, expected a model's name or a table")
-    _check_keys(content, _names(Method), "a method")
-    _check_types(content, ("model", "name", "recipe", "beside"), str, "a text", " of a method")
-    _check_types(content, ("train", "sizes", "recipes"), dict, "a table", " of a method")
-    _check_types(content, ("measures",), list, "a list", " of a method")
+    _check(content, Method, "a method")
+    if content.get("model") not in TRAINABLE:
+        raise ValueError(f"unknown model {content.get('model')!r}, expected one of {', '.join(TRAINABLE)}")
     _check_keys(content.get("train", {}), OF_TRAINING, "'train' of a method")
     _check_keys(content.get("measures", []), MEASURES, "'measures' of a method")
     for name, changes in content.get("recipes", {}).items():
@@ -270,21 +254,16 @@ def _method(content: object) -> Method:
             raise ValueError(f"recipe {name!r} of a method is {changes!r}, expected a table")
         _check_keys(changes, OF_TRAINING | {"recipe"}, f"recipe {name!r} of a method")
         _check_recipe(changes)
-    if content.get("model") not in TRAINABLE:
-        raise ValueError(f"unknown model {content.get('model')!r}, expected one of {', '.join(TRAINABLE)}")
-    _check_recipe(content)
     lists: dict[str, Any] = {"measures": tuple(content.get("measures", ()))}
     if "split_seeds" in content:
         lists["split_seeds"] = _seeds(content["split_seeds"])
     return Method(**{**content, **lists})
 
 
-def _seeds(seeds: object) -> tuple[int, ...]:
-    if not isinstance(seeds, list) or not all(type(seed) is int and seed >= 0 for seed in seeds) or not seeds:
-        raise ValueError(f"split_seeds is {seeds!r}, expected a list of whole numbers")
-    if len(set(seeds)) < len(seeds):
-        raise ValueError(f"split_seeds is {seeds!r}, expected each once")
-    return tuple(seeds)
+def _seeds(seeds: list[object]) -> tuple[int, ...]:
+    if not seeds or not all(type(seed) is int and seed >= 0 for seed in seeds) or len(set(seeds)) < len(seeds):
+        raise ValueError(f"split_seeds is {seeds!r}, expected a list of whole numbers, each once")
+    return tuple(seeds)  # type: ignore[arg-type]
 
 
 def _texture(content: object, folder: Path) -> str:
@@ -298,18 +277,22 @@ def _texture(content: object, folder: Path) -> str:
     return str(content)
 
 
+def _check(content: Mapping[str, Any], configuration: type, where: str) -> None:
+    """Check that a table has no other keys than a dataclass, and values of the kinds of its fields, and a known recipe."""
+    _check_keys(content, _names(configuration), where)
+    for setting in fields(configuration):
+        kind, expected = KINDS[re.findall(r"\w+", str(setting.type))[0]]
+        if setting.name in content and not isinstance(content[setting.name], kind):
+            raise ValueError(f"{setting.name!r} of {where} is {content[setting.name]!r}, expected {expected}")
+    _check_recipe(content)
+
+
 def _check_recipe(content: Mapping[str, Any]) -> None:
     if content.get("recipe", "default") not in RECIPES:
         raise ValueError(f"unknown recipe {content['recipe']!r}, expected one of {', '.join(RECIPES)}")
 
 
-def _check_types(content: Mapping[str, Any], names: Collection[str], kind: type, expected: str, of: str = "") -> None:
-    for name in names:
-        if name in content and not isinstance(content[name], kind):
-            raise ValueError(f"{name!r}{of} is {content[name]!r}, expected {expected}")
-
-
-def _check_keys(content: Mapping[str, Any], known: Collection[str], where: str) -> None:
+def _check_keys(content: Collection[str], known: Collection[str], where: str) -> None:
     unknown = sorted(set(content) - set(known))
     if unknown:
         near = difflib.get_close_matches(unknown[0], known, 1)

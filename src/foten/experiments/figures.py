@@ -43,18 +43,17 @@ def figures(
         say(f"figure-4 is left out, as it is drawn from the recording: {error}")
     # One method at a time: between methods more differs than the window.
     methods = list(dict.fromkeys((result["run"]["method"], result["run"]["model"]) for result in results))
-    for method, model in methods:
+    for k, (method, model) in enumerate(methods, 1):
         of_method = [result for result in results if result["run"]["method"] == method and _has_one_step(result)]
-        name = model if [other for _, other in methods].count(model) == 1 else _file_name(method)
-        alike = [_file_name(other) for other, _ in methods].count(_file_name(method)) > 1
-        name += f"-{methods.index((method, model)) + 1}" if alike else ""
+        alone = [other for _, other in methods].count(model) == 1
+        name = f"figure-5-{model if alone else f'{k}-{_file_name(method)}'}"
         for others, some in _by_other_settings(of_method, ("window", "loss")):
             if len({(result["run"]["sizes"]["window"], result["run"]["train"]["loss"]) for result in some}) > 1:
-                yield f"figure-5-{name}{others}", windows_and_losses(some)
+                yield f"{name}{others}", windows_and_losses(some)
         huber = [result for result in of_method if result["run"]["train"]["loss"] == "huber"]
         for others, some in _by_other_settings(huber, ("delta",)):
             if len({result["run"]["train"]["delta"] for result in some}) > 1:
-                yield f"figure-5-{name}{others}-delta", thresholds(some)
+                yield f"{name}{others}-delta", thresholds(some)
     with_signals = [result for result in results if result.get("signals")]
     if with_signals:
         yield "figure-6", waveforms(with_signals)
@@ -65,9 +64,9 @@ def _by_other_settings(results: Results, drawn: Sequence[str]) -> list[tuple[str
     """Results grouped by the settings of their grid that are not drawn, each with a suffix for the file's name."""
     groups = defaultdict(list)
     for result in results:
-        others = " ".join(f"{k} {v}" for k, v in result["run"].get("cell", {}).items() if k not in drawn)
-        groups[others].append(result)
-    return [("-" + _file_name(others) if others else "", some) for others, some in groups.items()]
+        others = " ".join(f"{k} {v}" for k, v in result["run"]["cell"].items() if k not in drawn)
+        groups[f"-{_file_name(others)}" if others else ""].append(result)
+    return list(groups.items())
 
 
 def _file_name(method: str) -> str:
@@ -105,8 +104,7 @@ def split(result: Mapping[str, Any], recordings: Path | None = None) -> Figure:
     trace = preprocess(recording, PreprocessConfig(**run.preprocess))
     parts = split_blocks(trace, seed=run.split_seed)
     figure, panels = new_figure(10.0, 5.0, nrows=3, sharex=True)
-    length = trace.block / trace.rate_hz
-    times = np.arange(trace.n_blocks * trace.block) / trace.rate_hz
+    length, times = trace.block / trace.rate_hz, np.arange(len(trace)) / trace.rate_hz
     rows = (("acceleration [m/s²]", trace.acceleration), ("speed [mm/s]", trace.speed), ("force [N]", trace.force))
     for axes, (label, values) in zip(panels, rows, strict=True):
         for name, colour in PARTS.items():
@@ -175,7 +173,7 @@ def waveforms(results: Results) -> Figure:
             if below > SILENT_DB:
                 place = {"xy": (times[-1], (0.12 - k - 1) * step), "ha": "right", "va": "bottom"}
                 axes.annotate(f"silent here: {below:.0f} dB below the recording", **place, fontsize=6.5)
-        bar, beyond = _round_below(0.45 * step), 1.03 * times[-1]
+        bar, beyond = float(f"{0.45 * step:.1g}"), 1.03 * times[-1]
         axes.plot([beyond, beyond], [-bar / 2, bar / 2], color=RECORDED, lw=2)
         axes.annotate(f"{bar:g} m/s²", (1.04 * times[-1], 0), rotation=90, va="center", fontsize=6.5)
         names = [method.replace(", ", ",\n") for method in by_method]
@@ -186,13 +184,7 @@ def waveforms(results: Results) -> Figure:
 
 def _below_db(recorded: float, synthesized: float) -> float:
     """How far a power lies below the recorded one [dB], 300 at most."""
-    return 10 * float(np.log10(recorded / max(synthesized, 1e-30 * recorded))) if recorded > 0 else 0.0
-
-
-def _round_below(limit: float) -> float:
-    """Largest of 1, 2 and 5 times a power of ten up to a limit."""
-    power = 10.0 ** np.floor(np.log10(limit)) if limit > 0 else 1.0
-    return max(step * power for step in (1, 2, 5) if step == 1 or step * power <= limit)
+    return 10 * float(np.log10(recorded / max(synthesized, 1e-30 * recorded)))
 
 
 def spectra(results: Results) -> Figure:
@@ -215,10 +207,9 @@ def spectra(results: Results) -> Figure:
         axes.plot(first["frequencies_hz"], recorded, color=RECORDED, lw=1.2, label="recorded")
         axes.set_ylim(low, high)
     named = {label: handle for axes in panels for handle, label in zip(*axes.get_legend_handles_labels(), strict=True)}
-    # As many beside each other as the width has room for, about 14 characters an inch and 3 for the line.
-    columns = max(1, min(4, len(named), int(14 * figure.get_figwidth() / (3 + max(map(len, named))))))
-    add_legend(figure, handles=[*named.values()], labels=[*named], loc="outside upper center", ncols=columns)
-    figure.set_figheight(figure.get_figheight() + 0.18 * (len(named) // columns - 1))
+    # Two beside each other: a label may say by how much a method is silent.
+    add_legend(figure, handles=[*named.values()], labels=[*named], loc="outside upper center", ncols=min(2, len(named)))
+    figure.set_figheight(figure.get_figheight() + 0.09 * len(named))
     figure.supxlabel("frequency [Hz]", fontsize=9)
     figure.supylabel("power density [dB re 1 (m/s²)²/Hz]", fontsize=9)
     return figure
@@ -228,11 +219,9 @@ def _silence(method: str, textures: Mapping[str, Mapping[str, Mapping[str, Any]]
     """Say on how many textures a method falls silent, and how far below the recording; nothing where on none."""
     densities = [by_method[method]["signals"]["density"] for by_method in textures.values() if method in by_method]
     below = [_below_db(np.mean(density["recorded"]), np.mean(density["free_run"])) for density in densities]
-    silent = [f"{level:.0f}" for level in sorted(below) if level > SILENT_DB]
-    if not silent:
-        return ""
-    where = "falls silent" if len(silent) == len(below) else f"falls silent on {len(silent)} of {len(below)} textures"
-    return f": {where}, {' to '.join(dict.fromkeys((silent[0], silent[-1])))} dB below the recording"
+    silent = [level for level in below if level > SILENT_DB]
+    where = "" if len(silent) == len(below) else f" on {len(silent)} of {len(below)} textures"
+    return f": falls silent{where}, {min(silent):.0f} dB or more below the recording" if silent else ""
 
 
 def _first_split(results: Results) -> tuple[dict[str, dict[str, Mapping[str, Any]]], dict[str, str]]:

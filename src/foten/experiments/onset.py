@@ -2,11 +2,10 @@
 
 A first stroke begins at once with a speed and a force drawn from the trained range and holds them, under several streams of
 noise. Settled is what the same streams are from 1 s on. Level: mean over strokes of the power in a window of 40 ms over the
-settled power [dB], and mean of its size, which a start that is loud under one stroke and soft under another does not hide.
-Spectrum: mean over strokes of the same in third-octave bands (40 ms hold no finer), root mean square over the bands. Settled
-windows scatter too: the largest of ten such windows stands beside. Click: how often samples of the first 20 ms exceed the
-settled 99.9th percentile, over more streams, since that is rare; and how often settled ones do, that of each stream counted
-against the percentile of the others.
+settled power [dB]. Spectrum: mean over strokes of the same in third-octave bands (40 ms hold no finer), root mean square over
+the bands. Settled windows scatter too: the largest of ten such windows stands beside. Click: how often samples of the first
+20 ms exceed the settled 99.9th percentile, over more streams, since that is rare; and how often settled ones do, that of each
+stream counted against the percentile of the others.
 """
 
 from __future__ import annotations
@@ -17,12 +16,14 @@ from typing import Any
 import numpy as np
 
 from foten.dsp import Array
-from foten.experiments.stability import rendered_strokes
+from foten.dsp.distance import welch
+from foten.evaluate.free_run import render_strokes
 from foten.models.conditions import FADE_FORCE, FADE_SPEED
 from foten.models.texture_file import Texture
+from foten.runtime.native import NativeTexture
 
 WINDOW_MS = 40.0
-STARTS_MS = (0.0, 20.0, 60.0, 100.0)
+STARTS_MS = (0.0, 100.0)
 SETTLED_S, LASTS_S = 1.0, 2.0
 CLICK_MS = 20.0
 MORE_STREAMS = 16  # times as many for clicks
@@ -37,36 +38,33 @@ def third_octaves(rate_hz: float) -> Array:
 
 def band_powers(windows: Array, rate_hz: float) -> Array:
     """Power in each band, mean over windows (k, n) → (bands,)."""
-    n = windows.shape[1]
-    power = (np.abs(np.fft.rfft(windows * np.hanning(n), axis=1)) ** 2).mean(axis=0)
-    hertz = np.fft.rfftfreq(n, 1 / rate_hz)
-    edges = third_octaves(rate_hz)
+    hertz, density = welch(windows, rate_hz, windows.shape[1])
+    power, edges = density.mean(axis=0), third_octaves(rate_hz)
     return np.array([power[(hertz >= low) & (hertz < high)].sum() for low, high in pairwise(edges)])
 
 
 def onset(texture: Texture, n_strokes: int = N_STROKES, n_streams: int = N_STREAMS, seed: int = 0) -> dict[str, Any]:
     """Levels and spectra of first strokes beside settled ones [dB], by where a window begins, and the share of clicks."""
     rng = np.random.default_rng(seed)
-    rate = texture.rate_hz
+    kernel, rate = NativeTexture(texture.to_bytes()), texture.rate_hz
     window, n = round(WINDOW_MS * rate / 1000), round(LASTS_S * rate)
     (slow, fast), (light, heavy) = (texture.trained_range(channel) for channel in ("speed", "force"))
     speeds = rng.uniform(max(slow, min(FADE_SPEED, fast)), fast, n_strokes)
     forces = rng.uniform(max(light, min(FADE_FORCE, heavy)), heavy, n_strokes)
     strokes = (np.repeat(values, n_streams)[:, None] + np.zeros(n) for values in (speeds, forces))
-    rendered = rendered_strokes(texture, seed, *strokes)[0].reshape(n_strokes, n_streams, n)
+    rendered = render_strokes(kernel, seed, *strokes)[0].reshape(n_strokes, n_streams, n)
     settled = rendered[:, :, round(SETTLED_S * rate) :]
     cut = settled[..., : settled.shape[2] // window * window].reshape(n_strokes, -1, window)
     loud = np.square(settled).mean(axis=(1, 2))
     colours = np.stack([band_powers(windows, rate) for windows in cut])
     present = (colours > 0).all(axis=0)
 
-    def away(first: int) -> tuple[float, float, float]:
+    def away(first: int) -> tuple[float, float]:
         part = rendered[:, :, first : first + window]
         level = 10 * np.log10(np.square(part).mean(axis=(1, 2)) / loud)
         powers = np.stack([band_powers(windows, rate) for windows in part])
         ratio = 10 * np.log10(powers[:, present] / colours[:, present])
-        spectrum = np.sqrt(np.square(ratio.mean(axis=0)).mean())
-        return float(level.mean()), float(spectrum), float(np.abs(level).mean())
+        return float(level.mean()), float(np.sqrt(np.square(ratio.mean(axis=0)).mean()))
 
     limits = np.quantile(np.abs(settled), 0.999, axis=(1, 2))
     usual = np.mean(
@@ -79,7 +77,7 @@ def onset(texture: Texture, n_strokes: int = N_STROKES, n_streams: int = N_STREA
     first = np.ones(round(CLICK_MS * rate / 1000))
     streams = MORE_STREAMS * n_streams
     strokes = (np.repeat(values, streams)[:, None] * first for values in (speeds, forces))
-    at_once, _ = rendered_strokes(texture, seed + 1, *strokes)
+    at_once, _ = render_strokes(kernel, seed + 1, *strokes)
     loud_samples = np.abs(at_once.reshape(n_strokes, streams, -1)) > limits[:, None, None]
     begin = [away(round(start * rate / 1000)) for start in STARTS_MS]
     later = [away(round(SETTLED_S * rate) + k * window) for k in range(10)]
@@ -88,10 +86,8 @@ def onset(texture: Texture, n_strokes: int = N_STROKES, n_streams: int = N_STREA
         return {f"{start:g}_ms": figures[which] for start, figures in zip(STARTS_MS, begin, strict=True)}
 
     return {
-        "level_db": {**by_start(0), "settled": max(abs(level) for level, *_ in later)},
-        "spectrum_db": {**by_start(1), "settled": max(spectrum for _, spectrum, _ in later)},
-        # Of each stroke by itself, over several streams of noise: chance scatters settled ones as much.
-        "level_size_db": {**by_start(2), "settled": max(size for *_, size in later)},
+        "level_db": {**by_start(0), "settled": max(abs(level) for level, _ in later)},
+        "spectrum_db": {**by_start(1), "settled": max(spectrum for _, spectrum in later)},
         "click_share": float(loud_samples.mean()),
         "settled_share": float(usual.mean()),
         # Of their difference, over strokes.

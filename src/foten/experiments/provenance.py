@@ -49,12 +49,12 @@ class Provenance:
     def differences(self, other: Mapping[str, Any]) -> list[str]:
         """Which of code, data, configuration and platform are not another result's, with what of code and platform."""
         code, platform = (
-            sorted({name for name, _ in mine.items() ^ dict(other.get(part) or {}).items()})
+            sorted({name for name, _ in mine.items() ^ other[part].items()})
             for part, mine in (("sources", self.sources), ("platform", self.platform))
         )
         more = f" and {len(code) - 1} more" if len(code) > 1 else ""
         parts = [f"code ({code[0]}{more})"] if code else []
-        parts += [part for part in ("data", "configuration") if getattr(self, part) != other.get(part)]
+        parts += [part for part in ("data", "configuration") if getattr(self, part) != other[part]]
         return parts + ([f"platform ({', '.join(platform)})"] if platform else [])
 
 
@@ -81,15 +81,9 @@ def closure(entries: Iterable[str], root: Path, others: Collection[str] = ()) ->
 
     Args:
         root: folder of the package.
-
-    Raises:
-        ValueError: there is no such module to begin with.
     """
     files: dict[str, Path] = {}
     waiting = list(entries)
-    unknown = [name for name in waiting if file_of(name, root) is None]
-    if unknown:
-        raise ValueError(f"there is no module {unknown[0]}")
     while waiting:
         name = waiting.pop()
         path = file_of(name, root)
@@ -154,12 +148,10 @@ def platform_here() -> dict[str, str]:
 
 def processor() -> str:
     """Name of the processor."""
-    try:
-        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
-    except OSError:
-        return platform.processor()
-    names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
-    return names[0] if names else platform.processor()
+    described = Path("/proc/cpuinfo")
+    lines = described.read_text(encoding="utf-8").splitlines() if described.exists() else []
+    names = (line.partition(":")[2].strip() for line in lines if line.startswith("model name"))
+    return next(names, platform.processor())
 
 
 def digest(content: bytes) -> str:

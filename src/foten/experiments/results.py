@@ -7,42 +7,63 @@ import itertools
 import json
 import math
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from foten.experiments.comparison import FIGURES, WITHOUT, Record, Records
 from foten.experiments.experiment import Run
 from foten.reporting.table import Table
 
 Results = Sequence[Mapping[str, Any]]
 """Result files of a sweep, with the signals that figures are drawn from."""
+Record = Mapping[str, Any]
+"""A run, its names, settings and figures by their paths: what tables are of, and a row of `runs.csv`."""
+Records = Sequence[Record]
 
-_OF_A_RESULT = {
-    *("evaluation", "versions", "recording_sha256", "seconds", "signals", "n_epochs", "validation_mae_scaled")
+
+@dataclass(frozen=True)
+class Figure:
+    """A number of a run."""
+
+    name: str  # in headings, with its unit
+    path: str  # its key in a record
+    digits: int  # behind the point, of means
+    better: int  # 1 where more is better, −1 where less is
+    linear: str  # the linear predictor among the references, that a method is to beat
+    factor: float = 1.0  # from the number in the file to the one in tables
+
+
+BEST_LINEAR, LINEAR_RUN = "best AR", "AR(20) with white noise"
+FIGURES = {
+    "mae": Figure("one-step MAE [sd]", "one_step.mae_scaled", 3, -1, BEST_LINEAR),
+    "gfc": Figure("one-step GFC [%]", "one_step.gfc", 1, 1, BEST_LINEAR, factor=100.0),
+    "lsd": Figure("free-run log-spectral distance [dB]", "free_run.lsd_db", 2, -1, LINEAR_RUN),
+    "level": Figure("free-run level error [dB]", "free_run.level_error_db", 2, -1, LINEAR_RUN),
 }
-_OF_AN_EVALUATION = {"one_step", "free_run", "references", "ceiling", "n_blocks", "split_sha256", "rate_hz"}
+WITHOUT = ", without excitation"
+"""What is added to a method's name, in tables and figures, where its free run has no excitation."""
 _SCORES = (
     *("one_step", "free_run", "free_run_deterministic", "free_run_ar", "ceiling"),
     *("listener", "references", "validation"),
 )
 VALIDATION = ("validation.mae_scaled", "validation.spectrum_db")
 """What the recipe of a method is chosen by, the first that it has: a one-step error, of models of spectra a distance."""
-_SHARED = ("experiment", "note")
-_TEXTS = (*_SHARED, "method", "recipe", "beside", "model", "texture", "excitation", "measures", "code", "platform")
-MIXED = "run the sweep again, or allow it by --mixed"
+_TEXTS = (
+    *("experiment", "note", "method", "recipe", "beside", "model", "texture"),
+    *("excitation", "measures", "code", "platform"),
+)
 
 
 def read_result(path: Path) -> dict[str, Any] | None:
-    """Result in a file, with all that tables and figures need; None where there is none, or it is damaged."""
+    """Result in a file; None where there is none, or it is damaged: no record can be made of it."""
     try:
-        result = json.loads(path.read_bytes())
-        complete = isinstance(Run(**result["run"]).texture, str) and isinstance(result["evaluation"], dict)
+        result: dict[str, Any] = json.loads(path.read_bytes())
+        _record(result)
     except (ValueError, KeyError, TypeError, OSError):
         return None
-    complete = complete and set(result) >= _OF_A_RESULT and set(result["evaluation"]) >= _OF_AN_EVALUATION
-    return result if complete else None
+    return result
 
 
 def read_results(folder: Path, mixed: bool = False) -> list[dict[str, Any]]:
@@ -52,14 +73,11 @@ def read_results(folder: Path, mixed: bool = False) -> list[dict[str, Any]]:
         mixed: allow results of different code or platform.
 
     Raises:
-        ValueError: there is none, a file is no result, two are of one method on one texture and split, two recordings have
-            one name, or two are of different code or platform.
+        ValueError: there is none, a file is no result, two are of one method on one texture and split, or of different code or
+            platform.
     """
-    if not folder.is_dir():
-        raise ValueError(f"there is no folder {folder}")
     results: list[dict[str, Any]] = []
     paths: dict[tuple[str, str, str, int], str] = {}
-    digests: dict[str, str] = {}
     for path in sorted(folder.glob("*.json")):
         result = read_result(path)
         if result is None:
@@ -67,18 +85,13 @@ def read_results(folder: Path, mixed: bool = False) -> list[dict[str, Any]]:
         run = Run(**result["run"])
         method, _, texture, split = run.place
         if run.place in paths:
-            raise ValueError(
-                f"{paths[run.place]} and {path.name} are both of {method} on {texture}, split {split}: are results of "
-                "other settings left in the folder? Move one away"
-            )
+            both = f"{paths[run.place]} and {path.name} are both of {method} on {texture}, split {split}"
+            raise ValueError(f"{both}: are results of other settings left in the folder? Move one away")
         paths[run.place] = path.name
-        digest = result["recording_sha256"]
-        if run.seconds is None and digests.setdefault(texture, digest) != digest:
-            raise ValueError(f"two recordings are called {texture}, which a table cannot tell apart")
         results.append(result)
     if not results:
         raise ValueError(f"there is no result of foten sweep in {folder}")
-    results.sort(key=lambda result: result.get("index", 0))
+    results.sort(key=lambda result: int(result["index"]))
     if not mixed:
         check_alike(records_of(results))
     return results
@@ -87,18 +100,18 @@ def read_results(folder: Path, mixed: bool = False) -> list[dict[str, Any]]:
 def records_of(results: Results) -> list[dict[str, Any]]:
     """Records of result files, in their order: names, settings, and every figure by its path.
 
-    Lists, as errors by band, are left out; of intervals those of `FIGURES` are in, as `.low` and `.high`.
+    Lists, as errors by band, and intervals are left out.
     """
     return [_record(result) for result in results]
 
 
 def _record(result: Mapping[str, Any]) -> dict[str, Any]:
     run, evaluation = Run(**result["run"]), result["evaluation"]
-    provenance = result.get("provenance", {})
+    provenance = result["provenance"]
     method, recipe, texture, split = run.place
     record: dict[str, Any] = {
-        "experiment": result.get("experiment", {}).get("title", ""),
-        "note": result.get("experiment", {}).get("note", ""),
+        "experiment": result["experiment"]["title"],
+        "note": result["experiment"]["note"],
         "method": method,
         "recipe": recipe,
         "beside": run.beside,
@@ -108,26 +121,20 @@ def _record(result: Mapping[str, Any]) -> dict[str, Any]:
         "split": split,
         "n_blocks": evaluation["n_blocks"],
         "excitation": _excitation(evaluation),
-        "network_in_loop": result.get("network_in_loop"),
+        "network_in_loop": result["network_in_loop"],
         "recording_sha256": result["recording_sha256"][:12],
         "split_sha256": (evaluation["split_sha256"] or "")[:12],
         "epochs": result["n_epochs"],
         "training_s": result["seconds"]["training"],
         "evaluation_s": result["seconds"]["evaluation"],
-        "file_bytes": result.get("file_bytes"),
+        "file_bytes": result["file_bytes"],
         "measures": " ".join(run.measures),
-        "code": provenance.get("code", ""),
-        "platform": ", ".join(f"{name} {value}" for name, value in provenance.get("platform", {}).items()),
-        "sources": provenance.get("sources", {}),
-        **{f"version.{package}": version for package, version in result["versions"].items()},
+        "code": provenance["code"],
+        "platform": ", ".join(f"{name} {value}" for name, value in provenance["platform"].items()),
+        "sources": provenance["sources"],
     }
     scores = {name: evaluation[name] for name in _SCORES if evaluation.get(name) is not None}
-    record |= dict(_flat(scores | result.get("measures", {})))
-    for figure in FIGURES.values():
-        head, _, key = figure.path.rpartition(".")
-        low, high = (evaluation[head].get("intervals") or {}).get(key) or (None, None)
-        record |= {f"{figure.path}.low": low, f"{figure.path}.high": high}
-    return record
+    return record | dict(_flat(scores | result["measures"]))
 
 
 def _excitation(evaluation: Mapping[str, Any]) -> str:
@@ -153,7 +160,7 @@ def check_alike(records: Records) -> None:
         ValueError: two are not; the message names them.
     """
     if differing := mixture(records):
-        raise ValueError(f"{differing}: {MIXED}")
+        raise ValueError(f"{differing}: run the sweep again, or allow it by --mixed")
 
 
 def mixture(records: Records) -> str:
@@ -209,53 +216,37 @@ def read_records(path: Path) -> list[dict[str, Any]]:
     """
     if path.suffix != ".csv":
         return records_of(read_results(path, mixed=True))
-    if not path.is_file():
-        raise ValueError(f"there is no {path}")
     with path.open(encoding="utf-8", newline="") as file:
         rows = list(csv.DictReader(file))
     if not rows or not {"method", "texture", "split", *(figure.path for figure in FIGURES.values())} <= set(rows[0]):
         raise ValueError(f"{path.name} is no runs.csv of foten tables")
-    for key in _SHARED:
-        texts = {row[key] for row in rows if row.get(key)}
-        shared = texts.pop() if len(texts) == 1 else ""
-        for row in rows:
-            row[key] = row.get(key) or shared
-    try:
-        return [dict.fromkeys(_TEXTS, "") | {key: _parsed(key, text) for key, text in row.items()} for row in rows]
-    except ValueError as error:
-        raise ValueError(f"{path.name} is no runs.csv of foten tables: {error}") from error
+    return [dict.fromkeys(_TEXTS, "") | {key: _parsed(key, text) for key, text in row.items()} for row in rows]
 
 
 def _parsed(key: str, text: str) -> Any:
     """Cell of `runs.csv`: a text, a number, or None."""
-    if key in _TEXTS or key.endswith("_sha256") or key.startswith("version."):
+    if key in _TEXTS or key.endswith("_sha256") or key.startswith("version."):  # which earlier versions wrote
         return text
     return {"": None, "yes": True, "no": False}[text] if text in ("", "yes", "no") else float(text)
 
 
-def runs_table(records: Records, digits: int = 6) -> Table:
+def runs_table(records: Records, digits: int | None = None) -> Table:
     """Table `runs.csv`, a row for each run, empty where there is no figure.
 
-    A title or a note that all have stands in the first row alone, and one that is alone in a file is that of all its rows.
-
     Args:
-        digits: significant ones, of figures that are no whole numbers.
+        digits: significant ones, of figures that are no whole numbers; None for all, so that a mean of them is rounded once.
     """
     keys = [key for key in dict.fromkeys(key for record in records for key in record) if key != "sources"]
     keys = [key for key in keys if any(record.get(key) not in (None, "") for record in records)]
-    shared = [key for key in _SHARED if len({record.get(key) for record in records}) == 1]
 
-    def cell(key: str, value: Any, first: bool) -> str:
-        if key in shared and not first:
-            return ""
+    def cell(value: Any) -> str:
         if isinstance(value, bool):
             return "yes" if value else "no"
         if isinstance(value, float):
-            return f"{value:.0f}" if value.is_integer() else f"{value:.{digits}g}"
+            return f"{value:.0f}" if value.is_integer() else repr(value) if digits is None else f"{value:.{digits}g}"
         return "" if value is None else str(value)
 
-    rows = ([cell(key, record.get(key), not k) for key in keys] for k, record in enumerate(records))
-    return Table.of(keys, rows)
+    return Table.of(keys, ([cell(record.get(key)) for key in keys] for record in records))
 
 
 def chosen(records: Records) -> list[Record]:

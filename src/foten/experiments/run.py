@@ -5,19 +5,19 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from dataclasses import asdict
+from importlib import import_module
 from typing import Any
 
 from foten.baselines.sizes import trainable_sizes
 from foten.dsp import Array
 from foten.evaluate.evaluate import Judgement, evaluate
 from foten.evaluate.report.signals import N_WAVEFORM, densities, scored_runs, shown_run, typical_block
-from foten.experiments.experiment import Run
+from foten.experiments.experiment import MEASURES, OF_FIRST_SPLIT, Run
 from foten.experiments.simulator_reference import reference_for, validation_listener
 from foten.models.foten_plus.sizes import FotenPlusSizes
 from foten.models.texture_file import Texture
 from foten.recording.preprocess import PreprocessConfig
 from foten.recording.recording import Recording
-from foten.recording.trace import Trace
 from foten.training.config import TrainConfig
 from foten.training.job import TrainingJob
 from foten.training.pipeline import train
@@ -26,21 +26,12 @@ from foten.training.pipeline import train
 def execute(run: Run, recording: Recording) -> dict[str, Any]:
     """Result of a run: its settings, its figures on the test blocks, and the seconds of both stages."""
     started = time.perf_counter()
-    trained = train(_job(run, recording))
+    sizes, preprocess = trainable_sizes(run.model, run.sizes), PreprocessConfig(**run.preprocess)
+    config = TrainConfig(**run.train)
+    trained = train(TrainingJob(recording, run.model, sizes, config, preprocess, split_seed=run.split_seed))
     if trained.progress.interrupted:
         raise KeyboardInterrupt
     return _result(run, recording, trained.texture, time.perf_counter() - started)
-
-
-def failure(error: Exception) -> dict[str, Any]:
-    """Result of a run that failed: the first line of its error."""
-    lines = str(error).splitlines() or [""]
-    return {"failed": f"{type(error).__name__}: {lines[0]}"}
-
-
-def _job(run: Run, recording: Recording) -> TrainingJob:
-    sizes, preprocess = trainable_sizes(run.model, run.sizes), PreprocessConfig(**run.preprocess)
-    return TrainingJob(recording, run.model, sizes, TrainConfig(**run.train), preprocess, split_seed=run.split_seed)
 
 
 def _result(run: Run, recording: Recording, texture: Texture, seconds: float) -> dict[str, Any]:
@@ -57,24 +48,16 @@ def _result(run: Run, recording: Recording, texture: Texture, seconds: float) ->
         "validation_mae_scaled": metrics["validation_mae_scaled"],
         "file_bytes": len(texture.to_bytes()),
         "network_in_loop": texture.sizes.network_in_loop if isinstance(texture.sizes, FotenPlusSizes) else None,
-        "measures": _measures(run.measures, texture, recording, judgement.trace),
+        "measures": _measures(run.measures, texture, recording),
         "evaluation": document,
         "signals": _signals(judgement),
     }
 
 
-def _measures(names: Sequence[str], texture: Texture, recording: Recording, trace: Trace) -> dict[str, Any]:
+def _measures(names: Sequence[str], texture: Texture, recording: Recording) -> dict[str, Any]:
     """Measures of a texture file beside its evaluation, by name; the listener is the evaluation's."""
-    measures: dict[str, Any] = {}
-    # Imported here, so that a run does not depend on the source of a measure that it does not take.
-    if "stability" in names:
-        from foten.experiments.stability import stability
-
-        measures["stability"] = stability(texture)
-    if "onset" in names:
-        from foten.experiments.onset import onset
-
-        measures["onset"] = onset(texture)
+    # Imported by name, so that a run does not depend on the source of a measure that it does not take.
+    measures = {name: getattr(import_module(MEASURES[name]), name)(texture) for name in names if name in OF_FIRST_SPLIT}
     if "validation_listener" in names:
         measures["validation_listener"] = validation_listener(texture, recording)
     return measures

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field
-from functools import lru_cache
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -15,7 +13,7 @@ from foten.dsp import Array
 from foten.dsp.filters import butterworth
 from foten.evaluate.evaluate import SimulatorReference, trace_for
 from foten.evaluate.free_run import N_SEEDS
-from foten.evaluate.listener import N_LISTENERS, level_biases, long_stroke, renderings, vibrations
+from foten.evaluate.listener import N_LISTENERS, long_stroke, rendering, vibrations
 from foten.models.texture_file import Texture
 from foten.recording.preprocess import PreprocessConfig
 from foten.recording.recording import Recording
@@ -25,40 +23,28 @@ from foten.simulation.linear_family import LINEAR_FAMILY, linear_truth, one_step
 from foten.simulation.simulate import second_realisation
 
 LONG_S = 240.0  # of a stroke for listeners
+SEED_STEP = 1_000_003  # between realisations
 VALIDATION_HAND = 2  # the number of the hand that nothing is reported of
 # Realisations that a process keeps: the methods of an experiment are judged by the same ones, texture by texture. 2 MB each at
 # 1 kHz, a long stroke's 6 MB.
 N_CACHED = 12
 
 
-@dataclass(frozen=True)
-class _Realisation:
-    """A realisation, by all that it depends on; of two that are equal one is simulated."""
-
-    by: str
-    recording: Recording = field(compare=False)
-    texture: Texture = field(compare=False)
-    cut: tuple[float | None, float | None] = field(compare=False)
-    changed: Mapping[str, Any] = field(compare=False)
+_CACHE: dict[str, Trace] = {}
 
 
 def _realisation(
-    recording: Recording,
-    texture: Texture,
-    trim_ms: float | None = None,
-    block_ms: float | None = None,
-    **changed: float,
+    recording: Recording, texture: Texture, trim_ms: float | None = None, block_ms: float | None = None, **changed: Any
 ) -> Trace:
     """Further realisation, preprocessed as a texture's recording was: simulated once, however often it is asked for."""
-    by = json.dumps(
-        [dict(recording.simulation or {}), texture.card["preprocess"], trim_ms, block_ms, changed], sort_keys=True
-    )
-    return _simulated(_Realisation(by, recording, texture, (trim_ms, block_ms), changed))
-
-
-@lru_cache(maxsize=N_CACHED)
-def _simulated(of: _Realisation) -> Trace:
-    return trace_for(of.texture, second_realisation(of.recording, **of.changed), *of.cut)
+    depends_on = [dict(recording.simulation or {}), texture.card["preprocess"], trim_ms, block_ms, changed]
+    key = json.dumps(depends_on, sort_keys=True)
+    if key not in _CACHE:
+        trace = trace_for(texture, second_realisation(recording, **changed), trim_ms, block_ms)
+        for oldest in list(_CACHE)[: 1 - N_CACHED]:
+            _CACHE.pop(oldest, None)
+        _CACHE[key] = trace
+    return _CACHE[key]
 
 
 def reference_for(
@@ -81,7 +67,7 @@ def reference_for(
         used = int(recording.simulation["noise_seed"])
 
         def realisation(k: int) -> Trace:
-            return _realisation(recording, texture, trim_ms, block_ms, noise_seed=used + 1_000_003 * k)
+            return _realisation(recording, texture, trim_ms, block_ms, noise_seed=used + SEED_STEP * k)
 
         with ThreadPoolExecutor() as pool:  # filters and transforms release the interpreter's lock
             realisations = list(pool.map(realisation, range(1, N_SEEDS + 1)))
@@ -89,16 +75,16 @@ def reference_for(
         return SimulatorReference(why_no_bound=f"the simulator's parameters in the recording cannot be used ({error})")
     strokes = long_strokes(recording, texture) if listener else ()
     config = PreprocessConfig(**texture.card["preprocess"])
+    known = SimulatorReference(realisations, strokes)
     if recording.simulation["key"] not in LINEAR_FAMILY:
-        return SimulatorReference(realisations, strokes)
+        return known
     if recording["acceleration"].rate_hz != config.rate_hz:
-        return SimulatorReference(realisations, strokes, why_no_bound="known at the simulated rate alone")
+        return replace(known, why_no_bound="known at the simulated rate alone")
     if config.highpass_order != 2 or config.zero_phase:
-        return SimulatorReference(realisations, strokes, why_no_bound="known with a causal high-pass of order 2 alone")
+        return replace(known, why_no_bound="known with a causal high-pass of order 2 alone")
     trace = trace_for(texture, recording, trim_ms, block_ms)
-    return SimulatorReference(
-        realisations, strokes, *linear_bounds(recording, trace, config.highpass_hz, texture.window)
-    )
+    bound, bound_window = linear_bounds(recording, trace, config.highpass_hz, texture.window)
+    return replace(known, bound=bound, bound_window=bound_window)
 
 
 def long_strokes(
@@ -111,14 +97,11 @@ def long_strokes(
     try:
         if recording.simulation is None:
             return ()
-        used, hand = (int(recording.simulation[name]) for name in ("noise_seed", "stroke_seed"))
+        noise, stroke = (int(recording.simulation[name]) for name in ("noise_seed", "stroke_seed"))
 
         def realisation(k: int) -> Trace:
-            seeds = {
-                "noise_seed": used + 1_000_003 * (100 * hand_number + k),
-                "stroke_seed": hand + 1_000_003 * hand_number,
-            }
-            return _realisation(recording, texture, seconds=LONG_S, **seeds)
+            noise_seed, stroke_seed = noise + SEED_STEP * (100 * hand_number + k), stroke + SEED_STEP * hand_number
+            return _realisation(recording, texture, seconds=LONG_S, noise_seed=noise_seed, stroke_seed=stroke_seed)
 
         with ThreadPoolExecutor() as pool:
             return tuple(pool.map(realisation, range(n)))
@@ -126,8 +109,8 @@ def long_strokes(
         return ()
 
 
-def validation_listener(texture: Texture, recording: Recording) -> dict[str, Any]:
-    """`area`, that under a listener's curve, and `level_bias_db`; nothing of what was not simulated, or is silent.
+def validation_listener(texture: Texture, recording: Recording) -> dict[str, float]:
+    """`area`, that under a listener's curve; nothing of what was not simulated, or is silent.
 
     As the evaluation's, of band energies, but under a third hand: neither the one that was learned from nor that of the reported
     figures, so that it can be chosen by. One listener, since what is chosen by is a mean over many textures, and two fits of one
@@ -139,10 +122,9 @@ def validation_listener(texture: Texture, recording: Recording) -> dict[str, Any
     from foten.evaluate.listener_network import listener_auc
 
     recorded = long_stroke(strokes[0])
-    rendered = renderings(NativeTexture(texture.to_bytes()), recorded)(0)
-    run = recorded.with_acceleration(rendered)
-    area = listener_auc(*vibrations(recorded, run, waveform=False), seed=0)
-    return {"area": area, "level_bias_db": level_biases(recorded, rendered)}
+    rendered = rendering(NativeTexture(texture.to_bytes()), recorded, 0)
+    area = listener_auc(*vibrations(recorded, replace(recorded, acceleration=rendered), waveform=False), seed=0)
+    return {"area": area}
 
 
 def linear_bounds(recording: Recording, trace: Trace, highpass_hz: float, window: int) -> tuple[Array, Array]:

@@ -21,12 +21,13 @@ from pathlib import Path
 from typing import Any
 
 import ray
+from ray.util.scheduling_strategies import NodeAffinitySchedulingStrategy
 
 from foten.atomic_write import atomic_write
 from foten.experiments.experiment import Experiment, Run, recording_of
-from foten.experiments.provenance import Provenance, provenance_of
+from foten.experiments.provenance import Provenance, platform_here, provenance_of
 from foten.experiments.results import read_result
-from foten.experiments.run import execute, failure
+from foten.experiments.run import execute
 from foten.recording.recording import Recording
 
 RETRIES = 3  # of a run whose worker or node is lost
@@ -83,17 +84,21 @@ def sweep(
         raise ValueError("--workers is of this machine: a cluster at --address has as many as its nodes have cores")
     results.mkdir(parents=True, exist_ok=True)
     plan, recordings = planned(experiment, results)
-    waiting = lacking(plan, results, address is None, say)
-    say(f"{len(plan)} runs, {len(plan) - len(waiting)} of them done before")
-    if not waiting:
-        return 0, 0
     before = signal.getsignal(signal.SIGTERM)
     done: set[Path] = set()
+    n_before = 0
     try:
-        _stoppable(lambda: _start_ray(workers, address, gpus_per_run))
-        _handle_sigterm(signal.default_int_handler)
-        if gpus_per_run > ray.cluster_resources().get("GPU", 0):
-            raise ValueError(f"--gpus-per-run is {gpus_per_run:g}, and Ray finds no such GPU")
+        platforms: Sequence[Mapping[str, str]] = [platform_here()]
+        if address is not None:
+            _start_ray(workers, address, gpus_per_run)
+            platforms = _cluster_platforms()
+        waiting = lacking(plan, results, platforms, say)
+        n_before = len(plan) - len(waiting)
+        say(f"{len(plan)} runs, {n_before} of them done before")
+        if not waiting:
+            return 0, 0
+        if address is None:
+            _start_ray(workers, address, gpus_per_run)
         stored = {source: ray.put(recordings[source]) for source in {item.run.source for item in waiting}}
         recordings.clear()  # held by Ray's object store from here on
         task = ray.remote(num_cpus=1, num_gpus=gpus_per_run, max_retries=RETRIES)(_guarded)
@@ -101,8 +106,7 @@ def sweep(
         return _collected(pending, done, say)
     except KeyboardInterrupt as error:
         # Before Ray is shut down, which takes seconds.
-        n_done = len(plan) - len(waiting) + len(done)
-        say(f"stopped, {n_done} of {len(plan)} done; the same command goes on")
+        say(f"stopped, {n_before + len(done)} of {len(plan)} done; the same command goes on")
         raise Stopped from error
     finally:
         ray.shutdown()
@@ -113,40 +117,37 @@ def planned(experiment: Experiment, results: Path) -> tuple[list[Planned], dict[
     """Runs of an experiment with the files of their results, and the recordings by source.
 
     Raises:
-        ValueError: two textures are the same recording.
+        ValueError: two runs are of the same recording and settings.
     """
     recordings: dict[Any, Recording] = {}
-    digests: dict[Any, str] = {}
     plan: dict[Path, Planned] = {}
     for index, run in enumerate(experiment.runs()):
         if run.source not in recordings:
             recordings[run.source] = recording_of(run)
-            digests[run.source] = recordings[run.source].sha256()
-        provenance = provenance_of(run, digests[run.source])
+        provenance = provenance_of(run, recordings[run.source].sha256())
         path = results / f"{provenance.name}.json"
         if path in plan:
-            raise ValueError(
-                f"{plan[path].run.texture} and {run.texture} are the same recording: leave one of them out"
-            )
+            first, other = (f"{one.label!r} on {one.texture}" for one in (plan[path].run, run))
+            raise ValueError(f"{first} and {other} are the same run: leave one of them out")
         titles = {"title": experiment.title, "note": experiment.note}
         plan[path] = Planned(run, path, {"index": index, "experiment": titles, "run": asdict(run)}, provenance)
     return list(plan.values()), recordings
 
 
-def lacking(plan: Sequence[Planned], folder: Path, same_platform: bool, say: Say) -> list[Planned]:
+def lacking(plan: Sequence[Planned], folder: Path, platforms: Sequence[Mapping[str, str]], say: Say) -> list[Planned]:
     """Runs without a result of the same code, data, configuration and platform, after a line on why others are run again.
 
     Results that stay take the names of the experiment. One of other data or settings is replaced where it is of this experiment.
 
     Args:
-        same_platform: whether the platform has to be this one; that of a cluster's nodes is not known before.
+        platforms: of the machines that a run may be given to; a result of any of them stays.
     """
     files = {path: read_result(path) for path in folder.glob("*.json")}
-    others = {path: result for path, result in files.items() if path not in {item.path for item in plan}}
+    planned_paths = {item.path for item in plan}
     of_place = {
-        (result.get("experiment", {}).get("title"), Run(**result["run"]).place): path
-        for path, result in others.items()
-        if result is not None
+        (result["experiment"]["title"], Run(**result["run"]).place): path
+        for path, result in files.items()
+        if result is not None and path not in planned_paths
     }
     waiting: list[Planned] = []
     again: dict[str, list[Run]] = {}
@@ -155,31 +156,26 @@ def lacking(plan: Sequence[Planned], folder: Path, same_platform: bool, say: Say
         path = item.path if item.path in files else earlier
         if path is None:
             waiting.append(item)
-        elif why := _why_again(item, files[path], same_platform):
+        elif why := _why_again(item, files[path], platforms):
             again.setdefault(why, []).append(item.run)
             waiting.append(replace(item, replaces=earlier))
-        elif (result := files[path]) and any(result.get(key) != value for key, value in _as_read(item.about).items()):
-            item.write(result)
+        else:
+            result = files[path] or {}
+            if result != {**result, **json.loads(json.dumps(item.about))}:
+                item.write(result)
     for why, runs in again.items():
         more = f" and {len(runs) - 1} more" if len(runs) > 1 else ""
         say(f"{runs[0].label} on {runs[0].texture}, split {runs[0].split_seed}{more}: run again, {why}")
     return waiting
 
 
-def _why_again(item: Planned, result: Mapping[str, Any] | None, same_platform: bool) -> str:
+def _why_again(item: Planned, result: Mapping[str, Any] | None, platforms: Sequence[Mapping[str, str]]) -> str:
     """Why a result cannot stay, in words; nothing where it can."""
     if result is None:
         return f"as {item.path.name} is damaged"
-    if "provenance" not in result:
-        return "as the result does not say which code it is of"
-    differences = item.provenance.differences(result["provenance"])
-    differences = [what for what in differences if same_platform or not what.startswith("platform")]
+    expected = (replace(item.provenance, platform=platform) for platform in platforms)
+    differences = min((provenance.differences(result["provenance"]) for provenance in expected), key=len)
     return f"as the result is of other {' and '.join(differences)}" if differences else ""
-
-
-def _as_read(about: Mapping[str, Any]) -> dict[str, Any]:
-    """The same as it is read from a file, where tuples are lists."""
-    return dict(json.loads(json.dumps(about)))
 
 
 def _handle_sigterm(handler: Any) -> None:
@@ -221,14 +217,25 @@ def _start_ray(workers: int | None, address: str | None, gpus_per_run: float) ->
     if address is not None:
         _check_answered(address)
         options = {"address": address}
-    environment = {"env_vars": {**THREADS, **unseen}}
+    options |= {"runtime_env": {"env_vars": {**THREADS, **unseen}}, "log_to_driver": False, "logging_level": "error"}
     try:
-        ray.init(**options, runtime_env=environment, log_to_driver=False, logging_level="error")
+        _stoppable(lambda: ray.init(**options))
     except (ConnectionError, RuntimeError) as error:
         why = str(error).splitlines()[0]
         if address is None:
             raise ValueError(f"Ray does not start here: {why}") from error
         raise ValueError(NO_CLUSTER.format(address, why)) from error
+    _handle_sigterm(signal.default_int_handler)
+    if gpus_per_run > ray.cluster_resources().get("GPU", 0):
+        raise ValueError(f"--gpus-per-run is {gpus_per_run:g}, and Ray finds no such GPU")
+
+
+def _cluster_platforms() -> list[dict[str, str]]:
+    """Platform of each node that can be given a run."""
+    task = ray.remote(num_cpus=0)(lambda: platform_here())
+    nodes = [node["NodeID"] for node in ray.nodes() if node["Alive"] and node["Resources"].get("CPU")]
+    places = (NodeAffinitySchedulingStrategy(node, soft=False) for node in nodes)
+    return list(ray.get([task.options(scheduling_strategy=place).remote() for place in places]))
 
 
 def _check_answered(address: str) -> None:
@@ -250,7 +257,7 @@ def _guarded(run: Mapping[str, Any], recording: Recording) -> dict[str, Any]:
         provenance = provenance_of(checked, recording.sha256())
         return {**execute(checked, recording), "provenance": provenance.to_json()}
     except Exception as error:
-        return failure(error)
+        return {"failed": f"{type(error).__name__}: {(str(error).splitlines() or [''])[0]}"}
 
 
 def _collected(pending: dict[Any, Planned], done: set[Path], say: Say) -> tuple[int, int]:

@@ -2,28 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import replace
+import math
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from operator import sub, truediv
 from typing import Any
 
 import numpy as np
 
-from foten.experiments.comparison import (
+from foten.dsp import Array
+from foten.experiments.results import (
+    BEST_LINEAR,
     FIGURES,
-    PAPER,
-    PERSISTENCE,
+    LINEAR_RUN,
     WITHOUT,
     Figure,
     Record,
     Records,
-    Row,
-    as_in_paper,
-    compared,
-    complete,
-    rows_of,
+    by_recipe,
+    chosen,
+    mixture,
+    title_of,
 )
-from foten.experiments.results import by_recipe, chosen, mixture, title_of
 from foten.reporting.table import Number, Table, mean_number
 
 CHANGES: tuple[tuple[str, str, Callable[[float, float], float]], ...] = (
@@ -34,12 +34,119 @@ CHANGES: tuple[tuple[str, str, Callable[[float, float], float]], ...] = (
     ("test: level error", "free_run.level_error_db", truediv),
 )
 """Of what a method is compared with the one that it stands beside, where that is in a record, and how."""
-_NAMES = (
-    *("experiment", "note", "method", "recipe", "beside", "model", "texture", "rate_hz", "split"),
-    *("excitation", "network_in_loop", "recording_sha256", "split_sha256", "training_s"),
-    *("measures", "code", "platform", "sources"),
-)
 PAPERS = "paper's MAE, unit not stated"
+
+
+PAPER = {
+    **{"ar": 0.400, "fnn": 0.378, "dstn": 0.201, "ldhtd": 0.178, "gan": 0.298, "foten": 0.149},
+    **{"ten": 0.318, "ten-mfcc": 0.281, "ten-wavelet": 0.284, "foten-d": 0.193},
+}
+"""The paper's errors, means over its twelve textures, whose unit it does not state; Tables I and II."""
+REFERENCES = {
+    "zero": "references.zero",
+    "persistence": "references.persistence",
+    "AR(20)": "references.ar",
+    "AR(20) by speed and force": "references.ar_scheduled",
+    BEST_LINEAR: "references.ar_best",
+    "least possible": "references.bound",
+}
+FREE_RUN_REFERENCES = {LINEAR_RUN: "free_run_ar", "ceiling": "ceiling"}
+
+
+@dataclass(frozen=True)
+class Row:
+    """One method or reference over textures."""
+
+    name: str  # in tables
+    model: str  # key, "" for a reference
+    values: Mapping[str, Array]  # by texture, one for each split that has one, shape (n_splits,)
+    excited: bool = False  # whether it has the random excitation, on which no one-step figure depends
+
+    def means(self, textures: Sequence[str]) -> Array:
+        """Mean over splits for each texture, NaN where there is none, shape (n_textures,)."""
+        return np.array([self.values[t].mean() if len(self.values.get(t, ())) else math.nan for t in textures])
+
+
+def rows_of(records: Records, figure: str) -> tuple[list[str], list[Row]]:
+    """Textures, and a row for each reference and each method, references first."""
+    textures = list(dict.fromkeys(record["texture"] for record in records))
+    head, _, key = FIGURES[figure].path.rpartition(".")
+    factor = FIGURES[figure].factor
+
+    def row(name: str, model: str, where: str, of: Iterable[Record], excited: bool = False) -> Row:
+        values: dict[str, list[float]] = {}
+        for record in of:
+            value = record.get(f"{where}.{key}")
+            if value is not None:
+                values.setdefault(record["texture"], []).append(factor * value)
+        return Row(name, model, {texture: np.array(splits) for texture, splits in values.items()}, excited)
+
+    # A reference is the same whatever was trained beside it: once for each recording and split.
+    names = ("texture", "recording_sha256", "split", "rate_hz")
+    distinct = {tuple(record[name] for name in names): record for record in records}
+    references = FREE_RUN_REFERENCES if head == "free_run" else REFERENCES
+    rows = [row(name, "", where, distinct.values()) for name, where in references.items()]
+    rows = [reference for reference in rows if reference.values]
+    for name in dict.fromkeys(record["method"] for record in records):
+        runs = [record for record in records if record["method"] == name]
+        model, excitation = runs[-1]["model"], {record["excitation"] for record in runs}
+        if "no" in excitation and "yes" not in excitation:
+            where = "free_run_deterministic" if head == "free_run" else head
+            rows.append(row(name + WITHOUT, model, where, runs))
+        else:
+            rows.append(row(name, model, head, runs, "yes" in excitation))
+    return textures, rows
+
+
+def holm(p: Sequence[float]) -> list[float]:
+    """P-values corrected for multiple comparisons, after Holm (1979), in their order."""
+    order = np.argsort(p, kind="stable")
+    corrected = np.empty(len(p))
+    corrected[order] = np.maximum.accumulate(np.arange(len(p), 0, -1) * np.asarray(p)[order]).clip(max=1.0)
+    return corrected.tolist()
+
+
+def complete(rows: Sequence[Row], textures: Sequence[str]) -> list[Row]:
+    """Methods that have as many splits of each texture as any has."""
+    methods = [row for row in rows if row.model]
+    n_splits = {texture: max(len(row.values.get(texture, ())) for row in methods) for texture in textures}
+    return [row for row in methods if all(len(row.values.get(t, ())) == n_splits[t] > 0 for t in textures)]
+
+
+def compared(rows: Sequence[Row], textures: Sequence[str], better: int) -> tuple[str, dict[str, float]]:
+    """Method that is best on the mean of the textures, and p-values of the others' differences from it.
+
+    Methods that lack a split of a texture are left out: another split of a simulated texture is another recording.
+    Wilcoxon's signed-rank test over the textures (means of splits), two-sided, Holm-corrected. Empty with fewer than six
+    textures, where no p can be below 0.05.
+    """
+    from scipy.stats import wilcoxon
+
+    methods = complete(rows, textures)
+    if not methods:
+        return "", {}
+    best = max(methods, key=lambda row: better * float(row.means(textures).mean()))
+    others = [row for row in methods if row is not best]
+    if len(textures) < 6 or not others:
+        return best.name, {}
+    differences = [row.means(textures) - best.means(textures) for row in others]
+    p = [float(wilcoxon(difference).pvalue) if difference.any() else 1.0 for difference in differences]
+    return best.name, dict(zip((row.name for row in others), holm(p), strict=True))
+
+
+def as_in_paper(rows: Sequence[Row]) -> set[str]:
+    """Names of the methods that the paper has a figure of.
+
+    A model with several settings is left out: none of them is the paper's. With and without excitation count as one, because
+    their one-step figures are the same.
+    """
+    names = set()
+    for model in PAPER:
+        with_model = [row for row in rows if row.model == model]
+        without = [row for row in with_model if not row.excited]
+        if len(with_model) == 1 or len(without) == 1:
+            names.add((without or with_model)[0].name)
+    return names
 
 
 def tables_of(records: Records) -> dict[str, Table]:
@@ -69,11 +176,11 @@ def summary(records: Records) -> Table:
             for figure, by_name in rows.items()
         )
         runs = [record for record in records if record["method"] == name.removesuffix(WITHOUT)]
-        reported = f"{PAPER[rows['mae'][name].model].mae:.3f}" if name in in_paper else ""
+        reported = f"{PAPER[rows['mae'][name].model]:.3f}" if name in in_paper else ""
         seconds = f"{np.mean([run['training_s'] for run in runs]):.0f}" if runs else ""
         cells.append((name, mae, reported, f"{p[name]:.3f}" if name in p else "", gfc, lsd, level, seconds))
     heading = ("", "MAE [sd]", PAPERS, "p", "GFC [%]", "LSD [dB]", "level error [dB]", "training [s]")
-    return Table.of(heading, cells).without_empty_columns()
+    return Table.of(heading, cells).known()
 
 
 def _best(rows: Sequence[Row], textures: Sequence[str], figure: Figure) -> set[str]:
@@ -107,8 +214,8 @@ def brief(records: Records) -> list[dict[str, Any]]:
     """Of each run its names, and the figures that methods are compared by."""
     paths = {figure.path for figure in FIGURES.values()} | {path for _, path, _ in CHANGES}
     listening = {key for record in records for key in record if key.startswith(("listener.", "validation_listener."))}
-    keys = {*_NAMES, *paths, *listening}
-    return [{key: value for key, value in record.items() if key in keys} for record in records]
+    keys = paths | listening
+    return [{key: value for key, value in record.items() if "." not in key or key in keys} for record in records]
 
 
 def ratios(records: Records) -> Table:
@@ -142,13 +249,8 @@ def _change(pairs: Sequence[tuple[Record, Record]], path: str, change: Callable[
 def caveats(records: Records, name: str = "summary") -> list[str]:
     """What a reader of a table has to know: what the experiment reduced, and what a figure is blind to."""
     notes = list(dict.fromkeys(record["note"] for record in records if record.get("note")))
-    textures, rows = rows_of(records, "gfc")
-    for row in rows:
-        if row.name == PERSISTENCE and name in ("summary", "gfc"):
-            blind = "The GFC of a one-step prediction is blind to delay and gain"
-            notes.append(
-                f"{blind}: {PERSISTENCE}, which repeats the last sample, has {row.means(textures).mean():.1f} %."
-            )
+    if name in ("summary", "gfc"):
+        notes.append("The GFC of a one-step prediction is blind to delay and gain, as persistence shows.")
     return notes
 
 
@@ -189,44 +291,32 @@ def _same_blocks(records: Records) -> Iterator[str]:
 def _best_method(records: Records, name: str) -> Iterator[str]:
     figure = FIGURES[name]
     textures, rows = rows_of(records, name)
-    methods = [row for row in rows if row.model]
-    without = [row.name for row in methods if not row.values]
-    if without:
-        yield f"{figure.name}: there is none of {', '.join(without)}."
-    lacking = [row.name for row in methods if row.values and row not in complete(rows, textures)]
+    with_all = complete(rows, textures)
+    lacking = [row.name for row in rows if row.model and row not in with_all]
     if lacking:
         yield f"{figure.name}: not compared, for want of textures or splits: {', '.join(lacking)}."
     best, p = compared(rows, textures, figure.better)
     if best:
-        means = {row.name: float(row.means(textures).mean()) for row in complete(rows, textures)}
+        means = {row.name: float(row.means(textures).mean()) for row in with_all}
         chance = ", ".join(other for other, value in p.items() if value >= 0.05)
-        differ = (
-            f"; the difference may be chance for {chance}" if chance else "; all others differ (p < 0.05)" if p else ""
-        )
+        differ = f"; the difference may be chance for {chance}" if chance else ""
+        differ = "; all others differ (p < 0.05)" if p and not chance else differ
         is_best = f"is best on the mean of {len(means)} trained methods, with" if len(means) > 1 else "has"
-        shown = f"{figure.name}: {best} {is_best} {means[best]:.{figure.digits}f}{differ}."
-        linear = next((row for row in rows if row.name == figure.linear), None)
-        yield shown + ("" if linear is None else _beside_linear(figure, means, float(linear.means(textures).mean())))
-
-
-def _beside_linear(figure: Figure, means: Mapping[str, float], linear: float) -> str:
-    """How many of the methods a linear predictor loses to; nothing where it lacks a texture (NaN)."""
-    if not np.isfinite(linear):
-        return ""
-    n, n_better = len(means), sum(figure.better * (mean - linear) > 0 for mean in means.values())
-    those = f"{n_better} of {n} trained methods are better"
-    if n_better in (0, n):
-        every = next(iter(means)) if n == 1 else "every trained method"
-        those = f"{every} {'is better' if n_better else 'loses to it'}"
-    return f" A linear predictor, {figure.linear}, has {linear:.{figure.digits}f}: {those}."
+        linear = [float(row.means(textures).mean()) for row in rows if row.name == figure.linear]
+        beside = ""
+        if linear and np.isfinite(linear[0]):
+            n_better = sum(figure.better * (mean - linear[0]) > 0 for mean in means.values())
+            beside = f" A linear predictor, {figure.linear}, has {linear[0]:.{figure.digits}f}: "
+            beside += f"{n_better} of {len(means)} trained methods are better."
+        yield f"{figure.name}: {best} {is_best} {means[best]:.{figure.digits}f}{differ}.{beside}"
 
 
 def _order(records: Records) -> Iterator[str]:
     textures, rows = rows_of(records, "mae")
     known = as_in_paper(rows)
-    ours = {row.model: float(row.means(textures).mean()) for row in complete(rows, textures) if row.name in known}
-    if len(ours) > 1:
-        here, there = sorted(ours, key=ours.__getitem__), sorted(ours, key=lambda model: PAPER[model].mae)
+    means = {row.model: float(row.means(textures).mean()) for row in complete(rows, textures) if row.name in known}
+    if len(means) > 1:
+        here, there = sorted(means, key=means.__getitem__), sorted(means, key=PAPER.__getitem__)
         same = "the same order" if here == there else "another order"
         yield (
             f"By one-step error, best first: {', '.join(here)} here; {', '.join(there)} in the paper, whose regime and unit "

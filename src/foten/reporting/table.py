@@ -15,7 +15,6 @@ import numpy as np
 from foten.atomic_write import atomic_write
 from foten.dsp import Array
 
-MAX_COLUMNS, MAX_ROWS = 8, 12  # of a table that people read, a row of means not counted; the rest is CSV
 _LATEX = str.maketrans(
     {
         **{character: "\\" + character for character in "&%_#${}"},
@@ -85,19 +84,11 @@ class Table:
         """Text of all cells, the heads first."""
         return [[str(cell) for cell in row] for row in (self.columns, *self.rows)]
 
-    def without_empty_columns(self) -> Table:
-        """The same without columns that have no cell."""
-        return self._with(k for k in range(len(self.columns)) if k == 0 or any(row[k] != "" for row in self.rows))
-
     def known(self) -> Table:
         """The same without the rows and columns of which no number is known."""
         table = replace(self, rows=tuple(row for row in self.rows if _any_known(row)))
-        columns = range(len(table.columns))
-        return table._with(k for k in columns if k == 0 or _any_known([row[k] for row in table.rows]))
-
-    def _with(self, columns: Iterable[int]) -> Table:
-        shown = list(columns)
-        rows = tuple(tuple(row[k] for k in shown) for row in self.rows)
+        shown = [k for k in range(len(self.columns)) if k == 0 or _any_known([row[k] for row in table.rows])]
+        rows = tuple(tuple(row[k] for k in shown) for row in table.rows)
         return replace(self, columns=tuple(self.columns[k] for k in shown), rows=rows)
 
     def missing(self) -> dict[str, list[str]]:
@@ -112,17 +103,6 @@ class Table:
                     if lacking not in names.setdefault(cell.why, []):
                         names[cell.why].append(lacking)
         return names
-
-    def check_readable(self, name: str) -> None:
-        """Check that people can read it.
-
-        Raises:
-            ValueError: it has more columns or rows.
-        """
-        n_rows = sum(str(row[0]) != "mean" for row in self.rows)
-        if len(self.columns) > MAX_COLUMNS or n_rows > MAX_ROWS:
-            size = f"{len(self.columns)} columns and {n_rows} rows"
-            raise ValueError(f"{name}: {size}, expected {MAX_COLUMNS} and {MAX_ROWS} at most")
 
     def markdown(self) -> str:
         """Markdown, title and notes above."""

@@ -12,7 +12,7 @@ from foten.dsp import Array
 from foten.dsp.distance import MIN_SCORED_HZ, highest_with_power, max_scored_hz
 from foten.dsp.level import FRAME_MS, frame_levels
 from foten.evaluate.evaluate import Judgement
-from foten.evaluate.metrics import band_edges, band_errors
+from foten.evaluate.metrics import band_edges
 from foten.evaluate.report import signals
 from foten.evaluate.report.signals import LABELS, scored_hand, scored_runs, shown_blocks, shown_run
 from foten.models.texture_file import Texture
@@ -72,68 +72,40 @@ def spectrum(judgement: Judgement) -> Figure:
         axes.plot(frequencies, line, color=COLOURS[name], markersize=3, label=LABELS[name] + hidden, **style)
     axes.set_ylim(bottom, top + 3)
     log_hertz(axes, MIN_SCORED_HZ, rate_hz / 2, PAGE)
-    _shade_unscored(axes, max_scored_hz(rate_hz), rate_hz / 2)
-    axes.set(
-        xlabel=_up_to_half("frequency [Hz]", rate_hz), ylabel=f"density [dB re 1 ({judgement.document['unit']})²/Hz]"
-    )
+    axes.axvspan(max_scored_hz(rate_hz), rate_hz / 2, color=INK, alpha=0.06, linewidth=0)
+    scored_hz = f"scored from {MIN_SCORED_HZ:g} to {max_scored_hz(rate_hz):g} Hz"
+    axes.set_xlabel(f"frequency [Hz], up to half the rate; {scored_hz}")
+    axes.set_ylabel(f"density [dB re 1 ({judgement.document['unit']})²/Hz]")
     add_legend(axes, PAGE, fontsize=9)
     return figure
 
 
-def _up_to_half(label: str, rate_hz: float) -> str:
-    """Axis label that says up to where is drawn, and scored."""
-    return f"{label}, up to half the rate; scored from {MIN_SCORED_HZ:g} to {max_scored_hz(rate_hz):g} Hz"
-
-
-def _shade_unscored(axes: Any, first: float, last: float) -> None:
-    """Shade the part of the x axis that is not scored."""
-    axes.axvspan(first, last, color=INK, alpha=0.06, linewidth=0)
-
-
 def bands(judgement: Judgement) -> Figure | None:
-    """Energy error of the nine bands, and above them of as wide ones up to half the rate, which are not scored.
-
-    For the texture's run, AR(20) and the ceiling; None without any.
-    """
+    """Energy error of the nine bands that are scored: of the texture's run, AR(20) and the ceiling; None without any."""
     names = [name for name in (shown_run(judgement), "free_run_ar", "ceiling") if name is not None]
     errors_of = {name: judgement.document[name].get("band_errors_db") for name in names}
-    shown = {name: errors for name, errors in errors_of.items() if errors}
-    if not shown:
+    drawn = {name: errors for name, errors in errors_of.items() if errors}
+    if not drawn:
         return None
     edges = band_edges(judgement.trace.rate_hz)
-    beyond = _edges_beyond(edges, judgement.trace.rate_hz / 2)
-    frequencies, pooled = signals.densities(judgement, unscored=True)
-    above = frequencies > edges[-1]
-    for name, errors in shown.items():
-        p, q = (pooled[which][above] for which in ("recorded", name))
-        shown[name] = [*errors, *band_errors(p, q, frequencies[above], beyond)]
     figure, axes = new_figure(4.9, 3.4, PAGE)
-    width = 0.8 / len(shown)
-    for k, (name, errors) in enumerate(shown.items()):
+    width = 0.8 / len(drawn)
+    for k, (name, errors) in enumerate(drawn.items()):
         known = [i for i, error in enumerate(errors) if error is not None]
         left, heights = np.array(known) - 0.4 + k * width, [errors[i] for i in known]
         axes.bar(left, heights, 0.92 * width, align="edge", color=COLOURS[name], label=LABELS[name])
     axes.axhline(0, color=INK, linewidth=0.8)
-    for i, error in enumerate(next(iter(shown.values()))):
+    for i, error in enumerate(next(iter(drawn.values()))):
         if error is None:
             axes.text(i, 0, " no bin", rotation=90, ha="center", va="bottom", fontsize=8, color=INK, alpha=0.6)
-    every = [*edges, *beyond[1:]]
-    axes.set_xticks(np.arange(len(every)) - 0.5, [f"{edge:.0f}" for edge in every])
-    axes.tick_params(axis="x", labelsize=8, rotation=45 if len(every) > len(edges) else 0)
-    if len(every) > len(edges):
-        _shade_unscored(axes, len(edges) - 1.5, len(every) - 1.5)
+    axes.set_xticks(np.arange(len(edges)) - 0.5, [f"{edge:.0f}" for edge in edges])
+    axes.tick_params(axis="x", labelsize=8)
     axes.grid(visible=False, axis="x")
     low, high = axes.get_ylim()
-    axes.set(xlabel=f"band edges [Hz]; scored from {edges[0]:g} to {edges[-1]:g} Hz", ylabel="energy error [dB]")
-    axes.set(xlim=(-0.55, len(every) - 1.45), ylim=(low, high + 0.16 * (high - low)))
+    axes.set(xlabel="band edges [Hz]", ylabel="energy error [dB]")
+    axes.set(xlim=(-0.55, len(edges) - 1.45), ylim=(low, high + 0.16 * (high - low)))
     add_legend(axes, PAGE, ncols=3, loc="upper center", columnspacing=1.2)
     return figure
-
-
-def _edges_beyond(edges: Array, highest_hz: float) -> Array:
-    """Edges of further bands of about the same ratio [Hz], from the last edge; that alone where none fits."""
-    n = round(math.log(highest_hz / edges[-1]) / math.log(edges[1] / edges[0]))
-    return np.geomspace(edges[-1], highest_hz, n + 1) if n else edges[-1:]
 
 
 def conditions(judgement: Judgement, texture: Texture) -> Figure | None:
@@ -144,8 +116,8 @@ def conditions(judgement: Judgement, texture: Texture) -> Figure | None:
     errors = signals.level_errors(judgement, name)
     figure, axes = new_figure(4.9, 3.4, PAGE)
     if judgement.document["split"] != "foreign":
-        _, *hand = judgement.trace.picked(texture.card["split"]["train"])
-        means = (channel.mean(axis=1) for channel in hand)
+        _, *speed_force = judgement.trace.picked(texture.card["split"]["train"])
+        means = (channel.mean(axis=1) for channel in speed_force)
         axes.plot(*means, "x", color=INK, alpha=0.45, markersize=4, label="training")
     limit = max(1.0, float(np.abs(errors).max()))
     colours = {"c": errors, "cmap": "RdBu_r", "vmin": -limit, "vmax": limit, "edgecolors": INK}
@@ -242,12 +214,10 @@ def _spectrogram(blocks: Array, rate_hz: float, highest_hz: float) -> tuple[tupl
     hop = max(n_segment // 8, -(-blocks.size // _SPECTROGRAM_COLUMNS))
     # Each block is mirrored at its ends, so that no window crosses a border.
     padded = np.pad(blocks, ((0, 0), (n_segment // 2, n_segment // 2 + n % 2)), mode="reflect")
-    windows = np.lib.stride_tricks.sliding_window_view(padded, n_segment, axis=1)[:, np.arange(0, n, hop)]
-    taper = signal.get_window("hann", n_segment)
-    density = np.square(np.abs(np.fft.rfft(windows * taper, axis=-1))) * 2 / (rate_hz * np.square(taper).sum())
-    frequencies = np.fft.rfftfreq(n_segment, 1 / rate_hz)
+    frequencies, _, density = signal.spectrogram(padded, rate_hz, "hann", n_segment, n_segment - hop, detrend=False)
     shown = frequencies <= highest_hz
-    decibels = 10 * np.log10(np.maximum(density[..., shown], 1e-30)).reshape(-1, int(shown.sum())).T
+    density = density[:, shown, : -(-n // hop)].swapaxes(0, 1).reshape(int(shown.sum()), -1)
+    decibels = 10 * np.log10(np.maximum(density, 1e-30))
     half = frequencies[1] / 2
     return (-half, float(frequencies[shown][-1]) + half), decibels
 

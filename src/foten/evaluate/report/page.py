@@ -9,6 +9,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from foten import __version__
 from foten.atomic_write import atomic_write
 from foten.evaluate.evaluate import Judgement
 from foten.evaluate.report import figures, signals
@@ -26,14 +27,17 @@ _MARKS = {"good": "✓", "even": "≈", "bad": "✗", "unknown": "–"}
 
 
 def write_report(judgement: Judgement, texture: Texture, directory: Path) -> Path:
-    """Write `report.html` into a directory and return its path; the same judgement gives the same bytes.
+    """Write `report.html` and `evaluation.json` into a directory, made where there is none, and return the path of the former.
 
-    Figures, sound and style are inside the file. It loads nothing from a network and has no scripts.
+    Figures, sound and style are inside the page. It loads nothing from a network and has no scripts. The same judgement gives
+    the same bytes.
     """
-    path = directory / "report.html"
-    with atomic_write(path) as part:
-        part.write_text(page(judgement, texture), encoding="utf-8", newline="\n")
-    return path
+    directory.mkdir(parents=True, exist_ok=True)
+    document = json.dumps({"foten": __version__, **judgement.document}, indent=1, allow_nan=False)
+    for name, text in (("evaluation.json", f"{document}\n"), ("report.html", page(judgement, texture))):
+        with atomic_write(directory / name) as part:
+            part.write_text(text, encoding="utf-8", newline="\n")
+    return directory / "report.html"
 
 
 def page(judgement: Judgement, texture: Texture) -> str:
@@ -128,27 +132,28 @@ def _figures_section(judgement: Judgement, texture: Texture) -> str:
     both = {"free_run", "free_run_ar"} <= judgement.synthesized.keys()
     same = " AR(20) is driven by the same noise." if both else ""
     block = judgement.blocks[signals.typical_block(judgement)]
-    captions = {
-        "Waveform": f"The first {signals.N_WAVEFORM} scored samples of block {block}, the one of median level. "
+    waveform = _figure(
+        *("waveform", figures.waveform(judgement), "Waveform"),
+        f"The first {signals.N_WAVEFORM} scored samples of block {block}, the one of median level. "
         f"A free run is another realisation: its character should match, its samples cannot.{same}",
-        "Power spectral density": "Pooled over the scored samples of all judged blocks and all seeds: the spectra that "
-        "the log-spectral distance is measured on, where they are not shaded.",
-        "Error by band": "Energy against the recorded, in bands equal in log frequency; above 0 is too much. Shaded bands "
-        "are not scored.",
-        "Where it is right": "Each judged block at its mean speed and force; red is too loud, blue too soft.",
-        "Over time": "Spectrograms of the first seed on one colour scale, level in frames of 40 ms (band: lowest to highest "
-        f"seed), speed and force, on one time axis; lines mark block borders.{some}",
-    }
-    drawn = {
-        "waveform": figures.waveform(judgement),
-        "spectrum": figures.spectrum(judgement),
-        "bands": figures.bands(judgement),
-        "conditions": figures.conditions(judgement, texture),
-        "time": figures.over_time(judgement),
-    }
-    waveform, spectrum, bands, conditions, over_time = (
-        "" if figure is None else _figure(name, figure, title, caption)
-        for (name, figure), (title, caption) in zip(drawn.items(), captions.items(), strict=True)
+    )
+    spectrum = _figure(
+        *("spectrum", figures.spectrum(judgement), "Power spectral density"),
+        "Pooled over the scored samples of all judged blocks and all seeds: the spectra that the log-spectral distance is "
+        "measured on, where they are not shaded.",
+    )
+    bands = _figure(
+        *("bands", figures.bands(judgement), "Error by band"),
+        "Energy against the recorded, in bands equal in log frequency; above 0 is too much.",
+    )
+    conditions = _figure(
+        *("conditions", figures.conditions(judgement, texture), "Where it is right"),
+        "Each judged block at its mean speed and force; red is too loud, blue too soft.",
+    )
+    over_time = _figure(
+        *("time", figures.over_time(judgement), "Over time"),
+        "Spectrograms of the first seed on one colour scale, level in frames of 40 ms (band: lowest to highest seed), speed "
+        f"and force, on one time axis; lines mark block borders.{some}",
     )
     return (
         f'<section id="figures"><h2>Figures</h2>{waveform}{spectrum}<div class="pair">{bands}{conditions}</div>'
@@ -156,7 +161,9 @@ def _figures_section(judgement: Judgement, texture: Texture) -> str:
     )
 
 
-def _figure(name: str, figure: Figure, title: str, caption: str) -> str:
+def _figure(name: str, figure: Figure | None, title: str, caption: str) -> str:
+    if figure is None:
+        return ""
     return (
         f'<figure id="figure-{name}"><h3>{title}</h3>{inline_svg(figure, name, f"{title}. {caption}")}'
         f"<figcaption>{html.escape(caption)}</figcaption></figure>"
@@ -164,10 +171,8 @@ def _figure(name: str, figure: Figure, title: str, caption: str) -> str:
 
 
 def _raw_section(document: Mapping[str, Any], texture: Texture) -> str:
-    shown = {"All figures (JSON)": document, "The texture's card (JSON)": texture.card}
-    blocks = "".join(
-        f"<details><summary>{title}</summary><pre>{html.escape(json.dumps(dict(value), indent=1, ensure_ascii=False))}</pre>"
-        "</details>"
-        for title, value in shown.items()
-    )
+    blocks = ""
+    for title, value in {"All figures (JSON)": document, "The texture's card (JSON)": texture.card}.items():
+        raw = html.escape(json.dumps(dict(value), indent=1, ensure_ascii=False))
+        blocks += f"<details><summary>{title}</summary><pre>{raw}</pre></details>"
     return f'<section id="raw"><h2>Raw</h2>{blocks}</section>'

@@ -106,8 +106,5 @@ def _audible(block: Array, rate_hz: float) -> Array:
     # The rate that the factor stands for: within a thousandth of the true one, for an odd rate too.
     source_hz = AUDIO_HZ / float(factor)
     samples = interpolate(block, factor) if factor >= 1 else decimate(block, source_hz, AUDIO_HZ)
-    n = min(round(_FADE_S * AUDIO_HZ), len(samples) // 2)
-    ramp = (np.arange(n) + 0.5) / n
-    samples[:n] *= ramp
-    samples[len(samples) - n :] *= ramp[::-1]
-    return samples
+    from_start = np.arange(len(samples)) + 0.5
+    return samples * np.minimum(1.0, np.minimum(from_start, from_start[::-1]) / (_FADE_S * AUDIO_HZ))

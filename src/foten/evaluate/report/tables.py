@@ -8,7 +8,7 @@ from typing import Any
 from foten.evaluate.evaluate import RUNS
 from foten.evaluate.report.signals import LABELS
 from foten.evaluate.report.verdict import ar_name, reason
-from foten.reporting.table import Cell, Heading, Number, Table, minus, signed
+from foten.reporting.table import Cell, Heading, Number, Table, minus
 
 REFERENCES = {
     "lattice": ("the model without its network", "the lattice; what the network adds is the difference to it"),
@@ -137,12 +137,11 @@ def one_step_section(document: Mapping[str, Any]) -> str:
 
 
 def free_run_section(document: Mapping[str, Any]) -> str:
-    """Section of the page: figures of the free runs, and how the level follows the hand."""
+    """Section of the page: figures of the free runs."""
     return (
         '<section id="free-run"><h2>Free run</h2><p>Synthesized under the recorded speed and force, its own output as '
         "history, and compared with what was recorded; the first fifth of each block is not scored. The ceiling says "
-        f"what a true vibration of the same texture reaches.</p>{free_run_table(document).html('b')}"
-        f"{_slopes(document)}</section>"
+        f"what a true vibration of the same texture reaches.</p>{free_run_table(document).html('b')}</section>"
     )
 
 
@@ -156,19 +155,6 @@ def _excitation(one_step: Mapping[str, Any]) -> str:
         f"the samples inside its central 50 %, <b>{100 * one_step['coverage_90']:.0f} %</b> inside its 90 %; errors as "
         f"standard normal numbers have standard deviation <b>{one_step['standardised_sd']:.2f}</b> (1 where the "
         f"distribution is right); negative log-likelihood {minus(format(one_step['nll'], '.3f'))} nat.</p>"
-    )
-
-
-def _slopes(document: Mapping[str, Any]) -> str:
-    """How the level grows with speed and force, as a paragraph, empty where it is not known."""
-    run = document["free_run" if document["free_run"].get("level_slopes") else "free_run_deterministic"]
-    ours, theirs = run.get("level_slopes"), run.get("level_slopes_recorded")
-    if not ours or not theirs:
-        return ""
-    return (
-        f"<p>How the level grows with the hand: <b>{signed(ours[0], 1)}</b> dB per decade of speed (recorded "
-        f"{signed(theirs[0], 1)}), <b>{signed(ours[1], 1)}</b> dB per decade of force (recorded "
-        f"{signed(theirs[1], 1)}).</p>"
     )
 
 
@@ -204,10 +190,4 @@ def _listener_lines(scores: Mapping[str, Any]) -> list[str]:
     names = {"listener_auc": "band energies", "listener_auc_waveform": "and the waveform"}
     rows = [(name, Number(scores[key]), Number(scores[f"{key}_control"])) for key, name in names.items()]
     about = f"area under its curve over {scores['listener_s']:.0f} s, 0.5 is chance, 1 certainty{control}"
-    lines = [f"Listener: {about}", *Table.of(("", "this texture", "control"), rows).text()]
-    if biases := scores.get("level_bias_db"):
-        by_speed = ", ".join(f"{value:+.2f}" for value in biases.values())
-        lines.append(
-            f"Level beside the recorded one, from the slowest quarter of that stroke to the fastest: {by_speed} dB"
-        )
-    return lines
+    return [f"Listener: {about}", *Table.of(("", "this texture", "control"), rows).text()]

@@ -20,7 +20,6 @@ class Finding:
     sentence: str  # the same in plain language
 
 
-TOO_LITTLE = "too little data to say"
 Interval = Sequence[float] | None
 
 
@@ -38,11 +37,16 @@ def _finding(
         return Finding(tone, title, figure, beside, sentence)
     # Where there are no intervals at all, a caution says so once.
     wide = "" if interval is None else " Its 95 % interval is too wide to say so."
-    return Finding("unknown", title, figure, f"{TOO_LITTLE}; {beside}", sentence + wide)
+    return Finding("unknown", title, figure, f"too little data to say; {beside}", sentence + wide)
 
 
-def _interval(figures: Mapping[str, Any], key: str) -> Interval:
-    return (figures.get("intervals") or {}).get(key)
+def _unknown(title: str, what: str, document: Mapping[str, Any], key: str) -> Finding:
+    why = reason(document, key)
+    return Finding("unknown", title, "–", why, f"{title}: {what} ({why}).")
+
+
+def _interval(scores: Mapping[str, Any], key: str) -> Interval:
+    return (scores.get("intervals") or {}).get(key)
 
 
 def reason(document: Mapping[str, Any], *keys: str) -> str:
@@ -60,11 +64,10 @@ def verdict(document: Mapping[str, Any]) -> list[Finding]:
     # The run that stands for the texture: with excitation where there is one.
     key = "free_run" if document["free_run"]["lsd_db"] is not None else "free_run_deterministic"
     if document[key]["lsd_db"] is None:
-        why = reason(document, "free_run")
-        unknown = Finding("unknown", "Free run", "–", "not scored", f"Free run: not scored ({why}).")
-        return [_one_step(document), unknown]
-    asked = [_listener(document)] if document.get("listener") or "listener" in document["reasons"] else []
-    return [_one_step(document), _spectrum(document, key), _level(document[key]), _dynamics(document, key), *asked]
+        return [_one_step(document), _unknown("Free run", "not scored", document, "free_run")]
+    findings = [_one_step(document), _spectrum(document, key), _level(document[key]), _dynamics(document, key)]
+    with_listener = document.get("listener") or "listener" in document["reasons"]
+    return [*findings, *([_listener(document)] if with_listener else [])]
 
 
 def cautions(document: Mapping[str, Any]) -> list[str]:
@@ -76,9 +79,8 @@ def cautions(document: Mapping[str, Any]) -> list[str]:
             "can be fitted beside."
         )
     if (n_blocks := document["n_blocks"]) < 5:
-        few = (
-            "intervals are coarse" if n_blocks == 4 else "too few for intervals, so no mark says that anything is good"
-        )
+        few = "too few for intervals, so no mark says that anything is good"
+        few = "intervals are coarse" if n_blocks == 4 else few
         notes.append(f"Only {n_blocks} block{'s' * (n_blocks != 1)} judged: {few}.")
     if document["ceiling"]["lsd_db"] is not None and "training block" in str(document["ceiling"].get("of")):
         notes.append(
@@ -90,21 +92,21 @@ def cautions(document: Mapping[str, Any]) -> list[str]:
 
 
 def _one_step(document: Mapping[str, Any]) -> Finding:
-    error, references = document["one_step"]["mae_scaled"], document["references"]
+    scores, references = document["one_step"], document["references"]
+    error = scores["mae_scaled"]
     if error is None:
-        why = reason(document, "one_step")
-        return Finding("unknown", "One step", "–", "not scored", f"One step: not scored ({why}).")
+        return _unknown("One step", "not scored", document, "one_step")
     zero, persistence, linear, best, bound = (
         references[key]["mae_scaled"] for key in ("zero", "persistence", "ar", "ar_best", "bound")
     )
-    figure, caution = f"{error:.3f} sd", ""
+    caution = ""
     if linear is None:
-        naive = (zero, "predicting the mean") if zero <= persistence else (persistence, "persistence")
-        tone, beside = _compared(error, *naive)
-        interval, limit = _interval(document["one_step"], "mae_scaled"), naive[0]
+        limit, name = min((zero, "predicting the mean"), (persistence, "persistence"))
+        tone, beside = _compared(error, limit, name)
+        interval = _interval(scores, "mae_scaled")
     else:
         tone, beside = _compared(error, linear, "AR(20)")
-        interval, limit = _interval(document["one_step"], "mae_to_ar"), 1.0
+        interval, limit = _interval(scores, "mae_to_ar"), 1.0
         if tone == "bad":
             caution = " A linear predictor does this better."
         elif best is not None and error - best > 0.01 * best:
@@ -112,7 +114,8 @@ def _one_step(document: Mapping[str, Any]) -> Finding:
             beside += f", {100 * (error / best - 1):.0f} % above {name}"
             caution = f" The best linear predictor, {name}, does this better."
     end = f"; no predictor can reach less than {bound:.3f} sd on this texture." if bound is not None else "."
-    start = f"One step: error {figure} ({document['one_step']['mae_m_s2']:.3g} {document['unit']})"
+    figure = f"{error:.3f} sd"
+    start = f"One step: error {figure} ({scores['mae_m_s2']:.3g} {document['unit']})"
     sentence = f"{start}, {beside}{end}{caution}"
     return _finding(tone, "One step", figure, beside, sentence, interval, lambda value: value < limit)
 
@@ -142,12 +145,9 @@ def _spectrum(document: Mapping[str, Any], key: str) -> Finding:
     def holds(value: float) -> bool:
         return _spectrum_tone(value, ceiling, linear) != "bad" and (bool(ceiling) or linear is None or value < linear)
 
-    tone, sentence = (
-        _spectrum_tone(distance, ceiling, linear),
-        f"{start}: log-spectral distance {distance:.2f} dB{words}.",
-    )
-    interval = _interval(document[key], "lsd_db")
-    return _finding(tone, "Spectrum", f"{distance:.2f} dB", beside, sentence, interval, holds)
+    tone, figure = _spectrum_tone(distance, ceiling, linear), f"{distance:.2f} dB"
+    sentence, interval = f"{start}: log-spectral distance {figure}{words}.", _interval(document[key], "lsd_db")
+    return _finding(tone, "Spectrum", figure, beside, sentence, interval, holds)
 
 
 def _spectrum_tone(distance: float, ceiling: float | None, linear: float | None) -> str:
@@ -178,8 +178,7 @@ def _level(run: Mapping[str, Any]) -> Finding:
 def _dynamics(document: Mapping[str, Any], key: str) -> Finding:
     correlation, best = document[key]["level_corr"], document["ceiling"]["level_corr"]
     if correlation is None:
-        why = reason(document, f"{key}.level_corr")
-        return Finding("unknown", "Dynamics", "–", why, f"Dynamics: no correlation of levels ({why}).")
+        return _unknown("Dynamics", "no correlation of levels", document, f"{key}.level_corr")
     target = 1.0 if best is None else best
     # A ceiling of low correlation is another block under another hand, or a level that is random: no target.
     if target < 0.3:
@@ -196,15 +195,14 @@ def _dynamics(document: Mapping[str, Any], key: str) -> Finding:
 def _listener(document: Mapping[str, Any]) -> Finding:
     scores = document["listener"]
     if scores is None:
-        why = reason(document, "listener")
-        return Finding("unknown", "Listener", "–", why, f"Listener: not asked ({why}).")
-    found, control, waveform = (scores[f"listener_auc{name}"] for name in ("", "_control", "_waveform"))
+        return _unknown("Listener", "not asked", document, "listener")
+    area, control, waveform = (scores[f"listener_auc{name}"] for name in ("", "_control", "_waveform"))
     chance = 0.5 if control is None else max(0.5, control)
-    tone = "good" if found <= chance + 0.1 else "even" if found <= chance + 0.3 else "bad"
+    tone = "good" if area <= chance + 0.1 else "even" if area <= chance + 0.3 else "bad"
     beside = "0.5 is chance" if control is None else f"two true vibrations: {control:.2f}"
     of_true = "" if control is None else f"; of two true vibrations in {100 * control:.0f} %"
     sentence = (
-        f"Listener: a network trained for it is right in {100 * found:.0f} % of pairs of recorded and rendered half seconds by "
+        f"Listener: a network trained for it is right in {100 * area:.0f} % of pairs of recorded and rendered half seconds by "
         f"the energies of eight bands, and in {100 * waveform:.0f} % with the waveform (50 % is chance{of_true})."
     )
-    return Finding(tone, "Listener", f"{found:.2f}", beside, sentence)
+    return Finding(tone, "Listener", f"{area:.2f}", beside, sentence)
