@@ -15,8 +15,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from foten import __version__
 from foten.study.orders import orders
-from foten.study.schema import MIGRATIONS, Stimulus, create
+from foten.study.schema import VERSION, Stimulus, create
 from foten.study.store import FullError, Rated, Store
 
 TEXTURES, METHODS = 3, 2
@@ -34,7 +35,6 @@ def made(path: Path, simulated: bool = False, participants: int = 5) -> Path:
         7,
         stimuli,
         orders(participants, TEXTURES, METHODS, 7, 1, "balanced"),
-        "9.9",
         simulated,
     )
     return path
@@ -42,7 +42,7 @@ def made(path: Path, simulated: bool = False, participants: int = 5) -> Path:
 
 @pytest.fixture
 def store(tmp_path: Path) -> Store:
-    return Store(made(tmp_path / "study.db"), "9.9")
+    return Store(made(tmp_path / "study.db"))
 
 
 def test_orders_and_stimuli_are_there_before_anyone_comes(store: Store) -> None:
@@ -66,7 +66,11 @@ def test_a_step_is_stored_once(store: Store) -> None:
     assert not store.take_step(number, "trial:3", (3, Rated(10.0)))
     (row,) = store.ratings()
     assert (row["rating"], row["response_s"], row["switches"], row["measured"]) == (62.0, 12.5, 4, {"contact_s": 9.0})
-    assert (row["software"], row["simulated"], row["sha256"]) == ("9.9", 0, f"{row['texture']}{row['method']}" * 8)
+    assert (row["software"], row["simulated"], row["sha256"]) == (
+        __version__,
+        0,
+        f"{row['texture']}{row['method']}" * 8,
+    )
     assert store.done(number) == {"trial:3"}
     assert store.check() == []
 
@@ -278,7 +282,7 @@ def test_a_commit_waits_for_the_disk(store: Store) -> None:
 def test_a_newer_database_and_no_database_are_refused_in_a_line(tmp_path: Path, store: Store) -> None:
     store.close()
     connection = sqlite3.connect(store.path)
-    connection.execute(f"PRAGMA user_version = {len(MIGRATIONS) + 1}")
+    connection.execute(f"PRAGMA user_version = {VERSION + 1}")
     connection.close()
     with pytest.raises(ValueError, match=r"is of version 2, and this foten knows up to 1: update foten"):
         Store(store.path)

@@ -55,10 +55,11 @@ class Access:
         """`https` where others may listen, else `http`: loopback is a secure context by itself."""
         return "http" if self.token is None else "https"
 
-    def link(self, host: str) -> str:
-        """Address to open."""
+    def link(self, host: str, page: str = "", **query: str) -> str:
+        """Address to open, of a page and with a query."""
         name = f"[{host}]" if ":" in host else host
-        return f"{self.scheme}://{name}:{self.port}/" + ("" if self.token is None else f"?token={self.token}")
+        parts = urlencode(query if self.token is None else {"token": self.token, **query})
+        return f"{self.scheme}://{name}:{self.port}/{page}" + (f"?{parts}" if parts else "")
 
     def knows(self, authority: str) -> bool:
         """Whether a Host header names this server: another name that leads here is a page of someone else."""

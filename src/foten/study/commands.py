@@ -120,6 +120,9 @@ def run(
 
     foten study run similarity.toml --host 0.0.0.0
     """
+    import webbrowser
+    from functools import partial
+
     from foten.studio.access import Access
     from foten.studio.web_server import serve
     from foten.study.loading import load_study
@@ -133,28 +136,17 @@ def run(
     server = StudyServer(store, loaded.design, loaded.stimuli, loaded.output)
 
     def links(access: Access, host: str) -> tuple[str, str]:
-        base, _, token = access.link(host).partition("?")
-
-        def link(page: str, query: str) -> str:
-            parts = "&".join(part for part in (token, query) if part)
-            return base + page + (f"?{parts}" if parts else "")
-
-        server.link = lambda query: link("", query)
-        return link("", ""), link("operator", f"key={server.operator_key}")
+        server.link = partial(access.link, host)
+        return server.link(), server.link("operator", key=server.operator_key)
 
     def on_start(access: Access, host: str) -> None:
         participants, operator = links(access, host)
         say(f"{loaded.design.title}: {len(store.codes())} of {loaded.design.participants} have begun, in {database}")
-        for doubt in loaded.stimuli.doubts:
-            say(doubt)
-        say(f"operator: {operator}")
-        say(f"participants at {participants}")
+        say("\n".join([*loaded.stimuli.doubts, f"operator: {operator}", f"participants at {participants}"]))
         if access.token is not None:
             say("each link lets one device in; the next is printed then, and the operator's page shows codes to scan")
         say("Ctrl-C ends it; the same command goes on where it was")
         if open_page and access.token is None:
-            import webbrowser
-
             webbrowser.open(operator)
 
     def on_joined(access: Access, host: str) -> None:
@@ -367,7 +359,6 @@ def backup(
 
 
 def _store(database: Path) -> Store:
-    from foten import __version__
     from foten.study.store import Store
 
-    return Store(database, __version__)
+    return Store(database)

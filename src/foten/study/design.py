@@ -138,19 +138,19 @@ def read_design(path: Path) -> tuple[Design, str]:
 
 def _design(document: Mapping[str, Any], folder: Path) -> Design:
     tables = dict(document)
-    textures = tables.pop("textures", {})
-    questions = tables.pop("questions", [])
+    textures, questions = tables.pop("textures", {}), tables.pop("questions", [])
     if not isinstance(textures, dict) or not isinstance(questions, list):
         raise ValueError("expected tables [textures.KEY] and [[questions]]")
-    parts: dict[str, Any] = {}
-    for name, kind in {"rating": Rating, "setup": Setup, "output": Output, "noise": Noise}.items():
-        if name in tables:
-            parts[name] = _filled(kind, tables.pop(name), f"[{name}]", folder)
+    parts: dict[str, Any] = {
+        name: _filled(kind, tables.pop(name), f"[{name}]", folder)
+        for name, kind in {"rating": Rating, "setup": Setup, "output": Output, "noise": Noise}.items()
+        if name in tables
+    }
     parts["textures"] = tuple(_texture(key, table, folder) for key, table in textures.items())
     parts["questions"] = tuple(
         _filled(Question, table, f"question {i + 1}", folder) for i, table in enumerate(questions)
     )
-    design: Design = _filled(Design, {**tables, **parts}, "the study", folder)
+    design: Design = _filled(Design, tables, "the study", folder, **parts)
     _check(design)
     return design
 
@@ -164,34 +164,9 @@ def _texture(key: str, table: Any, folder: Path) -> Texture:
         if not isinstance(file, str) or not file:
             raise ValueError(f"{where}: {method} is {file!r:.40}, expected the name of a texture file")
         files[method] = folder / file
-    table = {name: value for name, value in table.items() if name != "methods"}
-    texture: Texture = _filled(Texture, {"name": key, **table, "key": key, "files": files}, where, folder)
+    others = {name: value for name, value in table.items() if name != "methods"}
+    texture: Texture = _filled(Texture, {"name": key, **others}, where, folder, key=key, files=files)
     return texture
-
-
-def _filled(kind: type, table: Any, where: str, folder: Path) -> Any:
-    """A value of a kind with the fields of a table, each of its type."""
-    if not isinstance(table, dict):
-        raise ValueError(f"{where} is {table!r:.40}, expected a table")
-    known = {known_field.name: known_field for known_field in fields(kind)}
-    if unknown := sorted(table.keys() - known.keys()):
-        raise ValueError(f"{where} has {unknown[0]!r}, expected some of {', '.join(known)}")
-    values = {}
-    for name, value in table.items():
-        type_name = str(known[name].type)
-        if isinstance(value, list) and type_name.startswith("tuple"):
-            value = tuple(value)
-        if type_name.startswith("float") and isinstance(value, int) and not isinstance(value, bool):
-            value = float(value)
-        if type_name.startswith("Path") and isinstance(value, str):
-            value = folder / value
-        if not _has_type(value, type_name):
-            raise ValueError(f"{where}: {name} is {value!r:.40}, expected {_TYPE_NAMES[type_name.split(' ')[0]]}")
-        values[name] = value
-    for name, known_field in known.items():
-        if name not in values and known_field.default is MISSING and known_field.default_factory is MISSING:
-            raise ValueError(f"{where}: {name} is missing")
-    return kind(**values)
 
 
 _TYPE_NAMES = {
@@ -200,22 +175,39 @@ _TYPE_NAMES = {
     "float": "a number",
     "bool": "true or false",
     "Path": "the name of a file",
+    "tuple[str, ...]": "a list of texts",
 }
-_TYPE_NAMES |= {"tuple[str,": "a list of texts"}
 
 
-def _has_type(value: Any, type_name: str) -> bool:
-    if isinstance(value, bool):
-        return type_name == "bool"
-    if isinstance(value, str):
-        return type_name.startswith("str") and len(value) <= MAX_TEXT_LENGTH
-    if isinstance(value, int):
-        return type_name == "int" or " int" in type_name
-    if isinstance(value, float):
-        return type_name.startswith("float")
-    if isinstance(value, tuple) and type_name.startswith("tuple[str"):
-        return all(isinstance(text, str) for text in value)
-    return type_name.startswith("Path") or not isinstance(value, list | dict) or type_name.startswith("Mapping")
+def _filled(kind: type, table: Any, where: str, folder: Path, **parts: Any) -> Any:
+    """A value of a kind with the fields of a table, each of its type, and parts that were read before."""
+    if not isinstance(table, dict):
+        raise ValueError(f"{where} is {table!r:.40}, expected a table")
+    known = {known_field.name: known_field for known_field in fields(kind)}
+    if unknown := sorted(table.keys() - (known.keys() - parts.keys())):
+        raise ValueError(f"{where} has {unknown[0]!r}, expected some of {', '.join(known)}")
+    values = dict(parts)
+    for name, value in table.items():
+        type_names = [one for one in str(known[name].type).split(" | ") if one != "None"]
+        values[name] = _converted(value, type_names, folder)
+        if values[name] is None:
+            raise ValueError(f"{where}: {name} is {value!r:.40}, expected {_TYPE_NAMES[type_names[0]]}")
+    for name, known_field in known.items():
+        if name not in values and known_field.default is MISSING and known_field.default_factory is MISSING:
+            raise ValueError(f"{where}: {name} is missing")
+    return kind(**values)
+
+
+def _converted(value: Any, type_names: list[str], folder: Path) -> Any:
+    """A TOML value as a field of some types has it; None where it is of another."""
+    is_text = isinstance(value, str) and len(value) <= MAX_TEXT_LENGTH
+    if is_text and "Path" in type_names:
+        return folder / value
+    if type(value) is int and "float" in type_names:
+        return float(value)
+    if isinstance(value, list) and "tuple[str, ...]" in type_names and all(isinstance(text, str) for text in value):
+        return tuple(value)
+    return value if type(value).__name__ in type_names and (is_text or not isinstance(value, str)) else None
 
 
 def _check(design: Design) -> None:

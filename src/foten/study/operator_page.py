@@ -63,7 +63,7 @@ class OperatorPage(PageSocket):
                     "simulated": server.store.simulated,
                     "operator": server.design.setup.operator,
                     "screens": server.design.setup.screens,
-                    "link": server.link(""),  # another after each use: the codes to scan are drawn anew
+                    "link": server.link(),  # another after each use: the codes to scan are drawn anew
                     "sessions": [session.for_operator() for session in server.sessions.values()],
                 }
             )

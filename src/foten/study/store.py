@@ -14,15 +14,15 @@ import zlib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
 
+from foten import __version__
 from foten.atomic_write import atomic_write
 from foten.study import schema
 from foten.study.orders import Trial
-from foten.study.process_lock import ProcessLock
 from foten.study.schema import Stimulus, faults_of, now
 from foten.untrusted import check_regular
 
@@ -40,7 +40,7 @@ class Rated:
     rating: float
     response_s: float | None = None  # from when the trial was shown
     switches: int | None = None  # between the real and the virtual surface
-    log: Mapping[str, Any] = field(default_factory=dict)  # of `TrialLog`
+    log: Mapping[str, Any] = field(default_factory=dict)  # of `session.TrialLog`
 
 
 class Store:
@@ -51,10 +51,10 @@ class Store:
         ValueError: it is no study, is damaged, or a newer foten made it.
     """
 
-    def __init__(self, path: Path, software: str = "") -> None:
+    def __init__(self, path: Path) -> None:
         check_regular(path)
-        self.path, self._software = path, software
-        self._lock: ProcessLock | None = None
+        self.path = path
+        self._lock: BinaryIO | None = None
         self._connection = sqlite3.connect(path, isolation_level=None, timeout=BUSY_S, check_same_thread=False)
         self._connection.row_factory = sqlite3.Row
         try:
@@ -74,13 +74,12 @@ class Store:
         if execute("PRAGMA application_id").fetchone()[0] != schema.APPLICATION_ID:
             raise ValueError(f"{self.path} is no study of foten, expected a file that 'foten study run' made")
         version = execute("PRAGMA user_version").fetchone()[0]
-        if version > len(schema.MIGRATIONS):
-            newest = f"this foten knows up to {len(schema.MIGRATIONS)}"
+        if version > schema.VERSION:
+            newest = f"this foten knows up to {schema.VERSION}"
             raise ValueError(f"{self.path} is of version {version}, and {newest}: update foten")
         execute("PRAGMA journal_mode = WAL")
         execute("PRAGMA synchronous = FULL")
         execute("PRAGMA foreign_keys = ON")
-        schema.migrate(self._connection)
         self.study = dict(execute("SELECT * FROM study").fetchone())
 
     def hold(self) -> None:
@@ -90,7 +89,13 @@ class Store:
             OSError: another process runs it.
         """
         if self._lock is None:
-            self._lock = ProcessLock(self.path.with_name(self.path.name + ".lock"))
+            lock = self.path.with_name(self.path.name + ".lock").open("a+b")
+            try:
+                _lock(lock.fileno())
+            except OSError as error:
+                lock.close()
+                raise OSError(f"{self.path.name} is in use: end the 'foten study run' of it first") from error
+            self._lock = lock
 
     def close(self) -> None:
         """Close the file, and unlock it."""
@@ -213,20 +218,11 @@ class Store:
 
     def _add_rating(self, connection: sqlite3.Connection, participant: int, trial: int, rated: Rated, at: str) -> None:
         log = json.dumps(dict(rated.log), allow_nan=False)
+        answer = (rated.rating, rated.response_s, rated.switches, log, at, __version__, self.simulated)
         connection.execute(
             "INSERT INTO ratings (participant, trial, rating, response_s, switches, measured, at, software, simulated, reason) "
             "VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, '')",
-            (
-                participant,
-                trial,
-                rated.rating,
-                rated.response_s,
-                rated.switches,
-                log,
-                at,
-                self._software,
-                self.simulated,
-            ),
+            (participant, trial, *answer),
         )
 
     def correct(self, participant: int, trial: int, rating: float, reason: str) -> None:
@@ -247,7 +243,7 @@ class Store:
                 "INSERT INTO ratings (participant, trial, rating, response_s, switches, measured, at, software, simulated, "
                 "corrects, reason) SELECT participant, trial, ?, response_s, switches, measured, ?, ?, simulated, id, ? "
                 "FROM ratings WHERE id = ?",
-                (rating, now(), self._software, reason, rows[0]["id"]),
+                (rating, now(), __version__, reason, rows[0]["id"]),
             )
             self._log(connection, f"participant {participant}, trial {trial}: corrected to {rating:g}: {reason}")
 
@@ -396,3 +392,15 @@ class Store:
 
 def _is_full(error: sqlite3.OperationalError) -> bool:
     return error.sqlite_errorname.startswith(("SQLITE_FULL", "SQLITE_IOERR", "SQLITE_READONLY", "SQLITE_CANTOPEN"))
+
+
+def _lock(file: int) -> None:
+    """Lock a file until it is closed or the process ends, however that ends; OSError where another process has it."""
+    try:
+        import fcntl
+    except ImportError:  # Windows
+        import msvcrt
+
+        msvcrt.locking(file, msvcrt.LK_NBLCK, 1)  # type: ignore[attr-defined]
+    else:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)

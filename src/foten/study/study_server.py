@@ -15,9 +15,9 @@ import io
 import secrets
 from collections.abc import AsyncIterator, Callable
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from pathlib import Path
 from typing import Any
-from urllib.parse import urlencode
 
 from starlette.applications import Starlette
 from starlette.datastructures import Headers
@@ -33,10 +33,10 @@ from foten.studio.players import OutputDevice, Player, RoundRobinRenderer
 from foten.studio.studio_server import missing, page_file, page_files
 from foten.studio.websocket import serve_page
 from foten.study.design import Design
+from foten.study.loading import Stimuli
 from foten.study.operator_page import OperatorPage
 from foten.study.participant_page import ParticipantPage
 from foten.study.session import Session
-from foten.study.stimuli import Stimuli
 from foten.study.store import Store
 
 OPERATOR_COOKIE = "foten-operator"
@@ -62,7 +62,7 @@ class StudyServer:
         self.operator_key = secrets.token_urlsafe(16)
         self.gains = {key: stimulus.gain_db for key, stimulus in store.stimuli().items()}
         self.player: Callable[[float], Player] = (output or RoundRobinRenderer()).player
-        self.link: Callable[[str], str] = lambda query: f"/?{query}"  # by which the next device comes in
+        self.link: Callable[..., str]  # by which the next device comes in, as `Access.link` gives it
         self.sessions: dict[int, Session] = {}
         self.pages: set[ParticipantPage] = set()
         self.operators: set[OperatorPage] = set()
@@ -106,6 +106,7 @@ class StudyServer:
 
     def app(self, access: Access) -> ASGIApp:
         """Application, behind its access."""
+        self.link = partial(access.link, access.hosts[0])
         routes = [
             Route("/operator", self._operator),
             Route("/pictures/{number:int}", self._picture),
@@ -160,7 +161,7 @@ class StudyServer:
         if role in ("stroke", "answer"):
             query["role"] = role
         drawn = io.BytesIO()
-        segno.make(self.link(urlencode(query)), error="l").save(drawn, kind="svg", scale=8, border=2)
+        segno.make(self.link(**query), error="l").save(drawn, kind="svg", scale=8, border=2)
         return Response(drawn.getvalue(), media_type="image/svg+xml")
 
     def _is_operator(self, headers: Headers) -> bool:
