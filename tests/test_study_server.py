@@ -210,9 +210,8 @@ def test_no_byte_that_a_participant_is_sent_names_or_orders_methods(tmp_path: Pa
     assert len({tuple(one) for one in stored}) == 3  # they were given different orders
     assert said[0] == said[1] == said[2]
     everything = "\n".join(text for texts in said for text in texts).lower()
-    for word in ("dstn", "ldhtd", ".foten", *(one.sha256 for one in server.stimuli.listed)):
+    for word in ("dstn", "ldhtd", ".foten", '"method', *(one.sha256 for one in server.stimuli.listed)):
         assert word not in everything
-    assert '"method' not in everything
     assert not re.search(r"[\"' -]ar[\"' ,.]", "\n".join(text for texts in said[:3] for text in texts).lower())
 
 
@@ -300,7 +299,7 @@ def test_after_a_restart_a_trial_goes_on_with_what_was_counted(tmp_path: Path) -
         assert page.step["id"] == "trial:2"
     with Store(tmp_path / "study.db") as store:
         (row,) = store.ratings()
-        assert (row["switches"], row["measured"]["resumed"]) == (2, True)
+        assert row["switches"] == 2
 
 
 def test_the_page_that_strokes_is_the_one_that_sounds(tmp_path: Path) -> None:

@@ -100,7 +100,7 @@ def serve(
         say(f"a device came in; for the next one: {link}")
         _say_code(link)
 
-    serve_studio(studio, host, port, on_start, on_joined)
+    serve_studio(studio.app, host, port, on_start, on_joined)
 
 
 def _say_code(link: str) -> None:

@@ -70,14 +70,6 @@ class Access:
         except ValueError:
             return False
 
-    def admits(self, token: str | None) -> bool:
-        """Whether a token is the right one."""
-        return self.token is None or (token is not None and is_same(token, self.token))
-
-    def renewed(self) -> Access:
-        """Access with another token."""
-        return replace(self, token=_secret())
-
 
 def access_to(
     host: str, port: int, addresses: Sequence[str] = (), on_joined: Callable[[Access], None] | None = None
@@ -96,7 +88,6 @@ class Guarded:
         self._devices: list[str] = []  # the secrets of those that came in
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Pass a request on, or refuse it."""
         if scope["type"] == "lifespan":
             await self._app(scope, receive, send)
             return
@@ -132,7 +123,7 @@ class Guarded:
         if known:
             await response(scope, receive, send)
             return
-        access = self._access = self._access.renewed()
+        access = self._access = replace(self._access, token=_secret())
         self._devices.append(_secret())
         # A cookie that scripts cannot read. `lax`, as `strict` ones stay away from a page that was opened by a link on another.
         response.set_cookie(COOKIE, self._devices[-1], httponly=True, samesite="lax", secure=True)
@@ -154,7 +145,8 @@ class Guarded:
         asks = scope["type"] == "http" and scope["method"] in ("GET", "HEAD")
         if not asks and str(origin).lower() != expected.lower():
             return f"the origin is {str(origin)[:80]!r}, expected this server's own page"
-        if not known and not self._access.admits(token if asks else None):
+        expected_token = self._access.token
+        if not known and expected_token is not None and not (asks and token and is_same(token, expected_token)):
             what = "the token is missing, wrong or used, as a link lets one device in"
             return f"{what}: open the newest link, or scan the newest code, that the server printed"
         return ""

@@ -137,7 +137,6 @@ class CapturePage(PageSocket):
         self._outgoing: asyncio.Queue[Mapping[str, Any]] = asyncio.Queue()
 
     async def run(self) -> None:
-        """Serve the page until it goes."""
         await self.converse(self._send())
 
     async def refuse(self, why: str) -> None:
@@ -147,7 +146,6 @@ class CapturePage(PageSocket):
         self._outgoing.put_nowait({"refused": why})
 
     async def take_bytes(self, data: bytes) -> None:
-        """Take in sound or events."""
         kind, values = parse_capture_bytes(data)
         capture = self._current("sound or events")
         if kind == "sound":
@@ -156,7 +154,6 @@ class CapturePage(PageSocket):
             capture.add_events(values)
 
     async def do(self, message: Mapping[str, Any]) -> None:
-        """Begin, train or discard."""
         if message["do"] == "begin":
             if self._trainings.n_saved >= MAX_CAPTURES:
                 raise RefusedError(f"{MAX_CAPTURES} captures are kept already: start the server again")

@@ -161,32 +161,26 @@ class Contact:
             stroked = self._stroked
             assert stroked is not None
             stroked.stylus.render_into(out)
-            speed, force = stroked.renderer.condition
-            previous = self._previous
-            previous_out = None
-            if previous is not None:
-                previous_out = np.empty_like(out)
-                previous.stylus.render_into(previous_out)
-            volume = self._volume_was if self._volume_was is not None else self._volume, self._volume
+            self._on_block(out, *stroked.renderer.condition)
+            out *= stroked.scale
+            if self._previous is not None:
+                self._cross(out, self._previous)
+            volume = self._volume if self._volume_was is None else self._volume_was, self._volume
             self._volume_was = self._volume
-        self._on_block(out, speed, force)
-        out *= stroked.scale
-        if previous is not None and previous_out is not None:
-            self._cross(out, previous_out, previous)
         out *= np.linspace(*volume, out.size, dtype=np.float32)
         if not self._player.calibrated:
             limit(out)
 
-    def _cross(self, out: Samples, previous_out: Samples, previous: _Stroked) -> None:
+    def _cross(self, out: Samples, previous: _Stroked) -> None:
         """Fade from what leaves to what takes over."""
-        share = np.zeros(out.size, dtype=np.float32)
+        leaving, share = np.empty_like(out), np.zeros_like(out)
+        previous.stylus.render_into(leaving)
         part = self._fade[self._faded : self._faded + out.size]
         share[: part.size] = part
-        out += share * (previous.scale * previous_out - out)
-        with self._changing:
-            self._faded += out.size
-            if self._faded >= self._fade.size and self._previous is previous:
-                self._previous = None
+        out += share * (previous.scale * leaving - out)
+        self._faded += out.size
+        if self._faded >= self._fade.size:
+            self._previous = None
 
 
 def limit(samples: Samples) -> None:

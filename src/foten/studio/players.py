@@ -99,17 +99,14 @@ class DevicePlayer:
 
     @property
     def running(self) -> bool:
-        """Whether it plays."""
         return self._live is not None and self._live.running
 
     def start(self, render: Read) -> None:
-        """Begin to play."""
         self._live = Live(render, self._sink, block_ms=DEVICE_BLOCK_MS, lead_ms=DEVICE_LEAD_MS)
         self.statistics = self._live.statistics
         self._live.start()
 
     def stop(self) -> None:
-        """End, and give the device back."""
         live, self._live = self._live, None
         if live is not None:
             live.stop()
@@ -159,7 +156,6 @@ class RoundRobinRenderer:
                 time.sleep(due - now)
 
     def _skip(self, n: int) -> None:
-        """Count blocks that are left out, after the machine stood still, as missed."""
         with self._changing:
             for player in self._players:
                 player.statistics.n_missed += n
@@ -191,16 +187,13 @@ class RoundRobinPlayer:
 
     @property
     def running(self) -> bool:
-        """Whether it is rendered for."""
         return self._render is not None and self._failed is None
 
     def start(self, render: Read) -> None:
-        """Begin."""
         self._render = render
         self._renderer.add(self)
 
     def stop(self) -> None:
-        """End, and raise what rendering died of."""
         self._renderer.remove(self)
         failed, self._failed = self._failed, None
         if failed is not None:

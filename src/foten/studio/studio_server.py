@@ -160,11 +160,9 @@ class StrokePage(PageSocket):
         self._n_events = 0
 
     async def run(self) -> None:
-        """Serve the page until it goes."""
         await self.converse(self._blocks.send(), self._send_state())
 
     async def leave(self) -> None:
-        """End playing; a second time nothing happens."""
         contacts = self._contact, self._opening
         self._contact = self._opening = None
         for contact in contacts:
@@ -187,12 +185,10 @@ class StrokePage(PageSocket):
         return known
 
     async def refuse(self, why: str) -> None:
-        """Say why a message was refused."""
         self._studio.n_refused += 1
         await super().refuse(why)
 
     async def take_bytes(self, data: bytes) -> None:
-        """Take in events."""
         events = self.events_in(data)
         if self._contact is None:
             raise RefusedError("events before a texture was opened")
@@ -200,7 +196,6 @@ class StrokePage(PageSocket):
         self._n_events += len(events)
 
     async def do(self, message: Mapping[str, Any]) -> None:
-        """Open, close, set."""
         kind = message["do"]
         if {"newtons", "steepness"} & message.keys():
             self._calibration = pressure_calibration(message)

@@ -155,7 +155,7 @@ def run(
 
     try:
         with loaded.noise():
-            serve(server, host, port, on_start, on_joined)
+            serve(server.app, host, port, on_start, on_joined)
     finally:
         store.close()
 

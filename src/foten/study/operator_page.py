@@ -35,11 +35,9 @@ class OperatorPage(PageSocket):
         self._server = server
 
     async def run(self) -> None:
-        """Serve the page until it goes."""
         await self.converse(self._show())
 
     async def do(self, message: Mapping[str, Any]) -> None:
-        """Begin a participant, or hold, let go or turn a trial."""
         server, kind = self._server, message["do"]
         if kind == "begin":
             new = await server.begin()

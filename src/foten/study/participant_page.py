@@ -69,24 +69,20 @@ class ParticipantPage(PageSocket):
         return self.role != "answer"
 
     async def run(self) -> None:
-        """Serve the page until it goes."""
         await self.converse(self.blocks.send())
 
     async def leave(self) -> None:
-        """Leave the session: the strokes are saved, and the trial stays where it is."""
         session, self._session = self._session, None
         if session is not None:
             await session.leave(self)
 
     async def take_bytes(self, data: bytes) -> None:
-        """Take in events."""
         events = self.events_in(data)
         if self._session is None or not self.strokes:
             raise RefusedError("events of a page that does not stroke")
         await self._session.push(self, events)
 
     async def do(self, message: Mapping[str, Any]) -> None:
-        """Join, answer, or go over to the other surface."""
         kind, session = message["do"], self._session
         if kind == "join":
             await self._join(message)

@@ -17,7 +17,7 @@ from typing import Any
 from foten.atomic_write import atomic_write
 from foten.reporting.figure import inline_svg, write_figure
 from foten.reporting.table import MAX_ROWS, Table
-from foten.study.analysis import Result, stars
+from foten.study.analysis import Result
 from foten.study.rating_figures import bars, panels
 
 MAX_ANSWERS_LISTED = 8  # different answers to a question
@@ -319,9 +319,5 @@ def _markdown(result: Result) -> str:
     if paragraph := _participants_paragraph(result):
         parts += ["## Participants", html.escape(paragraph, quote=False)]  # Markdown lets HTML through
     parts += [f"#{table.markdown().rstrip()}" for table in (*_tables(result), *_within(result))]
-    within: list[str] = []
-    for texture, tests in result.document["pairs_within_textures"].items():
-        marked = [f"{' − '.join(test['pair'])} {test['difference']:+.1f}{stars(test['p_holm'])}" for test in tests]
-        within.append(f"- {texture}: {', '.join(marked)}")
-    parts += ["## Within textures (Holm)", "\n".join(within), "![Each texture](textures.png)"]
+    parts.append("![Each texture](textures.png)")
     return "\n\n".join(parts) + "\n"

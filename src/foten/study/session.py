@@ -54,7 +54,6 @@ class Session:
         step = self.step
         if step["kind"] == "trial":  # as it was before the server ended
             self.n_switches = server.store.switches(number, step["trial"].number)
-            self._log.resumed = len(server.store.strokes(number, step["trial"].number)) > 0
 
     @property
     def step(self) -> Step:
@@ -131,8 +130,6 @@ class Session:
         log = self._log.summary([] if self.contact is None else [self.contact.statistics])
         if self.server.output is None:  # the sound runs dry in the tablet, if anywhere, and its page counts that
             log["n_underruns"] = None if "underruns" not in message else int(message["underruns"])
-        if self.shown_at:
-            log["shown_s"] = round(time.monotonic() - self.shown_at, 3)
         page = next((page for page in self.pages if page.strokes), None)
         if page is not None:
             log |= {"volume_db": page.volume_db, "rate_hz": page.rate_hz, "n_unsent": page.blocks.n_unsent}
@@ -252,7 +249,6 @@ class TrialLog:
     conditions: list[tuple[float, float]] = field(default_factory=list)  # speed [mm/s], force [N] at each block's end
     ended: list[LiveStatistics] = field(default_factory=list)  # of contacts before the present one
     block_s: float = 0.0
-    resumed: bool = False  # the server was started again within the trial: only the strokes tell of what was before
 
     def summary(self, live: Sequence[LiveStatistics]) -> dict[str, Any]:
         """Seconds in contact; of them the 10th, 50th and 90th percentile of speed [mm/s] and force [N]; p99 of a block's
@@ -278,5 +274,4 @@ class TrialLog:
             "n_missed": sum(contact.n_missed for contact in contacts),
             "n_underruns": sum(contact.n_underruns for contact in contacts),
             "n_contacts": len(contacts),
-            "resumed": self.resumed,
         }

@@ -70,7 +70,7 @@ class Store:
             raise
 
     def _open(self) -> None:
-        execute = self._connection.execute
+        execute = self._execute
         if execute("PRAGMA application_id").fetchone()[0] != schema.APPLICATION_ID:
             raise ValueError(f"{self.path} is no study of foten, expected a file that 'foten study run' made")
         version = execute("PRAGMA user_version").fetchone()[0]
@@ -116,23 +116,26 @@ class Store:
         return bool(self.study["simulated"])
 
     @contextlib.contextmanager
-    def _writing(self) -> Iterator[sqlite3.Connection]:
+    def _writing(self) -> Iterator[None]:
         """One change, whole or not at all, on the disk when it returns."""
         try:
-            self._connection.execute("BEGIN IMMEDIATE")
-            yield self._connection
-            self._connection.execute("COMMIT")
+            self._execute("BEGIN IMMEDIATE")
+            yield
+            self._execute("COMMIT")
         except BaseException as error:
             with contextlib.suppress(sqlite3.Error):
-                self._connection.execute("ROLLBACK")
+                self._execute("ROLLBACK")
             if isinstance(error, sqlite3.OperationalError) and _is_full(error):
                 raise FullError(
                     f"{self.path.name}: the disk is full or cannot be written; what was there is there"
                 ) from error
             raise
 
+    def _execute(self, statement: str, *values: Any) -> sqlite3.Cursor:
+        return self._connection.execute(statement, values)
+
     def _rows(self, query: str, *values: Any) -> list[sqlite3.Row]:
-        return self._connection.execute(query, values).fetchall()
+        return self._execute(query, *values).fetchall()
 
     # Participants
 
@@ -142,13 +145,12 @@ class Store:
         Raises:
             ValueError: all have begun.
         """
-        with self._writing() as connection:
+        with self._writing():
             taken = set(self.codes().values())
             number = next((n for n in self.ordered() if n not in taken), None)
             if number is None:
                 raise ValueError(f"all {len(taken)} participants of the design have begun; a larger study is a new one")
-            row = (number, code, now(), int(self.simulated))
-            connection.execute("INSERT INTO participants VALUES (?, ?, ?, ?)", row)
+            self._execute("INSERT INTO participants VALUES (?, ?, ?, ?)", number, code, now(), int(self.simulated))
         return number
 
     def ordered(self) -> list[int]:
@@ -194,35 +196,34 @@ class Store:
             FullError: the disk has no room.
         """
         at = now()
-        with self._writing() as connection:
-            new = connection.execute("INSERT OR IGNORE INTO steps VALUES (?, ?, ?)", (participant, step, at)).rowcount
-            if not new:
+        with self._writing():
+            if not self._execute("INSERT OR IGNORE INTO steps VALUES (?, ?, ?)", participant, step, at).rowcount:
                 return False
             if rated is not None:
-                self._add_rating(connection, participant, *rated, at)
+                self._add_rating(participant, *rated, at)
             for table, by_question in (("answers", answers), ("abouts", private)):
-                rows = [(participant, question, answer, at) for question, answer in (by_question or {}).items()]
-                connection.executemany(f"INSERT INTO {table} VALUES (?, ?, ?, ?)", rows)
+                for question, answer in (by_question or {}).items():
+                    self._execute(f"INSERT INTO {table} VALUES (?, ?, ?, ?)", participant, question, answer, at)
             if consent is not None:
                 digest = hashlib.sha256(consent.encode()).hexdigest()
-                connection.execute("INSERT INTO consents VALUES (?, ?, ?)", (participant, at, digest))
+                self._execute("INSERT INTO consents VALUES (?, ?, ?)", participant, at, digest)
         return True
 
     def take_steps(self, participant: int, rated: Mapping[str, Rated]) -> None:
         """Store many trials of a simulated rater at once, by step."""
         at = now()
-        with self._writing() as connection:
+        with self._writing():
             for step, outcome in rated.items():
-                connection.execute("INSERT INTO steps VALUES (?, ?, ?)", (participant, step, at))
-                self._add_rating(connection, participant, int(step.removeprefix("trial:")), outcome, at)
+                self._execute("INSERT INTO steps VALUES (?, ?, ?)", participant, step, at)
+                self._add_rating(participant, int(step.removeprefix("trial:")), outcome, at)
 
-    def _add_rating(self, connection: sqlite3.Connection, participant: int, trial: int, rated: Rated, at: str) -> None:
+    def _add_rating(self, participant: int, trial: int, rated: Rated, at: str) -> None:
         log = json.dumps(dict(rated.log), allow_nan=False)
         answer = (rated.rating, rated.response_s, rated.switches, log, at, __version__, self.simulated)
-        connection.execute(
+        self._execute(
             "INSERT INTO ratings (participant, trial, rating, response_s, switches, measured, at, software, simulated, reason) "
             "VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, '')",
-            (participant, trial, *answer),
+            *(participant, trial, *answer),
         )
 
     def correct(self, participant: int, trial: int, rating: float, reason: str) -> None:
@@ -235,25 +236,24 @@ class Store:
             raise ValueError(f"the rating is {rating:g}, expected 0 to 100")
         if not reason.strip():
             raise ValueError("a correction needs a reason")
-        with self._writing() as connection:
+        with self._writing():
             rows = self._rows(f"{schema.VALID_RATINGS} AND participant = ? AND trial = ?", participant, trial)
             if not rows:
                 raise ValueError(f"participant {participant} has no rating of trial {trial}")
-            connection.execute(
+            self._execute(
                 "INSERT INTO ratings (participant, trial, rating, response_s, switches, measured, at, software, simulated, "
                 "corrects, reason) SELECT participant, trial, ?, response_s, switches, measured, ?, ?, simulated, id, ? "
                 "FROM ratings WHERE id = ?",
-                (rating, now(), __version__, reason, rows[0]["id"]),
+                *(rating, now(), __version__, reason, rows[0]["id"]),
             )
-            self._log(connection, f"participant {participant}, trial {trial}: corrected to {rating:g}: {reason}")
+            self._log(f"participant {participant}, trial {trial}: corrected to {rating:g}: {reason}")
 
     def add_switch(self, participant: int, trial: int, side: str, marked_by: str) -> None:
         """Store that a hand went over to the real or the virtual surface."""
-        with self._writing() as connection:
-            connection.execute(
-                "INSERT INTO switches (participant, trial, side, marked_by, at) VALUES (?, ?, ?, ?, ?)",
-                (participant, trial, side, marked_by, now()),
-            )
+        columns = "participant, trial, side, marked_by, at"
+        with self._writing():
+            values = participant, trial, side, marked_by, now()
+            self._execute(f"INSERT INTO switches ({columns}) VALUES (?, ?, ?, ?, ?)", *values)
 
     def switches(self, participant: int, trial: int) -> int:
         """How often a hand went over in a trial."""
@@ -263,11 +263,11 @@ class Store:
     def add_strokes(self, participant: int, trial: int, events: NDArray[np.float64]) -> None:
         """Store events of a pen: x, y [mm], pressure, t [s], shape (n, 4)."""
         packed = zlib.compress(np.ascontiguousarray(events, dtype="<f8").tobytes())
-        with self._writing() as connection:
-            connection.execute(
+        with self._writing():
+            self._execute(
                 "INSERT INTO strokes SELECT ?, ?, coalesce(max(part) + 1, 0), ?, ? FROM strokes "
                 "WHERE participant = ? AND trial = ?",
-                (participant, trial, now(), packed, participant, trial),
+                *(participant, trial, now(), packed, participant, trial),
             )
 
     def strokes(self, participant: int, trial: int) -> NDArray[np.float64]:
@@ -317,8 +317,8 @@ class Store:
         """Lines of the log, with times."""
         return [(row["at"], row["what"]) for row in self._rows("SELECT * FROM log ORDER BY id")]
 
-    def _log(self, connection: sqlite3.Connection, what: str) -> None:
-        connection.execute("INSERT INTO log (at, what) VALUES (?, ?)", (now(), what))
+    def _log(self, what: str) -> None:
+        self._execute("INSERT INTO log (at, what) VALUES (?, ?)", now(), what)
 
     def check(self) -> list[str]:
         """Lines that say what is wrong with the file: none, as a rule."""
@@ -364,24 +364,23 @@ class Store:
         if participant not in self.codes().values() and not any(what == removed for _, what in self.log()):
             raise ValueError(f"there is no participant {participant} who has begun")
         self.hold()
-        connection = self._connection
-        connection.execute("PRAGMA secure_delete = ON")
+        self._execute("PRAGMA secure_delete = ON")
         try:
             with self._writing():
                 for name in schema.GUARDS:
-                    connection.execute(f"DROP TRIGGER {name}")
-                connection.execute("PRAGMA defer_foreign_keys = ON")
+                    self._execute(f"DROP TRIGGER {name}")
+                self._execute("PRAGMA defer_foreign_keys = ON")
                 for table in schema.TABLES_OF_PARTICIPANT:
                     column = "number" if table == "participants" else "participant"
-                    connection.execute(f"DELETE FROM {table} WHERE {column} = ?", (participant,))
+                    self._execute(f"DELETE FROM {table} WHERE {column} = ?", participant)
                 # Its corrections name the participant.
-                connection.execute("DELETE FROM log WHERE what LIKE ?", (f"participant {participant},%",))
-                self._log(connection, removed)
+                self._execute("DELETE FROM log WHERE what LIKE ?", f"participant {participant},%")
+                self._log(removed)
                 for name, guard in schema.GUARDS.items():
-                    connection.execute(f"CREATE TRIGGER {name} {guard}")
-            connection.execute("PRAGMA wal_checkpoint(TRUNCATE)")
-            connection.execute("VACUUM")
-            busy = connection.execute("PRAGMA wal_checkpoint(TRUNCATE)").fetchone()[0]
+                    self._execute(f"CREATE TRIGGER {name} {guard}")
+            self._execute("PRAGMA wal_checkpoint(TRUNCATE)")
+            self._execute("VACUUM")
+            busy = self._execute("PRAGMA wal_checkpoint(TRUNCATE)").fetchone()[0]
         except sqlite3.OperationalError as error:
             raise OSError(f"{self.path.name} is in use ({error}): end 'foten study run' first") from error
         if busy:
