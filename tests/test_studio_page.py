@@ -258,6 +258,8 @@ def test_what_a_pen_does_at_the_edge_and_at_its_lightest(browser: Any, link: str
         assert all(event[1] >= 0 for event in inside)
         assert np.abs(taken["samples"][-2400:]).max() < 1e-3 * np.abs(taken["samples"]).max()
 
+        page.keyboard.press("Escape")
+
         def touch() -> None:
             pen.send("mousePressed", 60, 60, 0.1)
             for x, pressure in ((62, 0.05), (64, 0.0), (66, 0.0)):
@@ -269,6 +271,7 @@ def test_what_a_pen_does_at_the_edge_and_at_its_lightest(browser: Any, link: str
         assert max(pressures) < 0.11
         assert pressures[-1] == 0.0
         assert min(pressures[:-1]) > 0.0
+        page.keyboard.press("Escape")
         page.focus("#pad")  # the keys stroke too
         page.keyboard.down("ArrowRight")
         until(page, "Number(document.querySelector('#speed').value) > 30")
@@ -362,6 +365,7 @@ def test_the_server_renders_where_it_is_asked_to_and_the_page_once_it_is_gone(br
         expected = rendered(shelf / "mesh.foten", {**taken, "seed": 0})
         levels = [10 * np.log10(np.mean(samples.astype(float) ** 2)) for samples in (expected, taken["samples"])]
         assert abs(levels[0] - levels[1]) < 3  # dB
+        page.keyboard.press("Escape")
         process.terminate()
         process.communicate(timeout=30)
         until(page, f"{STATE}.sound.server === null")
