@@ -20,7 +20,7 @@ from starlette.testclient import TestClient
 from foten.datasets.hdf5 import load_recording
 from foten.dsp import Array
 from foten.models.texture_file import read_texture
-from foten.recording.capture_folder import About, file_name
+from foten.recording.capture_folder import About
 from foten.recording.recording import RELATIVE
 from foten.runtime.renderer import EXAMPLE
 from foten.simulation.simulated_capture import FULL_SCALE, SOUND_HZ, SimulatedCapture, simulate_capture
@@ -109,20 +109,19 @@ def test_a_capture_is_kept_in_files_that_import_reads(client: TestClient, studio
     assert about["input"] == "Built-in"
 
 
-def test_a_second_capture_of_one_name_has_a_folder_of_its_own(tmp_path: Path) -> None:
-    for expected in ("denim", "denim-2", "denim-3"):
-        capture = CaptureSession(About("Denim", 48000))
+def test_a_folder_is_named_after_its_surface_and_a_second_one_has_a_number(tmp_path: Path) -> None:
+    names = {
+        "../../etc/passwd": "etc-passwd",
+        "…": "surface",
+        "Wool 2": "wool-2",
+        "a" * 90: "a" * 60,
+        "wool/2": "wool-2-2",
+    }
+    for name, expected in names.items():
+        capture = CaptureSession(About(name, 48000))
         capture.add_sound(np.zeros(100, dtype=np.float32))
         capture.add_events(np.array([[0, 0, 0.5, 1.0]]))
         assert capture.write(tmp_path).name == expected
-
-
-@pytest.mark.parametrize(
-    ("name", "expected"),
-    [("../../etc/passwd", "etc-passwd"), ("…", "surface"), ("Wool 2", "wool-2"), ("a" * 90, "a" * 60)],
-)
-def test_a_name_is_no_path(name: str, expected: str) -> None:
-    assert file_name(name) == expected
 
 
 def test_what_is_out_of_order_is_refused_and_ends_the_capture(client: TestClient) -> None:
@@ -187,17 +186,11 @@ def test_a_capture_says_how_many_events_came_late_and_is_refused_where_these_are
     ):
         with_late_events(1000, 11).write(tmp_path)
     capture = with_late_events(100, 0)
+    with pytest.raises(RefusedError, match="longer than 300 s"):
+        capture.add_sound(np.zeros(300 * 48000, dtype=np.float32))
     capture.add_events(np.array([[0, 0, 0.5, 0.4]]))
     with pytest.raises(RefusedError, match="one is 105 ms back, expected 100 at most"):
         capture.add_events(np.array([[0, 0, 0.5, 0.39]]))
-
-
-def test_a_capture_that_never_ends_is_refused(monkeypatch: Any) -> None:
-    capture = CaptureSession(About("x", 8000))
-    for _ in range(300):
-        capture.add_sound(np.zeros(8000, dtype=np.float32))
-    with pytest.raises(RefusedError, match="longer than 300 s"):
-        capture.add_sound(np.zeros(1, dtype=np.float32))
 
 
 def test_only_so_many_pages_capture_at_once_and_one_that_left_makes_room(client: TestClient, studio: Studio) -> None:
@@ -243,21 +236,18 @@ def test_noise_without_taps_is_refused_in_words_and_kept(client: TestClient, stu
     assert len(studio.shelf) == 1
 
 
-def printing(text: str) -> tuple[str, ...]:
-    return (sys.executable, "-c", f"print({text!r})")
+def python(code: str) -> tuple[str, ...]:
+    return sys.executable, "-c", code
 
 
 @pytest.mark.parametrize(
     ("command", "why"),
     [
-        (printing("Downloading a network"), "it said 'Downloading a network', expected a JSON object"),
-        (printing("[1]"), r"it said '\[1\]', expected a JSON object"),
-        (printing('{"joined": {"delay_ms": NaN}}'), "NaN.*expected a JSON object"),
-        (printing("x" * 70_000), "a line of more than 65536 bytes"),
-        (printing('{"done": "missing.foten"}'), "no such file|No such file|missing.foten"),
-        (printing('{"playable": 5}'), "TypeError"),
+        (python("print('Downloading a network')"), "the training failed: "),
+        (python("""print('{"joined": {"delay_ms": NaN}}')"""), "a number that is not finite"),
+        (python("""print('{"done": "missing.foten"}')"""), r"missing\.foten"),
         (("/nowhere/python",), "/nowhere/python: no such file"),
-        ((sys.executable, "-c", "raise SystemExit('out of memory')"), "the training died: out of memory"),
+        (python("raise SystemExit('out of memory')"), "the training died: out of memory"),
     ],
 )
 def test_a_training_that_fails_says_so_to_the_page_and_lets_the_next_one_run(

@@ -382,9 +382,9 @@ def test_the_force_is_calibrated_by_where_the_pen_was_held_still(browser: Any, l
         pen._left, pen._top = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
         for held, grams in ((0.2, 25.0), (0.5, 70.0), (0.8, 190.0)):
             pen.send("mousePressed", 0, 0, 0.05)
-            for k in range(40):
+            for k in range(25):
                 pen.send("mouseMoved", k % 2, 0, held)
-                page.wait_for_timeout(8)
+                page.wait_for_timeout(20)
             for share in (0.8, 0.5, 0.2, 0.05):
                 pen.send("mouseMoved", 0, 0, share * held)
             pen.send("mouseReleased", 0, 0, 0)

@@ -9,8 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from foten.study.design import read_design
-from foten.study.new_study import study_text
+from foten.study.design import read_design, study_text
 from foten.study.orders import balance, orders, planned, square, williams
 
 FILES = {

@@ -78,9 +78,9 @@ def test_what_participants_say_of_themselves_comes_out_in_sum(asked: Path) -> No
     assert (age["n"], age["mean"], age["sd"], age["answer"]) == ("3", "30", "10", "")
     gender = [(row["n"], row["answer"], row["count"]) for row in rows if row["question"] == "gender"]
     assert sorted(gender) == [("4", "man", "2"), ("4", "woman", "2")]
-    said = "age 30.0 ± 10.0 (n = 3); gender: man 2, woman 2; home: &lt;b&gt; here 1."
-    for name in ("report.html", "report.md"):
-        assert said in (asked / name).read_text(encoding="utf-8"), name
+    said = section((asked / "report.md").read_text(encoding="utf-8"), "Participants")
+    assert "| age | 3 | 30 | 10 |  |  |" in said
+    assert "| home | 1 |  |  | &lt;b&gt; here | 1 |" in said
     assert "fine, 0" not in (asked / "report.html").read_text(encoding="utf-8")
 
 
@@ -107,13 +107,13 @@ def test_every_column_has_a_meaning_and_every_table_says_that_ratings_are_simula
 def test_those_of_people_do_not(tmp_path: Path) -> None:
     path = database(tmp_path / "s.db", 4, 2, 2, simulated=False)
     write_report(results(path), tmp_path / "none")
-    assert "Participants</h2>" not in (tmp_path / "none/report.html").read_text(encoding="utf-8")
+    assert "## Participants" not in (tmp_path / "none/report.md").read_text(encoding="utf-8")
     with Store(path) as store:
         store.take_step(1, "questions:end", answers={"remarks": "fine"}, private={"age": "30"})
     write_report(results(path), tmp_path / "r")
     for file in (tmp_path / "r").glob("*.csv"):
         assert {row.get("simulated", "0") for row in table(file)} <= {"0"}, file.name
-    assert "age 30.0 (n = 1)." in (tmp_path / "r/report.md").read_text(encoding="utf-8")  # one has no SD
+    assert "| age | 1 | 30 |\n" in (tmp_path / "r/report.md").read_text(encoding="utf-8")  # one has no SD
 
 
 def cautioned(result: Result) -> set[str]:

@@ -21,8 +21,8 @@ from starlette.websockets import WebSocketDisconnect
 from foten.models.texture_file import read_texture, write_texture
 from foten.runtime.renderer import EXAMPLE
 from foten.studio.access import LOOPBACK, Access
+from foten.study.design import study_text
 from foten.study.loading import load_study
-from foten.study.new_study import study_text
 from foten.study.participant_page import ELSEWHERE
 from foten.study.store import Store
 from foten.study.study_server import OPERATOR_COOKIE, StudyServer, study_files
@@ -136,9 +136,8 @@ def test_a_participant_goes_through_all_steps_and_each_is_in_the_database(tmp_pa
         seen = []
         while page.step["kind"] != "end":
             seen.append(page.step["id"])
-            before = page.step["id"]
             page.answer(10.0 * len(seen))
-            assert before in server.store.done(1)  # before the page moves on
+            assert seen[-1] in server.store.done(1)  # before the page moves on
         trials = "trial:-1 trial:0 trial:1 trial:2 break:2 trial:3 trial:4"
         assert " ".join(seen) == f"consent questions:start instructions {trials} questions:end"
     with Store(tmp_path / "study.db") as store:
@@ -147,8 +146,7 @@ def test_a_participant_goes_through_all_steps_and_each_is_in_the_database(tmp_pa
         assert [row["response_s"] for row in rows] == [2.5] * 4
         designed = [(trial.texture, trial.method) for trial in store.trials(1) if not trial.practice]
         assert [(row["texture"], row["method"]) for row in rows] == designed
-        assert [one["question"] for one in store.abouts()] == ["age", "experience", "gender", "handedness"]
-        assert [one["question"] for one in store.answers()] == ["remarks"]
+        assert (len(store.abouts()), len(store.answers())) == (4, 1)  # those that are private, and the others
         assert store.counts()[1]["ended"] == 1
 
 
@@ -283,7 +281,9 @@ def test_two_screens_are_joined_by_a_code_and_the_operator_lets_trials_begin(tmp
             assert "there is no such code" in json.loads(socket.receive_text())["refused"]
 
 
-def test_after_a_restart_a_trial_goes_on_with_what_was_counted(tmp_path: Path) -> None:
+def test_a_trial_lasts_as_long_as_the_study_asks_and_goes_on_after_a_restart_with_what_was_counted(
+    tmp_path: Path,
+) -> None:
     """The page has counted on while the server was away: its answer is good at once."""
     path = study_file(tmp_path, practice="0", min_seconds="3")
     with joined(server_of(path), rate_hz=8000) as page:
@@ -295,6 +295,9 @@ def test_after_a_restart_a_trial_goes_on_with_what_was_counted(tmp_path: Path) -
         code, step_id = page.code, page.step["id"]
     with joined(server_of(path), code=code.lower()) as page:
         assert page.step["id"] == step_id
+        refused = page.done(rating=5.0, seconds=0.2)
+        assert "explore both surfaces for 3 s first" in refused["refused"]
+        assert (refused["step"], refused["again"]) == ("trial:1", False)
         page.done(rating=44.0, seconds=9.0)
         assert page.step["id"] == "trial:2"
     with Store(tmp_path / "study.db") as store:
@@ -362,15 +365,3 @@ def test_a_full_disk_is_said_to_the_page_and_the_answer_can_be_given_again(tmp_p
         page.answer(33.0)
         assert page.step["id"] == "trial:2"
     assert [row["rating"] for row in server.store.ratings()] == [33.0]
-
-
-def test_a_trial_lasts_as_long_as_the_study_asks(tmp_path: Path) -> None:
-    server = server_of(study_file(tmp_path, practice="0", min_seconds="1"))
-    with joined(server) as page:
-        page.to_trial()
-        refused = page.done(rating=5.0, seconds=0.2)
-        assert "explore both surfaces for 1 s first" in refused["refused"]
-        assert (refused["step"], refused["again"]) == ("trial:1", False)
-        time.sleep(1.0)
-        page.done(rating=5.0, seconds=1.2)
-        assert page.step["id"] == "trial:2"

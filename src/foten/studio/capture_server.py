@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import importlib.util
 import sys
-from collections.abc import AsyncIterator, Callable, Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -65,12 +65,11 @@ class TrainingQueue:
             # Whatever goes wrong, the page waits for an answer.
             try:
                 await self._run(folder, say)
-            except (OSError, ValueError) as error:
+            except Exception as error:
                 why = reason(error) if isinstance(error, OSError) else brief(error)
                 say({"refused": f"the training failed: {why}"})
-            except Exception as error:
-                say({"refused": f"the training failed: {type(error).__name__}: {brief(error)}"})
-                raise  # a fault of ours: the server's log has it too
+                if not isinstance(error, OSError | ValueError):
+                    raise  # a fault of ours: the server's log has it too
 
     async def _run(self, folder: Path, say: Callable[[Mapping[str, Any]], None]) -> None:
         # A process of its own, by a command: what renders here is not disturbed, and ends are clean.
@@ -86,7 +85,9 @@ class TrainingQueue:
         errors = asyncio.create_task(process.stderr.read())
         try:
             ended = False
-            async for progress in _printed(process.stdout):
+            async for line in process.stdout:
+                progress = parse_json(line)
+                check_numbers(progress, "its progress")
                 for kind in ("playable", "done"):
                     if kind in progress:
                         progress[kind] = self._shelf.put(folder / progress[kind]).listed()
@@ -101,30 +102,6 @@ class TrainingQueue:
             if process.returncode is None:
                 process.kill()
                 await process.wait()
-
-
-async def _printed(stream: asyncio.StreamReader) -> AsyncIterator[dict[str, Any]]:
-    """JSON objects that a training prints, each on a line.
-
-    Raises:
-        ValueError: a line is none, or too long.
-    """
-    while True:
-        try:
-            line = await stream.readline()
-        except ValueError:
-            raise ValueError(f"it said a line of more than {MAX_LINE_BYTES} bytes") from None
-        if not line:
-            return
-        try:
-            progress = parse_json(line)
-            check_numbers(progress, "it")
-        except ValueError:
-            progress = None
-        if not isinstance(progress, dict):
-            text = line.decode("utf-8", "replace").strip()
-            raise ValueError(f"it said {text[: LONGEST_TEXT // 2]!r}, expected a JSON object")
-        yield progress
 
 
 class CapturePage(PageSocket):

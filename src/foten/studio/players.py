@@ -120,8 +120,9 @@ class RoundRobinRenderer:
     Threads of their own would wait for Python's lock: twenty pages then fall behind (`benchmarks/studio_load.py`).
     """
 
-    def __init__(self, block_ms: float = BLOCK_MS) -> None:
-        self.block_s = block_ms / 1000
+    block_s = BLOCK_MS / 1000
+
+    def __init__(self) -> None:
         self._changing = threading.Lock()
         self._players: list[RoundRobinPlayer] = []
         self._thread: threading.Thread | None = None
@@ -149,16 +150,13 @@ class RoundRobinRenderer:
         while self._render_all(due):
             due += self.block_s
             now = time.perf_counter()
-            if now > due + MAX_BEHIND_S:
-                self._skip(int((now - due) / self.block_s))
+            if now > due + MAX_BEHIND_S:  # blocks are left out, and missed
+                with self._changing:
+                    for player in self._players:
+                        player.statistics.n_missed += int((now - due) / self.block_s)
                 due = now
             elif now < due:
                 time.sleep(due - now)
-
-    def _skip(self, n: int) -> None:
-        with self._changing:
-            for player in self._players:
-                player.statistics.n_missed += n
 
     def _render_all(self, due: float) -> bool:
         """Render a block for each player; whether there is any."""

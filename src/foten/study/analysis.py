@@ -170,7 +170,7 @@ class _Analysis:
     def _mixed(self) -> dict[str, Any] | None:
         index = np.nonzero(np.isfinite(self.values))
         try:
-            model = mixed_model(*index, self.values[index])
+            model = mixed_model(index[0], index[1], index[2], self.values[index])
         except (ValueError, np.linalg.LinAlgError) as error:
             self.cautions.append(f"no mixed model could be fitted: {error}")
             return None

@@ -49,7 +49,7 @@ def new(
     foten study new similarity.toml denim-ar.foten denim.foten mesh-ar.foten mesh.foten
     """
     from foten.atomic_write import atomic_write
-    from foten.study.new_study import files_by_method, study_text
+    from foten.study.design import files_by_method, study_text
     from foten.study.raters import MIN_DIFFERENCE, participants_for
 
     check_folders([output])
@@ -168,10 +168,9 @@ def status(database: Database, as_json: JsonOption = False) -> None:
         kind = "simulated raters" if store.simulated else "participants"
         trials = sum(trial.number > 0 for trial in store.trials(store.ordered()[0]))
         rows = [f"{store.study['title']}: {len(counts)} {kind}, {sum(count['n'] for count in counts.values())} ratings"]
-        rows += [
-            f"{number:4d}  {row['code']}  {row['n']:3d} of {trials}  last {(row['last'] or row['joined'])[:16].replace('T', ' ')}"
-            for number, row in counts.items()
-        ]
+        for number, row in counts.items():
+            last = (row["last"] or row["joined"])[:16].replace("T", " ")
+            rows.append(f"{number:4d}  {row['code']}  {row['n']:3d} of {trials}  last {last}")
         rows += faults or ["the file is sound: every check of SQLite holds, no trial is rated twice"]
         document = {
             "title": store.study["title"],
@@ -241,6 +240,7 @@ def power(
 
     foten study power --difference 9
     """
+    from foten.reporting.table import Table
     from foten.study.design import read_design
     from foten.study.raters import needed, paper_raters, raters_for
 
@@ -253,18 +253,13 @@ def power(
         points = 8.75 if difference is None else difference
         raters, of = raters_for(methods, textures, points, sd, correlation), f"a difference of {points:g} points"
     table, smallest = needed(raters, studies, seed)
-    names = [name for name in table[0] if name != "participants"]
+    cells = [[f"{row['participants']:.0f}", *(f"{share:.2f}" for share in list(row.values())[1:])] for row in table]
     rows = [f"{of}, {methods} methods × {textures} textures, sd {raters.sd:g}, correlation {correlation:g}, α = 0.05"]
-    rows.append("participants  " + "  ".join(f"{name:>16s}" for name in names))
-    rows += [f"{row['participants']:12.0f}  " + "  ".join(f"{row[name]:16.2f}" for name in names) for row in table]
-    rows.append(
-        "no number up to 60 finds a pair in 80 %"
-        if smallest is None
-        else f"{smallest} participants find a pair in 80 % of studies"
-    )
-    rows.append(
-        "pair: the last method from another on one texture, after Holm's adjustment; all pairs: on every texture from every other"
-    )
+    rows += Table.of(table[0], cells).text()
+    rows += [
+        f"participants who find a pair in 80 % of studies: {'more than 60' if smallest is None else smallest}",
+        "pair: the last method from another on one texture, after Holm's adjustment; all pairs: on every texture from each other",
+    ]
     print_result({"power": table, "participants": smallest}, "\n".join(rows), as_json)
 
 

@@ -20,7 +20,6 @@ from foten.reporting.table import MAX_ROWS, Table
 from foten.study.analysis import Result
 from foten.study.rating_figures import bars, panels
 
-MAX_ANSWERS_LISTED = 8  # different answers to a question
 CI = "95 % CI, not adjusted"
 MARK = "Simulated ratings: of a model of raters, and not of people."
 FIGURES = {
@@ -82,9 +81,12 @@ def write_report(result: Result, folder: Path) -> list[Path]:
 def _csv(rows: Sequence[Sequence[Any]]) -> str:
     """CSV of rows; a cell without a value is empty."""
     out = io.StringIO()
-    cells = [[f"{cell:.6g}" if isinstance(cell, float) else cell for cell in row] for row in rows]
-    csv.writer(out, lineterminator="\n").writerows(cells)
+    csv.writer(out, lineterminator="\n").writerows([[_text(cell) for cell in row] for row in rows])
     return out.getvalue()
+
+
+def _text(cell: Any) -> str:
+    return "" if cell is None else f"{cell:.6g}" if isinstance(cell, float) else str(cell)
 
 
 def _long(result: Result) -> list[Sequence[Any]]:
@@ -132,28 +134,20 @@ def _participants(result: Result) -> list[Sequence[Any]]:
     simulated = int(result.ratings.simulated)
     for question, answers in _by_question(result).items():
         if numbers := _numbers(answers):
-            summary = statistics.fmean(numbers), _sd(numbers)
-            rows.append([question, len(answers), *summary, None, None, simulated])
+            sd = statistics.stdev(numbers) if len(numbers) > 1 else None
+            rows.append([question, len(answers), statistics.fmean(numbers), sd, None, None, simulated])
         else:
             counts = Counter(answers).most_common()
             rows += [[question, len(answers), None, None, answer, count, simulated] for answer, count in counts]
     return rows
 
 
-def _participants_paragraph(result: Result) -> str:
-    """The same as a line to read; empty where nothing was asked."""
-    parts = []
-    for question, answers in _by_question(result).items():
-        counts = Counter(answers)
-        if numbers := _numbers(answers):
-            sd = _sd(numbers)
-            spread = "" if sd is None else f" ± {sd:.1f}"
-            parts.append(f"{question} {statistics.fmean(numbers):.1f}{spread} (n = {len(answers)})")
-        elif len(counts) <= MAX_ANSWERS_LISTED:
-            parts.append(f"{question}: {', '.join(f'{answer} {count}' for answer, count in counts.most_common())}")
-        else:
-            parts.append(f"{question}: {len(counts)} different answers, in participants.csv")
-    return f"{'; '.join(parts)}." if parts else ""
+def _participants_table(result: Result) -> list[Table]:
+    """The same to be read; none where nothing was asked."""
+    heads, *rows = [[_text(cell) for cell in row[:-1]] for row in _participants(result)]
+    notes = (f"The first {MAX_ROWS} of {len(rows)} rows; participants.csv has all.",) if len(rows) > MAX_ROWS else ()
+    table = replace(Table.of(heads, rows[:MAX_ROWS]), title="Participants", notes=notes)
+    return [table.without_empty_columns()] if rows else []
 
 
 def _by_question(result: Result) -> dict[str, list[str]]:
@@ -174,10 +168,6 @@ def _numbers(answers: Sequence[str]) -> list[float]:
     return numbers if all(map(math.isfinite, numbers)) else []
 
 
-def _sd(numbers: Sequence[float]) -> float | None:
-    return statistics.stdev(numbers) if len(numbers) > 1 else None
-
-
 def _tables(result: Result) -> list[Table]:
     """Tables for people, but for those of each texture."""
     document, several = result.document, len(result.ratings.textures) > 1
@@ -195,7 +185,7 @@ def _tables(result: Result) -> list[Table]:
         rows = [(term["name"], _short(term["f"]), _df(term), _short(term["p"])) for term in model["terms"]]
         title = f"Linear mixed model of all {model['n_ratings']} ratings"
         tables.append(replace(Table.of(("effect", "F", "df", "p"), rows), title=title))
-    return [*tables, *_agreement(document["reliability"])]
+    return [*_participants_table(result), *tables, *_agreement(document["reliability"])]
 
 
 def _means(means: list[dict[str, Any]]) -> Table:
@@ -224,7 +214,7 @@ def _analyses_of_variance(document: dict[str, Any], several: bool) -> Table:
 
 def _tests(title: str, tests: list[dict[str, Any]], columns: dict[str, str], file: str) -> Table:
     """Tests of pairs, those of the lowest p where they are too many, in their order."""
-    shown, notes = tests, ()
+    shown, notes = tests, tuple[str, ...]()
     if len(tests) > MAX_ROWS:
         lowest = sorted(range(len(tests)), key=lambda k: 2.0 if tests[k]["p"] is None else tests[k]["p"])[:MAX_ROWS]
         shown = [tests[k] for k in sorted(lowest)]
@@ -290,8 +280,6 @@ def _html(result: Result, figures: dict[str, str]) -> str:
     parts.append(f"<h2>Ratings by method and texture</h2><figure>{figures['ratings']}</figure>")
     parts.append("<h2>In words</h2>")
     parts += [f"<p>{html.escape(sentence)}</p>" for sentence in result.sentences]
-    if paragraph := _participants_paragraph(result):
-        parts.append(f"<h2>Participants</h2><p>{html.escape(paragraph)}</p>")
     parts += [f"<h2>{html.escape(table.title)}</h2>{_html_of(table)}" for table in _tables(result)]
     if within:
         parts.append(f"<h2>{WITHIN}</h2>")
@@ -316,8 +304,7 @@ def _markdown(result: Result) -> str:
         parts.append(f"**{MARK}**")
     parts += [f"> {caution}" for caution in result.cautions]
     parts += ["![Ratings by method and texture](ratings.png)", *result.sentences]
-    if paragraph := _participants_paragraph(result):
-        parts += ["## Participants", html.escape(paragraph, quote=False)]  # Markdown lets HTML through
-    parts += [f"#{table.markdown().rstrip()}" for table in (*_tables(result), *_within(result))]
+    tables = *_tables(result), *_within(result)
+    parts += [f"#{html.escape(table.markdown().rstrip(), quote=False)}" for table in tables]  # HTML would pass through
     parts.append("![Each texture](textures.png)")
     return "\n\n".join(parts) + "\n"

@@ -84,17 +84,7 @@ GUARDS = {
         for table in ("ratings", "participants")
     },
 }
-TABLES_OF_PARTICIPANT = (
-    "switches",
-    "strokes",
-    "ratings",
-    "steps",
-    "answers",
-    "abouts",
-    "consents",
-    "participants",
-    "trials",
-)
+TABLES_BY_PARTICIPANT = ("switches", "strokes", "ratings", "steps", "answers", "abouts", "consents", "trials")
 
 # Ratings, of each chain of corrections the last.
 VALID_RATINGS = "SELECT * FROM ratings WHERE NOT EXISTS (SELECT 1 FROM ratings later WHERE later.corrects = ratings.id)"

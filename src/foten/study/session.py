@@ -1,4 +1,4 @@
-"""One participant while the study runs: the present step, the pages that show it, and the contact of its trial."""
+"""One participant while the study runs: the steps, the pages that show the present one, and the contact of its trial."""
 
 from __future__ import annotations
 
@@ -18,17 +18,21 @@ from foten.runtime.live.live import LiveStatistics, Timing
 from foten.studio.live_contact import Contact
 from foten.studio.messages import RefusedError
 from foten.studio.websocket import packed_block
+from foten.study.design import Design, Question
 from foten.study.orders import Trial
-from foten.study.steps import Step, checked_answers, public_step, steps_of
 from foten.study.store import Rated
 
 if TYPE_CHECKING:
     from foten.study.participant_page import ParticipantPage
     from foten.study.study_server import StudyServer
 
+MAX_ANSWER_LENGTH = 2000  # characters
 SAVE_STROKES_S = 3.0  # between two writings of a stroke
 CLOCK_TOLERANCE_S = 0.25  # by which a page's clock may be ahead of the server's
 MIN_CONTACT_N = 0.01  # of force, below which the pen does not count as in contact
+
+
+Step = dict[str, Any]  # with an `id` and a `kind`
 
 
 class NotYetError(RefusedError):
@@ -132,8 +136,7 @@ class Session:
             log["n_underruns"] = None if "underruns" not in message else int(message["underruns"])
         page = next((page for page in self.pages if page.strokes), None)
         if page is not None:
-            log |= {"volume_db": page.volume_db, "rate_hz": page.rate_hz, "n_unsent": page.blocks.n_unsent}
-            page.blocks.n_unsent = 0
+            log |= {"volume_db": page.volume_db, "rate_hz": page.rate_hz}
         seconds = message.get("seconds")
         return Rated(float(message["rating"]), None if seconds is None else float(seconds), self.n_switches, log)
 
@@ -259,10 +262,9 @@ class TrialLog:
         """
         in_contact = np.array([c for c in list(self.conditions) if c[1] > MIN_CONTACT_N]).reshape(-1, 2)
         result: dict[str, Any] = {"contact_s": round(self.block_s * len(in_contact), 3)}
-        for name, column in (("speed_mm_s", 0), ("force_n", 1)):
+        for name, values in zip(("speed_mm_s", "force_n"), in_contact.T, strict=True):
             for percent in (10, 50, 90):
-                value = float(np.percentile(in_contact[:, column], percent)) if len(in_contact) else None
-                result[f"{name}_p{percent}"] = None if value is None else round(value, 4)
+                result[f"{name}_p{percent}"] = round(float(np.percentile(values, percent)), 4) if values.size else None
         block, contacts = Timing(), [*self.ended, *live]
         for contact in contacts:
             block.counts += contact.block.counts
@@ -275,3 +277,80 @@ class TrialLog:
             "n_underruns": sum(contact.n_underruns for contact in contacts),
             "n_contacts": len(contacts),
         }
+
+
+def steps_of(design: Design, trials: Sequence[Trial]) -> list[Step]:
+    """Steps of a participant with these trials, in order."""
+    steps: list[Step] = []
+    if design.consent.strip():
+        steps.append({"id": "consent", "kind": "consent", "text": design.consent})
+    steps += _questions(design.questions, "start")
+    steps.append({"id": "instructions", "kind": "instructions", "text": design.instructions})
+    counted = sum(not trial.practice for trial in trials)
+    for trial in trials:
+        n = trial.number
+        steps.append({"id": f"trial:{n}", "kind": "trial", "n": n, "of": counted, "trial": trial})
+        if n < 1 or n == counted:
+            continue
+        steps += _questions(design.questions, n)
+        if design.break_every and n % design.break_every == 0:
+            steps.append({"id": f"break:{n}", "kind": "break", "n": n, "of": counted})
+    return [*steps, *_questions(design.questions, "end"), {"id": "end", "kind": "end"}]
+
+
+def _questions(questions: Sequence[Question], at: str | int) -> list[Step]:
+    asked = [question for question in questions if question.at == at]
+    return [{"id": f"questions:{at}", "kind": "questions", "questions": asked}] if asked else []
+
+
+def public_step(step: Step, design: Design) -> Step:
+    """What a participant's page gets of a step: nothing of methods."""
+    public: Step = {name: value for name, value in step.items() if name not in ("trial", "questions")}
+    if step["kind"] == "questions":
+        public["questions"] = [
+            {"key": q.key, "text": q.text, "kind": q.kind, "options": list(q.options), "required": q.required}
+            for q in step["questions"]
+        ]
+    if step["kind"] == "trial":
+        trial: Trial = step["trial"]
+        texture, rating, setup = design.textures[trial.texture], design.rating, design.setup
+        public |= {"practice": trial.practice, "real_side": setup.real_side, "screens": setup.screens}
+        public |= {"question": rating.question, "lowest": rating.lowest, "highest": rating.highest}
+        public |= {"min_s": rating.min_seconds}
+        if setup.show_names:
+            public |= {"name": texture.name, "picture": f"pictures/{trial.texture}" if texture.picture else None}
+    return public
+
+
+def checked_answers(questions: Sequence[Question], answers: Any) -> tuple[dict[str, str], dict[str, str]]:
+    """Answers of a questionnaire by question, those that are not private and those that are.
+
+    Raises:
+        RefusedError: an answer is missing, or is none to its question.
+    """
+    public: dict[str, str] = {}
+    private: dict[str, str] = {}
+    if not isinstance(answers, dict):
+        raise RefusedError("answers are no object")
+    for question in questions:
+        answer = answers.get(question.key, "")
+        if not isinstance(answer, str) or len(answer) > MAX_ANSWER_LENGTH:
+            raise RefusedError(f"{question.text}: expected up to {MAX_ANSWER_LENGTH} characters")
+        answer = answer.strip()
+        if not answer:
+            if question.required:
+                raise RefusedError(f"{question.text}: an answer is missing")
+            continue
+        if question.kind in ("number", "slider") and not _is_number(answer):
+            raise RefusedError(f"{question.text}: {answer[:40]!r} is no number")
+        if question.kind == "choice" and answer not in question.options:
+            raise RefusedError(f"{question.text}: {answer[:40]!r} is none of the choices")
+        (private if question.private else public)[question.key] = answer
+    return public, private
+
+
+def _is_number(text: str) -> bool:
+    try:
+        return math.isfinite(float(text))
+    except ValueError:
+        return False

@@ -27,6 +27,7 @@ from foten.study.schema import Stimulus, faults_of, now
 from foten.untrusted import check_regular
 
 BUSY_S = 10.0  # to wait for another writer
+FULL = ("SQLITE_FULL", "SQLITE_IOERR", "SQLITE_READONLY", "SQLITE_CANTOPEN")  # how errors of a disk are called
 
 
 class FullError(OSError):
@@ -43,7 +44,7 @@ class Rated:
     log: Mapping[str, Any] = field(default_factory=dict)  # of `session.TrialLog`
 
 
-class Store:
+class Store(contextlib.AbstractContextManager["Store"]):
     """An open study. It belongs to one thread at a time.
 
     Raises:
@@ -104,9 +105,6 @@ class Store:
             self._lock.close()
             self._lock = None
 
-    def __enter__(self) -> Store:
-        return self
-
     def __exit__(self, *exc: object) -> None:
         self.close()
 
@@ -125,10 +123,9 @@ class Store:
         except BaseException as error:
             with contextlib.suppress(sqlite3.Error):
                 self._execute("ROLLBACK")
-            if isinstance(error, sqlite3.OperationalError) and _is_full(error):
-                raise FullError(
-                    f"{self.path.name}: the disk is full or cannot be written; what was there is there"
-                ) from error
+            if isinstance(error, sqlite3.OperationalError) and error.sqlite_errorname.startswith(FULL):
+                why = "the disk is full or cannot be written; what was there is there"
+                raise FullError(f"{self.path.name}: {why}") from error
             raise
 
     def _execute(self, statement: str, *values: Any) -> sqlite3.Cursor:
@@ -237,15 +234,14 @@ class Store:
         if not reason.strip():
             raise ValueError("a correction needs a reason")
         with self._writing():
-            rows = self._rows(f"{schema.VALID_RATINGS} AND participant = ? AND trial = ?", participant, trial)
-            if not rows:
-                raise ValueError(f"participant {participant} has no rating of trial {trial}")
-            self._execute(
+            corrected = self._execute(
                 "INSERT INTO ratings (participant, trial, rating, response_s, switches, measured, at, software, simulated, "
                 "corrects, reason) SELECT participant, trial, ?, response_s, switches, measured, ?, ?, simulated, id, ? "
-                "FROM ratings WHERE id = ?",
-                *(rating, now(), __version__, reason, rows[0]["id"]),
+                f"FROM ({schema.VALID_RATINGS}) WHERE participant = ? AND trial = ?",
+                *(rating, now(), __version__, reason, participant, trial),
             )
+            if not corrected.rowcount:
+                raise ValueError(f"participant {participant} has no rating of trial {trial}")
             self._log(f"participant {participant}, trial {trial}: corrected to {rating:g}: {reason}")
 
     def add_switch(self, participant: int, trial: int, side: str, marked_by: str) -> None:
@@ -315,7 +311,7 @@ class Store:
 
     def log(self) -> list[tuple[str, str]]:
         """Lines of the log, with times."""
-        return [(row["at"], row["what"]) for row in self._rows("SELECT * FROM log ORDER BY id")]
+        return [tuple(row) for row in self._rows("SELECT at, what FROM log ORDER BY id")]
 
     def _log(self, what: str) -> None:
         self._execute("INSERT INTO log (at, what) VALUES (?, ?)", now(), what)
@@ -370,9 +366,9 @@ class Store:
                 for name in schema.GUARDS:
                     self._execute(f"DROP TRIGGER {name}")
                 self._execute("PRAGMA defer_foreign_keys = ON")
-                for table in schema.TABLES_OF_PARTICIPANT:
-                    column = "number" if table == "participants" else "participant"
-                    self._execute(f"DELETE FROM {table} WHERE {column} = ?", participant)
+                for table in schema.TABLES_BY_PARTICIPANT:
+                    self._execute(f"DELETE FROM {table} WHERE participant = ?", participant)
+                self._execute("DELETE FROM participants WHERE number = ?", participant)
                 # Its corrections name the participant.
                 self._execute("DELETE FROM log WHERE what LIKE ?", f"participant {participant},%")
                 self._log(removed)
@@ -384,13 +380,8 @@ class Store:
         except sqlite3.OperationalError as error:
             raise OSError(f"{self.path.name} is in use ({error}): end 'foten study run' first") from error
         if busy:
-            raise OSError(
-                f"{self.path.name} is in use, and parts of it may keep what was removed: end 'foten study run', do it again"
-            )
-
-
-def _is_full(error: sqlite3.OperationalError) -> bool:
-    return error.sqlite_errorname.startswith(("SQLITE_FULL", "SQLITE_IOERR", "SQLITE_READONLY", "SQLITE_CANTOPEN"))
+            why = "in use, and parts of it may keep what was removed: end 'foten study run', do it again"
+            raise OSError(f"{self.path.name} is {why}")
 
 
 def _lock(file: int) -> None:
