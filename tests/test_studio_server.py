@@ -75,7 +75,8 @@ def until(socket: Any, *keys: str) -> dict[str, Any]:
                 return document
 
 
-def until_opened(socket: Any) -> dict[str, Any]:
+def open_texture(socket: Any, **options: Any) -> dict[str, Any]:
+    socket.send_text(json.dumps({"do": "open", "texture": KEY, **options}))
     return until(socket, "opened", "refused")
 
 
@@ -135,8 +136,7 @@ def test_a_name_is_looked_up_and_is_no_path(client: TestClient, path: str) -> No
 
 def test_a_stroke_is_rendered_and_sent_back(client: TestClient, studio: Studio) -> None:
     with client.websocket_connect(f"{WS}/stroke") as socket:
-        socket.send_text(json.dumps({"do": "open", "texture": KEY, "rate_hz": 8000}))
-        assert until_opened(socket) == {"opened": KEY, "sink": "stream", "rate_hz": 8000.0}
+        assert open_texture(socket, rate_hz=8000) == {"opened": KEY, "sink": "stream", "rate_hz": 8000.0}
         loudest = fastest = firmest = 0.0
         begin = time.monotonic()
         n = 0
@@ -175,8 +175,7 @@ def test_a_page_is_played_through_a_daq(daq: FakeDaq) -> None:
     studio = Studio(Shelf([EXAMPLE]), output_device=OutputDevice("daq:Dev1/ao0", COIL))
     drawn: list[NDArray[np.float32]] = []
     with stroking(studio) as socket:
-        socket.send_text(json.dumps({"do": "open", "texture": KEY, "sink": "device", "rate_hz": 8000}))
-        assert until(socket, "opened")["sink"] == "device"
+        assert open_texture(socket, sink="device", rate_hz=8000)["sink"] == "device"
         begin = time.monotonic()
         while time.monotonic() - begin < 10 and sum(np.abs(one).max() > 1e-3 for one in drawn) < 20:
             socket.send_bytes(event(0.4 * len(drawn), 0.005 * len(drawn)))
@@ -206,29 +205,24 @@ def test_a_page_that_opens_slowly_is_not_taken_for_one_that_died(
     monkeypatch.setattr(Contact, "open", slowly)
     monkeypatch.setattr(studio_server, "STATE_S", 0.05)
     with stroking(studio) as socket:
-        socket.send_text(json.dumps({"do": "open", "texture": KEY}))
-        assert "opened" in until_opened(socket)
+        assert "opened" in open_texture(socket)
         socket.send_bytes(event(0.0, 0.0))
         assert "state" in until(socket, "state", "refused")
 
 
 def test_a_device_that_goes_is_said_and_the_page_may_open_again(daq: FakeDaq) -> None:
     studio = Studio(Shelf([EXAMPLE]), output_device=OutputDevice("daq:Dev1/ao0", gain=0.5))
-    opening = json.dumps({"do": "open", "texture": KEY, "sink": "device", "rate_hz": 8000})
     with stroking(studio) as socket:
-        socket.send_text(opening)
-        assert "opened" in until_opened(socket)
+        assert "opened" in open_texture(socket, sink="device", rate_hz=8000)
         daq.fails = "samples"
         assert "plays no more: the NI-DAQ takes no samples" in until(socket, "refused")["refused"]
         daq.fails = ""
-        socket.send_text(opening)
-        assert "opened" in until_opened(socket)
+        assert "opened" in open_texture(socket, sink="device", rate_hz=8000)
 
 
 def test_pages_have_states_of_their_own(client: TestClient, studio: Studio) -> None:
     with client.websocket_connect(f"{WS}/stroke") as one, client.websocket_connect(f"{WS}/stroke") as other:
-        one.send_text(json.dumps({"do": "open", "texture": KEY}))
-        until_opened(one)
+        open_texture(one)
         other.send_bytes(event(0, 0))
         assert "before a texture was opened" in json.loads(other.receive()["text"])["refused"]
         state = client.get("/state").json()

@@ -163,12 +163,11 @@ class StrokePage(PageSocket):
         await self.converse(self._blocks.send(), self._send_state())
 
     async def leave(self) -> None:
-        contacts = self._contact, self._opening
+        contacts = [contact for contact in (self._contact, self._opening) if contact is not None]
         self._contact = self._opening = None
         for contact in contacts:
-            if contact is not None:
-                with contextlib.suppress(OSError, ValueError, RuntimeError):  # the page was sent why it died
-                    await asyncio.to_thread(contact.close)
+            with contextlib.suppress(OSError, ValueError, RuntimeError):  # the page was sent why it died
+                await asyncio.to_thread(contact.close)
 
     def state(self) -> dict[str, Any]:
         """How the page does, for people."""
@@ -178,9 +177,9 @@ class StrokePage(PageSocket):
         if contact is not None:
             live = contact.statistics
             known |= {"block_ms": live.block_ms, "n_missed": live.n_missed, "n_underruns": live.n_underruns}
-            for name, percent in (("p50", 50.0), ("p99", 99.0)):
+            for percent in (50, 99):
                 value = 1000 * live.block.percentile_s(percent)
-                known[f"block_{name}_ms"] = None if np.isnan(value) else value
+                known[f"block_p{percent}_ms"] = None if np.isnan(value) else value
             known["stylus"] = contact.stylus_counts
         return known
 

@@ -256,22 +256,16 @@ class _Analysis:
             what = f"paired t-tests of all {many} pairs of methods"
         else:
             what = f"paired t-tests of the {many} other methods against {self.methods[self.reference]}"
+        where, of = ("each texture", f"of {b} textures") if b > 1 else ("the one texture", "of it")
         sentences = []
         for name, key in (("Bonferroni", "p_bonferroni"), ("Holm", "p_holm"))[: 1 if many == 1 else 2]:
             results = []
             for k, (i, j) in enumerate(family):
-                first, second = self.methods[i], self.methods[j]
                 up = sum(bool(t.difference[k] > 0 and getattr(t, key)[k] < ALPHA) for t in within)
                 down = sum(bool(t.difference[k] < 0 and getattr(t, key)[k] < ALPHA) for t in within)
-                if b > 1:
-                    results.append(f"{first} above {second} on {up}, below on {down}")
-                elif up or down:
-                    results.append(f"{first} {'above' if up else 'below'} {second}")
-                else:
-                    results.append(f"no significant difference between {first} and {second}")
+                results.append(f"{self.methods[i]} above {self.methods[j]} on {up}, below on {down}")
             corrected = f", {name}-corrected for {many}" if many > 1 else ""
-            where, of = ("each texture", f"of {b} textures, ") if b > 1 else ("the one texture", "")
-            sentences.append(f"Within {where}, {what}{corrected}: {of}{'; '.join(results)}.")
+            sentences.append(f"Within {where}, {what}{corrected}: {of}, {'; '.join(results)}.")
         return sentences
 
 

@@ -53,16 +53,11 @@ class OperatorPage(PageSocket):
 
     async def _show(self) -> None:
         server = self._server
+        design = server.design
+        about = {"title": design.title, "planned": design.participants, "simulated": server.store.simulated}
+        about |= {"operator": design.setup.operator, "screens": design.setup.screens}
         while True:
-            await self.say(
-                {
-                    "title": server.design.title,
-                    "planned": server.design.participants,
-                    "simulated": server.store.simulated,
-                    "operator": server.design.setup.operator,
-                    "screens": server.design.setup.screens,
-                    "link": server.link(),  # another after each use: the codes to scan are drawn anew
-                    "sessions": [session.for_operator() for session in server.sessions.values()],
-                }
-            )
+            # Another link after each use: the codes to scan are drawn anew.
+            sessions = [session.for_operator() for session in server.sessions.values()]
+            await self.say({**about, "link": server.link(), "sessions": sessions})
             await asyncio.sleep(REFRESH_S)

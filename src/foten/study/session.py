@@ -127,18 +127,17 @@ class Session:
         min_s = self.server.design.rating.min_seconds
         shown_s = time.monotonic() - self.shown_at if self.shown_at else 0.0
         # The page has counted on while the server was away.
-        if max(shown_s, float(message.get("seconds") or 0.0)) < min_s - CLOCK_TOLERANCE_S:
+        if max(shown_s, message.get("seconds", 0.0)) < min_s - CLOCK_TOLERANCE_S:
             raise RefusedError(f"explore both surfaces for {min_s:g} s first")
 
     def _rated(self, message: Mapping[str, Any]) -> Rated:
         log = self._log.summary([] if self.contact is None else [self.contact.statistics])
         if self.server.output is None:  # the sound runs dry in the tablet, if anywhere, and its page counts that
-            log["n_underruns"] = None if "underruns" not in message else int(message["underruns"])
+            log["n_underruns"] = message.get("underruns")
         page = next((page for page in self.pages if page.strokes), None)
         if page is not None:
             log |= {"volume_db": page.volume_db, "rate_hz": page.rate_hz}
-        seconds = message.get("seconds")
-        return Rated(float(message["rating"]), None if seconds is None else float(seconds), self.n_switches, log)
+        return Rated(message["rating"], message.get("seconds"), self.n_switches, log)
 
     async def turn(self, side: str, marked_by: str) -> None:
         """Go over to the real or the virtual surface; on the real surface the virtual one is silent."""
@@ -232,9 +231,9 @@ class Session:
     def for_operator(self) -> dict[str, Any]:
         """What the operator's page gets: the texture, and nothing of the method."""
         step = self.step
-        trials = [s["id"] for s in self.steps if s["kind"] == "trial" and s["n"] > 0]
+        done = [s["id"] in self.done for s in self.steps if s["kind"] == "trial" and s["n"] > 0]
         shown: dict[str, Any] = {"number": self.number, "code": self.code, "step": step["id"], "kind": step["kind"]}
-        shown |= {"n": sum(trial in self.done for trial in trials), "of": len(trials), "held": self.held}
+        shown |= {"n": sum(done), "of": len(done), "held": self.held}
         shown |= {"pages": sorted(page.role for page in self.pages), "side": self.side, "switches": self.n_switches}
         if step["kind"] == "trial":
             texture = self.server.design.textures[step["trial"].texture]

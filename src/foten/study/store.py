@@ -134,8 +134,6 @@ class Store(contextlib.AbstractContextManager["Store"]):
     def _rows(self, query: str, *values: Any) -> list[sqlite3.Row]:
         return self._execute(query, *values).fetchall()
 
-    # Participants
-
     def join(self, code: str) -> int:
         """Add a participant under a code; the number, the next that is free.
 
@@ -170,8 +168,6 @@ class Store(contextlib.AbstractContextManager["Store"]):
     def done(self, participant: int) -> set[str]:
         """Steps that a participant has behind."""
         return {str(row[0]) for row in self._rows("SELECT step FROM steps WHERE participant = ?", participant)}
-
-    # Answers
 
     def take_step(
         self,
@@ -274,8 +270,6 @@ class Store(contextlib.AbstractContextManager["Store"]):
         data = b"".join(zlib.decompress(row[0]) for row in rows)
         return np.frombuffer(data, dtype="<f8").reshape(-1, 4)
 
-    # What is there
-
     def ratings(self) -> list[dict[str, Any]]:
         """Valid ratings without practice: participant, trial, texture, method (as numbers and as keys), rating, response_s,
         switches, measured, simulated, sha256, corrected.
@@ -319,8 +313,6 @@ class Store(contextlib.AbstractContextManager["Store"]):
     def check(self) -> list[str]:
         """Lines that say what is wrong with the file: none, as a rule."""
         return faults_of(self._connection)
-
-    # The two exceptions
 
     def backup(self, path: Path) -> int:
         """Copy the study to another file, while it is being written to; the number of valid ratings in the copy.

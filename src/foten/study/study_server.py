@@ -85,15 +85,12 @@ class StudyServer:
         Raises:
             RefusedError: the design has no more.
         """
-        if code is None:
-            code = "".join(secrets.choice(LETTERS) for _ in range(CODE_LETTERS))
-        elif len(code) != CODE_LETTERS or not set(code) <= set(LETTERS):
+        code = code or "".join(secrets.choice(LETTERS) for _ in range(CODE_LETTERS))
+        if len(code) != CODE_LETTERS or not set(code) <= set(LETTERS):
             raise RefusedError(f"join: fresh is {code[:40]!r}, expected {CODE_LETTERS} letters")
-        for session in self.sessions.values():
-            if session.code == code:
-                return session
+        known = next((session for session in self.sessions.values() if session.code == code), None)
         try:
-            return await self.on_disk(lambda: self._session(self.store.join(code), code))
+            return known or await self.on_disk(lambda: self._session(self.store.join(code), code))
         except (ValueError, OSError) as error:
             raise RefusedError(str(error)) from error
 
@@ -142,9 +139,8 @@ class StudyServer:
             moved.set_cookie(OPERATOR_COOKIE, self.operator_key, httponly=True, samesite="lax", secure=secure)
             return moved
         if not self._is_operator(request.headers):
-            return PlainTextResponse(
-                "this page is the operator's: open the link that the server printed\n", status_code=403
-            )
+            why = "this page is the operator's: open the link that the server printed\n"
+            return PlainTextResponse(why, status_code=403)
         return FileResponse(PAGES / OPERATOR_PAGE, media_type="text/html")
 
     async def _code(self, request: Request) -> Response:
@@ -157,8 +153,7 @@ class StudyServer:
             query = {"code": self.by_code(request.path_params["code"]).code}
         except RefusedError as error:
             return missing(str(error))
-        role = request.query_params.get("role", "all")
-        if role in ("stroke", "answer"):
+        if (role := request.query_params.get("role")) in ("stroke", "answer"):
             query["role"] = role
         drawn = io.BytesIO()
         segno.make(self.link(**query), error="l").save(drawn, kind="svg", scale=8, border=2)
