@@ -74,10 +74,7 @@ DONE = {"do": "done", "step": "trial:1"}
 def test_a_page_sends_what_its_kind_may(protocol: Protocol, message: dict[str, Any], why: str) -> None:
     with pytest.raises(RefusedError, match=why):
         parse_message(json.dumps(message), protocol)
-
-
-def test_a_name_of_an_input_may_be_empty() -> None:
-    assert parse_message(json.dumps({**BEGIN, "input": ""}), CAPTURE)["input"] == ""
+    assert parse_message(json.dumps({**BEGIN, "input": ""}), CAPTURE)["input"] == ""  # may be empty
 
 
 @pytest.mark.parametrize(

@@ -192,7 +192,7 @@ def test_nothing_is_chosen_before_someone_chooses_and_an_answer_is_kept_while_th
 
 def test_a_trial_that_is_held_keeps_what_was_chosen_and_its_time(browser: Any, tmp_path: Path) -> None:
     """And the operator's row stays where it is: a press on it that lasts is a press."""
-    with running(study_file(tmp_path, practice="0", operator="true")) as (operator, _):
+    with running(study_file(tmp_path, practice="0", operator="true")) as (operator, link):
         context = browser.new_context()
         other = context.new_page()
         other.goto(operator)
@@ -201,7 +201,7 @@ def test_a_trial_that_is_held_keeps_what_was_chosen_and_its_time(browser: Any, t
         code = other.inner_text("#invite-code")
         other.keyboard.press("Escape")
         page = context.new_page()
-        page.goto(operator.split("operator")[0] + f"?code={code}")
+        page.goto(f"{link}?code={code}")
         to_trial(page)
         assert page.evaluate("window.study.step.held")
 

@@ -189,11 +189,10 @@ def test_a_mixed_model_of_complete_ratings_is_the_analysis_of_variance() -> None
 
 
 def test_a_mixed_model_takes_ratings_that_are_not_complete() -> None:
-    raters = raters_for(3, 4, difference=15.0)
-    y = raters.draw(np.random.default_rng(4), 14)
-    keep = np.random.default_rng(5).random(y.shape) < 0.8
-    index = [axis[keep] for axis in np.indices(y.shape)]
-    model = mixed_model(*index, y[keep])
+    y = raters_for(3, 4, difference=15.0).draw(np.random.default_rng(4), 14)
+    rated = np.random.default_rng(5).random(y.shape) < 0.8
+    participant, method, texture = (axis[rated] for axis in np.indices(y.shape))
+    model = mixed_model(participant, method, texture, y[rated])
     assert model.terms[0][0] == "method"
     assert model.terms[0][4] < 1e-4
     assert model.terms[1][4] > 1e-3
@@ -228,7 +227,6 @@ def test_power_for_the_effects_of_the_paper() -> None:
     found = power(raters, PAPER_PARTICIPANTS, 300, 0)
     assert min(found[name] for name in ("method", "texture", "method × texture")) > 0.95
     rows, smallest = needed(raters_for(4, 12, 8.75), 200, 0)
-    assert [row["participants"] for row in rows][:3] == [4, 8, 12]
     assert rows[0]["pair"] < rows[-1]["pair"]
     assert smallest is not None
     assert 12 < smallest < 40
@@ -247,7 +245,7 @@ def test_error_rates_of_null_studies() -> None:
     rates["pairs, not adjusted"] = float((by_texture.p < 0.05).mean())
     for name in ("p_holm", "p_bonferroni"):
         rates[name] = float((getattr(by_texture, name) < 0.05).any(-1).mean())
-    rates["Friedman"] = float(np.mean([friedman(one.mean(-1)).p < 0.05 for one in y[:1000]]))
+    rates["Friedman"] = float((friedman(y.mean(-1)).p < 0.05).mean())
     rates["Wilcoxon, Holm"] = float(np.mean([(wilcoxon_tests(one.mean(-1)).p_holm < 0.05).any() for one in y[:500]]))
     assert max(rates.values()) <= 0.06, rates
     assert rates["method × texture"] < 0.02

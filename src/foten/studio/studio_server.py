@@ -21,7 +21,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from starlette.applications import Starlette
 from starlette.requests import Request
 from starlette.responses import FileResponse, JSONResponse, PlainTextResponse, Response
@@ -42,14 +41,7 @@ from foten.studio.live_contact import Contact
 from foten.studio.messages import STROKE, RefusedError
 from foten.studio.players import OutputDevice, Player, RoundRobinRenderer
 from foten.studio.shelf import Shelf
-from foten.studio.websocket import (
-    MAX_MESSAGES_PER_S,
-    BlockQueue,
-    PageSocket,
-    packed_block,
-    pressure_calibration,
-    serve_page,
-)
+from foten.studio.websocket import MAX_MESSAGES_PER_S, BlockQueue, PageSocket, pressure_calibration, serve_page
 
 PAGE = Path(__file__).with_name("page")
 KERNEL = ("foten.mjs", "foten.wasm")
@@ -151,7 +143,6 @@ class StrokePage(PageSocket):
     def __init__(self, studio: Studio, socket: WebSocket) -> None:
         super().__init__(socket, STROKE, MAX_MESSAGES_PER_S)
         self._studio = studio
-        self._loop = asyncio.get_running_loop()
         self._blocks = BlockQueue(socket)
         self._contact: Contact | None = None
         self._opening: Contact | None = None  # that does not play yet
@@ -225,7 +216,7 @@ class StrokePage(PageSocket):
             contact = self._contact
             if contact is None:
                 player = await asyncio.to_thread(self._studio.players[sink], rate_hz)
-                contact = self._opening = Contact(player, self._on_block)
+                contact = self._opening = Contact(player, self._blocks.put)
             await asyncio.to_thread(contact.open, data, self._calibration)
             self._contact, self._opening = contact, None
         except (OSError, ValueError) as error:
@@ -242,11 +233,6 @@ class StrokePage(PageSocket):
             self._contact.actuate(actuator, float(message.get("full_scale", 1.0)))
         except ValueError as error:
             raise RefusedError(str(error)) from error
-
-    def _on_block(self, samples: NDArray[np.float32], speed: float, force: float) -> None:
-        """Pass a block on to the page, from the rendering thread."""
-        with contextlib.suppress(RuntimeError):  # the loop has ended, and so does the contact
-            self._loop.call_soon_threadsafe(self._blocks.put, packed_block(samples, speed, force))
 
     async def _send_state(self) -> None:
         while True:

@@ -51,18 +51,14 @@ def listening(host: str, port: int) -> socket.socket:
 
 
 def serve(
-    app: Callable[[Access], ASGIApp],
-    host: str,
-    port: int,
-    on_start: Callable[[Access, str], None],
-    on_joined: Callable[[Access, str], None],
+    app: Callable[[Access], ASGIApp], host: str, port: int, announce: Callable[[Access, str, bool], None]
 ) -> None:
     """Serve until Ctrl-C or SIGTERM.
 
     Args:
         app: gives the application, behind its access.
-        on_start: takes the access and the host to open, once it listens.
-        on_joined: takes the access with the next link, once a device came in by the link before.
+        announce: takes the access, the host to open, and whether a device came in by the link before: once it listens, and
+            with each new link.
 
     Raises:
         OSError: it cannot listen there.
@@ -73,7 +69,7 @@ def serve(
         # Of this machine's names the address that it listens at: another server may answer to `localhost`.
         listens_at = str(listener.getsockname()[0]) if host.lower() in LOOPBACK else host
         shown = others[0] if others else listens_at
-        access = access_to(host, port, others, lambda renewed: on_joined(renewed, shown))
+        access = access_to(host, port, others, lambda renewed: announce(renewed, shown, True))
         files: dict[str, str] = {}
         if access.token is not None:
             folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="foten-")))
@@ -90,7 +86,7 @@ def serve(
             timeout_graceful_shutdown=SHUTDOWN_S,
             **files,  # type: ignore[arg-type]
         )
-        _Server(config, lambda: on_start(access, shown)).run(sockets=[listener])
+        _Server(config, lambda: announce(access, shown, False)).run(sockets=[listener])
 
 
 class _Server(uvicorn.Server):

@@ -135,12 +135,12 @@ def run(
     store.hold()
     server = StudyServer(store, loaded.design, loaded.stimuli, loaded.output)
 
-    def links(access: Access, host: str) -> tuple[str, str]:
+    def announce(access: Access, host: str, joined: bool) -> None:
         server.link = partial(access.link, host)
-        return server.link(), server.link("operator", key=server.operator_key)
-
-    def on_start(access: Access, host: str) -> None:
-        participants, operator = links(access, host)
+        participants, operator = server.link(), server.link("operator", key=server.operator_key)
+        if joined:
+            say(f"a device came in; for the next one: {participants} or, for the operator, {operator}")
+            return
         say(f"{loaded.design.title}: {len(store.codes())} of {loaded.design.participants} have begun, in {database}")
         say("\n".join([*loaded.stimuli.doubts, f"operator: {operator}", f"participants at {participants}"]))
         if access.token is not None:
@@ -149,13 +149,9 @@ def run(
         if open_page and access.token is None:
             webbrowser.open(operator)
 
-    def on_joined(access: Access, host: str) -> None:
-        participants, operator = links(access, host)
-        say(f"a device came in; for the next one: {participants} or, for the operator, {operator}")
-
     try:
         with loaded.noise():
-            serve(server.app, host, port, on_start, on_joined)
+            serve(server.app, host, port, announce)
     finally:
         store.close()
 

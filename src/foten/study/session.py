@@ -17,7 +17,6 @@ from foten.runtime.live.devices import SOUND_RATE_HZ
 from foten.runtime.live.live import LiveStatistics, Timing
 from foten.studio.live_contact import Contact
 from foten.studio.messages import RefusedError
-from foten.studio.websocket import packed_block
 from foten.study.design import Design, Question
 from foten.study.orders import Trial
 from foten.study.store import Rated
@@ -177,15 +176,12 @@ class Session:
 
     async def _open(self, page: ParticipantPage, trial: Trial) -> None:
         server, key = self.server, (trial.texture, trial.method)
-        plays_in_page = server.output is None
-        loop, conditions = asyncio.get_running_loop(), self._log.conditions
+        plays_in_page, conditions = server.output is None, self._log.conditions
 
         def on_block(samples: NDArray[np.float32], speed: float, force: float) -> None:
             conditions.append((speed, force))
             if plays_in_page:
-                block = samples * np.float32(contact.gain)  # the page bends what is too loud
-                with contextlib.suppress(RuntimeError):  # the loop has ended, and so does the contact
-                    loop.call_soon_threadsafe(page.blocks.put, packed_block(block, speed, force))
+                page.blocks.put(samples * np.float32(contact.gain), speed, force)  # the page bends what is too loud
 
         try:
             player = await asyncio.to_thread(server.player, page.rate_hz if plays_in_page else SOUND_RATE_HZ)

@@ -177,24 +177,24 @@ def paired_tests(y: Array, reference: int | None = None) -> Paired:
 
 @dataclass(frozen=True)
 class Friedman:
-    """Friedman's test by ranks."""
+    """Friedman's test by ranks; each value a number, or an array over studies."""
 
-    chi2: float
+    chi2: Array
     df: int
-    p: float
-    w: float  # Kendall's coefficient of concordance
+    p: Array
+    w: Array  # Kendall's coefficient of concordance
 
 
 def friedman(y: Array) -> Friedman:
-    """Friedman's test of conditions y (n, a), corrected for ties."""
+    """Friedman's test of conditions y (…, n, a), corrected for ties."""
     from scipy import stats
 
-    n, a = y.shape
-    ranks = stats.rankdata(y, axis=1) - (a + 1) / 2
+    n, a = y.shape[-2:]
+    ranks = stats.rankdata(y, axis=-1) - (a + 1) / 2
     with np.errstate(invalid="ignore"):  # of equal ratings there is none
-        w = n * (ranks.mean(0) ** 2).sum() / (ranks**2).sum()
+        w = n * (ranks.mean(-2) ** 2).sum(-1) / (ranks**2).sum((-2, -1))
     chi2 = n * (a - 1) * w
-    return Friedman(float(chi2), a - 1, float(stats.chi2.sf(chi2, a - 1)), float(w))
+    return Friedman(chi2, a - 1, stats.chi2.sf(chi2, a - 1), w)
 
 
 @dataclass(frozen=True)

@@ -60,14 +60,12 @@ class Store(contextlib.AbstractContextManager["Store"]):
         self._connection.row_factory = sqlite3.Row
         try:
             self._open()
-        except sqlite3.OperationalError as error:
+        except BaseException as error:
             self._connection.close()
-            raise OSError(f"{path} cannot be opened, though it may be sound: {error}") from error
-        except sqlite3.DatabaseError as error:
-            self._connection.close()
-            raise ValueError(f"{path} is no study of foten, or is damaged: {error}") from error
-        except BaseException:
-            self._connection.close()
+            if isinstance(error, sqlite3.OperationalError):
+                raise OSError(f"{path} cannot be opened, though it may be sound: {error}") from error
+            if isinstance(error, sqlite3.DatabaseError):
+                raise ValueError(f"{path} is no study of foten, or is damaged: {error}") from error
             raise
 
     def _open(self) -> None:
