@@ -25,7 +25,7 @@ from foten.models.texture_file import read_texture
 from foten.recording.inspection import inspect_recording
 from foten.recording.recording import Recording
 from foten.simulation.simulated_capture import BEGIN_S, CUE_S, FULL_SCALE, SOUND_HZ, SimulatedCapture, simulate_capture
-from foten.studio.capture_session import in_order
+from foten.studio.capture_server import in_order
 from foten.training.train_capture import train_recording
 from test_studio_page import CHROMIUM, SHOTS, chromium, look, until
 from test_studio_server import serving

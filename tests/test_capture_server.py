@@ -25,7 +25,7 @@ from foten.recording.recording import RELATIVE
 from foten.runtime.renderer import EXAMPLE
 from foten.simulation.simulated_capture import FULL_SCALE, SOUND_HZ, SimulatedCapture, simulate_capture
 from foten.studio import capture_server, studio_server
-from foten.studio.capture_session import CaptureSession, in_order
+from foten.studio.capture_server import CaptureSession, in_order
 from foten.studio.messages import MAX_BYTES, RefusedError
 from foten.studio.shelf import Shelf
 from foten.studio.studio_server import Studio

@@ -93,9 +93,8 @@ def test_the_volume_moves_without_a_step_and_what_is_too_loud_is_bent() -> None:
     contact.set_volume(-20.0)
     soft = stroked(contact, player, 100, 0.4)[-800:]
     contact.set_volume(24.0)
-    loud = player.rendered(21 * 64)
-    assert abs(loud[0]) < 10 * np.abs(soft).max()
-    assert np.abs(loud).max() < 1.0
+    assert abs(player.rendered(64)[0]) < 10 * np.abs(soft).max()
+    assert np.abs(player.rendered(20 * 64)).max() < 1.0
     samples = np.array([-3.0, -0.8, 0.0, 0.5, 0.9, 3.0], dtype=np.float32)
     limit(samples)
     np.testing.assert_allclose(samples[1:4], [-0.8, 0.0, 0.5])

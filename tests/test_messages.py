@@ -19,8 +19,7 @@ from foten.studio.messages import (
     parse_events,
     parse_message,
 )
-from foten.study.operator_page import OPERATOR
-from foten.study.participant_page import PARTICIPANT
+from foten.study.page_sockets import OPERATOR, PARTICIPANT
 
 
 def event(x: float, t: float, pressure: float = 0.5) -> bytes:

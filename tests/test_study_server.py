@@ -22,7 +22,7 @@ from foten.models.texture_file import read_texture, write_texture
 from foten.runtime.renderer import EXAMPLE
 from foten.study.design import study_text
 from foten.study.loading import load_study
-from foten.study.participant_page import ELSEWHERE
+from foten.study.page_sockets import ELSEWHERE
 from foten.study.store import Store
 from foten.study.study_server import OPERATOR_COOKIE, StudyServer, study_files
 from test_studio_server import HERE, LOCAL, WS

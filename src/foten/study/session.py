@@ -22,7 +22,7 @@ from foten.study.orders import Trial
 from foten.study.store import Rated
 
 if TYPE_CHECKING:
-    from foten.study.participant_page import ParticipantPage
+    from foten.study.page_sockets import ParticipantPage
     from foten.study.study_server import StudyServer
 
 MAX_ANSWER_LENGTH = 2000  # characters

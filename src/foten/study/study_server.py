@@ -2,9 +2,9 @@
 
 GET  /                participants' page; its files
 GET  /pictures/N      the picture of a texture
-WS   /session         a participant's page (`participant_page`)
+WS   /session         a participant's page (`page_sockets`)
 GET  /operator        the operator's page, by the key in its link
-WS   /operate         what it shows, and does (`operator_page`)
+WS   /operate         what it shows, and does (`page_sockets`)
 """
 
 from __future__ import annotations
@@ -34,8 +34,7 @@ from foten.studio.studio_server import missing, page_file, page_files
 from foten.studio.websocket import serve_page
 from foten.study.design import Design
 from foten.study.loading import Stimuli
-from foten.study.operator_page import OperatorPage
-from foten.study.participant_page import ParticipantPage
+from foten.study.page_sockets import OperatorPage, ParticipantPage
 from foten.study.session import Session
 from foten.study.store import Store
 
