@@ -27,19 +27,16 @@ def studio() -> Studio:
 
 def test_a_page_that_another_name_leads_to_is_refused(studio: Studio) -> None:
     """A name of someone else's that resolves to this machine would let their page read ours."""
-    for host in ("evil.example:8000", "127.0.0.1:8001", "127.0.0.1", "[::1", ""):
-        with TestClient(studio.app(LOCAL), base_url=HERE) as client:
+    with TestClient(studio.app(LOCAL), base_url=HERE) as client:
+        for host in ("evil.example:8000", "127.0.0.1:8001", "127.0.0.1", "[::1", ""):
             answer = client.get("/textures.json", headers={"host": host})
             assert answer.status_code == 403
             assert "does not answer to" in answer.text
-    with TestClient(studio.app(LOCAL), base_url=HERE) as client:
         for host in ("localhost:8000", "[::1]:8000"):
             assert client.get("/textures.json", headers={"host": host}).status_code == 200
 
 
-@pytest.mark.parametrize(
-    "origin", ["http://evil.example", "null", "https://127.0.0.1:8000", "http://127.0.0.1:8001", None]
-)
+@pytest.mark.parametrize("origin", ["http://evil.example", "https://127.0.0.1:8000", "http://127.0.0.1:8001", None])
 def test_a_socket_from_another_page_is_refused(studio: Studio, origin: str | None) -> None:
     headers = {} if origin is None else {"origin": origin}
     with TestClient(studio.app(LOCAL), base_url=HERE) as client:
@@ -48,11 +45,6 @@ def test_a_socket_from_another_page_is_refused(studio: Studio, origin: str | Non
             pass
     assert refused.value.code == 1008
     assert "origin" in refused.value.reason
-
-
-def test_this_machine_alone_needs_no_token() -> None:
-    assert access_to("127.0.0.1", 8000) == LOCAL
-    assert LOCAL.link("127.0.0.1") == "http://127.0.0.1:8000/"
 
 
 def test_a_certificate_is_for_the_hosts_and_its_key_is_for_the_owner_alone(tmp_path: Path) -> None:
@@ -101,10 +93,6 @@ def test_a_link_lets_one_device_in_by_a_cookie_and_the_next_one_has_another(stud
     for token in (newest.token, first.cookies["foten"]):
         assert third.get("/", params={"token": token}).status_code == 403
     assert len(renewed) == 2
-    # A device whose cookies are gone comes in by the newest link, like any other.
-    first.cookies.clear()
-    assert first.get("/").status_code == 403
-    assert first.get("/", params={"token": renewed[-1].token}).status_code == 303
 
 
 def test_a_device_that_is_in_opens_an_old_link_and_uses_up_no_new_one(studio: Studio) -> None:
@@ -121,10 +109,7 @@ def test_a_device_that_is_in_opens_an_old_link_and_uses_up_no_new_one(studio: St
     assert client.get("https://192.0.2.7:8443//evil.example/x?token=x").headers["location"] == "/evil.example/x"
 
 
-@pytest.mark.parametrize(
-    "headers",
-    [{"sec-purpose": "prefetch;prerender"}, {"purpose": "prefetch"}, {"x-purpose": "preview"}, {"x-moz": "prefetch"}],
-)
+@pytest.mark.parametrize("headers", [{"sec-purpose": "prefetch;prerender"}, {"x-purpose": "preview"}])
 def test_who_looks_ahead_does_not_use_up_the_link(studio: Studio, headers: dict[str, str]) -> None:
     access, renewed, device = on_the_network(studio)
     client = device()
@@ -142,6 +127,10 @@ def test_who_looks_ahead_does_not_use_up_the_link(studio: Studio, headers: dict[
 
 def test_a_host_is_known_in_whatever_case_it_is_written(studio: Studio) -> None:
     """A browser asks for `mybox.local` where the link says `MyBox.local`."""
+    assert access_to("LocalHost", 8000) == access_to("127.0.0.1", 8000) == LOCAL
+    assert (
+        LOCAL.link("::1", "operator", key="k") == "http://[::1]:8000/operator?key=k"
+    )  # this machine alone needs no token
     access = access_to("MyBox.local", 8443)
     with TestClient(studio.app(access), base_url="https://mybox.local:8443") as client:
         for host in ("mybox.local:8443", "MyBox.local:8443"):
@@ -150,4 +139,3 @@ def test_a_host_is_known_in_whatever_case_it_is_written(studio: Studio) -> None:
             with client.websocket_connect("wss://mybox.local:8443/stroke", headers=headers):
                 pass
         assert client.get("/", headers={"host": "other.local:8443"}).status_code == 403
-    assert access_to("LocalHost", 8000) == LOCAL

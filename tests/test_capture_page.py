@@ -5,6 +5,8 @@ The pen's clock runs 50 ppm fast and 80 ms late.
 
 from __future__ import annotations
 
+import base64
+import contextlib
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -23,9 +25,9 @@ from foten.models.texture_file import read_texture
 from foten.recording.inspection import inspect_recording
 from foten.recording.recording import Recording
 from foten.simulation.simulated_capture import BEGIN_S, CUE_S, FULL_SCALE, SOUND_HZ, SimulatedCapture, simulate_capture
-from foten.studio.capture_session import in_order
+from foten.studio.capture_server import in_order
 from foten.training.train_capture import train_recording
-from test_studio_page import CHROMIUM, SHOTS, SIZES, chromium, look, until
+from test_studio_page import CHROMIUM, SHOTS, chromium, look, until
 from test_studio_server import serving
 
 pytestmark = [pytest.mark.browser, pytest.mark.skipif(CHROMIUM is None, reason="needs Chromium: apt install chromium")]
@@ -33,7 +35,7 @@ DELAY_S, DRIFT = 0.08, 50e-6  # of the pen's clock
 EVENTS_HZ = 200.0
 FAKE_MICROPHONE = ("--use-fake-device-for-media-stream", "--use-fake-ui-for-media-stream")
 CAPTURE = "window.studio.capture"
-BUSY_MS = 200.0  # between two turns of the page, of which each is 5 ms: above, the machine is too busy to be timed
+BUSY_MS = 200.0  # between two turns of the page, of which each is 5 ms: above, the machine is too busy
 
 # Dispatches the plan by the page's own clock, ±20 % of a step early or late, from when the sound began.
 PERFORM = """({ plan, end, began, delay, drift, hz }) => {
@@ -62,23 +64,15 @@ PERFORM = """({ plan, end, began, delay, drift, hz }) => {
   step();
 }"""
 
-WATCH = """() => {
-  window.latest = 0;
-  window.before = performance.now();
-  setInterval(() => {
-    window.latest = Math.max(window.latest, performance.now() - window.before);
-    window.before = performance.now();
-  }, 5);
-}"""
 
-
-def opened_capture(browser: Any, link: str, size: tuple[int, int] = (1280, 800), dark: bool = False) -> Any:
-    viewport, scheme = {"width": size[0], "height": size[1]}, "dark" if dark else "light"
-    context = browser.new_context(viewport=viewport, color_scheme=scheme, permissions=["microphone"])
+@contextlib.contextmanager
+def opened_capture(browser: Any, link: str) -> Iterator[Any]:
+    context = browser.new_context(permissions=["microphone"])
     page = context.new_page()
     page.goto(link)
     page.wait_for_selector("html[data-ready]")
-    return page
+    yield page
+    context.close()
 
 
 def perform(page: Any, performance: SimulatedCapture) -> None:
@@ -109,9 +103,14 @@ def performance() -> SimulatedCapture:
     return simulate_capture("steel-mesh-1", 30.0)
 
 
-@pytest.fixture
-def studio_link(tmp_path: Path) -> Iterator[str]:
-    with serving("--captures", str(tmp_path / "captures")) as (_, link):
+@pytest.fixture(scope="module")
+def captures(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("captures")
+
+
+@pytest.fixture(scope="module")
+def studio_link(captures: Path) -> Iterator[str]:
+    with serving("--captures", str(captures)) as (_, link):
         yield link
 
 
@@ -146,9 +145,7 @@ def lag_s(recording: Recording, sound: Array, rate_hz: int, performance: Simulat
 
 def judged(path: Path, recording: Recording) -> float:
     """The log-spectral distance [dB] of a texture's free run over a recording that it was not trained on."""
-    document = evaluate(read_texture(path), recording).document
-    distance: float = document["free_run"]["lsd_db"]
-    return distance
+    return float(evaluate(read_texture(path), recording).document["free_run"]["lsd_db"])
 
 
 @pytest.fixture(scope="module")
@@ -158,46 +155,39 @@ def quiet_browser() -> Iterator[Any]:
         yield browser
 
 
-@pytest.mark.parametrize(("size", "dark"), [*((size, False) for size in SIZES), ("desktop", True), ("phone", True)])
-def test_it_can_be_read_and_used_by_all(quiet_browser: Any, studio_link: str, size: str, dark: bool) -> None:
-    page = opened_capture(quiet_browser, studio_link, SIZES[size], dark)
-    page.click("#capture-one")
-    until(page, "document.querySelectorAll('#inputs option').length > 0")
-    for step in ("set-up", "tap-in", "stroke", "training", "failed"):
-        page.evaluate(f"(step) => {{ {CAPTURE}.enter(step); {CAPTURE}.draw(); }}", step)
-        assert look(page, f"capture-{size}-{'dark' if dark else 'light'}-{step}") == []
-    page.context.close()
+def test_it_can_be_read_and_used_by_all(quiet_browser: Any, studio_link: str) -> None:
+    with opened_capture(quiet_browser, studio_link) as page:
+        page.click("#capture-one")
+        until(page, "document.querySelectorAll('#inputs option').length > 0")
+        for step in ("set-up", "tap-in", "stroke", "training", "failed"):
+            page.evaluate(f"(step) => {{ {CAPTURE}.enter(step); {CAPTURE}.draw(); }}", step)
+            assert look(page, f"capture-{step}") == []
 
 
-def test_an_input_that_the_browser_filters_is_refused(quiet_browser: Any, studio_link: str) -> None:
-    page = opened_capture(quiet_browser, studio_link)
-    page.evaluate(
-        """() => {
-          const given = MediaStreamTrack.prototype.getSettings;
-          MediaStreamTrack.prototype.getSettings = function () { return { ...given.call(this), noiseSuppression: true }; };
-        }"""
-    )
-    page.click("#capture-one")
-    until(page, f"{CAPTURE}.step === 'failed'")
-    until(page, "document.querySelector('#trouble').textContent.includes('does not turn off noise suppression')")
-    page.context.close()
-
-
-def test_filters_are_asked_to_be_off(quiet_browser: Any, studio_link: str) -> None:
-    page = opened_capture(quiet_browser, studio_link)
-    page.click("#capture-one")
-    until(page, f"Boolean({CAPTURE}.stream)")
-    settings = page.evaluate(f"{CAPTURE}.stream.getAudioTracks()[0].getSettings()")
-    assert [settings[name] for name in ("echoCancellation", "noiseSuppression", "autoGainControl")] == [False] * 3
-    page.click("#guide .close")
-    until(page, f"{CAPTURE}.stream === null")
-    page.context.close()
+def test_an_input_is_asked_to_filter_nothing_and_refused_where_it_does(quiet_browser: Any, studio_link: str) -> None:
+    with opened_capture(quiet_browser, studio_link) as page:
+        page.click("#capture-one")
+        until(page, f"Boolean({CAPTURE}.stream)")
+        settings = page.evaluate(f"{CAPTURE}.stream.getAudioTracks()[0].getSettings()")
+        assert [settings[name] for name in ("echoCancellation", "noiseSuppression", "autoGainControl")] == [False] * 3
+        page.click("#guide .close")
+        until(page, f"{CAPTURE}.stream === null")
+        page.evaluate(
+            """() => {
+              const given = MediaStreamTrack.prototype.getSettings;
+              MediaStreamTrack.prototype.getSettings = function () { return { ...given.call(this), noiseSuppression: true }; };
+            }"""
+        )
+        page.click("#capture-one")
+        until(page, f"{CAPTURE}.step === 'failed'")
+        until(page, "document.querySelector('#trouble').textContent.includes('does not turn off noise suppression')")
 
 
 LEVELS = """async ({ pause, stroke }) => {
   const { Levels } = await import("/levels.js"), levels = new Levels(48000);
-  const part = (samples, down) => {
-    for (let i = 0; i + 896 <= samples.length; i += 896) levels.add(Float32Array.from(samples.slice(i, i + 896)), down);
+  const part = (text, down) => {
+    const samples = new Float32Array(Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0)).buffer);
+    for (let i = 0; i + 896 <= samples.length; i += 896) levels.add(samples.slice(i, i + 896), down);
   };
   part(pause, false);
   part(stroke, true);
@@ -205,20 +195,7 @@ LEVELS = """async ({ pause, stroke }) => {
 }"""
 
 
-@pytest.mark.parametrize(
-    ("pause", "stroke", "said"),
-    [
-        ("quiet", "loud", None),
-        ("quiet", "clipped", "It clips"),
-        ("silent", "silent", "The input is silent"),
-        ("quiet", "faint", "hardly louder than the room"),
-        ("quiet", "lost", "Parts of the sound are missing"),
-        ("hum", "loud", "It hums at 50 Hz"),
-    ],
-)
-def test_what_is_wrong_with_an_input_is_said(
-    quiet_browser: Any, studio_link: str, pause: str, stroke: str, said: str | None
-) -> None:
+def test_what_is_wrong_with_an_input_is_said(quiet_browser: Any, studio_link: str) -> None:
     rng = np.random.default_rng(0)
     noise, t = rng.standard_normal(96_000), np.arange(96_000) / 48_000
     sounds = {
@@ -230,10 +207,17 @@ def test_what_is_wrong_with_an_input_is_said(
         "lost": 0.1 * noise * ((t < 1.0) | (t > 1.1)),
         "hum": 1e-3 * noise + 0.03 * np.sin(2 * np.pi * 50 * t),
     }
-    page = opened_capture(quiet_browser, studio_link)
-    trouble = page.evaluate(LEVELS, {"pause": sounds[pause].tolist(), "stroke": sounds[stroke].tolist()})
-    assert (trouble is None) if said is None else said in trouble
-    page.context.close()
+    texts = {name: base64.b64encode(samples.astype("<f4").tobytes()).decode() for name, samples in sounds.items()}
+    with opened_capture(quiet_browser, studio_link) as page:
+        for pause, stroke, expected in (
+            ("quiet", "clipped", "It clips"),
+            ("silent", "silent", "The input is silent"),
+            ("quiet", "faint", "hardly louder than the room"),
+            ("quiet", "lost", "Parts of the sound are missing"),
+            ("hum", "loud", "It hums at 50 Hz"),
+        ):
+            assert expected in page.evaluate(LEVELS, {"pause": texts[pause], "stroke": texts[stroke]})
+        assert page.evaluate(LEVELS, {"pause": texts["quiet"], "stroke": texts["loud"]}) is None
 
 
 # Stands in for the server: what the page sends is kept, and a test answers.
@@ -274,177 +258,172 @@ def answer(page: Any, socket: int, **document: Any) -> None:
 
 
 def test_a_capture_that_still_learns_is_not_lost_to_the_next_one(quiet_browser: Any, studio_link: str) -> None:
-    page = opened_capture(quiet_browser, studio_link)
-    page.evaluate(SOCKETS)
-    is_open = "document.querySelector('#capture').open"
-    for i, name in enumerate(("first", "second", "third")):
-        begun(page, name)
+    with opened_capture(quiet_browser, studio_link) as page:
+        page.evaluate(SOCKETS)
+        is_open = "document.querySelector('#capture').open"
+        for i, name in enumerate(("first", "second", "third")):
+            begun(page, name)
+            page.evaluate(f"{CAPTURE}.finish()")
+            answer(page, i, share=0.1, stage="fitting", notes=["1 event of the pen came late"])
+            if name == "second":  # those of the first, of which the dialog was closed, come amid the second
+                answer(page, 0, playable={"file": "first"})
+                answer(page, 0, share=0.9)
+                answer(page, 0, done={"file": "first"})
+                assert page.evaluate(f"[{is_open}, {CAPTURE}.step, document.querySelector('#learning').value]") == [
+                    True,
+                    "training",
+                    0.1,
+                ]
+                assert page.evaluate("window.said.splice(0)") == [["first", False], ["first", True]]
+            assert "1 event of the pen came late" in page.inner_text("#notes")
+            if name == "first":
+                page.click("#guide .close")
+            else:
+                answer(page, i, playable={"file": name})
+            until(page, f"!{is_open} && {CAPTURE}.stream === null")
+        assert page.evaluate("window.said.splice(0)") == [["second", False], ["third", False]]
+        assert page.evaluate("window.sockets.map((one) => one.closed)") == [True, False, False]
+        assert page.evaluate("window.sockets.map((one) => one.texts.map((text) => text.name ?? text.do))") == [
+            [name, "train"] for name in ("first", "second", "third")
+        ]
+        answer(page, 1, refused="out of memory")
+        assert page.evaluate("window.said.splice(0)") == ["second gets no better: out of memory"]
+        begun(page, "fourth")
+        answer(page, 2, refused="out of memory")  # the dialog is in front: what is said waits for its end
+        assert page.evaluate(f"[{CAPTURE}.step, window.said.length]") == ["tap-in", 0]
         page.evaluate(f"{CAPTURE}.finish()")
-        answer(page, i, share=0.1, stage="fitting", notes=["1 event of the pen came late"])
-        if name == "second":  # those of the first, of which the dialog was closed, come amid the second
-            answer(page, 0, playable={"file": "first"})
-            answer(page, 0, share=0.9)
-            answer(page, 0, done={"file": "first"})
-            assert page.evaluate(f"[{is_open}, {CAPTURE}.step, document.querySelector('#learning').value]") == [
-                True,
-                "training",
-                0.1,
-            ]
-            assert page.evaluate("window.said.splice(0)") == [["first", False], ["first", True]]
-        assert "1 event of the pen came late" in page.inner_text("#notes")
-        if name == "first":
-            page.click("#guide .close")
-        else:
-            answer(page, i, playable={"file": name})
-        until(page, f"!{is_open} && {CAPTURE}.stream === null")
-    assert page.evaluate("window.said.splice(0)") == [["second", False], ["third", False]]
-    assert page.evaluate("window.sockets.map((one) => one.closed)") == [True, False, False]
-    assert page.evaluate("window.sockets.map((one) => one.texts.map((text) => text.name ?? text.do))") == [
-        [name, "train"] for name in ("first", "second", "third")
-    ]
-    answer(page, 1, refused="out of memory")
-    assert page.evaluate("window.said.splice(0)") == ["second gets no better: out of memory"]
-    begun(page, "fourth")
-    answer(page, 2, refused="out of memory")  # the dialog is in front: what is said waits for its end
-    assert page.evaluate(f"[{CAPTURE}.step, window.said.length]") == ["tap-in", 0]
-    page.evaluate(f"{CAPTURE}.finish()")
-    page.click("#guide .close")
-    until(page, "window.said.length > 0")
-    assert page.evaluate("window.said.splice(0)") == ["third gets no better: out of memory"]
-    page.evaluate("window.sockets[3].onclose({ reason: '' })")
-    assert page.evaluate("window.said.splice(0)") == ["fourth was not captured: the server is gone"]
-    assert all(page.evaluate("window.sockets.map((one) => one.closed)"))
-    begun(page, "fifth")
-    answer(page, 4, refused="more than 12000 messages a second")
-    assert page.evaluate(f"[{CAPTURE}.step, window.sockets[4].closed]") == ["failed", True]
-    until(page, "document.querySelector('#trouble').textContent.startsWith('More than 12000')")
-    assert page.is_visible("#keep")
-    page.click("#go")
-    begun(page, "sixth")
-    page.click("#guide .close")  # amid the recording: that ends it
-    until(page, "window.sockets[5].closed")
-    page.context.close()
+        page.click("#guide .close")
+        until(page, "window.said.length > 0")
+        assert page.evaluate("window.said.splice(0)") == ["third gets no better: out of memory"]
+        page.evaluate("window.sockets[3].onclose({ reason: '' })")
+        assert page.evaluate("window.said.splice(0)") == ["fourth was not captured: the server is gone"]
+        assert all(page.evaluate("window.sockets.map((one) => one.closed)"))
+        begun(page, "fifth")
+        answer(page, 4, refused="more than 12000 messages a second")
+        assert page.evaluate(f"[{CAPTURE}.step, window.sockets[4].closed]") == ["failed", True]
+        until(page, "document.querySelector('#trouble').textContent.startsWith('More than 12000')")
+        assert page.is_visible("#keep")
+        page.click("#go")
+        begun(page, "sixth")
+        page.click("#guide .close")  # amid the recording: that ends it
+        until(page, "window.sockets[5].closed")
 
 
 def test_what_is_saved_of_a_capture_can_be_imported(quiet_browser: Any, studio_link: str, tmp_path: Path) -> None:
-    page = opened_capture(quiet_browser, studio_link)
-    page.evaluate(SOCKETS)
-    begun(page, "Denim")
-    rows = np.column_stack([np.arange(40), np.zeros(40), np.full(40, 0.5), 0.005 * np.arange(40)])
-    rows[10, 3] = rows[9, 3]  # of one time
-    rows[20, 3] = rows[18, 3]  # late
-    rows[30, 2:] = 0.0, rows[28, 3]  # late, and lifts
-    page.evaluate(f"(rows) => ({CAPTURE}.current.events = rows)", rows.tolist())
-    answer(page, 0, refused="the disk is full")
-    files: list[Any] = []
-    page.on("download", lambda file: files.append(file))
-    page.click("#keep")
-    end = time.monotonic() + 15
-    while len(files) < 2 and time.monotonic() < end:
-        page.wait_for_timeout(20)
-    for file in files:
-        file.save_as(tmp_path / file.suggested_filename)
-    rate, samples = scipy.io.wavfile.read(tmp_path / "sound.wav")
-    assert rate == page.evaluate(f"{CAPTURE}.current.about.rate_hz")
-    assert samples.size == page.evaluate(f"{CAPTURE}.current.nSamples") > 0
-    stroke = read_stroke(tmp_path / "pen.csv", {})
-    expected, n_late = in_order(rows)
-    np.testing.assert_allclose(stroke["position_x"], expected[:, 0])
-    np.testing.assert_allclose(stroke["time"], expected[:, 3])
-    assert n_late == 2
-    until(page, "document.querySelector('#trouble').textContent.startsWith('2 events of the pen came late')")
-    page.context.close()
+    with opened_capture(quiet_browser, studio_link) as page:
+        page.evaluate(SOCKETS)
+        begun(page, "Denim")
+        rows = np.column_stack([np.arange(40), np.zeros(40), np.full(40, 0.5), 0.005 * np.arange(40)])
+        rows[10, 3] = rows[9, 3]  # of one time
+        rows[20, 3] = rows[18, 3]  # late
+        rows[30, 2:] = 0.0, rows[28, 3]  # late, and lifts
+        page.evaluate(f"(rows) => ({CAPTURE}.current.events = rows)", rows.tolist())
+        answer(page, 0, refused="the disk is full")
+        files: list[Any] = []
+        page.on("download", lambda file: files.append(file))
+        page.click("#keep")
+        end = time.monotonic() + 15
+        while len(files) < 2 and time.monotonic() < end:
+            page.wait_for_timeout(20)
+        for file in files:
+            file.save_as(tmp_path / file.suggested_filename)
+        rate, samples = scipy.io.wavfile.read(tmp_path / "sound.wav")
+        assert rate == page.evaluate(f"{CAPTURE}.current.about.rate_hz")
+        assert samples.size == page.evaluate(f"{CAPTURE}.current.nSamples") > 0
+        stroke = read_stroke(tmp_path / "pen.csv", {})
+        expected, n_late = in_order(rows)
+        np.testing.assert_allclose(stroke["position_x"], expected[:, 0])
+        np.testing.assert_allclose(stroke["time"], expected[:, 3])
+        assert n_late == 2
+        until(page, "document.querySelector('#trouble').textContent.startsWith('2 events of the pen came late')")
 
 
 def test_each_input_has_its_own_full_scale(quiet_browser: Any, studio_link: str) -> None:
-    page = opened_capture(quiet_browser, studio_link)
-    page.evaluate(SOCKETS)
-    page.click("#capture-one")
-    until(page, f"Boolean({CAPTURE}.levels)")
-    page.click("#set-up summary")
-    page.fill("#sensor", "2")
-    page.fill("#full", "100")
-    known = "full scale is 50.0 m/s²"
-    assert known in page.inner_text("#set-up summary")
-    first, second = page.evaluate("[...document.querySelectorAll('#inputs option')].map((one) => one.value)")[:2]
+    with opened_capture(quiet_browser, studio_link) as page:
+        page.evaluate(SOCKETS)
+        page.click("#capture-one")
+        until(page, f"Boolean({CAPTURE}.levels)")
+        page.click("#set-up summary")
+        page.fill("#sensor", "2")
+        page.fill("#full", "100")
+        known = "full scale is 50.0 m/s²"
+        assert known in page.inner_text("#set-up summary")
+        first, second = page.evaluate("[...document.querySelectorAll('#inputs option')].map((one) => one.value)")[:2]
 
-    def choose(device: str) -> None:
-        page.select_option("#inputs", device)
-        until(page, f"Boolean({CAPTURE}.levels) && document.querySelector('#inputs').value === '{device}'")
+        def choose(device: str) -> None:
+            page.select_option("#inputs", device)
+            until(page, f"Boolean({CAPTURE}.levels) && document.querySelector('#inputs').value === '{device}'")
 
-    choose(second)
-    assert page.evaluate(f"{CAPTURE}.fullScale") is None
-    assert "relative units" in page.inner_text("#set-up summary")
-    assert page.input_value("#sensor") == page.input_value("#full") == ""
-    page.click("#calibrator")  # the test tone of the browser is as good as one
-    until(page, f"{CAPTURE}.fullScale > 0")
-    by_calibrator = page.evaluate(f"{CAPTURE}.fullScale")
-    choose(first)
-    assert page.evaluate(f"{CAPTURE}.fullScale") == 50
-    assert [page.input_value(one) for one in ("#sensor", "#full")] == ["2", "100"]
-    page.reload()
-    page.wait_for_selector("html[data-ready]")
-    page.evaluate(SOCKETS)
-    begun(page, "Denim")
-    assert page.evaluate("window.sockets[0].texts[0].full_scale_m_s2") == 50
-    page.evaluate(f"{CAPTURE}.fail('enough')")
-    page.click("#go")
-    until(page, f"Boolean({CAPTURE}.levels)")
-    page.click("#set-up summary")
-    shot(page, "capture-sensitivity")
-    page.click("#relative")
-    choose(second)
-    assert page.evaluate(f"{CAPTURE}.fullScale") == by_calibrator
-    choose(first)
-    assert page.evaluate(f"{CAPTURE}.fullScale") is None
-    page.context.close()
+        choose(second)
+        assert page.evaluate(f"{CAPTURE}.fullScale") is None
+        assert "relative units" in page.inner_text("#set-up summary")
+        assert page.input_value("#sensor") == page.input_value("#full") == ""
+        page.click("#calibrator")  # the test tone of the browser is as good as one
+        until(page, f"{CAPTURE}.fullScale > 0")
+        by_calibrator = page.evaluate(f"{CAPTURE}.fullScale")
+        choose(first)
+        assert page.evaluate(f"{CAPTURE}.fullScale") == 50
+        assert [page.input_value(one) for one in ("#sensor", "#full")] == ["2", "100"]
+        page.reload()
+        page.wait_for_selector("html[data-ready]")
+        page.evaluate(SOCKETS)
+        begun(page, "Denim")
+        assert page.evaluate("window.sockets[0].texts[0].full_scale_m_s2") == 50
+        page.evaluate(f"{CAPTURE}.fail('enough')")
+        page.click("#go")
+        until(page, f"Boolean({CAPTURE}.levels)")
+        page.click("#set-up summary")
+        shot(page, "capture-sensitivity")
+        page.click("#relative")
+        choose(second)
+        assert page.evaluate(f"{CAPTURE}.fullScale") == by_calibrator
+        choose(first)
+        assert page.evaluate(f"{CAPTURE}.fullScale") is None
 
 
 def test_an_input_that_comes_after_the_dialog_was_closed_is_let_go(quiet_browser: Any, studio_link: str) -> None:
-    page = opened_capture(quiet_browser, studio_link)
-    page.evaluate(
-        """() => {
-          const get = navigator.mediaDevices.getUserMedia.bind(navigator.mediaDevices);
-          navigator.mediaDevices.getUserMedia = async (asked) => {
-            const stream = await get(asked);
-            await new Promise((resolve) => (window.give = resolve));
-            return (window.given = stream);
-          };
-        }"""
-    )
-    page.click("#capture-one")
-    until(page, "Boolean(window.give)")
-    page.click("#guide .close")
-    until(page, "!document.querySelector('#capture').open")
-    page.wait_for_timeout(50)
-    page.evaluate("window.give()")
-    until(page, "window.given?.getAudioTracks()[0].readyState === 'ended'")
-    assert page.evaluate(f"[{CAPTURE}.stream, {CAPTURE}.step]") == [None, "set-up"]
-    page.context.close()
+    with opened_capture(quiet_browser, studio_link) as page:
+        page.evaluate(
+            """() => {
+              const get = navigator.mediaDevices.getUserMedia.bind(navigator.mediaDevices);
+              navigator.mediaDevices.getUserMedia = async (asked) => {
+                const stream = await get(asked);
+                await new Promise((resolve) => (window.give = resolve));
+                return (window.given = stream);
+              };
+            }"""
+        )
+        page.click("#capture-one")
+        until(page, "Boolean(window.give)")
+        page.click("#guide .close")
+        until(page, "!document.querySelector('#capture').open")
+        page.wait_for_timeout(50)
+        page.evaluate("window.give()")
+        until(page, "window.given?.getAudioTracks()[0].readyState === 'ended'")
+        assert page.evaluate(f"[{CAPTURE}.stream, {CAPTURE}.step]") == [None, "set-up"]
 
 
 @pytest.mark.slow
-def test_a_surface_is_captured(browser: Any, studio_link: str, performance: SimulatedCapture, tmp_path: Path) -> None:
-    page = opened_capture(browser, studio_link)
-    perform(page, performance)
-    until(page, f"{CAPTURE}.step === 'stroke'", 30.0)
-    page.wait_for_timeout(12_000)
-    shot(page, "capture-strokes")
-    until(page, "window.strokesEnded", 60.0)
-    stroked = time.monotonic()
-    page.click("#go")
-    until(page, f"{CAPTURE}.step === 'training'", 30.0)
-    if page.evaluate("window.lostSound") or page.evaluate("window.latest") > BUSY_MS:
-        pytest.skip("the machine is too busy: the browser lost sound, or the hand stood still")
-    tapped = time.monotonic()
-    page.evaluate(WATCH)
-    until(page, "!document.querySelector('#capture').open", 120.0)
-    until(page, "document.querySelector('#now-name').textContent === 'Test mesh'", 10.0)
-    playable_s = time.monotonic() - stroked
-    taps_s, late_ms = tapped - stroked, page.evaluate("window.latest")
-    until(page, "document.querySelector('#message').textContent.includes('is learned')", 300.0)
-    shot(page, "capture-learned")
-    (folder,) = (tmp_path / "captures").iterdir()
+def test_a_surface_is_captured(
+    browser: Any, studio_link: str, captures: Path, performance: SimulatedCapture, tmp_path: Path
+) -> None:
+    with opened_capture(browser, studio_link) as page:
+        perform(page, performance)
+        until(page, f"{CAPTURE}.step === 'stroke'", 30.0)
+        page.wait_for_timeout(12_000)
+        shot(page, "capture-strokes")
+        until(page, "window.strokesEnded", 60.0)
+        stroked = time.monotonic()
+        page.click("#go")
+        until(page, f"{CAPTURE}.step === 'training'", 30.0)
+        if page.evaluate("window.lostSound") or page.evaluate("window.latest") > BUSY_MS:
+            pytest.skip("the machine is too busy: the browser lost sound, or the hand stood still")
+        until(page, "!document.querySelector('#capture').open", 120.0)
+        until(page, "document.querySelector('#now-name').textContent === 'Test mesh'", 10.0)
+        print(f"playable {time.monotonic() - stroked:.1f} s after the last stroke")
+        until(page, "document.querySelector('#message').textContent.includes('is learned')", 300.0)
+        shot(page, "capture-learned")
+    (folder,) = captures.iterdir()
     recording = load_recording(folder / "test-mesh.h5")
     rate, sound = scipy.io.wavfile.read(folder / "sound.wav")
     lag = lag_s(recording, sound, rate, performance)
@@ -452,11 +431,6 @@ def test_a_surface_is_captured(browser: Any, studio_link: str, performance: Simu
     captured = judged(folder / "test-mesh.foten", other)
     train_recording(performance.recording, inspect_recording(performance.recording).carried, tmp_path / "true.foten")
     true = judged(tmp_path / "true.foten", other)
-    print(
-        f"\nplayable {playable_s:.1f} s after the last stroke, {taps_s:.1f} s of them until the last tap, "
-        f"the page {late_ms:.0f} ms late at most; pen {1000 * lag:+.1f} ms; "
-        f"log-spectral distance {captured:.2f} dB, from the true recording {true:.2f} dB"
-    )
-    assert playable_s < 30.0 or late_ms > BUSY_MS  # else the machine became busy
+    print(f"pen {1000 * lag:+.1f} ms; log-spectral distance {captured:.2f} dB, from the true recording {true:.2f} dB")
     assert abs(lag) <= 0.003
     assert captured <= 1.1 * true

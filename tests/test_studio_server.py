@@ -24,7 +24,7 @@ pytest.importorskip("starlette")
 from numpy.typing import NDArray
 from starlette.testclient import TestClient
 
-from foten.models.texture_file import read_texture
+from foten.models.texture_file import read_texture, write_texture
 from foten.runtime.actuator import ActuatorProfile
 from foten.runtime.live import devices
 from foten.runtime.renderer import EXAMPLE
@@ -75,58 +75,43 @@ def until(socket: Any, *keys: str) -> dict[str, Any]:
                 return document
 
 
-def until_opened(socket: Any) -> dict[str, Any]:
+def open_texture(socket: Any, **options: Any) -> dict[str, Any]:
+    socket.send_text(json.dumps({"do": "open", "texture": KEY, **options}))
     return until(socket, "opened", "refused")
 
 
 def test_the_page_and_what_it_needs_are_served(client: TestClient) -> None:
     assert "<title>foten</title>" in client.get("/").text
-    for name, kind in {
-        "studio.js": "text/javascript",
-        "worklet.js": "text/javascript",
-        "studio.css": "text/css",
-    }.items():
+    kinds = {"studio.js": "text/javascript", "studio.css": "text/css", "foten.mjs": "text/javascript"}
+    for name, kind in {**kinds, "foten.wasm": "application/wasm"}.items():
         answer = client.get(f"/{name}")
         assert answer.status_code == 200
         assert answer.headers["content-type"].startswith(kind)
-    assert client.get("/foten.mjs").headers["content-type"].startswith("text/javascript")
-    assert client.get("/foten.wasm").headers["content-type"] == "application/wasm"
-    assert client.get("/foten.wasm").content[:4] == b"\0asm"
-
-
-def test_nothing_of_the_page_comes_from_elsewhere() -> None:
-    """It works without a network: no address of another host in any of its files."""
-    for name, path in studio_server.page_files().items():
-        if path.suffix in (".js", ".mjs", ".html", ".css"):
-            text = path.read_text(encoding="utf-8").replace("http://www.w3.org/2000/svg", "")
-            assert not re.search("https?://|[\"'(]//", text), name
-
-
-def test_the_page_weighs_at_most_500_kb() -> None:
-    assert sum(path.stat().st_size for path in studio_server.page_files().values()) <= 500_000
-
-
-def test_a_texture_is_listed_and_given_as_it_is(client: TestClient) -> None:
     (listed,) = client.get("/textures.json").json()["textures"]
     assert listed == {"file": KEY, "name": "steel-mesh-1", "method": "foten-plus", "picture": None, "relative": False}
     assert client.get(f"/textures/{KEY}").content == EXAMPLE.read_bytes()
 
 
-def test_a_photograph_beside_a_texture_is_its_picture(tmp_path: Path) -> None:
-    (tmp_path / "mesh.foten").write_bytes(EXAMPLE.read_bytes())
-    (tmp_path / "mesh.jpg").write_bytes(b"\xff\xd8 picture")
-    (tmp_path / "mesh.png").write_bytes(b"what foten render draws")
-    with TestClient(Studio(Shelf([tmp_path])).app(LOCAL), base_url=HERE) as client:
-        (listed,) = client.get("/textures.json").json()["textures"]
-        assert client.get(f"/{listed['picture']}").content == b"\xff\xd8 picture"
+def test_nothing_of_the_page_comes_from_elsewhere_and_it_is_small() -> None:
+    """It works without a network: no address of another host in any of its files, which are at most 500 KB."""
+    files = studio_server.page_files()
+    for name, path in files.items():
+        if path.suffix in (".js", ".mjs", ".html", ".css"):
+            text = path.read_text(encoding="utf-8").replace("http://www.w3.org/2000/svg", "")
+            assert not re.search("https?://|[\"'(]//", text), name
+    assert sum(path.stat().st_size for path in files.values()) <= 500_000
 
 
-def test_textures_of_one_name_have_keys_of_their_own(tmp_path: Path) -> None:
+def test_a_photograph_beside_a_texture_is_its_picture_and_a_name_that_is_taken_gets_a_number(tmp_path: Path) -> None:
     for folder in ("a", "b"):
         (tmp_path / folder).mkdir()
         (tmp_path / folder / "mesh.foten").write_bytes(EXAMPLE.read_bytes())
-    shelf = Shelf([tmp_path / "a", tmp_path / "b"])
-    assert [one["file"] for one in shelf.listed()["textures"]] == ["mesh.foten", "mesh-2.foten"]
+    (tmp_path / "b/mesh.jpg").write_bytes(b"\xff\xd8 picture")
+    (tmp_path / "b/mesh.png").write_bytes(b"what foten render draws")
+    with TestClient(Studio(Shelf([tmp_path / "a", tmp_path / "b"])).app(LOCAL), base_url=HERE) as client:
+        listed = client.get("/textures.json").json()["textures"]
+        assert [one["file"] for one in listed] == ["mesh.foten", "mesh-2.foten"]
+        assert client.get(f"/{listed[1]['picture']}").content == b"\xff\xd8 picture"
 
 
 @pytest.mark.parametrize(
@@ -134,16 +119,11 @@ def test_textures_of_one_name_have_keys_of_their_own(tmp_path: Path) -> None:
     [
         "/textures/../server.py",
         "/textures/..%2f..%2f..%2fpyproject.toml",
-        "/textures/%2e%2e/%2e%2e/pyproject.toml",
         "/textures/%2fetc%2fpasswd",
         f"/textures/{KEY}%00.png",
         f"/textures/..\\{KEY}",
-        "/..%2fserver.py",
         "/%2e%2e%2fserver.py",
-        "/page/index.html",
         "/access.py",
-        "/textures/nothing.foten",
-        f"/pictures/{KEY}.png",
         "/pictures/..%2f..%2fpyproject.toml",
     ],
 )
@@ -156,8 +136,7 @@ def test_a_name_is_looked_up_and_is_no_path(client: TestClient, path: str) -> No
 
 def test_a_stroke_is_rendered_and_sent_back(client: TestClient, studio: Studio) -> None:
     with client.websocket_connect(f"{WS}/stroke") as socket:
-        socket.send_text(json.dumps({"do": "open", "texture": KEY, "rate_hz": 8000}))
-        assert until_opened(socket) == {"opened": KEY, "sink": "stream", "rate_hz": 8000.0}
+        assert open_texture(socket, rate_hz=8000) == {"opened": KEY, "sink": "stream", "rate_hz": 8000.0}
         loudest = fastest = firmest = 0.0
         begin = time.monotonic()
         n = 0
@@ -196,8 +175,7 @@ def test_a_page_is_played_through_a_daq(daq: FakeDaq) -> None:
     studio = Studio(Shelf([EXAMPLE]), output_device=OutputDevice("daq:Dev1/ao0", COIL))
     drawn: list[NDArray[np.float32]] = []
     with stroking(studio) as socket:
-        socket.send_text(json.dumps({"do": "open", "texture": KEY, "sink": "device", "rate_hz": 8000}))
-        assert until(socket, "opened")["sink"] == "device"
+        assert open_texture(socket, sink="device", rate_hz=8000)["sink"] == "device"
         begin = time.monotonic()
         while time.monotonic() - begin < 10 and sum(np.abs(one).max() > 1e-3 for one in drawn) < 20:
             socket.send_bytes(event(0.4 * len(drawn), 0.005 * len(drawn)))
@@ -227,29 +205,24 @@ def test_a_page_that_opens_slowly_is_not_taken_for_one_that_died(
     monkeypatch.setattr(Contact, "open", slowly)
     monkeypatch.setattr(studio_server, "STATE_S", 0.05)
     with stroking(studio) as socket:
-        socket.send_text(json.dumps({"do": "open", "texture": KEY}))
-        assert "opened" in until_opened(socket)
+        assert "opened" in open_texture(socket)
         socket.send_bytes(event(0.0, 0.0))
         assert "state" in until(socket, "state", "refused")
 
 
 def test_a_device_that_goes_is_said_and_the_page_may_open_again(daq: FakeDaq) -> None:
     studio = Studio(Shelf([EXAMPLE]), output_device=OutputDevice("daq:Dev1/ao0", gain=0.5))
-    opening = json.dumps({"do": "open", "texture": KEY, "sink": "device", "rate_hz": 8000})
     with stroking(studio) as socket:
-        socket.send_text(opening)
-        assert "opened" in until_opened(socket)
+        assert "opened" in open_texture(socket, sink="device", rate_hz=8000)
         daq.fails = "samples"
         assert "plays no more: the NI-DAQ takes no samples" in until(socket, "refused")["refused"]
         daq.fails = ""
-        socket.send_text(opening)
-        assert "opened" in until_opened(socket)
+        assert "opened" in open_texture(socket, sink="device", rate_hz=8000)
 
 
 def test_pages_have_states_of_their_own(client: TestClient, studio: Studio) -> None:
     with client.websocket_connect(f"{WS}/stroke") as one, client.websocket_connect(f"{WS}/stroke") as other:
-        one.send_text(json.dumps({"do": "open", "texture": KEY}))
-        until_opened(one)
+        open_texture(one)
         other.send_bytes(event(0, 0))
         assert "before a texture was opened" in json.loads(other.receive()["text"])["refused"]
         state = client.get("/state").json()
@@ -257,28 +230,15 @@ def test_pages_have_states_of_their_own(client: TestClient, studio: Studio) -> N
         assert state["n_refused"] == 1
 
 
-@pytest.mark.parametrize("damage", ["truncated", "another", "proof"])
-def test_a_hostile_texture_is_refused(tmp_path: Path, damage: str) -> None:
-    data = bytearray(EXAMPLE.read_bytes())
-    if damage == "truncated":
-        data = data[: len(data) // 2]
-    elif damage == "another":
-        data = bytearray(b"PK\3\4" + bytes(1000))
-    else:
-        tensors = {name: tensor.copy() for name, tensor in read_texture(EXAMPLE).tensors.items()}
-        tensors["golden.one_step"] += 1.0
-        from safetensors.numpy import save
-
-        data = bytearray(save(tensors, metadata={"foten": json.dumps(dict(read_texture(EXAMPLE).card))}))
-    path = tmp_path / "hostile.foten"
-    path.write_bytes(data)
+def test_a_hostile_texture_is_refused(tmp_path: Path) -> None:
+    texture, path = read_texture(EXAMPLE), tmp_path / "hostile.foten"
+    false = {**texture.tensors, "golden.one_step": texture.tensors["golden.one_step"] + 1.0}
+    write_texture(type(texture)(texture.card, false), path)
     contact = Contact(RoundRobinRenderer().player(48_000.0), lambda *_: None)
-    with pytest.raises(ValueError, match=r"texture file|truncated|proof"):
-        contact.open(bytes(data), PressureCalibration())
+    for data in (EXAMPLE.read_bytes()[:5000], b"PK\3\4" + bytes(1000), path.read_bytes()):
+        with pytest.raises(ValueError, match=r"texture file|truncated|proof"):
+            contact.open(data, PressureCalibration())
     contact.close()
-    if damage != "proof":  # which only rendering finds
-        with pytest.raises(ValueError, match=r"hostile\.foten"):
-            Shelf([path])
 
 
 def test_a_shelf_says_what_is_missing(tmp_path: Path) -> None:
@@ -310,7 +270,8 @@ def check_page(link: str, *handlers: Any) -> None:
 
 @pytest.mark.parametrize(("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
 def test_it_starts_says_where_and_ends_cleanly(number: int, status: int) -> None:
-    with serving(str(EXAMPLE)) as (process, link):
+    with serving(str(EXAMPLE), "--host", "localhost") as (process, link):
+        assert link.startswith("http://127.0.0.1:")  # the address that it listens at
         check_page(link)
         process.send_signal(number)
         assert "Traceback" not in process.communicate(timeout=30)[1]
@@ -333,17 +294,15 @@ def test_on_a_network_the_next_link_is_printed_once_one_is_used() -> None:
             assert "▀" in "".join(process.stderr.readline() for _ in range(5))  # and its code
 
 
-@pytest.mark.skipif(not socket.has_ipv6, reason="needs IPv6")
-def test_the_address_that_is_printed_is_the_one_it_listens_at() -> None:
-    with socket.socket(socket.AF_INET6) as probe:
-        try:
+def test_an_address_of_ipv6_is_in_brackets() -> None:
+    try:
+        with socket.socket(socket.AF_INET6) as probe:
             probe.bind(("::1", 0))
-        except OSError:
-            pytest.skip("this machine has no ::1")
-    for host, shown in (("::1", "http://[::1]:"), ("localhost", "http://127.0.0.1:")):
-        with serving(str(EXAMPLE), "--host", host) as (_, link):
-            assert link.startswith(shown)
-            check_page(link)
+    except OSError:
+        pytest.skip("this machine has no ::1")
+    with serving(str(EXAMPLE), "--host", "::1") as (_, link):
+        assert link.startswith("http://[::1]:")
+        check_page(link)
 
 
 def test_a_damaged_capture_is_left_out_and_said(tmp_path: Path) -> None:

@@ -37,9 +37,8 @@ def test_a_database_is_of_its_very_study(tmp_path: Path) -> None:
 
 def test_a_page_has_no_device_of_this_machine(tmp_path: Path) -> None:
     path = study_file(tmp_path)
-    path.write_text(
-        path.read_text(encoding="utf-8").replace('to = "page" ', 'to = "page"\ngain = 2.0'), encoding="utf-8"
-    )
+    text = path.read_text(encoding="utf-8").replace('to = "page" ', 'to = "page"\ngain = 2.0')
+    path.write_text(text, encoding="utf-8")
     with pytest.raises(ValueError, match=r"\[output\] plays in the page, which has no device, gain or actuator"):
         load_study(path)
 

@@ -7,8 +7,6 @@ import os
 import random
 import signal
 import socket
-import subprocess
-import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -17,7 +15,7 @@ from typing import Any
 import pytest
 
 from foten.study.store import Store
-from test_studio_page import CHROMIUM, SIZES, chromium, look, playwright, until
+from test_studio_page import CHROMIUM, chromium, look, playwright, until
 from test_study_commands import started_study
 from test_study_server import study_file
 
@@ -100,57 +98,45 @@ def begin(page: Any, link: str) -> None:
 def to_trial(page: Any) -> None:
     for text in ("I agree", "Next", "Start"):
         page.click(f"button.big >> text={text}")
-        page.wait_for_timeout(150)
     until(page, "window.study.step?.kind === 'trial'")
 
 
-def whole_study(
-    browser: Any, folder: Path, n_textures: int, participants: int, browsers: int, kills: int
-) -> dict[str, Any]:
-    """Let simulated participants answer through the pages while the server is killed, and return what there was to see."""
+def whole_study(browser: Any, folder: Path, n_textures: int, participants: int, kills: int) -> None:
+    """Let simulated participants answer through three pages at once while the server is killed."""
     study = study_file(folder, n_textures, 4, participants=participants, practice="1")
-    port = free_port()
-    options = ("--simulated", "--port", str(port))
+    options = ("--simulated", "--port", str(free_port()))
     process, _, link = started_study(study, *options)
-    contexts = [browser.new_context() for _ in range(browsers)]
-    pages = [context.new_page() for context in contexts]
-    begun = finished = killed = 0
-    busy = [False] * browsers
-    rng, at = random.Random(3), time.monotonic()
+    contexts = [browser.new_context() for _ in range(3)]
+    busy = {context.new_page(): False for context in contexts}
+    n_begun = n_finished = n_killed = 0
+    rng, start = random.Random(3), time.monotonic()
     expected = participants * (n_textures * 4 + 6)
     due = sorted(rng.uniform(0.03, 0.9) for _ in range(kills))
-    copies: list[Path] = []
-    start = time.monotonic()
-    while finished < participants:
+    while n_finished < participants:
         assert time.monotonic() - start < 1500
-        for i, page in enumerate(pages):
-            if not busy[i] and begun < participants:
+        for page, is_busy in busy.items():
+            if not is_busy and n_begun < participants:
                 begin(page, link)
                 page.evaluate(DRIVE)
-                busy[i] = True
-                begun += 1
-            elif busy[i] and page.evaluate("window.ended === true"):
-                busy[i] = False
-                finished += 1
+                busy[page] = True
+                n_begun += 1
+            elif is_busy and page.evaluate("window.ended === true"):
+                busy[page] = False
+                n_finished += 1
         with Store(folder / "study.db") as store:
             share = sum(len(store.done(n)) for n in store.codes().values()) / expected
-        if killed < kills and share > due[killed]:
+        if n_killed < kills and share > due[n_killed]:
             time.sleep(rng.uniform(0, 0.3))
             os.kill(process.pid, signal.SIGKILL)
             process.wait()
             process, _, link = started_study(study, *options)
-            killed += 1
-        if not copies and share > 0.5:
-            copies.append(folder / "copy.db")
-            command = [sys.executable, "-c", "from foten.cli import main; main()", "study", "backup"]
-            subprocess.run([*command, folder / "study.db", "-o", copies[0]], check=True, capture_output=True)
-        pages[0].wait_for_timeout(30)
-    seconds = time.monotonic() - at
+            n_killed += 1
+        page.wait_for_timeout(30)
+    assert n_killed == kills
     process.send_signal(signal.SIGTERM)
     process.wait(timeout=30)
     for context in contexts:
         context.close()
-    return {"killed": killed, "seconds": seconds, "copies": copies}
 
 
 def check_study(database: Path, participants: int, n_trials: int) -> None:
@@ -171,32 +157,31 @@ def check_study(database: Path, participants: int, n_trials: int) -> None:
 
 @pytest.mark.parametrize(
     ("n_textures", "participants", "kills"),
-    [(6, 4, 3), pytest.param(12, 21, 20, marks=pytest.mark.slow)],  # a tenth of the paper's study, and that
+    [(2, 3, 2), pytest.param(12, 21, 20, marks=pytest.mark.slow)],  # and the paper's study
 )
 def test_a_study_through_its_pages_while_the_server_is_killed(
     browser: Any, tmp_path: Path, n_textures: int, participants: int, kills: int
 ) -> None:
-    seen = whole_study(browser, tmp_path, n_textures, participants, 3, kills)
-    print(f"{seen['killed']} kills, {seen['seconds']:.0f} s")
-    assert seen["killed"] == kills
+    whole_study(browser, tmp_path, n_textures, participants, kills)
     check_study(tmp_path / "study.db", participants, 4 * n_textures)
-    with Store(seen["copies"][0]) as copy:  # taken while three browsers wrote
-        assert copy.check() == []
-        assert 0 < len(copy.ratings()) < 4 * n_textures * participants
-    begin = time.monotonic()
-    command = [sys.executable, "-c", "from foten.cli import main; main()", "study", "analyze"]
-    subprocess.run([*command, tmp_path / "study.db", "-o", tmp_path / "results"], check=True, capture_output=True)
-    print(f"analyze: {time.monotonic() - begin:.1f} s")
 
 
-def test_an_answer_is_kept_while_the_server_is_away(browser: Any, tmp_path: Path) -> None:
+def test_nothing_is_chosen_before_someone_chooses_and_an_answer_is_kept_while_the_server_is_away(
+    browser: Any, tmp_path: Path
+) -> None:
     study, port = study_file(tmp_path, practice="0", min_seconds="2"), free_port()
     page = browser.new_page()
     with running(study, "--port", str(port)) as (_, link):
         begin(page, link)
         to_trial(page)
+        assert page.get_attribute(".scale input", "aria-valuetext") == "not set"
+        assert page.is_disabled("button.big")
+        page.focus(".scale input")
+        page.keyboard.press("ArrowRight")
+        assert page.get_attribute(".scale input", "aria-valuetext") == "51"
     until(page, "document.querySelector('#message').textContent.startsWith('No connection')")
     page.fill(".scale input", "83")
+    until(page, "!document.querySelector('button.big').disabled")
     page.click("button.big")
     with running(study, "--port", str(port)):
         until(page, "window.study.step?.id === 'trial:2'")
@@ -205,23 +190,9 @@ def test_an_answer_is_kept_while_the_server_is_away(browser: Any, tmp_path: Path
     page.close()
 
 
-def test_nothing_is_chosen_before_someone_chooses(browser: Any, tmp_path: Path) -> None:
-    with running(study_file(tmp_path, practice="0")) as (_, link):
-        page = browser.new_page()
-        begin(page, link)
-        to_trial(page)
-        assert page.get_attribute(".scale input", "aria-valuetext") == "not set"
-        assert page.is_disabled("button.big")
-        page.focus(".scale input")
-        page.keyboard.press("ArrowRight")
-        assert page.get_attribute(".scale input", "aria-valuetext") == "51"
-        assert page.is_enabled("button.big")
-        page.close()
-
-
 def test_a_trial_that_is_held_keeps_what_was_chosen_and_its_time(browser: Any, tmp_path: Path) -> None:
     """And the operator's row stays where it is: a press on it that lasts is a press."""
-    with running(study_file(tmp_path, practice="0", operator="true")) as (operator, _):
+    with running(study_file(tmp_path, practice="0", operator="true")) as (operator, link):
         context = browser.new_context()
         other = context.new_page()
         other.goto(operator)
@@ -230,29 +201,29 @@ def test_a_trial_that_is_held_keeps_what_was_chosen_and_its_time(browser: Any, t
         code = other.inner_text("#invite-code")
         other.keyboard.press("Escape")
         page = context.new_page()
-        page.goto(operator.split("operator")[0] + f"?code={code}")
+        page.goto(f"{link}?code={code}")
         to_trial(page)
         assert page.evaluate("window.study.step.held")
 
-        def press(what: str) -> None:
+        def press(what: str, ms: int) -> None:
             other.wait_for_selector(f"[data-what={what}]:visible")
             box = other.locator(f"[data-what={what}]").bounding_box()
             other.mouse.move(box["x"] + 5, box["y"] + 5)
             other.mouse.down()
-            other.wait_for_timeout(1200)  # while the page is told of the study twice
+            other.wait_for_timeout(ms)
             other.mouse.up()
 
-        press("Go")
+        press("Go", 1200)  # the page is told of the study twice meanwhile
         until(page, "window.study.step.held === false")
         page.fill(".scale input", "83")
         before = page.evaluate("window.study.seconds")
-        press("Hold")
+        press("Hold", 50)
         until(page, "window.study.step.held === true")
         assert page.is_disabled("button.big")
         at = page.evaluate("window.study.seconds")
-        page.wait_for_timeout(400)
+        page.wait_for_timeout(200)
         assert page.evaluate("window.study.seconds") == at >= before
-        press("Go")
+        press("Go", 50)
         until(page, "window.study.step.held === false")
         assert page.input_value(".scale input") == "83"
         page.click("button.big")
@@ -262,36 +233,23 @@ def test_a_trial_that_is_held_keeps_what_was_chosen_and_its_time(browser: Any, t
         assert [row["rating"] for row in store.ratings()] == [83.0]
 
 
-@pytest.mark.parametrize("dark", [False, True], ids=["light", "dark"])
-@pytest.mark.parametrize("size", SIZES)
-def test_the_pages_are_accessible_and_look_as_the_screenshots_show(
-    browser: Any, tmp_path: Path, size: str, dark: bool
-) -> None:
-    width, height = SIZES[size]
-    context = browser.new_context(viewport={"width": width, "height": height}, color_scheme="dark" if dark else "light")
+def test_the_pages_are_accessible_and_look_as_the_screenshots_show(browser: Any, tmp_path: Path) -> None:
+    context = browser.new_context()
     violations: list[Any] = []
     context.on("weberror", lambda failed: violations.append(str(failed.error)))
 
     def check(page: Any, name: str) -> None:
-        page.wait_for_timeout(250)
-        violations.extend(look(page, f"study-{size}-{'dark' if dark else 'light'}-{name}"))
+        violations.extend(look(page, f"study-{name}"))
 
     with running(study_file(tmp_path, practice="0", break_every="1")) as (operator, link):
         page = context.new_page()
         page.goto(link)
         page.wait_for_selector("html[data-ready]")
         check(page, "join")
-        page.click("button.big")
-        until(page, "window.study.step?.kind === 'consent'")
-        check(page, "consent")
-        page.click("button.big")
-        until(page, "window.study.step?.kind === 'questions'")
-        check(page, "questions")
-        page.click("button.big")
-        until(page, "window.study.step?.kind === 'instructions'")
-        page.click("button.big")
-        until(page, "window.study.step?.kind === 'trial'")
-        check(page, "trial")
+        for kind in ("consent", "questions", "instructions", "trial"):
+            page.click("button.big")
+            until(page, f"window.study.step?.kind === '{kind}'")
+            check(page, kind)
         other = context.new_page()
         other.goto(operator)
         other.wait_for_selector("#people li")

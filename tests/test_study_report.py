@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import csv
 import json
-import re
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from foten import __version__
 from foten.study.analysis import Result, analyse, null_rates
 from foten.study.orders import orders
 from foten.study.raters import Raters
-from foten.study.report import DICTIONARY, MAX_ROWS, write_report
+from foten.study.report import MAX_ROWS, _markdown, write_report
 from foten.study.schema import Stimulus, create
 from foten.study.store import Rated, Store
 
@@ -22,10 +22,10 @@ def database(path: Path, n: int, methods: int, textures: int, simulated: bool = 
     """Write a study whose raters prefer later methods."""
     stimuli = [Stimulus(t, m, f"t{t}", f"m{m}", f"{t}{m}" * 8, 0.0) for t in range(textures) for m in range(methods)]
     trials = orders(n, textures, methods, 7, 0, "balanced")
-    create(path, "A study", "title = 1", path.parent, 7, stimuli, trials, "9.9", simulated)
+    create(path, "A study", "title = 1", path.parent, 7, stimuli, trials, simulated)
     means = np.full((methods, textures), 50.0) + 12.0 * np.arange(methods)[:, None] / max(1, methods - 1)
     ratings = Raters(means).draw(np.random.default_rng(3), n)
-    with Store(path, "9.9") as store:
+    with Store(path) as store:
         for i in range(n):
             number = store.join(f"C{i}")
             rated = {
@@ -37,7 +37,7 @@ def database(path: Path, n: int, methods: int, textures: int, simulated: bool = 
 
 
 def results(path: Path, reference: str | None = None) -> Result:
-    with Store(path, "9.9") as store:
+    with Store(path) as store:
         return analyse(store, reference)
 
 
@@ -57,7 +57,7 @@ def asked(tmp_path_factory: pytest.TempPathFactory) -> Path:
         {"age": "40", "gender": "woman"},
         {"age": "", "gender": "man"},
     ]
-    with Store(path, "9.9") as store:
+    with Store(path) as store:
         for i, one in enumerate(private):
             store.take_step(i + 1, "questions:start", answers={"remarks": f"fine, {i}"}, private=one)
     write_report(results(path), folder / "r")
@@ -78,16 +78,10 @@ def test_what_participants_say_of_themselves_comes_out_in_sum(asked: Path) -> No
     assert (age["n"], age["mean"], age["sd"], age["answer"]) == ("3", "30", "10", "")
     gender = [(row["n"], row["answer"], row["count"]) for row in rows if row["question"] == "gender"]
     assert sorted(gender) == [("4", "man", "2"), ("4", "woman", "2")]
-    said = "age 30.0 ± 10.0 (n = 3); gender: man 2, woman 2; home: &lt;b&gt; here 1."
-    for name in ("report.html", "report.md"):
-        assert said in (asked / name).read_text(encoding="utf-8"), name
+    said = section((asked / "report.md").read_text(encoding="utf-8"), "Participants")
+    assert "| age | 3 | 30 | 10 |  |  |" in said
+    assert "| home | 1 |  |  | &lt;b&gt; here | 1 |" in said
     assert "fine, 0" not in (asked / "report.html").read_text(encoding="utf-8")
-
-
-def test_nothing_is_said_of_participants_who_were_not_asked(tmp_path: Path) -> None:
-    write_report(results(database(tmp_path / "s.db", 4, 2, 2)), tmp_path)
-    assert "Participants</h2>" not in (tmp_path / "report.html").read_text(encoding="utf-8")
-    assert table(tmp_path / "participants.csv") == table(tmp_path / "answers.csv") == []
 
 
 def test_too_few_ratings_and_another_reference_are_refused(tmp_path: Path) -> None:
@@ -100,16 +94,10 @@ def test_too_few_ratings_and_another_reference_are_refused(tmp_path: Path) -> No
         results(path, "x")
 
 
-def test_every_column_of_ratings_has_a_meaning(asked: Path) -> None:
+def test_every_column_has_a_meaning_and_every_table_says_that_ratings_are_simulated(asked: Path) -> None:
     rows = table(asked / "ratings.csv")
-    assert {row["software"] for row in rows} == {"9.9"}
-    meant = {name for name, _, _ in DICTIONARY}
-    assert "software" in meant
-    for column in rows[0]:
-        assert column in meant, column
-
-
-def test_every_table_with_data_says_that_ratings_are_simulated(asked: Path) -> None:
+    assert {row["software"] for row in rows} == {__version__}
+    assert list(rows[0]) == [row["column"] for row in table(asked / "dictionary.csv")]
     files = {path.name for path in asked.glob("*.csv")} - {"dictionary.csv"}
     assert files == {"ratings.csv", "ratings-wide.csv", "pairs.csv", "answers.csv", "participants.csv"}
     for name in files:
@@ -118,12 +106,13 @@ def test_every_table_with_data_says_that_ratings_are_simulated(asked: Path) -> N
 
 def test_those_of_people_do_not(tmp_path: Path) -> None:
     path = database(tmp_path / "s.db", 4, 2, 2, simulated=False)
-    with Store(path, "9.9") as store:
+    assert "## Participants" not in _markdown(results(path))
+    with Store(path) as store:
         store.take_step(1, "questions:end", answers={"remarks": "fine"}, private={"age": "30"})
     write_report(results(path), tmp_path / "r")
     for file in (tmp_path / "r").glob("*.csv"):
         assert {row.get("simulated", "0") for row in table(file)} <= {"0"}, file.name
-    assert "age 30.0 (n = 1)." in (tmp_path / "r/report.md").read_text(encoding="utf-8")  # one has no SD
+    assert "| age | 1 | 30 |\n" in (tmp_path / "r/report.md").read_text(encoding="utf-8")  # one has no SD
 
 
 def cautioned(result: Result) -> set[str]:
@@ -143,9 +132,6 @@ def test_a_conservative_correction_is_cautioned_by_its_rate(tmp_path: Path) -> N
     (said,) = [one for one in result.cautions if one.startswith("texture:")]
     percent = f"{100 * rates['texture']:.1f} %"
     assert f"in null studies of this size Greenhouse and Geisser's correction errs in {percent} at α = 0.05" in said
-    write_report(result, tmp_path)
-    assert percent in (tmp_path / "report.html").read_text(encoding="utf-8")
-    assert json.loads((tmp_path / "results.json").read_text(encoding="utf-8"))["null_rates"] == rates
 
 
 def test_two_methods_have_nothing_to_correct(tmp_path: Path) -> None:
@@ -153,81 +139,67 @@ def test_two_methods_have_nothing_to_correct(tmp_path: Path) -> None:
     assert null_rates(21, 2, 1)["method"] == pytest.approx(0.05, abs=0.021)  # three standard errors of 1000 studies
 
 
-def test_null_studies_are_the_same_each_time(monkeypatch: pytest.MonkeyPatch) -> None:
-    assert null_rates(6, 3, 2) == null_rates(6, 3, 2)
-    monkeypatch.setattr("foten.study.analysis.MAX_RATINGS", 6 * 3 * 2 * 300)  # in four parts, the last a smaller one
-    assert null_rates(6, 3, 2)["method"] == pytest.approx(0.05, abs=0.03)
+def section(report: str, title: str) -> str:
+    """The part of a report in Markdown under a heading."""
+    return report.split(f"## {title}\n")[1].split("\n## ")[0]
 
 
 def test_tables_hold_the_numbers_and_are_short(tmp_path: Path) -> None:
     result = results(database(tmp_path / "s.db", 14, 4, 3))
     write_report(result, tmp_path)
     page = (tmp_path / "report.html").read_text(encoding="utf-8")
-    bodies = re.findall(r"<tbody>(.*?)</tbody>", page)
-    assert max(body.count("<tr>") for body in bodies) == MAX_ROWS
     assert page.count("<details>") == 3  # 18 tests: a table for each texture
-    assert page.count("<h2>Tests within textures</h2>") == 1
-    assert "The lowest 12 of 14; results.json has all." in page
+    assert page.count("<svg") == 2
+    report = (tmp_path / "report.md").read_text(encoding="utf-8")
+    assert max(part.count("\n| ") - 1 for part in report.split("\n## ")) == MAX_ROWS
     first = result.document["wilcoxon"][0]
-    signed = page[page.index("<h2>Wilcoxon") :]
-    assert f"<td>{' − '.join(first['pair'])}</td><td>{first['w']:.2f}</td>" in signed
-    assert f"<td>{first['rank_biserial']:.3f}</td>" in signed
-    assert f"<td>{result.document['reliability']['icc_mean']:.3f}</td>" in page
+    signed = section(report, "Wilcoxon's signed-rank tests, averaged across textures")
+    assert "| pair | W | p | p Holm | rank-biserial |" in signed
+    assert f"| {' − '.join(first['pair'])} | {first['w']:.2f} |" in signed
+    assert f"| {first['rank_biserial']:.3f} |" in signed
+    assert f"| {result.document['reliability']['icc_mean']:.3f} |" in section(report, "Reliability")
     with_others = result.document["reliability"]["with_others"]
-    shown = page[page.index("correlation with the others</h2>") :]
+    shown = section(report, "Each participant's correlation with the others")
     lowest, highest = (choose(with_others, key=lambda number: with_others[number]) for choose in (min, max))
-    assert f"<tbody><tr><td>{lowest}</td><td>{with_others[lowest]:.3f}</td>" in shown
-    assert f"<tr><td>{highest}</td><td>" not in shown
-    assert page.count("<th>95 % CI, not adjusted</th>") == 4  # pairs overall, and of three textures
-    assert "| pair | W | p | p Holm | rank-biserial |" in (tmp_path / "report.md").read_text(encoding="utf-8")
+    assert "The lowest 12 of 14; results.json has all." in shown
+    assert shown.index(f"| {lowest} | {with_others[lowest]:.3f} |") == shown.index("| ", shown.index("---|\n"))
+    assert f"| {highest} |" not in shown
+    assert report.count("| 95 % CI, not adjusted |") == 4  # pairs overall, and of three textures
+    assert json.loads((tmp_path / "results.json").read_text(encoding="utf-8")) == result.document
 
 
-def test_few_tests_within_textures_are_one_table(tmp_path: Path) -> None:
-    write_report(results(database(tmp_path / "s.db", 5, 3, 4)), tmp_path)
-    page = (tmp_path / "report.html").read_text(encoding="utf-8")
-    assert "<details>" not in page
-    start = page.index("<h2>Tests within textures</h2>")
-    assert page[start : page.index("</table>", start)].count("<tr><td>") == 12
-    assert "<td>t3</td><td>m1 − m2</td>" in page[start:]
-
-
-def test_many_methods_show_the_lowest_p(tmp_path: Path) -> None:
-    write_report(results(database(tmp_path / "s.db", 5, 6, 2)), tmp_path)
-    page = (tmp_path / "report.html").read_text(encoding="utf-8").split("Columns of ratings.csv")[0]
-    assert page.count("The 12 lowest p of 15 pairs; pairs.csv has all.") == 3
-    assert max(body.count("<tr>") for body in re.findall(r"<tbody>(.*?)</tbody>", page)) == MAX_ROWS
+def test_few_tests_within_textures_are_one_table_and_many_show_the_lowest_p(tmp_path: Path) -> None:
+    report = _markdown(results(database(tmp_path / "few.db", 5, 3, 4)))
+    within = section(report, "Tests within textures")
+    assert within.count("\n| ") - 1 == 12
+    assert "| t3 | m1 − m2 |" in within
+    report = _markdown(results(database(tmp_path / "many.db", 5, 6, 2)))
+    assert report.count("The 12 lowest p of 15 pairs; pairs.csv has all.") == 3
+    assert max(part.count("\n| ") - 1 for part in report.split("\n## ")) == MAX_ROWS
 
 
 @pytest.mark.parametrize(
     ("methods", "textures", "reference", "expected"),
     [
-        (
-            3,
-            2,
-            None,
-            "Within each texture, paired t-tests of all 3 pairs of methods, Holm-corrected for 3: of 2 textures, ",
-        ),
+        (3, 2, None, "each texture, paired t-tests of all 3 pairs of methods, Holm-corrected for 3: of 2 textures, "),
         (
             3,
             2,
             "m2",
-            "Within each texture, paired t-tests of the 2 other methods against m2, Bonferroni-corrected for 2: of 2 textures, "
-            "m2 above m0 on ",
+            "each texture, paired t-tests of the 2 other methods against m2, Bonferroni-corrected for 2: of 2 ",
         ),
-        (3, 1, None, "Within the one texture, paired t-tests of all 3 pairs of methods, Bonferroni-corrected for 3: "),
-        (2, 2, None, "Within each texture, paired t-tests of m0 and m1: of 2 textures, m0 above m1 on "),
+        (3, 1, None, "the one texture, paired t-tests of all 3 pairs of methods, Bonferroni-corrected for 3: "),
+        (2, 2, None, "each texture, paired t-tests of m0 and m1: of 2 textures, m0 above m1 on "),
     ],
 )
 def test_sentences_name_the_family(
     tmp_path: Path, methods: int, textures: int, reference: str | None, expected: str
 ) -> None:
     result = results(database(tmp_path / "s.db", 8, methods, textures), reference)
-    assert any(one.startswith(expected) for one in result.sentences)
+    assert any(one.startswith(f"Within {expected}") for one in result.sentences)
     text = " ".join(result.sentences)
     assert "The highest mean is that of m" in text
-    assert "each other" not in text
     if textures == 1:
         assert "methods on 1 texture (24 ratings)" in text
         assert "textures" not in text
-        write_report(result, tmp_path)
-        assert "across textures" not in (tmp_path / "report.html").read_text(encoding="utf-8")
+        assert "across textures" not in _markdown(result)

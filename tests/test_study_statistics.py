@@ -23,8 +23,6 @@ from foten.study.raters import PAPER_PARTICIPANTS, Raters, needed, paper_raters,
 from foten.study.statistics import (
     Array,
     anova,
-    bonferroni,
-    contrasts,
     friedman,
     holm,
     mixed_model,
@@ -40,7 +38,7 @@ def data(n: int, a: int, b: int) -> Array:
     i, j, k = np.indices((n, a, b))
     y = 50 + 9 * np.sin(3.1 * i + 1) + 4 * j * (1 + np.sin(i)) / 2 + 2 * np.sin(2.3 * k)
     y = y + 6 * np.sin(12.9898 * i + 78.233 * j + 37.719 * k + 1.3 * j * k) + 3 * np.sin(5.5 * i * (k + 1))
-    return np.asarray(y[..., 0] if b == 1 else y)
+    return y
 
 
 # Shape, and of each effect: F, ε, p, p corrected, generalised η², partial η², Mauchly's p (R's).
@@ -51,16 +49,6 @@ ANOVAS = {
         (7.244804224, 1.0, 0.05456642268, 0.05456642268, 0.0961507377, 0.6442801564, 1.0),
         (1.235226231, 1.0, 0.3286914362, 0.3286914362, 0.01495990505, 0.2359451486, 1.0),
         (1.455409347, 1.0, 0.2941327076, 0.2941327076, 0.005542455177, 0.2667827939, 1.0),
-    ],
-    (10, 3, 4): [
-        (3.636973862, 0.6298400015, 0.04714056681, 0.07545850028, 0.0271773885, 0.287804177, 0.02889569018),
-        (2.07880647, 0.6585870026, 0.1265280173, 0.1548032317, 0.02035633688, 0.1876381247, 0.3090444867),
-        (2.042088333, 0.2816380032, 0.07570429897, 0.1678768173, 0.02092689331, 0.1849367865, np.nan),
-    ],
-    (6, 5, 3): [
-        (3.914224843, 0.2736520606, 0.01661623075, 0.09861004505, 0.05380976837, 0.439098734, np.nan),
-        (4.321491429, 0.7914096036, 0.04440409251, 0.06001861558, 0.03393964068, 0.4636051497, 0.5423318114),
-        (3.214513647, 0.1352710328, 0.006493603676, 0.1280097697, 0.05374639421, 0.3913212377, np.nan),
     ],
     (21, 4, 12): [
         (12.87054193, 0.4358829373, 1.348910066e-06, 0.0005957232391, 0.06858760391, 0.3915524714, np.nan),
@@ -78,7 +66,7 @@ ANOVAS = {
 @pytest.mark.parametrize("shape", ANOVAS, ids=str)
 def test_an_analysis_of_variance_is_that_of_r_and_pingouin(shape: tuple[int, int, int]) -> None:
     n, a, b = shape
-    effects = anova(data(*shape), ("method", "texture") if b > 1 else ("method",))
+    effects = anova(data(*shape))
     degrees = [(a - 1, (a - 1) * (n - 1)), (b - 1, (b - 1) * (n - 1)), ((a - 1) * (b - 1), (a - 1) * (b - 1) * (n - 1))]
     assert len(effects) == len(ANOVAS[shape])
     for effect, expected, df in zip(effects, ANOVAS[shape], degrees, strict=False):
@@ -100,23 +88,11 @@ def test_many_studies_at_once_are_those_one_by_one() -> None:
             np.testing.assert_allclose(many.p_corrected[i], one.p_corrected, rtol=1e-8)
 
 
-def test_what_cannot_be_computed_is_said() -> None:
-    with pytest.raises(ValueError, match="a rating is missing"):
-        anova(np.where(np.arange(36).reshape(3, 3, 4) == 5, np.nan, 1.0))
-    with pytest.raises(ValueError, match="1 participants and 3 × 4 conditions, expected two or more"):
-        anova(np.zeros((1, 3, 4)))
-    effect = anova(np.full((5, 3), 7.0), ("method",))[0]
-    assert np.isnan(effect.f)
-    assert np.isnan(effect.p)
-    assert np.isnan(friedman(np.full((5, 3), 7.0)).p)
-    assert wilcoxon_tests(np.full((5, 3), 7.0)).p.tolist() == [1.0, 1.0, 1.0]
-
-
-def test_contrasts_are_orthonormal_and_see_no_mean() -> None:
-    for k in (2, 3, 12):
-        c = contrasts(k)
-        np.testing.assert_allclose(c.T @ c, np.eye(k - 1), atol=1e-12)
-        np.testing.assert_allclose(c.sum(0), 0, atol=1e-12)
+def test_what_cannot_be_computed_is_nan() -> None:
+    same = np.full((5, 3), 7.0)
+    (effect,) = anova(same[..., None])
+    assert np.isnan([effect.f, effect.p, friedman(same).p, friedman(same).chi2]).all()
+    assert wilcoxon_tests(same).p.tolist() == [1.0, 1.0, 1.0]
 
 
 def test_adjusted_p_values_are_those_of_statsmodels(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -125,9 +101,8 @@ def test_adjusted_p_values_are_those_of_statsmodels(monkeypatch: pytest.MonkeyPa
     rng = np.random.default_rng(0)
     for m in (1, 3, 6, 12):
         p = rng.uniform(0, 0.2, (20, m))
-        for row, ours, theirs in ((p, holm, "holm"), (p, bonferroni, "bonferroni")):
-            expected = [statsmodels.multipletests(one, method=theirs)[1] for one in row]
-            np.testing.assert_allclose(ours(row), expected, rtol=1e-12)
+        expected = [statsmodels.multipletests(row, method="holm")[1] for row in p]
+        np.testing.assert_allclose(holm(p), expected, rtol=1e-12)
     # p.adjust(c(0.01, 0.04, 0.03, 0.005, 0.5, 0.02), "holm") of R
     np.testing.assert_allclose(
         holm(np.array([0.01, 0.04, 0.03, 0.005, 0.5, 0.02])), [0.05, 0.09, 0.09, 0.03, 0.5, 0.08]
@@ -135,7 +110,7 @@ def test_adjusted_p_values_are_those_of_statsmodels(monkeypatch: pytest.MonkeyPa
 
 
 def test_pairs_by_t_and_by_ranks_are_those_of_r() -> None:
-    y = data(12, 4, 1)
+    y = data(12, 4, 1)[..., 0]
     paired, signed = paired_tests(y), wilcoxon_tests(y)
     assert paired.pairs == signed.pairs == [(0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3)]
     t = [0.05051914788, -4.083607779, -1.668819601, -2.056132934, -3.168701084, 0.2705381283]
@@ -143,8 +118,14 @@ def test_pairs_by_t_and_by_ranks_are_those_of_r() -> None:
     low = [-5.0807572, -6.9123312, -9.0453476, -9.546546, -6.8124437, -4.2155069]
     high = [5.3194733, -2.0706689, 1.2438929, 0.32482971, -1.2277273, 5.3970523]
     by_ranks = [1.0, 0.00048828125, 0.1098632813, 0.05224609375, 0.00927734375, 0.791015625]
-    for ours, theirs in ((paired.t, t), (paired.p, p), (paired.low, low), (paired.high, high), (signed.p, by_ranks)):
-        np.testing.assert_allclose(ours, theirs, rtol=1e-6)
+    for values, expected in (
+        (paired.t, t),
+        (paired.p, p),
+        (paired.ci95_low, low),
+        (paired.ci95_high, high),
+        (signed.p, by_ranks),
+    ):
+        np.testing.assert_allclose(values, expected, rtol=1e-6)
     d = y[:, 0] - y[:, 2]
     assert paired.dz[1] == pytest.approx(d.mean() / d.std(ddof=1))
     assert signed.rank_biserial[1] == pytest.approx(-1.0)  # all of them lower
@@ -175,7 +156,7 @@ def test_equal_differences_share_their_ranks() -> None:
 
 def test_friedman_is_that_of_r() -> None:
     for shape, chi2, p in (((8, 3, 1), 9.75, 0.007635094219), ((12, 4, 1), 11.5, 0.009307797106)):
-        test = friedman(data(*shape))
+        test = friedman(data(*shape)[..., 0])
         assert test.chi2 == pytest.approx(chi2, rel=1e-9)
         assert test.p == pytest.approx(p, rel=1e-9)
     ties = np.array([[1, 1, 2], [2, 3, 3], [1, 2, 2], [5, 5, 6]])  # friedman.test: chi-squared = 6
@@ -183,12 +164,10 @@ def test_friedman_is_that_of_r() -> None:
 
 
 def test_reliability_is_that_of_pingouin() -> None:
-    test = reliability(data(8, 3, 1))
+    test = reliability(data(8, 3, 1)[..., 0])
     assert test.single == pytest.approx(0.201007, abs=1e-6)
     assert test.mean == pytest.approx(0.668061, abs=1e-6)
-    same = np.tile(np.array([10.0, 40.0, 90.0, 20.0]), (6, 1)) + np.arange(6)[:, None] * 0.0
-    np.testing.assert_allclose(reliability(same).with_others, 1.0)
-    opposite = same.copy()
+    opposite = np.tile(np.array([10.0, 40.0, 90.0, 20.0]), (6, 1))
     opposite[2] = 100 - opposite[2]
     assert reliability(opposite).with_others[2] == pytest.approx(-1.0)
 
@@ -210,18 +189,13 @@ def test_a_mixed_model_of_complete_ratings_is_the_analysis_of_variance() -> None
 
 
 def test_a_mixed_model_takes_ratings_that_are_not_complete() -> None:
-    raters = raters_for(3, 4, difference=15.0)
-    y = raters.draw(np.random.default_rng(4), 14)
-    keep = np.random.default_rng(5).random(y.shape) < 0.8
-    index = [axis[keep] for axis in np.indices(y.shape)]
-    model = mixed_model(*index, y[keep])
+    y = raters_for(3, 4, difference=15.0).draw(np.random.default_rng(4), 14)
+    rated = np.random.default_rng(5).random(y.shape) < 0.8
+    participant, method, texture = (axis[rated] for axis in np.indices(y.shape))
+    model = mixed_model(participant, method, texture, y[rated])
     assert model.terms[0][0] == "method"
     assert model.terms[0][4] < 1e-4
     assert model.terms[1][4] > 1e-3
-    keep[:, 1, 2] = False
-    index = [axis[keep] for axis in np.indices(y.shape)]
-    with pytest.raises(ValueError, match="a texture has no rating with some method"):
-        mixed_model(*index, y[keep])
 
 
 def test_raters_are_as_their_model_says() -> None:
@@ -232,8 +206,6 @@ def test_raters_are_as_their_model_says() -> None:
     r = np.corrcoef(y[:, 0, 0], y[:, 1, 1])[0, 1]
     assert r == pytest.approx(0.35, abs=0.05)
     assert (y[:, 0, 2] - y[:, 3, 2]).std() == pytest.approx(raters.sd_of_difference, rel=0.04)
-    with pytest.raises(ValueError, match=r"correlation is 1\.2, expected 0 to 1"):
-        Raters(np.zeros((2, 2)), correlation=1.2)
 
 
 def test_power_is_that_of_the_noncentral_t() -> None:
@@ -255,7 +227,6 @@ def test_power_for_the_effects_of_the_paper() -> None:
     found = power(raters, PAPER_PARTICIPANTS, 300, 0)
     assert min(found[name] for name in ("method", "texture", "method × texture")) > 0.95
     rows, smallest = needed(raters_for(4, 12, 8.75), 200, 0)
-    assert [row["participants"] for row in rows][:3] == [4, 8, 12]
     assert rows[0]["pair"] < rows[-1]["pair"]
     assert smallest is not None
     assert 12 < smallest < 40
@@ -269,12 +240,12 @@ def test_error_rates_of_null_studies() -> None:
     null = Raters(np.full((4, 12), 60.0))
     y = null.draw(np.random.default_rng(1), 21, 2000)
     rates = {effect.name: float((effect.p_corrected < 0.05).mean()) for effect in anova(y)}
-    rates["one way"] = float((anova(y.mean(-1), ("method",))[0].p_corrected < 0.05).mean())
+    rates["one way"] = float((anova(y.mean(-1, keepdims=True))[0].p_corrected < 0.05).mean())
     by_texture = paired_tests(np.moveaxis(y, -1, -3))
     rates["pairs, not adjusted"] = float((by_texture.p < 0.05).mean())
     for name in ("p_holm", "p_bonferroni"):
         rates[name] = float((getattr(by_texture, name) < 0.05).any(-1).mean())
-    rates["Friedman"] = float(np.mean([friedman(one.mean(-1)).p < 0.05 for one in y]))
+    rates["Friedman"] = float((friedman(y.mean(-1)).p < 0.05).mean())
     rates["Wilcoxon, Holm"] = float(np.mean([(wilcoxon_tests(one.mean(-1)).p_holm < 0.05).any() for one in y[:500]]))
     assert max(rates.values()) <= 0.06, rates
     assert rates["method × texture"] < 0.02

@@ -50,21 +50,7 @@ def hostile(rng: random.Random, page: str) -> bytes | str:
         return text[:at] + chr(rng.randrange(1, 0x2FFF)) + text[at + 1 :]
     if kind == 3:
         return rng.choice(texts)
-    words: list[Any] = [
-        *good,
-        *good.values(),
-        "close",
-        "train",
-        "volume",
-        "../x",
-        None,
-        1e308,
-        -1,
-        [],
-        {},
-        True,
-        "sink",
-    ]
+    words: list[Any] = [*good, *good.values(), "close", "train", "volume", "../x", None, 1e308, -1, [], {}, True]
     return json.dumps({str(rng.choice(words)): rng.choice(words) for _ in range(4)})
 
 

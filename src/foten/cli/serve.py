@@ -81,8 +81,12 @@ def serve(
             say(f"left out {kept}: {' '.join(why.split())}")
     studio = Studio(shelf, captures, output)
 
-    def on_start(access: Access, shown: str) -> None:
+    def announce(access: Access, shown: str, joined: bool) -> None:
         link = access.link(shown)
+        if joined:
+            say(f"a device came in; for the next one: {link}")
+            _say_code(link)
+            return
         many = f"{len(studio.shelf)} texture{'s' if len(studio.shelf) != 1 else ''}"
         say(f"{many} at {link}")
         if access.token is not None:
@@ -95,12 +99,7 @@ def serve(
 
             webbrowser.open(link)
 
-    def on_joined(access: Access, shown: str) -> None:
-        link = access.link(shown)
-        say(f"a device came in; for the next one: {link}")
-        _say_code(link)
-
-    serve_studio(studio, host, port, on_start, on_joined)
+    serve_studio(studio.app, host, port, announce)
 
 
 def _say_code(link: str) -> None:

@@ -55,10 +55,11 @@ class Access:
         """`https` where others may listen, else `http`: loopback is a secure context by itself."""
         return "http" if self.token is None else "https"
 
-    def link(self, host: str) -> str:
-        """Address to open."""
+    def link(self, host: str, page: str = "", **query: str) -> str:
+        """Address to open, of a page and with a query."""
         name = f"[{host}]" if ":" in host else host
-        return f"{self.scheme}://{name}:{self.port}/" + ("" if self.token is None else f"?token={self.token}")
+        parts = urlencode(query if self.token is None else {"token": self.token, **query})
+        return f"{self.scheme}://{name}:{self.port}/{page}" + (f"?{parts}" if parts else "")
 
     def knows(self, authority: str) -> bool:
         """Whether a Host header names this server: another name that leads here is a page of someone else."""
@@ -68,14 +69,6 @@ class Access:
             return parts.hostname in hosts and (parts.port or (80 if self.scheme == "http" else 443)) == self.port
         except ValueError:
             return False
-
-    def admits(self, token: str | None) -> bool:
-        """Whether a token is the right one."""
-        return self.token is None or (token is not None and is_same(token, self.token))
-
-    def renewed(self) -> Access:
-        """Access with another token."""
-        return replace(self, token=_secret())
 
 
 def access_to(
@@ -95,7 +88,6 @@ class Guarded:
         self._devices: list[str] = []  # the secrets of those that came in
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Pass a request on, or refuse it."""
         if scope["type"] == "lifespan":
             await self._app(scope, receive, send)
             return
@@ -131,7 +123,7 @@ class Guarded:
         if known:
             await response(scope, receive, send)
             return
-        access = self._access = self._access.renewed()
+        access = self._access = replace(self._access, token=_secret())
         self._devices.append(_secret())
         # A cookie that scripts cannot read. `lax`, as `strict` ones stay away from a page that was opened by a link on another.
         response.set_cookie(COOKIE, self._devices[-1], httponly=True, samesite="lax", secure=True)
@@ -153,7 +145,8 @@ class Guarded:
         asks = scope["type"] == "http" and scope["method"] in ("GET", "HEAD")
         if not asks and str(origin).lower() != expected.lower():
             return f"the origin is {str(origin)[:80]!r}, expected this server's own page"
-        if not known and not self._access.admits(token if asks else None):
+        expected_token = self._access.token
+        if not known and expected_token is not None and not (asks and token and is_same(token, expected_token)):
             what = "the token is missing, wrong or used, as a link lets one device in"
             return f"{what}: open the newest link, or scan the newest code, that the server printed"
         return ""

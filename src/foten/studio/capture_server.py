@@ -1,26 +1,33 @@
-"""A page that captures: sound and events in, progress of the training out."""
+"""A page that captures: the sound of a pen on a surface and the pen's events in, files that `foten import --pen` reads, and
+progress of the training out.
+"""
 
 from __future__ import annotations
 
 import asyncio
 import importlib.util
+import json
 import sys
-from collections.abc import AsyncIterator, Callable, Mapping
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from starlette.websockets import WebSocket
 
-from foten.atomic_write import reason
-from foten.recording.capture_folder import About
-from foten.studio.capture_session import CaptureSession
+from foten.atomic_write import atomic_write, reason
+from foten.recording.capture_folder import ABOUT, PEN, SOUND, About, file_name
 from foten.studio.messages import CAPTURE, RefusedError, parse_capture_bytes
 from foten.studio.shelf import Shelf
 from foten.studio.websocket import PageSocket
 from foten.untrusted import LONGEST_TEXT, brief, check_numbers, parse_json, printable
 
 MAX_CAPTURES = 200  # of one start of the server
+MAX_CAPTURE_S = 300.0
+MAX_PEN_EVENTS = 2000 * int(MAX_CAPTURE_S)
+MAX_BACK_S, MAX_LATE_SHARE = 0.1, 0.01  # of an event, in time; of all events: with more the pen has no clock
 MAX_LINE_BYTES = 1 << 16  # of what a training prints
 MAX_CAPTURE_MESSAGES_PER_S = 12_000.0  # after a pause of a page that goes on recording
 COMMAND = (sys.executable, "-m", "foten.training.train_capture")  # and a folder
@@ -65,12 +72,11 @@ class TrainingQueue:
             # Whatever goes wrong, the page waits for an answer.
             try:
                 await self._run(folder, say)
-            except (OSError, ValueError) as error:
+            except Exception as error:
                 why = reason(error) if isinstance(error, OSError) else brief(error)
                 say({"refused": f"the training failed: {why}"})
-            except Exception as error:
-                say({"refused": f"the training failed: {type(error).__name__}: {brief(error)}"})
-                raise  # a fault of ours: the server's log has it too
+                if not isinstance(error, OSError | ValueError):
+                    raise  # a fault of ours: the server's log has it too
 
     async def _run(self, folder: Path, say: Callable[[Mapping[str, Any]], None]) -> None:
         # A process of its own, by a command: what renders here is not disturbed, and ends are clean.
@@ -86,7 +92,9 @@ class TrainingQueue:
         errors = asyncio.create_task(process.stderr.read())
         try:
             ended = False
-            async for progress in _printed(process.stdout):
+            async for line in process.stdout:
+                progress = parse_json(line)
+                check_numbers(progress, "its progress")
                 for kind in ("playable", "done"):
                     if kind in progress:
                         progress[kind] = self._shelf.put(folder / progress[kind]).listed()
@@ -103,30 +111,6 @@ class TrainingQueue:
                 await process.wait()
 
 
-async def _printed(stream: asyncio.StreamReader) -> AsyncIterator[dict[str, Any]]:
-    """JSON objects that a training prints, each on a line.
-
-    Raises:
-        ValueError: a line is none, or too long.
-    """
-    while True:
-        try:
-            line = await stream.readline()
-        except ValueError:
-            raise ValueError(f"it said a line of more than {MAX_LINE_BYTES} bytes") from None
-        if not line:
-            return
-        try:
-            progress = parse_json(line)
-            check_numbers(progress, "it")
-        except ValueError:
-            progress = None
-        if not isinstance(progress, dict):
-            text = line.decode("utf-8", "replace").strip()
-            raise ValueError(f"it said {text[: LONGEST_TEXT // 2]!r}, expected a JSON object")
-        yield progress
-
-
 class CapturePage(PageSocket):
     """A page that captures; a message that is refused ends its capture, for something of it would be missing."""
 
@@ -137,7 +121,6 @@ class CapturePage(PageSocket):
         self._outgoing: asyncio.Queue[Mapping[str, Any]] = asyncio.Queue()
 
     async def run(self) -> None:
-        """Serve the page until it goes."""
         await self.converse(self._send())
 
     async def refuse(self, why: str) -> None:
@@ -147,7 +130,6 @@ class CapturePage(PageSocket):
         self._outgoing.put_nowait({"refused": why})
 
     async def take_bytes(self, data: bytes) -> None:
-        """Take in sound or events."""
         kind, values = parse_capture_bytes(data)
         capture = self._current("sound or events")
         if kind == "sound":
@@ -156,7 +138,6 @@ class CapturePage(PageSocket):
             capture.add_events(values)
 
     async def do(self, message: Mapping[str, Any]) -> None:
-        """Begin, train or discard."""
         if message["do"] == "begin":
             if self._trainings.n_saved >= MAX_CAPTURES:
                 raise RefusedError(f"{MAX_CAPTURES} captures are kept already: start the server again")
@@ -184,3 +165,109 @@ class CapturePage(PageSocket):
     async def _send(self) -> None:
         while True:
             await self.say(await self._outgoing.get())
+
+
+class CaptureSession:
+    """Sound and events as they come in, until they are written."""
+
+    def __init__(self, about: About) -> None:
+        self.about = about
+        self._sound: list[NDArray[np.float32]] = []
+        self._events: list[NDArray[np.float64]] = []
+        self._n_samples = self._n_events = 0
+        self._latest_s = -np.inf
+
+    @property
+    def seconds(self) -> float:
+        """Duration of the sound [s]."""
+        return self._n_samples / self.about.rate_hz
+
+    def add_sound(self, samples: NDArray[np.float32]) -> None:
+        """Take in the next samples, of which full scale is 1.
+
+        Raises:
+            RefusedError: it is longer than `MAX_CAPTURE_S`.
+        """
+        if self._n_samples + samples.size > MAX_CAPTURE_S * self.about.rate_hz:
+            raise RefusedError(f"the capture is longer than {MAX_CAPTURE_S:g} s")
+        self._sound.append(samples)
+        self._n_samples += samples.size
+
+    def add_events(self, events: NDArray[np.float64]) -> None:
+        """Take in the next events: x, y [mm], pressure, t [s], shape (n, 4); for those that come late see `in_order`.
+
+        Raises:
+            RefusedError: there are too many, or an event is more than `MAX_BACK_S` back in time.
+        """
+        if self._n_events + len(events) > MAX_PEN_EVENTS:
+            raise RefusedError(f"the capture has more than {MAX_PEN_EVENTS} events")
+        latest_s = np.maximum.accumulate(np.append(self._latest_s, events[:, 3]))
+        back_s = float((latest_s[1:] - events[:, 3]).max())
+        if back_s > MAX_BACK_S:
+            raise RefusedError(
+                f"the events are not in the order of their times: one is {1000 * back_s:.0f} ms back, "
+                f"expected {1000 * MAX_BACK_S:g} at most"
+            )
+        self._latest_s = float(latest_s[-1])
+        self._events.append(events)
+        self._n_events += len(events)
+
+    def write(self, captures: Path) -> Path:
+        """Write sound, events and `About` to a new folder below `captures`; the folder.
+
+        Raises:
+            RefusedError: there is no sound, no event, or more than `MAX_LATE_SHARE` of the events came late.
+            OSError: the disk refuses.
+        """
+        import scipy.io.wavfile
+
+        if not self._n_samples or not self._n_events:
+            raise RefusedError("there is no sound yet" if self._n_events else "the pen has not touched yet")
+        events, n_late = in_order(np.concatenate(self._events))
+        if n_late > MAX_LATE_SHARE * self._n_events:
+            raise RefusedError(
+                f"the events are not in the order of their times: {n_late} of {self._n_events} came late, "
+                f"expected {100 * MAX_LATE_SHARE:g} % at most"
+            )
+        folder = _new_folder(captures, self.about.name)
+        with atomic_write(folder / SOUND) as part:
+            scipy.io.wavfile.write(part, round(self.about.rate_hz), np.concatenate(self._sound))
+        with atomic_write(folder / PEN) as part:
+            rows = events[:, [3, 0, 1, 2]]
+            np.savetxt(part, rows, "%.6f", ",", header="t [s],x [mm],y [mm],pressure", comments="")
+        about = replace(self.about, n_late_events=n_late)
+        with atomic_write(folder / ABOUT) as part:
+            part.write_text(json.dumps(asdict(about), indent=1) + "\n", encoding="utf-8")
+        return folder
+
+
+def in_order(events: NDArray[np.float64]) -> tuple[NDArray[np.float64], int]:
+    """Events with increasing times, shape (k, 4), and how many came late: after an event of a later time.
+
+    A late event is left out, since the pen was there before. If it is a touch or a lift, it counts at the time of the event
+    before: events come in the right order where a clock does not, and without it two touches would be one. Of events of one
+    time the last counts; a touch and the lift before it may have one time.
+
+    Args:
+        events: x, y [mm], pressure, t [s] in the order in which they came, shape (n, 4).
+    """
+    times = np.round(events[:, 3], 6)  # as the file has them
+    latest = np.maximum.accumulate(times)
+    late = times < latest
+    down = events[:, 2] > 0
+    touches_or_lifts = down != np.append(False, down[:-1])
+    ordered = np.column_stack([events[:, :3], latest])[~late | touches_or_lifts]
+    last = np.append(np.diff(ordered[:, 3]) > 0, True)
+    return ordered[last], int(late.sum())
+
+
+def _new_folder(captures: Path, name: str) -> Path:
+    stem, n = file_name(name), 1
+    while True:
+        folder = captures / (stem if n == 1 else f"{stem}-{n}")
+        try:
+            folder.mkdir(parents=True)
+        except FileExistsError:
+            n += 1
+        else:
+            return folder

@@ -23,12 +23,9 @@ def gains_db(renderers: Sequence[Renderer], scales: Sequence[float]) -> list[flo
         scales: factors with which they are played at 0 dB.
     """
     conditions = _conditions(renderers)
-    levels = [
-        _level_db(renderer, conditions) + 20 * math.log10(scale)
-        for renderer, scale in zip(renderers, scales, strict=True)
-    ]
-    usual = float(np.median(levels))
-    return [min(MAX_GAIN_DB, max(-MAX_GAIN_DB, usual - level)) for level in levels]
+    levels = np.array([_level_db(renderer, conditions) for renderer in renderers]) + 20 * np.log10(scales)
+    gains: list[float] = np.clip(np.median(levels) - levels, -MAX_GAIN_DB, MAX_GAIN_DB).tolist()
+    return gains
 
 
 def _conditions(renderers: Sequence[Renderer]) -> list[tuple[float, float]]:

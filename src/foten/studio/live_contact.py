@@ -68,11 +68,8 @@ class Contact:
         """
         renderer = Renderer(texture, rate=self._rate_hz, seed=seed, actuator=self._actuator)
         sd = float(renderer.native_texture.info.acceleration_sd)
-        stroked = _Stroked(renderer, Stylus(renderer, calibration), 1.0, sd)
-        stroked.scale = self._scale(stroked)
         with self._pushing, self._changing:
-            for event in self._last:
-                stroked.stylus.push(*event)
+            stroked = _Stroked(renderer, self._stylus(renderer, calibration), self._scale(sd), sd)
             self._previous, self._stroked, self._faded = self._stroked, stroked, 0
         with self._starting:
             if self._closed:
@@ -81,18 +78,23 @@ class Contact:
                 self._started = True
                 self._player.start(self._render)
 
-    def _scale(self, stroked: _Stroked) -> float:
+    def _scale(self, sd: float) -> float:
         if self._player.calibrated:
             return 1.0
-        return 1 / self._full_scale if self._actuator is not None else LOUDNESS / stroked.sd
+        return 1 / self._full_scale if self._actuator is not None else LOUDNESS / sd
+
+    def _stylus(self, renderer: Renderer, calibration: PressureCalibration) -> Stylus:
+        """A stylus that knows the last events."""
+        stylus = Stylus(renderer, calibration)
+        for event in self._last:
+            stylus.push(*event)
+        return stylus
 
     def calibrate(self, calibration: PressureCalibration) -> None:
         """Take another curve of pressure from now on."""
         with self._pushing, self._changing:
             if self._stroked is not None:
-                self._stroked.stylus = Stylus(self._stroked.renderer, calibration)
-                for event in self._last:
-                    self._stroked.stylus.push(*event)
+                self._stroked.stylus = self._stylus(self._stroked.renderer, calibration)
 
     def actuate(self, actuator: ActuatorProfile | None, full_scale: float = 1.0) -> None:
         """Render an actuator's drive from now on, of which so much is full scale; None renders acceleration. Where the player has
@@ -104,7 +106,7 @@ class Contact:
             self._actuator, self._full_scale = actuator, full_scale
             if self._stroked is not None:
                 self._stroked.renderer.native_state.set_actuator(None if actuator is None else actuator.native())
-                self._stroked.scale = self._scale(self._stroked)
+                self._stroked.scale = self._scale(self._stroked.sd)
 
     def set_volume(self, db: float) -> None:
         """Set the volume [dB]."""
@@ -125,12 +127,9 @@ class Contact:
 
     def lift(self) -> None:
         """The pen is off the surface, from where it was."""
-        with self._pushing:
-            if self._last and self._last[-1][2] > 0:
-                x, y, _, t = self._last[-1]
-                self._last.append([x, y, 0.0, t + LIFT_S])
-                if self._stroked is not None:
-                    self._stroked.stylus.push(*self._last[-1])
+        if self._last and self._last[-1][2] > 0:
+            x, y, _, t = self._last[-1]
+            self.push(np.array([[x, y, 0.0, t + LIFT_S]]))
 
     @property
     def running(self) -> bool:
@@ -161,32 +160,26 @@ class Contact:
             stroked = self._stroked
             assert stroked is not None
             stroked.stylus.render_into(out)
-            speed, force = stroked.renderer.condition
-            previous = self._previous
-            previous_out = None
-            if previous is not None:
-                previous_out = np.empty_like(out)
-                previous.stylus.render_into(previous_out)
-            volume = self._volume_was if self._volume_was is not None else self._volume, self._volume
+            self._on_block(out, *stroked.renderer.condition)
+            out *= stroked.scale
+            if self._previous is not None:
+                self._cross(out, self._previous)
+            volume = self._volume if self._volume_was is None else self._volume_was, self._volume
             self._volume_was = self._volume
-        self._on_block(out, speed, force)
-        out *= stroked.scale
-        if previous is not None and previous_out is not None:
-            self._cross(out, previous_out, previous)
         out *= np.linspace(*volume, out.size, dtype=np.float32)
         if not self._player.calibrated:
             limit(out)
 
-    def _cross(self, out: Samples, previous_out: Samples, previous: _Stroked) -> None:
+    def _cross(self, out: Samples, previous: _Stroked) -> None:
         """Fade from what leaves to what takes over."""
-        share = np.zeros(out.size, dtype=np.float32)
+        leaving, share = np.empty_like(out), np.zeros_like(out)
+        previous.stylus.render_into(leaving)
         part = self._fade[self._faded : self._faded + out.size]
         share[: part.size] = part
-        out += share * (previous.scale * previous_out - out)
-        with self._changing:
-            self._faded += out.size
-            if self._faded >= self._fade.size and self._previous is previous:
-                self._previous = None
+        out += share * (previous.scale * leaving - out)
+        self._faded += out.size
+        if self._faded >= self._fade.size:
+            self._previous = None
 
 
 def limit(samples: Samples) -> None:

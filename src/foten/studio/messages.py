@@ -39,7 +39,6 @@ from foten.untrusted import parse_json
 MAX_BYTES = 4096  # of a message
 MAX_EVENTS = 64  # in a message
 MAX_EVENTS_PER_S = 2000.0  # twice as many as a pen has
-BURST_S = 1.0  # worth of messages or events that may come at once after a pause
 MAX_NAME_LENGTH = 100  # characters of a texture's or an input's
 MAX_SOUND_SAMPLE = 16.0  # of full scale: floats go beyond 1
 
@@ -181,19 +180,17 @@ def parse_capture_bytes(data: bytes) -> tuple[str, NDArray[np.float64]]:
 
 @dataclass
 class Allowance:
-    """How much a page may still send: so many per second, and `BURST_S` of them at once."""
+    """How much a page may still send: so many per second, and a second's worth at once after a pause."""
 
     per_s: float
-    left: float = math.inf
-    at_s: float = 0.0
+    left: float = 0.0
+    at_s: float = -math.inf
 
     def take(self, n: float, now_s: float | None = None) -> bool:
         """Whether n more are allowed; they are counted where they are."""
         now_s = time.monotonic() if now_s is None else now_s
-        full = self.per_s * BURST_S
-        self.left = min(full, self.left + (now_s - self.at_s) * self.per_s) if math.isfinite(self.left) else full
+        self.left = min(self.per_s, self.left + (now_s - self.at_s) * self.per_s)
         self.at_s = now_s
-        if n > self.left:
-            return False
-        self.left -= n
-        return True
+        allowed = n <= self.left
+        self.left -= n * allowed
+        return allowed

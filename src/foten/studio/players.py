@@ -99,17 +99,14 @@ class DevicePlayer:
 
     @property
     def running(self) -> bool:
-        """Whether it plays."""
         return self._live is not None and self._live.running
 
     def start(self, render: Read) -> None:
-        """Begin to play."""
         self._live = Live(render, self._sink, block_ms=DEVICE_BLOCK_MS, lead_ms=DEVICE_LEAD_MS)
         self.statistics = self._live.statistics
         self._live.start()
 
     def stop(self) -> None:
-        """End, and give the device back."""
         live, self._live = self._live, None
         if live is not None:
             live.stop()
@@ -123,8 +120,9 @@ class RoundRobinRenderer:
     Threads of their own would wait for Python's lock: twenty pages then fall behind (`benchmarks/studio_load.py`).
     """
 
-    def __init__(self, block_ms: float = BLOCK_MS) -> None:
-        self.block_s = block_ms / 1000
+    block_s = BLOCK_MS / 1000
+
+    def __init__(self) -> None:
         self._changing = threading.Lock()
         self._players: list[RoundRobinPlayer] = []
         self._thread: threading.Thread | None = None
@@ -152,17 +150,13 @@ class RoundRobinRenderer:
         while self._render_all(due):
             due += self.block_s
             now = time.perf_counter()
-            if now > due + MAX_BEHIND_S:
-                self._skip(int((now - due) / self.block_s))
+            if now > due + MAX_BEHIND_S:  # blocks are left out, and missed
+                with self._changing:
+                    for player in self._players:
+                        player.statistics.n_missed += int((now - due) / self.block_s)
                 due = now
             elif now < due:
                 time.sleep(due - now)
-
-    def _skip(self, n: int) -> None:
-        """Count blocks that are left out, after the machine stood still, as missed."""
-        with self._changing:
-            for player in self._players:
-                player.statistics.n_missed += n
 
     def _render_all(self, due: float) -> bool:
         """Render a block for each player; whether there is any."""
@@ -191,16 +185,13 @@ class RoundRobinPlayer:
 
     @property
     def running(self) -> bool:
-        """Whether it is rendered for."""
         return self._render is not None and self._failed is None
 
     def start(self, render: Read) -> None:
-        """Begin."""
         self._render = render
         self._renderer.add(self)
 
     def stop(self) -> None:
-        """End, and raise what rendering died of."""
         self._renderer.remove(self)
         failed, self._failed = self._failed, None
         if failed is not None:

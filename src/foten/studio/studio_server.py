@@ -21,7 +21,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from starlette.applications import Starlette
 from starlette.requests import Request
 from starlette.responses import FileResponse, JSONResponse, PlainTextResponse, Response
@@ -42,14 +41,7 @@ from foten.studio.live_contact import Contact
 from foten.studio.messages import STROKE, RefusedError
 from foten.studio.players import OutputDevice, Player, RoundRobinRenderer
 from foten.studio.shelf import Shelf
-from foten.studio.websocket import (
-    MAX_MESSAGES_PER_S,
-    BlockQueue,
-    PageSocket,
-    packed_block,
-    pressure_calibration,
-    serve_page,
-)
+from foten.studio.websocket import MAX_MESSAGES_PER_S, BlockQueue, PageSocket, pressure_calibration, serve_page
 
 PAGE = Path(__file__).with_name("page")
 KERNEL = ("foten.mjs", "foten.wasm")
@@ -151,7 +143,6 @@ class StrokePage(PageSocket):
     def __init__(self, studio: Studio, socket: WebSocket) -> None:
         super().__init__(socket, STROKE, MAX_MESSAGES_PER_S)
         self._studio = studio
-        self._loop = asyncio.get_running_loop()
         self._blocks = BlockQueue(socket)
         self._contact: Contact | None = None
         self._opening: Contact | None = None  # that does not play yet
@@ -160,17 +151,14 @@ class StrokePage(PageSocket):
         self._n_events = 0
 
     async def run(self) -> None:
-        """Serve the page until it goes."""
         await self.converse(self._blocks.send(), self._send_state())
 
     async def leave(self) -> None:
-        """End playing; a second time nothing happens."""
-        contacts = self._contact, self._opening
+        contacts = [contact for contact in (self._contact, self._opening) if contact is not None]
         self._contact = self._opening = None
         for contact in contacts:
-            if contact is not None:
-                with contextlib.suppress(OSError, ValueError, RuntimeError):  # the page was sent why it died
-                    await asyncio.to_thread(contact.close)
+            with contextlib.suppress(OSError, ValueError, RuntimeError):  # the page was sent why it died
+                await asyncio.to_thread(contact.close)
 
     def state(self) -> dict[str, Any]:
         """How the page does, for people."""
@@ -180,19 +168,17 @@ class StrokePage(PageSocket):
         if contact is not None:
             live = contact.statistics
             known |= {"block_ms": live.block_ms, "n_missed": live.n_missed, "n_underruns": live.n_underruns}
-            for name, percent in (("p50", 50.0), ("p99", 99.0)):
+            for percent in (50, 99):
                 value = 1000 * live.block.percentile_s(percent)
-                known[f"block_{name}_ms"] = None if np.isnan(value) else value
+                known[f"block_p{percent}_ms"] = None if np.isnan(value) else value
             known["stylus"] = contact.stylus_counts
         return known
 
     async def refuse(self, why: str) -> None:
-        """Say why a message was refused."""
         self._studio.n_refused += 1
         await super().refuse(why)
 
     async def take_bytes(self, data: bytes) -> None:
-        """Take in events."""
         events = self.events_in(data)
         if self._contact is None:
             raise RefusedError("events before a texture was opened")
@@ -200,7 +186,6 @@ class StrokePage(PageSocket):
         self._n_events += len(events)
 
     async def do(self, message: Mapping[str, Any]) -> None:
-        """Open, close, set."""
         kind = message["do"]
         if {"newtons", "steepness"} & message.keys():
             self._calibration = pressure_calibration(message)
@@ -231,7 +216,7 @@ class StrokePage(PageSocket):
             contact = self._contact
             if contact is None:
                 player = await asyncio.to_thread(self._studio.players[sink], rate_hz)
-                contact = self._opening = Contact(player, self._on_block)
+                contact = self._opening = Contact(player, self._blocks.put)
             await asyncio.to_thread(contact.open, data, self._calibration)
             self._contact, self._opening = contact, None
         except (OSError, ValueError) as error:
@@ -248,11 +233,6 @@ class StrokePage(PageSocket):
             self._contact.actuate(actuator, float(message.get("full_scale", 1.0)))
         except ValueError as error:
             raise RefusedError(str(error)) from error
-
-    def _on_block(self, samples: NDArray[np.float32], speed: float, force: float) -> None:
-        """Pass a block on to the page, from the rendering thread."""
-        with contextlib.suppress(RuntimeError):  # the loop has ended, and so does the contact
-            self._loop.call_soon_threadsafe(self._blocks.put, packed_block(samples, speed, force))
 
     async def _send_state(self) -> None:
         while True:

@@ -6,9 +6,8 @@ import contextlib
 import ipaddress
 import socket
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
-from typing import Protocol
 
 import uvicorn
 from starlette.types import ASGIApp
@@ -21,15 +20,13 @@ SHUTDOWN_S = 3
 
 def addresses() -> list[str]:
     """Addresses by which others on the network reach this machine, the likeliest first."""
-    addresses_of_host = []
+    found: list[str] = []
     with contextlib.suppress(OSError), socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         probe.connect(("192.0.2.1", 9))  # nothing is sent: the system says from which address it would be
-        addresses_of_host.append(probe.getsockname()[0])
+        found.append(probe.getsockname()[0])
     with contextlib.suppress(OSError):
-        addresses_of_host += [
-            str(info[4][0]) for info in socket.getaddrinfo(socket.gethostname(), None, socket.AF_INET)
-        ]
-    return [address for address in dict.fromkeys(addresses_of_host) if not ipaddress.ip_address(address).is_loopback]
+        found += [str(info[4][0]) for info in socket.getaddrinfo(socket.gethostname(), None, socket.AF_INET)]
+    return [address for address in dict.fromkeys(found) if not ipaddress.ip_address(address).is_loopback]
 
 
 def listening(host: str, port: int) -> socket.socket:
@@ -53,24 +50,15 @@ def listening(host: str, port: int) -> socket.socket:
     return listener
 
 
-class Served(Protocol):
-    """What is served."""
-
-    def app(self, access: Access) -> ASGIApp:
-        """Application, behind its access."""
-
-
 def serve(
-    studio: Served,
-    host: str,
-    port: int,
-    on_start: Callable[[Access, str], None],
-    on_joined: Callable[[Access, str], None],
+    app: Callable[[Access], ASGIApp], host: str, port: int, announce: Callable[[Access, str, bool], None]
 ) -> None:
     """Serve until Ctrl-C or SIGTERM.
 
-    `on_start` takes the access and the host to open, once it listens; `on_joined` the access with the next link, once a device
-    came in by the link before.
+    Args:
+        app: gives the application, behind its access.
+        announce: takes the access, the host to open, and whether a device came in by the link before: once it listens, and
+            with each new link.
 
     Raises:
         OSError: it cannot listen there.
@@ -81,14 +69,14 @@ def serve(
         # Of this machine's names the address that it listens at: another server may answer to `localhost`.
         listens_at = str(listener.getsockname()[0]) if host.lower() in LOOPBACK else host
         shown = others[0] if others else listens_at
-        access = access_to(host, port, others, lambda renewed: on_joined(renewed, shown))
+        access = access_to(host, port, others, lambda renewed: announce(renewed, shown, True))
         files: dict[str, str] = {}
         if access.token is not None:
             folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="foten-")))
             certificate, key = write_certificate(folder, access.hosts)
             files = {"ssl_certfile": str(certificate), "ssl_keyfile": str(key)}
         config = uvicorn.Config(
-            studio.app(access),
+            app(access),
             log_level="warning",
             access_log=False,
             server_header=False,
@@ -98,20 +86,17 @@ def serve(
             timeout_graceful_shutdown=SHUTDOWN_S,
             **files,  # type: ignore[arg-type]
         )
-        server = uvicorn.Server(config)
-        with _once_started(server, lambda: on_start(access, shown)):
-            server.run(sockets=[listener])
+        _Server(config, lambda: announce(access, shown, False)).run(sockets=[listener])
 
 
-@contextlib.contextmanager
-def _once_started(server: uvicorn.Server, say: Callable[[], None]) -> Iterator[None]:
-    """Call something once the server has started."""
-    started = server.startup
+class _Server(uvicorn.Server):
+    """A server that says when it has started."""
 
-    async def startup(sockets: list[socket.socket] | None = None) -> None:
-        await started(sockets=sockets)
-        if server.started:
-            say()
+    def __init__(self, config: uvicorn.Config, on_start: Callable[[], None]) -> None:
+        super().__init__(config)
+        self._on_start = on_start
 
-    server.startup = startup  # type: ignore[method-assign]
-    yield
+    async def startup(self, sockets: list[socket.socket] | None = None) -> None:
+        await super().startup(sockets=sockets)
+        if self.started:
+            self._on_start()

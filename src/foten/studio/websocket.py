@@ -136,21 +136,21 @@ def pressure_calibration(message: Mapping[str, Any]) -> PressureCalibration:
     return PressureCalibration(float(message.get("newtons", usual.a)), float(message.get("steepness", usual.b)))
 
 
-def packed_block(samples: NDArray[np.float32], speed: float, force: float) -> bytes:
-    """A block as a page is sent it: speed [mm/s] and force [N], then samples, all little-endian float32."""
-    return struct.pack("<ff", speed, force) + samples.astype("<f4").tobytes()
-
-
 class BlockQueue:
-    """Blocks on their way to a page: a condition, and samples. They are put in from the event loop's thread."""
+    """Blocks on their way to a page: a condition, and samples."""
 
     def __init__(self, socket: WebSocket) -> None:
-        self._socket = socket
+        self._socket, self._loop = socket, asyncio.get_running_loop()
         self._waiting: asyncio.Queue[bytes] = asyncio.Queue()
         self.n_unsent = 0  # that the page did not take in time
 
-    def put(self, block: bytes) -> None:
-        """Send a block when there is time."""
+    def put(self, samples: NDArray[np.float32], speed: float, force: float) -> None:
+        """Send a block when there is time, from any thread: speed [mm/s] and force [N], then samples, little-endian float32."""
+        block = struct.pack("<ff", speed, force) + samples.astype("<f4").tobytes()
+        with contextlib.suppress(RuntimeError):  # the loop has ended, and so does what renders
+            self._loop.call_soon_threadsafe(self._put, block)
+
+    def _put(self, block: bytes) -> None:
         self._waiting.put_nowait(block)
         while self._waiting.qsize() > MAX_WAITING_BLOCKS:
             self._waiting.get_nowait()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -10,6 +11,7 @@ import numpy as np
 
 from foten.study.raters import Raters
 from foten.study.statistics import (
+    ALPHA,
     Array,
     Effect,
     Paired,
@@ -23,11 +25,10 @@ from foten.study.statistics import (
 )
 from foten.study.store import Store
 
-ALPHA = 0.05
 MIN_RELIABILITY = 0.2  # correlation with the others, below which a participant is named
 NULL_STUDIES, NULL_SEED = 1000, 0
+NULL_AT_ONCE = 50  # studies in memory
 MIN_NULL_RATE = 0.04  # of errors at ALPHA, below which a test is called conservative
-MAX_RATINGS = 1_000_000  # of null studies in memory
 
 
 @dataclass(frozen=True)
@@ -97,16 +98,11 @@ def null_rates(n: int, a: int, b: int) -> dict[str, float]:
     method. The correction estimates ε from the same ratings: with many contrasts for the participants it comes out too low, and
     the test is conservative.
     """
-    rng = np.random.default_rng(NULL_SEED)
-    raters = Raters(np.full((a, b), 60.0))
-    errors: dict[str, int] = {}
-    done = 0
-    while done < NULL_STUDIES:
-        studies = min(NULL_STUDIES - done, max(1, MAX_RATINGS // (n * a * b)))
-        y = raters.draw(rng, n, studies)
-        for effect in anova(y) if b > 1 else anova(y[..., 0], ("method",)):
-            errors[effect.name] = errors.get(effect.name, 0) + int((effect.p_corrected < ALPHA).sum())
-        done += studies
+    rng, raters = np.random.default_rng(NULL_SEED), Raters(np.full((a, b), 60.0))
+    errors: Counter[str] = Counter()
+    for _ in range(NULL_STUDIES // NULL_AT_ONCE):
+        for effect in anova(raters.draw(rng, n, NULL_AT_ONCE)):
+            errors[effect.name] += int((effect.p_corrected < ALPHA).sum())
     return {name: count / NULL_STUDIES for name, count in errors.items()}
 
 
@@ -120,10 +116,9 @@ class _Analysis:
     def result(self) -> Result:
         y, n = self.y, len(self.complete)
         by_participant = y.mean(-1)  # as in Sec. VII, averaged across textures
-        one_way = anova(by_participant, ("method",))
+        one_way = anova(by_participant[..., None])
         two_way = anova(y) if len(self.textures) > 1 else []
         within = [paired_tests(y[..., t], self.reference) for t in range(len(self.textures))]
-        ranks = friedman(by_participant)
         agreement = reliability(y.reshape(n, -1))
         rates = null_rates(n, len(self.methods), len(self.textures))
         document: dict[str, Any] = {
@@ -135,14 +130,12 @@ class _Analysis:
             "null_rates": rates,
             "anova_one_way": [_effect(effect) for effect in one_way],
             "anova_two_way": [_effect(effect) for effect in two_way],
-            "pairs_overall": self._pairs(paired_tests(by_participant, self.reference)),
+            "pairs_overall": self._by_pair(paired_tests(by_participant, self.reference)),
             "pairs_within_textures": {
-                key: self._pairs(tests) for key, tests in zip(self.textures, within, strict=True)
+                key: self._by_pair(tests) for key, tests in zip(self.textures, within, strict=True)
             },
-            "friedman": {"chi2": _or_none(ranks.chi2), "df": ranks.df, "p": _or_none(ranks.p), "w": _or_none(ranks.w)},
-            "wilcoxon": self._by_pair(
-                wilcoxon_tests(by_participant, self.reference), "w", "p", "p_holm", "rank_biserial"
-            ),
+            "friedman": {name: _or_none(value) for name, value in vars(friedman(by_participant)).items()},
+            "wilcoxon": self._by_pair(wilcoxon_tests(by_participant, self.reference)),
             "mixed_model": self._mixed(),
             "reliability": {
                 "icc_single": _or_none(agreement.single),
@@ -154,30 +147,23 @@ class _Analysis:
         return Result(self.ratings, document, self._sentences(one_way, two_way, within, document), self.cautions)
 
     def _means(self) -> list[dict[str, Any]]:
+        """Means of each method on each texture, and of all textures, where the texture is None."""
         means = []
         for m, method in enumerate(self.methods):
-            of_method: dict[str | None, Array] = {
-                texture: self.values[:, m, t] for t, texture in enumerate(self.textures)
-            }
-            of_method[None] = self.y[:, m].mean(-1)  # of all textures
-            for texture, ratings in of_method.items():
+            columns = [*zip(self.textures, self.values[:, m].T, strict=True), (None, self.y[:, m].mean(-1))]
+            for texture, ratings in columns:
                 values = ratings[np.isfinite(ratings)]
-                sd = float(values.std(ddof=1)) if values.size > 1 else None
-                row = {"method": method, "texture": texture, "n": values.size, "mean": float(values.mean()), "sd": sd}
-                means.append(row)
+                row = {"method": method, "texture": texture, "n": values.size, "mean": float(values.mean())}
+                means.append(row | {"sd": float(values.std(ddof=1))})
         return means
 
-    def _pairs(self, tests: Paired) -> list[dict[str, Any]]:
-        rows = self._by_pair(tests, "difference", "t", "p", "p_bonferroni", "p_holm", "dz", "d_av")
-        ends = zip(tests.low, tests.high, strict=True)
+    def _by_pair(self, tests: Paired | SignedRank) -> list[dict[str, Any]]:
+        columns = {name: values for name, values in vars(tests).items() if name != "pairs"}
         return [
-            {**row, "ci95": [_or_none(low), _or_none(high)], "df": tests.df}
-            for row, (low, high) in zip(rows, ends, strict=True)
-        ]
-
-    def _by_pair(self, tests: Paired | SignedRank, *names: str) -> list[dict[str, Any]]:
-        return [
-            {"pair": [self.methods[i], self.methods[j]], **{name: _or_none(getattr(tests, name)[k]) for name in names}}
+            {
+                "pair": [self.methods[i], self.methods[j]],
+                **{name: _or_none(values[k] if np.ndim(values) else values) for name, values in columns.items()},
+            }
             for k, (i, j) in enumerate(tests.pairs)
         ]
 
@@ -194,19 +180,12 @@ class _Analysis:
             "n_ratings": int(index[0].size),
             "n_participants": int(np.unique(index[0]).size),
             "terms": [{"name": name, "f": f, "df": [df1, df2], "p": p} for name, f, df1, df2, p in model.terms],
-            "sd": {
-                "participants": model.sd_participants,
-                "participant × method": model.sd_methods,
-                "participant × texture": model.sd_textures,
-                "residual": model.sd_residual,
-            },
+            "sd": model.sd,
             "converged": model.converged,
         }
 
     def _caution(self, effects: Sequence[Effect], rates: dict[str, float], with_others: Array) -> None:
         n, began = len(self.complete), len(self.values)
-        if self.ratings.simulated:
-            self.cautions.append("these ratings are of a model of raters, and not of people")
         if n < began:
             self.cautions.append(
                 f"{began - n} of {began} participants did not rate everything: the analyses of variance, paired tests and ranks "
@@ -227,59 +206,45 @@ class _Analysis:
                 f"{who}: correlation with the others below {MIN_RELIABILITY:g}; look at these ratings; leaving them out needs a "
                 "reason that was set before"
             )
-        corrected = sum(row["corrected"] for row in self.ratings.rows)
-        if corrected:
-            were = "rating was" if corrected == 1 else "ratings were"
-            self.cautions.append(f"{corrected} {were} corrected by hand; the log of the study says which")
-        under = sum(1 for row in self.ratings.rows if row["measured"].get("n_underruns"))
-        if under:
-            self.cautions.append(f"in {under} {'trial' if under == 1 else 'trials'} the sound had under-runs")
+        if corrected := sum(row["corrected"] for row in self.ratings.rows):
+            self.cautions.append(f"ratings corrected by hand: {corrected}; the log of the study says which")
+        if under := sum(bool(row["measured"].get("n_underruns")) for row in self.ratings.rows):
+            self.cautions.append(f"trials in which the sound had under-runs: {under}")
 
     def _sentences(
         self, one_way: Sequence[Effect], two_way: Sequence[Effect], within: Sequence[Paired], document: dict[str, Any]
     ) -> list[str]:
-        n = len(self.complete)
+        n, b, several = len(self.complete), len(self.textures), len(self.textures) > 1
         who = "simulated raters" if self.ratings.simulated else "participants"
-        overall = {row["method"]: row for row in document["means"] if row["texture"] is None}
-        best = max(self.methods, key=lambda method: overall[method]["mean"])
-        b = len(self.textures)
+        overall = [row for row in document["means"] if row["texture"] is None]
+        means = ", ".join(f"{row['method']} {row['mean']:.2f} ± {row['sd']:.2f}" for row in overall)
         sentences = [
-            f"{n} {who} rated {len(self.methods)} methods on {b} texture{'s' * (b > 1)} "
-            f"({n * len(self.methods) * b} ratings). "
-            + "Mean similarity: "
-            + ", ".join(
-                f"{method} {overall[method]['mean']:.2f} ± {overall[method]['sd']:.2f}" for method in self.methods
-            )
-            + " (± SD between participants)."
+            f"{n} {who} rated {len(self.methods)} methods on {b} texture{'s' * several} ({n * len(self.methods) * b} ratings). "
+            f"Mean similarity: {means} (± SD between participants).",
+            f"A one-way repeated-measures ANOVA on ratings{' averaged across textures' * several} gave an effect of method, "
+            f"{_anova(one_way[0])}.",
         ]
-        sentences.append(
-            f"A one-way repeated-measures ANOVA on ratings{' averaged across textures' * (b > 1)} gave an effect of method, "
-            f"{_anova(one_way[0])}."
-        )
         if two_way:
+            effects = "; ".join(f"{effect.name}, {_anova(effect)}" for effect in two_way)
             sentences.append(
-                "A two-way repeated-measures ANOVA (method × texture, Greenhouse–Geisser) gave "
-                + "; ".join(f"{effect.name}, {_anova(effect)}" for effect in two_way)
-                + "."
+                f"A two-way repeated-measures ANOVA (method × texture, Greenhouse–Geisser) gave {effects}."
             )
         sentences += self._paired_sentences(within)
-        ranks = document["friedman"]
+        ranks, model, agree = document["friedman"], document["mixed_model"], document["reliability"]
         if ranks["p"] is not None:
             sentences.append(
-                f"Friedman: χ²({ranks['df']}) = {ranks['chi2']:.2f}, {_p(ranks['p'])}, Kendall's W = {ranks['w']:.2f}."
+                f"Friedman: χ²({ranks['df']:.0f}) = {ranks['chi2']:.2f}, {_p(ranks['p'])}, Kendall's W = {ranks['w']:.2f}."
             )
-        model = document["mixed_model"]
         if model is not None:
             terms = "; ".join(
                 f"{term['name']}, F({term['df'][0]:.0f}, {term['df'][1]:.0f}) = {term['f']:.2f}, {_p(term['p'])}"
                 for term in model["terms"]
             )
             sentences.append(f"Linear mixed model of all {model['n_ratings']} ratings: {terms}.")
-        agree = document["reliability"]
         if agree["icc_mean"] is not None:
             sentences.append(f"Agreement: ICC(2,1) = {agree['icc_single']:.2f}, ICC(2,k) = {agree['icc_mean']:.2f}.")
-        sentences.append(f"The highest mean is that of {best}.")
-        return sentences
+        best = max(overall, key=lambda row: row["mean"])
+        return [*sentences, f"The highest mean is that of {best['method']}."]
 
     def _paired_sentences(self, within: Sequence[Paired]) -> list[str]:
         """Results of the tests within textures, by each correction; a single pair needs none."""
@@ -291,22 +256,16 @@ class _Analysis:
             what = f"paired t-tests of all {many} pairs of methods"
         else:
             what = f"paired t-tests of the {many} other methods against {self.methods[self.reference]}"
+        where, of = ("each texture", f"of {b} textures") if b > 1 else ("the one texture", "of it")
         sentences = []
         for name, key in (("Bonferroni", "p_bonferroni"), ("Holm", "p_holm"))[: 1 if many == 1 else 2]:
             results = []
             for k, (i, j) in enumerate(family):
-                first, second = self.methods[i], self.methods[j]
                 up = sum(bool(t.difference[k] > 0 and getattr(t, key)[k] < ALPHA) for t in within)
                 down = sum(bool(t.difference[k] < 0 and getattr(t, key)[k] < ALPHA) for t in within)
-                if b > 1:
-                    results.append(f"{first} above {second} on {up}, below on {down}")
-                elif up or down:
-                    results.append(f"{first} {'above' if up else 'below'} {second}")
-                else:
-                    results.append(f"no significant difference between {first} and {second}")
+                results.append(f"{self.methods[i]} above {self.methods[j]} on {up}, below on {down}")
             corrected = f", {name}-corrected for {many}" if many > 1 else ""
-            where, of = ("each texture", f"of {b} textures, ") if b > 1 else ("the one texture", "")
-            sentences.append(f"Within {where}, {what}{corrected}: {of}{'; '.join(results)}.")
+            sentences.append(f"Within {where}, {what}{corrected}: {of}, {'; '.join(results)}.")
         return sentences
 
 

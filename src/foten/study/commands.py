@@ -49,7 +49,7 @@ def new(
     foten study new similarity.toml denim-ar.foten denim.foten mesh-ar.foten mesh.foten
     """
     from foten.atomic_write import atomic_write
-    from foten.study.new_study import files_by_method, study_text
+    from foten.study.design import files_by_method, study_text
     from foten.study.raters import MIN_DIFFERENCE, participants_for
 
     check_folders([output])
@@ -120,6 +120,9 @@ def run(
 
     foten study run similarity.toml --host 0.0.0.0
     """
+    import webbrowser
+    from functools import partial
+
     from foten.studio.access import Access
     from foten.studio.web_server import serve
     from foten.study.loading import load_study
@@ -132,38 +135,23 @@ def run(
     store.hold()
     server = StudyServer(store, loaded.design, loaded.stimuli, loaded.output)
 
-    def links(access: Access, host: str) -> tuple[str, str]:
-        base, _, token = access.link(host).partition("?")
-
-        def link(page: str, query: str) -> str:
-            parts = "&".join(part for part in (token, query) if part)
-            return base + page + (f"?{parts}" if parts else "")
-
-        server.link = lambda query: link("", query)
-        return link("", ""), link("operator", f"key={server.operator_key}")
-
-    def on_start(access: Access, host: str) -> None:
-        participants, operator = links(access, host)
+    def announce(access: Access, host: str, joined: bool) -> None:
+        server.link = partial(access.link, host)
+        participants, operator = server.link(), server.link("operator", key=server.operator_key)
+        if joined:
+            say(f"a device came in; for the next one: {participants} or, for the operator, {operator}")
+            return
         say(f"{loaded.design.title}: {len(store.codes())} of {loaded.design.participants} have begun, in {database}")
-        for doubt in loaded.stimuli.doubts:
-            say(doubt)
-        say(f"operator: {operator}")
-        say(f"participants at {participants}")
+        say("\n".join([*loaded.stimuli.doubts, f"operator: {operator}", f"participants at {participants}"]))
         if access.token is not None:
             say("each link lets one device in; the next is printed then, and the operator's page shows codes to scan")
         say("Ctrl-C ends it; the same command goes on where it was")
         if open_page and access.token is None:
-            import webbrowser
-
             webbrowser.open(operator)
-
-    def on_joined(access: Access, host: str) -> None:
-        participants, operator = links(access, host)
-        say(f"a device came in; for the next one: {participants} or, for the operator, {operator}")
 
     try:
         with loaded.noise():
-            serve(server, host, port, on_start, on_joined)
+            serve(server.app, host, port, announce)
     finally:
         store.close()
 
@@ -176,10 +164,9 @@ def status(database: Database, as_json: JsonOption = False) -> None:
         kind = "simulated raters" if store.simulated else "participants"
         trials = sum(trial.number > 0 for trial in store.trials(store.ordered()[0]))
         rows = [f"{store.study['title']}: {len(counts)} {kind}, {sum(count['n'] for count in counts.values())} ratings"]
-        rows += [
-            f"{number:4d}  {row['code']}  {row['n']:3d} of {trials}  last {(row['last'] or row['joined'])[:16].replace('T', ' ')}"
-            for number, row in counts.items()
-        ]
+        for number, row in counts.items():
+            last = (row["last"] or row["joined"])[:16].replace("T", " ")
+            rows.append(f"{number:4d}  {row['code']}  {row['n']:3d} of {trials}  last {last}")
         rows += faults or ["the file is sound: every check of SQLite holds, no trial is rated twice"]
         document = {
             "title": store.study["title"],
@@ -249,6 +236,7 @@ def power(
 
     foten study power --difference 9
     """
+    from foten.reporting.table import Table
     from foten.study.design import read_design
     from foten.study.raters import needed, paper_raters, raters_for
 
@@ -261,18 +249,13 @@ def power(
         points = 8.75 if difference is None else difference
         raters, of = raters_for(methods, textures, points, sd, correlation), f"a difference of {points:g} points"
     table, smallest = needed(raters, studies, seed)
-    names = [name for name in table[0] if name != "participants"]
+    cells = [[f"{row['participants']:.0f}", *(f"{share:.2f}" for share in list(row.values())[1:])] for row in table]
     rows = [f"{of}, {methods} methods × {textures} textures, sd {raters.sd:g}, correlation {correlation:g}, α = 0.05"]
-    rows.append("participants  " + "  ".join(f"{name:>16s}" for name in names))
-    rows += [f"{row['participants']:12.0f}  " + "  ".join(f"{row[name]:16.2f}" for name in names) for row in table]
-    rows.append(
-        "no number up to 60 finds a pair in 80 %"
-        if smallest is None
-        else f"{smallest} participants find a pair in 80 % of studies"
-    )
-    rows.append(
-        "pair: the last method from another on one texture, after Holm's adjustment; all pairs: on every texture from every other"
-    )
+    rows += Table.of(table[0], cells).text()
+    rows += [
+        f"participants who find a pair in 80 % of studies: {'more than 60' if smallest is None else smallest}",
+        "pair: the last method from another on one texture, after Holm's adjustment; all pairs: on every texture from each other",
+    ]
     print_result({"power": table, "participants": smallest}, "\n".join(rows), as_json)
 
 
@@ -367,7 +350,6 @@ def backup(
 
 
 def _store(database: Path) -> Store:
-    from foten import __version__
     from foten.study.store import Store
 
-    return Store(database, __version__)
+    return Store(database)

@@ -1,13 +1,16 @@
-"""A study's TOML file: what is compared, by how many people, in which words."""
+"""A study's TOML file, read and written anew: what is compared, by how many people, in which words."""
 
 from __future__ import annotations
 
+import os
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import MISSING, dataclass, field, fields
 from pathlib import Path
+from string import Template
 from typing import Any
 
+from foten.models.texture_file import read_texture
 from foten.untrusted import check_regular
 
 WHEN = ("start", "end")
@@ -16,6 +19,7 @@ SIDES = ("left", "right")
 ORDERS = ("balanced", "random")
 MAX_PARTICIPANTS, MAX_TRIALS = 1000, 2000
 MAX_TEXT_LENGTH = 8000  # characters
+TEMPLATE = Path(__file__).with_name("new_study.toml")
 
 INSTRUCTIONS = """Stroke the virtual surface on the tablet, then the real one beside it, with the tool that belongs to each.
 Go back and forth as often as you like, slowly and quickly, lightly and firmly.
@@ -138,19 +142,19 @@ def read_design(path: Path) -> tuple[Design, str]:
 
 def _design(document: Mapping[str, Any], folder: Path) -> Design:
     tables = dict(document)
-    textures = tables.pop("textures", {})
-    questions = tables.pop("questions", [])
+    textures, questions = tables.pop("textures", {}), tables.pop("questions", [])
     if not isinstance(textures, dict) or not isinstance(questions, list):
         raise ValueError("expected tables [textures.KEY] and [[questions]]")
-    parts: dict[str, Any] = {}
-    for name, kind in {"rating": Rating, "setup": Setup, "output": Output, "noise": Noise}.items():
-        if name in tables:
-            parts[name] = _filled(kind, tables.pop(name), f"[{name}]", folder)
+    parts: dict[str, Any] = {
+        name: _filled(kind, tables.pop(name), f"[{name}]", folder)
+        for name, kind in {"rating": Rating, "setup": Setup, "output": Output, "noise": Noise}.items()
+        if name in tables
+    }
     parts["textures"] = tuple(_texture(key, table, folder) for key, table in textures.items())
     parts["questions"] = tuple(
         _filled(Question, table, f"question {i + 1}", folder) for i, table in enumerate(questions)
     )
-    design: Design = _filled(Design, {**tables, **parts}, "the study", folder)
+    design: Design = _filled(Design, tables, "the study", folder, **parts)
     _check(design)
     return design
 
@@ -164,34 +168,9 @@ def _texture(key: str, table: Any, folder: Path) -> Texture:
         if not isinstance(file, str) or not file:
             raise ValueError(f"{where}: {method} is {file!r:.40}, expected the name of a texture file")
         files[method] = folder / file
-    table = {name: value for name, value in table.items() if name != "methods"}
-    texture: Texture = _filled(Texture, {"name": key, **table, "key": key, "files": files}, where, folder)
+    others = {name: value for name, value in table.items() if name != "methods"}
+    texture: Texture = _filled(Texture, {"name": key, **others}, where, folder, key=key, files=files)
     return texture
-
-
-def _filled(kind: type, table: Any, where: str, folder: Path) -> Any:
-    """A value of a kind with the fields of a table, each of its type."""
-    if not isinstance(table, dict):
-        raise ValueError(f"{where} is {table!r:.40}, expected a table")
-    known = {known_field.name: known_field for known_field in fields(kind)}
-    if unknown := sorted(table.keys() - known.keys()):
-        raise ValueError(f"{where} has {unknown[0]!r}, expected some of {', '.join(known)}")
-    values = {}
-    for name, value in table.items():
-        type_name = str(known[name].type)
-        if isinstance(value, list) and type_name.startswith("tuple"):
-            value = tuple(value)
-        if type_name.startswith("float") and isinstance(value, int) and not isinstance(value, bool):
-            value = float(value)
-        if type_name.startswith("Path") and isinstance(value, str):
-            value = folder / value
-        if not _has_type(value, type_name):
-            raise ValueError(f"{where}: {name} is {value!r:.40}, expected {_TYPE_NAMES[type_name.split(' ')[0]]}")
-        values[name] = value
-    for name, known_field in known.items():
-        if name not in values and known_field.default is MISSING and known_field.default_factory is MISSING:
-            raise ValueError(f"{where}: {name} is missing")
-    return kind(**values)
 
 
 _TYPE_NAMES = {
@@ -200,22 +179,39 @@ _TYPE_NAMES = {
     "float": "a number",
     "bool": "true or false",
     "Path": "the name of a file",
+    "tuple[str, ...]": "a list of texts",
 }
-_TYPE_NAMES |= {"tuple[str,": "a list of texts"}
 
 
-def _has_type(value: Any, type_name: str) -> bool:
-    if isinstance(value, bool):
-        return type_name == "bool"
-    if isinstance(value, str):
-        return type_name.startswith("str") and len(value) <= MAX_TEXT_LENGTH
-    if isinstance(value, int):
-        return type_name == "int" or " int" in type_name
-    if isinstance(value, float):
-        return type_name.startswith("float")
-    if isinstance(value, tuple) and type_name.startswith("tuple[str"):
-        return all(isinstance(text, str) for text in value)
-    return type_name.startswith("Path") or not isinstance(value, list | dict) or type_name.startswith("Mapping")
+def _filled(kind: type, table: Any, where: str, folder: Path, **parts: Any) -> Any:
+    """A value of a kind with the fields of a table, each of its type, and parts that were read before."""
+    if not isinstance(table, dict):
+        raise ValueError(f"{where} is {table!r:.40}, expected a table")
+    known = {known_field.name: known_field for known_field in fields(kind)}
+    if unknown := sorted(table.keys() - (known.keys() - parts.keys())):
+        raise ValueError(f"{where} has {unknown[0]!r}, expected some of {', '.join(known)}")
+    values = dict(parts)
+    for name, value in table.items():
+        type_names = [one for one in str(known[name].type).split(" | ") if one != "None"]
+        values[name] = _converted(value, type_names, folder)
+        if values[name] is None:
+            raise ValueError(f"{where}: {name} is {value!r:.40}, expected {_TYPE_NAMES[type_names[0]]}")
+    for name, known_field in known.items():
+        if name not in values and known_field.default is MISSING and known_field.default_factory is MISSING:
+            raise ValueError(f"{where}: {name} is missing")
+    return kind(**values)
+
+
+def _converted(value: Any, type_names: list[str], folder: Path) -> Any:
+    """A TOML value as a field of some types has it; None where it is of another."""
+    is_text = isinstance(value, str) and len(value) <= MAX_TEXT_LENGTH
+    if is_text and "Path" in type_names:
+        return folder / value
+    if type(value) is int and "float" in type_names:
+        return float(value)
+    if isinstance(value, list) and "tuple[str, ...]" in type_names and all(isinstance(text, str) for text in value):
+        return tuple(value)
+    return value if type(value).__name__ in type_names and (is_text or not isinstance(value, str)) else None
 
 
 def _check(design: Design) -> None:
@@ -277,3 +273,56 @@ def _check_different(names: list[str], what: str) -> None:
         if name.casefold().strip() in seen:
             raise ValueError(f"there are two {what}: {name!r:.80} and {seen[name.casefold().strip()]!r:.80}")
         seen[name.casefold().strip()] = name
+
+
+def study_text(title: str, textures: Mapping[str, Mapping[str, str]], participants: int, seed: int) -> str:
+    """Text of a study file, for textures by name, each with its files by method."""
+    lines = []
+    for name, files in textures.items():
+        key = _key(name)
+        lines += ["", f"[textures.{key}]", f"name = {_quoted(name)}"]
+        lines += ['real = ""               # which sample the operator lays down', f"[textures.{key}.methods]"]
+        lines += [f"{_key(method)} = {_quoted(file)}" for method, file in files.items()]
+    values = {"title": _quoted(title), "participants": participants, "seed": seed, "instructions": INSTRUCTIONS}
+    values |= {name: _quoted(getattr(Rating, name)) for name in ("question", "lowest", "highest")}
+    return Template(TEMPLATE.read_text(encoding="utf-8")).substitute(values) + "\n".join(lines) + "\n"
+
+
+def files_by_method(paths: Sequence[Path], folder: Path) -> tuple[dict[str, dict[str, str]], list[str]]:
+    """Texture files by texture and method, as seen from a folder, and textures that lack a method and are left out.
+
+    The texture is that of a file's card, the method its model; where two files of a texture have one model, the method is what
+    their names have beside the texture's: mesh-slow, mesh-quick.
+
+    Raises:
+        ValueError: a file is no texture file, or there is one method alone.
+    """
+    models_of: dict[str, dict[Path, str]] = {}
+    for path in paths:
+        card = read_texture(path).card
+        models_of.setdefault(str(card["texture"]) or path.stem, {})[path] = str(card["model"])
+    if any(len(set(models.values())) < len(models) for models in models_of.values()):
+        models_of = {
+            name: {path: path.stem.removeprefix(name).strip("-_. ") or model for path, model in models.items()}
+            for name, models in models_of.items()
+        }
+    usual = max((frozenset(models.values()) for models in models_of.values()), key=len)
+    if len(usual) < 2:
+        name = next(iter(models_of))
+        raise ValueError(f"{name} has one method, expected two texture files or more of each texture, to compare")
+    incomplete = [name for name, models in models_of.items() if frozenset(models.values()) != usual]
+    files: dict[str, dict[str, str]] = {name: {} for name in models_of if name not in incomplete}
+    for name, of_name in files.items():
+        for path, method in sorted(models_of[name].items(), key=lambda item: item[1]):
+            of_name[method] = os.path.relpath(path, folder)
+    doubts = [f"left out {name}: it does not have each of {', '.join(sorted(usual))}" for name in incomplete]
+    return files, doubts
+
+
+def _key(name: str) -> str:
+    return name if name.isascii() and name.replace("-", "").replace("_", "").isalnum() else _quoted(name)
+
+
+def _quoted(text: str) -> str:
+    escaped = text.replace("\\", "\\\\").replace('"', '\\"')
+    return '"' + "".join(c if c.isprintable() else f"\\u{ord(c):04x}" for c in escaped) + '"'

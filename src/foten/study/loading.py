@@ -2,20 +2,73 @@
 
 from __future__ import annotations
 
+import hashlib
+import math
+from collections.abc import Mapping
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from foten import __version__
 from foten.console import check_folders
+from foten.models.texture_file import read_texture
 from foten.runtime.actuator import read_profile
+from foten.runtime.renderer import Renderer
+from foten.studio.levels import gains_db
 from foten.studio.players import OutputDevice, white_noise
 from foten.study.design import Design, Output, read_design
 from foten.study.orders import Trial, planned
-from foten.study.schema import create
-from foten.study.stimuli import Stimuli, changed, load_stimuli
+from foten.study.schema import Stimulus, create
 from foten.study.store import Store
+
+DOUBTFUL_GAIN_DB = 10.0
+
+
+@dataclass(frozen=True)
+class Stimuli:
+    """What is compared, and what a person should know before the first participant."""
+
+    listed: list[Stimulus]
+    bytes_of: Mapping[tuple[int, int], bytes]  # by texture and method
+    doubts: list[str]
+
+
+def load_stimuli(design: Design, calibrated: bool) -> Stimuli:
+    """Texture files of a study, and the gains that make the methods of a texture equally loud.
+
+    Equally loud is equal power over nine conditions (`gains_db`). Without matching, methods keep their recorded levels.
+
+    Args:
+        calibrated: the output takes m/s², and not shares of each file's own standard deviation.
+
+    Raises:
+        ValueError: a file is no texture file, is damaged, or does not pass its proof here.
+    """
+    listed: list[Stimulus] = []
+    bytes_of: dict[tuple[int, int], bytes] = {}
+    doubts: list[str] = []
+    for t, texture in enumerate(design.textures):
+        units = {read_texture(path).unit for path in texture.files.values()}
+        if len(units) > 1:
+            raise ValueError(f"methods of {texture.key} are in different units: {', '.join(sorted(units))}")
+        data = [path.read_bytes() for path in texture.files.values()]
+        renderers = [Renderer(path) for path in texture.files.values()]
+        scales = [1.0 if calibrated else 1 / r.native_texture.info.acceleration_sd for r in renderers]
+        gains = [20 * math.log10(scales[0] / scale) for scale in scales]
+        if design.match_levels:
+            gains = gains_db(renderers, scales)
+            doubts += [
+                f"{method} of {texture.key} is {-gain:+.0f} dB beside the other methods: does it fall silent?"
+                for method, gain in zip(texture.files, gains, strict=True)
+                if abs(gain) > DOUBTFUL_GAIN_DB
+            ]
+        digests = [hashlib.sha256(file).hexdigest() for file in data]
+        if len(set(digests)) < len(digests):
+            raise ValueError(f"two methods of {texture.key} are the same file")
+        for m, (method, digest, gain) in enumerate(zip(texture.files, digests, gains, strict=True)):
+            listed.append(Stimulus(t, m, texture.key, method, digest, gain))
+            bytes_of[t, m] = data[m]
+    return Stimuli(listed, bytes_of, doubts)
 
 
 @dataclass(frozen=True)
@@ -54,8 +107,8 @@ class Study:
         if not database.exists():
             check_folders([database])
             design = (self.design.title, self.text, self.path.parent, self.design.seed)
-            create(database, *design, self.stimuli.listed, self.orders(), __version__, simulated)
-        store = Store(database, __version__)
+            create(database, *design, self.stimuli.listed, self.orders(), simulated)
+        store = Store(database)
         try:
             self._check_is_of_this_study(store, simulated)
         except BaseException:
@@ -72,8 +125,11 @@ class Study:
             raise ValueError(
                 f"{self.path} has changed since {database} was begun: bring it back, or begin another with -o"
             )
-        if others := changed(self.stimuli.listed, store.stimuli()):
-            which = f"{', '.join(others[:3])} is another file than when {database} was begun"
+        then = {key: stimulus.sha256 for key, stimulus in store.stimuli().items()}
+        others = [s for s in self.stimuli.listed if then.get((s.texture, s.method)) != s.sha256]
+        if others:
+            first = f"{others[0].method_key} of {others[0].texture_key}"
+            which = f"{first} is another file than when {database} was begun"
             raise ValueError(f"{which}: bring it back, or begin another")
 
 

@@ -53,25 +53,21 @@ def orders(
         practice: how many trials come before, drawn from the same.
         order: "balanced", or "random" for a permutation drawn for each participant, as in Sec. VII.
     """
-    rng = np.random.default_rng(seed)
-    draw = _balanced if order == "balanced" else _random
-    counted = draw(rng, n_participants, n_textures, n_methods)
+    rng, n_trials = np.random.default_rng(seed), n_textures * n_methods
+    if order == "balanced":
+        counted = _balanced(rng, n_participants, n_textures, n_methods)
+    else:
+        counted = [rng.permutation(n_trials).tolist() for _ in range(n_participants)]
     result = []
     for pairs in counted:
-        drawn = rng.permutation(n_textures * n_methods)[:practice]
-        before = [
-            Trial(i + 1 - practice, int(pair) // n_methods, int(pair) % n_methods) for i, pair in enumerate(drawn)
-        ]
-        result.append([*before, *(Trial(i + 1, t, m) for i, (t, m) in enumerate(pairs))])
+        drawn = rng.permutation(n_trials)[:practice].tolist()
+        numbered = enumerate([*drawn, *pairs], 1 - practice)
+        result.append([Trial(number, *divmod(pair, n_methods)) for number, pair in numbered])
     return result
 
 
-def _random(rng: np.random.Generator, n: int, textures: int, methods: int) -> list[list[tuple[int, int]]]:
-    drawn = [rng.permutation(textures * methods) for _ in range(n)]
-    return [[(int(pair) // methods, int(pair) % methods) for pair in row] for row in drawn]
-
-
-def _balanced(rng: np.random.Generator, n: int, textures: int, methods: int) -> list[list[tuple[int, int]]]:
+def _balanced(rng: np.random.Generator, n: int, textures: int, methods: int) -> list[list[int]]:
+    """Trials of each participant, as texture × methods + method."""
     texture_rows, method_rows = williams(textures), williams(methods)
     texture_of, method_of = rng.permutation(textures), rng.permutation(methods)  # which is called what in the squares
     row_of = _rounds(rng, texture_rows, methods)
@@ -81,7 +77,7 @@ def _balanced(rng: np.random.Generator, n: int, textures: int, methods: int) -> 
         for r in range(methods):
             for t in texture_rows[(p + row_of[r]) % len(texture_rows)]:
                 m = method_rows[(t + p) % len(method_rows), r]
-                pairs.append((int(texture_of[t]), int(method_of[m])))
+                pairs.append(int(texture_of[t]) * methods + int(method_of[m]))
         result.append(pairs)
     # In which turn a participant comes says nothing of the row.
     return [result[i] for i in _in_cycles(rng, n, square(textures, methods))]
@@ -127,16 +123,16 @@ def balance(orders: list[list[Trial]], n_textures: int, n_methods: int) -> dict[
     `method in round`: how often a method of a texture is in one of the rounds; `texture at place`: how often a texture is at one
     place of a round; `neighbours`: how often a texture comes behind another within a round.
     """
+    counted = np.array([[(t.texture, t.method) for t in trials if not t.practice] for trials in orders])
+    texture, method = np.moveaxis(
+        counted.reshape(-1, n_methods, n_textures, 2), -1, 0
+    )  # (participants, rounds, places)
+    _, in_round, place = np.indices(texture.shape)
     rounds = np.zeros((n_textures, n_methods, n_methods), dtype=int)
-    places = np.zeros((n_textures, n_textures), dtype=int)
-    behind = np.zeros((n_textures, n_textures), dtype=int)
-    for trials in orders:
-        counted = [trial for trial in trials if not trial.practice]
-        for i, trial in enumerate(counted):
-            rounds[trial.texture, trial.method, i // n_textures] += 1
-            places[trial.texture, i % n_textures] += 1
-            if i % n_textures:
-                behind[counted[i - 1].texture, trial.texture] += 1
+    places, behind = (np.zeros((n_textures, n_textures), dtype=int) for _ in range(2))
+    np.add.at(rounds, (texture, method, in_round), 1)
+    np.add.at(places, (texture, place), 1)
+    np.add.at(behind, (texture[..., :-1], texture[..., 1:]), 1)
     different = behind[~np.eye(n_textures, dtype=bool)]
     named = {"method in round": rounds, "texture at place": places, "neighbours": different}
     return {name: (int(counts.min()), int(counts.max())) for name, counts in named.items() if counts.size}

@@ -9,16 +9,12 @@ a method and of a texture have stated shares of what is left.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from foten.study.orders import square
-from foten.study.statistics import anova, paired_tests
+from foten.study.statistics import ALPHA, Array, anova, paired_tests
 from foten.study.store import Rated, Store
-
-Array = NDArray[np.float64]
 
 PAPER_METHODS = ("ar", "dstn", "ldhtd", "foten")
 PAPER_PARTICIPANTS, PAPER_TEXTURES = 21, 12
@@ -27,7 +23,8 @@ PAPER_MEAN, PAPER_SD = 80.14, 10.67  # of FoTEN; Sec. VIII
 PAPER_DIFFERENCES = {"dstn": (9.75, 31.33), "ldhtd": (8.75, 25.25)}
 # Of AR the text gives p alone, after Bonferroni's correction for 6 pairs, on all 12 textures; Sec. VII.
 PAPER_AR_P = (2.0e-7, 1.0e-3)
-SHOWN = (4, 8, 12, 16, 21, 24, 30, 40, 50)  # numbers of participants whose power is printed
+SHOWN = (4, 8, 12, 16, 21, 24, 30, 40, 50, 60)  # numbers of participants whose power is printed
+AIM = 0.8  # power that a study should have
 MIN_DIFFERENCE = 8.75  # points; the smallest that the paper found significant, Sec. VII
 
 
@@ -40,7 +37,6 @@ class Raters:
         sd: of the ratings of one condition between raters.
         correlation: of one rater's ratings of two conditions, beyond what they share by method or texture.
         by_method, by_texture: shares of the variance that is left.
-        lapses: share of ratings that are drawn from the whole scale.
     """
 
     means: Array
@@ -48,18 +44,6 @@ class Raters:
     correlation: float = 0.3
     by_method: float = 0.15
     by_texture: float = 0.15
-    lapses: float = 0.0
-
-    def __post_init__(self) -> None:
-        for name in ("correlation", "by_method", "by_texture", "lapses"):
-            if not 0 <= getattr(self, name) <= 1:
-                raise ValueError(f"{name} is {getattr(self, name)}, expected 0 to 1")
-        if self.by_method + self.by_texture > 1:
-            raise ValueError(
-                f"by_method and by_texture are {self.by_method} and {self.by_texture}: they are more than all"
-            )
-        if not 0 < self.sd < np.inf:
-            raise ValueError(f"the standard deviation is {self.sd}, expected a positive number")
 
     @property
     def sd_of_difference(self) -> float:
@@ -79,9 +63,6 @@ class Raters:
             ((n, a, b), noise),
         )
         y = self.means + sum(np.sqrt(v) * rng.standard_normal((*lead, *shape)) for shape, v in parts)
-        if self.lapses:
-            lapsed = rng.random(y.shape) < self.lapses
-            y = np.where(lapsed, rng.uniform(0, 100, y.shape), y)
         return np.asarray(np.clip(y, 0, 100))
 
 
@@ -116,41 +97,31 @@ def raters_for(
     return Raters(means, sd=sd, correlation=correlation)
 
 
-def power(raters: Raters, n: int, studies: int, seed: int, alpha: float = 0.05) -> dict[str, float]:
-    """Share of studies with n raters in which each test finds something at α:
+def power(raters: Raters, n: int, studies: int, seed: int) -> dict[str, float]:
+    """Share of studies with n raters in which each test finds something at `ALPHA`:
 
     the two main effects and the interaction, with Greenhouse and Geisser's correction; `pair`, the share in which the last method
     differs from another one on a texture, after Holm's adjustment within the texture, averaged over textures and other methods;
     `all pairs`, the share in which it does on every texture from every other.
     """
-    rng = np.random.default_rng(seed)
-    a, b = raters.means.shape
-    y = raters.draw(rng, n, studies)
-    names = ("method", "texture") if b > 1 else ("method",)
-    effects = anova(y if b > 1 else y[..., 0], names)
-    result: dict[str, Any] = {effect.name: float(np.nanmean(effect.p_corrected < alpha)) for effect in effects}
+    y = raters.draw(np.random.default_rng(seed), n, studies)
+    result = {effect.name: float(np.nanmean(effect.p_corrected < ALPHA)) for effect in anova(y)}
     tests = paired_tests(np.moveaxis(y, -1, -3))  # (studies, textures, n, methods)
-    with_last = [i for i, pair in enumerate(tests.pairs) if a - 1 in pair]
-    significant = tests.p_holm[..., with_last] < alpha
-    result["pair"] = float(significant.mean())
-    result["all pairs"] = float(significant.all((-2, -1)).mean())
-    return result
+    with_last = [i for i, pair in enumerate(tests.pairs) if len(raters.means) - 1 in pair]
+    significant = tests.p_holm[..., with_last] < ALPHA
+    return {**result, "pair": float(significant.mean()), "all pairs": float(significant.all((-2, -1)).mean())}
 
 
-def needed(
-    raters: Raters, studies: int, seed: int, aim: float = 0.8, max_n: int = 60
-) -> tuple[list[dict[str, float]], int | None]:
-    """Power for numbers of participants up to a maximum, and the smallest whose `pair` reaches an aim, if any does."""
-    counts = sorted({*(n for n in SHOWN if n <= max_n), max_n})
-    rows = [{"participants": float(n), **power(raters, n, studies, seed)} for n in counts]
-    reaching = [n for n, row in zip(counts, rows, strict=True) if row["pair"] >= aim]
+def needed(raters: Raters, studies: int, seed: int) -> tuple[list[dict[str, float]], int | None]:
+    """Power for each of `SHOWN` participants, and the smallest number whose `pair` reaches `AIM`, if any does."""
+    rows = [{"participants": float(n), **power(raters, n, studies, seed)} for n in SHOWN]
+    reaching = [n for n, row in zip(SHOWN, rows, strict=True) if row["pair"] >= AIM]
     if not reaching:
         return rows, None
-    low = max((n for n in counts if n < reaching[0]), default=2)
-    high = reaching[0]
+    low, high = max((n for n in SHOWN if n < reaching[0]), default=2), reaching[0]
     while high - low > 1:
         middle = (low + high) // 2
-        low, high = (low, middle) if power(raters, middle, studies, seed)["pair"] >= aim else (middle, high)
+        low, high = (low, middle) if power(raters, middle, studies, seed)["pair"] >= AIM else (middle, high)
     return rows, high
 
 

@@ -6,6 +6,7 @@ beside ratings. Triggers refuse changes, and simulated ratings in a study of peo
 
 from __future__ import annotations
 
+import contextlib
 import sqlite3
 import time
 from collections.abc import Sequence
@@ -13,14 +14,14 @@ from dataclasses import astuple, dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 
+from foten import __version__
 from foten.atomic_write import atomic_write
 from foten.study.orders import Trial
 
 APPLICATION_ID = 0x666F7465  # "fote"
 
-# Each is run once, in order; their number is the file's version.
-MIGRATIONS = (
-    """
+VERSION = 1  # of the file
+TABLES = """
 CREATE TABLE study (
     id INTEGER PRIMARY KEY CHECK (id = 1), title TEXT NOT NULL, design TEXT NOT NULL, folder TEXT NOT NULL, seed INTEGER NOT NULL,
     simulated INTEGER NOT NULL CHECK (simulated IN (0, 1)), created TEXT NOT NULL, software TEXT NOT NULL
@@ -68,8 +69,7 @@ CREATE TABLE switches (
     side TEXT NOT NULL, marked_by TEXT NOT NULL, at TEXT NOT NULL
 ) STRICT;
 CREATE TABLE log (id INTEGER PRIMARY KEY, at TEXT NOT NULL, what TEXT NOT NULL) STRICT;
-""",
-)
+"""
 
 # Triggers by name; dropped by `forget` alone, within its transaction.
 GUARDS = {
@@ -84,17 +84,7 @@ GUARDS = {
         for table in ("ratings", "participants")
     },
 }
-TABLES_OF_PARTICIPANT = (
-    "switches",
-    "strokes",
-    "ratings",
-    "steps",
-    "answers",
-    "abouts",
-    "consents",
-    "participants",
-    "trials",
-)
+TABLES_BY_PARTICIPANT = ("switches", "strokes", "ratings", "steps", "answers", "abouts", "consents", "trials")
 
 # Ratings, of each chain of corrections the last.
 VALID_RATINGS = "SELECT * FROM ratings WHERE NOT EXISTS (SELECT 1 FROM ratings later WHERE later.corrects = ratings.id)"
@@ -120,7 +110,6 @@ def create(
     seed: int,
     stimuli: Sequence[Stimulus],
     orders: Sequence[Sequence[Trial]],
-    software: str,
     simulated: bool = False,
 ) -> None:
     """Write a new database: the study, its stimuli, and every participant's order.
@@ -130,41 +119,18 @@ def create(
     """
     if path.exists():
         raise ValueError(f"{path} is there already, and may hold answers: go on with it, or give another name")
-    with atomic_write(path) as part:
-        connection = sqlite3.connect(part, isolation_level=None)
-        try:
-            connection.execute(f"PRAGMA application_id = {APPLICATION_ID}")
-            migrate(connection)
-            connection.execute("BEGIN")
-            connection.execute(
-                "INSERT INTO study VALUES (1, ?, ?, ?, ?, ?, ?, ?)",
-                (title, text, str(folder.resolve()), seed, int(simulated), now(), software),
-            )
-            connection.executemany(
-                "INSERT INTO stimuli VALUES (?, ?, ?, ?, ?, ?)", [astuple(stimulus) for stimulus in stimuli]
-            )
-            connection.executemany(
-                "INSERT INTO trials VALUES (?, ?, ?, ?)",
-                [(i + 1, t.number, t.texture, t.method) for i, trials in enumerate(orders) for t in trials],
-            )
-            connection.execute("INSERT INTO log (at, what) VALUES (?, ?)", (now(), f"made by foten {software}"))
-            connection.execute("COMMIT")
-        finally:
-            connection.close()
-
-
-def migrate(connection: sqlite3.Connection) -> None:
-    """Bring a database to the newest version."""
-    version = int(connection.execute("PRAGMA user_version").fetchone()[0])
-    for number in range(version, len(MIGRATIONS)):
-        connection.execute("BEGIN IMMEDIATE")
-        for statement in MIGRATIONS[number].split(";\n"):
-            if statement.strip():
-                connection.execute(statement)
-        connection.execute(f"PRAGMA user_version = {number + 1}")
-        connection.execute("COMMIT")
-    for name, guard in GUARDS.items():
-        connection.execute(f"CREATE TRIGGER IF NOT EXISTS {name} {guard}")
+    study = (title, text, str(folder.resolve()), seed, int(simulated), now(), __version__)
+    trials = [(i + 1, t.number, t.texture, t.method) for i, trials in enumerate(orders) for t in trials]
+    with atomic_write(path) as part, contextlib.closing(sqlite3.connect(part)) as connection, connection:
+        connection.execute(f"PRAGMA application_id = {APPLICATION_ID}")
+        connection.execute(f"PRAGMA user_version = {VERSION}")
+        connection.executescript(TABLES)
+        for name, guard in GUARDS.items():
+            connection.execute(f"CREATE TRIGGER {name} {guard}")
+        connection.execute("INSERT INTO study VALUES (1, ?, ?, ?, ?, ?, ?, ?)", study)
+        connection.executemany("INSERT INTO stimuli VALUES (?, ?, ?, ?, ?, ?)", map(astuple, stimuli))
+        connection.executemany("INSERT INTO trials VALUES (?, ?, ?, ?)", trials)
+        connection.execute("INSERT INTO log (at, what) VALUES (?, ?)", (now(), f"made by foten {__version__}"))
 
 
 def faults_of(connection: sqlite3.Connection) -> list[str]:

@@ -1,31 +1,37 @@
-"""One participant while the study runs: the present step, the pages that show it, and the contact of its trial."""
+"""One participant while the study runs: the steps, the pages that show the present one, and the contact of its trial."""
 
 from __future__ import annotations
 
 import asyncio
 import contextlib
+import math
 import time
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from foten.runtime.live.devices import SOUND_RATE_HZ
+from foten.runtime.live.live import LiveStatistics, Timing
 from foten.studio.live_contact import Contact
 from foten.studio.messages import RefusedError
-from foten.studio.websocket import packed_block
+from foten.study.design import Design, Question
 from foten.study.orders import Trial
-from foten.study.steps import Step, checked_answers, public_step, steps_of
 from foten.study.store import Rated
-from foten.study.trial_log import TrialLog
 
 if TYPE_CHECKING:
-    from foten.study.participant_page import ParticipantPage
+    from foten.study.page_sockets import ParticipantPage
     from foten.study.study_server import StudyServer
 
+MAX_ANSWER_LENGTH = 2000  # characters
 SAVE_STROKES_S = 3.0  # between two writings of a stroke
 CLOCK_TOLERANCE_S = 0.25  # by which a page's clock may be ahead of the server's
+MIN_CONTACT_N = 0.01  # of force, below which the pen does not count as in contact
+
+
+Step = dict[str, Any]  # with an `id` and a `kind`
 
 
 class NotYetError(RefusedError):
@@ -51,7 +57,6 @@ class Session:
         step = self.step
         if step["kind"] == "trial":  # as it was before the server ended
             self.n_switches = server.store.switches(number, step["trial"].number)
-            self._log.resumed = len(server.store.strokes(number, step["trial"].number)) > 0
 
     @property
     def step(self) -> Step:
@@ -121,21 +126,17 @@ class Session:
         min_s = self.server.design.rating.min_seconds
         shown_s = time.monotonic() - self.shown_at if self.shown_at else 0.0
         # The page has counted on while the server was away.
-        if max(shown_s, float(message.get("seconds") or 0.0)) < min_s - CLOCK_TOLERANCE_S:
+        if max(shown_s, message.get("seconds", 0.0)) < min_s - CLOCK_TOLERANCE_S:
             raise RefusedError(f"explore both surfaces for {min_s:g} s first")
 
     def _rated(self, message: Mapping[str, Any]) -> Rated:
         log = self._log.summary([] if self.contact is None else [self.contact.statistics])
         if self.server.output is None:  # the sound runs dry in the tablet, if anywhere, and its page counts that
-            log["n_underruns"] = None if "underruns" not in message else int(message["underruns"])
-        if self.shown_at:
-            log["shown_s"] = round(time.monotonic() - self.shown_at, 3)
+            log["n_underruns"] = message.get("underruns")
         page = next((page for page in self.pages if page.strokes), None)
         if page is not None:
-            log |= {"volume_db": page.volume_db, "rate_hz": page.rate_hz, "n_unsent": page.blocks.n_unsent}
-            page.blocks.n_unsent = 0
-        seconds = message.get("seconds")
-        return Rated(float(message["rating"]), None if seconds is None else float(seconds), self.n_switches, log)
+            log |= {"volume_db": page.volume_db, "rate_hz": page.rate_hz}
+        return Rated(message["rating"], message.get("seconds"), self.n_switches, log)
 
     async def turn(self, side: str, marked_by: str) -> None:
         """Go over to the real or the virtual surface; on the real surface the virtual one is silent."""
@@ -175,15 +176,12 @@ class Session:
 
     async def _open(self, page: ParticipantPage, trial: Trial) -> None:
         server, key = self.server, (trial.texture, trial.method)
-        plays_in_page = server.output is None
-        loop, conditions = asyncio.get_running_loop(), self._log.conditions
+        plays_in_page, conditions = server.output is None, self._log.conditions
 
         def on_block(samples: NDArray[np.float32], speed: float, force: float) -> None:
             conditions.append((speed, force))
             if plays_in_page:
-                block = samples * np.float32(contact.gain)  # the page bends what is too loud
-                with contextlib.suppress(RuntimeError):  # the loop has ended, and so does the contact
-                    loop.call_soon_threadsafe(page.blocks.put, packed_block(block, speed, force))
+                page.blocks.put(samples * np.float32(contact.gain), speed, force)  # the page bends what is too loud
 
         try:
             player = await asyncio.to_thread(server.player, page.rate_hz if plays_in_page else SOUND_RATE_HZ)
@@ -229,9 +227,9 @@ class Session:
     def for_operator(self) -> dict[str, Any]:
         """What the operator's page gets: the texture, and nothing of the method."""
         step = self.step
-        trials = [s["id"] for s in self.steps if s["kind"] == "trial" and s["n"] > 0]
+        done = [s["id"] in self.done for s in self.steps if s["kind"] == "trial" and s["n"] > 0]
         shown: dict[str, Any] = {"number": self.number, "code": self.code, "step": step["id"], "kind": step["kind"]}
-        shown |= {"n": sum(trial in self.done for trial in trials), "of": len(trials), "held": self.held}
+        shown |= {"n": sum(done), "of": len(done), "held": self.held}
         shown |= {"pages": sorted(page.role for page in self.pages), "side": self.side, "switches": self.n_switches}
         if step["kind"] == "trial":
             texture = self.server.design.textures[step["trial"].texture]
@@ -240,3 +238,114 @@ class Session:
             live = self.contact.statistics  # how long a block takes would tell methods apart
             shown |= {"n_missed": live.n_missed, "n_underruns": live.n_underruns}
         return shown
+
+
+@dataclass
+class TrialLog:
+    """A trial through all its contacts: a lost connection or a hold begins another contact."""
+
+    conditions: list[tuple[float, float]] = field(default_factory=list)  # speed [mm/s], force [N] at each block's end
+    ended: list[LiveStatistics] = field(default_factory=list)  # of contacts before the present one
+    block_s: float = 0.0
+
+    def summary(self, live: Sequence[LiveStatistics]) -> dict[str, Any]:
+        """Seconds in contact; of them the 10th, 50th and 90th percentile of speed [mm/s] and force [N]; p99 of a block's
+        rendering [ms], blocks that came late, and under-runs.
+
+        Args:
+            live: statistics of the contacts that have not ended.
+        """
+        in_contact = np.array([c for c in list(self.conditions) if c[1] > MIN_CONTACT_N]).reshape(-1, 2)
+        result: dict[str, Any] = {"contact_s": round(self.block_s * len(in_contact), 3)}
+        for name, values in zip(("speed_mm_s", "force_n"), in_contact.T, strict=True):
+            for percent in (10, 50, 90):
+                result[f"{name}_p{percent}"] = round(float(np.percentile(values, percent)), 4) if values.size else None
+        block, contacts = Timing(), [*self.ended, *live]
+        for contact in contacts:
+            block.counts += contact.block.counts
+            block.largest_s = max(block.largest_s, contact.block.largest_s)
+        p99_ms = 1000 * block.percentile_s(99.0)
+        return {
+            **result,
+            "block_p99_ms": round(p99_ms, 4) if math.isfinite(p99_ms) else None,
+            "n_missed": sum(contact.n_missed for contact in contacts),
+            "n_underruns": sum(contact.n_underruns for contact in contacts),
+            "n_contacts": len(contacts),
+        }
+
+
+def steps_of(design: Design, trials: Sequence[Trial]) -> list[Step]:
+    """Steps of a participant with these trials, in order."""
+    steps: list[Step] = []
+    if design.consent.strip():
+        steps.append({"id": "consent", "kind": "consent", "text": design.consent})
+    steps += _questions(design.questions, "start")
+    steps.append({"id": "instructions", "kind": "instructions", "text": design.instructions})
+    counted = sum(not trial.practice for trial in trials)
+    for trial in trials:
+        n = trial.number
+        steps.append({"id": f"trial:{n}", "kind": "trial", "n": n, "of": counted, "trial": trial})
+        if n < 1 or n == counted:
+            continue
+        steps += _questions(design.questions, n)
+        if design.break_every and n % design.break_every == 0:
+            steps.append({"id": f"break:{n}", "kind": "break", "n": n, "of": counted})
+    return [*steps, *_questions(design.questions, "end"), {"id": "end", "kind": "end"}]
+
+
+def _questions(questions: Sequence[Question], at: str | int) -> list[Step]:
+    asked = [question for question in questions if question.at == at]
+    return [{"id": f"questions:{at}", "kind": "questions", "questions": asked}] if asked else []
+
+
+def public_step(step: Step, design: Design) -> Step:
+    """What a participant's page gets of a step: nothing of methods."""
+    public: Step = {name: value for name, value in step.items() if name not in ("trial", "questions")}
+    if step["kind"] == "questions":
+        public["questions"] = [
+            {"key": q.key, "text": q.text, "kind": q.kind, "options": list(q.options), "required": q.required}
+            for q in step["questions"]
+        ]
+    if step["kind"] == "trial":
+        trial: Trial = step["trial"]
+        texture, rating, setup = design.textures[trial.texture], design.rating, design.setup
+        public |= {"practice": trial.practice, "real_side": setup.real_side, "screens": setup.screens}
+        public |= {"question": rating.question, "lowest": rating.lowest, "highest": rating.highest}
+        public |= {"min_s": rating.min_seconds}
+        if setup.show_names:
+            public |= {"name": texture.name, "picture": f"pictures/{trial.texture}" if texture.picture else None}
+    return public
+
+
+def checked_answers(questions: Sequence[Question], answers: Any) -> tuple[dict[str, str], dict[str, str]]:
+    """Answers of a questionnaire by question, those that are not private and those that are.
+
+    Raises:
+        RefusedError: an answer is missing, or is none to its question.
+    """
+    public: dict[str, str] = {}
+    private: dict[str, str] = {}
+    if not isinstance(answers, dict):
+        raise RefusedError("answers are no object")
+    for question in questions:
+        answer = answers.get(question.key, "")
+        if not isinstance(answer, str) or len(answer) > MAX_ANSWER_LENGTH:
+            raise RefusedError(f"{question.text}: expected up to {MAX_ANSWER_LENGTH} characters")
+        answer = answer.strip()
+        if not answer:
+            if question.required:
+                raise RefusedError(f"{question.text}: an answer is missing")
+            continue
+        if question.kind in ("number", "slider") and not _is_number(answer):
+            raise RefusedError(f"{question.text}: {answer[:40]!r} is no number")
+        if question.kind == "choice" and answer not in question.options:
+            raise RefusedError(f"{question.text}: {answer[:40]!r} is none of the choices")
+        (private if question.private else public)[question.key] = answer
+    return public, private
+
+
+def _is_number(text: str) -> bool:
+    try:
+        return math.isfinite(float(text))
+    except ValueError:
+        return False

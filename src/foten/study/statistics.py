@@ -1,6 +1,7 @@
 """Repeated-measures statistics of ratings: arrays in, numbers out; they know nothing of a server or a file.
 
-Ratings are arrays y of shape (n, a) or (n, a, b): participants, methods, textures. Leading axes before those are studies.
+Ratings are arrays y of shape (n, a) or (n, a, b): participants, methods, textures; none is missing but for the mixed model.
+Leading axes before those are studies.
 What cannot be computed, where every value is the same, is NaN.
 
 Sources: Greenhouse & Geisser, Psychometrika 24, 95 (1959), for ε; Mauchly, Annals of Mathematical Statistics 11, 204 (1940);
@@ -10,7 +11,6 @@ Shrout & Fleiss, Psychological Bulletin 86, 420 (1979), for intraclass correlati
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations
 from typing import Any
@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+ALPHA = 0.05  # of every test
 Array = NDArray[np.float64]
 Index = NDArray[np.signedinteger[Any]]
 
@@ -43,28 +44,18 @@ def contrasts(k: int) -> Array:
     return np.asarray(q[:, 1:])
 
 
-def anova(y: Array, names: Sequence[str] = ("method", "texture")) -> list[Effect]:
-    """Repeated-measures analysis of variance of complete ratings.
+def anova(y: Array) -> list[Effect]:
+    """Repeated-measures analysis of variance of complete ratings, shape (…, n, a, b): both main effects and their interaction.
 
-    One factor: y of shape (…, n, a) with one name. Two factors: (…, n, a, b), both main effects and their interaction.
-
-    Raises:
-        ValueError: there are fewer than two participants or conditions, or a value is missing.
+    With one texture, or ratings averaged over textures, b is 1, and there is the effect of method alone.
     """
-    y = np.asarray(y, dtype=np.float64)
-    if len(names) == 1:
-        y = y[..., None]
     n, a, b = y.shape[-3:]
-    if n < 2 or a < 2 or (len(names) == 2 and b < 2):
-        raise ValueError(f"{n} participants and {a} × {b} conditions, expected two or more of each")
-    if not np.isfinite(y).all():
-        raise ValueError("a rating is missing: an analysis of variance needs all of a participant's")
     flat = y.reshape(*y.shape[:-2], a * b)
     means = [np.full((k, 1), k**-0.5) for k in (a, b)]
-    spaces = {names[0]: np.kron(contrasts(a), means[1])}
-    if len(names) == 2:
-        spaces[names[1]] = np.kron(means[0], contrasts(b))
-        spaces[f"{names[0]} × {names[1]}"] = np.kron(contrasts(a), contrasts(b))
+    spaces = {"method": np.kron(contrasts(a), means[1])}
+    if b > 1:
+        spaces["texture"] = np.kron(means[0], contrasts(b))
+        spaces["method × texture"] = np.kron(contrasts(a), contrasts(b))
     subjects = flat @ np.kron(*means)
     others = ((subjects - subjects.mean(-2, keepdims=True)) ** 2).sum((-2, -1))
     parts = {name: _parts(flat @ space) for name, space in spaces.items()}
@@ -128,19 +119,12 @@ def _mauchly(covariance: Array, n: int) -> Array:
 
 def holm(p: Array) -> Array:
     """p values adjusted by Holm's method along the last axis."""
-    p = np.asarray(p, dtype=np.float64)
     m = p.shape[-1]
     order = np.argsort(p, axis=-1)
     stepped = np.maximum.accumulate(np.take_along_axis(p, order, -1) * np.arange(m, 0, -1), axis=-1)
     adjusted = np.empty_like(p)
     np.put_along_axis(adjusted, order, np.minimum(stepped, 1.0), -1)
     return adjusted
-
-
-def bonferroni(p: Array) -> Array:
-    """p values adjusted by their number along the last axis."""
-    p = np.asarray(p, dtype=np.float64)
-    return np.minimum(p * p.shape[-1], 1.0)
 
 
 def pairs(k: int, reference: int | None = None) -> list[tuple[int, int]]:
@@ -156,8 +140,8 @@ class Paired:
 
     pairs: list[tuple[int, int]]
     difference: Array  # of the means
-    low: Array  # of its confidence interval
-    high: Array
+    ci95_low: Array  # not adjusted
+    ci95_high: Array
     t: Array
     df: float
     p: Array
@@ -167,17 +151,15 @@ class Paired:
     d_av: Array  # the difference over the mean of both standard deviations
 
 
-def paired_tests(y: Array, reference: int | None = None, confidence: float = 0.95) -> Paired:
+def paired_tests(y: Array, reference: int | None = None) -> Paired:
     """Paired t-tests of conditions y (…, n, a): a family for Bonferroni and Holm.
 
     Args:
         y: complete ratings.
         reference: compares all others with this condition; None for all pairs.
-        confidence: of the intervals, which are not adjusted.
     """
     from scipy import stats
 
-    y = np.asarray(y, dtype=np.float64)
     n, a = y.shape[-2:]
     family = pairs(a, reference)
     first, second = (y[..., [pair[i] for pair in family]] for i in (0, 1))
@@ -188,34 +170,31 @@ def paired_tests(y: Array, reference: int | None = None, confidence: float = 0.9
         d_av = mean / ((first.std(-2, ddof=1) + second.std(-2, ddof=1)) / 2)
         dz = mean / sd
     p = 2 * stats.t.sf(np.abs(t), n - 1)
-    half = stats.t.ppf((1 + confidence) / 2, n - 1) * sd / np.sqrt(n)
-    return Paired(family, mean, mean - half, mean + half, t, float(n - 1), p, bonferroni(p), holm(p), dz, d_av)
+    half = stats.t.ppf(0.975, n - 1) * sd / np.sqrt(n)
+    bonferroni = np.minimum(len(family) * p, 1.0)
+    return Paired(family, mean, mean - half, mean + half, t, float(n - 1), p, bonferroni, holm(p), dz, d_av)
 
 
 @dataclass(frozen=True)
 class Friedman:
-    """Friedman's test by ranks."""
+    """Friedman's test by ranks; each value a number, or an array over studies."""
 
-    chi2: float
+    chi2: Array
     df: int
-    p: float
-    w: float  # Kendall's coefficient of concordance
+    p: Array
+    w: Array  # Kendall's coefficient of concordance
 
 
 def friedman(y: Array) -> Friedman:
-    """Friedman's test of conditions y (n, a), corrected for ties."""
+    """Friedman's test of conditions y (…, n, a), corrected for ties."""
     from scipy import stats
 
-    n, a = y.shape
-    ranks = stats.rankdata(y, axis=1)
-    counts = np.concatenate([np.unique(row, return_counts=True)[1] for row in y])
-    ties = float((counts**3 - counts).sum())
-    spread = float(((ranks.mean(0) - (a + 1) / 2) ** 2).sum())
-    correction = 1 - ties / (n * (a**3 - a))
-    if correction <= 0:
-        return Friedman(np.nan, a - 1, np.nan, np.nan)
-    chi2 = 12 * n / (a * (a + 1)) * spread / correction
-    return Friedman(chi2, a - 1, float(stats.chi2.sf(chi2, a - 1)), chi2 / (n * (a - 1)))
+    n, a = y.shape[-2:]
+    ranks = stats.rankdata(y, axis=-1) - (a + 1) / 2
+    with np.errstate(invalid="ignore"):  # of equal ratings there is none
+        w = n * (ranks.mean(-2) ** 2).sum(-1) / (ranks**2).sum((-2, -1))
+    chi2 = n * (a - 1) * w
+    return Friedman(chi2, a - 1, stats.chi2.sf(chi2, a - 1), w)
 
 
 @dataclass(frozen=True)
@@ -237,21 +216,18 @@ def wilcoxon_tests(y: Array, reference: int | None = None) -> SignedRank:
     from scipy import stats
 
     family = pairs(y.shape[1], reference)
-    w: list[float] = []
-    p: list[float] = []
-    r: list[float] = []
+    rows = []
     for i, j in family:
         d = y[:, i] - y[:, j]
         d = d[d != 0]
         if d.size == 0:
-            w, p, r = [*w, np.nan], [*p, 1.0], [*r, 0.0]
+            rows.append((np.nan, 1.0, 0.0))
             continue
         ranks = stats.rankdata(np.abs(d))
-        up, down = float(ranks[d > 0].sum()), float(ranks[d < 0].sum())
-        w.append(min(up, down))
-        p.append(float(stats.wilcoxon(d).pvalue))
-        r.append((up - down) / (up + down))
-    return SignedRank(family, np.array(w), np.array(p), holm(np.array(p)), np.array(r))
+        up, down = ranks[d > 0].sum(), ranks[d < 0].sum()
+        rows.append((min(up, down), stats.wilcoxon(d).pvalue, (up - down) / (up + down)))
+    w, p, rank_biserial = np.array(rows).T
+    return SignedRank(family, w, p, holm(p), rank_biserial)
 
 
 @dataclass(frozen=True)
@@ -284,10 +260,7 @@ class MixedModel:
     """A linear mixed model of ratings, for those that are not complete."""
 
     terms: list[tuple[str, float, int, float, float]]  # name, F, and its two degrees of freedom, p
-    sd_participants: float
-    sd_methods: float  # of a method's worth between participants
-    sd_textures: float
-    sd_residual: float
+    sd: dict[str, float]  # of the random effects, and of the residual
     converged: bool
 
 
@@ -297,9 +270,6 @@ def mixed_model(participant: Index, method: Index, texture: Index, rating: Array
 
     F is Wald's over its degrees of freedom; those of the denominator are of the stratum in which an effect lies, as in an
     analysis of variance, so that complete ratings give the same F.
-
-    Raises:
-        ValueError: a cell of method and texture has no rating.
     """
     import warnings
 
@@ -308,66 +278,27 @@ def mixed_model(participant: Index, method: Index, texture: Index, rating: Array
     from statsmodels.regression.mixed_linear_model import MixedLM
 
     frame = pandas.DataFrame({"participant": participant, "method": method, "texture": texture, "rating": rating})
-    a, b = (int(column.max()) + 1 for column in (method, texture))
-    if np.unique(method * b + texture).size < a * b:
-        raise ValueError("a texture has no rating with some method: a mixed model cannot say what it is worth")
-    n = np.unique(participant).size
-    ca, cb = contrasts(a), contrasts(b) if b > 1 else np.zeros((1, 0))
-    blocks = {"method": ca[method]}
+    n, a, b = (int(frame[name].nunique()) for name in ("participant", "method", "texture"))
+    fixed, random = "C(method, Sum)", {"participant × method": "0 + C(method)"}
+    df2 = {"method": max(1, rating.size - n - (a - 1))}
     if b > 1:
-        blocks["texture"] = cb[texture]
-        blocks["method × texture"] = (ca[method][:, :, None] * cb[texture][:, None, :]).reshape(rating.size, -1)
-    exog = np.concatenate([np.ones((rating.size, 1)), *blocks.values()], axis=1)
-    parts = {"methods": "0 + C(method)"} | ({"textures": "0 + C(texture)"} if b > 1 else {})
+        fixed, random = f"{fixed} * C(texture, Sum)", {**random, "participant × texture": "0 + C(texture)"}
+        left = rating.size - n * (a + b - 1) - (a - 1) * (b - 1)
+        df2 = {"method": (n - 1) * (a - 1), "texture": (n - 1) * (b - 1), "method × texture": max(1, left)}
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # that a variance is at its edge, 0, is a result
-        model = MixedLM(
-            frame["rating"],
-            exog,
-            groups=frame["participant"],
-            exog_re=np.ones((rating.size, 1)),
-            exog_vc=_components(frame, parts),
+        model = MixedLM.from_formula(
+            f"rating ~ {fixed}", frame, groups="participant", re_formula="1", vc_formula=random
         )
         fitted = model.fit(reml=True, method=["lbfgs", "powell"])
-    covariance = np.asarray(fitted.cov_params())[: exog.shape[1], : exog.shape[1]]
-    fixed = np.asarray(fitted.fe_params)
-    strata = {"method": (a - 1), "texture": (b - 1), "method × texture": (a - 1) * (b - 1)}
+        wald = fitted.wald_test_terms(scalar=True).table.iloc[1:]  # behind the intercept
     terms: list[tuple[str, float, int, float, float]] = []
-    at = 1
-    left = rating.size - n * (1 + (a - 1) + (b - 1)) - (a - 1) * (b - 1) if b > 1 else rating.size - n - (a - 1)
-    for name, block in blocks.items():
-        width = block.shape[1]
-        part = slice(at, at + width)
-        at += width
-        wald = float(fixed[part] @ np.linalg.solve(covariance[part, part], fixed[part]))
-        in_stratum = name != "method × texture" and b > 1
-        df2 = float((n - 1) * strata[name]) if in_stratum else float(max(1, left))
-        f = wald / width
-        terms.append((name, f, width, df2, float(stats.f.sf(f, width, df2))))
-    variances = dict(zip(parts, np.asarray(fitted.vcomp), strict=False))
-    return MixedModel(
-        terms,
-        float(np.sqrt(max(0.0, np.asarray(fitted.cov_re)[0, 0]))) if np.size(fitted.cov_re) else 0.0,
-        float(np.sqrt(variances.get("methods", 0.0))),
-        float(np.sqrt(variances.get("textures", 0.0))),
-        float(np.sqrt(fitted.scale)),
-        bool(fitted.converged),
-    )
-
-
-def _components(frame: Any, parts: dict[str, str]) -> Any:
-    """Random effects beside the intercept, as statsmodels takes them."""
-    from statsmodels.regression.mixed_linear_model import VCSpec
-
-    names, columns, matrices = [], [], []
-    for name, kind in zip(parts, ("method", "texture"), strict=False):
-        levels = sorted(frame[kind].unique())
-        by_group = {
-            group: (rows[kind].to_numpy()[:, None] == np.array(levels)).astype(float)
-            for group, rows in frame.groupby("participant")
-        }
-        groups = sorted(by_group)
-        names.append(name)
-        columns.append([[f"{name}[{level}]" for level in levels] for _ in groups])
-        matrices.append([by_group[group] for group in groups])
-    return VCSpec(names, columns, matrices)
+    for (name, df), chi2, width in zip(df2.items(), wald["statistic"], wald["df_constraint"], strict=True):
+        f = float(chi2) / width
+        terms.append((name, f, int(width), float(df), float(stats.f.sf(f, width, df))))
+    variances = {"participants": np.asarray(fitted.cov_re)[0, 0], **dict.fromkeys(random, 0.0)}
+    variances |= dict(zip(model.exog_vc.names, fitted.vcomp, strict=True))
+    sd = {
+        name: float(np.sqrt(max(0.0, variance))) for name, variance in (*variances.items(), ("residual", fitted.scale))
+    }
+    return MixedModel(terms, sd, bool(fitted.converged))

@@ -14,19 +14,20 @@ import zlib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
 
+from foten import __version__
 from foten.atomic_write import atomic_write
 from foten.study import schema
 from foten.study.orders import Trial
-from foten.study.process_lock import ProcessLock
 from foten.study.schema import Stimulus, faults_of, now
 from foten.untrusted import check_regular
 
 BUSY_S = 10.0  # to wait for another writer
+FULL = ("SQLITE_FULL", "SQLITE_IOERR", "SQLITE_READONLY", "SQLITE_CANTOPEN")  # how errors of a disk are called
 
 
 class FullError(OSError):
@@ -40,10 +41,10 @@ class Rated:
     rating: float
     response_s: float | None = None  # from when the trial was shown
     switches: int | None = None  # between the real and the virtual surface
-    log: Mapping[str, Any] = field(default_factory=dict)  # of `TrialLog`
+    log: Mapping[str, Any] = field(default_factory=dict)  # of `session.TrialLog`
 
 
-class Store:
+class Store(contextlib.AbstractContextManager["Store"]):
     """An open study. It belongs to one thread at a time.
 
     Raises:
@@ -51,36 +52,33 @@ class Store:
         ValueError: it is no study, is damaged, or a newer foten made it.
     """
 
-    def __init__(self, path: Path, software: str = "") -> None:
+    def __init__(self, path: Path) -> None:
         check_regular(path)
-        self.path, self._software = path, software
-        self._lock: ProcessLock | None = None
+        self.path = path
+        self._lock: BinaryIO | None = None
         self._connection = sqlite3.connect(path, isolation_level=None, timeout=BUSY_S, check_same_thread=False)
         self._connection.row_factory = sqlite3.Row
         try:
             self._open()
-        except sqlite3.OperationalError as error:
+        except BaseException as error:
             self._connection.close()
-            raise OSError(f"{path} cannot be opened, though it may be sound: {error}") from error
-        except sqlite3.DatabaseError as error:
-            self._connection.close()
-            raise ValueError(f"{path} is no study of foten, or is damaged: {error}") from error
-        except BaseException:
-            self._connection.close()
+            if isinstance(error, sqlite3.OperationalError):
+                raise OSError(f"{path} cannot be opened, though it may be sound: {error}") from error
+            if isinstance(error, sqlite3.DatabaseError):
+                raise ValueError(f"{path} is no study of foten, or is damaged: {error}") from error
             raise
 
     def _open(self) -> None:
-        execute = self._connection.execute
+        execute = self._execute
         if execute("PRAGMA application_id").fetchone()[0] != schema.APPLICATION_ID:
             raise ValueError(f"{self.path} is no study of foten, expected a file that 'foten study run' made")
         version = execute("PRAGMA user_version").fetchone()[0]
-        if version > len(schema.MIGRATIONS):
-            newest = f"this foten knows up to {len(schema.MIGRATIONS)}"
+        if version > schema.VERSION:
+            newest = f"this foten knows up to {schema.VERSION}"
             raise ValueError(f"{self.path} is of version {version}, and {newest}: update foten")
         execute("PRAGMA journal_mode = WAL")
         execute("PRAGMA synchronous = FULL")
         execute("PRAGMA foreign_keys = ON")
-        schema.migrate(self._connection)
         self.study = dict(execute("SELECT * FROM study").fetchone())
 
     def hold(self) -> None:
@@ -90,7 +88,13 @@ class Store:
             OSError: another process runs it.
         """
         if self._lock is None:
-            self._lock = ProcessLock(self.path.with_name(self.path.name + ".lock"))
+            lock = self.path.with_name(self.path.name + ".lock").open("a+b")
+            try:
+                _lock(lock.fileno())
+            except OSError as error:
+                lock.close()
+                raise OSError(f"{self.path.name} is in use: end the 'foten study run' of it first") from error
+            self._lock = lock
 
     def close(self) -> None:
         """Close the file, and unlock it."""
@@ -98,9 +102,6 @@ class Store:
         if self._lock is not None:
             self._lock.close()
             self._lock = None
-
-    def __enter__(self) -> Store:
-        return self
 
     def __exit__(self, *exc: object) -> None:
         self.close()
@@ -111,25 +112,25 @@ class Store:
         return bool(self.study["simulated"])
 
     @contextlib.contextmanager
-    def _writing(self) -> Iterator[sqlite3.Connection]:
+    def _writing(self) -> Iterator[None]:
         """One change, whole or not at all, on the disk when it returns."""
         try:
-            self._connection.execute("BEGIN IMMEDIATE")
-            yield self._connection
-            self._connection.execute("COMMIT")
+            self._execute("BEGIN IMMEDIATE")
+            yield
+            self._execute("COMMIT")
         except BaseException as error:
             with contextlib.suppress(sqlite3.Error):
-                self._connection.execute("ROLLBACK")
-            if isinstance(error, sqlite3.OperationalError) and _is_full(error):
-                raise FullError(
-                    f"{self.path.name}: the disk is full or cannot be written; what was there is there"
-                ) from error
+                self._execute("ROLLBACK")
+            if isinstance(error, sqlite3.OperationalError) and error.sqlite_errorname.startswith(FULL):
+                why = "the disk is full or cannot be written; what was there is there"
+                raise FullError(f"{self.path.name}: {why}") from error
             raise
 
-    def _rows(self, query: str, *values: Any) -> list[sqlite3.Row]:
-        return self._connection.execute(query, values).fetchall()
+    def _execute(self, statement: str, *values: Any) -> sqlite3.Cursor:
+        return self._connection.execute(statement, values)
 
-    # Participants
+    def _rows(self, query: str, *values: Any) -> list[sqlite3.Row]:
+        return self._execute(query, *values).fetchall()
 
     def join(self, code: str) -> int:
         """Add a participant under a code; the number, the next that is free.
@@ -137,13 +138,12 @@ class Store:
         Raises:
             ValueError: all have begun.
         """
-        with self._writing() as connection:
+        with self._writing():
             taken = set(self.codes().values())
             number = next((n for n in self.ordered() if n not in taken), None)
             if number is None:
                 raise ValueError(f"all {len(taken)} participants of the design have begun; a larger study is a new one")
-            row = (number, code, now(), int(self.simulated))
-            connection.execute("INSERT INTO participants VALUES (?, ?, ?, ?)", row)
+            self._execute("INSERT INTO participants VALUES (?, ?, ?, ?)", number, code, now(), int(self.simulated))
         return number
 
     def ordered(self) -> list[int]:
@@ -167,8 +167,6 @@ class Store:
         """Steps that a participant has behind."""
         return {str(row[0]) for row in self._rows("SELECT step FROM steps WHERE participant = ?", participant)}
 
-    # Answers
-
     def take_step(
         self,
         participant: int,
@@ -189,44 +187,34 @@ class Store:
             FullError: the disk has no room.
         """
         at = now()
-        with self._writing() as connection:
-            new = connection.execute("INSERT OR IGNORE INTO steps VALUES (?, ?, ?)", (participant, step, at)).rowcount
-            if not new:
+        with self._writing():
+            if not self._execute("INSERT OR IGNORE INTO steps VALUES (?, ?, ?)", participant, step, at).rowcount:
                 return False
             if rated is not None:
-                self._add_rating(connection, participant, *rated, at)
+                self._add_rating(participant, *rated, at)
             for table, by_question in (("answers", answers), ("abouts", private)):
-                rows = [(participant, question, answer, at) for question, answer in (by_question or {}).items()]
-                connection.executemany(f"INSERT INTO {table} VALUES (?, ?, ?, ?)", rows)
+                for question, answer in (by_question or {}).items():
+                    self._execute(f"INSERT INTO {table} VALUES (?, ?, ?, ?)", participant, question, answer, at)
             if consent is not None:
                 digest = hashlib.sha256(consent.encode()).hexdigest()
-                connection.execute("INSERT INTO consents VALUES (?, ?, ?)", (participant, at, digest))
+                self._execute("INSERT INTO consents VALUES (?, ?, ?)", participant, at, digest)
         return True
 
     def take_steps(self, participant: int, rated: Mapping[str, Rated]) -> None:
         """Store many trials of a simulated rater at once, by step."""
         at = now()
-        with self._writing() as connection:
+        with self._writing():
             for step, outcome in rated.items():
-                connection.execute("INSERT INTO steps VALUES (?, ?, ?)", (participant, step, at))
-                self._add_rating(connection, participant, int(step.removeprefix("trial:")), outcome, at)
+                self._execute("INSERT INTO steps VALUES (?, ?, ?)", participant, step, at)
+                self._add_rating(participant, int(step.removeprefix("trial:")), outcome, at)
 
-    def _add_rating(self, connection: sqlite3.Connection, participant: int, trial: int, rated: Rated, at: str) -> None:
+    def _add_rating(self, participant: int, trial: int, rated: Rated, at: str) -> None:
         log = json.dumps(dict(rated.log), allow_nan=False)
-        connection.execute(
+        answer = (rated.rating, rated.response_s, rated.switches, log, at, __version__, self.simulated)
+        self._execute(
             "INSERT INTO ratings (participant, trial, rating, response_s, switches, measured, at, software, simulated, reason) "
             "VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, '')",
-            (
-                participant,
-                trial,
-                rated.rating,
-                rated.response_s,
-                rated.switches,
-                log,
-                at,
-                self._software,
-                self.simulated,
-            ),
+            *(participant, trial, *answer),
         )
 
     def correct(self, participant: int, trial: int, rating: float, reason: str) -> None:
@@ -239,25 +227,23 @@ class Store:
             raise ValueError(f"the rating is {rating:g}, expected 0 to 100")
         if not reason.strip():
             raise ValueError("a correction needs a reason")
-        with self._writing() as connection:
-            rows = self._rows(f"{schema.VALID_RATINGS} AND participant = ? AND trial = ?", participant, trial)
-            if not rows:
-                raise ValueError(f"participant {participant} has no rating of trial {trial}")
-            connection.execute(
+        with self._writing():
+            corrected = self._execute(
                 "INSERT INTO ratings (participant, trial, rating, response_s, switches, measured, at, software, simulated, "
                 "corrects, reason) SELECT participant, trial, ?, response_s, switches, measured, ?, ?, simulated, id, ? "
-                "FROM ratings WHERE id = ?",
-                (rating, now(), self._software, reason, rows[0]["id"]),
+                f"FROM ({schema.VALID_RATINGS}) WHERE participant = ? AND trial = ?",
+                *(rating, now(), __version__, reason, participant, trial),
             )
-            self._log(connection, f"participant {participant}, trial {trial}: corrected to {rating:g}: {reason}")
+            if not corrected.rowcount:
+                raise ValueError(f"participant {participant} has no rating of trial {trial}")
+            self._log(f"participant {participant}, trial {trial}: corrected to {rating:g}: {reason}")
 
     def add_switch(self, participant: int, trial: int, side: str, marked_by: str) -> None:
         """Store that a hand went over to the real or the virtual surface."""
-        with self._writing() as connection:
-            connection.execute(
-                "INSERT INTO switches (participant, trial, side, marked_by, at) VALUES (?, ?, ?, ?, ?)",
-                (participant, trial, side, marked_by, now()),
-            )
+        columns = "participant, trial, side, marked_by, at"
+        with self._writing():
+            values = participant, trial, side, marked_by, now()
+            self._execute(f"INSERT INTO switches ({columns}) VALUES (?, ?, ?, ?, ?)", *values)
 
     def switches(self, participant: int, trial: int) -> int:
         """How often a hand went over in a trial."""
@@ -267,11 +253,11 @@ class Store:
     def add_strokes(self, participant: int, trial: int, events: NDArray[np.float64]) -> None:
         """Store events of a pen: x, y [mm], pressure, t [s], shape (n, 4)."""
         packed = zlib.compress(np.ascontiguousarray(events, dtype="<f8").tobytes())
-        with self._writing() as connection:
-            connection.execute(
+        with self._writing():
+            self._execute(
                 "INSERT INTO strokes SELECT ?, ?, coalesce(max(part) + 1, 0), ?, ? FROM strokes "
                 "WHERE participant = ? AND trial = ?",
-                (participant, trial, now(), packed, participant, trial),
+                *(participant, trial, now(), packed, participant, trial),
             )
 
     def strokes(self, participant: int, trial: int) -> NDArray[np.float64]:
@@ -281,8 +267,6 @@ class Store:
         )
         data = b"".join(zlib.decompress(row[0]) for row in rows)
         return np.frombuffer(data, dtype="<f8").reshape(-1, 4)
-
-    # What is there
 
     def ratings(self) -> list[dict[str, Any]]:
         """Valid ratings without practice: participant, trial, texture, method (as numbers and as keys), rating, response_s,
@@ -319,16 +303,14 @@ class Store:
 
     def log(self) -> list[tuple[str, str]]:
         """Lines of the log, with times."""
-        return [(row["at"], row["what"]) for row in self._rows("SELECT * FROM log ORDER BY id")]
+        return [tuple(row) for row in self._rows("SELECT at, what FROM log ORDER BY id")]
 
-    def _log(self, connection: sqlite3.Connection, what: str) -> None:
-        connection.execute("INSERT INTO log (at, what) VALUES (?, ?)", (now(), what))
+    def _log(self, what: str) -> None:
+        self._execute("INSERT INTO log (at, what) VALUES (?, ?)", now(), what)
 
     def check(self) -> list[str]:
         """Lines that say what is wrong with the file: none, as a rule."""
         return faults_of(self._connection)
-
-    # The two exceptions
 
     def backup(self, path: Path) -> int:
         """Copy the study to another file, while it is being written to; the number of valid ratings in the copy.
@@ -368,31 +350,37 @@ class Store:
         if participant not in self.codes().values() and not any(what == removed for _, what in self.log()):
             raise ValueError(f"there is no participant {participant} who has begun")
         self.hold()
-        connection = self._connection
-        connection.execute("PRAGMA secure_delete = ON")
+        self._execute("PRAGMA secure_delete = ON")
         try:
             with self._writing():
                 for name in schema.GUARDS:
-                    connection.execute(f"DROP TRIGGER {name}")
-                connection.execute("PRAGMA defer_foreign_keys = ON")
-                for table in schema.TABLES_OF_PARTICIPANT:
-                    column = "number" if table == "participants" else "participant"
-                    connection.execute(f"DELETE FROM {table} WHERE {column} = ?", (participant,))
+                    self._execute(f"DROP TRIGGER {name}")
+                self._execute("PRAGMA defer_foreign_keys = ON")
+                for table in schema.TABLES_BY_PARTICIPANT:
+                    self._execute(f"DELETE FROM {table} WHERE participant = ?", participant)
+                self._execute("DELETE FROM participants WHERE number = ?", participant)
                 # Its corrections name the participant.
-                connection.execute("DELETE FROM log WHERE what LIKE ?", (f"participant {participant},%",))
-                self._log(connection, removed)
+                self._execute("DELETE FROM log WHERE what LIKE ?", f"participant {participant},%")
+                self._log(removed)
                 for name, guard in schema.GUARDS.items():
-                    connection.execute(f"CREATE TRIGGER {name} {guard}")
-            connection.execute("PRAGMA wal_checkpoint(TRUNCATE)")
-            connection.execute("VACUUM")
-            busy = connection.execute("PRAGMA wal_checkpoint(TRUNCATE)").fetchone()[0]
+                    self._execute(f"CREATE TRIGGER {name} {guard}")
+            self._execute("PRAGMA wal_checkpoint(TRUNCATE)")
+            self._execute("VACUUM")
+            busy = self._execute("PRAGMA wal_checkpoint(TRUNCATE)").fetchone()[0]
         except sqlite3.OperationalError as error:
             raise OSError(f"{self.path.name} is in use ({error}): end 'foten study run' first") from error
         if busy:
-            raise OSError(
-                f"{self.path.name} is in use, and parts of it may keep what was removed: end 'foten study run', do it again"
-            )
+            why = "in use, and parts of it may keep what was removed: end 'foten study run', do it again"
+            raise OSError(f"{self.path.name} is {why}")
 
 
-def _is_full(error: sqlite3.OperationalError) -> bool:
-    return error.sqlite_errorname.startswith(("SQLITE_FULL", "SQLITE_IOERR", "SQLITE_READONLY", "SQLITE_CANTOPEN"))
+def _lock(file: int) -> None:
+    """Lock a file until it is closed or the process ends, however that ends; OSError where another process has it."""
+    try:
+        import fcntl
+    except ImportError:  # Windows
+        import msvcrt
+
+        msvcrt.locking(file, msvcrt.LK_NBLCK, 1)  # type: ignore[attr-defined]
+    else:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)

@@ -2,9 +2,9 @@
 
 GET  /                participants' page; its files
 GET  /pictures/N      the picture of a texture
-WS   /session         a participant's page (`participant_page`)
+WS   /session         a participant's page (`page_sockets`)
 GET  /operator        the operator's page, by the key in its link
-WS   /operate         what it shows, and does (`operator_page`)
+WS   /operate         what it shows, and does (`page_sockets`)
 """
 
 from __future__ import annotations
@@ -15,9 +15,9 @@ import io
 import secrets
 from collections.abc import AsyncIterator, Callable
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from pathlib import Path
 from typing import Any
-from urllib.parse import urlencode
 
 from starlette.applications import Starlette
 from starlette.datastructures import Headers
@@ -33,10 +33,9 @@ from foten.studio.players import OutputDevice, Player, RoundRobinRenderer
 from foten.studio.studio_server import missing, page_file, page_files
 from foten.studio.websocket import serve_page
 from foten.study.design import Design
-from foten.study.operator_page import OperatorPage
-from foten.study.participant_page import ParticipantPage
+from foten.study.loading import Stimuli
+from foten.study.page_sockets import OperatorPage, ParticipantPage
 from foten.study.session import Session
-from foten.study.stimuli import Stimuli
 from foten.study.store import Store
 
 OPERATOR_COOKIE = "foten-operator"
@@ -62,7 +61,7 @@ class StudyServer:
         self.operator_key = secrets.token_urlsafe(16)
         self.gains = {key: stimulus.gain_db for key, stimulus in store.stimuli().items()}
         self.player: Callable[[float], Player] = (output or RoundRobinRenderer()).player
-        self.link: Callable[[str], str] = lambda query: f"/?{query}"  # by which the next device comes in
+        self.link: Callable[..., str]  # by which the next device comes in, as `Access.link` gives it
         self.sessions: dict[int, Session] = {}
         self.pages: set[ParticipantPage] = set()
         self.operators: set[OperatorPage] = set()
@@ -85,15 +84,12 @@ class StudyServer:
         Raises:
             RefusedError: the design has no more.
         """
-        if code is None:
-            code = "".join(secrets.choice(LETTERS) for _ in range(CODE_LETTERS))
-        elif len(code) != CODE_LETTERS or not set(code) <= set(LETTERS):
+        code = code or "".join(secrets.choice(LETTERS) for _ in range(CODE_LETTERS))
+        if len(code) != CODE_LETTERS or not set(code) <= set(LETTERS):
             raise RefusedError(f"join: fresh is {code[:40]!r}, expected {CODE_LETTERS} letters")
-        for session in self.sessions.values():
-            if session.code == code:
-                return session
+        known = next((session for session in self.sessions.values() if session.code == code), None)
         try:
-            return await self.on_disk(lambda: self._session(self.store.join(code), code))
+            return known or await self.on_disk(lambda: self._session(self.store.join(code), code))
         except (ValueError, OSError) as error:
             raise RefusedError(str(error)) from error
 
@@ -106,6 +102,7 @@ class StudyServer:
 
     def app(self, access: Access) -> ASGIApp:
         """Application, behind its access."""
+        self.link = partial(access.link, access.hosts[0])
         routes = [
             Route("/operator", self._operator),
             Route("/pictures/{number:int}", self._picture),
@@ -141,9 +138,8 @@ class StudyServer:
             moved.set_cookie(OPERATOR_COOKIE, self.operator_key, httponly=True, samesite="lax", secure=secure)
             return moved
         if not self._is_operator(request.headers):
-            return PlainTextResponse(
-                "this page is the operator's: open the link that the server printed\n", status_code=403
-            )
+            why = "this page is the operator's: open the link that the server printed\n"
+            return PlainTextResponse(why, status_code=403)
         return FileResponse(PAGES / OPERATOR_PAGE, media_type="text/html")
 
     async def _code(self, request: Request) -> Response:
@@ -156,11 +152,10 @@ class StudyServer:
             query = {"code": self.by_code(request.path_params["code"]).code}
         except RefusedError as error:
             return missing(str(error))
-        role = request.query_params.get("role", "all")
-        if role in ("stroke", "answer"):
+        if (role := request.query_params.get("role")) in ("stroke", "answer"):
             query["role"] = role
         drawn = io.BytesIO()
-        segno.make(self.link(urlencode(query)), error="l").save(drawn, kind="svg", scale=8, border=2)
+        segno.make(self.link(**query), error="l").save(drawn, kind="svg", scale=8, border=2)
         return Response(drawn.getvalue(), media_type="image/svg+xml")
 
     def _is_operator(self, headers: Headers) -> bool:

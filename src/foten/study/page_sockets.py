@@ -1,6 +1,6 @@
-"""A participant's page at the WebSocket: a tablet to stroke on, a screen to answer on, or both.
+"""Pages at the WebSocket: a participant's, which is a tablet to stroke on, a screen to answer on, or both, and the operator's.
 
-It sends, beside events of the pen in bytes as `studio.messages` has them:
+A participant's page sends, beside events of the pen in bytes as `studio.messages` has them:
 
     {"do": "join", "code": "KXWQA", "role": "all" | "stroke" | "answer", "rate_hz": 48000, "volume_db": 0, "newtons": 0.13,
      "steepness": 3.32}
@@ -10,10 +10,17 @@ It sends, beside events of the pen in bytes as `studio.messages` has them:
     {"do": "side", "side": "real" | "virtual"}
 
 What it gets names no method: trials by number, textures by name where the study file says so, and samples.
+
+The operator's page shows who is where, gets nothing of methods either, and sends
+
+    {"do": "begin"}
+    {"do": "hold" | "go", "number": 3}
+    {"do": "side", "number": 3, "side": "real" | "virtual"}
 """
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
 import time
 from collections.abc import Mapping
@@ -30,6 +37,7 @@ from foten.study.session import NotYetError, Session
 if TYPE_CHECKING:
     from foten.study.study_server import StudyServer
 
+REFRESH_S = 0.5  # between two pictures of the study
 ELSEWHERE = 4001  # the code of a WebSocket's end, of those that are free for programs
 SIDES = ("virtual", "real")
 PARTICIPANT = Protocol(
@@ -50,6 +58,10 @@ PARTICIPANT = Protocol(
         "step": None,
     },
 )
+OPERATOR = Protocol(
+    {"begin": ((), ()), "hold": (("number",), ()), "go": (("number",), ()), "side": (("number", "side"), ())},
+    {"number": (1, 1e6), "side": SIDES},
+)
 
 
 class ParticipantPage(PageSocket):
@@ -69,24 +81,20 @@ class ParticipantPage(PageSocket):
         return self.role != "answer"
 
     async def run(self) -> None:
-        """Serve the page until it goes."""
         await self.converse(self.blocks.send())
 
     async def leave(self) -> None:
-        """Leave the session: the strokes are saved, and the trial stays where it is."""
         session, self._session = self._session, None
         if session is not None:
             await session.leave(self)
 
     async def take_bytes(self, data: bytes) -> None:
-        """Take in events."""
         events = self.events_in(data)
         if self._session is None or not self.strokes:
             raise RefusedError("events of a page that does not stroke")
         await self._session.push(self, events)
 
     async def do(self, message: Mapping[str, Any]) -> None:
-        """Join, answer, or go over to the other surface."""
         kind, session = message["do"], self._session
         if kind == "join":
             await self._join(message)
@@ -144,3 +152,39 @@ class ParticipantPage(PageSocket):
         if session.step["kind"] == "trial" and not session.held and not session.shown_at:
             session.shown_at = time.monotonic()
         await self.say({"step": session.shown()})
+
+
+class OperatorPage(PageSocket):
+    """The operator's page."""
+
+    def __init__(self, server: StudyServer, socket: WebSocket) -> None:
+        super().__init__(socket, OPERATOR)
+        self._server = server
+
+    async def run(self) -> None:
+        await self.converse(self._show())
+
+    async def do(self, message: Mapping[str, Any]) -> None:
+        server, kind = self._server, message["do"]
+        if kind == "begin":
+            new = await server.begin()
+            await self.say({"started": new.number, "code": new.code})
+            return
+        session = server.sessions.get(int(message["number"]))
+        if session is None:
+            raise RefusedError(f"there is no participant {message['number']}")
+        if kind == "side":
+            await session.turn(str(message["side"]), "operator")
+        else:
+            await session.hold(kind == "hold")
+
+    async def _show(self) -> None:
+        server = self._server
+        design = server.design
+        about = {"title": design.title, "planned": design.participants, "simulated": server.store.simulated}
+        about |= {"operator": design.setup.operator, "screens": design.setup.screens}
+        while True:
+            # Another link after each use: the codes to scan are drawn anew.
+            sessions = [session.for_operator() for session in server.sessions.values()]
+            await self.say({**about, "link": server.link(), "sessions": sessions})
+            await asyncio.sleep(REFRESH_S)
