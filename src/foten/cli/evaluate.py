@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from typer import Argument, Option
 
-from foten.console import JsonOption, TextureFile, check_folder, print_result, say, write_json
+from foten.atomic_write import write_json
+from foten.console import JsonOption, TextureFile, check_folder, print_result, say
 
 if TYPE_CHECKING:
     from foten.models.texture_file import Texture

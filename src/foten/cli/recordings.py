@@ -11,16 +11,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from typer import Argument, Exit, Option
 
-from foten.console import (
-    JsonOption,
-    RecordingFile,
-    check_folder,
-    check_folders,
-    folder_option,
-    print_result,
-    say,
-    write_json,
-)
+from foten.atomic_write import write_json
+from foten.console import JsonOption, RecordingFile, check_folder, check_folders, folder_option, print_result, say
 
 if TYPE_CHECKING:
     from foten.datasets.options import ImportOptions
