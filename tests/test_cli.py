@@ -451,7 +451,7 @@ def test_help_is_printed_as_it_is_written() -> None:
 
 def test_the_demo_makes_everything_it_names(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     folder = tmp_path / "demo"
-    assert _status(["demo", "-o", str(folder), "--seconds", "24", "--epochs", "1", "--json"]) == 0
+    assert _status(["demo", "-o", str(folder), "--seconds", "16", "--epochs", "1", "--json"]) == 0
     paths = json.loads(capsys.readouterr().out)
     assert set(paths) == {"recording", "texture", "report", "vibration", "picture", "sound", "pictures"}
     for path in paths.values():

@@ -64,13 +64,6 @@ def wav(path: Path) -> tuple[np.ndarray, dict[str, Any]]:
     return np.frombuffer(data[at : at + int.from_bytes(data[at - 4 : at], "little")], dtype="<f4"), json.loads(comment)
 
 
-def test_play_into_a_file_is_what_is_rendered(file: Path, tmp_path: Path) -> None:
-    path = tmp_path / "stroke.wav"
-    arguments = ["--to", str(path), "--seconds", "0.3", "--speed", "80", "--force", "0.8", "--rate", "1000"]
-    assert _status(["play", str(file), *arguments, "--seed", "4"]) == 0
-    np.testing.assert_array_equal(wav(path)[0], Renderer(file, seed=4).render(80.0, 0.8, 300))
-
-
 def test_play_and_render_make_the_same_of_a_stroke(file: Path, tmp_path: Path) -> None:
     stroke = tmp_path / "s.csv"
     stroke.write_text("t,speed,force\n" + "".join(f"{0.01 * k},{0 if k < 50 else 90},{0.8}\n" for k in range(100)))
@@ -99,14 +92,11 @@ def test_a_file_says_what_its_numbers_are(file: Path, tmp_path: Path) -> None:
     [
         (["--to", "loudspeaker"], "expected sound, null"),
         (["--to", "null", "--speed", "80"], "--speed with --force"),
-        (["--to", "udp:localhost"], "expected sound, null"),
         (["--to", "null", "--actuator", "none.json"], "none.json"),
         (["--to", "null", "--lead-ms", "0"], "lead"),
         (["--to", "null", "--rate", "10"], "rate"),
         (["--to", "null", "--speed", "-1", "--force", "1"], "speed"),
-        (["--to", "null", "--gain", "2"], "--gain"),
-        (["--to", "null", "--device", "2"], "--device"),
-        (["--to", "null", "--channel", "0"], "--channel"),
+        (["--to", "null", "--channel", "0"], "--device and --channel are"),
         (["--to", "a.wav", "--seconds", "inf"], "--seconds is inf"),
     ],
 )
@@ -157,15 +147,6 @@ def test_ctrl_c_ends_it_and_prints_the_counts(file: Path) -> None:
     out, _ = child.communicate(timeout=30)
     assert child.returncode == 130
     assert "under-runs" in out
-
-
-def test_what_is_beyond_is_printed(file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    path = tmp_path / "x.wav"
-    arguments = ["--to", str(path), "--seconds", "0.2", "--speed", "5000", "--force", "50"]
-    assert _status(["play", str(file), *arguments]) == 0
-    out = capsys.readouterr().out
-    assert "speed was above" in out
-    assert "taken as twice that" in out
 
 
 def test_what_went_wrong_is_printed_with_what_helps(
@@ -256,8 +237,6 @@ def test_doctor_says_what_is_here(capsys: pytest.CaptureFixture[str]) -> None:
     assert result["kernel"]["fine"] is True
     assert "instruction set" in result["kernel"]["result"]
     assert {"first sample", "timer", "sound", "NI-DAQ", "training"} <= set(result)
-    assert _status(["doctor"]) in (0, 1)
-    assert "✓ kernel" in capsys.readouterr().out
 
 
 def test_an_example_is_there_to_be_played(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:

@@ -464,23 +464,12 @@ def test_a_site_without_a_name_has_the_textures_that_come_along(tmp_path: Path) 
     assert [one["file"] for one in listed] == sorted(path.name for path in EXAMPLE.parent.glob("*.foten"))
 
 
-@pytest.mark.parametrize("n", [0, 2])
-@pytest.mark.parametrize("arguments", [["-o", "x.ahap"], ["--to", "unity", "-o", "x"]])
-def test_all_else_is_made_of_one_texture(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], n: int, arguments: list[str]
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    assert _status(["export", *[str(EXAMPLE)] * n, *arguments]) == 2
-    error = capsys.readouterr().err
-    assert f"is made of one texture file, got {n}" in error
-    assert error.count("\n") == 1
-    assert not list(tmp_path.iterdir())
-
-
 @pytest.mark.parametrize(
     ("arguments", "match"),
     [
         (["-o", "x.mp3"], "the name x.mp3 is no format, expected --to wav"),
+        ([str(EXAMPLE), "-o", "x.ahap"], "ahap is made of one texture file, got 2"),
+        ([str(EXAMPLE), "--to", "unity", "-o", "x"], "unity is made of one texture file, got 2"),
         (["--to", "haps", "-o", "x"], "--to haps is no format"),
         (["--to", "web", "--speed", "80", "-o", "site"], "web holds the texture itself: leave out the stroke"),
         (["--speed", "80", "-o", "x.ahap"], "expected one of --stroke"),

@@ -28,12 +28,6 @@ def test_the_energy_of_all_axes_is_kept(n: int) -> None:
     assert np.square(dft321(axes)).sum() == pytest.approx(np.square(axes).sum(), rel=1e-12)  # Parseval; rounding
 
 
-def test_the_energy_of_each_frequency_is_kept() -> None:
-    axes = np.random.default_rng(0).standard_normal((3, 500))
-    power = (np.abs(np.fft.rfft(axes)) ** 2).sum(axis=0)
-    np.testing.assert_allclose(np.abs(np.fft.rfft(dft321(axes))) ** 2, power, rtol=1e-9)  # rounding
-
-
 @pytest.mark.parametrize("alone", [0, 1, 2])
 def test_a_single_axis_comes_back(alone: int) -> None:
     axes = np.zeros((3, 200))
@@ -42,21 +36,12 @@ def test_a_single_axis_comes_back(alone: int) -> None:
     np.testing.assert_allclose(dft321(-axes), -axes[alone], atol=1e-13)
 
 
-def test_equal_axes_add_up_in_energy() -> None:
-    axis = np.random.default_rng(0).standard_normal(200)
-    np.testing.assert_allclose(dft321(np.stack([axis] * 3)), np.sqrt(3) * axis, atol=1e-12)  # rounding
-
-
 def test_cancelling_axes_do_not_vanish() -> None:
     axis = np.random.default_rng(0).standard_normal(200)
     found = dft321(np.stack([axis, -axis, np.zeros(200)]))
     assert np.square(found).sum() == pytest.approx(2 * np.square(axis).sum(), rel=1e-12)
     # The phase is one axis's own: the signal itself, not rounding noise.
     assert np.abs(np.corrcoef(found, axis)[0, 1]) == pytest.approx(1.0, abs=1e-9)
-
-
-def test_silence_is_silence() -> None:
-    np.testing.assert_array_equal(dft321(np.zeros((3, 100))), 0.0)
 
 
 def test_blocks_are_taken_one_by_one() -> None:

@@ -47,6 +47,14 @@ def native(texture: Texture) -> NativeTexture:
     return NativeTexture(texture.to_bytes())
 
 
+def held(state: NativeState, n: int, speed: float = 90.0, force: float = 1.0) -> np.ndarray:
+    """The next n samples under a condition that stays [m/s²]."""
+    out = np.empty(n, dtype=np.float32)
+    state.set_condition(speed, force)
+    state.render(out)
+    return out
+
+
 @pytest.mark.parametrize(("key", "variant"), EVERY)
 def test_it_renders_what_the_reference_renders(key: str, variant: str) -> None:
     """Seam: from the beginning, through rests, beyond the range and across some hundred samples; with chance and without."""
@@ -125,16 +133,9 @@ def test_the_noise_is_that_of_dsp_noise_to_the_bit() -> None:
 @given(cuts=st.lists(st.integers(0, 600), max_size=8), rate=st.sampled_from([None, 1000.0, 2000.0, 44_100.0, 300.0]))
 @settings(max_examples=25, deadline=None)
 def test_any_block_sizes_give_the_same_bytes(native: NativeTexture, cuts: list[int], rate: float | None) -> None:
-    at_once = np.empty(600, dtype=np.float32)
-    state = NativeState(native, rate, seed=9)
-    state.set_condition(90.0, 0.9)
-    state.render(at_once)
-    pieces = NativeState(native, rate, seed=9)
-    pieces.set_condition(90.0, 0.9)
+    at_once, pieces = held(NativeState(native, rate, seed=9), 600), NativeState(native, rate, seed=9)
     for a, b in pairwise([0, *sorted(cuts), 600]):
-        part = np.empty(b - a, dtype=np.float32)
-        pieces.render(part)
-        np.testing.assert_array_equal(part, at_once[a:b])
+        np.testing.assert_array_equal(held(pieces, b - a), at_once[a:b])
 
 
 @pytest.mark.parametrize("rate", [None, 8000.0, 48_000.0])
@@ -150,19 +151,11 @@ def test_a_stroke_is_a_condition_that_is_set_before_each_sample(native: NativeTe
 @pytest.mark.parametrize("rate", [300.0, 2500.0, 8000.0, 44_100.0, 48_000.0])
 def test_a_stroke_after_a_held_condition_goes_on_where_that_ended(native: NativeTexture, rate: float) -> None:
     """A held block may end between two of the texture's samples: what the first still gave was lost, and the next had no end."""
-    at_once, mixed = NativeState(native, rate, seed=1), NativeState(native, rate, seed=1)
-    for state in (at_once, mixed):
-        state.set_condition(90.0, 1.0)
-    condition = np.full(40, 90.0, dtype=np.float32), np.full(40, 1.0, dtype=np.float32)
-    parts = []
+    mixed, parts = NativeState(native, rate, seed=1), []
     for n in (1, 5, 13, 1, 29):
-        held = np.empty(n, dtype=np.float32)
-        mixed.render(held)
-        parts += [held, mixed.render_stroke(*condition)]
+        parts += [held(mixed, n), mixed.render_stroke(np.full(40, 90.0), np.full(40, 1.0))]
     result = np.concatenate(parts)
-    expected = np.empty(result.size, dtype=np.float32)
-    at_once.render(expected)
-    np.testing.assert_array_equal(result, expected)
+    np.testing.assert_array_equal(result, held(NativeState(native, rate, seed=1), result.size))
     assert result.size == pytest.approx(49 + 5 * 40 * rate / 1000, abs=2 + 5 * max(1.0, rate / 1000))
 
 
@@ -170,30 +163,24 @@ def test_a_stroke_after_a_held_condition_goes_on_where_that_ended(native: Native
 def test_a_condition_below_zero_counts_as_zero(native: NativeTexture, speed: float, force: float) -> None:
     """A tool that leaves a surface measures a force a little below zero: what was before must not go on."""
     zero = max(speed, 0.0), max(force, 0.0)
-    one, other = NativeState(native, seed=2), NativeState(native, seed=2)
-    for state in (one, other):
+    below, at_zero = NativeState(native, seed=2), NativeState(native, seed=2)
+    for state in (below, at_zero):
         state.set_condition(80.0, 1.0)
-    one.set_condition(speed, force)
-    other.set_condition(*zero)
-    a, b = np.empty(50, dtype=np.float32), np.empty(50, dtype=np.float32)
-    one.render(a)
-    other.render(b)
-    np.testing.assert_array_equal(a, b)
-    assert np.abs(a).max() == 0
-    assert one.statistics.n_refused == 1
-    strokes = [np.full(20, value, dtype=np.float32) for value in (speed, force, *zero)]
-    np.testing.assert_array_equal(one.render_stroke(*strokes[:2]), other.render_stroke(*strokes[2:]))
-    assert one.statistics.n_refused == 21
+    np.testing.assert_array_equal(held(below, 50, speed, force), 0.0)
+    np.testing.assert_array_equal(held(at_zero, 50, *zero), 0.0)
+    assert below.statistics.n_refused == 1
+    strokes = [np.full(20, value) for value in (speed, force, *zero)]
+    np.testing.assert_array_equal(below.render_stroke(*strokes[:2]), at_zero.render_stroke(*strokes[2:]))
+    assert below.statistics.n_refused == 21
 
 
 def test_a_reset_keeps_the_condition(native: NativeTexture) -> None:
-    state, out = NativeState(native, seed=3), np.empty((2, 100), dtype=np.float32)
-    state.set_condition(90.0, 1.0)
-    state.render(out[0])
+    state, again = NativeState(native, seed=3), np.empty(100, dtype=np.float32)
+    before = held(state, 100)
     state.reset(3)
-    state.render(out[1])
-    np.testing.assert_array_equal(out[0], out[1])
-    assert np.abs(out).max() > 0
+    state.render(again)
+    np.testing.assert_array_equal(again, before)
+    assert np.abs(before).max() > 0
 
 
 @pytest.mark.parametrize("after_reset", [False, True])
@@ -203,33 +190,22 @@ def test_a_smoothed_condition_is_the_low_pass_of_the_one_that_is_set(
     """Oracle: SciPy's Butterworth low-pass of second order, begun as after a long time of the first condition."""
     b, a = butter(2, float(texture.card["lowpass_hz"]), fs=texture.rate_hz)
     steps = np.repeat([100.0, 140.0, 90.0], 60)
-    smooth, given = NativeState(native, seed=3, smooth=True), NativeState(native, seed=3)
-    out, sample = [], np.empty(1, dtype=np.float32)
+    smooth = NativeState(native, seed=3, smooth=True)
     if after_reset:
-        smooth.set_condition(20.0, 2.0)
-        smooth.render(np.empty(100, dtype=np.float32))
+        held(smooth, 100, 20.0, 2.0)
         smooth.reset(3)
-    for speed in steps:  # at the texture's rate, so that a block is a sample
-        smooth.set_condition(speed, 1.0)
-        smooth.render(sample)
-        out.append(sample[0])
+    out = [held(smooth, 1, speed)[0] for speed in steps]  # at the texture's rate, so that a block is a sample
     speed, _ = lfilter(b, a, steps, zi=steps[0] * lfilter_zi(b, a))
-    expected = given.render_stroke(speed, np.ones(180))
+    expected = NativeState(native, seed=3).render_stroke(speed, np.ones(180))
     np.testing.assert_allclose(out, expected, atol=1e-4 * np.abs(expected).max())
 
 
 @pytest.mark.parametrize("rate", [None, 8000.0])
 def test_smoothing_does_not_fade_a_held_condition_in(native: NativeTexture, rate: float | None) -> None:
     """It began at zero: the first 20 ms rose from silence. Whatever the blocks, and again after a reset."""
-    smooth, given = NativeState(native, rate, seed=3, smooth=True), NativeState(native, rate, seed=3)
-    for state in (smooth, given):
-        state.set_condition(90.0, 1.0)
-    expected = np.empty(400, dtype=np.float32)
-    given.render(expected)
+    smooth, expected = NativeState(native, rate, seed=3, smooth=True), held(NativeState(native, rate, seed=3), 400)
     for _ in range(2):
-        parts = [np.empty(n, dtype=np.float32) for n in (1, 7, 150, 242)]
-        for part in parts:
-            smooth.render(part)
+        parts = [held(smooth, n) for n in (1, 7, 150, 242)]
         # The low-pass rounds in float64, what comes out is in float32.
         np.testing.assert_allclose(np.concatenate(parts), expected, atol=1e-6 * np.abs(expected).max())
         assert smooth.statistics.n_below == 0
@@ -297,20 +273,14 @@ def test_every_sample_that_fades_is_counted_as_below(texture: Texture) -> None:
         (1.0, 0.05, 50),  # once a sample, though both fade
     ):
         state = NativeState(native)
-        state.set_condition(speed, force)
-        state.render(np.empty(50, dtype=np.float32))
+        held(state, 50, speed, force)
         assert state.statistics.n_below == below, (speed, force)
 
 
 def test_a_refused_condition_leaves_the_last_one(native: NativeTexture) -> None:
-    good, bad = NativeState(native, seed=2), NativeState(native, seed=2)
-    a, b = np.empty(50, dtype=np.float32), np.empty(50, dtype=np.float32)
-    good.set_condition(80.0, 1.0)
-    bad.set_condition(80.0, 1.0)
-    bad.set_condition(float("inf"), 1.0)
-    good.render(a)
-    bad.render(b)
-    np.testing.assert_array_equal(a, b)
+    state = NativeState(native, seed=2)
+    state.set_condition(80.0, 1.0)
+    np.testing.assert_array_equal(held(state, 50, np.inf), held(NativeState(native, seed=2), 50, 80.0))
 
 
 def test_the_condition_may_come_from_any_thread(native: NativeTexture) -> None:
@@ -348,14 +318,8 @@ def test_another_rate_keeps_the_band_and_adds_nothing_above(
 ) -> None:
     """Physics: the spectrum below 450 Hz stays, images above 550 Hz are 50 dB below it, and the delay is the one stated."""
     n = 20_000
-    own = np.empty(n, dtype=np.float32)
-    state = NativeState(native, seed=6)
-    state.set_condition(100.0, 1.0)
-    state.render(own)
-    state = NativeState(native, rate, seed=6)
-    state.set_condition(100.0, 1.0)
-    out = np.empty(round(n * rate / 1000), dtype=np.float32)
-    state.render(out)
+    own, state = held(NativeState(native, seed=6), n, 100.0), NativeState(native, rate, seed=6)
+    out = held(state, round(n * rate / 1000), 100.0)
     assert state.delay_s == pytest.approx(1.53e-3, abs=0.05e-3)
     window = np.hanning(out.size)
     spectrum = np.square(np.abs(np.fft.rfft(out * window))) / np.square(window).sum()
@@ -388,9 +352,7 @@ def test_a_slower_device_keeps_its_band_and_gets_no_more(native: NativeTexture, 
     powers, signals = [], []
     for of, own in ((None, 1000.0), (rate, rate)):
         state = NativeState(native, of, seed=6)
-        state.set_condition(100.0, 1.0)
-        signal = np.empty(round(n * own / 1000), dtype=np.float32)
-        state.render(signal)
+        signal = held(state, round(n * own / 1000), 100.0)
         window = np.hanning(signal.size)
         spectrum = np.square(np.abs(np.fft.rfft((signal - signal.mean()) * window)))
         hertz = np.fft.rfftfreq(signal.size, 1 / own)
@@ -408,9 +370,7 @@ def test_a_constant_stays_itself_at_any_rate(rate: float) -> None:
     sizes = FotenPlusSizes(**{**PLUS, "network_in_loop": False})
     texture = exported("foten-plus", sizes, scaling={"mean": [0.7, 100.0, 1.0], "sd": list(SCALING.sd)})
     state = NativeState(NativeTexture(texture.to_bytes()), rate, excitation=False)
-    state.set_condition(100.0, 1.0)
-    out = np.empty(int(20 * rate), dtype=np.float32)
-    state.render(out)
+    out = held(state, int(20 * rate), 100.0)
     # Between two of the texture's samples it dips by 0.5 %, which puts −73 dB at the texture's rate.
     np.testing.assert_allclose(out[out.size * 3 // 4 :], 0.7, rtol=0.01)
     assert out[out.size * 3 // 4 :].mean() == pytest.approx(0.7, rel=1e-3)
@@ -428,10 +388,7 @@ def test_a_change_of_rate_stops_what_its_header_says() -> None:
 def test_a_change_of_rate_does_not_drift(native: NativeTexture) -> None:
     """Oracle: the table at places that are counted in fractions, after 10 s. A step of 32 bits would be 10⁻⁵ of a sample off."""
     rate, n, last = 44_100, 441_000, 50
-    own, out = np.empty(10_000, dtype=np.float32), np.empty(n, dtype=np.float32)
-    for state, samples in ((NativeState(native, seed=3), own), (NativeState(native, float(rate), seed=3), out)):
-        state.set_condition(90.0, 1.0)
-        state.render(samples)
+    own, out = held(NativeState(native, seed=3), 10_000), held(NativeState(native, float(rate), seed=3), n)
     table = runpy.run_path(str(Path(__file__).parents[1] / "native" / "tools" / "resample_table.py"))
     kernel, steps = np.append(table["kernel"](), 0.0), table["STEPS"]
     expected = []
@@ -523,17 +480,12 @@ def test_what_is_no_number_is_silence_and_the_loop_begins_again(plain_texture: T
     """The drive of an actuator that hardly moves, 1e-60 m/s² for one of drive, is more than float32 holds."""
     plain = NativeTexture(plain_texture.to_bytes())
     state, other = NativeState(plain, rate), NativeState(plain, rate)
-    out, expected = np.empty(50, dtype=np.float32), np.empty(50, dtype=np.float32)
-    for one in (state, other):
-        one.set_condition(80.0, 1.0)
     state.set_actuator(NativeActuator(0.0, 0.0, 1e-60, 0.0, 0.0))
-    state.render(out)
-    np.testing.assert_array_equal(out, 0.0)
+    np.testing.assert_array_equal(held(state, 50), 0.0)
     n_lost = state.statistics.n_lost
     assert n_lost == 50 if rate is None else n_lost >= 5
     state.set_actuator(None)
-    state.render(out)
-    other.render(expected)
+    out, expected = held(state, 50), held(other, 50)
     assert state.statistics.n_lost == n_lost
     if rate is None:
         np.testing.assert_array_equal(out, expected)
@@ -636,9 +588,7 @@ def test_silence_does_not_become_slow() -> None:
     """A lattice without excitation dies away: its state becomes zero before it becomes denormal."""
     texture = exported("foten-plus", FotenPlusSizes(**{**PLUS, "network_in_loop": False}))
     state = NativeState(NativeTexture(texture.to_bytes()), excitation=False)
-    state.set_condition(100.0, 1.0)
-    out = np.empty(2_000_000, dtype=np.float32)
-    state.render(out)
+    out = held(state, 2_000_000, 100.0)
     tail = out[-1000:] - out[-1]
     assert np.abs(tail).max() == 0.0
     assert struct.pack("<f", float(out[-1])) == struct.pack("<f", float(out[-2]))

@@ -80,16 +80,6 @@ def test_interpolation_keeps_a_constant(factor: Fraction) -> None:
     np.testing.assert_allclose(inner, 2.5, rtol=1e-13)  # kernels of sum 1: rounding
 
 
-def test_interpolation_passes_through_the_samples() -> None:
-    samples = np.random.default_rng(0).standard_normal(80)
-    np.testing.assert_allclose(interpolate(samples, Fraction(4))[::4], samples, atol=1e-14)  # sinc at integers
-
-
-def test_interpolation_downwards_is_refused() -> None:
-    with pytest.raises(ValueError, match="expected 1 or more"):
-        interpolate(np.zeros(10), Fraction(1, 2))
-
-
 def test_long_signals_are_cut_without_a_seam() -> None:
     """The output is gathered in pieces of 65536."""
     samples = np.random.default_rng(0).standard_normal(1500)
