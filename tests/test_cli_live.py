@@ -98,6 +98,8 @@ def test_a_file_says_what_its_numbers_are(file: Path, tmp_path: Path) -> None:
         (["--to", "null", "--speed", "-1", "--force", "1"], "speed"),
         (["--to", "null", "--channel", "0"], "--device and --channel are"),
         (["--to", "a.wav", "--seconds", "inf"], "--seconds is inf"),
+        (["--to", "a.wav", "--lead-ms", "5"], "--lead-ms are for what plays live"),
+        (["--to", "none/a.wav"], "there is no folder none"),
     ],
 )
 def test_what_cannot_be_played_is_one_line(

@@ -24,8 +24,8 @@ from foten.runtime.actuator import ActuatorProfile
 from foten.runtime.live import devices
 from foten.runtime.live.devices import DaqSink, SoundSink
 from foten.runtime.live.live import Live, LiveStatistics, Ring, Timing
-from foten.runtime.live.paced import NullSink, OscSink, UdpSink, WavSink
-from foten.runtime.live.play import along, circling, gain_for, rate_for, rendering, sink_of
+from foten.runtime.live.paced import NullSink, OscSink, UdpSink
+from foten.runtime.live.play import along, circling, gain_for, holding, rate_for, rendering, sink_of, write_wav
 from foten.runtime.renderer import Renderer
 from foten.runtime.stroke import Stroke
 
@@ -114,7 +114,7 @@ def test_after_a_machine_stood_still_no_sink_makes_up_for_it() -> None:
 class Pulled:
     """A sink that a test pulls by hand."""
 
-    rate_hz, n_at_once, patient = 1000.0, 1, False
+    rate_hz, n_at_once = 1000.0, 1
     failed: BaseException | None = None
 
     def start(self, read: Any) -> None:
@@ -243,59 +243,29 @@ def test_leads_that_cannot_be_are_refused(block: float, lead: float) -> None:
         Live(lambda out: None, Pulled(), block, lead)
 
 
-def test_a_wav_is_what_was_played(texture: Texture, tmp_path: Path) -> None:
+def test_a_wav_is_what_was_played_up_to_ctrl_c(texture: Texture, tmp_path: Path) -> None:
     """Oracle: SciPy's reader."""
     from scipy.io import wavfile
 
-    path = tmp_path / "out.wav"
-    renderer = Renderer(texture, rate=8000, seed=1)
-    renderer.native_state.set_condition(90.0, 1.0)
-    sink = WavSink(path, 8000, {"texture": "t"}, n=5000)
-    with Live(renderer.native_state.render, sink) as live:
-        while not sink.full:
-            time.sleep(0.001)
-        assert not path.exists()  # whole or not at all
-    assert live.statistics.n_underruns == 0
-    live.stop()  # a second time nothing happens
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # of the comment's chunk, which SciPy does not know
-        rate, samples = wavfile.read(path)
-    assert rate == 8000
-    assert samples.dtype == np.float32
-    np.testing.assert_array_equal(samples, Renderer(texture, rate=8000, seed=1).render(90.0, 1.0, 5000))
+    path, expected = tmp_path / "out.wav", Renderer(texture, rate=8000, seed=1).render(90.0, 1.0, 16_000)
+
+    def interrupted(at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        if at[0] >= 2000:
+            raise KeyboardInterrupt
+        return holding(90.0, 1.0)(at)
+
+    for hand, seconds in ((holding(90.0, 1.0), 2.0), (interrupted, 5.0)):
+        samples, ended = write_wav(Renderer(texture, 8000, seed=1), hand, seconds, path, {"texture": "t"})
+        assert ended == (hand is interrupted)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of the comment's chunk, which SciPy does not know
+            rate, written = wavfile.read(path)
+        assert (rate, written.dtype) == (8000, np.float32)
+        np.testing.assert_array_equal(written, samples)
+        np.testing.assert_array_equal(written, expected)
     assert b'"texture": "t"' in path.read_bytes()
-    assert struct.unpack("<I", path.read_bytes()[4:8])[0] == path.stat().st_size - 8
-
-
-def test_a_wav_that_cannot_be_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(FileNotFoundError, match="no such folder"):
-        WavSink(tmp_path / "no" / "x.wav", 8000)
     with pytest.raises(ValueError, match="4 GB"):
-        WavSink(tmp_path / "x.wav", 48_000, n=48_000 * 86_400)
-    with pytest.raises(ValueError, match="whole number"):
-        WavSink(tmp_path / "x.wav", 8000.5)
-
-
-@pytest.mark.parametrize("dies", ["rendering", "sink"])
-def test_a_wav_that_fails_is_not_left_and_the_one_before_it_is(tmp_path: Path, dies: str) -> None:
-    path = tmp_path / "x.wav"
-    path.write_bytes(b"of yesterday")
-
-    def render(out: np.ndarray) -> None:
-        out[:] = 1.0
-        if dies == "rendering" and live.statistics.n_samples > 200:
-            raise OSError("no more")
-
-    sink = WavSink(path, 8000, n=8000)
-    live = Live(render, sink)
-    live.start()
-    if dies == "sink":
-        sink.failed = OSError("no more")
-    while live.running:
-        time.sleep(0.001)
-    with pytest.raises(OSError, match="no more"):
-        live.stop()
-    assert [one.read_bytes() for one in tmp_path.iterdir()] == [b"of yesterday"]
+        write_wav(Renderer(texture, 48_000), interrupted, 86_400.0, tmp_path / "x.wav", {})
 
 
 def received(sink: Any, listening: socket.socket, n: int) -> list[bytes]:
@@ -380,7 +350,7 @@ def test_what_is_beyond_full_scale_is_cut_and_counted(sound: FakeSound) -> None:
 def test_a_device_is_a_name_or_a_number(sound: FakeSound) -> None:
     """PortAudio's numbers are ints: "3" was looked for among the names."""
     for device, asked in (("3", 3), ("USB 3", "USB 3"), (None, None)):
-        sink_of("sound", 48_000.0, 1.0, None, device=device)
+        sink_of("sound", 48_000.0, 1.0, device=device)
         assert sound.asked["device"] == asked
 
 
@@ -597,7 +567,7 @@ def test_rates_gains_and_sinks_by_name(tmp_path: Path) -> None:
             gain_for(None, 3.0, 2.0, where)
         for asked in ({"device": "3"}, {"channel": 0}):
             with pytest.raises(ValueError, match="are a sound card's"):
-                sink_of(where, 8000, 1.0, None, **asked)
+                sink_of(where, 8000, 1.0, **asked)
     assert gain_for(None, None, 2.0, "udp:x:1") == 1
     volts, full = ActuatorProfile(unit="V"), ActuatorProfile(unit="full scale")
     assert gain_for(volts, None, 2.0, "daq:x") == gain_for(full, None, 2.0, "sound") == 1
@@ -605,11 +575,11 @@ def test_rates_gains_and_sinks_by_name(tmp_path: Path) -> None:
         with pytest.raises(ValueError, match="--gain"):
             gain_for(profile, None, 2.0, where)
     for name, kind in (("null", NullSink), ("udp:127.0.0.1:9000", UdpSink), ("osc:localhost:9000", OscSink)):
-        sink = sink_of(name, 8000, 1.0, None)
+        sink = sink_of(name, 8000, 1.0)
         assert isinstance(sink, kind)
         sink.stop()
     for name in ("", "udp:", "udp:host", "udp:host:99999", "osc:host:x", "daq:", "speaker"):
         with pytest.raises(ValueError, match="cannot play to"):
-            sink_of(name, 8000, 1.0, None)
+            sink_of(name, 8000, 1.0)
     with pytest.raises(OSError, match="no host"):
-        sink_of("udp:nohost.invalid:9000", 8000, 1.0, None)
+        sink_of("udp:nohost.invalid:9000", 8000, 1.0)

@@ -160,7 +160,7 @@ def test_white_noise_has_its_level_and_is_white(monkeypatch: pytest.MonkeyPatch)
     taken: list[NDArray[np.float32]] = []
 
     class Sink:
-        rate_hz, n_at_once, patient, failed = 48_000.0, 480, False, None
+        rate_hz, n_at_once, failed = 48_000.0, 480, None
 
         def start(self, read: Any) -> None:
             for _ in range(20):
@@ -177,7 +177,7 @@ def test_white_noise_has_its_level_and_is_white(monkeypatch: pytest.MonkeyPatch)
     with white_noise(-30.0, "3"):
         pass
     assert asked[0][0] == "sound"
-    assert asked[0][4] == "3"
+    assert asked[0][3] == "3"
     noise = np.concatenate([block for block in taken if block.any()]).astype(float)
     assert noise.size > 5000
     assert 20 * np.log10(noise.std()) == pytest.approx(-30.0, abs=0.5)

@@ -188,6 +188,14 @@ class PlayOptions:
         for name, value, unit in (("speed", speed, " mm/s"), ("force", force, " N"), ("seconds", self.seconds, "")):
             if value is not None and not 0 <= value < inf:
                 raise ValueError(f"--{name} is {value}{unit}, expected a finite number, 0 or more")
+        live = (self.device, self.channel, self.lead_ms)
+        if self.into_file and any(option is not None for option in live):
+            raise ValueError("--device, --channel and --lead-ms are for what plays live: leave them out of a file")
+
+    @property
+    def into_file(self) -> bool:
+        """Whether it is written to a file, and not played live."""
+        return self.to.lower().endswith(".wav")
 
     def conditions(self, texture: Texture, info: NativeInfo) -> tuple[Hand, str]:
         """Speed and force from sample to sample, and where they are from."""
@@ -226,9 +234,10 @@ def play(options: PlayOptions) -> None:
     about = provenance(texture, source, options.seed, options.deterministic)
     if profile is not None:
         about |= {"actuator": asdict(profile), "unit": profile.unit}
-    if seconds is None and to.lower().endswith(".wav"):
-        seconds = 10.0
-    sink = sink_of(to, renderer.rate, scale, seconds, options.device, options.channel, about)
+    if options.into_file:
+        _write_played(options, texture, renderer, conditions, about)
+        return
+    sink = sink_of(to, renderer.rate, scale, options.device, options.channel)
 
     def on_start() -> None:
         name, long = info.texture or texture_file.name, "" if seconds is None else f" for {seconds:g} s"
@@ -241,6 +250,26 @@ def play(options: PlayOptions) -> None:
     else:
         _print_played(played, texture, lead_ms, scale)
     if played.interrupted:
+        raise Exit(130)
+
+
+def _write_played(
+    options: PlayOptions, texture: Texture, renderer: Renderer, conditions: Hand, about: dict[str, Any]
+) -> None:
+    from foten.runtime.live.play import write_wav
+
+    path = Path(options.to)
+    check_folders([path])
+    samples, interrupted = write_wav(
+        renderer, conditions, 10.0 if options.seconds is None else options.seconds, path, about
+    )
+    counted = renderer.counted()
+    if options.as_json:
+        print_json({"output": str(path), "n_samples": samples.size, "interrupted": interrupted, **counted})
+    else:
+        print(f"wrote {path}, {samples.size / renderer.rate:g} s at {renderer.rate:g} Hz")
+        print_outside_range(counted, texture)
+    if interrupted:
         raise Exit(130)
 
 

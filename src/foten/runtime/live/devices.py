@@ -30,8 +30,6 @@ class SoundSink:
         channel: that is played on, from 0; those before it are silent.
     """
 
-    patient = False
-
     def __init__(
         self, gain: float, device: str | int | None = None, rate_hz: float = SOUND_RATE_HZ, channel: int = 0
     ) -> None:
@@ -125,8 +123,6 @@ class DaqSink:
     Raises:
         OSError: the package, its driver or the device is missing.
     """
-
-    patient = False
 
     def __init__(
         self, channel: str, rate_hz: float, gain: float = 1.0, limit_v: float = 10.0, library: Any = None

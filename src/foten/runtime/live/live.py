@@ -132,11 +132,10 @@ class Sink(Protocol):
 
     rate_hz: float  # at which it takes them
     n_at_once: int  # samples that it takes at most at once
-    patient: bool  # whether it would rather wait for samples than play silence, as a file does
     failed: BaseException | None  # what it died of, or what it plays died of, which `Live` sets
 
     def start(self, read: Read) -> None:
-        """Begin to take samples: `read` fills an array; it waits for a patient sink alone."""
+        """Begin to take samples: `read` fills an array, and does not wait."""
 
     def stop(self) -> None:
         """End, and give back what it holds; a second time nothing happens."""
@@ -228,9 +227,6 @@ class Live:
             sys.setswitchinterval(_usual_s)
 
     def _read(self, out: Samples) -> None:
-        while self._sink.patient and self._ring.level < out.size and self.running:
-            self._wanted.set()
-            time.sleep(0.0005)
         n = self._ring.read_into(out)
         self._wanted.set()
         self.statistics.least_ms = min(self.statistics.least_ms, 1000 * self._ring.level / self._sink.rate_hz)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -12,12 +12,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from foten.atomic_write import atomic_write
 from foten.dsp import Array
 from foten.recording.preprocess import condition
 from foten.runtime.actuator import ActuatorProfile
 from foten.runtime.live.devices import SOUND_RATE_HZ, DaqSink, SoundSink
 from foten.runtime.live.live import Live, LiveStatistics, Read, Samples, Sink
-from foten.runtime.live.paced import NullSink, OscSink, UdpSink, WavSink
+from foten.runtime.live.paced import NullSink, OscSink, UdpSink
+from foten.runtime.live.sinks import float_wav
 from foten.runtime.renderer import Renderer
 from foten.runtime.stroke import Stroke
 
@@ -25,6 +27,7 @@ LOUDNESS = 0.1  # of full scale, of a sound's standard deviation, where no gain 
 CIRCLES_A_SECOND = 0.5
 # Of what is sent to a device that keeps to any rate: images and steps of the texture's own would be felt.
 MIN_RATE_HZ = 8000.0
+MAX_WAV_SAMPLES = 2**30 - 1024
 
 Hand = Callable[[NDArray[np.int64]], tuple[Array, Array]]
 """Speed [mm/s] and force [N] at samples of the texture's own rate, counted from 0; shapes (n,)."""
@@ -93,16 +96,8 @@ def rendering(renderer: Renderer, hand: Hand) -> Read:
     return render
 
 
-def sink_of(
-    where: str,
-    rate_hz: float,
-    gain: float,
-    seconds: float | None,
-    device: str | None = None,
-    channel: int | None = None,
-    about: dict[str, Any] | None = None,
-) -> Sink:
-    """Sink that a text names: sound, null, FILE.wav, daq:Dev1/ao0, udp:HOST:PORT or osc:HOST:PORT.
+def sink_of(where: str, rate_hz: float, gain: float, device: str | None = None, channel: int | None = None) -> Sink:
+    """Sink that a text names: sound, null, daq:Dev1/ao0, udp:HOST:PORT or osc:HOST:PORT.
 
     Raises:
         ValueError: it names none, or one without devices and channels of which some were given.
@@ -116,16 +111,36 @@ def sink_of(
     if where == "sound":
         chosen = int(device) if device is not None and device.isdecimal() else device
         return SoundSink(gain, chosen, rate_hz, channel or 0)
-    if where.lower().endswith(".wav"):
-        return WavSink(Path(where), rate_hz, about, None if seconds is None else round(seconds * rate_hz))
     if kind == "daq" and target:
         return DaqSink(target, rate_hz, gain)
     if kind in ("udp", "osc"):
         host, _, port = target.rpartition(":")
         if host and port.isdecimal() and 0 < int(port) < 65536:
             return (UdpSink if kind == "udp" else OscSink)(host, int(port), rate_hz)
-    known = "sound, null, a name that ends in .wav, daq:Dev1/ao0, udp:HOST:PORT or osc:HOST:PORT"
+    known = "sound, null, daq:Dev1/ao0, udp:HOST:PORT or osc:HOST:PORT"
     raise ValueError(f"cannot play to {where!r}, expected {known}")
+
+
+def write_wav(
+    renderer: Renderer, hand: Hand, seconds: float, path: Path, about: Mapping[str, Any]
+) -> tuple[NDArray[np.float32], bool]:
+    """Write what a hand plays, as 32-bit floats with a comment, up to Ctrl-C, and return it, and whether that ended it.
+
+    Raises:
+        ValueError: it is more than a WAV file holds.
+    """
+    n, second = round(seconds * renderer.rate), round(renderer.rate)
+    if n > MAX_WAV_SAMPLES:
+        raise ValueError(f"{seconds:.0f} s at {renderer.rate:g} Hz are more than a WAV file holds, 4 GB; play fewer")
+    render, out, interrupted = rendering(renderer, hand), np.empty(n, dtype=np.float32), False
+    try:
+        for start in range(0, n, second):
+            render(out[start : start + second])
+    except KeyboardInterrupt:
+        out, interrupted = out[:start], True
+    with atomic_write(path) as part:
+        part.write_bytes(float_wav(out, renderer.rate, about))
+    return out, interrupted
 
 
 def rate_for(where: str, asked: float | None, texture_rate: float) -> float:
@@ -145,12 +160,8 @@ def play(
     try:
         live.start()
         on_start()
-        while live.running and not getattr(sink, "full", False):
-            # A file is full when it is; a device plays in real time.
-            left = 0.2 if seconds is None or sink.patient else seconds - (time.monotonic() - begin)
-            if left <= 0:
-                break
-            time.sleep(min(0.02 if sink.patient else 0.2, left))
+        while live.running and (seconds is None or time.monotonic() < begin + seconds):
+            time.sleep(0.2 if seconds is None else min(0.2, max(0.0, begin + seconds - time.monotonic())))
     except KeyboardInterrupt:
         interrupted = True
     finally:
@@ -160,7 +171,7 @@ def play(
         delays["change of rate"] = renderer.delay_ms
     if isinstance(sink, SoundSink):
         delays["sound card, as it says"] = 1000 * sink.latency_s
-    elif not sink.patient:
+    else:
         delays["block of the sink"] = 1000 * sink.n_at_once / sink.rate_hz
     n_cut, n_underruns, n_late = (getattr(sink, name, 0) for name in ("n_cut", "n_device_underruns", "n_late"))
     return Played(live.statistics, delays, renderer.counted(), n_cut, n_underruns, n_late, interrupted)
