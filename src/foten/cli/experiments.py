@@ -52,8 +52,8 @@ def sweep(
     from foten.experiments.experiment import experiment_path, experiments, read_experiment
 
     if show_list:
-        ours = experiments()
-        print_result(ours, "\n".join(f"{name:28s}{title}" for name, title in ours.items()), as_json)
+        known = experiments()
+        print_result(known, "\n".join(f"{name:28s}{title}" for name, title in known.items()), as_json)
         return
     if experiment_file is None or (output is None and not dry_run):
         raise ValueError("expected an experiment and -o DIR; --list shows those that come with foten")

@@ -30,8 +30,8 @@ SUFFIXES = {
     ".npz": "npz",
 }
 """The format that a name has."""
-CLIPS = ("wav", "wav-raw", "csv", "npz", "ahap", "haptic", "hjif", "hjif-parametric", "android")
-WHOLE = ("c", "onnx", "web", "unity")
+CLIPS = ("wav", "csv", "npz", "ahap", "haptic", "hjif", "hjif-parametric", "android")
+TEXTURES = ("c", "onnx", "web", "unity")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,8 +50,8 @@ class ExportOptions(StrokeOptions):
     to: Annotated[
         str | None,
         Option(
-            help="A clip of one stroke: wav (driven: peak 1, 48 kHz, 16 bits), wav-raw (m/s², the texture's own rate, 32-bit "
-            "floats), csv, npz, ahap (Apple), haptic (Meta), hjif or hjif-parametric (MPEG), android. The texture itself: c (a "
+            help="A clip of one stroke: wav (driven: peak 1, 48 kHz, 16 bits; 'foten render' writes m/s²), csv, npz, "
+            "ahap (Apple), haptic (Meta), hjif or hjif-parametric (MPEG), android. The texture itself: c (a "
             "header), onnx (its one-step network), unity (a package for it). Textures: web (the page of 'foten serve' as "
             "files). By the output's name where that says it."
         ),
@@ -62,15 +62,13 @@ class ExportOptions(StrokeOptions):
     actuator: Actuator = None
 
     def __post_init__(self) -> None:
-        kind, of_clips = self.kind, self.full_scale is not None or self.actuator is not None
-        if kind not in (*CLIPS, *WHOLE):
+        kind = self.kind
+        if kind not in (*CLIPS, *TEXTURES):
             what = f"--to {self.to}" if self.to else f"the name {self.output.name}"
-            raise ValueError(f"{what} is no format, expected --to {', '.join((*CLIPS, *WHOLE))}")
+            raise ValueError(f"{what} is no format, expected --to {', '.join((*CLIPS, *TEXTURES))}")
         check_folders([self.output])
-        if kind in WHOLE and (of_clips or self.has_stroke):
+        if kind in TEXTURES and (self.has_stroke or self.full_scale is not None or self.actuator is not None):
             raise ValueError(f"{kind} holds the texture itself: leave out the stroke and its options")
-        if kind == "wav-raw" and of_clips:
-            raise ValueError("wav-raw holds the acceleration as it was rendered: leave out --full-scale and --actuator")
 
     @property
     def kind(self) -> str:
@@ -89,10 +87,8 @@ def export(options: ExportOptions) -> None:
     kind, output, files = options.kind, options.output, options.texture_files or []
     if kind == "web":
         document, keeps = _write_site(files, output)
-    elif kind in WHOLE:
-        document, keeps = _WHOLE[kind](_only(files, kind), output)
-    elif kind == "wav-raw":
-        document, keeps = _write_raw(_only(files, kind), options)
+    elif kind in TEXTURES:
+        document, keeps = _TEXTURE_WRITERS[kind](_only(files, kind), output)
     else:
         document, keeps = _write_clip(kind, _clip(_only(files, kind), options), output)
     text = f"wrote {output}: {keeps}"
@@ -128,27 +124,9 @@ def _clip(texture: Texture, options: ExportOptions) -> Clip:
     return clip_of(samples, renderer.rate, about, options.full_scale)
 
 
-def _said(seconds: float, rate_hz: float, full_scale: float, unit: str, keeps: str) -> tuple[dict[str, Any], str]:
-    """What is said of a clip, as JSON has it and as text."""
-    from foten.recording.recording import RELATIVE
-
-    words = "times the recording's RMS" if unit == RELATIVE else unit.replace("^2", "²")
-    document = {"seconds": seconds, "rate_hz": rate_hz, "full_scale": full_scale, "unit": unit}
-    return document, f"{seconds:g} s, 1 is {full_scale:.3g} {words}; {keeps}"
-
-
-def _write_raw(texture: Texture, options: ExportOptions) -> tuple[dict[str, Any], str]:
-    from foten.export.samples import KEEPS_WAV_RAW, write_raw_wav
-    from foten.runtime.renderer import Renderer
-
-    renderer = Renderer(texture, seed=options.seed)
-    acceleration, about = _rendered(texture, options, renderer)
-    write_raw_wav(acceleration, renderer.rate, about, options.output)
-    return _said(acceleration.size / renderer.rate, renderer.rate, 1.0, about["unit"], KEEPS_WAV_RAW)
-
-
 def _write_clip(kind: str, clip: Clip, output: Path) -> tuple[dict[str, Any], str]:
     from foten.export import ahap, android, haptic, hjif, samples
+    from foten.recording.recording import RELATIVE
 
     writers: dict[str, tuple[Callable[[Clip, Path], None], str]] = {
         "ahap": (ahap.write_ahap, ahap.KEEPS),
@@ -162,7 +140,10 @@ def _write_clip(kind: str, clip: Clip, output: Path) -> tuple[dict[str, Any], st
     }
     write, keeps = writers[kind]
     write(clip, output)
-    return _said(clip.duration_s, clip.rate_hz, clip.full_scale, clip.about["unit"], keeps)
+    seconds, full_scale, unit = clip.duration_s, clip.full_scale, clip.about["unit"]
+    words = "times the recording's RMS" if unit == RELATIVE else unit.replace("^2", "²")
+    document = {"seconds": seconds, "rate_hz": clip.rate_hz, "full_scale": full_scale, "unit": unit}
+    return document, f"{seconds:g} s, 1 is {full_scale:.3g} {words}; {keeps}"
 
 
 def _write_header(texture: Texture, output: Path) -> tuple[dict[str, Any], str]:
@@ -189,7 +170,7 @@ def _write_site(files: list[Path], output: Path) -> tuple[dict[str, Any], str]:
     shelf = Shelf(files)
     listed = shelf.listed()
     web.write_site(page_files(), listed, shelf.files(), output)
-    document = {"textures": [one["file"] for one in listed["textures"]]}
+    document = {"textures": [texture["file"] for texture in listed["textures"]]}
     return document, f"{counted(len(shelf), 'texture')}; {web.KEEPS}; put the folder on any host, and open it by HTTPS"
 
 
@@ -200,4 +181,4 @@ def _write_unity(texture: Texture, output: Path) -> tuple[dict[str, Any], str]:
     return {"name": name}, f"{name}; {unity.KEEPS}; put the folder into the Packages of a project"
 
 
-_WHOLE = {"c": _write_header, "onnx": _write_onnx, "unity": _write_unity}
+_TEXTURE_WRITERS = {"c": _write_header, "onnx": _write_onnx, "unity": _write_unity}

@@ -16,7 +16,7 @@ from foten.console import JsonOption, TextureFile, check_folders, options_from, 
 if TYPE_CHECKING:
     from foten.dsp import Array
     from foten.models.texture_file import Texture
-    from foten.runtime.live.play import Hand, Played
+    from foten.runtime.live.play import ConditionAt, Played
     from foten.runtime.native import NativeInfo
     from foten.runtime.renderer import Renderer
     from foten.runtime.stroke import Stroke
@@ -197,7 +197,7 @@ class PlayOptions:
         """Whether it is written to a file, and not played live."""
         return self.to.lower().endswith(".wav")
 
-    def conditions(self, texture: Texture, info: NativeInfo) -> tuple[Hand, str]:
+    def conditions(self, texture: Texture, info: NativeInfo) -> tuple[ConditionAt, str]:
         """Speed and force from sample to sample, and where they are from."""
         from foten.runtime.live.play import along, circling, holding
         from foten.runtime.stroke import doubts_of
@@ -254,7 +254,7 @@ def play(options: PlayOptions) -> None:
 
 
 def _write_played(
-    options: PlayOptions, texture: Texture, renderer: Renderer, conditions: Hand, about: dict[str, Any]
+    options: PlayOptions, texture: Texture, renderer: Renderer, conditions: ConditionAt, about: dict[str, Any]
 ) -> None:
     from foten.runtime.live.play import write_wav
 
@@ -285,7 +285,7 @@ def _document_of(played: Played) -> dict[str, Any]:
         "n_missed": statistics.n_missed,
         "n_underruns": statistics.n_underruns,
         "n_lacking": statistics.n_lacking,
-        "ring_least_ms": statistics.least_ms if statistics.least_ms < inf else None,
+        "ring_min_ms": statistics.min_ms if statistics.min_ms < inf else None,
         **{name: value for name, value in vars(played).items() if name not in ("statistics", "counted")},
     }
 
@@ -346,10 +346,10 @@ def rendered_by(renderer: Renderer, speed: Array, force: Array) -> Array:
     import numpy as np
 
     second = max(1, round(renderer.texture_rate))
-    pieces, said_s = [], time.monotonic()
+    pieces, shown_s = [], time.monotonic()
     for start in range(0, speed.size, second):
-        if time.monotonic() - said_s >= SAY_EVERY_S:
-            said_s = time.monotonic()
+        if time.monotonic() - shown_s >= SAY_EVERY_S:
+            shown_s = time.monotonic()
             say(f"rendered {start / renderer.texture_rate:.0f} of {speed.size / renderer.texture_rate:.0f} s")
         pieces.append(renderer.render(speed[start : start + second], force[start : start + second]))
     return np.concatenate(pieces).astype(float)

@@ -63,13 +63,13 @@ def serve(
     if output != OutputDevice():
         output.check()
     shelf = Shelf(textures or [])
-    for kept in sorted(captures.glob(f"*/*{SUFFIX}")):
+    for captured in sorted(captures.glob(f"*/*{SUFFIX}")):
         try:
-            shelf.put(kept)
+            shelf.put(captured)
         except (OSError, ValueError) as error:  # one bad capture is no reason not to start
             why = reason(error) if isinstance(error, OSError) else str(error)
-            why = why.removeprefix(f"{kept}: ").removeprefix(f"{kept.name}: ")
-            say(f"left out {kept}: {' '.join(why.split())}")
+            why = why.removeprefix(f"{captured}: ").removeprefix(f"{captured.name}: ")
+            say(f"left out {captured}: {' '.join(why.split())}")
     studio = Studio(shelf, captures, output)
 
     def on_start(access: Access, shown: str) -> None:

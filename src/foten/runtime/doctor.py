@@ -83,7 +83,7 @@ def _clock() -> Check:
 
 def _sound() -> Check:
     try:
-        devices = [one["name"] for one in sound_library().query_devices() if one["max_output_channels"] > 0]
+        devices = [device["name"] for device in sound_library().query_devices() if device["max_output_channels"] > 0]
     except Exception as error:  # PortAudio's own too: whatever it is, it is told and the rest is looked at
         return Check("sound", str(error))
     return Check("sound", ", ".join(devices) if devices else "PortAudio is here, and no device to play on")

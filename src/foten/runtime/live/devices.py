@@ -94,11 +94,7 @@ class SoundSink:
 
 
 def sound_library() -> Any:
-    """The package sounddevice, or raise OSError where it or PortAudio is missing.
-
-    Raises:
-        OSError: it or PortAudio is missing; one line says what to do.
-    """
+    """The package sounddevice, or raise OSError with what to do where it or PortAudio is missing."""
     try:
         import sounddevice
     except ImportError as error:

@@ -115,7 +115,7 @@ class LiveStatistics:
     n_missed: int = 0  # blocks that took longer to render than to play
     n_underruns: int = 0  # times that the sink asked for more than there was
     n_lacking: int = 0  # samples that faded to silence, or were silent, instead
-    least_ms: float = float("inf")  # that the ring held, once it had been full
+    min_ms: float = float("inf")  # that the ring held, once it had been full
 
     def line(self) -> str:
         """One line for people."""
@@ -123,7 +123,7 @@ class LiveStatistics:
         return (
             f"blocks of {self.block_ms:g} ms rendered in {times} ms (p50 / p99 / p99.9), at most "
             f"{1000 * self.block.largest_s:.2f} ms; {self.n_missed} late, {self.n_underruns} under-runs, ring at least "
-            f"{self.least_ms:.1f} ms"
+            f"{self.min_ms:.1f} ms"
         )
 
 
@@ -229,7 +229,7 @@ class Live:
     def _read(self, out: Samples) -> None:
         n = self._ring.read_into(out)
         self._wanted.set()
-        self.statistics.least_ms = min(self.statistics.least_ms, 1000 * self._ring.level / self._sink.rate_hz)
+        self.statistics.min_ms = min(self.statistics.min_ms, 1000 * self._ring.level / self._sink.rate_hz)
         if n < out.size:
             self.statistics.n_underruns += 1
             self.statistics.n_lacking += out.size - n

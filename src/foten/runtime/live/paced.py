@@ -23,8 +23,8 @@ class Paced:
 
     def __init__(self, rate_hz: float, block_ms: float = PACKET_MS, ratio: float = 1.0) -> None:
         if not rate_hz > 0 or not block_ms > 0 or not ratio > 0:
-            asked = f"a rate of {rate_hz} Hz in blocks of {block_ms} ms at {ratio} times"
-            raise ValueError(f"{asked}, expected positive numbers")
+            wrong = f"a rate of {rate_hz} Hz in blocks of {block_ms} ms at {ratio} times"
+            raise ValueError(f"{wrong}, expected positive numbers")
         self.rate_hz = float(rate_hz)
         self.n_at_once = max(1, round(block_ms * rate_hz / 1000))
         self.n_late = 0

@@ -29,7 +29,7 @@ CIRCLES_A_SECOND = 0.5
 MIN_RATE_HZ = 8000.0
 MAX_WAV_SAMPLES = 2**30 - 1024
 
-Hand = Callable[[NDArray[np.int64]], tuple[Array, Array]]
+ConditionAt = Callable[[NDArray[np.int64]], tuple[Array, Array]]
 """Speed [mm/s] and force [N] at samples of the texture's own rate, counted from 0; shapes (n,)."""
 
 
@@ -46,39 +46,39 @@ class Played:
     interrupted: bool  # by Ctrl-C
 
 
-def circling(speeds: tuple[float, float], forces: tuple[float, float], rate_hz: float) -> Hand:
+def circling(speeds: tuple[float, float], forces: tuple[float, float], rate_hz: float) -> ConditionAt:
     """Conditions of a circle, slower and faster, lighter and firmer, over the middle of a trained range."""
 
-    def hand(at: NDArray[np.int64]) -> tuple[Array, Array]:
+    def condition_at(at: NDArray[np.int64]) -> tuple[Array, Array]:
         # 1.618 of each other, so that speed and force do not keep step.
         turns = np.outer([CIRCLES_A_SECOND, CIRCLES_A_SECOND / 1.618], at / rate_hz)
         share = 0.5 - 0.4 * np.cos(2 * np.pi * turns)
         (slow, fast), (light, firm) = speeds, forces
         return slow + share[0] * (fast - slow), light + share[1] * (firm - light)
 
-    return hand
+    return condition_at
 
 
-def holding(speed: float, force: float) -> Hand:
+def holding(speed: float, force: float) -> ConditionAt:
     """Conditions of one speed [mm/s] and force [N]."""
     return lambda at: (np.full(at.size, speed), np.full(at.size, force))
 
 
-def along(stroke: Stroke, lowpass_hz: float) -> Hand:
+def along(stroke: Stroke, lowpass_hz: float) -> ConditionAt:
     """Conditions of a stroke, over and over: once as `Stroke.conditioned` has it, then again, as if the hand had gone over
     from the end to the beginning at once. The low-pass rounds that step as it does those within.
     """
     n = stroke.force.size
     speed, force = condition(np.tile(stroke.velocity, 2), np.tile(stroke.force, 2), stroke.rate_hz, lowpass_hz)
 
-    def hand(at: NDArray[np.int64]) -> tuple[Array, Array]:
+    def condition_at(at: NDArray[np.int64]) -> tuple[Array, Array]:
         i = np.where(at < n, at, n + at % n)
         return speed[i], force[i]
 
-    return hand
+    return condition_at
 
 
-def rendering(renderer: Renderer, hand: Hand) -> Read:
+def rendering(renderer: Renderer, condition: ConditionAt) -> Read:
     """Function that fills an array, shape (n,), with the next samples under conditions, the same in blocks of any size."""
     state, ratio = renderer.native_state, renderer.texture_rate / renderer.rate
     waiting = np.zeros(0, dtype=np.float32)  # of one of the texture's own samples, for which the last array had no room
@@ -89,7 +89,7 @@ def rendering(renderer: Renderer, hand: Hand) -> Read:
         while waiting.size < out.size:
             at = np.arange(n, n + math.ceil((out.size - waiting.size) * ratio))
             n += at.size
-            waiting = np.concatenate([waiting, state.render_stroke(*hand(at))])
+            waiting = np.concatenate([waiting, state.render_stroke(*condition(at))])
         out[:] = waiting[: out.size]
         waiting = waiting[out.size :]
 
@@ -122,7 +122,7 @@ def sink_of(where: str, rate_hz: float, gain: float, device: str | None = None, 
 
 
 def write_wav(
-    renderer: Renderer, hand: Hand, seconds: float, path: Path, about: Mapping[str, Any]
+    renderer: Renderer, condition: ConditionAt, seconds: float, path: Path, about: Mapping[str, Any]
 ) -> tuple[NDArray[np.float32], bool]:
     """Write what a hand plays, as 32-bit floats with a comment, up to Ctrl-C, and return it, and whether that ended it.
 
@@ -132,7 +132,7 @@ def write_wav(
     n, second = round(seconds * renderer.rate), round(renderer.rate)
     if n > MAX_WAV_SAMPLES:
         raise ValueError(f"{seconds:.0f} s at {renderer.rate:g} Hz are more than a WAV file holds, 4 GB; play fewer")
-    render, out, interrupted = rendering(renderer, hand), np.empty(n, dtype=np.float32), False
+    render, out, interrupted = rendering(renderer, condition), np.empty(n, dtype=np.float32), False
     try:
         for start in range(0, n, second):
             render(out[start : start + second])
@@ -143,19 +143,24 @@ def write_wav(
     return out, interrupted
 
 
-def rate_for(where: str, asked: float | None, texture_rate: float) -> float:
+def rate_for(where: str, requested: float | None, texture_rate: float) -> float:
     """Rate to play at [Hz]: the one that is asked for, 48 kHz for sound, else the texture's own times a whole number."""
-    if asked is not None:
-        return asked
+    if requested is not None:
+        return requested
     return SOUND_RATE_HZ if where == "sound" else texture_rate * max(1, math.ceil(MIN_RATE_HZ / texture_rate))
 
 
 def play(
-    renderer: Renderer, sink: Sink, hand: Hand, seconds: float | None, lead_ms: float, on_start: Callable[[], None]
+    renderer: Renderer,
+    sink: Sink,
+    condition: ConditionAt,
+    seconds: float | None,
+    lead_ms: float,
+    on_start: Callable[[], None],
 ) -> Played:
     """Play a hand for a while, or until Ctrl-C, and return what it came to; `on_start` is called once it plays."""
     interrupted = False
-    live = Live(rendering(renderer, hand), sink, lead_ms=lead_ms)
+    live = Live(rendering(renderer, condition), sink, lead_ms=lead_ms)
     begin = time.monotonic()
     try:
         live.start()
@@ -177,16 +182,16 @@ def play(
     return Played(live.statistics, delays, renderer.counted(), n_cut, n_underruns, n_late, interrupted)
 
 
-def gain_for(profile: ActuatorProfile | None, asked: float | None, sd: float, where: str) -> float:
+def gain_for(profile: ActuatorProfile | None, requested: float | None, sd: float, where: str) -> float:
     """Gain of a sink: what is asked for; else what is safe to assume.
 
     An actuator's drive in V goes to a DAQ as it is, one in full scale to a sound card; acceleration goes to a sound card at a
     usual loudness, and to whatever takes numbers as it is. A unit that is not the sink's raises ValueError.
     """
-    if asked is not None:
+    if requested is not None:
         if where != "sound" and not where.startswith("daq:"):
             raise ValueError(f"--gain is for sound and daq, and {where} takes what is rendered as it is")
-        return asked
+        return requested
     unit = "m/s²" if profile is None else profile.unit
     if where == "sound":
         if profile is None:

@@ -117,7 +117,7 @@ def picture(acceleration: Array, speed: Array, force: Array, rate_hz: float, abo
     t = np.arange(acceleration.size) / rate_hz
     limits = (0, t[-1] or 1)
     figure = Figure(figsize=(9, 7), layout="constrained")
-    waveform, spectrum, hand = figure.subplots(3, 1)
+    waveform, spectrum, condition = figure.subplots(3, 1)
     waveform.plot(t, acceleration, lw=0.5, color="#0072B2")
     waveform.set(ylabel="acceleration [m/s²]", title=f"{about.get('texture') or 'texture'}, rendered", xlim=limits)
     highest = min(1000.0, rate_hz / 2)
@@ -138,10 +138,10 @@ def picture(acceleration: Array, speed: Array, force: Array, rate_hz: float, abo
         highest = max(highest, highest_with_power(frequencies, power.mean(axis=0), rate_hz))
     above = "" if highest == rate_hz / 2 else "\nwhere 99.9 % of the power lies"
     spectrum.set(ylabel=f"frequency [Hz]{above}", ylim=(0, highest), xlim=limits)
-    hand.plot(t, speed, color="#009E73")
-    hand.set(ylabel="speed [mm/s]", xlabel="time [s]", xlim=limits, ylim=(0, 1.05 * float(speed.max()) or 1))
-    hand.yaxis.label.set_color("#009E73")
-    press = hand.twinx()
+    condition.plot(t, speed, color="#009E73")
+    condition.set(ylabel="speed [mm/s]", xlabel="time [s]", xlim=limits, ylim=(0, 1.05 * float(speed.max()) or 1))
+    condition.yaxis.label.set_color("#009E73")
+    press = condition.twinx()
     press.plot(t, force, color="#D55E00")
     press.set(ylabel="force [N]", ylim=(0, 1.15 * float(force.max()) or 1))
     press.yaxis.label.set_color("#D55E00")
