@@ -94,8 +94,8 @@ class Generator:
         if kind == "texture":
             path = folder / f"{name}.foten"
             path.write_bytes(self._texture(rng))
-            hand = ["--speed", "80", "--force", "0.8", "--seconds", "0.05"]
-            return path, [["info", str(path)], ["render", str(path), *hand, "-o", str(folder / f"{name}.wav")]]
+            stroke = ["--speed", "80", "--force", "0.8", "--seconds", "0.05"]
+            return path, [["info", str(path)], ["render", str(path), *stroke, "-o", str(folder / f"{name}.wav")]]
         if kind == "recording":
             path = folder / f"{name}.h5"
             self._recording(rng, path)

@@ -169,9 +169,9 @@ def mesh() -> Mesh:
 
 def test_it_mixes_linearly_inside(mesh: Mesh) -> None:
     values = np.random.default_rng(4).standard_normal(len(mesh.points))
-    asked = np.random.default_rng(5).uniform([0.0, 0.0], [300.0, 3.0], (500, 2))
-    expected = LinearNDInterpolator(Delaunay(mesh.points / SCALE), values)(asked / SCALE)
-    chosen, weights = mesh.at(*asked.T)
+    queries = np.random.default_rng(5).uniform([0.0, 0.0], [300.0, 3.0], (500, 2))
+    expected = LinearNDInterpolator(Delaunay(mesh.points / SCALE), values)(queries / SCALE)
+    chosen, weights = mesh.at(*queries.T)
     found = (values[chosen] * weights).sum(axis=1)
     inside = np.isfinite(expected)
     assert 300 < inside.sum() < 500
@@ -181,17 +181,17 @@ def test_it_mixes_linearly_inside(mesh: Mesh) -> None:
 
 
 def test_outside_it_is_heard_from_the_nearest_place_of_the_rim(mesh: Mesh) -> None:
-    asked = np.random.default_rng(6).uniform([-200.0, -2.0], [500.0, 5.0], (300, 2))
-    asked = asked[Delaunay(mesh.points / SCALE).find_simplex(asked / SCALE) < 0]
-    assert len(asked) > 100
+    queries = np.random.default_rng(6).uniform([-200.0, -2.0], [500.0, 5.0], (300, 2))
+    queries = queries[Delaunay(mesh.points / SCALE).find_simplex(queries / SCALE) < 0]
+    assert len(queries) > 100
     rim = Delaunay(mesh.points / SCALE).convex_hull
     over = np.linspace(0, 1, 2001)[:, None, None]
     ends = (mesh.points / SCALE)[rim]
     places = (ends[:, 0] + over * (ends[:, 1] - ends[:, 0])).reshape(-1, 2)
-    chosen, weights = mesh.at(*asked.T)
+    chosen, weights = mesh.at(*queries.T)
     found = ((mesh.points / SCALE)[chosen] * weights[..., None]).sum(axis=1)
-    least = np.array([np.hypot(*(places - point).T).min() for point in asked / SCALE])
-    np.testing.assert_allclose(np.hypot(*(found - asked / SCALE).T), least, atol=2e-3)
+    nearest = np.array([np.hypot(*(places - point).T).min() for point in queries / SCALE])
+    np.testing.assert_allclose(np.hypot(*(found - queries / SCALE).T), nearest, atol=2e-3)
 
 
 def test_it_does_not_jump(mesh: Mesh) -> None:

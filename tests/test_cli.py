@@ -43,7 +43,7 @@ def texture(folder: Path, recording: Path) -> Path:
     return path
 
 
-def one_line(capsys: pytest.CaptureFixture[str]) -> str:
+def only_line(capsys: pytest.CaptureFixture[str]) -> str:
     out, err = capsys.readouterr()
     assert out == ""
     lines = [line for line in err.splitlines() if line.startswith("foten: ")]
@@ -155,7 +155,7 @@ def test_an_option_without_an_effect_is_refused(
 ) -> None:
     out = tmp_path / "t.foten"
     assert _status(["train", str(recording), "-o", str(out), "--model", "foten", *options]) == 2
-    assert refused in one_line(capsys)
+    assert refused in only_line(capsys)
     assert not list(tmp_path.glob("t.*"))
 
 
@@ -168,7 +168,7 @@ def test_ctrl_c_is_a_line_and_status_130(
     monkeypatch.setattr("foten.models.texture_file.read_texture", interrupted)
     capsys.readouterr()
     assert _status(["info", str(texture)]) == 130
-    assert one_line(capsys) == "foten: interrupted"
+    assert only_line(capsys) == "foten: interrupted"
 
 
 def test_ctrl_c_in_the_first_epoch_leaves_the_playable_file(
@@ -283,19 +283,19 @@ def test_render_says_what_became_of_samples_outside_the_range(
     texture: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """A range that begins at almost nothing fades below 5 mm/s all the same, where it said nothing of it."""
-    whole = read_texture(texture)
+    texture_ = read_texture(texture)
     held, path = tmp_path / "held.foten", str(tmp_path / "o.csv")
     entries = {"trained_range": {"speed": [0.0026, 150.0], "force": [0.3, 1.5]}}
     entries["extrapolation_exponents"] = {"speed": 0.0, "force": 0.0}
-    write_texture(dataclasses.replace(whole, card={**whole.card, **entries}), held)
-    for speed, said in (
+    write_texture(dataclasses.replace(texture_, card={**texture_.card, **entries}), held)
+    for speed, messages in (
         ("1", "speed was below 5 mm/s or force below 0.3 N for 100.0 %; the vibration fades there"),
         ("200", "speed was above the trained 150 mm/s for 100.0 %; the level was held there"),
     ):
         capsys.readouterr()
         constants = ["--speed", speed, "--force", "1", "--seconds", "0.2"]
         assert _status(["render", str(held), *constants, "-o", path]) == 0
-        assert capsys.readouterr().out.splitlines()[2:] == [said]
+        assert capsys.readouterr().out.splitlines()[2:] == [messages]
 
 
 TRAIN = ("train", "{rec}", "-o", "{out}.foten", *FAST)
@@ -357,7 +357,7 @@ def test_bad_input_is_one_line_and_writes_nothing(
     }
     capsys.readouterr()
     assert _status([word.format(**names) for word in arguments]) == 2
-    assert match in one_line(capsys)
+    assert match in only_line(capsys)
     assert set(tmp_path.iterdir()) == before
 
 
@@ -370,15 +370,15 @@ def test_a_stroke_of_any_table_is_rendered_and_doubts_are_said(
         "b": "t [ms];speed [m/s];force\n0;0,05;1\n500;0,0805;1\n# Ende\n",
         "c": "t,speed,force\n0,0.05,1\n0.5,0.0805,1\n",
     }
-    said = {}
+    messages = {}
     for name, text in tables.items():
         (tmp_path / f"{name}.txt").write_text(text)
         capsys.readouterr()
         arguments = ["render", str(texture), "--stroke", str(tmp_path / f"{name}.txt")]
         assert _status([*arguments, "-o", str(tmp_path / f"{name}.csv")]) == 0
-        said[name] = capsys.readouterr().err
+        messages[name] = capsys.readouterr().err
     doubt = "speed peaks at 0.0805, expected mm/s up to about 350; was it given in m/s? It is taken as mm/s\n"
-    assert said == {"a": "", "b": "", "c": doubt}
+    assert messages == {"a": "", "b": "", "c": doubt}
     assert _status([*arguments, "--unit", "speed=m/s", "-o", str(tmp_path / "c.csv")]) == 0
     a, b, c = (np.loadtxt(tmp_path / f"{name}.csv", delimiter=",", skiprows=1) for name in "abc")
     np.testing.assert_allclose(b, a, rtol=1e-4)  # m/s times 1000 is mm/s but for rounding, which the loop carries on

@@ -33,7 +33,7 @@ def file(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def one_line(capsys: pytest.CaptureFixture[str]) -> str:
+def only_line(capsys: pytest.CaptureFixture[str]) -> str:
     out, err = capsys.readouterr()
     assert out == ""
     (line,) = err.splitlines()
@@ -106,7 +106,7 @@ def test_what_cannot_be_played_is_one_line(
     file: Path, arguments: list[str], expected: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert _status(["play", str(file), "--seconds", "0.1", *arguments]) == 2
-    assert expected in one_line(capsys)
+    assert expected in only_line(capsys)
 
 
 def test_without_portaudio_it_says_what_to_install(
@@ -117,7 +117,7 @@ def test_without_portaudio_it_says_what_to_install(
 
     monkeypatch.setattr(devices, "sound_library", missing)
     assert _status(["play", str(file), "--seconds", "0.1"]) == 2
-    assert "libportaudio2" in one_line(capsys)
+    assert "libportaudio2" in only_line(capsys)
 
 
 def test_without_the_package_it_names_the_extra(
@@ -125,7 +125,7 @@ def test_without_the_package_it_names_the_extra(
 ) -> None:
     monkeypatch.setitem(sys.modules, "sounddevice", None)
     assert _status(["play", str(file), "--seconds", "0.1"]) == 2
-    extra = re.search(r"foten\[(\w+)\]", one_line(capsys))
+    extra = re.search(r"foten\[(\w+)\]", only_line(capsys))
     assert extra is not None
     assert (
         extra[1]
@@ -220,7 +220,7 @@ def test_a_program_that_ends_gives_one_line(
 
     monkeypatch.setattr(bench.subprocess, "run", run)
     assert _status(["bench", str(file)]) == 2
-    line = one_line(capsys)
+    line = only_line(capsys)
     assert expected in line
     assert "ValueError" not in line
     assert _status(["doctor"]) == 1
@@ -229,7 +229,7 @@ def test_a_program_that_ends_gives_one_line(
 
 def test_bench_refuses_what_is_no_texture_as_play_does(capsys: pytest.CaptureFixture[str]) -> None:
     assert _status(["bench", str(Path(__file__))]) == 2
-    assert one_line(capsys).startswith("foten: this is not a texture file")
+    assert only_line(capsys).startswith("foten: this is not a texture file")
 
 
 def test_doctor_says_what_is_here(capsys: pytest.CaptureFixture[str]) -> None:

@@ -46,8 +46,8 @@ def test_cancelling_axes_do_not_vanish() -> None:
 
 def test_blocks_are_taken_one_by_one() -> None:
     blocks = np.random.default_rng(0).standard_normal((4, 3, 100))
-    together = dft321(blocks)
-    for block, found in zip(blocks, together, strict=True):
+    at_once = dft321(blocks)
+    for block, found in zip(blocks, at_once, strict=True):
         np.testing.assert_array_equal(dft321(block), found)
 
 
@@ -58,5 +58,5 @@ def test_a_burst_stays_in_its_block() -> None:
     assert not by_block[:100].any()
     assert not by_block[200:].any()
     # What the block-wise call is for: over the whole record it smears.
-    whole = dft321(axes)
-    assert np.count_nonzero(np.delete(whole, np.s_[100:200])) > 250
+    at_once = dft321(axes)
+    assert np.count_nonzero(np.delete(at_once, np.s_[100:200])) > 250

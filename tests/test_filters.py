@@ -27,11 +27,11 @@ def tone(hz: float, n: int = 4000) -> np.ndarray:
 def test_the_response_is_that_of_scipys_butterworth(kind: str, cutoff_hz: float, rate_hz: float, order: int) -> None:
     """Oracle: scipy.signal.butter."""
     frequencies = np.geomspace(1.0, 0.49 * rate_hz, 200)
-    _, ours = signal.sosfreqz(sos(butterworth(kind, cutoff_hz, rate_hz, order)), frequencies, fs=rate_hz)
+    _, streamed = signal.sosfreqz(sos(butterworth(kind, cutoff_hz, rate_hz, order)), frequencies, fs=rate_hz)
     reference = signal.butter(order, cutoff_hz, kind, fs=rate_hz, output="sos")
     _, expected = signal.sosfreqz(reference, frequencies, fs=rate_hz)
     # Order 6 at 20 Hz of 10 kHz: poles 0.01 from z = 1 amplify rounding by 1e4.
-    np.testing.assert_allclose(ours, expected, atol=1e-9)
+    np.testing.assert_allclose(streamed, expected, atol=1e-9)
 
 
 @pytest.mark.parametrize(("kind", "cutoff_hz", "rate_hz", "order"), DESIGNS)
@@ -105,10 +105,10 @@ def test_zero_phase_has_no_delay() -> None:
 @settings(max_examples=20, deadline=None)
 def test_any_block_sizes_give_what_one_call_gives(cuts: list[int], order: int, seed: int) -> None:
     samples = np.random.default_rng(seed).standard_normal(300)
-    whole = Biquads(butterworth("highpass", 20.0, RATE_HZ, order)).process(samples)
+    at_once = Biquads(butterworth("highpass", 20.0, RATE_HZ, order)).process(samples)
     pieces = Biquads(butterworth("highpass", 20.0, RATE_HZ, order))
     out = np.concatenate([pieces.process(piece) for piece in np.split(samples, sorted(cuts))])
-    np.testing.assert_array_equal(out, whole)
+    np.testing.assert_array_equal(out, at_once)
 
 
 @pytest.mark.parametrize(("kind", "cutoff_hz", "rate_hz", "order"), DESIGNS)

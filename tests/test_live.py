@@ -254,9 +254,9 @@ def test_a_wav_is_what_was_played_up_to_ctrl_c(texture: Texture, tmp_path: Path)
             raise KeyboardInterrupt
         return holding(90.0, 1.0)(at)
 
-    for hand, seconds in ((holding(90.0, 1.0), 2.0), (interrupted, 5.0)):
-        samples, ended = write_wav(Renderer(texture, 8000, seed=1), hand, seconds, path, {"texture": "t"})
-        assert ended == (hand is interrupted)
+    for conditions, seconds in ((holding(90.0, 1.0), 2.0), (interrupted, 5.0)):
+        samples, ended = write_wav(Renderer(texture, 8000, seed=1), conditions, seconds, path, {"texture": "t"})
+        assert ended == (conditions is interrupted)
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of the comment's chunk, which SciPy does not know
             rate, written = wavfile.read(path)

@@ -318,22 +318,22 @@ def test_another_rate_keeps_the_band_and_adds_nothing_above(
 ) -> None:
     """Physics: the spectrum below 450 Hz stays, images above 550 Hz are 50 dB below it, and the delay is the one stated."""
     n = 20_000
-    own, state = held(NativeState(native, seed=6), n, 100.0), NativeState(native, rate, seed=6)
+    base, state = held(NativeState(native, seed=6), n, 100.0), NativeState(native, rate, seed=6)
     out = held(state, round(n * rate / 1000), 100.0)
     assert state.delay_s == pytest.approx(1.53e-3, abs=0.05e-3)
     window = np.hanning(out.size)
     spectrum = np.square(np.abs(np.fft.rfft(out * window))) / np.square(window).sum()
     hertz = np.fft.rfftfreq(out.size, 1 / rate)
-    kept = spectrum[(hertz > 20) & (hertz < 450)].sum()
-    assert spectrum[hertz > 550].sum() < 1e-5 * kept
+    in_band = spectrum[(hertz > 20) & (hertz < 450)].sum()
+    assert spectrum[hertz > 550].sum() < 1e-5 * in_band
     window = np.hanning(n)
-    given_ = np.square(np.abs(np.fft.rfft(own * window))) / np.square(window).sum()
-    theirs = np.fft.rfftfreq(n, 1e-3)
-    share = kept * (1000 / rate) / given_[(theirs > 20) & (theirs < 450)].sum()
+    spectrum_before = np.square(np.abs(np.fft.rfft(base * window))) / np.square(window).sum()
+    hertz_before = np.fft.rfftfreq(n, 1e-3)
+    share = in_band * (1000 / rate) / spectrum_before[(hertz_before > 20) & (hertz_before < 450)].sum()
     assert share == pytest.approx(1.0, rel=0.01)
     # A slow part, as it would be at the output's rate, against the delayed one.
-    slow = np.fft.rfft(own)
-    slow[theirs > 100] = 0
+    slow = np.fft.rfft(base)
+    slow[hertz_before > 100] = 0
     padded = np.zeros(out.size // 2 + 1, dtype=complex)
     padded[: slow.size] = slow[: padded.size]
     wanted = np.fft.irfft(padded, out.size) * rate / 1000
@@ -350,13 +350,13 @@ def test_a_slower_device_keeps_its_band_and_gets_no_more(native: NativeTexture, 
     """Physics: below 0.4 of the device's rate the power stays, and that of the texture's 120 Hz is not folded into it."""
     n = 40_000
     powers, signals = [], []
-    for of, own in ((None, 1000.0), (rate, rate)):
+    for of, base in ((None, 1000.0), (rate, rate)):
         state = NativeState(native, of, seed=6)
-        signal = held(state, round(n * own / 1000), 100.0)
+        signal = held(state, round(n * base / 1000), 100.0)
         window = np.hanning(signal.size)
         spectrum = np.square(np.abs(np.fft.rfft((signal - signal.mean()) * window)))
-        hertz = np.fft.rfftfreq(signal.size, 1 / own)
-        powers.append(spectrum[(hertz > 2) & (hertz < 0.4 * rate)].sum() / np.square(window).sum() / own)
+        hertz = np.fft.rfftfreq(signal.size, 1 / base)
+        powers.append(spectrum[(hertz > 2) & (hertz < 0.4 * rate)].sum() / np.square(window).sum() / base)
         signals.append(signal.astype(float))
     # The same realisation: what differs is the first and the last samples of a window, and a ripple of the passband.
     assert powers[1] == pytest.approx(powers[0], rel=0.02)
@@ -388,16 +388,16 @@ def test_a_change_of_rate_stops_what_its_header_says() -> None:
 def test_a_change_of_rate_does_not_drift(native: NativeTexture) -> None:
     """Oracle: the table at places that are counted in fractions, after 10 s. A step of 32 bits would be 10⁻⁵ of a sample off."""
     rate, n, last = 44_100, 441_000, 50
-    own, out = held(NativeState(native, seed=3), 10_000), held(NativeState(native, float(rate), seed=3), n)
+    base, out = held(NativeState(native, seed=3), 10_000), held(NativeState(native, float(rate), seed=3), n)
     table = runpy.run_path(str(Path(__file__).parents[1] / "native" / "tools" / "resample_table.py"))
     kernel, steps = np.append(table["kernel"](), 0.0), table["STEPS"]
     expected = []
     for place in (Fraction(1000 * k, rate) for k in range(n - last, n)):
         newest, taps = int(place), np.arange(kernel.size // steps)
         at = steps * (float(place - newest) + taps)
-        expected.append(own[newest - taps] @ np.interp(at, np.arange(kernel.size), kernel))
+        expected.append(base[newest - taps] @ np.interp(at, np.arange(kernel.size), kernel))
     # Both are float32, and so is the table.
-    np.testing.assert_allclose(out[-last:], expected, atol=1e-6 * np.abs(own).max())
+    np.testing.assert_allclose(out[-last:], expected, atol=1e-6 * np.abs(base).max())
 
 
 def test_rates_that_cannot_be_are_refused(native: NativeTexture) -> None:
@@ -408,12 +408,12 @@ def test_rates_that_cannot_be_are_refused(native: NativeTexture) -> None:
         assert library().foten_state_new(native.pointer, ctypes.byref(options)) is None
 
 
-@pytest.mark.parametrize("own", [101.0, 1000.0, 10_000.0])
-def test_both_ends_of_the_rates_can_be_rendered(texture: Texture, own: float) -> None:
+@pytest.mark.parametrize("base", [101.0, 1000.0, 10_000.0])
+def test_both_ends_of_the_rates_can_be_rendered(texture: Texture, base: float) -> None:
     """A twentieth of 101 Hz was refused, for want of memory: 101 · 0.05 is more than 101 / 20 in float64."""
-    made = {**texture.card["preprocess"], "rate_hz": own}
-    native = NativeTexture(with_card(texture, rate_hz=own, preprocess=made).to_bytes())
-    for rate in (own / 20, 400 * own):
+    preprocess_entry = {**texture.card["preprocess"], "rate_hz": base}
+    native = NativeTexture(with_card(texture, rate_hz=base, preprocess=preprocess_entry).to_bytes())
+    for rate in (base / 20, 400 * base):
         assert NativeState(native, rate).delay_s > 0
 
 
@@ -515,11 +515,11 @@ def test_a_file_whose_tensors_were_cut_off_is_called_truncated(texture: Texture)
 def test_the_proof_finds_damage_that_is_large(texture: Texture) -> None:
     """A flipped bit of a weight, as docs/texture-file.md says: an exponent's is found, the last of a mantissa is not."""
     name = "lattice.reflections"
-    for bit, found in ((0, False), (29, True)):
+    for bit, detected in ((0, False), (29, True)):
         bits = np.ascontiguousarray(texture.tensors[name], dtype=np.float32).view(np.uint32).copy()
         bits.flat[0] ^= np.uint32(1 << bit)
         damaged = dataclasses.replace(texture, tensors={**texture.tensors, name: bits.view(np.float32)})
-        if not found:
+        if not detected:
             NativeTexture(damaged.to_bytes())
             continue
         with pytest.raises(ValueError, match=r"proof|stable"):

@@ -132,9 +132,9 @@ def test_below_5_mm_s_and_a_tenth_of_a_newton_every_texture_fades(texture: Textu
         (80.0, 0.12, 1.0),
         (3.0, 0.075, 0.45),
     ):
-        given = np.array([speed, force], dtype=np.float32).astype(float)  # as the kernel takes it
-        scaled = (given - SCALING.mean[1:]) / SCALING.sd[1:]
-        condition = np.tile([*scaled, given[0]], (1, 100, 1))
+        rounded = np.array([speed, force], dtype=np.float32).astype(float)  # as the kernel takes it
+        scaled = (rounded - SCALING.mean[1:]) / SCALING.sd[1:]
+        condition = np.tile([*scaled, rounded[0]], (1, 100, 1))
         loop = SCALING.unscale_acceleration(run_loops(native, window, condition, None)[0])
         out = rendered(slow, *steady(100, speed, force), excitation=False)
         np.testing.assert_allclose(out, share * loop, rtol=FLOAT32, atol=1e-9)

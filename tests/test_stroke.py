@@ -109,8 +109,8 @@ def test_a_stroke_of_no_hand_is_refused(table: dict[str, np.ndarray], match: str
 
 
 def test_constants_are_doubted_too() -> None:
-    said = "speed peaks at 0.08, expected mm/s up to about 350; was it given in m/s? It is taken as mm/s"
-    assert constant_stroke(0.08, 0.8, 1.0, 100.0).doubts == (said,)
+    doubt = "speed peaks at 0.08, expected mm/s up to about 350; was it given in m/s? It is taken as mm/s"
+    assert constant_stroke(0.08, 0.8, 1.0, 100.0).doubts == (doubt,)
     assert constant_stroke(80.0, 0.0, 1.0, 100.0).doubts == ()
 
 
