@@ -264,7 +264,7 @@ def test_node_renders_what_python_does(file: Path) -> None:
 
 
 @needs_node
-def test_node_hears_the_same_noise_and_refuses_in_one_line(tmp_path: Path) -> None:
+def test_node_has_the_same_noise_and_refuses_in_one_line(tmp_path: Path) -> None:
     program = tmp_path / "noise.mjs"
     program.write_text(
         f"""

@@ -102,13 +102,13 @@ def test_after_a_machine_stood_still_no_sink_makes_up_for_it() -> None:
             if len(took) == 10:
                 time.sleep(0.4)
 
-    sink = Stalled(1000.0, block_ms=20)
+    sink = Stalled(1000.0)
     sink.start(lambda out: None)
     while len(took) < 20:
         time.sleep(0.001)
     sink.stop()
-    assert took[19] - took[10] > 7 * 0.02
-    assert sink.n_late >= 18  # of 20 ms each
+    assert took[19] - took[10] > 7 * 0.004
+    assert sink.n_late >= 90  # of 4 ms each
 
 
 class Pulled:
@@ -218,7 +218,7 @@ def test_a_program_that_ends_without_stopping_ends_well(texture: Texture, tmp_pa
     program = (
         "import sys, foten\nfrom foten.runtime.live.paced import NullSink\n"
         "r = foten.Renderer(sys.argv[1], rate=48000)\nr.native_state.set_condition(80, 0.8)\n"
-        "live = foten.Live(r.native_state.render, NullSink(48000, ratio=50))\nlive.start()\n"
+        "live = foten.Live(r.native_state.render, NullSink(48000))\nlive.start()\n"
     )
     for _ in range(3):
         done = subprocess.run([sys.executable, "-c", program, str(path)], check=False, capture_output=True)
@@ -360,8 +360,6 @@ def test_a_gain_that_is_no_number_reaches_no_hardware(sound: FakeSound, gain: fl
     for make in (lambda: SoundSink(gain), lambda: DaqSink("Dev1/ao0", 1000.0, gain, library=daq)):
         with pytest.raises(ValueError, match="expected a finite number"):
             make()
-    with pytest.raises(ValueError, match="expected a positive number"):
-        DaqSink("Dev1/ao0", 1000.0, limit_v=gain, library=daq)
 
 
 class FakeDaq:
@@ -444,7 +442,7 @@ def test_a_daq_is_filled_before_it_starts_and_again_as_it_empties() -> None:
         out[:] = n + np.arange(out.size)
         n += out.size
 
-    sink = DaqSink("Dev1/ao0", 10_000.0, gain=0.05, limit_v=10.0, library=daq)
+    sink = DaqSink("Dev1/ao0", 10_000.0, gain=0.05, library=daq)
     sink.start(read)
     assert "start" in daq.log
     assert len(daq.written) >= 2

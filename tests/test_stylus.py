@@ -40,6 +40,11 @@ def hands(stylus: Stylus, events: np.ndarray, n: int, late_s: np.ndarray | float
     return out
 
 
+def stroke_at(times_s: np.ndarray, speed: float = 100.0) -> np.ndarray:
+    """Events (k, 4) of a straight stroke [mm/s] along x under a pressure of 0.5."""
+    return np.stack([speed * times_s, 0 * times_s, np.full(times_s.size, 0.5), times_s], axis=1)
+
+
 def lag_of(found: np.ndarray, truth: np.ndarray) -> int:
     """By how many samples a signal comes after another."""
     return int(np.argmax([np.corrcoef(found[lag:], truth[: truth.size - lag])[0, 1] for lag in range(40)]))
@@ -110,8 +115,7 @@ def test_a_force_may_be_the_same_at_any_pressure(texture: Texture) -> None:
 
 def test_lifting_is_quiet_and_landing_elsewhere_is_no_stroke(texture: Texture) -> None:
     """Speed and force fall and rise as the low-pass does: never faster than it lets a step."""
-    at = np.arange(0.0, 1.0, 0.01)
-    first = np.stack([100 * at, 0 * at, np.full(at.size, 0.5), at], axis=1)
+    first = stroke_at(np.arange(0.0, 1.0, 0.01))
     lifted = np.array([[100.0, 0.0, 0.0, 1.0]])
     second = first + np.array([5000.0, 300.0, 0.0, 1.5])
     stylus = Stylus(Renderer(texture))
@@ -140,16 +144,14 @@ def test_a_pen_that_stops_does_not_turn_back(texture: Texture, events_hz: float,
 
 def test_a_pen_that_rests_is_still_and_pressed(texture: Texture) -> None:
     """Browsers tell nothing of a pen that does not move."""
-    at = np.arange(0.0, 0.5, 0.008)
-    events = np.stack([100 * at, 0 * at, np.full(at.size, 0.5), at], axis=1)
+    events = stroke_at(np.arange(0.0, 0.5, 0.008))
     found = hands(Stylus(Renderer(texture)), events, 1500)
     assert found[-300:, 0].max() < 1e-3
     np.testing.assert_allclose(found[-300:, 1], CURVE.force(np.array([0.5]))[0], rtol=1e-6)
 
 
 def test_what_is_wrong_is_counted_and_does_no_harm(texture: Texture) -> None:
-    at = np.arange(0.0, 2.0, 0.008)
-    events = np.stack([100 * at, 0 * at, np.full(at.size, 0.5), at], axis=1)
+    events = stroke_at(np.arange(0.0, 2.0, 0.008))
     clean = hands(Stylus(Renderer(texture)), events, 1900)
     rng = np.random.default_rng(0)
     spoiled = []
@@ -175,8 +177,7 @@ def test_what_is_wrong_is_counted_and_does_no_harm(texture: Texture) -> None:
 
 
 def test_a_clock_that_begins_anew_is_followed(texture: Texture) -> None:
-    at = np.arange(0.0, 1.0, 0.008)
-    events = np.stack([100 * at, 0 * at, np.full(at.size, 0.5), at], axis=1)
+    events = stroke_at(np.arange(0.0, 1.0, 0.008))
     stylus = Stylus(Renderer(texture))
     hands(stylus, events, 1000)
     found = np.empty((1000, 2))
@@ -212,11 +213,6 @@ def test_events_that_came_at_once_do_not_make_jumps_of_the_rest(texture: Texture
     found = hands(stylus, stroke_at(at), 2000)
     assert stylus.stats.n_jumps == 0
     np.testing.assert_allclose(found[-200:, 0], 100.0, rtol=1e-3)
-
-
-def stroke_at(times_s: np.ndarray, speed: float = 100.0) -> np.ndarray:
-    """Events (k, 4) of a straight stroke [mm/s] along x under a pressure of 0.5."""
-    return np.stack([speed * times_s, 0 * times_s, np.full(times_s.size, 0.5), times_s], axis=1)
 
 
 @pytest.mark.parametrize(
@@ -286,8 +282,7 @@ def test_no_event_makes_a_hand_that_is_none(texture: Texture, events: list[tuple
 
 
 def test_a_rendering_under_a_pen_is_one_under_its_hand(texture: Texture) -> None:
-    at = np.arange(0.0, 1.0, 0.008)
-    events = np.stack([100 * at, 0 * at, np.full(at.size, 0.5), at], axis=1)
+    events = stroke_at(np.arange(0.0, 1.0, 0.008))
     found = hands(Stylus(Renderer(texture)), events[:1], 200)
     pen = Stylus(Renderer(texture, seed=3))
     pen.push(*events[0])

@@ -18,18 +18,15 @@ class Paced:
     """A sink that takes a block every so often, in a thread of its own; what it does with it is a subclass's.
 
     After a machine has stood still it goes on at its pace: what it did not take meanwhile it does not take at once, which would
-    empty the ring; `n_late` counts such blocks. `ratio` is of simulated time to real time.
+    empty the ring; `n_late` counts such blocks.
     """
 
-    def __init__(self, rate_hz: float, block_ms: float = PACKET_MS, ratio: float = 1.0) -> None:
-        if not rate_hz > 0 or not block_ms > 0 or not ratio > 0:
-            wrong = f"a rate of {rate_hz} Hz in blocks of {block_ms} ms at {ratio} times"
-            raise ValueError(f"{wrong}, expected positive numbers")
+    def __init__(self, rate_hz: float) -> None:
         self.rate_hz = float(rate_hz)
-        self.n_at_once = max(1, round(block_ms * rate_hz / 1000))
+        self.n_at_once = max(1, round(PACKET_MS * rate_hz / 1000))
         self.n_late = 0
         self.failed: BaseException | None = None
-        self._period_s = self.n_at_once / rate_hz / ratio
+        self._period_s = self.n_at_once / rate_hz
         self._stopping = threading.Event()
         self._thread: threading.Thread | None = None
 
