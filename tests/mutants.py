@@ -1,12 +1,20 @@
-"""Small wrong changes of the sources, each of which some test has to notice; `tests/test_mutants.py` makes them one by one."""
+"""Small wrong changes of the sources, each of which some test has to notice; `tests/test_mutants.py` makes them one by one.
+
+Of C a mutant names text that stands in a file once. Of Python it names a node of the syntax tree, so that a row survives new line
+breaks, comments and names of variables.
+"""
 
 from __future__ import annotations
 
+import ast
+import builtins
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
+from pathlib import PurePath
+from typing import Any
 
-KERNEL = ("tests/test_loops.py", "tests/test_native.py", "tests/test_rendering.py", "tests/test_reference.py")
-NATIVE = "native/src/"
-PACKAGE = "src/foten/"
+KERNEL = "loops native rendering reference"
 
 
 @dataclass(frozen=True)
@@ -16,699 +24,397 @@ class Mutant:
     Attributes:
         what: is wrong then.
         path: of the file, from the root of the repository.
-        before, after: text, of which the former stands in the file once.
+        change: from the file's text to the wrong one, or ValueError where the place is not there, or not unique.
         tests: files of tests, of which one fails.
     """
 
     what: str
     path: str
-    before: str
-    after: str
-    tests: tuple[str, ...] = KERNEL
+    change: Callable[[str], str]
+    tests: tuple[str, ...]
+
+
+def files_of(tests: str) -> tuple[str, ...]:
+    """Files of tests by their words: `loop table` are tests/test_loop.py and tests/test_table.py."""
+    return tuple(f"tests/test_{name}.py" for name in tests.split())
+
+
+def of_c(path: str, *rows: tuple[str, ...], tests: str = KERNEL) -> list[Mutant]:
+    """Mutants of a file in `native`: what is wrong, the text that is replaced, by which, and other tests than the kernel's."""
+    return [
+        Mutant(what, f"native/{path}", partial(_text_replaced, before, after), files_of(others[0] if others else tests))
+        for what, before, after, *others in rows
+    ]
+
+
+def of_python(path: str, *rows: tuple[str, ...], tests: str = "") -> list[Mutant]:
+    """Mutants of a file in `src/foten`: what is wrong, the scope, the node in it, what it becomes, and other tests than its own.
+
+    Scope: names of nested classes, functions and assigned names, joined by dots.
+    Node: its class in `ast`; a label where it needs one: the function of a call, the name of a name or attribute, the class of an
+    operator; the number from 0 in the order of the source, or `all`, where there are more than one.
+    Becomes: an expression or statement, in which `it` is the node, and `it.args[0]` and so on its parts; nothing is `pass`.
+    """
+    own = tests or PurePath(path).stem
+    return [
+        Mutant(what, f"src/foten/{path}", partial(_node_replaced, *change), files_of(others[0] if others else own))
+        for what, *change, others in ((*row[:4], row[4:]) for row in rows)
+    ]
+
+
+def _text_replaced(before: str, after: str, source: str) -> str:
+    if source.count(before) != 1:
+        raise ValueError(f"{before!r} stands there {source.count(before)} times, expected once")
+    return source.replace(before, after)
+
+
+def _node_replaced(scope: str, selector: str, becomes: str, source: str) -> str:
+    tree: Any = ast.parse(source)
+    statement: Any = ast.parse(becomes or "pass").body[0]
+    names = {node.id for node in ast.walk(statement) if isinstance(node, ast.Name)} - {"it", *dir(builtins)}
+    if unknown := names - {node.id for node in ast.walk(tree) if isinstance(node, ast.Name)}:
+        raise ValueError(f"there is no {unknown}")  # the mutant would die of that
+    place = tree
+    for name in scope.split("."):
+        places = [node for node in ast.walk(place) if name in _names(node)]
+        if len(places) != 1:
+            raise ValueError(f"{scope} is there {len(places)} times, expected once")
+        (place,) = places
+    kind, *words = selector.split()
+    number = words.pop() if words and (words[-1] == "all" or words[-1].isdigit()) else ""
+    nodes = [node for node in ast.walk(place) if type(node).__name__ == kind and words in ([], [_label(node)])]
+    nodes.sort(key=lambda node: (node.lineno, node.col_offset))
+    if number.isdigit():
+        nodes = nodes[int(number) :][:1]
+    if not nodes or (len(nodes) > 1 and number != "all"):
+        raise ValueError(f"{selector} is in {scope} {len(nodes)} times, expected once")
+    return ast.unparse(_Replaced(nodes, becomes or "pass").visit(tree))
+
+
+def _names(node: Any) -> list[str]:
+    """Names that a node defines."""
+    match node:
+        case ast.FunctionDef(name=name) | ast.ClassDef(name=name) | ast.AnnAssign(target=ast.Name(id=name)):
+            return [name]
+        case ast.Assign(targets=targets):
+            return [target.id for target in targets if isinstance(target, ast.Name)]
+    return []
+
+
+def _label(node: Any) -> str:
+    match node:
+        case ast.Name(id=label) | ast.Attribute(attr=label):
+            return label
+        case ast.Call(func=inner) | ast.Expr(value=inner):
+            return _label(inner)
+        case ast.BinOp(op=operator) | ast.UnaryOp(op=operator) | ast.BoolOp(op=operator) | ast.Compare(ops=[operator]):
+            return type(operator).__name__
+    return ""
+
+
+class _Replaced(ast.NodeTransformer):
+    """A tree in which nodes became something else."""
+
+    def __init__(self, nodes: list[Any], becomes: str) -> None:
+        self._nodes, self._becomes = nodes, becomes
+
+    def visit(self, node: ast.AST) -> Any:
+        if node not in self._nodes:
+            return self.generic_visit(node)
+        statement: Any = ast.parse(self._becomes).body[0]
+        return _Filled(node).visit(statement if isinstance(node, ast.stmt) else statement.value)
+
+
+class _Filled(ast.NodeTransformer):
+    """An expression in which `it` and its parts became a node and its parts."""
+
+    def __init__(self, it: ast.AST) -> None:
+        self._it = it
+
+    def visit(self, node: ast.AST) -> Any:
+        part = self._part(node)
+        return part if isinstance(part, ast.AST) else self.generic_visit(node)
+
+    def _part(self, node: ast.AST) -> Any:
+        match node:
+            case ast.Name(id="it"):
+                return self._it
+            case ast.Attribute(value=inner, attr=name):
+                return getattr(self._part(inner), name, None)
+            case ast.Subscript(value=inner, slice=ast.Constant(value=index)):
+                parts = self._part(inner)
+                return parts[index] if isinstance(parts, list) else None
+        return None
 
 
 MUTANTS = (
-    Mutant(
-        "noise without a network has no bound",
-        NATIVE + "foten_plus.c",
-        "innovation = excitation_limited(&m->excitation, *noise, scale);",
-        "innovation = *noise;",
-    ),
-    Mutant("the saturator is off", NATIVE + "loop.h", "clip(sample, limit)", "sample"),
-    Mutant(
-        "a network goes on from its uncut sample",
-        NATIVE + "window_loop.c",
-        "predictor_push(&m->predictor, &l->predictor, played,",
-        "predictor_push(&m->predictor, &l->predictor, sample,",
-    ),
-    Mutant(
-        "the fade with speed begins at 10 mm/s", NATIVE + "constants.h", "FOTEN_FADE_SPEED 5.0", "FOTEN_FADE_SPEED 10.0"
-    ),
-    Mutant(
-        "the fade with force begins at 0.2 N", NATIVE + "constants.h", "FOTEN_FADE_FORCE 0.1", "FOTEN_FADE_FORCE 0.2"
-    ),
-    Mutant(
-        "what fades is counted below the range alone", NATIVE + "api.c", "below |= x < fade;", "below |= x < m->low[i];"
-    ),
-    Mutant(
-        "smoothing begins from rest", NATIVE + "api.c", "= settled(&s->filter, speed_force[i]);", "= (memory){0, 0};"
-    ),
-    Mutant("there is no fade", NATIVE + "api.c", "if (x < fade) c.fade *= x / fade;", ""),
-    Mutant("the level does not grow", NATIVE + "api.c", "growth *= pow(held[i] / m->high[i], m->exponents[i]);", ";"),
-    Mutant(
-        "the level grows without end",
-        NATIVE + "constants.h",
-        "FOTEN_EXTRAPOLATION_LIMIT 2.0",
-        "FOTEN_EXTRAPOLATION_LIMIT 4.0",
-    ),
-    Mutant("a slower device is louder", NATIVE + "resample.c", "return sum / r->stretch;", "return sum;"),
-    Mutant("the resampler skips a carry", NATIVE + "resample.c", "r->integer + (r->fraction < before)", "r->integer"),
-    Mutant(
-        "a stroke begins too loud",
-        NATIVE + "foten_plus.c",
-        "l->lattice.states[i] = size * noise",
-        "l->lattice.states[i] = 2 * size * noise",
-    ),
-    Mutant(
-        "a stroke begins silent",
-        NATIVE + "foten_plus.c",
-        "= size * noise_next(&noise);",
-        "= 0 * size * noise_next(&noise);",
-    ),
-    Mutant(
-        "a network's stroke begins with the warm start",
-        NATIVE + "window_loop.c",
-        "        return;\n    }\n    set_condition(m, l, c, 1);",
-        "        return;\n    }\n    return;\n    set_condition(m, l, c, 1);",
-    ),
-    Mutant(
-        "local models begin silent",
-        NATIVE + "piecewise_ar_loop.c",
-        "size * noise_next(&noise)",
-        "0 * size * noise_next(&noise)",
-        ("tests/test_piecewise_ar.py", *KERNEL),
-    ),
-    Mutant(
-        "a stroke begins without the gain before the filter",
-        NATIVE + "foten_plus.c",
-        "double size = gain_before(of, &l->lattice) * l->sigma",
-        "double size = l->sigma",
-    ),
-    Mutant(
-        "a network's stroke begins without bound",
-        NATIVE + "window_loop.c",
-        "m->predictor.window, FOTEN_MAX_INITIAL);",
-        "m->predictor.window, INFINITY);",
-    ),
-    Mutant(
-        "a stroke begins without its zeros",
-        NATIVE + "piecewise_ar_loop.c",
-        "double size = l->mixture.gain * sqrt(power);",
-        "double size = l->mixture.gain;",
-        ("tests/test_piecewise_ar.py", *KERNEL),
-    ),
-    Mutant(
-        "a network in a bounded loop is given the cut sample",
-        NATIVE + "foten_plus.c",
-        "innovation * entering, residual / level, l->lattice.logs,",
-        "innovation * entering, clip(residual, limit) / level, l->lattice.logs,",
-    ),
-    Mutant(
-        "a scale is stated of another prediction than the rendering's",
-        NATIVE + "foten_plus.c",
-        "if (m->tones.n || with_network != (in_loop != NULL)) return;",
-        "",
-    ),
-    Mutant(
-        "a sample goes by its own condition",
-        NATIVE + "window_loop.c",
-        "double sample = predictor_predict(&m->predictor, &l->predictor);",
-        "set_condition(m, l, c, 0);\n    double sample = predictor_predict(&m->predictor, &l->predictor);",
-    ),
-    Mutant(
-        "the force of a pressure has no exponent",
-        PACKAGE + "runtime/stylus.py",
-        "self.a * np.exp(self.b * pressure)",
-        "self.a * (1 + self.b * pressure)",
-        ("tests/test_stylus.py",),
-    ),
-    Mutant(
-        "the force of a pressure begins without contact",
-        PACKAGE + "runtime/stylus.py",
-        "np.where(pressure > 0, self.a",
-        "np.where(pressure >= 0, self.a",
-        ("tests/test_stylus.py",),
-    ),
-    Mutant(
-        "the lattice does not leak",
-        NATIVE + "constants.h",
-        "FOTEN_LEAK 0.9997",
-        "FOTEN_LEAK 1.0",
-        ("tests/test_native.py", *KERNEL),
-    ),
-    Mutant(
-        "the innovation is not clipped for the jitter",
-        NATIVE + "tones.c",
-        "clip(innovation, FOTEN_MAX_JITTER_DRIVE)",
-        "innovation",
-    ),
-    Mutant("tones forget nothing", NATIVE + "tones.c", "s->phase -= t->phase_leak * (s->phase - s->path);", ""),
-    Mutant(
-        "tones stand still",
-        NATIVE + "tones.c",
-        "s->phase += s->increment * s->rate + increment;",
-        "s->phase += s->increment * s->rate;",
-    ),
-    Mutant(
-        "gradients of a chaotic stream grow without end",
-        "native/training/training_kernel.c",
-        "if (size <= adjoint_limit) continue;",
-        "continue;",
-        ("tests/test_rollout.py",),
-    ),
-    Mutant(
-        "what is reset counts for what resets it in full",
-        "native/training/training_kernel.c",
-        "store(candidate_preactivation + i, of_new * reset);",
-        "store(candidate_preactivation + i, of_new);",
-        ("tests/test_training_kernel.py",),
-    ),
-    Mutant(
-        "a lattice's states are not led back",
-        "native/training/training_kernel.c",
-        "r->leak * (c[j] * of_up - k[j] * f[j]);",
-        "r->leak * (c[j] * of_up);",
-        ("tests/test_rollout.py",),
-    ),
-    Mutant(
-        "a section's own reflection is not led back",
-        "native/training/training_kernel.c",
-        "f[j] = k[j] * of_up + c[j] * f[j];",
-        "f[j] = c[j] * f[j];",
-        ("tests/test_rollout.py",),
-    ),
-    Mutant(
-        "what the network draws has no bound",
-        NATIVE + "loop.h",
-        "return excitation_limited(&m->excitation, next, scale);",
-        "return next;",
-    ),
-    Mutant(
-        "the reset gate is open",
-        NATIVE + "innovation_network.c",
-        "+ reset * candidate_preactivation",
-        "+ candidate_preactivation",
-    ),
-    Mutant(
-        "the largest component is always drawn",
-        NATIVE + "innovation_network.c",
-        "s->weight[i] /= sum;",
-        "s->weight[i] = i == 0;",
-    ),
-    Mutant(
-        "the network is given innovations as sigma scales them",
-        NATIVE + "foten_plus.c",
-        "innovation_push(m->network_in_loop, &l->innovation, innovation * entering, residual",
-        "innovation_push(m->network_in_loop, &l->innovation, e, residual",
-    ),
-    Mutant(
-        "the network is in every loop",
-        NATIVE + "model.c",
-        "m->network_in_loop = s->network_in_loop ? &m->rendering_network : NULL;",
-        "m->network_in_loop = &m->network;",
-    ),
-    Mutant("a prediction leaves the network out", NATIVE + "foten_plus.c", "part == FOTEN_PREDICT_MODEL ||", "0 ||"),
-    Mutant(
-        "the state is not reset after a prediction",
-        NATIVE + "api.c",
-        "foten_reset(s, s->seed);\n    return FOTEN_OK;",
-        "return FOTEN_OK;",
-    ),
-    Mutant(
-        "a reset keeps the counts",
-        NATIVE + "api.c",
-        "atomic_store_explicit(&s->counts[i], 0,",
-        "atomic_store_explicit(&s->counts[i], counted(s, i),",
-    ),
-    Mutant("negative forces are taken as they are", NATIVE + "api.c", "if (*force < 0) *force = 0;", ""),
-    Mutant(
-        "what is no number is passed on",
-        NATIVE + "api.c",
-        "if (out - out == 0) return out;",
-        "return out;",
-        ("tests/test_native.py", "tests/test_loops.py", "tests/test_rendering.py", "tests/test_kernel_build.py"),
-    ),
-    Mutant(
-        "a pressure of nothing presses", NATIVE + "stylus.c", "pressure > 0", "pressure >= 0", ("tests/test_stylus.py",)
-    ),
-    Mutant(
-        "Eq. 12 has another steepness",
-        PACKAGE + "runtime/stylus.py",
-        "b: float = 3.32",
-        "b: float = 3.0",
-        ("tests/test_stylus.py", "tests/test_native.py"),
-    ),
-    Mutant(
-        "the level of an excitation is never calibrated",
-        PACKAGE + "training/calibration.py",
-        "excitation, errors = calibrate_level(loop, fitted, seed)",
-        "excitation, errors = fitted, [0.0, 0.0, 0.0]",
-        ("tests/test_calibration.py",),
-    ),
-    Mutant(
-        "the level is calibrated the wrong way",
-        PACKAGE + "training/calibration.py",
-        "step = -np.linalg.solve(",
-        "step = np.linalg.solve(",
-        ("tests/test_calibration.py",),
-    ),
-    Mutant(
-        "the best AR is chosen on test blocks",
-        PACKAGE + "evaluate/evaluate.py",
-        "best_linear(samples, train, split.validation, block)",
-        "best_linear(samples, train, split.test, block)",
-        ("tests/test_references.py", "tests/test_report.py", "tests/test_evaluate.py"),
-    ),
-    Mutant(
-        "AR(20) is fitted on train and test",
-        PACKAGE + "evaluate/evaluate.py",
-        '"ar": fit_linear(samples, train, block, ANCHOR_ORDER),',
-        '"ar": fit_linear(samples, (*train, *split.test), block, ANCHOR_ORDER),',
-        ("tests/test_references.py", "tests/test_report.py", "tests/test_evaluate.py"),
-    ),
-    Mutant(
-        "the network is fitted to the validation blocks",
-        PACKAGE + "training/window_fit.py",
-        "return self.train[torch.randperm(len(self.train), ",
-        "return self.validation[torch.randperm(len(self.validation), ",
-        ("tests/test_window_fit.py",),
-    ),
-    Mutant(
-        "the last network is kept, not the best",
-        PACKAGE + "training/loop.py",
-        "best = loss < self.best_loss",
-        "best = True",
-        ("tests/test_loop.py",),
-    ),
-    Mutant(
-        "a training that gains nothing goes on",
-        PACKAGE + "training/loop.py",
-        "if epoch != config.probation or gain >= config.min_gain:",
-        "if True:",
-        ("tests/test_loop.py",),
-    ),
-    Mutant(
-        "the network of the last step is validated, not the averaged one",
-        PACKAGE + "training/loop.py",
-        "loss, error = loop.validate(averaged)",
-        "loss, error = loop.validate(network)",
-        ("tests/test_loop.py",),
-    ),
-    Mutant(
-        "an average is of all steps alike",
-        PACKAGE + "training/loop.py",
-        "min(loop.averaging, n / (n + 9))",
-        "n / (n + 9)",
-        ("tests/test_loop.py",),
-    ),
-    Mutant(
-        "gradients are not clipped",
-        PACKAGE + "training/loop.py",
-        "if self._clip_norm > 0:",
-        "if False:",
-        ("tests/test_loop.py",),
-    ),
-    Mutant(
-        "the averaged weights are not in the checkpoint",
-        PACKAGE + "training/loop.py",
-        '**({"averaged": averaged} if loop.averaging else {})',
-        "**{}",
-        ("tests/test_loop.py",),
-    ),
-    Mutant(
-        "a checkpoint forgets the loops before",
-        PACKAGE + "training/loop.py",
-        'torch.save({"config": self._config, "loops": self._loops}, content)',
-        'torch.save({"config": self._config, "loops": {name: self._loops[name]}}, content)',
-        ("tests/test_loop.py",),
-    ),
-    Mutant(
-        "Ctrl-C in a later loop is not reported",
-        PACKAGE + "models/foten_plus/fit.py",
-        "    predicting.progress.include(drawing.progress)\n",
-        "",
-        ("tests/test_pipeline.py",),
-    ),
-    Mutant(
-        "Ctrl-C in the fit of a network that is not drawn from is not reported",
-        PACKAGE + "models/foten_plus/fit.py",
-        "predicting.progress.include(phase_conditioned.progress)",
-        "pass",
-        ("tests/test_foten_plus_fit.py",),
-    ),
-    Mutant(
-        "a rendering draws from a network that lacks the phase of its tones",
-        PACKAGE + "models/foten_plus/fit.py",
-        "if network.recurrent.input_size != drawing.model.sizes.n_rendering_inputs:",
-        "if False:",
-        ("tests/test_pipeline.py",),
-    ),
-    Mutant(
-        "the closed loop is validated on the test blocks",
-        PACKAGE + "models/foten_plus/closed_loop_training.py",
-        "averaged, split.validation, validation)",
-        "averaged, split.test, validation)",
-        ("tests/test_closed_loop_training.py",),
-    ),
-    Mutant(
-        "the closed loop is validated on the training blocks",
-        PACKAGE + "models/foten_plus/closed_loop_training.py",
-        "averaged, split.validation, validation)",
-        "averaged, split.train, validation)",
-        ("tests/test_closed_loop_training.py",),
-    ),
-    Mutant(
-        "the closed loop validates the network of the last step",
-        PACKAGE + "models/foten_plus/closed_loop_training.py",
-        "averaged, split.validation, validation)",
-        "network, split.validation, validation)",
-        ("tests/test_closed_loop_training.py",),
-    ),
-    Mutant(
-        "a likelihood validates the network of the last step",
-        PACKAGE + "models/foten_plus/likelihood.py",
-        "return validated(averaged, data,",
-        "return validated(network, data,",
-        ("tests/test_likelihood.py",),
-    ),
-    Mutant(
-        "a network that learned its level is calibrated once more",
-        PACKAGE + "models/foten_plus/fit.py",
-        "drawing.metric, level=not gained)",
-        "drawing.metric, level=True)",
-        ("tests/test_foten_plus_fit.py",),
-    ),
-    Mutant(
-        "matrices are not orthogonalised",
-        PACKAGE + "training/optimiser.py",
-        "orthogonalised(directions), strict=True)",
-        "directions, strict=True)",
-        ("tests/test_optimiser.py",),
-    ),
-    Mutant(
-        "windows see the sample that they predict",
-        PACKAGE + "recording/windows.py",
-        "np.arange(-m, 0)",
-        "np.arange(-m + 1, 1)",
-        ("tests/test_recording.py",),
-    ),
-    Mutant(
-        "the scaling looks at test blocks",
-        PACKAGE + "training/blocks.py",
-        "fit_scaling(trace, split.train)",
-        "fit_scaling(trace, (*split.train, *split.test))",
-        ("tests/test_pipeline.py", "tests/test_recording.py"),
-    ),
-    Mutant(
-        "the warm start is the loudest window",
-        PACKAGE + "training/texture_builder.py",
-        "[(len(near) - 1) // 2]",
-        "[-1]",
-        ("tests/test_export.py", "tests/test_pipeline.py"),
-    ),
-    Mutant(
-        "the first fifth of a block is scored",
-        PACKAGE + "evaluate/free_run.py",
-        "SETTLING = 0.2",
-        "SETTLING = 0.0",
-        ("tests/test_free_run.py",),
-    ),
-    Mutant(
-        "the free run starts from another block",
-        PACKAGE + "evaluate/free_run.py",
-        "state.start(acceleration[:m], speed[:m], force[:m])",
-        "state.start(acceleration[1 : m + 1], speed[:m], force[:m])",
-        ("tests/test_free_run.py",),
-    ),
-    Mutant(
-        "kurtosis is not about the mean",
-        PACKAGE + "evaluate/metrics.py",
-        "6 * mean**2 * second - 3 * mean**4",
-        "6 * mean**2 * second",
-        ("tests/test_metrics.py",),
-    ),
-    Mutant(
-        "a linear predictor's free run forgets its constant",
-        PACKAGE + "evaluate/free_run.py",
-        "constant + stable.noise_sd * gaussian",
-        "stable.noise_sd * gaussian",
-        ("tests/test_free_run.py",),
-    ),
-    Mutant(
-        "the lattice is chosen on one fold",
-        PACKAGE + "models/foten_plus/lattice_fit.py",
-        "np.average(each.reshape(len(among), len(weights), -1), axis=1, weights=weights).tolist()",
-        "each.reshape(len(among), len(weights), -1)[:, 0].tolist()",
-        ("tests/test_lattice.py", "tests/test_linear_model.py"),
-    ),
-    Mutant(
-        "tones of any spectrum are taken",
-        PACKAGE + "models/foten_plus/fit.py",
-        "allowed = MAX_TONE_DISTORTION * first.random_part.distance[0]",
-        "allowed = np.inf",
-        ("tests/test_foten_plus_fit.py",),
-    ),
-    Mutant(
-        "a file without proof is accepted",
-        NATIVE + "model.c",
-        "if (worst <= tolerance) return 1;",
-        "return 1;",
-        ("tests/test_texture_file.py", *KERNEL),
-    ),
-    Mutant(
-        "only the constant of the level is calibrated",
-        PACKAGE + "training/calibration.py",
-        '"exponents": sigma.exponents + step[1:]',
-        '"exponents": sigma.exponents',
-        ("tests/test_calibration.py",),
-    ),
-    Mutant(
-        "the excitation has no bound",
-        PACKAGE + "training/calibration.py",
-        "(float(np.abs(recorded[0]).max()), float(np.abs(recorded[1]).max()))",
-        "(1e6, 1e6)",
-        ("tests/test_calibration.py",),
-    ),
-    Mutant(
-        "the shape of a scale is chosen on training blocks",
-        PACKAGE + "training/scale_fit.py",
-        "share * shape[n_train:], squared[n_train:])",
-        "share * shape[:n_train], squared[:n_train])",
-        ("tests/test_scale_fit.py",),
-    ),
-    Mutant(
-        "a scale's gradient forgets its bend",
-        PACKAGE + "training/scale_fit.py",
-        'by_sigma[:, None] * w["out_weight"] * (1 - hidden * hidden)',
-        'by_sigma[:, None] * w["out_weight"]',
-        ("tests/test_scale_fit.py",),
-    ),
-    Mutant(
-        "a free run is judged on test blocks in training",
-        PACKAGE + "training/calibration.py",
-        "self.free_runs(excitation, self.blocks.split.validation, seed",
-        "self.free_runs(excitation, self.blocks.split.test, seed",
-        ("tests/test_pipeline.py",),
-    ),
-    Mutant(
-        "the level is settled on test blocks too",
-        PACKAGE + "training/blocks.py",
-        "return (*self.split.train, *self.split.validation)",
-        "return (*self.split.train, *self.split.validation, *self.split.test)",
-        ("tests/test_pipeline.py",),
-    ),
-    Mutant(
-        "the likelihood counts a hand at rest",
-        PACKAGE + "training/calibration.py",
-        "float(nll[moving].mean()) if moving.any()",
-        "float(nll.mean()) if moving.any()",
-        ("tests/test_calibration.py",),
-    ),
-    Mutant(
-        "the best AR is fitted on validation blocks too",
-        PACKAGE + "evaluate/one_step.py",
-        "fitted = fit_linear(samples, train, block, order, scheduled)",
-        "fitted = fit_linear(samples, (*train, *validation), block, order, scheduled)",
-        ("tests/test_evaluate.py",),
-    ),
-    Mutant(
-        "the warm start is of a validation block",
-        PACKAGE + "training/texture_builder.py",
-        "ends, _ = blocks.targets(m)",
-        "_, ends = blocks.targets(m)",
-        ("tests/test_export.py",),
-    ),
-    Mutant(
-        "the loudness of all of a warm start counts",
-        PACKAGE + "training/texture_builder.py",
-        "candidates[:, -n_last:, 0]",
-        "candidates[:, :, 0]",
-        ("tests/test_export.py",),
-    ),
-    Mutant(
-        "the playable texture is not written",
-        PACKAGE + "cli/train.py",
-        "            write_texture(playable, output)",
-        "            pass",
-        ("tests/test_cli.py",),
-    ),
-    Mutant(
-        "a network whose innovations are no likelier is in the loop",
-        PACKAGE + "models/foten_plus/fit.py",
-        "if not drawing.progress.best.epoch or before - drawing.likelihood < MIN_GAIN_NAT:",
-        "if not drawing.progress.best.epoch:",
-        ("tests/test_foten_plus_fit.py",),
-    ),
-    Mutant(
-        "what is asymmetric is mirrored",
-        PACKAGE + "models/foten_plus/likelihood.py",
-        "mirrored = model.phase is None and asymmetry(train) < MAX_MIRRORED_ASYMMETRY",
-        "mirrored = model.phase is None",
-        ("tests/test_likelihood.py",),
-    ),
-    Mutant(
-        "chunks are drawn as often at every speed",
-        PACKAGE + "models/foten_plus/likelihood.py",
-        "probability = (1 / (mean + SLOWNESS)).ravel()",
-        "probability = np.ones(mean.size)",
-        ("tests/test_likelihood.py",),
-    ),
-    Mutant(
-        "what is chosen by is what is reported",
-        PACKAGE + "experiments/simulator_reference.py",
-        "VALIDATION_HAND = 2",
-        "VALIDATION_HAND = 1",
-        ("tests/test_simulator_reference.py",),
-    ),
-    Mutant(
-        "what is at rest counts for the likeness",
-        PACKAGE + "training/envelope_loss.py",
-        "counts = moving[:, None].float()\n        logs",
-        "counts = torch.ones_like(moving[:, None].float())\n        logs",
-        ("tests/test_envelope_loss.py",),
-    ),
-    Mutant(
-        "an innovation network is fitted to the validation blocks",
-        PACKAGE + "models/foten_plus/likelihood.py",
-        "self._chunks = _chunks(data, blocks.split.train, warm_up)",
-        "self._chunks = _chunks(data, blocks.split.validation, warm_up)",
-        ("tests/test_likelihood.py",),
-    ),
-    Mutant(
-        "a full disk ends a training",
-        PACKAGE + "training/loop.py",
-        "except OSError as error:\n            if not progress.notes:",
-        "except ZeroDivisionError as error:\n            if not progress.notes:",
-        ("tests/test_loop.py",),
-    ),
-    Mutant(
-        "what a training notes is not shown",
-        PACKAGE + "cli/train.py",
-        "display.note(note)\n    write_texture",
-        "pass\n    write_texture",
-        ("tests/test_cli.py",),
-    ),
-    Mutant(
-        "a window may be of any length",
-        PACKAGE + "models/model_sizes.py",
-        "MAX_WINDOW = 512",
-        "MAX_WINDOW = 51200",
-        ("tests/test_cli.py",),
-    ),
-    Mutant(
-        "a prediction knows the condition of its own sample",
-        PACKAGE + "training/blocks.py",
-        "(np.concatenate([one[:, :1], one[:, :-1]], axis=1) for one in channels)",
-        "channels",
-        ("tests/test_linear_model.py",),
-    ),
-    Mutant(
-        "the order of local models is chosen on test blocks",
-        PACKAGE + "models/piecewise_ar/fit.py",
-        "recorded = blocks.samples[list(blocks.split.validation)]",
-        "recorded = blocks.samples[list(blocks.split.test)]",
-        ("tests/test_piecewise_ar_fit.py",),
-    ),
-    Mutant(
-        "growth looks at test blocks",
-        PACKAGE + "models/foten_plus/fit.py",
-        "np.moveaxis(blocks.training_blocks(), 2, 0)",
-        "np.moveaxis(blocks.trace.stacked().reshape(blocks.samples.shape), 2, 0)",
-        ("tests/test_pipeline.py",),
-    ),
-    Mutant(
-        "a gap in the events is a pen out of reach after 0.4 s",
-        NATIVE + "stylus.c",
-        "MIN_HOLE_S = 0.04;",
-        "MIN_HOLE_S = 0.4;",
-        ("tests/test_stylus.py",),
-    ),
-    Mutant(
-        "a pen may be as fast as 50 m per second",
-        NATIVE + "stylus.c",
-        "MAX_SPEED = 5000;",
-        "MAX_SPEED = 50000;",
-        ("tests/test_stylus.py",),
-    ),
-    Mutant(
-        "events that came at once shorten the usual step",
-        NATIVE + "stylus.c",
-        "step > MIN_STEP_S && step < MAX_STEP_S",
-        "step < MAX_STEP_S",
-        ("tests/test_stylus.py",),
-    ),
-    Mutant(
-        "late events in any order are a new clock",
-        NATIVE + "stylus.c",
-        "s->late_in_succession && e->t > s->late_t ? s->late_in_succession + 1 : 1",
-        "s->late_in_succession + 1",
-        ("tests/test_stylus.py",),
-    ),
-    Mutant(
-        "a jump does not let go",
-        NATIVE + "stylus.c",
-        "if (jumped) s->held[0] = s->held[1] = 0;",
-        "",
-        ("tests/test_stylus.py",),
-    ),
-    Mutant(
-        "an actuator's new figures begin from rest",
-        NATIVE + "actuator.c",
-        "designed.memory = into->memory;",
-        "",
-        ("tests/test_actuator.py",),
-    ),
-    Mutant(
-        "the step of a change of rate is cut to 32 bits",
-        NATIVE + "resample.c",
-        "(uint64_t)ldexp(ratio - (double)r->integer, 64)",
-        "(uint64_t)ldexp(ratio - (double)r->integer, 32) << 32",
-        ("tests/test_native.py",),
-    ),
-    Mutant(
-        "a ring that runs empty ends in a step",
-        PACKAGE + "runtime/live/live.py",
-        "falling = min(out.size - n, self._step)",
-        "falling = 0",
-        ("tests/test_live.py",),
-    ),
-    Mutant(
-        "a speed in m/s is taken as mm/s",
-        PACKAGE + "models/texture_file.py",
-        "if units.get(channel) not in known:",
-        "if False:",
-        ("tests/test_texture_file.py",),
-    ),
-    Mutant(
-        "the kernel takes a speed in m/s as mm/s",
-        NATIVE + "card.c",
-        "if (!check_units(file)) return 0;",
-        "",
-        ("tests/test_native.py",),
-    ),
-    Mutant(
-        "a terminal is given a name as it is",
-        PACKAGE + "console.py",
-        "shown(line) for line",
-        "line for line",
-        ("tests/test_hostile.py",),
-    ),
-    Mutant(
-        "a terminal is given a name of any length",
-        PACKAGE + "untrusted.py",
-        "return printable(line) if len(line) <= longest else",
-        "return printable(line) if True else",
-        ("tests/test_hostile.py",),
+    *of_c(
+        "src/foten_plus.c",
+        ("noise without a network has no bound", "excitation_limited(&m->excitation, *noise, scale)", "*noise"),
+        ("a stroke begins too loud", "l->lattice.states[i] = size", "l->lattice.states[i] = 2 * size"),
+        ("a stroke begins silent", "= size * noise_next(&noise);", "= 0 * size * noise_next(&noise);"),
+        ("a stroke begins without the gain before the filter", "gain_before(of, &l->lattice) * l->sigma", "l->sigma"),
+        ("a network in a bounded loop is given the cut sample", "residual / level,", "clip(residual, limit) / level,"),
+        ("a scale is of another prediction than the rendering", "m->tones.n || with_network != (in_loop != NULL)", "0"),
+        ("the network is given scaled innovations", "innovation * entering, residual /", "e, residual /"),
+        ("a prediction leaves the network out", "part == FOTEN_PREDICT_MODEL ||", "0 ||"),
+    ),
+    *of_c(
+        "src/loop.h",
+        ("the saturator is off", "clip(sample, limit)", "sample"),
+        ("what the network draws has no bound", "excitation_limited(&m->excitation, next, scale)", "next"),
+    ),
+    *of_c(
+        "src/window_loop.c",
+        ("a network goes on from its uncut sample", "&l->predictor, played,", "&l->predictor, sample,"),
+        ("a stroke begins with the warm start", "}\n    set_condition(", "}\n    return;\n    set_condition("),
+        ("a network's stroke begins without bound", "window, FOTEN_MAX_INITIAL);", "window, INFINITY);"),
+        ("a sample goes by its own condition", "double sample =", "set_condition(m, l, c, 0);\n    double sample ="),
+    ),
+    *of_c(
+        "src/constants.h",
+        ("the fade with speed begins at 10 mm/s", "FOTEN_FADE_SPEED 5.0", "FOTEN_FADE_SPEED 10.0"),
+        ("the fade with force begins at 0.2 N", "FOTEN_FADE_FORCE 0.1", "FOTEN_FADE_FORCE 0.2"),
+        ("the level grows without end", "FOTEN_EXTRAPOLATION_LIMIT 2.0", "FOTEN_EXTRAPOLATION_LIMIT 4.0"),
+        ("the lattice does not leak", "FOTEN_LEAK 0.9997", "FOTEN_LEAK 1.0"),
+    ),
+    *of_c(
+        "src/api.c",
+        ("what fades is counted below the range alone", "below |= x < fade;", "below |= x < m->low[i];"),
+        ("smoothing begins from rest", "= settled(&s->filter, speed_force[i]);", "= (memory){0, 0};"),
+        ("there is no fade", "if (x < fade) c.fade *= x / fade;", ""),
+        ("the level does not grow", "growth *= pow(held[i] / m->high[i], m->exponents[i]);", ";"),
+        ("a prediction leaves its state", "foten_reset(s, s->seed);\n    return FOTEN_OK;", "return FOTEN_OK;"),
+        ("a reset keeps the counts", "(&s->counts[i], 0,", "(&s->counts[i], counted(s, i),"),
+        ("negative forces are taken as they are", "if (*force < 0) *force = 0;", ""),
+        ("NaN is passed on", "if (out - out == 0) return", "return", "native loops rendering kernel_build"),
+    ),
+    *of_c(
+        "src/resample.c",
+        ("a slower device is louder", "return sum / r->stretch;", "return sum;"),
+        ("the resampler skips a carry", "r->integer + (r->fraction < before)", "r->integer"),
+        ("a rate's step has 32 bits", "(double)r->integer, 64)", "(double)r->integer, 32) << 32", "native"),
+    ),
+    *of_c(
+        "src/piecewise_ar_loop.c",
+        ("local models begin silent", "size * noise_next(&noise)", "0 * size * noise_next(&noise)"),
+        ("a stroke begins without its zeros", "l->mixture.gain * sqrt(power);", "l->mixture.gain;"),
+        tests=f"piecewise_ar {KERNEL}",
+    ),
+    *of_c(
+        "src/tones.c",
+        ("the innovation is not clipped for the jitter", "clip(innovation, FOTEN_MAX_JITTER_DRIVE)", "innovation"),
+        ("tones forget nothing", "s->phase -= t->phase_leak * (s->phase - s->path);", ""),
+        ("tones stand still", "s->increment * s->rate + increment;", "s->increment * s->rate;"),
+    ),
+    *of_c(
+        "training/training_kernel.c",
+        ("gradients of a chaotic stream grow without end", "if (size <= adjoint_limit) continue;", "continue;"),
+        (
+            "what is reset counts in full",
+            "store(candidate_preactivation + i, of_new * reset",
+            "store(candidate_preactivation + i, of_new",
+            "training_kernel",
+        ),
+        ("a lattice's states are not led back", "c[j] * of_up - k[j] * f[j]", "c[j] * of_up"),
+        ("a section's own reflection is not led back", "f[j] = k[j] * of_up + c[j] * f[j];", "f[j] = c[j] * f[j];"),
+        tests="rollout",
+    ),
+    *of_c(
+        "src/innovation_network.c",
+        ("the reset gate is open", "+ reset * candidate_preactivation", "+ candidate_preactivation"),
+        ("the largest component is always drawn", "s->weight[i] /= sum;", "s->weight[i] = i == 0;"),
+    ),
+    *of_c(
+        "src/model.c",
+        ("the network is in every loop", "s->network_in_loop ? &m->rendering_network : NULL;", "&m->network;"),
+        ("a file is not proved", "if (worst <= tolerance) return 1;", "return 1;", f"texture_file {KERNEL}"),
+    ),
+    *of_c(
+        "src/stylus.c",
+        ("a pressure of nothing presses", "pressure > 0", "pressure >= 0"),
+        ("a gap in the events is a pen out of reach after 0.4 s", "MIN_HOLE_S = 0.04;", "MIN_HOLE_S = 0.4;"),
+        ("a pen may be as fast as 50 m per second", "MAX_SPEED = 5000;", "MAX_SPEED = 50000;"),
+        ("events that came at once shorten the usual step", "step > MIN_STEP_S && step <", "step <"),
+        ("late events in any order are a new clock", "s->late_in_succession && e->t > s->late_t ?", "1 ?"),
+        ("a jump does not let go", "if (jumped) s->held[0] = s->held[1] = 0;", ""),
+        tests="stylus",
+    ),
+    *of_c(
+        "src/actuator.c",
+        ("an actuator's new figures begin from rest", "designed.memory = into->memory;", ""),
+        tests="actuator",
+    ),
+    *of_c(
+        "src/card.c",
+        ("the kernel takes a speed in m/s as mm/s", "if (!check_units(file)) return 0;", ""),
+        tests="native",
+    ),
+    *of_python(
+        "runtime/stylus.py",
+        ("the force of a pressure has no exponent", "PressureCalibration.force", "Call exp", "1 + it.args[0]"),
+        ("the force of a pressure begins without contact", "PressureCalibration.force", "Compare", "it.left >= 0"),
+        ("Eq. 12 has another steepness", "PressureCalibration.b", "Constant", "3.0", "stylus native"),
+    ),
+    *of_python(
+        "runtime/live/live.py", ("a ring that runs empty ends in a step", "Ring._fade", "Call min 1", "0"), tests="live"
+    ),
+    *of_python(
+        "training/calibration.py",
+        ("no level is calibrated", "calibrate_excitation", "Call calibrate_level", "it.args[1], [0.0, 0.0, 0.0]"),
+        ("the level is calibrated the wrong way", "calibrate_level", "Call solve", "-it"),
+        ("only the constant of the level is calibrated", "_adjusted", "BinOp Add 1", "it.left"),
+        ("the excitation has no bound", "calibrate_excitation", "Call Excitation", "it.func(it.args[0], (1e6, 1e6))"),
+        ("the likelihood counts rest", "calibrate_excitation.likelihood", "Call mean 0", "it.func.value.value.mean()"),
+        ("training sees test blocks", "ClosedLoop.distance", "Attribute validation", "it.value.test", "pipeline"),
+    ),
+    *of_python(
+        "training/scale_fit.py",
+        (
+            "the shape of a scale is chosen on training blocks",
+            "fit_scale",
+            "Call _likelihood",
+            "it.func(it.args[0].left + share * shape[:n_train], squared[:n_train])",
+        ),
+        ("a scale's gradient forgets its bend", "_minimised.by_hidden", "BinOp Mult 0", "it.left"),
+    ),
+    *of_python(
+        "training/blocks.py",
+        ("the scaling looks at test blocks", "scaled_blocks", "Attribute train", "(*it, *it.value.test)"),
+        ("the level is settled on test blocks too", "known", "Attribute validation", "(*it, *it.value.test)"),
+        (
+            "a prediction knows its own condition",
+            "condition_before",
+            "GeneratorExp",
+            "it.generators[0].iter",
+            "linear_model",
+        ),
+        tests="pipeline recording",
+    ),
+    *of_python(
+        "training/texture_builder.py",
+        ("the warm start is the loudest window", "pick_warm_start", "BinOp FloorDiv 1", "-1", "export pipeline"),
+        ("the warm start is of a validation block", "pick_warm_start", "Call targets", "it[::-1]"),
+        ("the loudness of all of a warm start counts", "pick_warm_start", "UnaryOp USub", "None"),
+        tests="export",
+    ),
+    *of_python(
+        "training/window_fit.py",
+        ("the network is fitted to the validation blocks", "shuffled", "Attribute train all", "it.value.validation"),
+    ),
+    *of_python(
+        "training/loop.py",
+        ("the last network is kept, not the best", "Progress.add", "Compare Lt", "True"),
+        ("a training that gains nothing goes on", "should_continue", "BoolOp Or", "True"),
+        ("the network of the last step is validated", "run_loop.finish", "Call validate", "it.func(network)"),
+        ("an average is of all steps alike", "run_loop.train", "Call min", "it.args[1]"),
+        ("gradients are not clipped", "GradientStep.__call__", "Compare Gt", "False"),
+        ("the averaged weights are not in the checkpoint", "run_loop", "IfExp 1", "{}"),
+        ("a checkpoint forgets the loops before", "Checkpoint.save", "Attribute _loops 1", "{name: it[name]}"),
+        ("a full disk ends a training", "Checkpoint.save", "Name OSError", "ZeroDivisionError"),
+    ),
+    *of_python(
+        "training/optimiser.py",
+        ("matrices are not orthogonalised", "Optimiser.step", "Call orthogonalised", "it.args[0]"),
+    ),
+    *of_python(
+        "training/envelope_loss.py",
+        ("what is at rest counts for the likeness", "_statistics", "Call float", "torch.ones_like(it)"),
+    ),
+    *of_python(
+        "models/foten_plus/fit.py",
+        ("Ctrl-C in a later loop is not reported", "fit", "Expr include", "", "pipeline"),
+        ("Ctrl-C in the fit of a network that is not drawn from is lost", "fit_drawing_network", "Expr include", ""),
+        ("a network lacks the phase that it draws by", "calibrated_network", "Compare NotEq", "False", "pipeline"),
+        ("a network that learned its level is calibrated once more", "calibrated_network", "UnaryOp Not 3", "True"),
+        ("a network of no likelier innovations is in the loop", "calibrated_network", "BoolOp Or", "it.values[0]"),
+        ("tones of any spectrum are taken", "nearest", "BinOp Mult", "np.inf"),
+        (
+            "growth looks at test blocks",
+            "extrapolation_exponents",
+            "Call training_blocks",
+            "it.func.value.trace.stacked().reshape(it.func.value.samples.shape)",
+            "pipeline",
+        ),
+        tests="foten_plus_fit",
+    ),
+    *of_python(
+        "models/foten_plus/closed_loop_training.py",
+        ("the closed loop is validated on the test blocks", "validate", "Attribute validation", "it.value.test"),
+        ("the closed loop is validated on the training blocks", "validate", "Attribute validation", "it.value.train"),
+        ("the closed loop validates the network of the last step", "validate", "Name averaged", "network"),
+    ),
+    *of_python(
+        "models/foten_plus/likelihood.py",
+        ("a likelihood validates the network of the last step", "validate", "Name averaged", "network"),
+        ("what is asymmetric is mirrored", "innovations_of", "BoolOp And", "it.values[0]"),
+        ("chunks are drawn as often at every speed", "_chunks", "BinOp Div 1", "it**0"),
+        ("a network is fitted to validation blocks", "Batches", "Attribute train", "it.value.validation"),
+    ),
+    *of_python(
+        "models/foten_plus/lattice_fit.py",
+        ("the lattice is chosen on one fold", "fit_lattice.errors_of", "Call average", "it.args[0][:, 0]"),
+        tests="lattice linear_model",
+    ),
+    *of_python(
+        "models/piecewise_ar/fit.py",
+        ("local models' order is chosen on test blocks", "_validation_error", "Attribute validation", "it.value.test"),
+        tests="piecewise_ar_fit",
+    ),
+    *of_python(
+        "models/model_sizes.py", ("a window may be of any length", "MAX_WINDOW", "Constant", "51200"), tests="cli"
+    ),
+    *of_python("models/texture_file.py", ("a speed in m/s is taken as mm/s", "_check_units", "Compare NotIn", "False")),
+    *of_python(
+        "recording/windows.py",
+        ("windows see the sample that they predict", "window_indices", "Call arange", "it + 1"),
+        tests="recording",
+    ),
+    *of_python(
+        "evaluate/evaluate.py",
+        ("the best AR is chosen on test blocks", "evaluate", "Attribute validation", "it.value.test"),
+        (
+            "AR(20) is fitted on train and test",
+            "evaluate",
+            "Call fit_linear 0",
+            "it.func(it.args[0], (*it.args[1], *split.test), it.args[2], it.args[3])",
+        ),
+        tests="references report evaluate",
+    ),
+    *of_python(
+        "evaluate/one_step.py",
+        ("the best AR is fitted on validation blocks too", "best_linear.judged", "Name train", "(*it, *validation)"),
+        tests="evaluate",
+    ),
+    *of_python("evaluate/metrics.py", ("kurtosis is not about the mean", "kurtosis", "BinOp Sub 1", "it.left")),
+    *of_python(
+        "evaluate/free_run.py",
+        ("the first fifth of a block is scored", "SETTLING", "Constant", "0.0"),
+        (
+            "the free run starts from another block",
+            "synthesize.render",
+            "Call start",
+            "it.func(it.args[0].value[1 : m + 1], it.args[1], it.args[2])",
+        ),
+        ("a linear predictor's free run forgets its constant", "synthesize_linear", "BinOp Add 0", "it.right"),
+    ),
+    *of_python(
+        "experiments/simulator_reference.py",
+        ("what is chosen by is what is reported", "VALIDATION_HAND", "Constant", "1"),
+    ),
+    *of_python(
+        "cli/train.py",
+        ("the playable texture is not written", "on_playable", "Expr write_texture", ""),
+        ("what a training notes is not shown", "train", "Expr note 2", ""),
+        tests="cli",
+    ),
+    *of_python(
+        "console.py",
+        ("a terminal is given a name as it is", "_shown_lines", "Call shown", "it.args[0]"),
+        tests="hostile",
+    ),
+    *of_python(
+        "untrusted.py", ("a terminal is given a name of any length", "shown", "Compare LtE", "True"), tests="hostile"
     ),
 )
 """Those that an audit made and the tests of then let pass, and others of the same kind."""

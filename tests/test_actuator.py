@@ -80,10 +80,10 @@ def test_new_figures_go_on_from_what_the_filter_remembers(texture: Texture) -> N
     """Figures that are set again change nothing, and other ones make no step: from rest the filter would ring for 100 ms."""
     profile = ActuatorProfile(resonance_hz=70.0, gain=1.0)
     same, set_again = (Renderer(texture, rate=8000, seed=5, actuator=profile) for _ in range(2))
-    whole = same.render(100.0, 1.0, 4000)
+    at_once = same.render(100.0, 1.0, 4000)
     before = set_again.render(100.0, 1.0, 2000)
     set_again.native_state.set_actuator(profile.native())
-    np.testing.assert_array_equal(np.concatenate([before, set_again.render(100.0, 1.0, 2000)]), whole)
+    np.testing.assert_array_equal(np.concatenate([before, set_again.render(100.0, 1.0, 2000)]), at_once)
 
 
 def test_refused_figures_change_nothing(texture: Texture) -> None:
@@ -109,12 +109,12 @@ def test_a_measured_sweep_gives_the_figures_back(resonance: float, damping: floa
     measured = np.resize(answer[max(0, -delay) :], drive.size + 800)[: drive.size]
     measured[answer.size + min(0, delay) :] = 0.0
     measured += 0.02 * abs(gain) * rng.standard_normal(drive.size)
-    found, missed = identify(drive, measured, rate, name="test")
+    found, residual = identify(drive, measured, rate, name="test")
     assert found.resonance_hz == pytest.approx(resonance, rel=0.02)
     assert found.damping == pytest.approx(damping, rel=0.03)
     assert found.gain == pytest.approx(gain, rel=0.02)
     assert found.delay_ms == pytest.approx(max(0, 1000 * delay / rate), abs=0.1)
-    assert missed < 1e-3
+    assert residual < 1e-3
 
 
 def test_a_sweep_of_something_else_says_so() -> None:

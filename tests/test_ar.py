@@ -48,22 +48,8 @@ def test_a_known_process_is_recovered() -> None:
 def test_the_radius_is_the_largest_poles(radius: float) -> None:
     taps = taps_of([radius * np.exp(1j), radius * np.exp(-1j), 0.2])
     assert spectral_radius(taps) == pytest.approx(radius, rel=1e-9)  # roots of a cubic: rounding
-
-
-def test_the_radius_is_how_fast_it_rings_out() -> None:
-    taps = taps_of([0.9 * np.exp(0.5j), 0.9 * np.exp(-0.5j)])
-    ringing = lfilter([1.0], np.concatenate([[1.0], -taps[::-1]]), np.eye(1, 400)[0])
-    slope = np.log(np.abs(ringing[300:]).max() / np.abs(ringing[100:200]).max()) / 200
-    assert np.exp(slope) == pytest.approx(0.9, rel=0.01)  # where the maxima fall within a period of 12
-
-
-def test_no_taps_have_no_poles() -> None:
-    assert spectral_radius(np.zeros(5)) == 0.0
-
-
-def test_zeros_as_oldest_taps_change_nothing() -> None:
-    taps = taps_of([0.9, -0.5])
-    assert spectral_radius(np.concatenate([np.zeros(6), taps])) == pytest.approx(0.9, rel=1e-9)
+    assert spectral_radius(np.concatenate([np.zeros(6), taps])) == pytest.approx(radius, rel=1e-9)
+    assert spectral_radius(0 * taps) == 0
 
 
 def test_stable_taps_are_left_alone() -> None:
@@ -183,9 +169,9 @@ def mesh() -> Mesh:
 
 def test_it_mixes_linearly_inside(mesh: Mesh) -> None:
     values = np.random.default_rng(4).standard_normal(len(mesh.points))
-    asked = np.random.default_rng(5).uniform([0.0, 0.0], [300.0, 3.0], (500, 2))
-    expected = LinearNDInterpolator(Delaunay(mesh.points / SCALE), values)(asked / SCALE)
-    chosen, weights = mesh.at(*asked.T)
+    queries = np.random.default_rng(5).uniform([0.0, 0.0], [300.0, 3.0], (500, 2))
+    expected = LinearNDInterpolator(Delaunay(mesh.points / SCALE), values)(queries / SCALE)
+    chosen, weights = mesh.at(*queries.T)
     found = (values[chosen] * weights).sum(axis=1)
     inside = np.isfinite(expected)
     assert 300 < inside.sum() < 500
@@ -195,24 +181,24 @@ def test_it_mixes_linearly_inside(mesh: Mesh) -> None:
 
 
 def test_outside_it_is_heard_from_the_nearest_place_of_the_rim(mesh: Mesh) -> None:
-    asked = np.random.default_rng(6).uniform([-200.0, -2.0], [500.0, 5.0], (300, 2))
-    asked = asked[Delaunay(mesh.points / SCALE).find_simplex(asked / SCALE) < 0]
-    assert len(asked) > 100
+    queries = np.random.default_rng(6).uniform([-200.0, -2.0], [500.0, 5.0], (300, 2))
+    queries = queries[Delaunay(mesh.points / SCALE).find_simplex(queries / SCALE) < 0]
+    assert len(queries) > 100
     rim = Delaunay(mesh.points / SCALE).convex_hull
     over = np.linspace(0, 1, 2001)[:, None, None]
     ends = (mesh.points / SCALE)[rim]
     places = (ends[:, 0] + over * (ends[:, 1] - ends[:, 0])).reshape(-1, 2)
-    chosen, weights = mesh.at(*asked.T)
+    chosen, weights = mesh.at(*queries.T)
     found = ((mesh.points / SCALE)[chosen] * weights[..., None]).sum(axis=1)
-    least = np.array([np.hypot(*(places - point).T).min() for point in asked / SCALE])
-    np.testing.assert_allclose(np.hypot(*(found - asked / SCALE).T), least, atol=2e-3)
+    nearest = np.array([np.hypot(*(places - point).T).min() for point in queries / SCALE])
+    np.testing.assert_allclose(np.hypot(*(found - queries / SCALE).T), nearest, atol=2e-3)
 
 
 def test_it_does_not_jump(mesh: Mesh) -> None:
     """Along a path over edges and out over the rim: ten times as many steps are a tenth as large, the largest too."""
     values = np.random.default_rng(7).standard_normal(len(mesh.points))
     largest = []
-    for n in (20_000, 200_000):
+    for n in (4000, 40_000):
         turn = np.linspace(0, 2 * np.pi, n + 1)
         chosen, weights = mesh.at(150 + 200 * np.cos(turn), 1.5 + 1.6 * np.sin(3 * turn))
         largest.append(np.abs(np.diff((values[chosen] * weights).sum(axis=1))).max())

@@ -45,9 +45,9 @@ def test_two_writers_of_one_path_do_not_mix(tmp_path: Path) -> None:
     assert path.read_text() == "first"
 
 
-def _limited(code: str, folder: Path, most_bytes: int) -> subprocess.CompletedProcess[str]:
+def _limited(code: str, folder: Path, max_bytes: int) -> subprocess.CompletedProcess[str]:
     """Run code where no file may grow beyond so many bytes, which fails as a full disk does."""
-    limit = f"import resource; resource.setrlimit(resource.RLIMIT_FSIZE, ({most_bytes}, {most_bytes}))"
+    limit = f"import resource; resource.setrlimit(resource.RLIMIT_FSIZE, ({max_bytes}, {max_bytes}))"
     return subprocess.run([sys.executable, "-c", f"{limit}\n{code}"], cwd=folder, capture_output=True, text=True)
 
 
@@ -61,13 +61,13 @@ def test_a_full_disk_leaves_nothing_and_names_the_file(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.parametrize("most_bytes", [0, 1000, 100_000])
-def test_simulate_on_a_full_disk_is_one_line(tmp_path: Path, most_bytes: int) -> None:
-    (tmp_path / "a.h5").write_bytes(b"") if most_bytes else None
+@pytest.mark.parametrize("max_bytes", [0, 1000, 100_000])
+def test_simulate_on_a_full_disk_is_one_line(tmp_path: Path, max_bytes: int) -> None:
+    (tmp_path / "a.h5").write_bytes(b"") if max_bytes else None
     code = "from foten.cli.command_line import _status; raise SystemExit(_status('simulate towel -o a.h5 --seconds 2'.split()))"
-    done = _limited(code, tmp_path, most_bytes)
+    done = _limited(code, tmp_path, max_bytes)
     assert (done.returncode, done.stderr) == (2, "foten: a.h5: file too large\n")
-    assert [path.name for path in tmp_path.iterdir()] == ["a.h5"] * (most_bytes > 0)  # what stood there stays
+    assert [path.name for path in tmp_path.iterdir()] == ["a.h5"] * (max_bytes > 0)  # what stood there stays
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="no such device here")

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import csv
 import dataclasses
 import errno
 import json
 import pickle
-import re
 from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any
@@ -45,7 +43,7 @@ def texture(folder: Path, recording: Path) -> Path:
     return path
 
 
-def one_line(capsys: pytest.CaptureFixture[str]) -> str:
+def only_line(capsys: pytest.CaptureFixture[str]) -> str:
     out, err = capsys.readouterr()
     assert out == ""
     lines = [line for line in err.splitlines() if line.startswith("foten: ")]
@@ -102,11 +100,6 @@ def test_listeners_are_asked_where_they_are_asked_for(
         assert 0 <= scores[f"{key}_control"] <= 1
     assert scores["listener_control_of"] == "other realisations of the same stroke"
     assert 40 < scores["listener_s"] < 46
-    assert _status(["evaluate", str(texture), str(recording), "--listener"]) == 0
-    assert "Listener: area under its curve over 4" in capsys.readouterr().out
-    monkeypatch.setattr("foten.experiments.simulator_reference.LONG_S", 20.0)
-    assert _status(["evaluate", str(texture), str(recording), "--listener"]) == 0
-    assert "Listener, not computed: areas under its curve (20 s to listen to" in capsys.readouterr().out
     assert _status(["evaluate", str(texture), str(recording)]) == 0
     assert "Listener" not in capsys.readouterr().out
 
@@ -124,29 +117,9 @@ def test_a_foreign_recording_is_scored_on_all_of_its_blocks(
     assert document["n_blocks"] == 7  # 4 s less the low-pass's delay, in blocks of 0.5 s
     assert document["references"]["ar"]["mae_scaled"] is None
     assert "references.ar" in document["reasons"]
-
-
-def test_ctrl_c_keeps_the_best_and_resume_goes_on(
-    recording: Path, texture: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    from foten.training.run_folder import RunFolder
-
-    log = RunFolder.log
-
-    def interrupt(folder: RunFolder, line: Any) -> None:
-        log(folder, line)
-        if line.epoch == 1:
-            raise KeyboardInterrupt
-
-    out = tmp_path / "i.foten"
-    command = ["train", str(recording), "-o", str(out), *FAST, *TINY]
-    monkeypatch.setattr(RunFolder, "log", interrupt)
-    assert _status(command) == 130
-    assert read_texture(out).card["metrics"]["n_epochs"] == 1
-    monkeypatch.setattr(RunFolder, "log", log)
-    assert "--resume" not in capsys.readouterr().out
-    assert _status([*command, "--resume"]) == 2  # one epoch was all there was, and its checkpoint not yet written
-    assert "nothing to resume" in one_line(capsys)
+    assert _status(["evaluate", str(texture), str(other), "--json", "--trim", "0", "--block", "600"]) == 0
+    document = json.loads(capsys.readouterr().out)
+    assert (document["n_blocks"], document["block"]) == (6, 600)
 
 
 def test_ctrl_c_after_the_last_epoch_is_one_too_and_says_how_to_go_on(
@@ -182,7 +155,7 @@ def test_an_option_without_an_effect_is_refused(
 ) -> None:
     out = tmp_path / "t.foten"
     assert _status(["train", str(recording), "-o", str(out), "--model", "foten", *options]) == 2
-    assert refused in one_line(capsys)
+    assert refused in only_line(capsys)
     assert not list(tmp_path.glob("t.*"))
 
 
@@ -195,7 +168,7 @@ def test_ctrl_c_is_a_line_and_status_130(
     monkeypatch.setattr("foten.models.texture_file.read_texture", interrupted)
     capsys.readouterr()
     assert _status(["info", str(texture)]) == 130
-    assert one_line(capsys) == "foten: interrupted"
+    assert only_line(capsys) == "foten: interrupted"
 
 
 def test_ctrl_c_in_the_first_epoch_leaves_the_playable_file(
@@ -249,36 +222,15 @@ def test_a_disk_that_fills_up_while_training_costs_no_more_than_the_run_folder(
     assert read_texture(out).card["metrics"]["n_epochs"] == 3
 
 
-def test_settings_change_the_network(recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    out = tmp_path / "s.foten"
-    small = ["--set", "n_hidden=7", "--set", "head_width=6"]
-    papers, its = tmp_path / "p.foten", ["--model", "foten", "--set", "d_model=8", "--set", "n_layers=1"]
-    its += ["--set", "head=[16,8]", "--set", "bins=half"]
-    assert _status(["train", str(recording), "-o", str(papers), *FAST, *its]) == 0
-    of_paper = read_texture(papers).card["sizes"]
-    assert (of_paper["d_model"], of_paper["head"], of_paper["bins"]) == (8, [16, 8], "half")
-    capsys.readouterr()
-    assert _status(["train", str(recording), "-o", str(out), *FAST, *small]) == 0
+def test_settings_change_the_network(recording: Path, texture: Path, tmp_path: Path) -> None:
+    out = tmp_path / "p.foten"
+    settings = ["d_model=8", "n_layers=1", "head=[16,8]", "bins=half"]
+    its = ["--model", "foten", *(f"--set={setting}" for setting in settings)]
+    assert _status(["train", str(recording), "-o", str(out), *FAST, *its]) == 0
     sizes = read_texture(out).card["sizes"]
-    assert (sizes["n_hidden"], sizes["head_width"], sizes["n_components"]) == (7, 6, 4)
-    printed = capsys.readouterr().out
-    assert re.search(r"warm start recorded at \d+ mm/s and .* N, the nearest to the paper's 45 mm/s", printed)
-    assert f"\nabove the trained range {read_texture(out).extrapolation_in_words()}\n" in printed
-    assert _status(["train", str(recording), "-o", str(out), *FAST, "--set", "depth=3"]) == 2
-    assert "depth" in one_line(capsys)
-
-
-def test_render_csv_has_as_many_rows_as_the_stroke_lasts(texture: Path, tmp_path: Path) -> None:
-    stroke = tmp_path / "s.csv"
-    stroke.write_text("t,x,y,pressure\n0,0,0,0.5\n0.5,50,0,0.5\n0.7504,80,0,0.4\n")
-    out = tmp_path / "o.csv"
-    assert _status(["render", str(texture), "--stroke", str(stroke), "-o", str(out)]) == 0
-    with out.open() as file:
-        rows = list(csv.reader(file))
-    assert rows[0] == ["t [s]", "acceleration [m/s^2]", "speed [mm/s]", "force [N]"]
-    assert len(rows) - 1 == 750
-    assert float(rows[1][0]) == 0.0
-    assert float(rows[-1][0]) == pytest.approx(0.749)
+    assert (sizes["d_model"], sizes["head"], sizes["bins"]) == (8, [16, 8], "half")
+    sizes = read_texture(texture).card["sizes"]
+    assert (sizes["n_hidden"], sizes["head_width"], sizes["n_components"]) == (6, 5, 2)
 
 
 def test_render_formats_agree(texture: Path, tmp_path: Path) -> None:
@@ -293,22 +245,12 @@ def test_render_formats_agree(texture: Path, tmp_path: Path) -> None:
     with np.load(arrays, allow_pickle=False) as stored:
         exact = stored["acceleration"]
     assert np.array_equal(exact.astype(np.float32), samples)
+    assert table.read_text().startswith("t [s],acceleration [m/s^2],speed [mm/s],force [N]\n0,")
     written = np.loadtxt(table, delimiter=",", skiprows=1)
     np.testing.assert_allclose(written[:, 1], exact, rtol=1e-8)  # nine digits
     assert picture.read_bytes()[:4] == b"\x89PNG"
     rate, sound = wavfile.read(tmp_path / "a.wav")
     assert (rate, sound.size, sound.dtype) == (48000, 24000, np.int16)
-
-
-def test_render_depends_on_the_seed_alone(texture: Path, tmp_path: Path) -> None:
-    constants = ["--speed", "100", "--force", "1", "--seconds", "0.2"]
-    for name, seed in (("a", 0), ("b", 0), ("c", 1)):
-        assert (
-            _status(["render", str(texture), *constants, "--seed", str(seed), "-o", str(tmp_path / f"{name}.csv")]) == 0
-        )
-    a, b, c = ((tmp_path / f"{name}.csv").read_bytes() for name in "abc")
-    assert a == b
-    assert a != c
 
 
 def test_info_shows_units(texture: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -318,140 +260,92 @@ def test_info_shows_units(texture: Path, capsys: pytest.CaptureFixture[str]) -> 
     assert "mm/s" in out
     assert "m/s²" in out
     assert read_texture(texture).extrapolation_in_words() in out
-    sizes = read_texture(texture).card["sizes"]
-    history = sizes["window"] + max(sizes["order"], sizes["residual_order"]) + 1
-    assert (
-        f"a prediction is made from the last {history} samples: the network takes in {sizes['window']} of them" in out
-    )
 
 
 @pytest.mark.parametrize(
-    ("sizes", "metrics", "words"),
+    ("sizes", "mae_scaled", "words"),
     [
-        (
-            {},
-            {"validation_mae_scaled": 0.95},
-            "improves one-step predictions by 5.0 %, and draws the innovations of a rendering",
-        ),
-        (
-            {"network_in_loop": False},
-            {"validation_mae_scaled": 0.9999},
-            "does not improve one-step predictions; a rendering does without it, as it did not help on the validation blocks",
-        ),
-        (
-            {"n_tones": 3},
-            {"validation_mae_scaled": 0.9},
-            "improves one-step predictions by 10.0 %; another draws what tones leave of a rendering",
-        ),
-        ({}, {"n_epochs": 0}, "not trained: the file was written before"),
+        ({}, 0.95, "improves one-step predictions by 5.0 %, and draws the innovations"),
+        ({"network_in_loop": False}, 0.9999, "does not improve one-step predictions; a rendering does without it"),
+        ({"n_tones": 3}, 0.9, "improves one-step predictions by 10.0 %; another draws what tones leave"),
     ],
 )
 def test_what_the_network_is_for_is_said_plainly(
-    texture: Path, sizes: dict[str, Any], metrics: dict[str, Any], words: str
+    texture: Path, sizes: dict[str, Any], mae_scaled: float, words: str
 ) -> None:
     card = read_texture(texture).card
-    metrics = {**card["metrics"], "validation_mae_scaled_lattice": 1.0, **metrics}
+    metrics = {**card["metrics"], "validation_mae_scaled_lattice": 1.0, "validation_mae_scaled": mae_scaled}
     sizes = {**card["sizes"], "network_in_loop": True, "n_tones": 0, **sizes}
-    assert network_summary({**card, "sizes": sizes, "metrics": metrics}) == words
+    assert network_summary({**card, "sizes": sizes, "metrics": metrics}).startswith(words)
 
 
 def test_render_says_what_became_of_samples_outside_the_range(
     texture: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """A range that begins at almost nothing fades below 5 mm/s all the same, where it said nothing of it."""
-    whole = read_texture(texture)
+    texture_ = read_texture(texture)
     held, path = tmp_path / "held.foten", str(tmp_path / "o.csv")
     entries = {"trained_range": {"speed": [0.0026, 150.0], "force": [0.3, 1.5]}}
     entries["extrapolation_exponents"] = {"speed": 0.0, "force": 0.0}
-    write_texture(dataclasses.replace(whole, card={**whole.card, **entries}), held)
-    for speed, said in (
+    write_texture(dataclasses.replace(texture_, card={**texture_.card, **entries}), held)
+    for speed, messages in (
         ("1", "speed was below 5 mm/s or force below 0.3 N for 100.0 %; the vibration fades there"),
         ("200", "speed was above the trained 150 mm/s for 100.0 %; the level was held there"),
     ):
         capsys.readouterr()
         constants = ["--speed", speed, "--force", "1", "--seconds", "0.2"]
         assert _status(["render", str(held), *constants, "-o", path]) == 0
-        assert capsys.readouterr().out.splitlines()[2:] == [said]
+        assert capsys.readouterr().out.splitlines()[2:] == [messages]
 
 
-CONSTANT = ("--speed", "1", "--force", "1")
+TRAIN = ("train", "{rec}", "-o", "{out}.foten", *FAST)
+RENDER = ("render", "{tex}", "-o", "{out}.wav", "--speed", "1", "--force", "1")
 
 
 @pytest.mark.parametrize(
     ("arguments", "match"),
     [
         (["train", "{rec}", "-o", "{out}.foten"], "use --rate 1000 --trim 0 --block 500"),
-        (["train", "{rec}", "-o", "{out}.foten", *FAST, "--rate", "5000"], "never upsampled"),
-        (["train", "{rec}", "-o", "{out}.foten", *FAST, "--model", "fotan"], "expected one of foten-plus, foten, ten"),
-        (["train", "{rec}", "-o", "{out}.foten", *FAST, "--recipe", "mine"], "expected one of default, paper"),
-        (["train", "{rec}", "-o", "{out}.pt", *FAST], "written as .foten"),
+        ([*TRAIN, "--rate", "5000"], "never upsampled"),
+        ([*TRAIN, "--model", "fotan"], "expected one of foten-plus, foten, ten"),
+        ([*TRAIN, "--recipe", "mine"], "expected one of default, paper"),
+        (["train", "{rec}", "-o", "{out}.pt"], "written as .foten"),
+        (["train", "{rec}", "-o", "{out}/t.foten"], "there is no folder"),
         (["train", "{missing}", "-o", "{out}.foten"], "no such file"),
-        (["train", "{rec}", "-o", "{out}.foten", *FAST, "--resume"], "nothing to resume"),
-        (["render", "{tex}", "-o", "{out}.mp3", "--speed", "1", "--force", "1", "--seconds", "1"], "expected .wav"),
+        ([*TRAIN, "--resume"], "nothing to resume"),
+        ([*TRAIN, "--set", "bogus=1"], "has no size 'bogus'"),
+        ([*TRAIN, "--trim", "nan"], "trim_ms is nan"),
+        ([*TRAIN, "--window", "101"], "five times as long"),
+        ([*TRAIN, "--window", "100000"], "window is 100000, expected 512 at most"),
+        ([*TRAIN, "--window", "9" * 400], "expected 512 at most"),
+        ([*TRAIN, "--seed", "-1"], "greater than or equal to 0"),
+        ([*TRAIN, "--rate", "700.5"], "ask for 1000 Hz"),
+        (["train", "{rec}"], "Missing option"),
+        (["render", "{tex}", "-o", "{out}.mp3"], "expected .wav"),
         (["render", "{tex}", "-o", "{out}.wav"], "expected one of --stroke, --recording, or --speed"),
         (["render", "{tex}", "-o", "{out}.wav", "--speed", "1"], "--speed with --force and --seconds"),
-        (
-            ["render", "{tex}", "-o", "{out}.wav", "--speed", "nan", "--force", "1", "--seconds", "1"],
-            "expected a finite number",
-        ),
-        (["render", "{pickle}", "-o", "{out}.wav", "--speed", "1", "--force", "1", "--seconds", "1"], "pickle"),
-        (["render", "{cut}", "-o", "{out}.wav", "--speed", "1", "--force", "1", "--seconds", "1"], "truncated"),
+        ([*RENDER, "--seconds", "nan"], "expected a finite number"),
+        ([*RENDER, "--seconds", "1e9"], "at most 3600"),
+        ([*RENDER, "--stroke", "{stroke}"], "expected one of --stroke"),
+        (["render", "{tex}", "-o", "{out}.wav", "--stroke", "{stroke}"], "speed and force of a stroke are magnitudes"),
+        ([*RENDER, "--seconds", "1", "--audible", "{out}.wav"], "two outputs have the same name"),
+        ([*RENDER, "--seconds", "1", "--audible", "{out}.mp3"], "sound is written as .wav"),
+        ([*RENDER, "--seconds", "1", "-o", "{out}/x.csv"], "there is no folder"),
+        (["render", "{pickle}", *RENDER[2:], "--seconds", "1"], "pickle"),
         (["info", "{rec}"], "not a texture file"),
         (["info", "{missing}"], "no such file"),
-        (["simulate", "towel", "--seconds", "5", "-o", "{out}.csv"], "written as .h5"),
-        (["render", "{tex}", "-o", "{out}.wav", *CONSTANT, "--seconds", "1e9"], "at most 3600"),
-        (
-            ["render", "{tex}", "-o", "{out}.wav", *CONSTANT, "--seconds", "1", "--audible", "{out}.wav"],
-            "two outputs have the same name",
-        ),
-        (
-            ["render", "{tex}", "-o", "{out}.wav", *CONSTANT, "--seconds", "1", "--audible", "{out}.mp3"],
-            "sound is written as .wav",
-        ),
+        (["simulate", "towel", "-o", "{out}.csv"], "written as .h5"),
+        (["simulate", "towel", "-o", "{out}/x.h5"], "there is no folder"),
         (["evaluate", "{tex}", "{rec}", "--trim", "0"], "--trim and --block are for others"),
-        (["train", "{rec}", "-o", "{out}.foten", *FAST, "--set", "bogus=1"], "has no size 'bogus'"),
         (["evaluate", "{tex}", "{tex}"], "foten import"),
-        (["train", "{rec}", "-o", "{out}/t.foten", *FAST], "there is no folder"),
-        (["train", "{rec}", "-o", "{out}.foten", *FAST, "--trim", "nan"], "trim_ms is nan"),
-        (["train", "{rec}", "-o", "{out}.foten", *FAST, "--window", "101"], "five times as long"),
-        (
-            ["train", "{rec}", "-o", "{out}.foten", *FAST, "--window", "100000"],
-            "window is 100000, expected 512 at most",
-        ),
-        (
-            ["train", "{rec}", "-o", "{out}.foten", *FAST, "--model", "dstn", "--window", "100000"],
-            "window is 100000, expected 4096 at most",
-        ),
-        (["train", "{rec}", "-o", "{out}.foten", *FAST, "--window", "9" * 400], "expected 512 at most"),
-        (["train", "{rec}", "-o", "{out}.foten", *FAST, "--seed", "-1"], "greater than or equal to 0"),
-        (["train", "{rec}", "-o", "{out}.foten", *FAST, "--rate", "700.5"], "ask for 1000 Hz"),
-        (
-            [
-                "render",
-                "{tex}",
-                "-o",
-                "{out}.wav",
-                "-o",
-                "{out}/x.csv",
-                "--speed",
-                "1",
-                "--force",
-                "1",
-                "--seconds",
-                "1",
-            ],
-            "there is no folder",
-        ),
-        (["simulate", "towel", "--seconds", "5", "-o", "{out}/x.h5"], "there is no folder"),
         (["nonsense"], "No such command"),
-        (["train", "{rec}"], "Missing option"),
     ],
 )
 def test_bad_input_is_one_line_and_writes_nothing(
     arguments: list[str], match: str, texture: Path, recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (tmp_path / "p.foten").write_bytes(pickle.dumps({"a": 1}))
-    (tmp_path / "cut.foten").write_bytes(texture.read_bytes()[:-1000])
+    (tmp_path / "s.csv").write_text("t,speed,force\n0,1,1\n1,-3,1\n")
     before = set(tmp_path.iterdir())
     names = {
         "rec": recording,
@@ -459,36 +353,12 @@ def test_bad_input_is_one_line_and_writes_nothing(
         "out": tmp_path / "out",
         "missing": tmp_path / "missing.h5",
         "pickle": tmp_path / "p.foten",
-        "cut": tmp_path / "cut.foten",
+        "stroke": tmp_path / "s.csv",
     }
     capsys.readouterr()
     assert _status([word.format(**names) for word in arguments]) == 2
-    assert match in one_line(capsys)
+    assert match in only_line(capsys)
     assert set(tmp_path.iterdir()) == before
-
-
-@pytest.mark.parametrize(
-    ("text", "match"),
-    [
-        ("", "is empty"),
-        ("t,speed\n0,1\n1,1\n", "expected t (s)"),
-        ("t,speed,force\n0,1,1\n0,1,1\n", "does not increase at row 3"),
-        ("t,speed,force\n0,1,1\n1,x,1\n", "expected a number"),
-        ("t,speed,force\n0,1,1\n1,nan,1\n", "at row 3 is blank or NaN, expected a finite number"),
-        ("t,speed,force\n0,1,1\n1,-3,1\n", "are magnitudes"),
-        ("t,speed,force\n0,1,1\n1,9000,1\n", "in another unit"),
-        ("t,speed,pressure\n0,1,1\n1,1,3\n", "expected 0 to 1"),
-        ("t,speed,force\n0,1,1\n0.0001,1,1\n", "is t in seconds"),
-        ("t,speed,force\n0,1,1\n1," + "1" * 200_000 + ",1\n", "is not a table (field larger"),
-    ],
-)
-def test_bad_strokes(text: str, match: str, texture: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    stroke, out = tmp_path / "s.csv", tmp_path / "o.wav"
-    stroke.write_text(text)
-    capsys.readouterr()
-    assert _status(["render", str(texture), "--stroke", str(stroke), "-o", str(out)]) == 2
-    assert match in one_line(capsys)
-    assert not out.exists()
 
 
 def test_a_stroke_of_any_table_is_rendered_and_doubts_are_said(
@@ -500,15 +370,15 @@ def test_a_stroke_of_any_table_is_rendered_and_doubts_are_said(
         "b": "t [ms];speed [m/s];force\n0;0,05;1\n500;0,0805;1\n# Ende\n",
         "c": "t,speed,force\n0,0.05,1\n0.5,0.0805,1\n",
     }
-    said = {}
+    messages = {}
     for name, text in tables.items():
         (tmp_path / f"{name}.txt").write_text(text)
         capsys.readouterr()
         arguments = ["render", str(texture), "--stroke", str(tmp_path / f"{name}.txt")]
         assert _status([*arguments, "-o", str(tmp_path / f"{name}.csv")]) == 0
-        said[name] = capsys.readouterr().err
+        messages[name] = capsys.readouterr().err
     doubt = "speed peaks at 0.0805, expected mm/s up to about 350; was it given in m/s? It is taken as mm/s\n"
-    assert said == {"a": "", "b": "", "c": doubt}
+    assert messages == {"a": "", "b": "", "c": doubt}
     assert _status([*arguments, "--unit", "speed=m/s", "-o", str(tmp_path / "c.csv")]) == 0
     a, b, c = (np.loadtxt(tmp_path / f"{name}.csv", delimiter=",", skiprows=1) for name in "abc")
     np.testing.assert_allclose(b, a, rtol=1e-4)  # m/s times 1000 is mm/s but for rounding, which the loop carries on
@@ -565,36 +435,17 @@ def test_a_rendered_table_is_imported_with_its_units(
     np.testing.assert_allclose(recording["force"].samples, 1, rtol=1e-6)
 
 
-def test_another_recording_may_be_cut_otherwise(
-    texture: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    other = tmp_path / "other.h5"
-    assert _status(["simulate", "linear-twin", "--seconds", "3", "--seed", "9", "-o", str(other)]) == 0
-    capsys.readouterr()
-    arguments = ["evaluate", str(texture), str(other), "--json", "--trim", "0", "--block", "600"]
-    assert _status(arguments) == 0
-    document = json.loads(capsys.readouterr().out)
-    assert document["split"] == "foreign"
-    assert (document["n_blocks"], document["block"]) == (4, 600)
-
-
-@pytest.mark.parametrize("command", ["simulate", "import", "inspect", "train", "evaluate", "render", "info", "demo"])
-def test_help_says_what_each_command_does(command: str, capsys: pytest.CaptureFixture[str]) -> None:
-    capsys.readouterr()
-    assert _status([command, "--help"]) == 0
-    assert len(capsys.readouterr().out) > 200
-
-
 def test_help_is_printed_as_it_is_written() -> None:
     """Rich takes a word in square brackets for a style and drops it: a default in words is `show_default`."""
     for name, command in get_command(app).commands.items():  # type: ignore[attr-defined]
         for text in (command.help, *(parameter.help for parameter in command.params)):
             assert Text.from_markup(text).plain == text, name
+        assert _status([name, "--help"]) == 0
 
 
 def test_the_demo_makes_everything_it_names(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     folder = tmp_path / "demo"
-    assert _status(["demo", "-o", str(folder), "--seconds", "24", "--epochs", "1", "--json"]) == 0
+    assert _status(["demo", "-o", str(folder), "--seconds", "16", "--epochs", "1", "--json"]) == 0
     paths = json.loads(capsys.readouterr().out)
     assert set(paths) == {"recording", "texture", "report", "vibration", "picture", "sound", "pictures"}
     for path in paths.values():

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import importlib.metadata
 import json
 import re
-import shutil
 import signal
 import subprocess
 import sys
@@ -34,7 +32,7 @@ def file(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def one_line(capsys: pytest.CaptureFixture[str]) -> str:
+def only_line(capsys: pytest.CaptureFixture[str]) -> str:
     out, err = capsys.readouterr()
     assert out == ""
     (line,) = err.splitlines()
@@ -65,13 +63,6 @@ def wav(path: Path) -> tuple[np.ndarray, dict[str, Any]]:
     return np.frombuffer(data[at : at + int.from_bytes(data[at - 4 : at], "little")], dtype="<f4"), json.loads(comment)
 
 
-def test_play_into_a_file_is_what_is_rendered(file: Path, tmp_path: Path) -> None:
-    path = tmp_path / "stroke.wav"
-    arguments = ["--to", str(path), "--seconds", "0.3", "--speed", "80", "--force", "0.8", "--rate", "1000"]
-    assert _status(["play", str(file), *arguments, "--seed", "4"]) == 0
-    np.testing.assert_array_equal(wav(path)[0], Renderer(file, seed=4).render(80.0, 0.8, 300))
-
-
 def test_play_and_render_make_the_same_of_a_stroke(file: Path, tmp_path: Path) -> None:
     stroke = tmp_path / "s.csv"
     stroke.write_text("t,speed,force\n" + "".join(f"{0.01 * k},{0 if k < 50 else 90},{0.8}\n" for k in range(100)))
@@ -100,22 +91,21 @@ def test_a_file_says_what_its_numbers_are(file: Path, tmp_path: Path) -> None:
     [
         (["--to", "loudspeaker"], "expected sound, null"),
         (["--to", "null", "--speed", "80"], "--speed with --force"),
-        (["--to", "udp:localhost"], "expected sound, null"),
         (["--to", "null", "--actuator", "none.json"], "none.json"),
         (["--to", "null", "--lead-ms", "0"], "lead"),
         (["--to", "null", "--rate", "10"], "rate"),
         (["--to", "null", "--speed", "-1", "--force", "1"], "speed"),
-        (["--to", "null", "--gain", "2"], "--gain"),
-        (["--to", "null", "--device", "2"], "--device"),
-        (["--to", "null", "--channel", "0"], "--channel"),
+        (["--to", "null", "--channel", "0"], "--device and --channel are"),
         (["--to", "a.wav", "--seconds", "inf"], "--seconds is inf"),
+        (["--to", "a.wav", "--lead-ms", "5"], "--lead-ms are for what plays live"),
+        (["--to", "none/a.wav"], "there is no folder none"),
     ],
 )
 def test_what_cannot_be_played_is_one_line(
     file: Path, arguments: list[str], expected: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert _status(["play", str(file), "--seconds", "0.1", *arguments]) == 2
-    assert expected in one_line(capsys)
+    assert expected in only_line(capsys)
 
 
 def test_without_portaudio_it_says_what_to_install(
@@ -126,7 +116,7 @@ def test_without_portaudio_it_says_what_to_install(
 
     monkeypatch.setattr(devices, "sound_library", missing)
     assert _status(["play", str(file), "--seconds", "0.1"]) == 2
-    assert "libportaudio2" in one_line(capsys)
+    assert "libportaudio2" in only_line(capsys)
 
 
 def test_without_the_package_it_names_the_extra(
@@ -134,7 +124,7 @@ def test_without_the_package_it_names_the_extra(
 ) -> None:
     monkeypatch.setitem(sys.modules, "sounddevice", None)
     assert _status(["play", str(file), "--seconds", "0.1"]) == 2
-    extra = re.search(r"foten\[(\w+)\]", one_line(capsys))
+    extra = re.search(r"foten\[(\w+)\]", only_line(capsys))
     assert extra is not None
     assert (
         extra[1]
@@ -158,15 +148,6 @@ def test_ctrl_c_ends_it_and_prints_the_counts(file: Path) -> None:
     out, _ = child.communicate(timeout=30)
     assert child.returncode == 130
     assert "under-runs" in out
-
-
-def test_what_is_beyond_is_printed(file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    path = tmp_path / "x.wav"
-    arguments = ["--to", str(path), "--seconds", "0.2", "--speed", "5000", "--force", "50"]
-    assert _status(["play", str(file), *arguments]) == 0
-    out = capsys.readouterr().out
-    assert "speed was above" in out
-    assert "taken as twice that" in out
 
 
 def test_what_went_wrong_is_printed_with_what_helps(
@@ -217,51 +198,24 @@ def test_bench_times_no_instruction_set_in_the_place_of_another(file: Path, monk
     assert sum(bool(done.stdout) for done in programs) == len(result)
 
 
-@pytest.mark.parametrize(
-    ("status", "stderr", "expected"),
-    [
-        (-signal.SIGSEGV, "", "Segmentation fault"),
-        (3, "", "status 3"),
-        (1, "Traceback\n  x\nValueError: no more", "no more"),
-    ],
-)
 def test_a_program_that_ends_gives_one_line(
-    file: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-    status: int,
-    stderr: str,
-    expected: str,
+    file: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    def run(command: list[str], **_: Any) -> subprocess.CompletedProcess[str]:
-        return subprocess.CompletedProcess(command, status, "", stderr)
-
-    monkeypatch.setattr(bench.subprocess, "run", run)
+    errors = {-signal.SIGSEGV: "", 3: "", 1: "Traceback\n  x\nValueError: no more"}
+    ended = [subprocess.CompletedProcess("foten", status, "", error) for status, error in errors.items()]
+    signalled, *others = map(bench.reason, ended)
+    assert "Segmentation fault" in signalled
+    assert others == ["ended with status 3", "no more"]
+    monkeypatch.setattr(bench.subprocess, "run", lambda *_, **__: ended[-1])
     assert _status(["bench", str(file)]) == 2
-    line = one_line(capsys)
-    assert expected in line
-    assert "ValueError" not in line
+    assert only_line(capsys).endswith(": no more")
     assert _status(["doctor"]) == 1
-    assert expected in capsys.readouterr().out
+    assert "no more" in capsys.readouterr().out
 
 
 def test_bench_refuses_what_is_no_texture_as_play_does(capsys: pytest.CaptureFixture[str]) -> None:
     assert _status(["bench", str(Path(__file__))]) == 2
-    assert one_line(capsys).startswith("foten: this is not a texture file")
-
-
-def test_doctor_does_without_metadata(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    """As where the sources are in the path, and nothing is installed."""
-
-    def missing(name: str) -> None:
-        raise importlib.metadata.PackageNotFoundError(name)
-
-    monkeypatch.setattr(importlib.metadata, "distribution", missing)
-    monkeypatch.setattr(importlib.metadata, "version", missing)
-    assert _status(["doctor"]) in (0, 1)
-    out = capsys.readouterr().out
-    assert re.search(r"size +\d+ MB: foten", out)
-    assert "PyTorch of an unknown version" in out
+    assert only_line(capsys).startswith("foten: this is not a texture file")
 
 
 def test_doctor_says_what_is_here(capsys: pytest.CaptureFixture[str]) -> None:
@@ -270,12 +224,10 @@ def test_doctor_says_what_is_here(capsys: pytest.CaptureFixture[str]) -> None:
     result = {check["name"]: check for check in json.loads(capsys.readouterr().out)}
     assert result["kernel"]["fine"] is True
     assert "instruction set" in result["kernel"]["result"]
-    assert {"first sample", "timer", "sound", "NI-DAQ", "training", "size"} <= set(result)
-    assert _status(["doctor"]) in (0, 1)
-    assert "✓ kernel" in capsys.readouterr().out
+    assert {"first sample", "timer", "sound", "NI-DAQ", "training"} <= set(result)
 
 
 def test_an_example_is_there_to_be_played(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     assert _status(["play", "--to", str(tmp_path / "e.wav"), "--seconds", "0.2"]) == 0
     assert (tmp_path / "e.wav").stat().st_size > 1000
-    assert shutil.which("foten") is None or "e.wav" in capsys.readouterr().err
+    assert "e.wav, 0.2 s at 8000 Hz" in capsys.readouterr().out

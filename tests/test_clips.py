@@ -369,31 +369,12 @@ def test_a_stroke_is_exported_by_the_name_of_the_file(
 STROKE = ("--speed", "80", "--force", "0.8", "--seconds", "0.5")
 
 
-def test_a_raw_wav_is_the_acceleration_as_it_was_rendered(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """In m/s², at the texture's own rate, as `foten render` writes it; its comment says so."""
-    assert ran(*STROKE, "--seed", "3", "--to", "wav-raw", "-o", tmp_path / "raw.wav") == 0
-    out = capsys.readouterr().out
-    assert "0.5 s, 1 is 1 m/s²; " in out
-    assert "at the texture's own rate" in out
-    assert _status(["render", str(EXAMPLE), *STROKE, "--seed", "3", "-o", str(tmp_path / "rendered.wav")]) == 0
-    (rate, raw), (_, rendered) = (scipy.io.wavfile.read(tmp_path / f"{name}.wav") for name in ("raw", "rendered"))
-    assert (rate, raw.dtype) == (1000, np.float32)
-    assert np.abs(raw).max() > 1
-    np.testing.assert_array_equal(raw, rendered)
-    about = comment(tmp_path / "raw.wav")
-    assert (about["unit"], about["full_scale"], about["rate_hz"]) == ("m/s^2", 1.0, 1000.0)
-    assert (about["texture"], about["seed"], about["stroke"]) == ("steel-mesh-1", 3, "80 mm/s, 0.8 N, 0.5 s")
-
-
-@pytest.mark.parametrize("kind", ["wav", "wav-raw"])
-def test_a_wav_of_a_relative_texture_says_what_1_is(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], kind: str
-) -> None:
+def test_a_wav_of_a_relative_texture_says_what_1_is(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     texture = read_texture(EXAMPLE)
     card = {**texture.card, "units": {**texture.card["units"], "acceleration": "relative"}}
     write_texture(type(texture)(card, texture.tensors), tmp_path / "t.foten")
     path = tmp_path / "a.wav"
-    assert _status(["export", str(tmp_path / "t.foten"), *STROKE, "--to", kind, "-o", str(path)]) == 0
+    assert _status(["export", str(tmp_path / "t.foten"), *STROKE, "-o", str(path)]) == 0
     about = comment(path)
     assert about["unit"] == "relative"
     assert f"1 is {about['full_scale']:.3g} times the recording's RMS" in capsys.readouterr().out
@@ -464,29 +445,17 @@ def test_a_site_without_a_name_has_the_textures_that_come_along(tmp_path: Path) 
     assert [one["file"] for one in listed] == sorted(path.name for path in EXAMPLE.parent.glob("*.foten"))
 
 
-@pytest.mark.parametrize("n", [0, 2])
-@pytest.mark.parametrize("arguments", [["-o", "x.ahap"], ["--to", "unity", "-o", "x"]])
-def test_all_else_is_made_of_one_texture(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], n: int, arguments: list[str]
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    assert _status(["export", *[str(EXAMPLE)] * n, *arguments]) == 2
-    error = capsys.readouterr().err
-    assert f"is made of one texture file, got {n}" in error
-    assert error.count("\n") == 1
-    assert not list(tmp_path.iterdir())
-
-
 @pytest.mark.parametrize(
     ("arguments", "match"),
     [
         (["-o", "x.mp3"], "the name x.mp3 is no format, expected --to wav"),
+        ([str(EXAMPLE), "-o", "x.ahap"], "ahap is made of one texture file, got 2"),
+        ([str(EXAMPLE), "--to", "unity", "-o", "x"], "unity is made of one texture file, got 2"),
         (["--to", "haps", "-o", "x"], "--to haps is no format"),
         (["--to", "web", "--speed", "80", "-o", "site"], "web holds the texture itself: leave out the stroke"),
         (["--speed", "80", "-o", "x.ahap"], "expected one of --stroke"),
         (["-o", "nowhere/x.ahap"], "there is no folder nowhere"),
         (["--full-scale", "-2", "-o", "x.ahap"], "full scale is -2, expected a positive number of m/s²"),
-        (["--to", "wav-raw", "--full-scale", "2", "-o", "x.wav"], "as it was rendered: leave out --full-scale"),
     ],
 )
 def test_what_cannot_be_exported_is_said_in_a_line(

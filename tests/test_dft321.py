@@ -28,23 +28,12 @@ def test_the_energy_of_all_axes_is_kept(n: int) -> None:
     assert np.square(dft321(axes)).sum() == pytest.approx(np.square(axes).sum(), rel=1e-12)  # Parseval; rounding
 
 
-def test_the_energy_of_each_frequency_is_kept() -> None:
-    axes = np.random.default_rng(0).standard_normal((3, 500))
-    power = (np.abs(np.fft.rfft(axes)) ** 2).sum(axis=0)
-    np.testing.assert_allclose(np.abs(np.fft.rfft(dft321(axes))) ** 2, power, rtol=1e-9)  # rounding
-
-
 @pytest.mark.parametrize("alone", [0, 1, 2])
 def test_a_single_axis_comes_back(alone: int) -> None:
     axes = np.zeros((3, 200))
     axes[alone] = np.random.default_rng(0).standard_normal(200)
     np.testing.assert_allclose(dft321(axes), axes[alone], atol=1e-13)  # rounding
     np.testing.assert_allclose(dft321(-axes), -axes[alone], atol=1e-13)
-
-
-def test_equal_axes_add_up_in_energy() -> None:
-    axis = np.random.default_rng(0).standard_normal(200)
-    np.testing.assert_allclose(dft321(np.stack([axis] * 3)), np.sqrt(3) * axis, atol=1e-12)  # rounding
 
 
 def test_cancelling_axes_do_not_vanish() -> None:
@@ -55,14 +44,10 @@ def test_cancelling_axes_do_not_vanish() -> None:
     assert np.abs(np.corrcoef(found, axis)[0, 1]) == pytest.approx(1.0, abs=1e-9)
 
 
-def test_silence_is_silence() -> None:
-    np.testing.assert_array_equal(dft321(np.zeros((3, 100))), 0.0)
-
-
 def test_blocks_are_taken_one_by_one() -> None:
     blocks = np.random.default_rng(0).standard_normal((4, 3, 100))
-    together = dft321(blocks)
-    for block, found in zip(blocks, together, strict=True):
+    at_once = dft321(blocks)
+    for block, found in zip(blocks, at_once, strict=True):
         np.testing.assert_array_equal(dft321(block), found)
 
 
@@ -73,5 +58,5 @@ def test_a_burst_stays_in_its_block() -> None:
     assert not by_block[:100].any()
     assert not by_block[200:].any()
     # What the block-wise call is for: over the whole record it smears.
-    whole = dft321(axes)
-    assert np.count_nonzero(np.delete(whole, np.s_[100:200])) > 250
+    at_once = dft321(axes)
+    assert np.count_nonzero(np.delete(at_once, np.s_[100:200])) > 250

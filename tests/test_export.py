@@ -142,13 +142,13 @@ def test_a_loop_may_end_where_a_start_that_is_a_little_off_does(way: float) -> N
     start = texture.tensors["warm_start"].astype(float) + off * np.where(i % 2, 1, -1).reshape(-1, 3)
     moved = condition + off * np.stack([np.where(step & 1, 1, -1), np.where(step & 2, 1, -1)], axis=1)
 
-    def loop(window: np.ndarray, hand: np.ndarray) -> np.ndarray:
-        path = np.maximum(hand[:, :1] * SCALING.sd[1] + SCALING.mean[1], 0.0)
-        return run_loops(native, window[None], np.concatenate([hand, path], axis=1)[None], None)[0]
+    def loop(window: np.ndarray, speed_force: np.ndarray) -> np.ndarray:
+        path = np.maximum(speed_force[:, :1] * SCALING.sd[1] + SCALING.mean[1], 0.0)
+        return run_loops(native, window[None], np.concatenate([speed_force, path], axis=1)[None], None)[0]
 
-    ours = loop(texture.tensors["warm_start"].astype(float), condition)
+    reference = loop(texture.tensors["warm_start"].astype(float), condition)
     there = loop(start, moved)
-    rounded = there + 0.5 * CLOSED_LOOP_TOLERANCE * np.sign(there - ours)
+    rounded = there + 0.5 * CLOSED_LOOP_TOLERANCE * np.sign(there - reference)
     NativeTexture(Texture(texture.card, {**texture.tensors, "golden.closed_loop": rounded}).to_bytes())
 
 

@@ -27,17 +27,11 @@ def tone(hz: float, n: int = 4000) -> np.ndarray:
 def test_the_response_is_that_of_scipys_butterworth(kind: str, cutoff_hz: float, rate_hz: float, order: int) -> None:
     """Oracle: scipy.signal.butter."""
     frequencies = np.geomspace(1.0, 0.49 * rate_hz, 200)
-    _, ours = signal.sosfreqz(sos(butterworth(kind, cutoff_hz, rate_hz, order)), frequencies, fs=rate_hz)
+    _, streamed = signal.sosfreqz(sos(butterworth(kind, cutoff_hz, rate_hz, order)), frequencies, fs=rate_hz)
     reference = signal.butter(order, cutoff_hz, kind, fs=rate_hz, output="sos")
     _, expected = signal.sosfreqz(reference, frequencies, fs=rate_hz)
     # Order 6 at 20 Hz of 10 kHz: poles 0.01 from z = 1 amplify rounding by 1e4.
-    np.testing.assert_allclose(ours, expected, atol=1e-9)
-
-
-@pytest.mark.parametrize(("kind", "cutoff_hz", "rate_hz", "order"), DESIGNS)
-def test_the_cutoff_is_at_half_power(kind: str, cutoff_hz: float, rate_hz: float, order: int) -> None:
-    _, response = signal.sosfreqz(sos(butterworth(kind, cutoff_hz, rate_hz, order)), [cutoff_hz], fs=rate_hz)
-    assert abs(response[0]) ** 2 == pytest.approx(0.5, abs=1e-9)
+    np.testing.assert_allclose(streamed, expected, atol=1e-9)
 
 
 @pytest.mark.parametrize("zero_phase", [False, True])
@@ -80,16 +74,6 @@ def test_the_delay_is_the_textbooks() -> None:
     assert delay_s(butterworth("lowpass", 20.0, RATE_HZ), RATE_HZ) == pytest.approx(expected, rel=2e-3)
 
 
-def test_a_slow_sine_comes_out_late_by_the_delay() -> None:
-    lowpass = butterworth("lowpass", 20.0, RATE_HZ)
-    n = 4000
-    out = filter_recorded(lowpass, tone(1.0, n))[1000:]
-    turn = np.exp(-2j * np.pi * np.arange(1000, n) / RATE_HZ)
-    phase = np.angle(np.sum(out * turn)) + np.pi / 2
-    # At 1/20 of the cutoff the group delay has changed by about (1/20)² = 0.25 %.
-    assert -phase / (2 * np.pi) == pytest.approx(delay_s(lowpass, RATE_HZ), rel=5e-3)
-
-
 def test_zero_phase_has_no_delay() -> None:
     lowpass = butterworth("lowpass", 20.0, RATE_HZ)
     n = np.arange(2000)
@@ -105,10 +89,10 @@ def test_zero_phase_has_no_delay() -> None:
 @settings(max_examples=20, deadline=None)
 def test_any_block_sizes_give_what_one_call_gives(cuts: list[int], order: int, seed: int) -> None:
     samples = np.random.default_rng(seed).standard_normal(300)
-    whole = Biquads(butterworth("highpass", 20.0, RATE_HZ, order)).process(samples)
+    at_once = Biquads(butterworth("highpass", 20.0, RATE_HZ, order)).process(samples)
     pieces = Biquads(butterworth("highpass", 20.0, RATE_HZ, order))
     out = np.concatenate([pieces.process(piece) for piece in np.split(samples, sorted(cuts))])
-    np.testing.assert_array_equal(out, whole)
+    np.testing.assert_array_equal(out, at_once)
 
 
 @pytest.mark.parametrize(("kind", "cutoff_hz", "rate_hz", "order"), DESIGNS)
@@ -122,26 +106,11 @@ def test_streaming_is_the_offline_filter(kind: str, cutoff_hz: float, rate_hz: f
     np.testing.assert_allclose(streaming.process(samples), filter_recorded(sections, samples), atol=1e-9)
 
 
-def test_reset_and_replay_is_identical() -> None:
-    biquads = Biquads(butterworth("lowpass", 20.0, RATE_HZ, 4))
-    samples = np.random.default_rng(0).standard_normal(200)
-    first = biquads.process(samples)
-    assert not np.array_equal(biquads.process(samples), first)
-    biquads.reset()
-    np.testing.assert_array_equal(biquads.process(samples), first)
-
-
 def test_a_reset_to_a_value_has_no_transient() -> None:
     biquads = Biquads(butterworth("lowpass", 20.0, RATE_HZ, 4))
     biquads.process(np.ones(50))
     biquads.reset(80.0)
     np.testing.assert_allclose(biquads.process(np.full(100, 80.0)), 80.0, atol=1e-9)  # rounding
-
-
-def test_the_input_is_left_alone() -> None:
-    samples = np.ones(10)
-    Biquads(butterworth("highpass", 20.0, RATE_HZ)).process(samples)
-    np.testing.assert_array_equal(samples, 1.0)
 
 
 @pytest.mark.parametrize("cutoff_hz", [0.0, -5.0, 500.0, 600.0, float("nan")])

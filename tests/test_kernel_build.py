@@ -118,9 +118,11 @@ def test_nothing_is_allocated_while_rendering(build: Path, corpus: list[Path]) -
     """The program fails as well where its counter sees nothing of what loading allocates, where a state asks for another
     number of bytes than foten_model_info gives, and where a file that there is no memory for is said to be anything else.
     """
-    own = [path for path in corpus if not path.stem.startswith("graph")]  # what others predict is not ours to count
-    out = ran(build / "hot_path", *own)
-    assert out.strip() == f"nothing allocated while rendering {len(own)} files"
+    run_by_kernel = [
+        path for path in corpus if not path.stem.startswith("graph")
+    ]  # what others predict is not ours to count
+    out = ran(build / "hot_path", *run_by_kernel)
+    assert out.strip() == f"nothing allocated while rendering {len(run_by_kernel)} files"
 
 
 @needs_cmake
@@ -152,8 +154,8 @@ def test_the_kernel_is_clean_under_sanitizers(sanitized: Path, file: Path, isa: 
 def test_a_c_program_renders_what_python_does(build: Path, texture: Texture, rate: float, tmp_path: Path) -> None:
     """A stroke of two seconds, whatever the texture's rate: it had 2000 samples, 0.2 s of a texture of 10 kHz."""
     program, file = tmp_path / "stroke", tmp_path / "t.foten"
-    made = {**texture.card["preprocess"], "rate_hz": rate}
-    file.write_bytes(with_card(texture, rate_hz=rate, preprocess=made).to_bytes())
+    preprocess_entry = {**texture.card["preprocess"], "rate_hz": rate}
+    file.write_bytes(with_card(texture, rate_hz=rate, preprocess=preprocess_entry).to_bytes())
     source = ROOT / "examples" / "c" / "stroke.c"
     (compiled,) = re.findall(r"^ \* +cc stroke\.c (.*) -o stroke$", source.read_text(), re.MULTILINE)
     assert compiled == "$(foten doctor --c-flags)"  # as in the tutorial, where the library that is installed is meant
@@ -257,12 +259,12 @@ public static class Try {
 def test_node_renders_what_python_does(file: Path) -> None:
     """Not to the byte: it is another instruction set."""
     result = accelerations(ran("node", ROOT / "examples" / "node" / "stroke.mjs", file))
-    ours = stroke_of(file)
-    np.testing.assert_allclose(result, ours, atol=1e-4 * np.abs(ours).max())
+    expected = stroke_of(file)
+    np.testing.assert_allclose(result, expected, atol=1e-4 * np.abs(expected).max())
 
 
 @needs_node
-def test_node_hears_the_same_noise_and_refuses_in_one_line(tmp_path: Path) -> None:
+def test_node_has_the_same_noise_and_refuses_in_one_line(tmp_path: Path) -> None:
     program = tmp_path / "noise.mjs"
     program.write_text(
         f"""
@@ -347,12 +349,12 @@ try {{ renderer.setActuator(null); }} catch (error) {{ console.log(error.message
     *driven, counts, first, second, third, fourth, freed = ran("node", program).splitlines()
     state = NativeState(NativeTexture(path.read_bytes()), 8000.0)
     actuators = (NativeActuator(70.0, 0.25, 2.0, 30.0, 0.5), NativeActuator(0.0, 0.0, -2.0, 0.0, 0.0), None)
-    ours = np.empty(800, dtype=np.float32)
+    expected = np.empty(800, dtype=np.float32)
     for line, actuator, speed in zip(driven, actuators, (80.0, 3.0, 80.0), strict=True):
         state.set_condition(speed, 0.8)
         state.set_actuator(actuator)
-        state.render(ours)
-        np.testing.assert_allclose(np.array(line.split(), dtype=float), ours, atol=1e-4 * np.abs(ours).max())
+        state.render(expected)
+        np.testing.assert_allclose(np.array(line.split(), dtype=float), expected, atol=1e-4 * np.abs(expected).max())
     counted = state.statistics
     assert list(map(int, counts.split())) == [counted.n, counted.n_below, counted.n_limited]
     assert counted.n_below == 100

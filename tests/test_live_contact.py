@@ -161,7 +161,7 @@ def test_white_noise_has_its_level_and_is_white(monkeypatch: pytest.MonkeyPatch)
     sinks: list[Any] = []
 
     class Sink:
-        rate_hz, n_at_once, patient, failed = 48_000.0, 480, False, None
+        rate_hz, n_at_once, failed = 48_000.0, 480, None
 
         def __init__(self, *options: Any) -> None:
             sinks.append(options)
@@ -178,7 +178,7 @@ def test_white_noise_has_its_level_and_is_white(monkeypatch: pytest.MonkeyPatch)
     monkeypatch.setattr(players, "sink_of", Sink)
     with white_noise(-30.0, "3"):
         pass
-    assert (sinks[0][0], sinks[0][4]) == ("sound", "3")
+    assert (sinks[0][0], sinks[0][3]) == ("sound", "3")
     noise = np.concatenate([block for block in blocks if block.any()]).astype(float)
     assert noise.size > 5000
     assert 20 * np.log10(noise.std()) == pytest.approx(-30.0, abs=0.5)

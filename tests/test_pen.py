@@ -163,7 +163,6 @@ def test_with_a_sensitivity_it_is_in_metres_per_second_squared(tmp_path: Path) -
 @pytest.mark.parametrize(
     ("options", "match"),
     [
-        (["--align", "clap"], "--align is 'clap', expected taps"),
         (["--pressure", "3"], "--pressure is '3', expected a,b such as 0.13,3.32"),
         (["--map", "acceleration=0"], "leave out --map"),
     ],

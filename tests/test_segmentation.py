@@ -27,13 +27,13 @@ def described(x: np.ndarray, cuts: tuple[int, ...], max_order: int) -> float:
     for begin, end in pairwise(edges):
         piece, n = x[begin:end], end - begin
         r = np.array([piece[k:] @ piece[: n - k] / n for k in range(max_order + 1)])
-        told = []
+        nats_of_order = []
         for p in range(max_order + 1):
             taps = np.linalg.solve(r[np.abs(np.subtract.outer(range(p), range(p)))], r[1 : p + 1]) if p else np.empty(0)
             error = r[0] - taps @ r[1 : p + 1]
             if n >= MIN_PIECE_SAMPLES[p]:
-                told.append(np.log(max(p, 1)) + (p + 2) / 2 * np.log(n) + n / 2 * np.log(2 * np.pi * error))
-        total += min(told, default=np.inf)
+                nats_of_order.append(np.log(max(p, 1)) + (p + 2) / 2 * np.log(n) + n / 2 * np.log(2 * np.pi * error))
+        total += min(nats_of_order, default=np.inf)
     return total + (np.log(m) if m else 0.0) + (m + 1) * np.log(x.size)
 
 
@@ -63,8 +63,8 @@ def test_a_change_of_loudness_alone_is_found() -> None:
 
 
 def test_one_process_is_one_piece() -> None:
-    whole = [len(pieces_of(played(((3000, (1.5, -0.9)),), seed))[0]) for seed in range(10)]
-    assert sum(whole) <= 1
+    n_cuts = [len(pieces_of(played(((3000, (1.5, -0.9)),), seed))[0]) for seed in range(10)]
+    assert sum(n_cuts) <= 1
 
 
 def test_no_piece_is_longer_than_asked() -> None:

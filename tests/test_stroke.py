@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from foten.recording.recording import Channel, Recording
-from foten.runtime.stroke import PressureCalibration, Stroke, constant_stroke, recorded_stroke, tabled_stroke
+from foten.runtime.stroke import Stroke, constant_stroke, recorded_stroke, tabled_stroke
 
 
 def stroke_of(table: dict[str, np.ndarray], rate_hz: float) -> Stroke:
@@ -30,12 +30,6 @@ def test_time_may_start_anywhere_and_be_uneven() -> None:
     stroke = stroke_of({"t": t, "speed": 100 * (t - 7.5), "force": t}, 500.0)
     assert stroke.force.size == 500
     np.testing.assert_allclose(stroke.velocity[0], 100 * np.arange(500) / 500, atol=1e-6)
-
-
-def test_pressure_is_equation_12_and_lifting_is_no_force() -> None:
-    force = PressureCalibration().force(np.array([0.0, 0.1, 0.5, 1.0]))
-    assert force[0] == 0.0
-    assert force[1:] == pytest.approx(0.13 * np.exp(3.32 * np.array([0.1, 0.5, 1.0])), rel=1e-12)
 
 
 def test_conditioning_keeps_a_constant_and_slows_a_step() -> None:
@@ -98,9 +92,25 @@ def test_what_may_be_meant_is_rendered_and_doubted(table: dict[str, np.ndarray],
     assert stroke.force.size == round(100 * np.ptp(table["t"]))
 
 
+@pytest.mark.parametrize(
+    ("table", "match"),
+    [
+        ({"speed": 9000 * T, "force": T}, "in another unit"),
+        ({"speed": 0 * T, "force": 200 * T}, "in mN or grams"),
+        ({"speed": -T, "force": T}, "are magnitudes"),
+        ({"speed": T, "pressure": 3 * T}, "expected 0 to 1"),
+        ({"t": 1e-4 * T, "speed": T, "force": T}, "is t in seconds"),
+        ({"t": 1e4 * T, "speed": T, "force": T}, "is t in ms"),
+    ],
+)
+def test_a_stroke_of_no_hand_is_refused(table: dict[str, np.ndarray], match: str) -> None:
+    with pytest.raises(ValueError, match=match):
+        stroke_of({"t": T, **table}, 1000.0)
+
+
 def test_constants_are_doubted_too() -> None:
-    said = "speed peaks at 0.08, expected mm/s up to about 350; was it given in m/s? It is taken as mm/s"
-    assert constant_stroke(0.08, 0.8, 1.0, 100.0).doubts == (said,)
+    doubt = "speed peaks at 0.08, expected mm/s up to about 350; was it given in m/s? It is taken as mm/s"
+    assert constant_stroke(0.08, 0.8, 1.0, 100.0).doubts == (doubt,)
     assert constant_stroke(80.0, 0.0, 1.0, 100.0).doubts == ()
 
 

@@ -30,14 +30,19 @@ def lowpassed(signal: np.ndarray) -> np.ndarray:
 
 def hands(stylus: Stylus, events: np.ndarray, n: int, late_s: np.ndarray | float = 0.0) -> np.ndarray:
     """Speed and force of n samples, (n, 2), of events (k, 4): x, y, pressure, t, told `late_s` after their time."""
-    told = np.maximum.accumulate(events[:, 3] + late_s)
+    reported = np.maximum.accumulate(events[:, 3] + late_s)
     out, k = np.empty((n, 2)), 0
     for i in range(n):
-        while k < len(events) and told[k] <= i / RATE:
+        while k < len(events) and reported[k] <= i / RATE:
             stylus.push(*events[k])
             k += 1
         out[i] = stylus.next_condition()
     return out
+
+
+def stroke_at(times_s: np.ndarray, speed: float = 100.0) -> np.ndarray:
+    """Events (k, 4) of a straight stroke [mm/s] along x under a pressure of 0.5."""
+    return np.stack([speed * times_s, 0 * times_s, np.full(times_s.size, 0.5), times_s], axis=1)
 
 
 def lag_of(found: np.ndarray, truth: np.ndarray) -> int:
@@ -45,25 +50,27 @@ def lag_of(found: np.ndarray, truth: np.ndarray) -> int:
     return int(np.argmax([np.corrcoef(found[lag:], truth[: truth.size - lag])[0, 1] for lag in range(40)]))
 
 
-@pytest.mark.parametrize(("events_hz", "most_ms"), [(60.0, 8), (120.0, 6), (240.0, 5)])
-def test_it_finds_the_speed_and_force_of_a_hand(texture: Texture, events_hz: float, most_ms: int) -> None:
+@pytest.mark.parametrize(("events_hz", "max_ms"), [(60.0, 8), (120.0, 6), (240.0, 5)])
+def test_it_finds_the_speed_and_force_of_a_hand(texture: Texture, events_hz: float, max_ms: int) -> None:
     """Truth: the simulated hand's own velocity and force through the same low-pass. Irregular events, told up to 5 ms late."""
     seconds, rng = 12.0, np.random.default_rng(1)
-    hand = stroking(seconds, 3, RATE)
-    n = hand.speed.size
+    stroked = stroking(seconds, 3, RATE)
+    n = stroked.speed.size
     t = np.arange(n) / RATE
     at = np.arange(0.0, seconds - 0.1, 1 / events_hz)
     at = np.sort(at + rng.uniform(-0.15, 0.15, at.size) / events_hz)
-    pressed = np.log(np.maximum(np.interp(at, t, hand.force), 1.01 * CURVE.a) / CURVE.a) / CURVE.b
-    events = np.stack([*(np.interp(at, t, axis) for axis in hand.position.T), np.clip(pressed, 1e-3, 1.0), at], axis=1)
+    pressed = np.log(np.maximum(np.interp(at, t, stroked.force), 1.01 * CURVE.a) / CURVE.a) / CURVE.b
+    events = np.stack(
+        [*(np.interp(at, t, axis) for axis in stroked.position.T), np.clip(pressed, 1e-3, 1.0), at], axis=1
+    )
     late = np.minimum(0.002 * np.abs(rng.standard_normal(at.size)), 0.005)
     found = hands(Stylus(Renderer(texture)), events, n, late)[500:-500]
-    speed = np.hypot(*(lowpassed(axis) for axis in hand.velocity.T))[500:-500]
+    speed = np.hypot(*(lowpassed(axis) for axis in stroked.velocity.T))[500:-500]
     lag = lag_of(found[:, 0], speed)
-    assert lag <= most_ms
-    missed = found[lag:, 0] - speed[: speed.size - lag]
-    assert missed.std() < 0.05 * speed.std()
-    force = lowpassed(np.clip(hand.force, 1.01 * CURVE.a, CURVE.a * np.exp(CURVE.b)))[500:-500]
+    assert lag <= max_ms
+    error = found[lag:, 0] - speed[: speed.size - lag]
+    assert error.std() < 0.05 * speed.std()
+    force = lowpassed(np.clip(stroked.force, 1.01 * CURVE.a, CURVE.a * np.exp(CURVE.b)))[500:-500]
     assert lag_of(found[:, 1], force) <= 1000 / events_hz + 5
 
 
@@ -78,14 +85,14 @@ def test_a_steady_stroke_is_its_speed_and_force(texture: Texture) -> None:
 
 
 @pytest.mark.parametrize(
-    ("told", "meant"), [((0, 0), (0.13, 3.32)), ((0, 2), (0.13, 2)), ((0.2, 0), (0.2, 3.32)), ((0.2, 2), (0.2, 2))]
+    ("reported", "meant"), [((0, 0), (0.13, 3.32)), ((0, 2), (0.13, 2)), ((0.2, 0), (0.2, 3.32)), ((0.2, 2), (0.2, 2))]
 )
 def test_what_is_left_out_of_a_curve_is_the_papers(
-    texture: Texture, told: tuple[float, float], meant: tuple[float, float]
+    texture: Texture, reported: tuple[float, float], meant: tuple[float, float]
 ) -> None:
     """A steepness by itself was dropped."""
     native, speed, force = NativeTexture(texture.to_bytes()), c_float(), c_float()
-    stylus = c_void_p(library().foten_stylus_new(native.pointer, byref(StylusOptions(*told))))
+    stylus = c_void_p(library().foten_stylus_new(native.pointer, byref(StylusOptions(*reported))))
     library().foten_stylus_push(stylus, 0.0, 0.0, 0.5, 0.0)
     for _ in range(1000):
         library().foten_stylus_next(stylus, byref(speed), byref(force))
@@ -108,8 +115,7 @@ def test_a_force_may_be_the_same_at_any_pressure(texture: Texture) -> None:
 
 def test_lifting_is_quiet_and_landing_elsewhere_is_no_stroke(texture: Texture) -> None:
     """Speed and force fall and rise as the low-pass does: never faster than it lets a step."""
-    at = np.arange(0.0, 1.0, 0.01)
-    first = np.stack([100 * at, 0 * at, np.full(at.size, 0.5), at], axis=1)
+    first = stroke_at(np.arange(0.0, 1.0, 0.01))
     lifted = np.array([[100.0, 0.0, 0.0, 1.0]])
     second = first + np.array([5000.0, 300.0, 0.0, 1.5])
     stylus = Stylus(Renderer(texture))
@@ -132,22 +138,20 @@ def test_a_pen_that_stops_does_not_turn_back(texture: Texture, events_hz: float,
     events = np.stack([np.cos(angle) * path, np.sin(angle) * path, np.full(at.size, 0.5), at], axis=1)
     speed = hands(Stylus(Renderer(texture)), events, 990)[:, 0]
     falling = 500 + int(np.argmax(speed[500:] < 100))
-    turned = falling + int(np.argmax(np.diff(speed[falling:]) > 0))
-    assert speed[turned:].max() < 1.05 * 0.043 * 200
+    lowest = falling + int(np.argmax(np.diff(speed[falling:]) > 0))
+    assert speed[lowest:].max() < 1.05 * 0.043 * 200
 
 
 def test_a_pen_that_rests_is_still_and_pressed(texture: Texture) -> None:
     """Browsers tell nothing of a pen that does not move."""
-    at = np.arange(0.0, 0.5, 0.008)
-    events = np.stack([100 * at, 0 * at, np.full(at.size, 0.5), at], axis=1)
+    events = stroke_at(np.arange(0.0, 0.5, 0.008))
     found = hands(Stylus(Renderer(texture)), events, 1500)
     assert found[-300:, 0].max() < 1e-3
     np.testing.assert_allclose(found[-300:, 1], CURVE.force(np.array([0.5]))[0], rtol=1e-6)
 
 
 def test_what_is_wrong_is_counted_and_does_no_harm(texture: Texture) -> None:
-    at = np.arange(0.0, 2.0, 0.008)
-    events = np.stack([100 * at, 0 * at, np.full(at.size, 0.5), at], axis=1)
+    events = stroke_at(np.arange(0.0, 2.0, 0.008))
     clean = hands(Stylus(Renderer(texture)), events, 1900)
     rng = np.random.default_rng(0)
     spoiled = []
@@ -173,8 +177,7 @@ def test_what_is_wrong_is_counted_and_does_no_harm(texture: Texture) -> None:
 
 
 def test_a_clock_that_begins_anew_is_followed(texture: Texture) -> None:
-    at = np.arange(0.0, 1.0, 0.008)
-    events = np.stack([100 * at, 0 * at, np.full(at.size, 0.5), at], axis=1)
+    events = stroke_at(np.arange(0.0, 1.0, 0.008))
     stylus = Stylus(Renderer(texture))
     hands(stylus, events, 1000)
     found = np.empty((1000, 2))
@@ -210,11 +213,6 @@ def test_events_that_came_at_once_do_not_make_jumps_of_the_rest(texture: Texture
     found = hands(stylus, stroke_at(at), 2000)
     assert stylus.stats.n_jumps == 0
     np.testing.assert_allclose(found[-200:, 0], 100.0, rtol=1e-3)
-
-
-def stroke_at(times_s: np.ndarray, speed: float = 100.0) -> np.ndarray:
-    """Events (k, 4) of a straight stroke [mm/s] along x under a pressure of 0.5."""
-    return np.stack([speed * times_s, 0 * times_s, np.full(times_s.size, 0.5), times_s], axis=1)
 
 
 @pytest.mark.parametrize(
@@ -284,8 +282,7 @@ def test_no_event_makes_a_hand_that_is_none(texture: Texture, events: list[tuple
 
 
 def test_a_rendering_under_a_pen_is_one_under_its_hand(texture: Texture) -> None:
-    at = np.arange(0.0, 1.0, 0.008)
-    events = np.stack([100 * at, 0 * at, np.full(at.size, 0.5), at], axis=1)
+    events = stroke_at(np.arange(0.0, 1.0, 0.008))
     found = hands(Stylus(Renderer(texture)), events[:1], 200)
     pen = Stylus(Renderer(texture, seed=3))
     pen.push(*events[0])
@@ -301,11 +298,11 @@ def test_a_curve_of_pressure_is_found_again() -> None:
     assert (exact.a, exact.b) == pytest.approx((0.2, 2.8), rel=1e-9)
     noisy = fit_pressure(pressure, force + 0.05 * rng.standard_normal(15))
 
-    def missed(a: float, b: float) -> float:
+    def error(a: float, b: float) -> float:
         return float(np.square(a * np.exp(b * pressure) - force).sum())
 
     assert (noisy.a, noisy.b) == pytest.approx((0.2, 2.8), rel=0.1)
-    assert missed(noisy.a, noisy.b) < 15 * 0.05**2  # least squares of force: no logarithm overrates the light end
+    assert error(noisy.a, noisy.b) < 15 * 0.05**2  # least squares of force: no logarithm overrates the light end
     for wrong, message in (
         ((pressure[:2], force[:2]), "three or more"),
         ((pressure, force[:-1]), "shape"),

@@ -161,9 +161,9 @@ def test_the_npm_package_renders_what_python_does(tmp_path: Path) -> None:
     )
     (tmp_path / "stroke.mjs").write_text(program)
     assert "native" not in program
-    ours = stroke_of(EXAMPLE)
+    expected = stroke_of(EXAMPLE)
     rendered = accelerations(ran("node", tmp_path / "stroke.mjs", EXAMPLE, cwd=tmp_path))
-    np.testing.assert_allclose(rendered, ours, atol=CLOSED_LOOP_TOLERANCE * np.abs(ours).max())
+    np.testing.assert_allclose(rendered, expected, atol=CLOSED_LOOP_TOLERANCE * np.abs(expected).max())
 
 
 @pytest.fixture(scope="module")
@@ -186,12 +186,12 @@ def installed(wheel: Path, folder: Path) -> dict[str, Any]:
     venv.create(environment, with_pip=True)
     programs = environment / ("Scripts" if os.name == "nt" else "bin")
     assert all(shutil.which(name, path=programs) is None for name in ("cc", "gcc", "clang", "zig", "cmake", "ninja"))
-    kept = {name: value for name, value in os.environ.items() if name not in ("PYTHONPATH", "CC")}
+    variables = {name: value for name, value in os.environ.items() if name not in ("PYTHONPATH", "CC")}
 
     def run(*arguments: str | Path) -> str:
         command = [str(programs / "python"), *map(str, arguments)]
         done = subprocess.run(
-            command, cwd=folder, env={**kept, "PATH": str(programs)}, capture_output=True, text=True, check=False
+            command, cwd=folder, env={**variables, "PATH": str(programs)}, capture_output=True, text=True, check=False
         )
         assert done.returncode == 0, done.stderr + done.stdout
         return done.stdout
@@ -275,7 +275,7 @@ def test_the_library_of_a_wheel_renders_what_python_does(
     arm = target.kind.split()[1] in ("AARCH64", "ARM64")
     for isa in ("neon", "portable") if arm else ("avx512", "avx2", "portable"):
         for texture in textures:
-            ours = stroke_of(texture)
+            expected = stroke_of(texture)
             table = ran(
                 *runners[tag],
                 program,
@@ -286,7 +286,7 @@ def test_the_library_of_a_wheel_renders_what_python_does(
                 WINEPREFIX=tmp_path / "wine",
             )
             compared = slice(None if read_texture(texture).card["model"] in ("foten-plus", "ar") else 64)
-            error = np.abs(accelerations(table) - ours)[compared].max() / np.abs(ours).max()
+            error = np.abs(accelerations(table) - expected)[compared].max() / np.abs(expected).max()
             print(f"{tag} {isa} {texture.stem}: {error:.1e}")
             assert error < CLOSED_LOOP_TOLERANCE
 

@@ -41,7 +41,7 @@ def atomic_write(path: Path) -> Iterator[Path]:
 def write_json(path: Path, document: Mapping[str, Any], indent: int | None = 1) -> None:
     """Write a document as JSON, whole or not at all."""
     with atomic_write(path) as part:
-        part.write_text(json.dumps(document, indent=indent) + "\n", encoding="utf-8")
+        part.write_text(json.dumps(document, indent=indent, allow_nan=False) + "\n", encoding="utf-8")
 
 
 def reason(error: OSError) -> str:

@@ -12,7 +12,6 @@ from typing import Annotated, Any, TypeVar, get_type_hints
 
 from typer import Argument, Option
 
-from foten.atomic_write import atomic_write
 from foten.untrusted import shown
 
 JsonOption = Annotated[bool, Option("--json", help="Print the result as JSON on stdout.")]
@@ -73,12 +72,6 @@ def print_result(document: Any, text: str, as_json: bool) -> None:
         print_json(document)
     else:
         print(_shown_lines(text))
-
-
-def write_json(path: Path, document: Any) -> None:
-    """Write a result as JSON."""
-    with atomic_write(path) as part:
-        part.write_text(json.dumps(document, indent=1, allow_nan=False) + "\n")
 
 
 def check_folders(paths: list[Path]) -> None:

@@ -64,11 +64,13 @@ def info(texture_file: TextureFile, as_json: JsonOption = False) -> None:
     texture = read_texture(texture_file)
     NativeTexture(texture.to_bytes())  # which replays the golden windows
     card = texture.card
-    own = {name: t for name, t in texture.tensors.items() if not name.startswith(("golden.", "warm_start"))}
+    parts = {name: t for name, t in texture.tensors.items() if not name.startswith(("golden.", "warm_start"))}
     cost = texture.sizes.multiply_adds() or card["metrics"]["multiply_adds"]
-    graph = own.pop(GRAPH, None)
+    graph = parts.pop(GRAPH, None)
     holds = (
-        f"{sum(t.size for t in own.values()):,} numbers" if graph is None else f"{graph.size:,} bytes for ONNX Runtime"
+        f"{sum(t.size for t in parts.values()):,} numbers"
+        if graph is None
+        else f"{graph.size:,} bytes for ONNX Runtime"
     )
     rows = {
         "texture": card["texture"] or "(unnamed)",

@@ -3,23 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from typer import Argument, Option
 
-from foten.cli.render import (
-    ConstantForce,
-    ConstantSpeed,
-    HandOfRecording,
-    Seconds,
-    Seed,
-    StrokeUnits,
-    provenance,
-    rendered_by,
-    stroke_given,
-)
-from foten.console import JsonOption, check_folders, print_result
+from foten.cli.render import Actuator, StrokeOptions, provenance, rendered_by
+from foten.console import check_folders, options_from, print_result
 
 if TYPE_CHECKING:
     from foten.dsp import Array
@@ -39,12 +30,15 @@ SUFFIXES = {
     ".npz": "npz",
 }
 """The format that a name has."""
-CLIPS = ("wav", "wav-raw", "csv", "npz", "ahap", "haptic", "hjif", "hjif-parametric", "android")
-WHOLE = ("c", "onnx", "web", "unity")
+CLIPS = ("wav", "csv", "npz", "ahap", "haptic", "hjif", "hjif-parametric", "android")
+TEXTURES = ("c", "onnx", "web", "unity")
 
 
-def export(
-    output: Annotated[Path, Option("-o", "--output", help="File to write; a folder for web and unity.")],
+@dataclass(frozen=True, kw_only=True)
+class ExportOptions(StrokeOptions):
+    """Options of `foten export`."""
+
+    output: Annotated[Path, Option("-o", "--output", help="File to write; a folder for web and unity.")]
     texture_files: Annotated[
         list[Path] | None,
         Argument(
@@ -52,58 +46,53 @@ def export(
             help="A texture file. For web as many as the page is to have, or folders of them; by default those that come "
             "along.",
         ),
-    ] = None,
+    ] = None
     to: Annotated[
         str | None,
         Option(
-            help="A clip of one stroke: wav (driven: peak 1, 48 kHz, 16 bits), wav-raw (m/s², the texture's own rate, 32-bit "
-            "floats), csv, npz, ahap (Apple), haptic (Meta), hjif or hjif-parametric (MPEG), android. The texture itself: c (a "
+            help="A clip of one stroke: wav (driven: peak 1, 48 kHz, 16 bits; 'foten render' writes m/s²), csv, npz, "
+            "ahap (Apple), haptic (Meta), hjif or hjif-parametric (MPEG), android. The texture itself: c (a "
             "header), onnx (its one-step network), unity (a package for it). Textures: web (the page of 'foten serve' as "
             "files). By the output's name where that says it."
         ),
-    ] = None,
-    stroke: Annotated[
-        Path | None, Option(metavar="S.csv", help="As of 'foten render', a stroke that the page recorded for example.")
-    ] = None,
-    units: StrokeUnits = None,
-    recording_file: HandOfRecording = None,
-    speed: ConstantSpeed = None,
-    force: ConstantForce = None,
-    seconds: Seconds = None,
+    ] = None
     full_scale: Annotated[
         float | None, Option(help="m/s² that is 1 in the clip, for clips that are to compare; by default its peak.")
-    ] = None,
-    actuator: Annotated[Path | None, Option(metavar="P.json", help="Profile of the actuator that is driven.")] = None,
-    seed: Seed = 0,
-    as_json: JsonOption = False,
-) -> None:
+    ] = None
+    actuator: Actuator = None
+
+    def __post_init__(self) -> None:
+        kind = self.kind
+        if kind not in (*CLIPS, *TEXTURES):
+            what = f"--to {self.to}" if self.to else f"the name {self.output.name}"
+            raise ValueError(f"{what} is no format, expected --to {', '.join((*CLIPS, *TEXTURES))}")
+        check_folders([self.output])
+        if kind in TEXTURES and (self.has_stroke or self.full_scale is not None or self.actuator is not None):
+            raise ValueError(f"{kind} holds the texture itself: leave out the stroke and its options")
+
+    @property
+    def kind(self) -> str:
+        """Format, by its name or the output's."""
+        return self.to or SUFFIXES.get(self.output.suffix.lower(), "")
+
+
+@options_from(ExportOptions)
+def export(options: ExportOptions) -> None:
     """Write a texture, or a stroke of it, in another format.
 
     foten export denim.foten --speed 80 --force 0.8 --seconds 2 -o denim.ahap
 
     foten export denim.foten denim-ar.foten mesh.foten --to web -o site: two methods of one texture to compare, and another.
     """
-    kind = to or SUFFIXES.get(output.suffix.lower())
-    if kind is None or kind not in (*CLIPS, *WHOLE):
-        what = f"--to {to}" if to else f"the name {output.name}"
-        raise ValueError(f"{what} is no format, expected --to {', '.join((*CLIPS, *WHOLE))}")
-    check_folders([output])
-    files, hand = texture_files or [], (stroke, units, recording_file, speed, force, seconds)
-    if kind in WHOLE and any(option is not None for option in (*hand, full_scale, actuator)):
-        raise ValueError(f"{kind} holds the texture itself: leave out the stroke and its options")
-    if kind == "wav-raw" and not (full_scale is None and actuator is None):
-        raise ValueError("wav-raw holds the acceleration as it was rendered: leave out --full-scale and --actuator")
+    kind, output, files = options.kind, options.output, options.texture_files or []
     if kind == "web":
         document, keeps = _write_site(files, output)
+    elif kind in TEXTURES:
+        document, keeps = _TEXTURE_WRITERS[kind](_only(files, kind), output)
     else:
-        texture = _only(files, kind)
-        if kind in WHOLE:
-            document, keeps = _WHOLE[kind](texture, output)
-        elif kind == "wav-raw":
-            document, keeps = _write_raw(texture, hand, seed, output)
-        else:
-            document, keeps = _write_clip(kind, _clip(texture, hand, full_scale, actuator, seed), output)
-    print_result({"output": str(output), "format": kind, **document}, f"wrote {output}: {keeps}", as_json)
+        document, keeps = _write_clip(kind, _clip(_only(files, kind), options), output)
+    text = f"wrote {output}: {keeps}"
+    print_result({"output": str(output), "format": kind, **document}, text, options.as_json)
 
 
 def _only(files: list[Path], kind: str) -> Texture:
@@ -114,51 +103,30 @@ def _only(files: list[Path], kind: str) -> Texture:
     return read_texture(files[0])
 
 
-def _rendered(texture: Texture, hand: tuple[Any, ...], renderer: Renderer, seed: int) -> tuple[Array, dict[str, Any]]:
+def _rendered(texture: Texture, options: ExportOptions, renderer: Renderer) -> tuple[Array, dict[str, Any]]:
     """The samples of a stroke, shape (n,), and what made them; by default 2 s at 80 mm/s and 0.8 N."""
-    stroke, units, recording_file, speed, force, seconds = hand
-    if all(option is None for option in (stroke, recording_file, speed, force, seconds)):
-        speed, force, seconds = 80.0, 0.8, 2.0
-    taken, source = stroke_given(stroke, units, recording_file, speed, force, seconds, texture.rate_hz)
-    samples = rendered_by(renderer, *taken.conditioned(float(texture.card["lowpass_hz"])))
+    stroke = options if options.has_stroke else replace(options, speed=80.0, force=0.8, seconds=2.0)
+    speed, force, source = stroke.conditions(texture)
     unit = texture.card["units"].get("acceleration", "m/s^2")
-    return samples, {**provenance(texture, source, seed, False), "unit": unit}
+    return rendered_by(renderer, speed, force), {**provenance(texture, source, options.seed, False), "unit": unit}
 
 
-def _clip(texture: Texture, hand: tuple[Any, ...], full_scale: float | None, actuator: Path | None, seed: int) -> Clip:
+def _clip(texture: Texture, options: ExportOptions) -> Clip:
     from foten.export.clip import RATE_HZ, clip_of
     from foten.runtime.actuator import read_profile
     from foten.runtime.renderer import Renderer
 
-    profile = None if actuator is None else read_profile(actuator)
-    renderer = Renderer(texture, rate=max(RATE_HZ, texture.rate_hz), seed=seed, actuator=profile)
-    samples, about = _rendered(texture, hand, renderer, seed)
+    profile = None if options.actuator is None else read_profile(options.actuator)
+    renderer = Renderer(texture, rate=max(RATE_HZ, texture.rate_hz), seed=options.seed, actuator=profile)
+    samples, about = _rendered(texture, options, renderer)
     if profile is not None:
         about["unit"] = profile.unit
-    return clip_of(samples, renderer.rate, about, full_scale)
-
-
-def _said(seconds: float, rate_hz: float, full_scale: float, unit: str, keeps: str) -> tuple[dict[str, Any], str]:
-    """What is said of a clip, as JSON has it and as text."""
-    from foten.recording.recording import RELATIVE
-
-    words = "times the recording's RMS" if unit == RELATIVE else unit.replace("^2", "²")
-    document = {"seconds": seconds, "rate_hz": rate_hz, "full_scale": full_scale, "unit": unit}
-    return document, f"{seconds:g} s, 1 is {full_scale:.3g} {words}; {keeps}"
-
-
-def _write_raw(texture: Texture, hand: tuple[Any, ...], seed: int, output: Path) -> tuple[dict[str, Any], str]:
-    from foten.export.samples import KEEPS_WAV_RAW, write_raw_wav
-    from foten.runtime.renderer import Renderer
-
-    renderer = Renderer(texture, seed=seed)
-    acceleration, about = _rendered(texture, hand, renderer, seed)
-    write_raw_wav(acceleration, renderer.rate, about, output)
-    return _said(acceleration.size / renderer.rate, renderer.rate, 1.0, about["unit"], KEEPS_WAV_RAW)
+    return clip_of(samples, renderer.rate, about, options.full_scale)
 
 
 def _write_clip(kind: str, clip: Clip, output: Path) -> tuple[dict[str, Any], str]:
     from foten.export import ahap, android, haptic, hjif, samples
+    from foten.recording.recording import RELATIVE
 
     writers: dict[str, tuple[Callable[[Clip, Path], None], str]] = {
         "ahap": (ahap.write_ahap, ahap.KEEPS),
@@ -172,7 +140,10 @@ def _write_clip(kind: str, clip: Clip, output: Path) -> tuple[dict[str, Any], st
     }
     write, keeps = writers[kind]
     write(clip, output)
-    return _said(clip.duration_s, clip.rate_hz, clip.full_scale, clip.about["unit"], keeps)
+    seconds, full_scale, unit = clip.duration_s, clip.full_scale, clip.about["unit"]
+    words = "times the recording's RMS" if unit == RELATIVE else unit.replace("^2", "²")
+    document = {"seconds": seconds, "rate_hz": clip.rate_hz, "full_scale": full_scale, "unit": unit}
+    return document, f"{seconds:g} s, 1 is {full_scale:.3g} {words}; {keeps}"
 
 
 def _write_header(texture: Texture, output: Path) -> tuple[dict[str, Any], str]:
@@ -199,7 +170,7 @@ def _write_site(files: list[Path], output: Path) -> tuple[dict[str, Any], str]:
     shelf = Shelf(files)
     listed = shelf.listed()
     web.write_site(page_files(), listed, shelf.files(), output)
-    document = {"textures": [one["file"] for one in listed["textures"]]}
+    document = {"textures": [texture["file"] for texture in listed["textures"]]}
     return document, f"{counted(len(shelf), 'texture')}; {web.KEEPS}; put the folder on any host, and open it by HTTPS"
 
 
@@ -210,4 +181,4 @@ def _write_unity(texture: Texture, output: Path) -> tuple[dict[str, Any], str]:
     return {"name": name}, f"{name}; {unity.KEEPS}; put the folder into the Packages of a project"
 
 
-_WHOLE = {"c": _write_header, "onnx": _write_onnx, "unity": _write_unity}
+_TEXTURE_WRITERS = {"c": _write_header, "onnx": _write_onnx, "unity": _write_unity}

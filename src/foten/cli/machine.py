@@ -21,7 +21,7 @@ def bench(
     if not texture_file.exists():
         raise FileNotFoundError(f"no such file: {texture_file}")
     times = timing.time_all(texture_file, n)
-    print_result([asdict(one) for one in times], timing.as_table(times), as_json)
+    print_result([asdict(time) for time in times], timing.as_table(times), as_json)
 
 
 def doctor(

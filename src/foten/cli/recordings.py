@@ -11,16 +11,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from typer import Argument, Exit, Option
 
-from foten.console import (
-    JsonOption,
-    RecordingFile,
-    check_folder,
-    check_folders,
-    folder_option,
-    print_result,
-    say,
-    write_json,
-)
+from foten.atomic_write import write_json
+from foten.console import JsonOption, RecordingFile, check_folder, check_folders, folder_option, print_result, say
 
 if TYPE_CHECKING:
     from foten.datasets.options import ImportOptions
@@ -153,7 +145,6 @@ def import_(
             "strokes join the clocks. Without --unit acceleration=*FACTOR the texture is in relative units.",
         ),
     ] = None,
-    align: Annotated[str, Option(help="How --pen and the sound are joined: taps.")] = "taps",
     pressure: Annotated[
         str, Option(help="a,b of force = a exp(b pressure), of --pen (N); fit it on the page of foten serve.")
     ] = "0.13,3.32",
@@ -203,7 +194,7 @@ def import_(
     if pen is None:
         imported, decisions = import_recording(files, options)
     else:
-        imported, decisions = _import_capture(files, pen, align, pressure, options)
+        imported, decisions = _import_capture(files, pen, pressure, options)
     for decision in decisions:
         say(decision)
     recording = replace(imported, texture=texture or _named(files[0]), tool=tool, sensors=sensors, notes=notes)
@@ -235,14 +226,10 @@ def _named(file: Path) -> str:
     return folder if file.stem == "sound" and folder else file.stem
 
 
-def _import_capture(
-    files: list[Path], pen: Path, align: str, pressure: str, options: ImportOptions
-) -> tuple[Recording, list[str]]:
+def _import_capture(files: list[Path], pen: Path, pressure: str, options: ImportOptions) -> tuple[Recording, list[str]]:
     from foten.datasets.importing import import_capture
     from foten.runtime.stylus import PressureCalibration
 
-    if align != "taps":
-        raise ValueError(f"--align is {align!r}, expected taps")
     if len(files) != 1 or options.mapping:
         raise ValueError("--pen stands beside one sound, whose first channel is the acceleration: leave out --map")
     try:

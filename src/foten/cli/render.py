@@ -16,14 +16,14 @@ from foten.console import JsonOption, TextureFile, check_folders, options_from, 
 if TYPE_CHECKING:
     from foten.dsp import Array
     from foten.models.texture_file import Texture
-    from foten.runtime.live.play import Hand, Played
+    from foten.runtime.live.play import ConditionAt, Played
     from foten.runtime.native import NativeInfo
     from foten.runtime.renderer import Renderer
     from foten.runtime.stroke import Stroke
 
 SAY_EVERY_S = 5.0  # how far a long rendering is
 
-StrokeUnits = Annotated[
+Units = Annotated[
     list[str] | None,
     Option(
         "--unit",
@@ -31,16 +31,22 @@ StrokeUnits = Annotated[
         "foten import has them.",
     ),
 ]
-HandOfRecording = Annotated[Path | None, Option("--recording", metavar="REC.h5", help="Take the hand of a recording.")]
-ConstantSpeed = Annotated[float | None, Option(help="Constant speed (mm/s).")]
-ConstantForce = Annotated[float | None, Option(help="Constant force (N).")]
-Seconds = Annotated[float | None, Option(help="How long, with --speed and --force (s).")]
-Seed = Annotated[int, Option(min=0, max=2**32 - 1, help="Of the excitation.")]
+Speed = Annotated[float | None, Option(help="Constant speed (mm/s).")]
+Force = Annotated[float | None, Option(help="Constant force (N).")]
+Deterministic = Annotated[bool, Option("--deterministic", help="Without excitation.")]
+Actuator = Annotated[Path | None, Option(metavar="P.json", help="Profile of the actuator that is driven.")]
+Gain = Annotated[
+    float | None,
+    Option(help="Full scale (sound) or volts (daq) for 1 m/s², or for 1 of the actuator's drive; of these alone."),
+]
+Device = Annotated[str | None, Option(help="Number or name of the sound card, as 'python -m sounddevice' lists them.")]
+Channel = Annotated[int | None, Option(min=0, help="Of the sound card that is played on, from 0; 0 by default.")]
 
 
-def render(
-    texture_file: TextureFile,
-    output: Annotated[list[Path], Option("-o", "--output", help=".wav (float, m/s²), .csv, .npz or .png; repeatable.")],
+@dataclass(frozen=True, kw_only=True)
+class StrokeOptions:
+    """Options that say what a texture is rendered under."""
+
     stroke: Annotated[
         Path | None,
         Option(
@@ -48,27 +54,71 @@ def render(
             help="A table with the header t, speed or x and y, force or pressure (0 to 1); units in the header, t (ms) for "
             "example, else s, mm/s, mm, N.",
         ),
-    ] = None,
-    units: StrokeUnits = None,
-    recording_file: HandOfRecording = None,
-    speed: ConstantSpeed = None,
-    force: ConstantForce = None,
-    seconds: Seconds = None,
-    audible: Annotated[Path | None, Option(metavar="FILE.wav", help="Also as sound, 48 kHz, 16 bits.")] = None,
-    seed: Seed = 0,
-    deterministic: Annotated[bool, Option("--deterministic", help="Without excitation.")] = False,
-    as_json: JsonOption = False,
-) -> None:
+    ] = None
+    units: Units = None
+    recording_file: Annotated[
+        Path | None, Option("--recording", metavar="REC.h5", help="Take the hand of a recording.")
+    ] = None
+    speed: Speed = None
+    force: Force = None
+    seconds: Annotated[float | None, Option(help="How long, with --speed and --force (s).")] = None
+    seed: Annotated[int, Option(min=0, max=2**32 - 1, help="Of the excitation.")] = 0
+    as_json: JsonOption = False
+
+    @property
+    def has_stroke(self) -> bool:
+        """Whether there is any of them."""
+        stroke = (self.stroke, self.units, self.recording_file, self.speed, self.force, self.seconds)
+        return any(option is not None for option in stroke)
+
+    def conditions(self, texture: Texture) -> tuple[Array, Array, str]:
+        """Speed [mm/s] and force [N] at a texture's rate, shapes (n,), and what the stroke is called."""
+        from foten.runtime.stroke import constant_stroke, recorded_stroke
+
+        constants = (self.speed, self.force, self.seconds)
+        sources = [self.stroke is not None, self.recording_file is not None, constants != (None, None, None)]
+        if sum(sources) != 1 or (sources[2] and None in constants):
+            raise ValueError("expected one of --stroke, --recording, or --speed with --force and --seconds")
+        _check_units(self.units, self.stroke)
+        rate_hz = texture.rate_hz
+        if self.recording_file is not None:
+            from foten.datasets.hdf5 import load_recording
+
+            recording = load_recording(self.recording_file)
+            stroke, source = recorded_stroke(recording, rate_hz), recording.sha256()
+        elif self.stroke is not None:
+            stroke, source = _stroke_from(self.stroke, self.units, rate_hz), self.stroke.name
+        else:
+            speed, force, seconds = (float(value or 0) for value in constants)
+            stroke = constant_stroke(speed, force, seconds, rate_hz)
+            source = f"{speed:g} mm/s, {force:g} N, {seconds:g} s"
+        _report(stroke)
+        return *stroke.conditioned(float(texture.card["lowpass_hz"])), source
+
+
+@dataclass(frozen=True, kw_only=True)
+class RenderOptions(StrokeOptions):
+    """Options of `foten render`."""
+
+    texture_file: TextureFile
+    output: Annotated[list[Path], Option("-o", "--output", help=".wav (float, m/s²), .csv, .npz or .png; repeatable.")]
+    audible: Annotated[Path | None, Option(metavar="FILE.wav", help="Also as sound, 48 kHz, 16 bits.")] = None
+    deterministic: Deterministic = False
+
+
+@options_from(RenderOptions)
+def render(options: RenderOptions) -> None:
     """Render vibration from a texture and a stroke."""
     from foten.models.texture_file import read_texture
     from foten.runtime.live import sinks
     from foten.runtime.renderer import Renderer
 
+    output, audible = options.output, options.audible
     for path in output:
         sinks.check_suffix(path)
     written = [*output] if audible is None else [*output, audible]
     check_folders(written)
-    texture = read_texture(texture_file)
+    texture = read_texture(options.texture_file)
     rate = texture.rate_hz
     if audible is not None:
         sinks.audible_factor(rate)
@@ -76,17 +126,16 @@ def render(
             raise ValueError(f"sound is written as .wav, got --audible {audible.name}")
     if len({os.path.realpath(path) for path in written}) < len(written):
         raise ValueError("two outputs have the same name")
-    rendered_stroke, source = stroke_given(stroke, units, recording_file, speed, force, seconds, rate)
-    conditions = rendered_stroke.conditioned(float(texture.card["lowpass_hz"]))
-    about = {**provenance(texture, source, seed, deterministic), "rate_hz": rate}
-    renderer = Renderer(texture, seed=seed, excitation=not deterministic)
-    acceleration = rendered_by(renderer, *conditions)
+    speed, force, source = options.conditions(texture)
+    about = {**provenance(texture, source, options.seed, options.deterministic), "rate_hz": rate}
+    renderer = Renderer(texture, seed=options.seed, excitation=not options.deterministic)
+    acceleration = rendered_by(renderer, speed, force)
     for path in output:
-        sinks.write_rendered(path, acceleration, *conditions, rate, about)
+        sinks.write_rendered(path, acceleration, speed, force, rate, about)
     statistics = renderer.counted()
     gain = sinks.write_audible(audible, acceleration, rate) if audible is not None else None
     rms, peak = float((acceleration**2).mean() ** 0.5), float(abs(acceleration).max())
-    if as_json:
+    if options.as_json:
         levels = {"rms_m_s2": rms, "peak_m_s2": peak, "audible_gain": gain}
         print_json({"outputs": [str(path) for path in output], **levels, **statistics})
         return
@@ -97,7 +146,7 @@ def render(
     if gain is not None:
         print(f"wrote {audible}, where 1 {texture.unit} is {gain:.3g} of full scale")
     print_outside_range(statistics, texture)
-    if not texture.has_excitation and not deterministic:
+    if not texture.has_excitation and not options.deterministic:
         say(f"{texture.card['model']} carries no excitation, so the loop is deterministic and may fall silent")
 
 
@@ -113,29 +162,22 @@ class PlayOptions:
         Path | None,
         Option(metavar="S.csv", help="As of 'foten render', over and over, without a pause; by default a circle."),
     ] = None
-    units: StrokeUnits = None
-    speed: Annotated[float | None, Option(help="Constant speed (mm/s), with --force.")] = None
-    force: Annotated[float | None, Option(help="Constant force (N), with --speed.")] = None
+    units: Units = None
+    speed: Speed = None
+    force: Force = None
     seconds: Annotated[
         float | None, Option(min=0.0, help="How long (s); by default until Ctrl-C, and 10 s into a file.")
     ] = None
     rate: Annotated[float | None, Option(help="Of the output (Hz); by default 48000 for sound, else 8000 or more.")] = (
         None
     )
-    actuator: Annotated[Path | None, Option(metavar="P.json", help="Profile of the actuator that is driven.")] = None
-    gain: Annotated[
-        float | None,
-        Option(help="Full scale (sound) or volts (daq) for 1 m/s², or for 1 of the actuator's drive; of these alone."),
-    ] = None
-    device: Annotated[
-        str | None, Option(help="Number or name of the sound card, as 'python -m sounddevice' lists them.")
-    ] = None
-    channel: Annotated[int | None, Option(min=0, help="Of the sound card that is played on, from 0; 0 by default.")] = (
-        None
-    )
+    actuator: Actuator = None
+    gain: Gain = None
+    device: Device = None
+    channel: Channel = None
     lead_ms: Annotated[float | None, Option(help="Rendered ahead of what is heard (ms); 10 by default.")] = None
     seed: Annotated[int, Option(min=0, max=2**64 - 1, help="Of the excitation.")] = 0
-    deterministic: Annotated[bool, Option("--deterministic", help="Without excitation.")] = False
+    deterministic: Deterministic = False
     as_json: JsonOption = False
 
     def __post_init__(self) -> None:
@@ -146,8 +188,16 @@ class PlayOptions:
         for name, value, unit in (("speed", speed, " mm/s"), ("force", force, " N"), ("seconds", self.seconds, "")):
             if value is not None and not 0 <= value < inf:
                 raise ValueError(f"--{name} is {value}{unit}, expected a finite number, 0 or more")
+        live = (self.device, self.channel, self.lead_ms)
+        if self.into_file and any(option is not None for option in live):
+            raise ValueError("--device, --channel and --lead-ms are for what plays live: leave them out of a file")
 
-    def conditions(self, texture: Texture, info: NativeInfo) -> tuple[Hand, str]:
+    @property
+    def into_file(self) -> bool:
+        """Whether it is written to a file, and not played live."""
+        return self.to.lower().endswith(".wav")
+
+    def conditions(self, texture: Texture, info: NativeInfo) -> tuple[ConditionAt, str]:
         """Speed and force from sample to sample, and where they are from."""
         from foten.runtime.live.play import along, circling, holding
         from foten.runtime.stroke import doubts_of
@@ -184,9 +234,10 @@ def play(options: PlayOptions) -> None:
     about = provenance(texture, source, options.seed, options.deterministic)
     if profile is not None:
         about |= {"actuator": asdict(profile), "unit": profile.unit}
-    if seconds is None and to.lower().endswith(".wav"):
-        seconds = 10.0
-    sink = sink_of(to, renderer.rate, scale, seconds, options.device, options.channel, about)
+    if options.into_file:
+        _write_played(options, texture, renderer, conditions, about)
+        return
+    sink = sink_of(to, renderer.rate, scale, options.device, options.channel)
 
     def on_start() -> None:
         name, long = info.texture or texture_file.name, "" if seconds is None else f" for {seconds:g} s"
@@ -202,6 +253,26 @@ def play(options: PlayOptions) -> None:
         raise Exit(130)
 
 
+def _write_played(
+    options: PlayOptions, texture: Texture, renderer: Renderer, conditions: ConditionAt, about: dict[str, Any]
+) -> None:
+    from foten.runtime.live.play import write_wav
+
+    path = Path(options.to)
+    check_folders([path])
+    samples, interrupted = write_wav(
+        renderer, conditions, 10.0 if options.seconds is None else options.seconds, path, about
+    )
+    counted = renderer.counted()
+    if options.as_json:
+        print_json({"output": str(path), "n_samples": samples.size, "interrupted": interrupted, **counted})
+    else:
+        print(f"wrote {path}, {samples.size / renderer.rate:g} s at {renderer.rate:g} Hz")
+        print_outside_range(counted, texture)
+    if interrupted:
+        raise Exit(130)
+
+
 def _document_of(played: Played) -> dict[str, Any]:
     """What was played, for programs."""
     statistics = played.statistics
@@ -214,7 +285,7 @@ def _document_of(played: Played) -> dict[str, Any]:
         "n_missed": statistics.n_missed,
         "n_underruns": statistics.n_underruns,
         "n_lacking": statistics.n_lacking,
-        "ring_least_ms": statistics.least_ms if statistics.least_ms < inf else None,
+        "ring_min_ms": statistics.min_ms if statistics.min_ms < inf else None,
         **{name: value for name, value in vars(played).items() if name not in ("statistics", "counted")},
     }
 
@@ -257,37 +328,6 @@ def provenance(texture: Texture, source: str, seed: int, deterministic: bool) ->
     }
 
 
-def stroke_given(
-    stroke: Path | None,
-    units: list[str] | None,
-    recording_file: Path | None,
-    speed: float | None,
-    force: float | None,
-    seconds: float | None,
-    rate_hz: float,
-) -> tuple[Stroke, str]:
-    """The stroke that the options give, at a texture's rate, and what it is called; doubts about it are said."""
-    from foten.runtime.stroke import constant_stroke, recorded_stroke
-
-    constants = (speed, force, seconds)
-    sources = [stroke is not None, recording_file is not None, any(value is not None for value in constants)]
-    if sum(sources) != 1 or (sources[2] and None in constants):
-        raise ValueError("expected one of --stroke, --recording, or --speed with --force and --seconds")
-    _check_units(units, stroke)
-    if recording_file is not None:
-        from foten.datasets.hdf5 import load_recording
-
-        recording = load_recording(recording_file)
-        given, source = recorded_stroke(recording, rate_hz), recording.sha256()
-    elif stroke is not None:
-        given, source = _stroke_from(stroke, units, rate_hz), stroke.name
-    else:
-        given = constant_stroke(float(speed or 0), float(force or 0), float(seconds or 0), rate_hz)
-        source = f"{speed:g} mm/s, {force:g} N, {seconds:g} s"
-    _report(given)
-    return given, source
-
-
 def _check_units(units: list[str] | None, stroke: Path | None) -> None:
     if units and stroke is None:
         raise ValueError("--unit is for the columns of --stroke: leave it out")
@@ -306,10 +346,10 @@ def rendered_by(renderer: Renderer, speed: Array, force: Array) -> Array:
     import numpy as np
 
     second = max(1, round(renderer.texture_rate))
-    pieces, said_s = [], time.monotonic()
+    pieces, shown_s = [], time.monotonic()
     for start in range(0, speed.size, second):
-        if time.monotonic() - said_s >= SAY_EVERY_S:
-            said_s = time.monotonic()
+        if time.monotonic() - shown_s >= SAY_EVERY_S:
+            shown_s = time.monotonic()
             say(f"rendered {start / renderer.texture_rate:.0f} of {speed.size / renderer.texture_rate:.0f} s")
         pieces.append(renderer.render(speed[start : start + second], force[start : start + second]))
     return np.concatenate(pieces).astype(float)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 from typer import Argument, Option
 
 from foten.atomic_write import reason
+from foten.cli.render import Actuator, Channel, Device, Gain
 from foten.console import say
 
 if TYPE_CHECKING:
@@ -38,20 +39,10 @@ def serve(
             help="What 'by the server, played there' plays through: sound, daq:Dev1/ao0, udp:HOST:PORT, osc:HOST:PORT or null."
         ),
     ] = "sound",
-    actuator: Annotated[
-        Path | None,
-        Option(metavar="P.json", help="Profile of the actuator on it; 0 dB is then the recorded acceleration."),
-    ] = None,
-    gain: Annotated[
-        float | None,
-        Option(help="Full scale (sound) or volts (daq) for 1 m/s², or for 1 of the actuator's drive; of these alone."),
-    ] = None,
-    device: Annotated[
-        str | None, Option(help="Number or name of the sound card, as 'python -m sounddevice' lists them.")
-    ] = None,
-    channel: Annotated[
-        int | None, Option(min=0, help="Of the sound card that is played on, from 0; 0 by default.")
-    ] = None,
+    actuator: Actuator = None,
+    gain: Gain = None,
+    device: Device = None,
+    channel: Channel = None,
     open_page: Annotated[bool, Option("--open/--no-open", help="Open the page in this machine's browser.")] = True,
 ) -> None:
     """Open a page to stroke textures on, with a mouse, a finger or a pen, and to capture surfaces of one's own. Ctrl-C ends it.
@@ -72,13 +63,13 @@ def serve(
     if output != OutputDevice():
         output.check()
     shelf = Shelf(textures or [])
-    for kept in sorted(captures.glob(f"*/*{SUFFIX}")):
+    for captured in sorted(captures.glob(f"*/*{SUFFIX}")):
         try:
-            shelf.put(kept)
+            shelf.put(captured)
         except (OSError, ValueError) as error:  # one bad capture is no reason not to start
             why = reason(error) if isinstance(error, OSError) else str(error)
-            why = why.removeprefix(f"{kept}: ").removeprefix(f"{kept.name}: ")
-            say(f"left out {kept}: {' '.join(why.split())}")
+            why = why.removeprefix(f"{captured}: ").removeprefix(f"{captured.name}: ")
+            say(f"left out {captured}: {' '.join(why.split())}")
     studio = Studio(shelf, captures, output)
 
     def announce(access: Access, shown: str, joined: bool) -> None:

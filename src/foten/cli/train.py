@@ -109,7 +109,7 @@ class TrainOptions:
         if self.output.suffix != ".foten":
             raise ValueError(f"a texture file is written as .foten, got -o {self.output.name}")
         check_folders([self.output, self.run_folder or self.output])
-        of_networks = self.changes() | _given(window=self.window, set=self.settings, run=self.run_folder)
+        of_networks = self.changes() | _not_none(window=self.window, set=self.settings, run=self.run_folder)
         of_networks |= {name: True for name in ("resume", "seed", "excitation") if getattr(self, name)}
         of_networks |= {} if self.recipe == "default" else {"recipe": self.recipe}
         if of_networks and not self.has_network:
@@ -136,7 +136,7 @@ class TrainOptions:
     def changes(self) -> dict[str, Any]:
         """Settings of `TrainConfig` that differ from the recipe's, by name."""
         names = ("epochs", "loss", "delta", "batch", "learning_rate", "dropout", "threads")
-        return _given(**{name: getattr(self, name) for name in names})
+        return _not_none(**{name: getattr(self, name) for name in names})
 
     def config(self) -> TrainConfig:
         """The recipe with the changes."""
@@ -152,9 +152,9 @@ class TrainOptions:
 
         # The paper trains with 25 Hz and renders with 20 Hz.
         lowpass_hz = 25.0 if self.recipe == "paper" else None
-        cut = _given(rate_hz=self.rate, trim_ms=self.trim, block_ms=self.block, lowpass_hz=lowpass_hz)
+        cut = _not_none(rate_hz=self.rate, trim_ms=self.trim, block_ms=self.block, lowpass_hz=lowpass_hz)
         preprocess = PreprocessConfig(zero_phase=self.zero_phase, force_units=self.force_units, **cut)
-        sizes = _given(window=self.window) | _settings(self.settings or [])
+        sizes = _not_none(window=self.window) | _settings(self.settings or [])
         sizes |= {"excitation": True} if self.excitation else {}
         trained_sizes = trainable_sizes(self.model, sizes)
         if "excitation_width" in sizes and not trained_sizes.excited:
@@ -234,7 +234,7 @@ def _settled(job: TrainingJob) -> dict[str, Any]:
     }
 
 
-def _given(**options: Any) -> dict[str, Any]:
+def _not_none(**options: Any) -> dict[str, Any]:
     """The options that were given, by name."""
     return {name: value for name, value in options.items() if value is not None}
 

@@ -37,10 +37,10 @@ def scored_bins(frequencies: Array, rate_hz: float) -> NDArray[np.bool_]:
     return (frequencies >= MIN_SCORED_HZ) & (frequencies <= max_scored_hz(rate_hz))
 
 
-def highest_with_power(frequencies: Array, density: Array, rate_hz: float, share: float = 0.999) -> float:
-    """Frequency [Hz] below which a share of the power lies: densities (k,); never lower than what is scored."""
+def highest_with_power(frequencies: Array, density: Array, rate_hz: float) -> float:
+    """Frequency [Hz] below which 99.9 % of the power lies: densities (k,); never lower than what is scored."""
     power = np.cumsum(density)
-    reached = float(frequencies[np.searchsorted(power, share * power[-1])])
+    reached = float(frequencies[np.searchsorted(power, 0.999 * power[-1])])
     return min(max(reached, max_scored_hz(rate_hz)), rate_hz / 2)
 
 

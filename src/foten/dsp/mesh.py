@@ -33,38 +33,38 @@ class Mesh:
 
     def at(self, speed: Array, force: Array) -> tuple[NDArray[np.int64], Array]:
         """The three models used at speeds [mm/s] and forces [N], and the share of each: (b,) → (b, 3), (b, 3)."""
-        asked = np.stack([speed, force], axis=1) / self.scale
-        parts = np.array_split(asked, len(asked) * len(self.triangles) // _AT_ONCE + 1)
+        places = np.stack([speed, force], axis=1) / self.scale
+        parts = np.array_split(places, len(places) * len(self.triangles) // _AT_ONCE + 1)
         triangles, weights = zip(*(self._some(part) for part in parts), strict=True)
         return self.triangles[np.concatenate(triangles)], np.concatenate(weights)
 
-    def _some(self, asked: Array) -> tuple[NDArray[np.int64], Array]:
+    def _some(self, places: Array) -> tuple[NDArray[np.int64], Array]:
         """Triangle that each point is in or nearest to, and the shares of its corners: (b, 2) → (b,), (b, 3)."""
         corners = (self.points / self.scale)[self.triangles]
         origin, first, second = corners[:, 0], corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
-        away = asked[:, None] - origin
+        away = places[:, None] - origin
         area = _cross(first, second)
         over = np.stack([_cross(away, second) / area, _cross(first, away) / area], axis=2)
         shares = np.concatenate([1 - over.sum(axis=2, keepdims=True), over], axis=2)
         inside = (shares > _INSIDE).all(axis=2)
         triangle = inside.argmax(axis=1)
-        weights = shares[np.arange(len(asked)), triangle]
+        weights = shares[np.arange(len(places)), triangle]
         lost = inside.sum(axis=1) == 0
         if lost.any():
-            triangle[lost], weights[lost] = _nearest(asked[lost], corners)
+            triangle[lost], weights[lost] = _nearest(places[lost], corners)
         weights = np.maximum(weights, 0.0)
         return triangle, weights / weights.sum(axis=1, keepdims=True)
 
 
-def _nearest(asked: Array, corners: Array) -> tuple[NDArray[np.int64], Array]:
+def _nearest(places: Array, corners: Array) -> tuple[NDArray[np.int64], Array]:
     """Triangle whose edge is nearest to each point, and the shares of its corners at the nearest place."""
     begin = corners.transpose(1, 0, 2)  # of the three edges of each triangle, (3, t, 2)
     along = np.roll(begin, -1, axis=0) - begin
-    away = asked[:, None, None] - begin
+    away = places[:, None, None] - begin
     share = np.clip((away * along).sum(axis=3) / np.square(along).sum(axis=2), 0.0, 1.0)
     distance = np.square(away - share[..., None] * along).sum(axis=3)
-    edge, triangle = np.unravel_index(distance.reshape(len(asked), -1).argmin(axis=1), distance.shape[1:])
-    rows, weights = np.arange(len(asked)), np.zeros((len(asked), 3))
+    edge, triangle = np.unravel_index(distance.reshape(len(places), -1).argmin(axis=1), distance.shape[1:])
+    rows, weights = np.arange(len(places)), np.zeros((len(places), 3))
     weights[rows, (edge + 1) % 3] = share[rows, edge, triangle]
     weights[rows, edge] = 1 - share[rows, edge, triangle]
     return triangle, weights

@@ -9,7 +9,7 @@ import numpy as np
 from foten.dsp import Array
 from foten.dsp.distance import MAX_SCORED_HZ, MIN_SCORED_HZ
 
-MOST_SENSITIVE_HZ = 250.0
+BEST_FREQUENCY_HZ = 250.0
 USABLE_BAND = 0.45  # of a rate
 RATES_HZ = (1000.0, 2500.0, 10_000.0)
 
@@ -24,7 +24,7 @@ def sensitivity(hertz: Array) -> Array:
 
     Source: Verrillo, J. Acoust. Soc. Am. 35 (1963), for large contactors; the slope above 250 Hz is our reading of a U.
     """
-    steep = np.minimum(MOST_SENSITIVE_HZ / np.maximum(hertz, 1e-9), 1.0) ** 8
+    steep = np.minimum(BEST_FREQUENCY_HZ / np.maximum(hertz, 1e-9), 1.0) ** 8
     return np.where((hertz >= MIN_SCORED_HZ) & (hertz <= MAX_SCORED_HZ), steep, 0.0)
 
 

@@ -53,8 +53,8 @@ def spanning(speed: Array, force: Array, n_speed: int, n_force: int) -> SpeedFor
     One vertex stands for all where the hand did not vary by 2 %. The outermost hundredths of force are too rare for a vertex.
     """
 
-    def knots(low: float, high: float, n: int, least: float) -> Array:
-        return np.linspace(low, high, n) if n > 1 and high - low > least else np.zeros(1)
+    def knots(low: float, high: float, n: int, min_spread: float) -> Array:
+        return np.linspace(low, high, n) if n > 1 and high - low > min_spread else np.zeros(1)
 
     speed_knots = knots(speed.min(), speed.max(), n_speed, MIN_SPREAD * speed.max())
     low, high = np.quantile(log_force(force), [0.01, 0.99])

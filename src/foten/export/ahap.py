@@ -1,7 +1,5 @@
 """Apple's AHAP: a pattern of Core Haptics, in JSON.
 
-Keeps the envelope, not the waveform: how strong and how sharp, up to 60 times a second.
-
 Source: Apple's documentation of Core Haptics. A curve has at most 16 points, as Lofelt's and Meta's tools write them; an event
 lasts at most 30 s. The times of points count from their curve's.
 """

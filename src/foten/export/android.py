@@ -9,7 +9,7 @@
         builder.addControlPoint(it.amplitude, hertz, it.duration_ms)
     }
 
-Keeps the envelope, not the waveform. Control points are 20 ms to 1 s apart, which every phone with envelopes takes; some take
+Control points are 20 ms to 1 s apart, which every phone with envelopes takes; some take
 closer ones (`getMinControlPointDurationMillis()`). Android plays no effect that holds a frequency which the phone does not have,
 and corrects none: clamp them to its profile. A phone takes 16 points or more at once (`getMaxSize()`); an effect of more points
 is broken down by Android itself.

@@ -1,7 +1,5 @@
 """The .haptic format, version 1.0, of Lofelt and Meta: envelopes of amplitude and frequency, in JSON.
 
-Keeps the envelope, not the waveform.
-
 Source: the published specification of the format.
 """
 

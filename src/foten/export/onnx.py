@@ -1,7 +1,4 @@
-"""A texture's one-step network as an ONNX graph, its card in the metadata.
-
-Keeps the network alone: windows in, the next sample out. The closed loop, the excitation and the fade are the renderer's.
-"""
+"""A texture's one-step network as an ONNX graph, its card in the metadata."""
 
 from __future__ import annotations
 

@@ -1,40 +1,29 @@
-"""A clip as samples: WAV for a sound card, CSV and NPZ for programs; and what was rendered, as it is, in a WAV."""
+"""A clip as samples: WAV for a sound card, CSV and NPZ for programs."""
 
 from __future__ import annotations
 
 import json
 import struct
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from foten.atomic_write import atomic_write
-from foten.dsp import Array
 from foten.dsp.resample import interpolate, rate_ratio
 from foten.export.clip import Clip
-from foten.runtime.live.sinks import AUDIBLE_HZ, float_wav_ends, pcm_wav
+from foten.runtime.live.sinks import AUDIBLE_HZ, pcm_wav, wav_comment
 
 KEEPS = "the samples are kept as they are"
 KEEPS_WAV = "the samples are kept to 16 bits, at 48 kHz"
-KEEPS_WAV_RAW = "the acceleration is kept as it was rendered, in 32-bit floats at the texture's own rate"
 
 
 def write_wav(clip: Clip, path: Path) -> None:
     """Write a clip at 48 kHz and 16 bits, full scale for 1. The comment holds `unit`, `full_scale` and `about`."""
     sound = interpolate(clip.drive, rate_ratio(AUDIBLE_HZ, clip.rate_hz))
-    _, comment = float_wav_ends(0, AUDIBLE_HZ, {**clip.about, "full_scale": clip.full_scale})
+    comment = wav_comment(AUDIBLE_HZ, {**clip.about, "full_scale": clip.full_scale})
     data = pcm_wav(np.clip(sound, -1.0, 1.0), AUDIBLE_HZ) + comment
     with atomic_write(path) as part:
         part.write_bytes(data[:4] + struct.pack("<I", len(data) - 8) + data[8:])  # the size, with the comment in it
-
-
-def write_raw_wav(acceleration: Array, rate_hz: float, about: Mapping[str, Any], path: Path) -> None:
-    """Write what was rendered, shape (n,), in 32-bit floats. The comment holds `unit`, `full_scale` (1) and `about`."""
-    head, comment = float_wav_ends(acceleration.size, rate_hz, {**about, "full_scale": 1.0})
-    with atomic_write(path) as part:
-        part.write_bytes(head + acceleration.astype("<f4").tobytes() + comment)
 
 
 def write_csv(clip: Clip, path: Path) -> None:

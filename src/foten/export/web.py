@@ -1,7 +1,4 @@
-"""The studio's page as files for any host: it renders in the browser, and needs no server of ours.
-
-Keeps everything: the texture files lie beside the page.
-"""
+"""The studio's page as files for any host: it renders in the browser, and needs no server of ours."""
 
 from __future__ import annotations
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
@@ -11,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from foten.atomic_write import atomic_write
+from foten.atomic_write import write_json
 from foten.dsp import Array
 from foten.runtime.binding import NativeActuator
 from foten.untrusted import check_regular, parse_json
@@ -68,8 +67,7 @@ class ActuatorProfile:
 
 def write_profile(profile: ActuatorProfile, path: Path) -> None:
     """Write a profile as JSON, whole or not at all."""
-    with atomic_write(path) as part:
-        part.write_text(json.dumps({"format": FORMAT, "version": VERSION, **asdict(profile)}, indent=1) + "\n")
+    write_json(path, {"format": FORMAT, "version": VERSION, **asdict(profile)})
 
 
 def read_profile(path: Path) -> ActuatorProfile:

@@ -103,9 +103,9 @@ def reason(done: subprocess.CompletedProcess[str]) -> str:
 def as_table(times: list[StepTimes]) -> str:
     """Times as text for people."""
     lines = [f"{'':12s}{'p50':>9s}{'p99':>9s}{'p99.9':>9s}{'max':>10s}   contacts a core"]
-    for one in times:
-        figures = "".join(f"{getattr(one, name):9.2f}" for name in ("p50_us", "p99_us", "p999_us"))
-        lines.append(f"{one.isa:12s}{figures}{one.largest_us:10.1f}   {one.contacts:.0f} at {one.rate_hz:g} Hz")
+    for step in times:
+        figures = "".join(f"{getattr(step, name):9.2f}" for name in ("p50_us", "p99_us", "p999_us"))
+        lines.append(f"{step.isa:12s}{figures}{step.largest_us:10.1f}   {step.contacts:.0f} at {step.rate_hz:g} Hz")
     empty_us = 1e6 * np.median(timeit.repeat(library().foten_abi, number=1, repeat=2000))
     lines.append(f"in µs a sample, called one by one from Python; a call that does nothing takes {empty_us:.2f}")
     return "\n".join(lines)

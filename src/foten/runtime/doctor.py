@@ -6,17 +6,13 @@ import importlib.metadata
 import importlib.util
 import math
 import platform
-import re
 import subprocess
 import sys
 import time
-from contextlib import suppress
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
-import foten
 from foten.runtime.bench import reason
 from foten.runtime.binding import isa, library
 from foten.runtime.live.devices import sound_library
@@ -38,7 +34,7 @@ def checks() -> list[Check]:
     daq = _package("NI-DAQ", "nidaqmx", "nidaqmx", "package nidaqmx is not installed: pip install 'foten[daq]'")
     without = "PyTorch is not installed, and rendering does not need it: pip install 'foten[train]' to train"
     training = _package("training", "torch", "PyTorch", without)
-    return [Check("python", python), _kernel(), _size(), *_start_up(), _clock(), _sound(), daq, training]
+    return [Check("python", python), _kernel(), *_start_up(), _clock(), _sound(), daq, training]
 
 
 def _kernel() -> Check:
@@ -47,29 +43,6 @@ def _kernel() -> Check:
         return Check("kernel", f"{version}, instruction set {isa()}", fine=True)
     except OSError as error:
         return Check("kernel", str(error), fine=False)
-
-
-def _size() -> Check:
-    """Bytes of what an installation without extras brings: this package and all that it needs."""
-    files: dict[str, set[Path]] = {}
-    waiting = ["foten"]
-    while waiting:
-        name = waiting.pop().lower()
-        if name in files:
-            continue
-        files[name] = set()
-        with suppress(importlib.metadata.PackageNotFoundError):  # run from its sources
-            distribution = importlib.metadata.distribution(name)
-            files[name] = {Path(str(file.locate())) for file in distribution.files or []}
-            asked = [line for line in distribution.requires or [] if "extra ==" not in line]
-            waiting += [re.split(r"[^A-Za-z0-9._-]", line, maxsplit=1)[0] for line in asked]
-    # Of an editable install the sources lie elsewhere.
-    here = (path for folder in foten.__path__ for path in Path(folder).rglob("*"))
-    files["foten"] |= {path for path in here if "__pycache__" not in path.parts}
-    sizes = {name: sum(path.stat().st_size for path in paths if path.is_file()) for name, paths in files.items()}
-    largest = sorted(sizes, key=lambda name: -sizes[name])
-    summary = ", ".join(f"{name} {sizes[name] / 1e6:.1f}" for name in largest if sizes[name] > 5e5)
-    return Check("size", f"{sum(sizes.values()) / 1e6:.0f} MB: {summary}")
 
 
 def _start_up() -> list[Check]:
@@ -110,7 +83,7 @@ def _clock() -> Check:
 
 def _sound() -> Check:
     try:
-        devices = [one["name"] for one in sound_library().query_devices() if one["max_output_channels"] > 0]
+        devices = [device["name"] for device in sound_library().query_devices() if device["max_output_channels"] > 0]
     except Exception as error:  # PortAudio's own too: whatever it is, it is told and the rest is looked at
         return Check("sound", str(error))
     return Check("sound", ", ".join(devices) if devices else "PortAudio is here, and no device to play on")
@@ -120,7 +93,4 @@ def _package(name: str, package: str, title: str, missing: str) -> Check:
     """Version of a package that may be here, or a line that says what to do where it is not."""
     if importlib.util.find_spec(package) is None:
         return Check(name, missing)
-    try:
-        return Check(name, f"{title} {importlib.metadata.version(package)}")
-    except importlib.metadata.PackageNotFoundError:
-        return Check(name, f"{title} of an unknown version")
+    return Check(name, f"{title} {importlib.metadata.version(package)}")

@@ -45,8 +45,8 @@ class NativeTexture:
         self._failed: list[BaseException] = []
         status = library().foten_model_load(data, len(data), *ends)
         if status == binding.NO_PREDICTOR:
-            self._asked = _asked(data, self._failed)  # as long as the texture is
-            status = library().foten_model_load_with(data, len(data), self._asked, None, *ends)
+            self._callback = _onnx_callback(data, self._failed)  # as long as the texture is
+            status = library().foten_model_load_with(data, len(data), self._callback, None, *ends)
             self.raise_failed()
         if status != 0:
             raise (MemoryError if status == binding.NO_MEMORY else ValueError)(why.value.decode(errors="replace"))
@@ -80,10 +80,11 @@ class NativeState:
         excitation: bool = True,
         smooth: bool = False,
     ) -> None:
-        own = texture.info.rate_hz
-        rate = own if rate_hz is None else rate_hz
-        if not own / 20 <= rate <= 400 * own:
-            raise ValueError(f"the rate is {rate_hz} Hz, expected {own / 20:g} to {400 * own:g} Hz for this texture")
+        base_hz = texture.info.rate_hz
+        rate = base_hz if rate_hz is None else rate_hz
+        low, high = base_hz / 20, 400 * base_hz
+        if not low <= rate <= high:
+            raise ValueError(f"the rate is {rate_hz} Hz, expected {low:g} to {high:g} Hz for this texture")
         options = binding.Options(rate, seed, stream, not excitation, smooth)
         self._texture = texture  # the state needs it as long as it lives
         self.pointer = c_void_p(library().foten_state_new(texture.pointer, byref(options)))
@@ -173,7 +174,7 @@ def freed_with(owner: object, free: Callable[[c_void_p], None], pointer: c_void_
     weakref.finalize(owner, free, pointer).atexit = False
 
 
-def _asked(data: bytes, failed: list[BaseException]) -> ctypes._FuncPointer:
+def _onnx_callback(data: bytes, failed: list[BaseException]) -> ctypes._FuncPointer:
     """Function that gives the kernel the sample after a window, for a model that it has no code for.
 
     An exception cannot pass through the kernel: it is put aside, the kernel is answered at once from then on, and whoever

@@ -73,7 +73,7 @@ def _session(graph: bytes) -> Any:
     except Exception as error:  # protobuf's, whichever of its implementations is installed
         raise ValueError("the texture's graph is damaged: it is no ONNX") from error
     foreign = {node.op_type for node in model.graph.node if node.domain or not _OPERATORS.fullmatch(node.op_type)}
-    if foreign or model.functions or any(one.data_location for one in model.graph.initializer):
+    if foreign or model.functions or any(tensor.data_location for tensor in model.graph.initializer):
         what = f"operator {min(foreign)}" if foreign else "part"
         raise ValueError(f"the texture's graph has a foreign {what}, and is not run: none of foten's networks has it")
     options = onnxruntime.SessionOptions()

@@ -60,9 +60,7 @@ def recorded_stroke(recording: Recording, rate_hz: float) -> Stroke:
     return Stroke(velocities, np.maximum(force, 0.0), rate_hz)
 
 
-def tabled_stroke(
-    columns: Mapping[str, Array], rate_hz: float, calibration: PressureCalibration | None = None
-) -> Stroke:
+def tabled_stroke(columns: Mapping[str, Array], rate_hz: float) -> Stroke:
     """Stroke in columns at a model's rate: as many samples as it lasts × rate, rounded.
 
     Values between rows are interpolated linearly, as positions of a recording are. Where positions are given, the
@@ -83,7 +81,7 @@ def tabled_stroke(
         pressure = columns["pressure"]
         if pressure.min() < 0 or pressure.max() > 1:
             raise ValueError(f"pressure runs from {pressure.min():g} to {pressure.max():g}, expected 0 to 1")
-        force = (calibration or PressureCalibration()).force(pressure)
+        force = PressureCalibration().force(pressure)
     if force.min() < 0 or ("speed" in columns and columns["speed"].min() < 0):
         raise ValueError("speed and force of a stroke are magnitudes, found one below zero")
     if times[-1] > MAX_STROKE_S:

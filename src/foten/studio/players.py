@@ -94,7 +94,7 @@ class DevicePlayer:
         self.calibrated, self.actuator = output.calibrated, output.actuator
         self.statistics = LiveStatistics()
         gain = gain_for(output.actuator, output.gain, 1.0, output.to) if output.calibrated else 1.0
-        self._sink = sink_of(output.to, rate_hz, gain, None, output.device, output.channel)
+        self._sink = sink_of(output.to, rate_hz, gain, output.device, output.channel)
         self._live: Live | None = None
 
     @property
@@ -228,4 +228,4 @@ def white_noise(level_db: float, device: str | None) -> Live:
     def render(out: Samples) -> None:
         np.clip(rms * rng.standard_normal(out.size, dtype=np.float32), -1.0, 1.0, out=out)
 
-    return Live(render, sink_of("sound", SOUND_RATE_HZ, 1.0, None, device), lead_ms=100.0)
+    return Live(render, sink_of("sound", SOUND_RATE_HZ, 1.0, device), lead_ms=100.0)

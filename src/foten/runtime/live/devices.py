@@ -16,6 +16,7 @@ from foten.runtime.live.live import Read, Samples
 SOUND_RATE_HZ = 48_000.0
 _SOUND_BLOCK_MS = 5.0
 _DAQ_BUFFERED_MS = 20.0
+_DAQ_LIMIT_V = 10.0
 
 
 class SoundSink:
@@ -29,8 +30,6 @@ class SoundSink:
         device: its name, or its number as an int, as `python -m sounddevice` lists them; None for the usual one.
         channel: that is played on, from 0; those before it are silent.
     """
-
-    patient = False
 
     def __init__(
         self, gain: float, device: str | int | None = None, rate_hz: float = SOUND_RATE_HZ, channel: int = 0
@@ -96,11 +95,7 @@ class SoundSink:
 
 
 def sound_library() -> Any:
-    """The package sounddevice, or raise OSError where it or PortAudio is missing.
-
-    Raises:
-        OSError: it or PortAudio is missing; one line says what to do.
-    """
+    """The package sounddevice, or raise OSError with what to do where it or PortAudio is missing."""
     try:
         import sounddevice
     except ImportError as error:
@@ -116,28 +111,23 @@ def sound_library() -> Any:
 class DaqSink:
     """An analogue output of an NI-DAQ, clocked by its hardware from a buffer that is refilled as it empties.
 
+    What goes beyond ±10 V is cut, and counted in `n_cut`.
+
     Args:
         channel: as "Dev1/ao0".
         gain: volts for one of what is rendered; 1 where an actuator's drive in V is.
-        limit_v: range of the output; what goes beyond is cut, and counted in `n_cut`.
         library: `nidaqmx`, or what stands for it in a test.
 
     Raises:
         OSError: the package, its driver or the device is missing.
     """
 
-    patient = False
-
-    def __init__(
-        self, channel: str, rate_hz: float, gain: float = 1.0, limit_v: float = 10.0, library: Any = None
-    ) -> None:
+    def __init__(self, channel: str, rate_hz: float, gain: float = 1.0, library: Any = None) -> None:
         _check_gain(gain)
-        if not 0 < limit_v < math.inf:
-            raise ValueError(f"the output's range is ±{limit_v} V, expected a positive number")
         self.rate_hz = float(rate_hz)
         self.n_cut = 0
         self.failed: BaseException | None = None
-        self._channel, self._gain, self._limit = channel, gain, limit_v
+        self._channel, self._gain = channel, gain
         self._stopped, self._fading, self._silent = False, threading.Event(), threading.Event()
         n = max(2, round(_DAQ_BUFFERED_MS * rate_hz / 2000))  # half of the buffer
         self._block = np.zeros(n, dtype=np.float32)
@@ -154,7 +144,7 @@ class DaqSink:
 
     def _set_up(self) -> None:
         task, constants = self._task, self._library.constants
-        task.ao_channels.add_ao_voltage_chan(self._channel, min_val=-self._limit, max_val=self._limit)
+        task.ao_channels.add_ao_voltage_chan(self._channel, min_val=-_DAQ_LIMIT_V, max_val=_DAQ_LIMIT_V)
         continuous = constants.AcquisitionType.CONTINUOUS
         task.timing.cfg_samp_clk_timing(rate=self.rate_hz, sample_mode=continuous, samps_per_chan=self.n_at_once)
         task.out_stream.output_buf_size = self.n_at_once
@@ -172,8 +162,8 @@ class DaqSink:
             try:
                 read(self._block)
                 volts = self._block.astype(np.float64) * self._gain
-                self.n_cut += int((np.abs(volts) > self._limit).sum())
-                volts = np.clip(volts, -self._limit, self._limit)
+                self.n_cut += int((np.abs(volts) > _DAQ_LIMIT_V).sum())
+                volts = np.clip(volts, -_DAQ_LIMIT_V, _DAQ_LIMIT_V)
                 if self._silent.is_set():
                     volts[:] = 0.0
                 elif self._fading.is_set():
@@ -216,7 +206,7 @@ class DaqSink:
                 self._in_one_line("the NI-DAQ may not be at 0 V, switch the amplifier off"),
                 self._library.Task("foten-still") as still,
             ):
-                still.ao_channels.add_ao_voltage_chan(self._channel, min_val=-self._limit, max_val=self._limit)
+                still.ao_channels.add_ao_voltage_chan(self._channel, min_val=-_DAQ_LIMIT_V, max_val=_DAQ_LIMIT_V)
                 still.write(0.0)
         except OSError as error:  # worse than whatever it died of before
             self.failed = error

@@ -115,7 +115,7 @@ class LiveStatistics:
     n_missed: int = 0  # blocks that took longer to render than to play
     n_underruns: int = 0  # times that the sink asked for more than there was
     n_lacking: int = 0  # samples that faded to silence, or were silent, instead
-    least_ms: float = float("inf")  # that the ring held, once it had been full
+    min_ms: float = float("inf")  # that the ring held, once it had been full
 
     def line(self) -> str:
         """One line for people."""
@@ -123,7 +123,7 @@ class LiveStatistics:
         return (
             f"blocks of {self.block_ms:g} ms rendered in {times} ms (p50 / p99 / p99.9), at most "
             f"{1000 * self.block.largest_s:.2f} ms; {self.n_missed} late, {self.n_underruns} under-runs, ring at least "
-            f"{self.least_ms:.1f} ms"
+            f"{self.min_ms:.1f} ms"
         )
 
 
@@ -132,11 +132,10 @@ class Sink(Protocol):
 
     rate_hz: float  # at which it takes them
     n_at_once: int  # samples that it takes at most at once
-    patient: bool  # whether it would rather wait for samples than play silence, as a file does
     failed: BaseException | None  # what it died of, or what it plays died of, which `Live` sets
 
     def start(self, read: Read) -> None:
-        """Begin to take samples: `read` fills an array; it waits for a patient sink alone."""
+        """Begin to take samples: `read` fills an array, and does not wait."""
 
     def stop(self) -> None:
         """End, and give back what it holds; a second time nothing happens."""
@@ -228,12 +227,9 @@ class Live:
             sys.setswitchinterval(_usual_s)
 
     def _read(self, out: Samples) -> None:
-        while self._sink.patient and self._ring.level < out.size and self.running:
-            self._wanted.set()
-            time.sleep(0.0005)
         n = self._ring.read_into(out)
         self._wanted.set()
-        self.statistics.least_ms = min(self.statistics.least_ms, 1000 * self._ring.level / self._sink.rate_hz)
+        self.statistics.min_ms = min(self.statistics.min_ms, 1000 * self._ring.level / self._sink.rate_hz)
         if n < out.size:
             self.statistics.n_underruns += 1
             self.statistics.n_lacking += out.size - n

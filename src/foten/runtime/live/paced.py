@@ -1,45 +1,32 @@
-"""Sinks that take samples as time passes: silence, a WAV file, and packets to another program, UDP and OSC."""
+"""Sinks that take samples as time passes: silence, and packets to another program, UDP and OSC."""
 
 from __future__ import annotations
 
-import math
 import socket
 import struct
 import threading
 import time
-from collections.abc import Mapping
-from contextlib import ExitStack
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from foten.atomic_write import atomic_write
 from foten.runtime.live.live import Read, Samples
-from foten.runtime.live.sinks import float_wav_ends
 
 PACKET_MS = 4.0
-_MAX_WAV_BYTES = 2**32 - 4096  # bytes
 
 
 class Paced:
     """A sink that takes a block every so often, in a thread of its own; what it does with it is a subclass's.
 
     After a machine has stood still it goes on at its pace: what it did not take meanwhile it does not take at once, which would
-    empty the ring; `n_late` counts such blocks. `ratio` is of simulated time to real time; infinite for as fast as possible.
+    empty the ring; `n_late` counts such blocks.
     """
 
-    patient = False
-
-    def __init__(self, rate_hz: float, block_ms: float = PACKET_MS, ratio: float = 1.0) -> None:
-        if not rate_hz > 0 or not block_ms > 0 or not ratio > 0:
-            asked = f"a rate of {rate_hz} Hz in blocks of {block_ms} ms at {ratio} times"
-            raise ValueError(f"{asked}, expected positive numbers")
+    def __init__(self, rate_hz: float) -> None:
         self.rate_hz = float(rate_hz)
-        self.n_at_once = max(1, round(block_ms * rate_hz / 1000))
+        self.n_at_once = max(1, round(PACKET_MS * rate_hz / 1000))
         self.n_late = 0
         self.failed: BaseException | None = None
-        self._period_s = self.n_at_once / rate_hz / ratio
+        self._period_s = self.n_at_once / rate_hz
         self._stopping = threading.Event()
         self._thread: threading.Thread | None = None
 
@@ -68,7 +55,7 @@ class Paced:
                 wait = due - time.perf_counter()
                 if wait > 0:
                     self._stopping.wait(wait)
-                elif self._period_s > 0:
+                else:
                     n_late = int(-wait / self._period_s)
                     due += n_late * self._period_s
                     self.n_late += n_late
@@ -78,58 +65,6 @@ class Paced:
 
 class NullSink(Paced):
     """Plays nowhere, at the pace of a real one: for trials and for measuring."""
-
-
-class WavSink(Paced):
-    """A WAV file of 32-bit floats, as they are, written as fast as they are rendered; the file is there when it stops.
-
-    It is full after `n` samples, None for as many as come, and keeps `about` as a comment.
-    """
-
-    patient = True
-
-    def __init__(
-        self, path: Path, rate_hz: float, about: Mapping[str, Any] | None = None, n: int | None = None
-    ) -> None:
-        super().__init__(rate_hz, ratio=math.inf)
-        if rate_hz != round(rate_hz):
-            raise ValueError(f"a WAV file has a whole number of samples a second, got {rate_hz:g} Hz")
-        if not path.parent.is_dir():
-            raise FileNotFoundError(f"no such folder: {path.parent}")
-        self.max_samples = min(_MAX_WAV_BYTES // 4, _MAX_WAV_BYTES if n is None else n)
-        if n is not None and n > self.max_samples:
-            raise ValueError(f"{n / rate_hz:.0f} s at {rate_hz:g} Hz are more than a WAV file holds, 4 GB; play fewer")
-        self._n, self._about = 0, about or {}
-        self._stack = ExitStack()
-        self._file = self._stack.enter_context(self._stack.enter_context(atomic_write(path)).open("wb"))
-        self._file.write(float_wav_ends(0, self.rate_hz, self._about)[0])
-
-    @property
-    def full(self) -> bool:
-        """Whether it has all samples that it is to have."""
-        return self._n == self.max_samples
-
-    def take(self, block: Samples) -> None:
-        """Append a block."""
-        some = block[: self.max_samples - self._n]
-        self._file.write(some.astype("<f4").tobytes())
-        self._n += some.size
-        if self.full:
-            self._stopping.set()
-
-    def stop(self) -> None:
-        """End, and put the file in its place; where it died, no file is left."""
-        super().stop()
-        if self._file.closed:
-            return
-        if self.failed is not None:
-            self._stack.__exit__(type(self.failed), self.failed, None)
-            return
-        head, tail = float_wav_ends(self._n, self.rate_hz, self._about)
-        self._file.write(tail)
-        self._file.seek(0)
-        self._file.write(head)
-        self._stack.close()
 
 
 class UdpSink(Paced):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -12,12 +12,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from foten.atomic_write import atomic_write
 from foten.dsp import Array
 from foten.recording.preprocess import condition
 from foten.runtime.actuator import ActuatorProfile
 from foten.runtime.live.devices import SOUND_RATE_HZ, DaqSink, SoundSink
 from foten.runtime.live.live import Live, LiveStatistics, Read, Samples, Sink
-from foten.runtime.live.paced import NullSink, OscSink, UdpSink, WavSink
+from foten.runtime.live.paced import NullSink, OscSink, UdpSink
+from foten.runtime.live.sinks import float_wav
 from foten.runtime.renderer import Renderer
 from foten.runtime.stroke import Stroke
 
@@ -25,8 +27,9 @@ LOUDNESS = 0.1  # of full scale, of a sound's standard deviation, where no gain 
 CIRCLES_A_SECOND = 0.5
 # Of what is sent to a device that keeps to any rate: images and steps of the texture's own would be felt.
 MIN_RATE_HZ = 8000.0
+MAX_WAV_SAMPLES = 2**30 - 1024
 
-Hand = Callable[[NDArray[np.int64]], tuple[Array, Array]]
+ConditionAt = Callable[[NDArray[np.int64]], tuple[Array, Array]]
 """Speed [mm/s] and force [N] at samples of the texture's own rate, counted from 0; shapes (n,)."""
 
 
@@ -43,39 +46,39 @@ class Played:
     interrupted: bool  # by Ctrl-C
 
 
-def circling(speeds: tuple[float, float], forces: tuple[float, float], rate_hz: float) -> Hand:
+def circling(speeds: tuple[float, float], forces: tuple[float, float], rate_hz: float) -> ConditionAt:
     """Conditions of a circle, slower and faster, lighter and firmer, over the middle of a trained range."""
 
-    def hand(at: NDArray[np.int64]) -> tuple[Array, Array]:
+    def condition_at(at: NDArray[np.int64]) -> tuple[Array, Array]:
         # 1.618 of each other, so that speed and force do not keep step.
         turns = np.outer([CIRCLES_A_SECOND, CIRCLES_A_SECOND / 1.618], at / rate_hz)
         share = 0.5 - 0.4 * np.cos(2 * np.pi * turns)
         (slow, fast), (light, firm) = speeds, forces
         return slow + share[0] * (fast - slow), light + share[1] * (firm - light)
 
-    return hand
+    return condition_at
 
 
-def holding(speed: float, force: float) -> Hand:
+def holding(speed: float, force: float) -> ConditionAt:
     """Conditions of one speed [mm/s] and force [N]."""
     return lambda at: (np.full(at.size, speed), np.full(at.size, force))
 
 
-def along(stroke: Stroke, lowpass_hz: float) -> Hand:
+def along(stroke: Stroke, lowpass_hz: float) -> ConditionAt:
     """Conditions of a stroke, over and over: once as `Stroke.conditioned` has it, then again, as if the hand had gone over
     from the end to the beginning at once. The low-pass rounds that step as it does those within.
     """
     n = stroke.force.size
     speed, force = condition(np.tile(stroke.velocity, 2), np.tile(stroke.force, 2), stroke.rate_hz, lowpass_hz)
 
-    def hand(at: NDArray[np.int64]) -> tuple[Array, Array]:
+    def condition_at(at: NDArray[np.int64]) -> tuple[Array, Array]:
         i = np.where(at < n, at, n + at % n)
         return speed[i], force[i]
 
-    return hand
+    return condition_at
 
 
-def rendering(renderer: Renderer, hand: Hand) -> Read:
+def rendering(renderer: Renderer, condition: ConditionAt) -> Read:
     """Function that fills an array, shape (n,), with the next samples under conditions, the same in blocks of any size."""
     state, ratio = renderer.native_state, renderer.texture_rate / renderer.rate
     waiting = np.zeros(0, dtype=np.float32)  # of one of the texture's own samples, for which the last array had no room
@@ -86,23 +89,15 @@ def rendering(renderer: Renderer, hand: Hand) -> Read:
         while waiting.size < out.size:
             at = np.arange(n, n + math.ceil((out.size - waiting.size) * ratio))
             n += at.size
-            waiting = np.concatenate([waiting, state.render_stroke(*hand(at))])
+            waiting = np.concatenate([waiting, state.render_stroke(*condition(at))])
         out[:] = waiting[: out.size]
         waiting = waiting[out.size :]
 
     return render
 
 
-def sink_of(
-    where: str,
-    rate_hz: float,
-    gain: float,
-    seconds: float | None,
-    device: str | None = None,
-    channel: int | None = None,
-    about: dict[str, Any] | None = None,
-) -> Sink:
-    """Sink that a text names: sound, null, FILE.wav, daq:Dev1/ao0, udp:HOST:PORT or osc:HOST:PORT.
+def sink_of(where: str, rate_hz: float, gain: float, device: str | None = None, channel: int | None = None) -> Sink:
+    """Sink that a text names: sound, null, daq:Dev1/ao0, udp:HOST:PORT or osc:HOST:PORT.
 
     Raises:
         ValueError: it names none, or one without devices and channels of which some were given.
@@ -116,41 +111,62 @@ def sink_of(
     if where == "sound":
         chosen = int(device) if device is not None and device.isdecimal() else device
         return SoundSink(gain, chosen, rate_hz, channel or 0)
-    if where.lower().endswith(".wav"):
-        return WavSink(Path(where), rate_hz, about, None if seconds is None else round(seconds * rate_hz))
     if kind == "daq" and target:
         return DaqSink(target, rate_hz, gain)
     if kind in ("udp", "osc"):
         host, _, port = target.rpartition(":")
         if host and port.isdecimal() and 0 < int(port) < 65536:
             return (UdpSink if kind == "udp" else OscSink)(host, int(port), rate_hz)
-    known = "sound, null, a name that ends in .wav, daq:Dev1/ao0, udp:HOST:PORT or osc:HOST:PORT"
+    known = "sound, null, daq:Dev1/ao0, udp:HOST:PORT or osc:HOST:PORT"
     raise ValueError(f"cannot play to {where!r}, expected {known}")
 
 
-def rate_for(where: str, asked: float | None, texture_rate: float) -> float:
+def write_wav(
+    renderer: Renderer, condition: ConditionAt, seconds: float, path: Path, about: Mapping[str, Any]
+) -> tuple[NDArray[np.float32], bool]:
+    """Write what a hand plays, as 32-bit floats with a comment, up to Ctrl-C, and return it, and whether that ended it.
+
+    Raises:
+        ValueError: it is more than a WAV file holds.
+    """
+    n, second = round(seconds * renderer.rate), round(renderer.rate)
+    if n > MAX_WAV_SAMPLES:
+        raise ValueError(f"{seconds:.0f} s at {renderer.rate:g} Hz are more than a WAV file holds, 4 GB; play fewer")
+    render, out, interrupted = rendering(renderer, condition), np.empty(n, dtype=np.float32), False
+    try:
+        for start in range(0, n, second):
+            render(out[start : start + second])
+    except KeyboardInterrupt:
+        out, interrupted = out[:start], True
+    with atomic_write(path) as part:
+        part.write_bytes(float_wav(out, renderer.rate, about))
+    return out, interrupted
+
+
+def rate_for(where: str, requested: float | None, texture_rate: float) -> float:
     """Rate to play at [Hz]: the one that is asked for, 48 kHz for sound, else the texture's own times a whole number."""
-    if asked is not None:
-        return asked
+    if requested is not None:
+        return requested
     return SOUND_RATE_HZ if where == "sound" else texture_rate * max(1, math.ceil(MIN_RATE_HZ / texture_rate))
 
 
 def play(
-    renderer: Renderer, sink: Sink, hand: Hand, seconds: float | None, lead_ms: float, on_start: Callable[[], None]
+    renderer: Renderer,
+    sink: Sink,
+    condition: ConditionAt,
+    seconds: float | None,
+    lead_ms: float,
+    on_start: Callable[[], None],
 ) -> Played:
     """Play a hand for a while, or until Ctrl-C, and return what it came to; `on_start` is called once it plays."""
     interrupted = False
-    live = Live(rendering(renderer, hand), sink, lead_ms=lead_ms)
+    live = Live(rendering(renderer, condition), sink, lead_ms=lead_ms)
     begin = time.monotonic()
     try:
         live.start()
         on_start()
-        while live.running and not getattr(sink, "full", False):
-            # A file is full when it is; a device plays in real time.
-            left = 0.2 if seconds is None or sink.patient else seconds - (time.monotonic() - begin)
-            if left <= 0:
-                break
-            time.sleep(min(0.02 if sink.patient else 0.2, left))
+        while live.running and (seconds is None or time.monotonic() < begin + seconds):
+            time.sleep(0.2 if seconds is None else min(0.2, max(0.0, begin + seconds - time.monotonic())))
     except KeyboardInterrupt:
         interrupted = True
     finally:
@@ -160,22 +176,22 @@ def play(
         delays["change of rate"] = renderer.delay_ms
     if isinstance(sink, SoundSink):
         delays["sound card, as it says"] = 1000 * sink.latency_s
-    elif not sink.patient:
+    else:
         delays["block of the sink"] = 1000 * sink.n_at_once / sink.rate_hz
     n_cut, n_underruns, n_late = (getattr(sink, name, 0) for name in ("n_cut", "n_device_underruns", "n_late"))
     return Played(live.statistics, delays, renderer.counted(), n_cut, n_underruns, n_late, interrupted)
 
 
-def gain_for(profile: ActuatorProfile | None, asked: float | None, sd: float, where: str) -> float:
+def gain_for(profile: ActuatorProfile | None, requested: float | None, sd: float, where: str) -> float:
     """Gain of a sink: what is asked for; else what is safe to assume.
 
     An actuator's drive in V goes to a DAQ as it is, one in full scale to a sound card; acceleration goes to a sound card at a
     usual loudness, and to whatever takes numbers as it is. A unit that is not the sink's raises ValueError.
     """
-    if asked is not None:
+    if requested is not None:
         if where != "sound" and not where.startswith("daq:"):
             raise ValueError(f"--gain is for sound and daq, and {where} takes what is rendered as it is")
-        return asked
+        return requested
     unit = "m/s²" if profile is None else profile.unit
     if where == "sound":
         if profile is None:

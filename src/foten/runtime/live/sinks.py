@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from foten.atomic_write import atomic_write
 from foten.dsp import Array
@@ -39,8 +40,7 @@ def write_rendered(
     with atomic_write(path) as part:
         match path.suffix.lower():
             case ".wav":
-                head, tail = float_wav_ends(acceleration.size, rate_hz, about)
-                part.write_bytes(head + acceleration.astype("<f4").tobytes() + tail)
+                part.write_bytes(float_wav(acceleration, rate_hz, about))
             case ".csv":
                 rows = np.stack([np.arange(acceleration.size) / rate_hz, acceleration, speed, force], axis=1)
                 np.savetxt(part, rows, "%.9g", ",", header=HEADER, comments="")
@@ -90,19 +90,24 @@ def audible_factor(rate_hz: float) -> Fraction:
     return rate_ratio(float(AUDIBLE_HZ), rate_hz, tolerance=1e-4)
 
 
-def float_wav_ends(n: int, rate_hz: float, about: Mapping[str, Any]) -> tuple[bytes, bytes]:
-    """Bytes before and behind n samples in a mono IEEE-float WAV; the standard library's `wave` writes integers only.
+def float_wav(samples: NDArray[np.floating], rate_hz: float, about: Mapping[str, Any]) -> bytes:
+    """Mono WAV of 32-bit floats, of samples (n,); the standard library's `wave` writes integers only.
 
     The header holds a whole rate; the comment behind the samples holds the exact one.
     """
+    tail, rate = wav_comment(rate_hz, about), round(rate_hz)
+    head = b"WAVE" + b"fmt " + struct.pack("<IHHIIHHH", 18, 3, 1, rate, 4 * rate, 4, 32, 0)
+    head += b"fact" + struct.pack("<II", 4, samples.size) + b"data" + struct.pack("<I", 4 * samples.size)
+    body = head + samples.astype("<f4").tobytes() + tail
+    return b"RIFF" + struct.pack("<I", len(body)) + body
+
+
+def wav_comment(rate_hz: float, about: Mapping[str, Any]) -> bytes:
+    """Chunk behind the samples of a WAV that holds, as JSON, what made them, with the unit and the exact rate."""
     comment = json.dumps({"unit": "m/s^2", "rate_hz": rate_hz, **about}, sort_keys=True).encode() + b"\0"
     comment += b"\0" * (len(comment) % 2)
     info = b"INFO" + b"ICMT" + struct.pack("<I", len(comment)) + comment
-    tail = b"LIST" + struct.pack("<I", len(info)) + info
-    rate = round(rate_hz)
-    head = b"WAVE" + b"fmt " + struct.pack("<IHHIIHHH", 18, 3, 1, rate, 4 * rate, 4, 32, 0)
-    head += b"fact" + struct.pack("<II", 4, n) + b"data" + struct.pack("<I", 4 * n)
-    return b"RIFF" + struct.pack("<I", len(head) + 4 * n + len(tail)) + head, tail
+    return b"LIST" + struct.pack("<I", len(info)) + info
 
 
 def picture(acceleration: Array, speed: Array, force: Array, rate_hz: float, about: Mapping[str, Any]) -> Figure:
@@ -112,7 +117,7 @@ def picture(acceleration: Array, speed: Array, force: Array, rate_hz: float, abo
     t = np.arange(acceleration.size) / rate_hz
     limits = (0, t[-1] or 1)
     figure = Figure(figsize=(9, 7), layout="constrained")
-    waveform, spectrum, hand = figure.subplots(3, 1)
+    waveform, spectrum, condition = figure.subplots(3, 1)
     waveform.plot(t, acceleration, lw=0.5, color="#0072B2")
     waveform.set(ylabel="acceleration [m/s²]", title=f"{about.get('texture') or 'texture'}, rendered", xlim=limits)
     highest = min(1000.0, rate_hz / 2)
@@ -133,10 +138,10 @@ def picture(acceleration: Array, speed: Array, force: Array, rate_hz: float, abo
         highest = max(highest, highest_with_power(frequencies, power.mean(axis=0), rate_hz))
     above = "" if highest == rate_hz / 2 else "\nwhere 99.9 % of the power lies"
     spectrum.set(ylabel=f"frequency [Hz]{above}", ylim=(0, highest), xlim=limits)
-    hand.plot(t, speed, color="#009E73")
-    hand.set(ylabel="speed [mm/s]", xlabel="time [s]", xlim=limits, ylim=(0, 1.05 * float(speed.max()) or 1))
-    hand.yaxis.label.set_color("#009E73")
-    press = hand.twinx()
+    condition.plot(t, speed, color="#009E73")
+    condition.set(ylabel="speed [mm/s]", xlabel="time [s]", xlim=limits, ylim=(0, 1.05 * float(speed.max()) or 1))
+    condition.yaxis.label.set_color("#009E73")
+    press = condition.twinx()
     press.plot(t, force, color="#D55E00")
     press.set(ylabel="force [N]", ylim=(0, 1.15 * float(force.max()) or 1))
     press.yaxis.label.set_color("#D55E00")
