@@ -16,10 +16,11 @@ from typing import Any
 
 from foten.atomic_write import atomic_write
 from foten.reporting.figure import inline_svg, write_figure
-from foten.reporting.table import MAX_ROWS, Table
+from foten.reporting.table import Table
 from foten.study.analysis import Result
 from foten.study.rating_figures import bars, panels
 
+MAX_ROWS = 12  # of a table that people read; the rest is CSV
 CI = "95 % CI, not adjusted"
 MARK = "Simulated ratings: of a model of raters, and not of people."
 FIGURES = {
@@ -147,7 +148,7 @@ def _participants_table(result: Result) -> list[Table]:
     heads, *rows = [[_text(cell) for cell in row[:-1]] for row in _participants(result)]
     notes = (f"The first {MAX_ROWS} of {len(rows)} rows; participants.csv has all.",) if len(rows) > MAX_ROWS else ()
     table = replace(Table.of(heads, rows[:MAX_ROWS]), title="Participants", notes=notes)
-    return [table.without_empty_columns()] if rows else []
+    return [table.known()] if rows else []
 
 
 def _by_question(result: Result) -> dict[str, list[str]]:
