@@ -327,7 +327,7 @@ ROWS_S = np.delete(np.arange(600) / 100, slice(200, 300))
         ),
         (
             _changed(speed=None, position_x=Channel(20 * ROWS_S, 100.0, ROWS_S)),
-            r"position_x has 1 hole in its times, the longest 1010 ms after 1.99 s",
+            "position_x has 1 hole in its times, the longest 1010 ms; import",
         ),
     ],
 )

@@ -196,13 +196,10 @@ def _on_units(
         for name, column in [*columns.items(), *(("time", clock) for clock in clocks)]
         if not (options.units.get(name) or column.unit or split_header(column.name, quantity(name))[1])
     }
-    sentences = []
-    if unstated:
-        sentences.append(f"no unit is stated: taken as {', '.join(unstated.values())}; --unit changes it")
-    findings = [
-        finding for name, channel in recording.channels.items() for finding in check_units(name, channel, recording)
-    ]
-    return sentences + [finding.text for finding in findings if finding.code == "units"]
+    sentences = [f"no unit is stated: taken as {', '.join(unstated.values())}; --unit changes it"] if unstated else []
+    for name, channel in recording.channels.items():
+        sentences += [finding.text for finding in check_units(name, channel, recording) if finding.code == "units"]
+    return sentences
 
 
 def import_capture(

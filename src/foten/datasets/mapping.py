@@ -34,14 +34,10 @@ _GUESSES: Mapping[str, frozenset[str]] = {
     for axis in AXES
 }
 
-
-_STROKE = {
-    "time": "t",
-    "speed": "speed",
-    "position_x": "x",
-    "position_y": "y",
-    "force": "force",
-    "pressure": "pressure",
+_STROKE: Mapping[str, frozenset[str]] = {
+    **{channel: _GUESSES[channel] for channel in ("time", "speed", "force")},
+    **{f"position_{axis}": _GUESSES[f"position_{axis}"] | {axis} for axis in "xy"},
+    "pressure": frozenset({"pressure"}),
 }
 """Headers of a stroke's table."""
 
@@ -74,15 +70,10 @@ def guessed_mapping(files: Files, options: ImportOptions) -> tuple[tuple[str, st
 
 
 def stroke_columns(columns: Sequence[Column]) -> dict[str, Column]:
-    """Columns of a stroke by channel: time, speed, position_x, position_y, force, pressure; others are left out.
-
-    The headers are t, speed, x, y, force and pressure; where one is missing, what an import takes for the channel.
-    """
+    """Columns of a stroke by channel: time, speed, position_x, position_y, force, pressure; others are left out."""
     by_channel: dict[str, Column] = {}
-    for channel, name in _STROKE.items():
-        exact = [column for column in columns if _header(column, channel) == name]
-        guessed = _GUESSES.get(channel, frozenset())
-        candidates = exact or [column for column in columns if _header(column, channel) in guessed]
+    for channel, headers in _STROKE.items():
+        candidates = [column for column in columns if _header(column, channel) in headers]
         if len(candidates) > 1:
             raise ValueError(f"{channel} could be any of {', '.join(column.name for column in candidates)}; keep one")
         if candidates:

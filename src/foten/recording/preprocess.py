@@ -208,13 +208,10 @@ def velocity_and_force(recording: Recording, rate_hz: float) -> tuple[Array, Arr
     for name in (*recording.movement, *recording.normal_force):
         holes = recording[name].holes()
         if holes.size:
-            times = recording[name].times
-            lengths = np.diff(times)[holes]
-            longest = int(lengths.argmax())
+            longest_ms = 1000 * float(np.diff(recording[name].times)[holes].max())
             raise ValueError(
-                f"{name} has {holes.size} hole{'s' * (holes.size > 1)} in its times, the longest "
-                f"{1000 * lengths[longest]:.4g} ms after {times[holes[longest]]:.4g} s; import the recording again with "
-                "--fill-gaps MS, or cut it"
+                f"{name} has {holes.size} hole{'s' * (holes.size > 1)} in its times, the longest {longest_ms:.4g} ms; import the "
+                "recording again with --fill-gaps MS, or cut it"
             )
     rows = np.stack([_slow(recording[name], rate_hz, stop)[start:] for name in recording.movement])
     if "speed" not in recording:
