@@ -200,6 +200,14 @@ def test_a_rate_that_is_not_used_is_said_once_per_file(tmp_path):
     ]
 
 
+def test_a_rate_that_contradicts_the_time_column_is_refused(tmp_path):
+    path = tmp_path / "take.csv"
+    rows = "".join(f"{k / 1000:g},{np.sin(k):.3f},100,1\n" for k in range(200))
+    path.write_text("time,acceleration,speed,force\n" + rows)
+    with pytest.raises(ValueError, match="the column time says 1000 Hz and --rate 500; leave out --rate"):
+        import_recording([path], ImportOptions(rate_hz=500.0))
+
+
 def test_units_that_nobody_states_are_said_once(tmp_path):
     path = _csv(tmp_path / "a.csv", "t,acc,speed [mm/s],force", TIME, ACC, SPEED, FORCE)
 

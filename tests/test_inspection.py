@@ -279,6 +279,21 @@ def test_speed_comes_from_positions_and_force_from_its_normal():
     assert coverage.force_range == (pytest.approx(1.3), pytest.approx(1.3))
 
 
+@pytest.mark.parametrize(("jitter", "is_noted"), [(0.03, False), (0.08, True)])
+def test_an_unsteady_sampling_period_is_noted(jitter, is_noted):
+    samples = _clean()
+    # Of a uniform deviation the median is half of the largest.
+    times = np.cumsum(1 + np.random.default_rng(0).uniform(-2 * jitter, 2 * jitter, N)) / RATE
+    notes = _codes(_inspect(samples, times={"speed": times}), "note")
+    assert (("jitter", "speed") in notes) == is_noted
+
+
+def test_a_tone_of_an_instrument_is_a_narrow_line():
+    samples = _clean()
+    samples["acceleration"] = samples["acceleration"] + 2 * np.sin(2 * np.pi * 312.5 * np.arange(N) / RATE)
+    assert "narrow lines at 312.5 Hz" in _text(_inspect(samples), "lines")
+
+
 def test_missing_channels_and_slow_accelerometers_are_problems():
     samples = _clean()
     assert ("missing", "acceleration") in _codes(_inspect({k: samples[k] for k in ("speed", "force")}))
@@ -293,7 +308,7 @@ def test_no_false_alarm_on_real_recordings(texture):
     inspection = inspect_recording(recording)
     assert inspection.problems == ()
     notes = {code for code, _ in _codes(inspection, "note")}
-    assert {"short", "range"} <= notes <= {"short", "range", "coverage", "noise"}
+    assert {"short", "range"} <= notes <= {"short", "range", "coverage", "noise", "lines"}
     assert "never slower than" in inspection.to_text()
 
 

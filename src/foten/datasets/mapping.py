@@ -11,7 +11,8 @@ import numpy as np
 
 from foten.datasets.columns import Column
 from foten.datasets.options import ImportOptions
-from foten.datasets.units import quantity, split_header
+from foten.datasets.timing import rate_of
+from foten.datasets.units import factor_of, quantity, split_header
 from foten.recording.recording import AXES
 
 Files = Mapping[Path, list[Column]]
@@ -56,7 +57,15 @@ def guessed_mapping(files: Files, options: ImportOptions) -> tuple[tuple[str, st
         if len(sounds[0]) == len(names):
             places.update({name: [column] for name, column in zip(names, sounds[0], strict=True)})
     if options.rate_hz is not None:
-        places.pop("time", None)
+        for column in places.pop("time", []):
+            times = column.samples * factor_of("time", column.name, column.unit, options.units.get("time"))[0]
+            if times.size > 1 and (np.diff(times) > 0).all():
+                rate_hz = rate_of(times)
+                if abs(rate_hz - options.rate_hz) > 0.01 * rate_hz:
+                    raise ValueError(
+                        f"{column.file.name}: the column {column.name} says {rate_hz:g} Hz and --rate {options.rate_hz:g}; "
+                        "leave out --rate, or map the other columns with --map to use it"
+                    )
     for channel, candidates in places.items():
         n_allowed = len({column.file for column in candidates}) if channel == "time" else 1
         if len(candidates) > n_allowed:

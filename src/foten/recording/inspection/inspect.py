@@ -43,6 +43,7 @@ def inspect_recording(recording: Recording) -> Inspection:
             findings += one_channel.check_whiteness(name, channel)
             if channel.samples.size >= 64:
                 psd[name] = one_channel.density(channel)
+                findings += one_channel.check_lines(name, *psd[name])
     findings += check_signs(recording)
     findings += check_contact(recording, speed_force)
     findings += one_channel.check_noise(reports)

@@ -1,4 +1,4 @@
-"""Checks of the values of one channel: units, spikes, clipping, noise, whiteness, repeated patterns."""
+"""Checks of the values of one channel: units, spikes, clipping, noise, whiteness, repeated patterns, narrow lines."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Iterable
 import numpy as np
 
 from foten.dsp import Array
-from foten.recording.inspection.speed_force import CONTACT_N, MOVING_MM_S, SpeedForce
+from foten.recording.inspection.speed_force import CONTACT_N, HAND_HZ, MOVING_MM_S, SpeedForce
 from foten.recording.inspection.values import NOTE, PROBLEM, ChannelReport, Finding, counted, places, runs, swing
 from foten.recording.recording import UNITS, Channel, Recording
 
@@ -221,3 +221,22 @@ def _pattern(x: Array, period: int) -> Array:
     """Mean of all whole periods of a signal, shape (period,)."""
     n = x.size // period
     return np.asarray(x[: n * period].reshape(n, period).mean(axis=0))
+
+
+def check_lines(name: str, frequency: Array, power: Array) -> Iterable[Finding]:
+    """Yield a note on narrow lines, of an instrument or mains: 15 dB above the median of the bins around."""
+    from scipy.ndimage import median_filter
+
+    if power.size < 64:
+        return
+    ratio = power / np.maximum(median_filter(power, 31, mode="nearest"), 1e-30)
+    peaks = np.flatnonzero((ratio[1:-1] > 30) & (ratio[1:-1] >= ratio[:-2]) & (ratio[1:-1] > ratio[2:])) + 1
+    peaks = peaks[frequency[peaks] > HAND_HZ]
+    if peaks.size:
+        strongest = np.sort(peaks[np.argsort(ratio[peaks])[::-1][:6]])
+        text = (
+            f"{name}: narrow lines at {', '.join(f'{frequency[i]:.4g}' for i in strongest)} Hz"
+            f"{' and elsewhere' if peaks.size > strongest.size else ''}, up to "
+            f"{10 * np.log10(ratio[peaks].max()):.0f} dB above their surroundings: instruments or mains?"
+        )
+        yield Finding(NOTE, "lines", name, text)

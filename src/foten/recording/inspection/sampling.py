@@ -14,6 +14,8 @@ from foten.recording.preprocess import PreprocessConfig
 from foten.recording.recording import UNITS, Channel, Recording
 from foten.recording.split import MIN_BLOCKS
 
+MAX_JITTER = 0.05  # of the sampling period, its median deviation
+
 
 def check_missing(recording: Recording) -> Iterable[Finding]:
     """Yield problems where acceleration, speed or force is missing, or the acceleration slower than the default rate."""
@@ -60,7 +62,7 @@ def check_short(seconds: float, options: str) -> Iterable[Finding]:
 
 
 def check_gaps(name: str, channel: Channel) -> Iterable[Finding]:
-    """Yield findings on lost samples, from the times of a channel."""
+    """Yield findings on lost samples and on unsteady sampling, from the times of a channel."""
     if channel.times_s is None or channel.times_s.size < 3:
         return
     steps = np.diff(channel.times_s)
@@ -75,6 +77,9 @@ def check_gaps(name: str, channel: Channel) -> Iterable[Finding]:
         )
         severity = PROBLEM if name.startswith("acceleration") or steps[longest] > 0.1 else NOTE
         yield Finding(severity, "gaps", name, text, places(channel, gaps))
+    if (jitter := np.median(np.abs(steps - usual))) > MAX_JITTER * usual:
+        text = f"{name}: its sampling period of {usual * 1000:.4g} ms varies by {jitter / usual:.0%}"
+        yield Finding(NOTE, "jitter", name, text)
 
 
 def check_repeats(name: str, channel: Channel) -> Iterable[Finding]:
