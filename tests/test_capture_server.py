@@ -23,7 +23,7 @@ from foten.models.texture_file import read_texture
 from foten.recording.capture_folder import About
 from foten.recording.recording import RELATIVE
 from foten.runtime.renderer import EXAMPLE
-from foten.simulation.simulated_capture import FULL_SCALE, SOUND_HZ, SimulatedCapture, simulate_capture
+from foten.simulation.simulated_capture import SOUND_HZ, SimulatedCapture, simulate_capture
 from foten.studio import capture_server, studio_server
 from foten.studio.capture_server import CaptureSession, in_order
 from foten.studio.messages import MAX_BYTES, RefusedError
@@ -259,21 +259,15 @@ def test_a_training_that_fails_says_so_to_the_page_and_lets_the_next_one_run(
             assert "\n" not in refused
 
 
-def captured(socket: Any, studio: Studio, performance: SimulatedCapture, **begin: Any) -> Path:
-    """Send a capture, have it trained, and return its folder."""
-    socket.send_text(json.dumps({**BEGIN, **begin}))
-    say(socket, performance)
-    socket.send_text('{"do": "train"}')
-    folder = studio.trainings.captures / answered(socket, "saved")["saved"]
-    assert abs(answered(socket, "joined")["joined"]["delay_ms"]) < 3  # one clock gave both here
-    return folder
-
-
 def test_a_texture_is_there_before_its_training_ends_and_the_servers_end_ends_that(tmp_path: Path) -> None:
     studio = Studio(Shelf([EXAMPLE]), tmp_path / "captures")
     with TestClient(studio.app(LOCAL), base_url=HERE, headers={"origin": HERE}) as client:
         with client.websocket_connect(WS) as socket:
-            folder = captured(socket, studio, simulate_capture("steel-mesh-1", 14.0))
+            socket.send_text(json.dumps(BEGIN))
+            say(socket, simulate_capture("steel-mesh-1", 14.0))
+            socket.send_text('{"do": "train"}')
+            folder = studio.trainings.captures / answered(socket, "saved")["saved"]
+            assert abs(answered(socket, "joined")["joined"]["delay_ms"]) < 3  # one clock gave both here
             assert "1 event of the pen came late" in answered(socket, "notes")["notes"][0]
             playable = answered(socket, "playable", 300.0)["playable"]
         assert (playable["name"], playable["file"]) == ("Old denim, washed", "old-denim-washed.foten")
@@ -283,14 +277,3 @@ def test_a_texture_is_there_before_its_training_ends_and_the_servers_end_ends_th
     assert card["units"]["acceleration"] == RELATIVE
     assert any("came late" in sentence for sentence in load_recording(folder / "old-denim-washed.h5").history)
     assert not studio.trainings._running
-
-
-@pytest.mark.slow
-def test_a_texture_comes_of_a_capture_in_true_units(client: TestClient, studio: Studio) -> None:
-    with client.websocket_connect(WS) as socket:
-        folder = captured(socket, studio, simulate_capture("steel-mesh-1", 14.0), full_scale_m_s2=FULL_SCALE)
-        done = answered(socket, "done", 300.0)["done"]
-    assert studio.shelf.get(done["file"]) is not None
-    card = read_texture(folder / "old-denim-washed.foten").card
-    assert (card["texture"], card["units"]["acceleration"]) == ("Old denim, washed", "m/s^2")
-    assert load_recording(folder / "old-denim-washed.h5")["force"].samples.max() > 1.0

@@ -1,6 +1,6 @@
 """The page in a browser: a tap, a pen with pressure, and what is heard is what the kernel renders.
 
-Screenshots of it, at three sizes in dark and light, go to build/screenshots.
+Screenshots of it, at three sizes, go to build/screenshots.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ import csv
 import re
 import shutil
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -70,24 +70,21 @@ def chromium(*flags: str) -> Iterator[Any]:
         browser.close()
 
 
-def look(page: Any, name: str) -> list[Any]:
-    """Take screenshots of a page for people, at three sizes in light and dark, and return what axe-core complains of at each
-    size, two of them in dark.
-    """
+def look(page: Any, name: str, sizes: Sequence[str] = tuple(SIZES)) -> list[Any]:
+    """Take screenshots of a page for people, the desktop's dark, and return what axe-core complains of."""
     axe = pytest.importorskip(
         "axe_playwright_python.sync_playwright", reason="needs axe-core: pip install '.[browser]'"
     )
     SHOTS.mkdir(parents=True, exist_ok=True)
     complaints = []
-    for size, (width, height) in SIZES.items():
+    for size in sizes:
+        (width, height), scheme = SIZES[size], "dark" if size == "desktop" else "light"
         page.set_viewport_size({"width": width, "height": height})
-        for scheme in ("light", "dark"):
-            page.emulate_media(color_scheme=scheme)
-            page.wait_for_timeout(100)  # it is drawn anew
-            page.screenshot(path=SHOTS / f"{name}-{size}-{scheme}.png")
-            if (scheme == "dark") == (size != "tablet"):
-                violations = axe.Axe().run(page).response["violations"]
-                complaints += [(name, size, v["id"], [node["html"] for node in v["nodes"]]) for v in violations]
+        page.emulate_media(color_scheme=scheme)
+        page.wait_for_timeout(100)  # it is drawn anew
+        page.screenshot(path=SHOTS / f"{name}-{size}-{scheme}.png")
+        violations = axe.Axe().run(page).response["violations"]
+        complaints += [(name, size, v["id"], [node["html"] for node in v["nodes"]]) for v in violations]
     return complaints
 
 
