@@ -51,8 +51,8 @@ def onset(texture: Texture, n_strokes: int = N_STROKES, n_streams: int = N_STREA
     (slow, fast), (light, heavy) = (texture.trained_range(channel) for channel in ("speed", "force"))
     speeds = rng.uniform(max(slow, min(FADE_SPEED, fast)), fast, n_strokes)
     forces = rng.uniform(max(light, min(FADE_FORCE, heavy)), heavy, n_strokes)
-    strokes = (np.repeat(values, n_streams)[:, None] + np.zeros(n) for values in (speeds, forces))
-    rendered = render_strokes(kernel, seed, *strokes)[0].reshape(n_strokes, n_streams, n)
+    speed, force = (np.repeat(values, n_streams)[:, None] + np.zeros(n) for values in (speeds, forces))
+    rendered = render_strokes(kernel, seed, speed, force)[0].reshape(n_strokes, n_streams, n)
     settled = rendered[:, :, round(SETTLED_S * rate) :]
     cut = settled[..., : settled.shape[2] // window * window].reshape(n_strokes, -1, window)
     loud = np.square(settled).mean(axis=(1, 2))
@@ -76,8 +76,8 @@ def onset(texture: Texture, n_strokes: int = N_STROKES, n_streams: int = N_STREA
     )
     first = np.ones(round(CLICK_MS * rate / 1000))
     streams = MORE_STREAMS * n_streams
-    strokes = (np.repeat(values, streams)[:, None] * first for values in (speeds, forces))
-    at_once, _ = render_strokes(kernel, seed + 1, *strokes)
+    speed, force = (np.repeat(values, streams)[:, None] * first for values in (speeds, forces))
+    at_once, _ = render_strokes(kernel, seed + 1, speed, force)
     loud_samples = np.abs(at_once.reshape(n_strokes, streams, -1)) > limits[:, None, None]
     begin = [away(round(start * rate / 1000)) for start in STARTS_MS]
     later = [away(round(SETTLED_S * rate) + k * window) for k in range(10)]
