@@ -101,36 +101,6 @@ def test_every_long_command_of_a_tutorial_runs(page: Path, tmp_path: Path) -> No
         run(block, tmp_path)
 
 
-def commands_of(tutorial: str) -> list[str]:
-    """The subcommands that a tutorial's tests run, `study new` as two words."""
-    lines = [
-        line.split()
-        for block in runnable(ROOT / "docs" / "tutorials" / f"{tutorial}.md", slow=False)
-        for line in block.code.splitlines()
-        if line.startswith("foten ")
-    ]
-    return [" ".join(words[1:3] if words[1] == "study" else words[1:2]) for words in lines]
-
-
-# Three users, and what each wants to have done in the first ten minutes, by the commands of one page.
-JOURNEYS = {
-    "researcher with recordings": ("recordings", {"import", "inspect", "train", "evaluate", "render", "play"}),
-    "developer of an app": ("developers", {"info", "export"}),
-    "maker with a pen": ("page", {"serve", "export"}),
-    "lab with participants": (
-        "study",
-        {"study new", "study check", "study power", "study simulate", "study run", "study status", "study analyze"},
-    ),
-}
-
-
-@pytest.mark.parametrize("user", JOURNEYS)
-def test_each_user_gets_there_by_the_commands_of_one_page(user: str) -> None:
-    """That each of them runs is what `test_every_command_of_a_tutorial_runs` says."""
-    tutorial, wanted = JOURNEYS[user]
-    assert wanted <= set(commands_of(tutorial))
-
-
 def test_what_the_readme_shows_in_python_runs(tmp_path: Path) -> None:
     (block,) = [block for block in blocks(ROOT / "README.md") if block.language == "python"]
     run(block, tmp_path)

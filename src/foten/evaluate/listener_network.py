@@ -37,7 +37,7 @@ class Listener(nn.Module):
     """Excerpts in, log odds of the second vibration out."""
 
     def __init__(self, n_channels: int, frame: int | None) -> None:
-        """Make one for so many channels, and a waveform of so many samples a frame or none."""
+        """Listener of some channels, and of a waveform of so many samples a frame or none."""
         super().__init__()
         self.of_waveform = None
         if frame is not None:

@@ -155,8 +155,7 @@ def thresholds(results: Results) -> Figure:
 def waveforms(results: Results) -> Figure:
     """400 samples of a test block of each texture, recorded and of each method's free run, as Fig. 6.
 
-    The waveforms are independent realisations: compare level and character, not samples. All of a panel have one scale, which
-    the bar beside the recorded one states. A silent run is a flat line, and the number says how far below it lies.
+    The waveforms are independent realisations: compare level and character, not samples. All of a panel have one scale.
     """
     textures, colours = _first_split(results)
     figure, panels = panel_grid([*map(texture_name, textures)], 3.4, 1.1 + 0.45 * len(colours))
@@ -190,8 +189,7 @@ def _below_db(recorded: float, synthesized: float) -> float:
 def spectra(results: Results) -> Figure:
     """Power spectra of the test blocks of each texture, recorded and of each method's free run, as Fig. 7.
 
-    Densities below the axis, as of a free run that falls silent, are drawn along its lower edge; the legend says how far below
-    the recording its level lies.
+    Densities below the axis are drawn along its lower edge; the legend says how far below the recording a silent run lies.
     """
     textures, colours = _first_split(results)
     labels = {method: method + _silence(method, textures) for method in colours}

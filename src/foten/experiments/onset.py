@@ -2,10 +2,9 @@
 
 A first stroke begins at once with a speed and a force drawn from the trained range and holds them, under several streams of
 noise. Settled is what the same streams are from 1 s on. Level: mean over strokes of the power in a window of 40 ms over the
-settled power [dB]. Spectrum: mean over strokes of the same in third-octave bands (40 ms hold no finer), root mean square over
-the bands. Settled windows scatter too: the largest of ten such windows stands beside. Click: how often samples of the first
-20 ms exceed the settled 99.9th percentile, over more streams, since that is rare; and how often settled ones do, that of each
-stream counted against the percentile of the others.
+settled power [dB]. Spectrum: the same in third-octave bands, root mean square over the bands. The largest of ten settled windows
+stands beside. Click: how often samples of the first 20 ms exceed the settled 99.9th percentile, over more streams; and how often
+settled ones do, each stream against the percentile of the others.
 """
 
 from __future__ import annotations

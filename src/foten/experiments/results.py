@@ -166,8 +166,7 @@ def check_alike(records: Records) -> None:
 def mixture(records: Records) -> str:
     """Two runs of different code or platform, or of which one does not say, in words; nothing where all are alike.
 
-    Modules that two runs both import are compared. Of runs from a `runs.csv`, which has one digest of all modules, those of
-    one model and the same measures are.
+    Modules that two runs both import are compared; of a `runs.csv` the digests of one model and the same measures.
     """
     first: dict[str, tuple[str, str]] = {}
     for record in records:
@@ -220,6 +219,10 @@ def read_records(path: Path) -> list[dict[str, Any]]:
         rows = list(csv.DictReader(file))
     if not rows or not {"method", "texture", "split", *(figure.path for figure in FIGURES.values())} <= set(rows[0]):
         raise ValueError(f"{path.name} is no runs.csv of foten tables")
+    for key in ("experiment", "note"):  # which earlier versions wrote in the first row alone
+        text = next((row[key] for row in rows if row.get(key)), "")
+        for row in rows:
+            row[key] = row.get(key) or text
     return [dict.fromkeys(_TEXTS, "") | {key: _parsed(key, text) for key, text in row.items()} for row in rows]
 
 

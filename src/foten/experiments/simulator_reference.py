@@ -112,9 +112,8 @@ def long_strokes(
 def validation_listener(texture: Texture, recording: Recording) -> dict[str, float]:
     """`area`, that under a listener's curve; nothing of what was not simulated, or is silent.
 
-    As the evaluation's, of band energies, but under a third hand: neither the one that was learned from nor that of the reported
-    figures, so that it can be chosen by. One listener, since what is chosen by is a mean over many textures, and two fits of one
-    differ more than three listeners of one fit do: by 0.015 and 0.01.
+    As the evaluation's, of band energies, but under a third hand, so that it can be chosen by. One listener: two fits of one
+    differ by 0.015, three listeners of one fit by 0.01.
     """
     strokes = long_strokes(recording, texture, 1, VALIDATION_HAND) if texture.has_excitation else ()
     if not strokes:

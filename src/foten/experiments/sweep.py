@@ -1,9 +1,7 @@
 """Every run of an experiment, on one machine or a cluster: Ray distributes them, this process writes the results.
 
-A result is a file of its own, named by data and configuration and written atomically by the process that sweeps. A sweep goes
-on where it stopped, with the results of the same code, data, configuration and platform; it may be started twice. Ctrl-C and
-SIGTERM, by which batch queues end a job, stop it. Ray restarts the runs of a lost worker or node elsewhere. A recording goes to
-each node once, through Ray's object store.
+A result is a file of its own, named by data and configuration. A sweep goes on where it stopped, with the results of the same
+code, data, configuration and platform. Ctrl-C and SIGTERM stop it. A recording goes to each node once, by Ray's object store.
 """
 
 from __future__ import annotations
@@ -279,8 +277,7 @@ def _collected(pending: dict[Any, Planned], done: set[Path], say: Say) -> tuple[
             item.write(result)
             done.add(item.path)
         n, run = len(done) + n_failed, item.run
-        minutes = (time.perf_counter() - started) / n * (n_runs - n) / 60
-        left = f", about {minutes:.0f} min left" if n < n_runs else ""
+        left = f", about {(time.perf_counter() - started) / n * (n_runs - n) / 60:.0f} min left" if n < n_runs else ""
         name = f"{run.label} ({run.recipe})" if run.recipe else run.label
         say(f"{n}/{n_runs} {name}, {run.texture}, split {run.split_seed}: {ended}{left}")
     return len(done), n_failed
