@@ -40,6 +40,7 @@ MAIN = {
     SIMULATED: "simulated textures",
     CONTACT: "contact mechanics",
 }
+MAX_COLUMNS, MAX_ROWS = 8, 12  # of a table that people read, a row of means not counted; the rest is CSV
 NOT_RUN = "*Not measured yet with this version.*"
 ONE_STEP, BEST_AR = "one_step.mae_scaled", "references.ar_best.mae_scaled"
 ERROR, BOUND = "one_step.mae_m_s2", "references.bound.mae_m_s2"
@@ -380,6 +381,10 @@ def pages() -> Iterator[tuple[Path, str, str]]:
                 raise ValueError(f"{path.name}: has no {begin} … {end} to put a table between")
             content = make()
             if isinstance(content, Table):
+                n_rows = sum(str(row[0]) != "mean" for row in content.rows)
+                if len(content.columns) > MAX_COLUMNS or n_rows > MAX_ROWS:
+                    size = f"{len(content.columns)} columns and {n_rows} rows"
+                    raise ValueError(f"{name}: {size}, expected {MAX_COLUMNS} and {MAX_ROWS} at most")
                 content = content.markdown() if content.rows else ""
             text = f"{head}{begin}\n{content.rstrip() or NOT_RUN}\n{end}{tail}"
         yield path, before, text
