@@ -10,11 +10,9 @@ import torch
 from scipy.fft import dct
 from scipy.signal import welch
 
-from foten.baselines.features import MfccBranch, WaveletBranch, cosine_transform, mel_bands, wavelet_transform
 from foten.baselines.fit import distilled, log_spectra
 from foten.baselines.fnn import EDGES, lagged_bands
-from foten.baselines.gan import Gan
-from foten.baselines.gan_fit import fit_adversarial
+from foten.baselines.gan import Gan, fit_adversarial
 from foten.baselines.graph import multiply_adds
 from foten.baselines.networks import build
 from foten.baselines.noise_filter import NoiseFilter, log_magnitudes
@@ -27,10 +25,11 @@ from foten.baselines.sizes import (
     TenWaveletSizes,
     trainable_sizes,
 )
+from foten.baselines.ten_variants import MfccBranch, WaveletBranch, cosine_transform, mel_bands, wavelet_transform
 from foten.recording.split import Split
 from foten.recording.trace import Trace
-from foten.training.blocks import ScaledBlocks, scaled_blocks
 from foten.training.config import TrainConfig
+from foten.training.job import ScaledBlocks, scaled_blocks
 from foten.training.loop import Checkpoint, Epoch, Monitor, Progress
 from foten.training.window_fit import TrainingWindows, fit_windows
 
@@ -258,7 +257,7 @@ def test_an_adversarial_training_goes_on_where_it_stopped(tmp_path: Path) -> Non
         network = small_gan()
         torch.manual_seed(seed)
         with pytest.MonkeyPatch.context() as patch:
-            patch.setattr("foten.baselines.gan_fit.STEPS", 10)
+            patch.setattr("foten.baselines.gan.STEPS", 10)
             progress = fit_adversarial(network, 42, blocks, config, monitor)
         return network, progress
 

@@ -22,7 +22,6 @@ from foten.recording.split import Split
 from foten.recording.trace import Trace
 from foten.runtime.loops import run_loops
 from foten.runtime.native import NativeTexture
-from foten.training.blocks import ScaledBlocks
 from foten.training.calibration import (
     Calibrated,
     ClosedLoop,
@@ -33,8 +32,9 @@ from foten.training.calibration import (
     calibrate_excitation,
     calibrate_level,
     calibrate_network_gain,
+    fit_scale,
 )
-from foten.training.scale_fit import fit_scale
+from foten.training.job import ScaledBlocks
 from foten.training.texture_builder import Tensors, proved
 
 BLOCK, N_BLOCKS = 1000, 24
@@ -84,14 +84,14 @@ def test_free_runs_are_those_of_the_definition() -> None:
     """Oracle: the model in NumPy, under the same noise; float64 against float64 but for the lattice's float32 tensors."""
     loop, excitation = loop_of()
     recorded, rendered = loop.free_runs(excitation, (3, 17), 5, 40, 2)
-    assert recorded.shape == (2, BLOCK - loop.first)
-    assert rendered.shape == (2, 2, BLOCK - loop.first)
-    np.testing.assert_array_equal(recorded, loop.blocks.samples[[3, 17], loop.first :, 0])
+    assert recorded.shape == (2, BLOCK - loop.first_scored)
+    assert rendered.shape == (2, 2, BLOCK - loop.first_scored)
+    np.testing.assert_array_equal(recorded, loop.blocks.samples[[3, 17], loop.first_scored :, 0])
     definition, m = model_of(*model()), loop.history
     for which, (stream, number) in enumerate([(40, 3), (41, 17), (42, 3), (43, 17)]):
         start = definition.start(loop.blocks.samples[[number], :m])
-        condition = loop.blocks.path_conditions()[[number], m:]
-        expected = run(start, condition, gaussian(5, stream, 0, BLOCK - m)[None])[0, loop.first - m :]
+        condition = loop.blocks.conditions_with_speed()[[number], m:]
+        expected = run(start, condition, gaussian(5, stream, 0, BLOCK - m)[None])[0, loop.first_scored - m :]
         np.testing.assert_allclose(rendered[which // 2, which % 2], expected, atol=1e-9)
 
 
@@ -120,7 +120,7 @@ def test_a_slope_over_speed_is_calibrated_too() -> None:
     level = changed(true, exponents=true.sigma.exponents * [0, 1, 1, 1, 1])
     excitation = calibrate_level(loop, level, 0)[0]
     assert excitation.sigma.exponents[0] == pytest.approx(true.sigma.exponents[0], abs=0.25)
-    assert loop.distance(excitation, 0)[1] < loop.distance(level, 0)[1] - 0.5
+    assert loop.free_run_errors(excitation, 0)[1] < loop.free_run_errors(level, 0)[1] - 0.5
 
 
 @pytest.mark.parametrize("level", [True, False])
@@ -136,13 +136,12 @@ def test_a_networks_innovations_are_bounded_by_no_more_than_they_need(level: boo
 
 
 def test_a_free_run_is_as_far_as_it_is_too_loud() -> None:
-    near, louder = (loop.distance(excitation, 0) for loop, excitation in (loop_of(), loop_of(louder=2.0)))
+    near, louder = (loop.free_run_errors(excitation, 0) for loop, excitation in (loop_of(), loop_of(louder=2.0)))
     # Of what the model itself made: chance alone. In a frame of 40 ms a resonance 16 Hz wide is known to 3 dB.
     assert near[0] < 3.0
     assert near[1] < 3.5
     assert louder[1] == pytest.approx(6.02, abs=0.7)
     assert louder[0] > near[0] + 2
-    assert Calibrated(loop_of()[1], (2.0, 1.5), None).nearness == 3.0
 
 
 def residuals_of(loop: ClosedLoop, excitation: Excitation, share: float) -> Residuals:
@@ -170,7 +169,7 @@ def test_the_closed_loop_has_the_last_word_on_the_level(halved: tuple[ClosedLoop
     recorded, runs = loop.free_runs(calibrated.excitation, loop.blocks.known, 9, 77, 4)
     # Four runs of 16 s, 16 Hz wide: known to 0.15 dB, the recording to 0.3.
     assert 10 * math.log10(np.square(runs).mean() / np.square(recorded).mean()) == pytest.approx(0, abs=0.8)
-    assert calibrated.distance == loop.distance(calibrated.excitation, 0)
+    assert calibrated.free_run == loop.free_run_errors(calibrated.excitation, 0)
 
 
 def test_no_excitation_is_larger_than_what_was_left_to_explain(
@@ -191,7 +190,7 @@ def test_no_excitation_is_larger_than_what_was_left_to_explain(
         np.testing.assert_allclose(shocks, [limit, limit], rtol=1e-9)
 
 
-def test_the_likelihood_is_that_of_the_validation_samples_where_the_hand_moves(
+def test_the_nll_is_that_of_the_validation_samples_where_the_hand_moves(
     halved: tuple[ClosedLoop, Residuals, Calibrated],
 ) -> None:
     """Oracle: SciPy's normal density. That of innovations is of all, before the level was calibrated."""
@@ -200,12 +199,12 @@ def test_the_likelihood_is_that_of_the_validation_samples_where_the_hand_moves(
     condition, e, moving = residuals.condition[of], residuals.innovation[of], residuals.moving[of]
     sigma = calibrated.excitation.sigma(condition)
     expected = -norm.logpdf(GAIN * e, scale=GAIN * sigma)[moving].mean()
-    assert calibrated.likelihood == pytest.approx(expected, rel=1e-6)
+    assert calibrated.acceleration_nll == pytest.approx(expected, rel=1e-6)
     before = fit_scale(16, residuals.condition, residuals.innovation, residuals.n_train, loop.blocks.scaling, 0)
     expected = -norm.logpdf(e, scale=before(condition)).mean()
-    assert calibrated.likelihood_of_innovations == pytest.approx(expected, rel=1e-6)
+    assert calibrated.innovation_nll == pytest.approx(expected, rel=1e-6)
     rested = calibrate_excitation(16, replace(residuals, moving=np.zeros_like(residuals.moving)), loop, 0)
-    assert rested.likelihood is None
+    assert rested.acceleration_nll is None
     for name, tensor in calibrated.excitation.tensors().items():  # and the same seed gives the same excitation
         np.testing.assert_array_equal(rested.excitation.tensors()[name], tensor, name)
 

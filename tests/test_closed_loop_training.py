@@ -18,18 +18,17 @@ from foten.models.excitation import Excitation
 from foten.models.foten_plus import closed_loop_training
 from foten.models.foten_plus.closed_loop_training import Excerpts, excerpts_of, fit_closed_loop
 from foten.models.foten_plus.definition import Tones
-from foten.models.foten_plus.likelihood import innovations_of
-from foten.models.foten_plus.linear_model import LinearModel, fit_level, fit_linear_model, fit_tonal_model
-from foten.models.foten_plus.network import InnovationNetwork
+from foten.models.foten_plus.linear_model import LinearModel, fit_level, fit_linear_model
+from foten.models.foten_plus.network import InnovationNetwork, innovations_of
 from foten.models.foten_plus.sizes import FotenPlusSizes
+from foten.models.foten_plus.tones_fit import fit_tonal_model
 from foten.recording.preprocess import PreprocessConfig
 from foten.simulation.simulate import simulate
-from foten.training.blocks import ScaledBlocks
+from foten.training.calibration import constant_scale
 from foten.training.config import TrainConfig
-from foten.training.job import TrainingJob
+from foten.training.job import ScaledBlocks, TrainingJob
 from foten.training.loop import Monitor, Progress
-from foten.training.scale_fit import constant_scale
-from foten.training.tensors import tensors_of
+from foten.training.texture_builder import tensors_of
 from test_likelihood import captured_loop
 
 CONFIG = TrainConfig(epochs=2, threads=1, batch=8, max_order=20, table=False)
@@ -54,9 +53,9 @@ def surface(request: pytest.FixtureRequest) -> Surface:
     """One without tones, and one with them."""
     sizes, preprocess = FotenPlusSizes(**PLUS), PreprocessConfig(trim_ms=0, block_ms=1000)
     blocks = TrainingJob(simulate(request.param, 9.0), "foten-plus", sizes, CONFIG, preprocess).blocks()
-    level = fit_level(blocks.flat[:, 0], sizes, blocks, CONFIG)
-    linear = fit_linear_model(level, sizes, blocks, CONFIG)
-    model = fit_tonal_model(linear, level, blocks, CONFIG) or linear
+    level, data = fit_level(blocks.flat[:, 0], sizes, blocks, CONFIG)
+    linear = fit_linear_model(level, data, sizes, CONFIG)
+    model = fit_tonal_model(linear, data, blocks, CONFIG) or linear
     assert (model.phase is None) == (request.param == "artificial-grass")
     torch.manual_seed(0)
     return Surface(blocks, model, perturbed(InnovationNetwork(model.sizes, model.sizes.n_rendering_inputs)))
@@ -86,9 +85,9 @@ def start_on_path(stream: Any, definition: Any, of: Excerpts, block: np.ndarray,
     """Give a stream the phase that is known of a recording, where the definition finds one of its own."""
     assert of.model.phase is not None
     phase = of.model.phase[block, start]
-    stream.begin_path(definition.tones, phase, phase)
+    stream.begin_phase(definition.tones, phase, phase)
     rows, at = block[:, None], start[:, None] + np.arange(-definition.sizes.history, 0)
-    before = of.blocks.path_conditions()[rows, at - 1].reshape(-1, 3)
+    before = of.blocks.conditions_with_speed()[rows, at - 1].reshape(-1, 3)
     lattice, tones = of.model.excited_lattice, Tones(of.model.tensors, of.model.level)
     played = tone(tones.coefficients(before).reshape(*at.shape, -1), of.model.phase[rows, at])
     _, after = lattice.gains(lattice.level(before[:, :2]).reshape(at.shape))
@@ -113,7 +112,7 @@ def test_a_roll_out_is_the_definitions_closed_loop(surface: Surface) -> None:
     stream = definition.start(surface.blocks.samples[rows, start[:, None] + np.arange(-definition.sizes.history, 0)])
     if surface.model.phase is not None:
         start_on_path(stream, definition, of, block, start)
-    conditions = surface.blocks.path_conditions()[rows, start[:, None] + np.arange(60)]
+    conditions = surface.blocks.conditions_with_speed()[rows, start[:, None] + np.arange(60)]
     for i in range(60):
         if surface.model.phase is not None:
             np.testing.assert_allclose(stream.phase, run.phase[:, i], atol=1e-4)
@@ -188,10 +187,10 @@ def test_the_validation_blocks_have_a_say_and_the_test_blocks_none(
 def test_a_short_training_is_short_in_its_closed_loop_too(
     surface: Surface, monkeypatch: pytest.MonkeyPatch, epochs: int, n: int
 ) -> None:
-    """And a long one has eight epochs at most, whether they gain or not, and none on probation."""
+    """And a long one has eight epochs at most, whether they gain or not, and none on trial_epochs."""
     monkeypatch.setattr(closed_loop_training, "N_STEPS", 1)
     stages: list[str] = []
-    config = replace(CONFIG, epochs=epochs, patience=1, probation=1)
+    config = replace(CONFIG, epochs=epochs, patience=1, trial_epochs=1)
     _, progress = fitted(surface, 1e-9, monkeypatch, config, on_stage=stages.append)
     assert [line.epoch for line in progress.epochs] == list(range(n + 1))
     assert [stage.split(": ")[1] for stage in stages] == [f"{100 * line.epoch // n} %" for line in progress.epochs]

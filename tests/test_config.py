@@ -14,7 +14,7 @@ def test_the_papers_recipe_is_the_papers() -> None:
     assert (paper.epochs, paper.patience, paper.batch, paper.learning_rate) == (100, 10, 16, 1e-3)
     assert (paper.loss, paper.delta, paper.schedule) == ("huber", 1.6, "constant")
     assert (paper.weight_decay, paper.clip_norm, paper.dropout) == (0.0, 0.0, 0.2)
-    assert paper.probation > paper.epochs  # none
+    assert paper.trial_epochs > paper.epochs  # none
     named = {"window": 20, "d_model": 32, "n_heads": 4, "n_layers": 3, "d_feedforward": 128, "head": (256, 64)}
     assert FotenSizes() == FotenSizes(**named)  # type: ignore[arg-type]
 

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from foten.dsp.bands import band_energies
-from foten.training.envelope_loss import EnvelopeEnergyDistance, energies
+from foten.models.foten_plus.closed_loop_training import EnvelopeEnergyDistance, energies
 
 RATE = 1000.0
 

@@ -15,7 +15,7 @@ from conftest import SMALL, untrained
 from foten.baselines.networks import build
 from foten.models.foten.definition import Network
 from foten.models.foten.sizes import FotenSizes
-from foten.training.tensors import tensors_of
+from foten.training.texture_builder import tensors_of
 
 SIZES = {
     "paper": FotenSizes(),

@@ -13,11 +13,10 @@ from scipy.special import log_ndtr, ndtri_exp
 from scipy.stats import norm
 
 from conftest import PLUS, untrained
-from foten.models.foten_plus.innovation_network import InnovationNetwork as Definition
-from foten.models.foten_plus.innovation_network import Mixture
+from foten.models.foten_plus.definition import Mixture, NetworkDefinition
 from foten.models.foten_plus.network import InnovationNetwork, NextInnovation, negative_log_likelihood
 from foten.models.foten_plus.sizes import FotenPlusSizes
-from foten.training.tensors import tensors_of
+from foten.training.texture_builder import tensors_of
 
 SIZES = FotenPlusSizes(**PLUS)
 
@@ -86,7 +85,7 @@ def test_the_unit_and_its_head_are_pytorchs() -> None:
     network = untrained("foten-plus", SIZES).double()
     rng = np.random.default_rng(0)
     inputs, innovation = 2 * rng.standard_normal((3, 30, 5)), rng.standard_normal((3, 30))
-    definition, hidden = Definition(tensors_of(network), ""), np.zeros((3, SIZES.n_hidden))
+    definition, hidden = NetworkDefinition(tensors_of(network), ""), np.zeros((3, SIZES.n_hidden))
     with torch.no_grad():
         mixture = network(torch.from_numpy(inputs))
         last = NextInnovation(network)(torch.from_numpy(inputs)).numpy()

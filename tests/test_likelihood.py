@@ -11,28 +11,27 @@ import pytest
 import torch
 
 from conftest import PLUS, untrained, untrained_tensors
-from foten.models.foten_plus import likelihood
-from foten.models.foten_plus.innovation_network import InnovationNetwork as Definition
-from foten.models.foten_plus.innovation_network import Mixture, innovation_inputs, phase_inputs
-from foten.models.foten_plus.likelihood import (
+from foten.models.foten_plus import network as innovation
+from foten.models.foten_plus.definition import Mixture, NetworkDefinition, innovation_inputs, phase_inputs
+from foten.models.foten_plus.linear_model import LinearModel
+from foten.models.foten_plus.network import (
     CHUNK,
     Batches,
+    Chunks,
+    InnovationNetwork,
     Innovations,
-    _chunks,
     asymmetry,
     fit_innovation_network,
     innovations_of,
     validated,
 )
-from foten.models.foten_plus.linear_model import LinearModel
-from foten.models.foten_plus.network import InnovationNetwork
 from foten.models.foten_plus.sizes import FotenPlusSizes
 from foten.recording.split import Split
 from foten.recording.trace import Trace
-from foten.training.blocks import ScaledBlocks, scaled_blocks
 from foten.training.config import OWN_RECIPES, TrainConfig
+from foten.training.job import ScaledBlocks, scaled_blocks
 from foten.training.loop import Loop, Monitor, Progress, run_loop
-from foten.training.tensors import tensors_of
+from foten.training.texture_builder import tensors_of
 
 CONFIG = TrainConfig(**{**OWN_RECIPES["foten-plus"], "epochs": 2, "threads": 1, "batch": 32})
 CPU = torch.device("cpu")
@@ -67,7 +66,7 @@ def fitted(blocks: ScaledBlocks, data: Innovations, config: TrainConfig = CONFIG
 
 def test_of_noise_nothing_is_learned_and_of_bursts_when_they_are(monkeypatch: pytest.MonkeyPatch) -> None:
     """Gaussian noise has ½ log 2πe; bursts that are known have their own share of it, and 20 samples hide little."""
-    monkeypatch.setattr(likelihood, "N_STEPS", 50)
+    monkeypatch.setattr(innovation, "N_STEPS", 50)
     gaussian = 0.5 * math.log(2 * math.pi * math.e)
     assert fitted(*process("noise")).best_loss == pytest.approx(gaussian, abs=0.03)
     known = gaussian + 0.8 * math.log(0.1) - 0.5 * math.log(0.2 + 0.8 * 0.01)
@@ -83,7 +82,7 @@ def test_of_noise_nothing_is_learned_and_of_bursts_when_they_are(monkeypatch: py
 
 def test_only_the_training_blocks_are_learned_from(monkeypatch: pytest.MonkeyPatch) -> None:
     """Those of validation are ten times as large here: whoever learned from them would have a loss of 3.7 nat."""
-    monkeypatch.setattr(likelihood, "N_STEPS", 20)
+    monkeypatch.setattr(innovation, "N_STEPS", 20)
     blocks, data = process("bursts")
     louder = data.innovation.copy()
     louder[16:20] *= 10
@@ -92,7 +91,7 @@ def test_only_the_training_blocks_are_learned_from(monkeypatch: pytest.MonkeyPat
 
 def test_more_threads_than_a_batch_has_shares_for_learn_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
     """Ten chunks for eight threads are five shares of two; sums of other shares differ by rounding, which steps amplify."""
-    monkeypatch.setattr(likelihood, "N_STEPS", 30)
+    monkeypatch.setattr(innovation, "N_STEPS", 30)
     blocks, data = process("bursts")
     configs = [dataclasses.replace(CONFIG, epochs=1, batch=10, threads=n) for n in (1, 8, 8)]
     losses = [fitted(blocks, data, config).epochs[1] for config in configs]
@@ -115,15 +114,15 @@ def captured_loop(monkeypatch: pytest.MonkeyPatch, module: str, fit: Callable[[]
 
 def test_the_averaged_network_is_validated_on_the_validation_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
     """Oracle: the definition in NumPy, sample by sample over these blocks, in float64."""
-    monkeypatch.setattr(likelihood, "N_STEPS", 20)
+    monkeypatch.setattr(innovation, "N_STEPS", 20)
     blocks, data = process("bursts", block=300)
-    data = dataclasses.replace(data, innovation_gain=-3.0 * np.ones_like(data.innovation))
-    loop, progress = captured_loop(monkeypatch, "likelihood", lambda: fitted(blocks, data))
+    data = dataclasses.replace(data, innovation_gain=3.0 * np.ones_like(data.innovation))
+    loop, progress = captured_loop(monkeypatch, "network", lambda: fitted(blocks, data))
     assert loop.averaging > 0
     assert progress.best.epoch > 0
     other = untrained("foten-plus", FotenPlusSizes(n_hidden=16, head_width=16, window=20))
     for network in (loop.network, other):
-        definition = Definition(tensors_of(network), "")
+        definition = NetworkDefinition(tensors_of(network), "")
         hidden, nats, errors = np.zeros((4, 16)), [], []
         for n in range(20, 299):
             hidden = definition.push(hidden, data.inputs[16:20, n])
@@ -179,7 +178,7 @@ def test_only_what_has_no_sign_is_mirrored() -> None:
 def test_slow_chunks_are_drawn_more_often() -> None:
     """By 1 / (speed + 25 mm/s): from 20 to 140 mm/s over the training blocks, 3.7 to 1."""
     blocks, data = process("noise")
-    where = _chunks(data, blocks.split.train, 20)
+    where = Chunks(data, blocks.split.train, 20)
     block, sample = where.draw(20_000, np.random.default_rng(0))
     assert sample.shape == (20_000, 20 + CHUNK)
     assert sample.max() < 1000 - 21  # rows of inputs and of what follows each

@@ -21,17 +21,17 @@ from foten.training.loop import (
     GradientStep,
     Loop,
     Monitor,
+    Optimiser,
     Progress,
     SharedGradients,
     epoch_seed,
-    reproducible,
     run_loop,
     schedule,
     should_continue,
 )
-from foten.training.optimiser import Optimiser
+from foten.training.pipeline import reproducible
 
-CONFIG = replace(RECIPES["default"], epochs=6, probation=100)
+CONFIG = replace(RECIPES["default"], epochs=6, trial_epochs=100)
 
 
 class Counter(nn.Module):
@@ -237,7 +237,7 @@ def progress_of(errors: list[float]) -> Progress:
 )
 def test_probation_and_patience_end_a_training(errors: list[float], on: bool, noted: bool) -> None:
     progress = progress_of(errors)
-    assert should_continue(progress, replace(CONFIG, probation=3, min_gain=1e-3, patience=4)) == on
+    assert should_continue(progress, replace(CONFIG, trial_epochs=3, min_gain=1e-3, patience=4)) == on
     note = "the network gains 0.05 % on the validation blocks in 3 epochs, less than 0.1 %: its training stops there"
     assert progress.notes == [note] * noted
 

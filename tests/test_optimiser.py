@@ -10,7 +10,7 @@ import torch
 from torch import nn
 
 from foten.training.config import RECIPES
-from foten.training.optimiser import MIN_SIDE, Optimiser, orthogonalised
+from foten.training.loop import MIN_SIDE, Optimiser, orthogonalised
 
 CONFIG = replace(RECIPES["default"], weight_decay=0.0)
 

@@ -11,10 +11,10 @@ import pytest
 from conftest import CARD, SCALING, exported, local_models
 from foten.dsp.lattice import LEAK, predict, push, reflections_of
 from foten.dsp.lsf import line_spectral_frequencies, polynomial_of
+from foten.models.definitions import render
 from foten.models.piecewise_ar.definition import PiecewiseAr
 from foten.models.piecewise_ar.local_models import LocalModels, local_texture
 from foten.models.piecewise_ar.sizes import PiecewiseArSizes
-from foten.models.render_definition import render
 from foten.models.texture_file import Texture
 from foten.runtime.loops import run_loops
 from foten.runtime.native import NativeState, NativeTexture

@@ -14,17 +14,17 @@ import pytest
 from conftest import PLUS, sizes_with
 from foten.baselines.sizes import TRAINABLE
 from foten.models.foten.sizes import FotenSizes
-from foten.models.foten_plus import closed_loop_training, likelihood
+from foten.models.foten_plus import closed_loop_training
 from foten.models.foten_plus import fit as foten_plus
+from foten.models.foten_plus import network as innovation
 from foten.models.foten_plus.sizes import FotenPlusSizes
 from foten.models.texture_file import Texture, texture_from_bytes
 from foten.recording.preprocess import PreprocessConfig
 from foten.recording.recording import Recording
 from foten.runtime.renderer import Renderer
 from foten.simulation.simulate import simulate
-from foten.training.blocks import ScaledBlocks
 from foten.training.config import TrainConfig
-from foten.training.job import Trained, TrainingJob
+from foten.training.job import ScaledBlocks, Trained, TrainingJob
 from foten.training.loop import Checkpoint, Epoch, Monitor, Progress
 from foten.training.pipeline import FITS, train
 
@@ -39,7 +39,7 @@ SECONDS = PreprocessConfig(trim_ms=0, block_ms=1000)
 def brief() -> Any:
     """Fit networks for a few steps."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(likelihood, "N_STEPS", 10)
+        patch.setattr(innovation, "N_STEPS", 10)
         for name, value in {"N_STEPS": 2, "N_EXCERPTS": 6, "N_KNOWN": 40, "N_VALIDATIONS": 1}.items():
             patch.setattr(closed_loop_training, name, value)
         yield
@@ -122,7 +122,7 @@ def test_a_training_interrupted_before_its_first_epoch_has_given_a_playable_text
     def interrupted(*_: object) -> tuple[float, float]:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(likelihood, "validated", interrupted)
+    monkeypatch.setattr(innovation, "validated", interrupted)
     playable: list[Texture] = []
     with pytest.raises(KeyboardInterrupt):
         train(job_of(recording), Monitor(on_playable=playable.append))
@@ -165,7 +165,7 @@ def mesh(monkeypatch: pytest.MonkeyPatch) -> TrainingJob:
         return fit_once
 
     monkeypatch.setattr(foten_plus, "MIN_GAIN_NAT", -1e3)  # whatever the networks gain
-    for name in ("fit_level", "fit_linear_model", "fit_tonal_model", "nearest_linear_model"):
+    for name in ("fit_level", "fit_linear_model", "fit_tonal_model", "best_linear_model"):
         monkeypatch.setattr(foten_plus, name, once(name))
     sizes, config = FotenPlusSizes(**PLUS), replace(QUICK, tones=True)
     return TrainingJob(simulate("steel-mesh-1", 9.0), "foten-plus", sizes, config, SECONDS)

@@ -17,7 +17,7 @@ from foten.models.foten.definition import Network
 from foten.models.foten.sizes import TransformerSizes
 from foten.models.foten_plus.sizes import FotenPlusSizes
 from foten.models.stream import Prediction, run
-from foten.training.tensors import tensors_of
+from foten.training.texture_builder import tensors_of
 
 VARIANTS: dict[str, dict[str, Any]] = {
     "default": {},

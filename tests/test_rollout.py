@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from foten.models.foten_plus.innovation_network import Mixture
+from foten.models.foten_plus.definition import Mixture
 from foten.training import training_kernel as kernel
-from foten.training.rollout import MAX_ADJOINT, PARTS, Rollout, RolloutInputs, RolloutState, repeated
+from foten.training.training_kernel import MAX_ADJOINT, WEIGHT_NAMES, Rollout, RolloutInputs, RolloutState, repeated
 
 Inputs = tuple[RolloutInputs, RolloutState]
 
@@ -26,7 +26,8 @@ def streams(s: int, n: int, p: int, rng: np.random.Generator, gain_before: bool)
 def weights(k: int, rng: np.random.Generator) -> dict[str, np.ndarray]:
     shapes = [(18, 5), (18, 6), (18,), (18,), (7, 11), (7,), (3 * k, 7), (3 * k,)]
     return {
-        name: (0.4 * rng.standard_normal(shape)).astype(np.float32) for name, shape in zip(PARTS, shapes, strict=True)
+        name: (0.4 * rng.standard_normal(shape)).astype(np.float32)
+        for name, shape in zip(WEIGHT_NAMES, shapes, strict=True)
     }
 
 
@@ -86,7 +87,7 @@ def test_a_draw_moves_as_its_quantile_does() -> None:
     rng = np.random.default_rng(5)
     inputs, state = streams(40, 1, 3, rng, False)
     run = Rollout(weights(4, rng), inputs, state, rng)
-    derivative, out = run._of_draws()[0], run._out[0].astype(float)
+    derivative, out = run._draw_derivatives()[0], run._out[0].astype(float)
     now = mixture_of(out)
     z = norm.ppf((now.weight * norm.cdf((run.innovation[0][:, None] - now.mean) / now.scale)).sum(axis=1))
     for column in range(out.shape[1]):

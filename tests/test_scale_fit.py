@@ -13,8 +13,8 @@ import pytest
 from conftest import scale
 from foten.models.excitation import Scale
 from foten.recording.scaling import Scaling
-from foten.training import scale_fit
-from foten.training.scale_fit import constant_scale, fit_scale
+from foten.training import calibration
+from foten.training.calibration import constant_scale, fit_scale
 
 
 def under(speed: np.ndarray, force: np.ndarray) -> tuple[np.ndarray, Scaling]:
@@ -58,7 +58,7 @@ def test_its_gradient_is_that_of_finite_differences(monkeypatch: pytest.MonkeyPa
         fitted.append((loss, x))
         return SimpleNamespace(x=x)
 
-    monkeypatch.setattr(scale_fit, "minimize", captured)
+    monkeypatch.setattr(calibration, "minimize", captured)
     rng = np.random.default_rng(3)
     condition, scaling = under(rng.uniform(5, 300, 300), rng.uniform(0.2, 4, 300))
     fit_scale(3, condition, rng.standard_normal(300), 200, scaling, seed=0)

@@ -10,7 +10,7 @@ import numpy as np
 import torch
 from torch import nn
 
-from foten.baselines.gan_fit import fit_adversarial
+from foten.baselines.gan import fit_adversarial
 from foten.baselines.graph import graph_of, in_float64, multiply_adds
 from foten.baselines.graph_model import NoiseModel
 from foten.baselines.networks import build
@@ -22,13 +22,19 @@ from foten.models.model_sizes import ModelSizes
 from foten.models.stream import Model
 from foten.models.window_model import WindowModel
 from foten.runtime.onnx_predictor import INPUT, NOISE
-from foten.training.blocks import ScaledBlocks
 from foten.training.config import TrainConfig
-from foten.training.job import Trained, TrainingJob, check_block
+from foten.training.job import ScaledBlocks, Trained, TrainingJob, check_block
 from foten.training.loop import Monitor, pick_device
-from foten.training.one_step import Packed, fit_one_step, one_step_texture, one_step_windows
 from foten.training.texture_builder import Tensors
-from foten.training.window_fit import TrainingWindows, fit_windows, predict
+from foten.training.window_fit import (
+    Packed,
+    TrainingWindows,
+    fit_one_step,
+    fit_windows,
+    one_step_texture,
+    one_step_windows,
+    predict,
+)
 
 _AT_ONCE = 65536  # frames
 

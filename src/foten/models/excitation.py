@@ -16,8 +16,7 @@ from numpy.typing import NDArray
 
 from foten.dsp import Array
 from foten.models.model_sizes import ModelSizes, Shapes
-from foten.models.stream import Prediction
-from foten.models.weights import Weights
+from foten.models.stream import Prediction, Weights
 
 N_FEATURES = 4  # of the network in log σ: scaled speed and force, and their logarithms
 N_POWERS = 5  # x, y, x², xy, y² of the logarithms

@@ -1,12 +1,38 @@
-"""What the definition of a model offers, and its closed loop (Sec. V); all scaled."""
+"""What the definition of a model is made of and offers: tensors by name, streams, their closed loop (Sec. V); all scaled."""
 
 from __future__ import annotations
 
-from typing import NamedTuple, Protocol
+from collections.abc import Mapping
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from foten.dsp import Array
+
+
+class Weights(dict[str, Array]):
+    """The tensors of a texture file under one prefix, in float64, and the two maps that every network has of them."""
+
+    def __init__(self, tensors: Mapping[str, NDArray[Any]], prefix: str) -> None:
+        under = {name.removeprefix(prefix): tensor for name, tensor in tensors.items() if name.startswith(prefix)}
+        super().__init__({name: np.asarray(tensor, dtype=np.float64) for name, tensor in under.items()})
+
+    def __missing__(self, name: str) -> Array:
+        raise ValueError(f"the texture file has no tensor {name!r}")
+
+    def linear(self, name: str, values: Array) -> Array:
+        weight, bias = self[f"{name}.weight"], self[f"{name}.bias"]
+        if values.shape[-1] == 1:
+            return values * weight[:, 0] + bias
+        # One large product is faster than NumPy's loop over a stack of small ones.
+        flat = values.reshape(-1, values.shape[-1]) @ weight.T + bias
+        return flat.reshape(*values.shape[:-1], -1)
+
+    def norm(self, name: str, values: Array) -> Array:
+        centred = values - values.mean(axis=-1, keepdims=True)
+        variance = np.square(centred).mean(axis=-1, keepdims=True)
+        return centred / np.sqrt(variance + 1e-5) * self[f"{name}.weight"] + self[f"{name}.bias"]
 
 
 class Distribution(Protocol):
@@ -79,7 +105,7 @@ class Stream(Protocol):
         """The next samples, shape (s,)."""
 
     def push(self, sample: Array, condition: Array, noise: Array | None) -> None:
-        """Take in the next samples (s,), the condition (s, 3) that goes with them, and the noise in them."""
+        """Take in the next samples (s,), their condition (s, 3), and the noise that was in them, (s,) or None."""
 
 
 class Model(Protocol):

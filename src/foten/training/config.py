@@ -17,7 +17,7 @@ class TrainConfig:
     recipe: str = "default"
     epochs: int = 12  # at most
     patience: int = 10  # epochs without a better validation loss; Sec. IV-e
-    probation: int = 3  # epochs in which a network has to gain something; more than `epochs` for none
+    trial_epochs: int = 3  # epochs in which a network has to gain something; more than `epochs` for none
     min_gain: float = 1e-3  # of the one-step validation error, over the network before training
     batch: int = 128  # windows
     optimiser: str = "muon"  # orthogonalised momentum for matrices (`training.optimiser`); or "adamw" for all
@@ -52,7 +52,7 @@ class TrainConfig:
                 raise ValueError(f"{field.name} is {value!r}, expected a whole number")
             if field.type == "float" and (type(value) not in (int, float) or not math.isfinite(value)):
                 raise ValueError(f"{field.name} is {value!r}, expected a finite number")
-        for name in ("epochs", "batch", "patience", "probation", "threads", "max_order"):
+        for name in ("epochs", "batch", "patience", "trial_epochs", "threads", "max_order"):
             least = 0 if name == "epochs" else 1
             if getattr(self, name) < least:
                 raise ValueError(f"{name} is {getattr(self, name)}, expected {least} or more")
@@ -70,7 +70,7 @@ RECIPES: dict[str, TrainConfig] = {
         recipe="paper",
         epochs=100,
         patience=10,
-        probation=101,
+        trial_epochs=101,
         batch=16,
         optimiser="adamw",
         learning_rate=1e-3,
@@ -92,7 +92,7 @@ OWN_RECIPES: dict[str, dict[str, Any]] = {
     # Epochs of 100 steps, of chunks; what is left to learn of a linear process ends them by patience.
     "foten-plus": {
         **{"optimiser": "adamw", "learning_rate": 4e-3, "weight_decay": 0.1, "batch": 64},
-        **{"patience": 4, "probation": 10_000},
+        **{"patience": 4, "trial_epochs": 10_000},
     },
     "ten": {"delta": 2.0},
     "ten-wavelet": {"loss": "mse"},
@@ -102,10 +102,10 @@ OWN_RECIPES: dict[str, dict[str, Any]] = {
 }
 """What a model changes of a recipe: losses of Sec. VI-d for TEN's variants, and for the others, where nothing is stated, ours."""
 UNUSED: dict[str, tuple[str, ...]] = {
-    "foten-plus": ("loss", "delta", "dropout", "matrix_learning_rate", "probation", "min_gain"),
+    "foten-plus": ("loss", "delta", "dropout", "matrix_learning_rate", "trial_epochs", "min_gain"),
     "gan": (
         *("loss", "delta", "dropout", "threads", "weight_decay", "schedule", "clip_norm"),
-        *("optimiser", "matrix_learning_rate", "probation", "min_gain"),
+        *("optimiser", "matrix_learning_rate", "trial_epochs", "min_gain"),
     ),
 }
 """Settings that are nothing to a model: foten-plus has a likelihood for a loss, the GAN what judges it."""

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import csv
 import json
 import math
 from collections.abc import Callable, Mapping
 from contextlib import suppress
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +16,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from foten.atomic_write import atomic_write, reason
 from foten.training.job import Trained
-from foten.training.loop import Epoch, write_log
+from foten.training.loop import Epoch
 
 
 class RunFolder:
@@ -62,7 +64,7 @@ class RunFolder:
                 self._events = SummaryWriter(str(self.path))
         self._epochs.append(epoch)
         try:
-            write_log(self.path / "log.csv", self._epochs)
+            _write_log(self.path / "log.csv", self._epochs)
         except OSError as error:
             if len(self._epochs) == 1:
                 raise
@@ -78,7 +80,7 @@ class RunFolder:
     def close(self, trained: Trained) -> None:
         """Write log, split and curves, as far as the disk takes them; the checkpoint goes unless the run was interrupted."""
         try:
-            write_log(self.path / "log.csv", trained.progress.epochs)
+            _write_log(self.path / "log.csv", trained.progress.epochs)
             trained.split.save(self.path / "split.json")
             _draw_curves(self.path / "curves.png", trained)
         except OSError as error:  # the texture is written, and its folder is not worth an error
@@ -87,6 +89,14 @@ class RunFolder:
             self.checkpoint.unlink(missing_ok=True)
         if self._events is not None:
             self._events.close()
+
+
+def _write_log(path: Path, epochs: list[Epoch]) -> None:
+    """Write the log as CSV."""
+    with atomic_write(path) as part, part.open("w", newline="") as file:
+        writer = csv.DictWriter(file, fieldnames=list(Epoch.__dataclass_fields__))
+        writer.writeheader()
+        writer.writerows(asdict(epoch) for epoch in epochs)
 
 
 def _draw_curves(path: Path, trained: Trained) -> None:

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from torch import nn
 
 from foten.dsp import Array
 from foten.dsp.noise import gaussian
@@ -19,11 +20,11 @@ from foten.models.texture_file import FORMAT_VERSION, MIN_GOLDEN, Texture, textu
 from foten.recording.scaling import Scaling
 from foten.recording.windows import windows
 from foten.runtime.native import NativeTexture
-from foten.training.blocks import ScaledBlocks
 from foten.training.config import WARM_START
+from foten.training.job import ScaledBlocks
 
 Tensors = dict[str, NDArray[Any]]
-Definition = Callable[[ModelSizes, Tensors], Model]
+MakeModel = Callable[[ModelSizes, Tensors], Model]
 
 N_GOLDEN = 12  # windows of the validation blocks
 NEAR_SHARE = 100  # of so many training windows one is near enough to begin from
@@ -45,7 +46,7 @@ class TextureBuilder:
     model: str
     blocks: ScaledBlocks
     card: dict[str, Any]  # entries beyond model, sizes and scaling
-    definition: Definition = model_of
+    definition: MakeModel = model_of
 
     def kernel(self, sizes: ModelSizes, tensors: Tensors, excitation: Excitation) -> NativeTexture:
         """What renders a texture with an excitation that is being fitted."""
@@ -72,7 +73,7 @@ def proved(
     golden: Array,
     warm_start: Array,
     card: dict[str, Any],
-    definition: Definition = model_of,
+    definition: MakeModel = model_of,
 ) -> ProvedTexture:
     """A texture with golden samples, loaded into the kernel, which replays them.
 
@@ -154,3 +155,8 @@ def warm_start_entry(recorded: Array) -> dict[str, dict[str, float]]:
         "asked": dict(zip(channels, WARM_START, strict=True)),
         "recorded": dict(zip(channels, recorded.tolist(), strict=True)),
     }
+
+
+def tensors_of(module: nn.Module, prefix: str = "") -> Tensors:
+    """A module's parameters and buffers by name, copied."""
+    return {f"{prefix}{name}": t.detach().cpu().numpy().copy() for name, t in module.state_dict().items()}

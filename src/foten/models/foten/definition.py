@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from foten.dsp import Array
 from foten.dsp.spectrum import WEAKEST_BIN, dft_matrices, position_encoding
 from foten.models.foten.sizes import SpectralSizes, TransformerSizes
-from foten.models.weights import Weights
+from foten.models.stream import Weights
 
 
 class Network:

@@ -9,8 +9,8 @@ from foten.models.foten.network import Foten
 from foten.models.foten.sizes import TransformerSizes
 from foten.training.job import Trained, TrainingJob, check_block
 from foten.training.loop import Monitor, pick_device
-from foten.training.one_step import Packed, fit_one_step, one_step_windows
-from foten.training.tensors import tensors_of
+from foten.training.texture_builder import tensors_of
+from foten.training.window_fit import Packed, fit_one_step, one_step_windows
 
 
 def fit(job: TrainingJob, monitor: Monitor) -> Trained:

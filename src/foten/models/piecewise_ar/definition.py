@@ -25,8 +25,7 @@ from foten.dsp.lattice import predict, push, reflections_of
 from foten.dsp.lsf import polynomial_of
 from foten.dsp.mesh import Mesh
 from foten.models.piecewise_ar.sizes import PiecewiseArSizes
-from foten.models.stream import Prediction
-from foten.models.weights import Weights
+from foten.models.stream import Prediction, Weights
 
 MAX_INNOVATION = 100.0  # standard deviations, of those inferred from a recorded window
 SETTLING_SAMPLES = 256  # samples that a stream begins with, where there are zeros
@@ -37,7 +36,7 @@ class PiecewiseAr:
 
     def __init__(self, sizes: PiecewiseArSizes, tensors: Mapping[str, NDArray[Any]]) -> None:
         w = Weights(tensors, "piecewise_ar.")
-        self.sizes, self.window = sizes, sizes.window
+        self.sizes = sizes
         self._mean, self._sd = w["mean"], w["sd"]
         self._mesh = Mesh(w["points"], w["triangles"].astype(np.int64), w["scale"])
         zeros = w["ma_lsf"] if sizes.ma else np.empty((sizes.n_models, 0))

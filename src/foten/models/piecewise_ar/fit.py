@@ -19,8 +19,7 @@ from foten.models.conditions import FADE_FORCE, FADE_SPEED
 from foten.models.piecewise_ar.local_models import LocalModels, local_texture
 from foten.runtime.loops import predict_blocks
 from foten.runtime.native import NativeTexture
-from foten.training.blocks import ScaledBlocks
-from foten.training.job import Trained, TrainingJob, versions
+from foten.training.job import ScaledBlocks, Trained, TrainingJob, versions
 from foten.training.loop import Monitor, Progress
 from foten.training.texture_builder import ProvedTexture
 
