@@ -206,11 +206,6 @@ def test_a_training_goes_on_in_the_loop_where_it_was_interrupted(
     assert [line.epoch for line in again.progress.epochs] == [0, 1, 2]
 
 
-def test_another_seed_gives_another_texture(recording: Recording, trained: Trained) -> None:
-    other = train(job_of(recording, seed=1))
-    assert other.texture.to_bytes() != trained.texture.to_bytes()
-
-
 def test_the_card_says_how_it_came_about(trained: Trained) -> None:
     """Statistics are of the training blocks."""
     card, trace, split = trained.texture.card, trained.trace, trained.split

@@ -12,7 +12,6 @@ from torch import nn
 
 from foten.baselines.gan import fit_adversarial
 from foten.baselines.graph import graph_of, in_float64, multiply_adds
-from foten.baselines.graph_model import NoiseModel
 from foten.baselines.networks import build
 from foten.baselines.noise_filter import log_magnitudes
 from foten.baselines.sizes import BaselineSizes, HapinfSizes, NoiseModelSizes
@@ -20,7 +19,7 @@ from foten.models.excitation import Excitation
 from foten.models.graph_sizes import GRAPH
 from foten.models.model_sizes import ModelSizes
 from foten.models.stream import Model
-from foten.models.window_model import WindowModel
+from foten.models.window_model import NoiseModel, WindowModel
 from foten.runtime.onnx_predictor import INPUT, NOISE
 from foten.training.config import TrainConfig
 from foten.training.job import ScaledBlocks, Trained, TrainingJob, check_block

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from foten.dsp import Array
+
+if TYPE_CHECKING:
+    from foten.models.foten_plus.definition import Mixture
 
 
 class Weights(dict[str, Array]):
@@ -35,25 +38,13 @@ class Weights(dict[str, Array]):
         return centred / np.sqrt(variance + 1e-5) * self[f"{name}.weight"] + self[f"{name}.bias"]
 
 
-class Distribution(Protocol):
-    """How the next innovation of s streams is distributed."""
-
-    def expected(self) -> Array:
-        """Its means, (s,)."""
-
-    def quantile(self, noise: Array) -> Array:
-        """The values below which lies Φ(z), for standard normal numbers z (s,)."""
-
-
 class Prediction(NamedTuple):
     """The next sample of each stream without excitation, and what an excitation adds; shapes (s,)."""
 
     sample: Array
     scale: Array | None = None  # by how much a unit of excitation moves it; None for no excitation
     innovation_limit: tuple[float, float] = (np.inf, np.inf)  # in units of the scale, and of scaled acceleration
-    mixture: Distribution | None = (
-        None  # of the innovation, in units of the scale, its mean in the sample; None for noise
-    )
+    mixture: Mixture | None = None  # of the innovation, in units of the scale, its mean in the sample; None for noise
     # Where near rest what enters a lattice fades, and not what leaves it: the sample without innovation, and the tones in it.
     linear: Array | None = None
     tone: Array | float = 0.0
@@ -99,7 +90,7 @@ class Stream(Protocol):
         """How many numbers of noise a stream takes to `begin`."""
 
     def begin(self, condition: Array, noise: Array, fade: float = 1.0) -> None:
-        """Take a state as after a long time under one condition (s, 3), whatever was before; standard normal (s, n_initial)."""
+        """Take a state as after a long time under one condition (s, 3), of standard normal numbers (s, n_initial)."""
 
     def predict(self) -> Prediction:
         """The next samples, shape (s,)."""
@@ -124,8 +115,7 @@ def run(
     """n samples of each stream's closed loop, shape (s, n).
 
     A sample is predicted under the condition of the one before (Eq. 1). What the saturator cuts off is cut from what leaves; a
-    bounded stream goes on from its uncut sample, since the innovation of a cut one would be as large as the cut over the gain of
-    the lattice.
+    bounded stream goes on from its uncut sample.
 
     Args:
         condition: of each sample, shape (s, n, 3).

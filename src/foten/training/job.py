@@ -67,7 +67,7 @@ class ScaledBlocks:
         return targets(self.split.train, block, m), targets(self.split.validation, block, m)
 
     def condition_before(self) -> tuple[Array, Array, Array]:
-        """The condition of the sample before, which a prediction knows; of a block's first, never predicted, its own.
+        """The condition of the sample before, which a prediction knows; of a block's first, its own.
 
         Speed [mm/s] and force [N], (n_blocks, block) each, and both scaled, one sample after the other, (n, 2).
         """
@@ -125,11 +125,8 @@ class TrainingJob:
             "lowpass_hz": self.preprocess.render_lowpass_hz,
             "delay_ms": self.preprocess.delay_ms,
             "units": {"acceleration": recording.unit("acceleration"), "speed": "mm/s", "force": "N"},
-            "texture": self.texture_name or recording.texture,
-            "tool": recording.tool,
-            "sensors": recording.sensors,
-            "notes": recording.notes,
-            "licence": self.licence,
+            **{name: getattr(recording, name) for name in ("tool", "sensors", "notes")},
+            **{"texture": self.texture_name or recording.texture, "licence": self.licence},
             "recording_sha256": trace.recording_sha256,
             "preprocess": dict(trace.preprocess),
             "split": asdict(split),

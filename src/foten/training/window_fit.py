@@ -93,33 +93,26 @@ def fit_windows(network: nn.Module, data: TrainingWindows, config: TrainConfig, 
         if number == 0:
             torch.manual_seed(epoch_seed(config.seed, epoch))
             batches = on_device.shuffled(config.seed, epoch).split(config.batch)
-        shares, seed = batches[number].chunk(n_threads), mask_seed(config.seed, epoch, number) * n_threads
+        shares = batches[number].chunk(n_threads)
+        # No seed comes twice in 1000 epochs of a million steps.
+        seed = ((config.seed * 1_000 + epoch) * 1_000_000 + number) * n_threads
 
         def loss_of_share(k: int) -> Tensor:
-            with masks_from(partial(mask, generator=masks_of(seed + k, on_device.device))):
+            on_cpu = on_device.device.type == "cpu"  # on a GPU its own generator draws
+            generator = torch.Generator().manual_seed((seed + k) % 2**63) if on_cpu else None
+            with masks_from(partial(mask, generator=generator)):
                 loss = criterion(network(on_device.windows(shares[k])), on_device.target[shares[k]])
                 return loss * (len(shares[k]) / len(batches[number]))
 
         loss, values = shared(loss_of_share, len(shares))
-        return loss * (
-            len(batches[number]) * n_steps / len(data.train)
-        ), values  # the mean over windows, not over steps
+        share = len(batches[number]) * n_steps / len(data.train)  # for the mean over windows, not over steps
+        return loss * share, values
 
     with ThreadPoolExecutor(n_threads) as pool:
         shared = SharedGradients(network, pool)
         step = GradientStep(network, optimiser, gradients, config.clip_norm, schedule(config, n_steps))
         validate = partial(validated, data=on_device, criterion=criterion, over=pool.map)
         return run_loop(Loop("network", network, n_steps, step, validate, {"optimiser": optimiser}), config, monitor)
-
-
-def mask_seed(seed: int, epoch: int, number: int) -> int:
-    """Seed of a step's dropout: none comes twice in 1000 epochs of a million steps."""
-    return (seed * 1_000 + epoch) * 1_000_000 + number
-
-
-def masks_of(seed: int, device: torch.device) -> torch.Generator | None:
-    """What draws a step's dropout; on a GPU its own generator does."""
-    return torch.Generator().manual_seed(seed % 2**63) if device.type == "cpu" else None
 
 
 def predict(network: nn.Module, data: TrainingWindows, n: NDArray[np.int64]) -> NDArray[np.float64]:
@@ -211,12 +204,11 @@ def one_step_texture(
 
 
 def _unit_power(condition: Array) -> tuple[Array, Array]:
-    """What the network makes of the excitation is not known; where it is a filter, it is as loud in the same measure."""
+    """Of a linear filter; a network's is not known."""
     return np.ones(len(condition)), np.zeros(len(condition))
 
 
 def _residuals(blocks: ScaledBlocks, network: nn.Module, m: int) -> Residuals:
-    """What a network leaves of the acceleration."""
     windows = one_step_windows(blocks, m)
     n = np.concatenate([windows.train, windows.validation])
     residual = windows.samples[n, 0] - predict(network, windows, n)
