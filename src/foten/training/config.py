@@ -22,9 +22,7 @@ class TrainConfig:
     batch: int = 128  # windows
     optimiser: str = "muon"  # orthogonalised momentum for matrices (`training.optimiser`); or "adamw" for all
     matrix_learning_rate: float = 3e-3  # of that, at its highest
-    # Of AdamW, at its highest. What a lattice leaves is nearly white: from 1e-3 on AdamW alone learned nothing of a mesh
-    # in 16 epochs.
-    learning_rate: float = 5e-4
+    learning_rate: float = 5e-4  # of AdamW, at its highest
     schedule: str = "one_cycle"  # or "constant"
     weight_decay: float = 0.3  # of each step, times its learning rate
     clip_norm: float = 1.0  # of the gradient; 0 for none
@@ -53,9 +51,9 @@ class TrainConfig:
             if field.type == "float" and (type(value) not in (int, float) or not math.isfinite(value)):
                 raise ValueError(f"{field.name} is {value!r}, expected a finite number")
         for name in ("epochs", "batch", "patience", "trial_epochs", "threads", "max_order"):
-            least = 0 if name == "epochs" else 1
-            if getattr(self, name) < least:
-                raise ValueError(f"{name} is {getattr(self, name)}, expected {least} or more")
+            minimum = 0 if name == "epochs" else 1
+            if getattr(self, name) < minimum:
+                raise ValueError(f"{name} is {getattr(self, name)}, expected {minimum} or more")
         if not 0 <= self.dropout <= 0.9:
             raise ValueError(f"dropout is {self.dropout}, expected from 0 to 0.9")
         if min(self.learning_rate, self.matrix_learning_rate, self.delta) <= 0:
@@ -78,7 +76,7 @@ RECIPES: dict[str, TrainConfig] = {
         weight_decay=0.0,
         clip_norm=0.0,
         dropout=0.2,
-        threads=1,  # two halves of 16 windows take longer than all: 21.5 against 18 s an epoch
+        threads=1,  # two halves of 16 windows take longer than all
     ),
 }
 """The paper's is Sec. IV-e: Adam at 1e-3, batches of 16, 100 epochs at most, dropout of 0.2, stopped after 10 without a gain.

@@ -26,8 +26,7 @@ MIN_SIDE = 4  # a matrix is wider and taller than that: of what is narrower litt
 class Optimiser:
     """Steps of all parameters, at a share of their learning rates.
 
-    Matrices move along the orthogonal factor of their momentum, so that no direction is slow: a network of 64 s of simulated mesh
-    gained 7.6 % in 1200 steps, and 1.0 % by AdamW at the better of two rates (`benchmarks/training.py`).
+    Matrices move along the orthogonal factor of their momentum, so that no direction is slow (`benchmarks/training.py`).
 
     Source: Jordan et al., "Muon: an optimizer for hidden layers in neural networks" (2024), the iteration and its coefficients;
     for the paper's recipe Adam, Sec. IV-e.
@@ -97,9 +96,8 @@ def orthogonalised(matrices: Sequence[Tensor]) -> list[Tensor]:
 class Epoch:
     """One line of the log; epoch 0 is the network before training.
 
-    Losses are one-step, of the target's errors (foten-plus: of innovations [nat], so that a slow light stroke is predicted as
-    carefully as a fast hard one); `validation_mae` is of scaled acceleration, or of what else is the target: log magnitudes
-    [nat] of a model of spectra.
+    Losses are one-step; of foten-plus they are the nll of innovations [nat]. `validation_mae` is of scaled acceleration, of a
+    model of spectra of log magnitudes [nat].
     """
 
     epoch: int
@@ -175,10 +173,7 @@ class Monitor:
 def run_loop(
     loop: Loop, config: TrainConfig, monitor: Monitor, on_epoch: Callable[[Epoch], None] | None = None
 ) -> Progress:
-    """Epochs until there are enough, none gains, or Ctrl-C; the network is left at its best.
-
-    The network before training is epoch 0: one that starts from a linear predictor never has a higher validation loss. Ctrl-C
-    ends the loop and keeps the best so far; before there is one, it goes on to the caller.
+    """Epochs until there are enough, none gains, or Ctrl-C; the network is left at its best, epoch 0 included.
 
     Args:
         on_epoch: in place of the monitor's.
@@ -214,7 +209,6 @@ def run_loop(
         if not progress.epochs:
             finish(0, math.nan, time.perf_counter())
         for epoch in range(len(progress.epochs), config.epochs + 1):
-            # Of a validation that is not finite, nothing that follows is.
             if not progress.best_state or not should_continue(progress, config):
                 break
             started = time.perf_counter()
@@ -237,8 +231,8 @@ def run_loop(
 def should_continue(progress: Progress, config: TrainConfig) -> bool:
     """Whether another epoch may gain anything; where none has, the progress says so in a note.
 
-    None does where the last `patience` epochs brought no better loss, or where the first `trial_epochs` ones lowered the error by
-    less than `min_gain`: what a lattice leaves of a linear process is noise, and a network learns nothing from it however long.
+    None does where the last `patience` epochs brought no better loss, or where the first `trial_epochs` lowered the error by less
+    than `min_gain`.
     """
     epoch, first = progress.epochs[-1].epoch, progress.epochs[0].validation_mae
     if epoch - progress.best.epoch >= config.patience:
@@ -284,7 +278,7 @@ class GradientStep:
 
 
 class SharedGradients:
-    """Gradients of a loss that threads share out among them, added in the order of the shares: whichever thread was first."""
+    """Gradients of a loss of shares, one a thread, added in the order of the shares."""
 
     def __init__(self, network: nn.Module, pool: ThreadPoolExecutor) -> None:
         self._parameters, self._pool = list(network.parameters()), pool
@@ -359,7 +353,7 @@ class Checkpoint:
     def save(self, name: str, parts: Mapping[str, Stateful], progress: Progress) -> None:
         """Write the state of every part of a loop, and its log, beside those of the loops before it.
 
-        Of a full disk, say, one note is enough: the training is worth more.
+        A full disk gives one note: the training is worth more.
         """
         self._loops[name] = {
             "parts": {key: part.state_dict() for key, part in parts.items()},
@@ -367,7 +361,7 @@ class Checkpoint:
             "best_loss": progress.best_loss,
             "best_state": progress.best_state,
         }
-        content = io.BytesIO()  # PyTorch's own writer says of a full disk only that its archive is inconsistent
+        content = io.BytesIO()  # PyTorch's own writer does not say that a disk is full
         torch.save({"config": self._config, "loops": self._loops}, content)
         try:
             with atomic_write(self._path) as part:

@@ -88,7 +88,7 @@ def proved(
         ValueError: the kernel does not reproduce the definition.
     """
     golden = np.concatenate([golden, np.zeros_like(golden[:1]), 4 * golden[:1]])
-    # What they are predicted from is stored in half of the bytes, which are most of a file with a long history; exactly so.
+    # Predictions are of what is stored, in float32.
     stored, stored_start = golden.astype(np.float32), warm_start.astype(np.float32)
     golden, warm_start = stored.astype(np.float64), stored_start.astype(np.float64)
     condition = np.repeat(warm_start[-1:, 1:], 64, axis=0)
@@ -129,12 +129,10 @@ def with_golden(
 def pick_warm_start(blocks: ScaledBlocks, m: int) -> tuple[Array, dict[str, Any]]:
     """A recorded training window near 45 mm/s and 0.8 N that is neither loud nor soft, scaled, (m, 3), and its condition.
 
-    Of the hundredth of the training windows that is nearest (in units of the training standard deviations), it is the one
-    whose last 20 ms have the median power: those ring on. What is rendered without excitation goes on from it, and so does the
-    proof of the file; with excitation a stroke begins with noise.
+    Of the hundredth of the training windows that is nearest, in units of the training standard deviations, it is the one whose
+    last 20 ms have the median power: those ring on. What is rendered without excitation goes on from it.
 
-    Source: Sec. V-a. Differs from the paper: it synthesises the window without saying from what; ours is recorded, and the
-    card says under what condition.
+    Source: Sec. V-a. Differs from the paper: it synthesises the window without saying from what; ours is recorded.
     """
     trace = blocks.trace
     ends, _ = blocks.targets(m)

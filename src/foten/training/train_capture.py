@@ -86,21 +86,14 @@ def train_captured(folder: Path) -> None:
 
 
 def train_recording(recording: Recording, carried: Mapping[float, float], output: Path) -> None:
-    """Train a texture from a recording as a capture is, by the shares that each rate carries of it (`perception.carried`)."""
-
+    """Train a texture from a recording, by the shares that each rate carries of it (`perception.carried`)."""
     rate_hz = min(HIGHEST_HZ, smallest_rate(carried)) if carried else PreprocessConfig().rate_hz
     usable_ms = 1000 * recording.duration_s
     block_ms = next((ms for ms in SHORT_BLOCKS_MS if usable_ms >= ENOUGH_BLOCKS * ms), SHORT_BLOCKS_MS[-1])
     config = recipe_of(MODEL)
     # Nothing is to be trimmed: what lies before the first stroke and after the last was left out with the taps.
-    job = TrainingJob(
-        recording,
-        MODEL,
-        FotenPlusSizes(),
-        config,
-        PreprocessConfig(rate_hz=rate_hz, trim_ms=0.0, block_ms=block_ms),
-        texture_name=recording.texture,
-    )
+    preprocess = PreprocessConfig(rate_hz=rate_hz, trim_ms=0.0, block_ms=block_ms)
+    job = TrainingJob(recording, MODEL, FotenPlusSizes(), config, preprocess, texture_name=recording.texture)
     share = 0.05
 
     def on_stage(stage: str) -> None:
