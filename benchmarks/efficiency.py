@@ -30,8 +30,7 @@ import torch
 from foten.baselines.dftnet import Dftnet
 from foten.baselines.fit import log_spectra
 from foten.baselines.gan import STEPS, Gan, fit_adversarial
-from foten.baselines.graph import graph_of
-from foten.baselines.networks import build
+from foten.baselines.graph import build, graph_of
 from foten.baselines.sizes import TRAINABLE, BaselineSizes, NoiseModelSizes
 from foten.experiments.comparison import PAPER
 from foten.models.texture_file import Texture

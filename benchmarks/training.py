@@ -25,7 +25,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "2")
 
 import torch
 
-from foten.baselines.networks import build
+from foten.baselines.graph import build
 from foten.baselines.sizes import TRAINABLE
 from foten.datasets.hdf5 import write_recording
 from foten.recording.preprocess import preprocess

@@ -89,7 +89,7 @@ def untrained(model: str, sizes: ModelSizes | None = None, seed: int = 0) -> Any
     """A seeded network in PyTorch whose every parameter matters."""
     import torch
 
-    from foten.baselines.networks import build
+    from foten.baselines.graph import build
 
     torch.manual_seed(seed)
     return perturbed(build(model, sizes or TRAINABLE[model]()))

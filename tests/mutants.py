@@ -314,7 +314,7 @@ MUTANTS = (
     Mutant(
         "gradients are not clipped",
         PACKAGE + "training/loop.py",
-        "if self._clip_norm > 0:",
+        "if clip_norm > 0:",
         "if False:",
         ("tests/test_loop.py",),
     ),

@@ -13,8 +13,7 @@ from scipy.signal import welch
 from foten.baselines.fit import distilled, log_spectra
 from foten.baselines.fnn import EDGES, lagged_bands
 from foten.baselines.gan import Gan, fit_adversarial
-from foten.baselines.graph import multiply_adds
-from foten.baselines.networks import build
+from foten.baselines.graph import build, multiply_adds
 from foten.baselines.noise_filter import NoiseFilter, log_magnitudes
 from foten.baselines.sizes import BASELINES, DftnetSizes, GanSizes, TenMfccSizes, TenWaveletSizes, trainable_sizes
 from foten.baselines.ten_variants import MfccBranch, WaveletBranch, cosine_transform, mel_bands, wavelet_transform

@@ -13,8 +13,7 @@ import pytest
 from torch import Tensor, nn
 
 from conftest import sizes_with
-from foten.baselines.graph import graph_of
-from foten.baselines.graph_model import model_of_graph
+from foten.baselines.graph import graph_of, model_of_graph
 from foten.baselines.sizes import BASELINES, TRAINABLE, NoiseModelSizes
 from foten.cli.command_line import _status
 from foten.datasets.hdf5 import write_recording

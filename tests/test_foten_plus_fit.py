@@ -189,21 +189,6 @@ def test_a_rendering_draws_from_the_network_that_knows_the_phase_where_that_is_l
         assert fit_rendering_network(network, excited, linear, tonal, fitted.run) is network
 
 
-def test_a_playable_texture_leaves_the_network_on_its_device(fitted: Fitted, monkeypatch: pytest.MonkeyPatch) -> None:
-    """PyTorch moves a module in place: a network taken to the CPU for its file would be fitted there."""
-    moved: list[int] = []
-    cpu = torch.nn.Module.cpu
-
-    def recorded(module: torch.nn.Module) -> torch.nn.Module:
-        moved.append(id(module))
-        return cpu(module)
-
-    monkeypatch.setattr(torch.nn.Module, "cpu", recorded)
-    fitted.finish(0.0)
-    assert moved  # copies of it, which prove the file
-    assert id(fitted.network.network) not in moved
-
-
 def candidate(name: str, errors: tuple[float, float]) -> Candidate:
     sigma = constant_scale(1, scaling=scaled_blocks(white(4, 200), split_of(4, 200)).scaling)
     model = LinearModel(FotenPlusSizes(), {}, report={"lattices": name})

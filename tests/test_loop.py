@@ -20,16 +20,16 @@ from foten.training.loop import (
     MIN_SIDE,
     Checkpoint,
     Epoch,
-    GradientStep,
     Loop,
     Monitor,
     Optimiser,
     Progress,
-    SharedGradients,
     epoch_seed,
+    gradient_step,
     orthogonalised,
     run_loop,
     schedule,
+    shared_gradients,
     should_continue,
 )
 
@@ -83,7 +83,7 @@ def noisy(name: str, seed: int, averaging: float = 0.9) -> Loop:
             loss = float((of(torch.eye(6)) - 1).square().mean())
         return loss, loss
 
-    step = GradientStep(network, optimiser, gradients, 1.0, schedule(CONFIG, 3))
+    step = gradient_step(network, optimiser, gradients, 1.0, schedule(CONFIG, 3))
     return Loop(name, network, 3, step, validate, {"optimiser": optimiser}, averaging)
 
 
@@ -263,7 +263,7 @@ def test_a_step_clips_all_gradients_at_once_and_follows_the_schedule() -> None:
             seen.append((float(network.weight.grad), float(network.bias.grad), rate))  # type: ignore[arg-type]
 
     for clip_norm in (2.0, 9.0, 0.0):
-        step = GradientStep(
+        step = gradient_step(
             network,
             Recorded(),  # type: ignore[arg-type]
             lambda epoch, number: (torch.tensor(7.0), [torch.tensor([[3.0]]), torch.tensor([4.0])]),
@@ -287,7 +287,7 @@ def test_shares_are_added_in_their_order_whichever_thread_is_first() -> None:
         return factors[k] * network.weight.sum()
 
     with ThreadPoolExecutor(3) as pool:
-        loss, (gradient,) = SharedGradients(network, pool)(loss_of_share, 3)
+        loss, (gradient,) = shared_gradients(network, pool, loss_of_share, 3)
     assert float(gradient) == 0.0
     assert abs(float(loss)) < 10
 

@@ -7,15 +7,13 @@ from typing import Any
 import pytest
 
 from conftest import exported, sizes_with, untrained, untrained_tensors
-from foten.baselines.graph import multiply_adds
-from foten.baselines.networks import NETWORKS
+from foten.baselines.graph import NETWORKS, multiply_adds
 from foten.baselines.sizes import BASELINES, TRAINABLE, trainable_sizes
 from foten.models.foten.sizes import FotenSizes
 from foten.models.foten_plus.sizes import FotenPlusSizes
-from foten.models.graph_sizes import MAX_GRAPH_WINDOW
 from foten.models.model_sizes import MAX_WINDOW
 from foten.models.piecewise_ar.sizes import PiecewiseArSizes
-from foten.models.registry import MODELS
+from foten.models.registry import MAX_GRAPH_WINDOW, MODELS
 
 VARIANTS: dict[str, dict[str, Any]] = {
     "default": {},

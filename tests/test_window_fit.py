@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import torch
 
-from foten.baselines.networks import build
+from foten.baselines.graph import build
 from foten.models.foten.sizes import FotenSizes
 from foten.training.config import TrainConfig
 from foten.training.dropout import Dropout, set_dropout

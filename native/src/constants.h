@@ -18,7 +18,7 @@ static inline double clip(double x, double limit) { return x > limit ? limit : x
 /* Sizes: their limits, and what holds where a card does not name one. */
 #define FOTEN_MAX_COUNT 65536           /* foten.models.model_sizes.MAX_COUNT */
 #define FOTEN_MAX_WINDOW 512            /* foten.models.model_sizes.MAX_WINDOW */
-#define FOTEN_MAX_GRAPH_WINDOW 4096     /* foten.models.graph_sizes.MAX_GRAPH_WINDOW */
+#define FOTEN_MAX_GRAPH_WINDOW 4096     /* foten.models.registry.MAX_GRAPH_WINDOW */
 #define FOTEN_MAX_AR_ORDER 40           /* foten.models.piecewise_ar.sizes.MAX_AR_ORDER */
 #define FOTEN_USUAL_WINDOW 20           /* foten.models.foten.sizes.FotenSizes.window */
 #define FOTEN_USUAL_PLUS_WINDOW 40      /* foten.models.foten_plus.sizes.FotenPlusSizes.window */

@@ -11,13 +11,12 @@ import torch
 from torch import nn
 
 from foten.baselines.gan import fit_adversarial
-from foten.baselines.graph import graph_of, in_float64, multiply_adds
-from foten.baselines.networks import build
+from foten.baselines.graph import build, graph_of, in_float64, multiply_adds
 from foten.baselines.noise_filter import log_magnitudes
 from foten.baselines.sizes import BaselineSizes, HapinfSizes, NoiseModelSizes
 from foten.models.excitation import Excitation
-from foten.models.graph_sizes import GRAPH
 from foten.models.model_sizes import ModelSizes
+from foten.models.registry import GRAPH
 from foten.models.stream import Model
 from foten.models.window_model import NoiseModel, WindowModel
 from foten.runtime.onnx_predictor import INPUT, NOISE

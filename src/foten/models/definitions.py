@@ -52,15 +52,11 @@ def render(
     """Acceleration of a stroke from its beginning [m/s²], shape (n_streams, n).
 
     The closed loop times a fade that falls linearly to zero, with speed below the trained range (at least below 5 mm/s) and with
-    force likewise (at least below 0.1 N): a still pen does not buzz, whatever was recorded. Where the gain comes before the
-    lattice it is what enters that fades, and what rang rings out, as a tool does: with its output faded, simulated linear-twin
-    was told apart at 0.70 by a listener, at 0.54 without a fade. Above the trained
-    range the loop keeps to the range's end, tones go on with the path, and the level grows by a power law of the training
-    blocks, up to twice the range, or is held where they gave none. It grows after the loop, so that a jump back is soft at
-    once.
+    force likewise (at least below 0.1 N). Where the gain comes before the lattice it is what enters that fades, and what rang
+    rings out. Above the trained range the loop keeps to its end, tones go on with the path, and the level grows by a power
+    law of the training blocks, up to twice the range, or is held where they gave none.
 
-    Differs from the paper: it clamps to the recorded range on both sides (Sec. VIII), and so vibrates at rest and does not
-    grow.
+    Differs from the paper: it clamps to the recorded range on both sides (Sec. VIII), and so vibrates at rest.
 
     Args:
         speed, force: at the texture's rate [mm/s, N], shape (n,).

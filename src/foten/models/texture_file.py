@@ -29,9 +29,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from foten.atomic_write import atomic_write
-from foten.models.graph_sizes import GRAPH
 from foten.models.model_sizes import ModelSizes, shortened
-from foten.models.registry import MODELS, sizes_of
+from foten.models.registry import GRAPH, MODELS, sizes_of
 from foten.recording.preprocess import PreprocessConfig
 from foten.recording.recording import RELATIVE, UNITS
 from foten.recording.scaling import Scaling

@@ -253,45 +253,45 @@ def _average(averaged: nn.Module, network: nn.Module, share: float) -> None:
         mean.lerp_(weight, 1 - share)
 
 
-class GradientStep:
-    """A step down a loss: its gradients, clipped, taken by the optimiser at the schedule's rate."""
+def gradient_step(
+    network: nn.Module,
+    optimiser: Optimiser,
+    gradients: Callable[[int, int], tuple[Tensor, Sequence[Tensor]]],
+    clip_norm: float,
+    rate: Callable[[int, int], float],
+) -> Callable[[int, int], Tensor]:
+    """A step down a loss: its gradients, clipped, taken by the optimiser at the schedule's rate.
 
-    def __init__(
-        self,
-        network: nn.Module,
-        optimiser: Optimiser,
-        gradients: Callable[[int, int], tuple[Tensor, Sequence[Tensor]]],  # of an epoch's step, by parameter
-        clip_norm: float,
-        rate: Callable[[int, int], float],  # share of the highest learning rate at an epoch's step
-    ) -> None:
-        self._parameters = list(network.parameters())
-        self._optimiser, self._gradients, self._clip_norm, self._rate = optimiser, gradients, clip_norm, rate
+    Args:
+        gradients: loss and its gradients by parameter at an epoch's step.
+        rate: share of the highest learning rate at an epoch's step.
+    """
+    parameters = list(network.parameters())
 
-    def __call__(self, epoch: int, number: int) -> Tensor:
-        loss, gradients = self._gradients(epoch, number)
-        for parameter, gradient in zip(self._parameters, gradients, strict=True):
+    def step(epoch: int, number: int) -> Tensor:
+        loss, values = gradients(epoch, number)
+        for parameter, gradient in zip(parameters, values, strict=True):
             parameter.grad = gradient
-        if self._clip_norm > 0:
-            nn.utils.clip_grad_norm_(self._parameters, self._clip_norm)
-        self._optimiser.step(self._rate(epoch, number))
+        if clip_norm > 0:
+            nn.utils.clip_grad_norm_(parameters, clip_norm)
+        optimiser.step(rate(epoch, number))
         return loss
 
+    return step
 
-class SharedGradients:
-    """Gradients of a loss of shares, one a thread, added in the order of the shares."""
 
-    def __init__(self, network: nn.Module, pool: ThreadPoolExecutor) -> None:
-        self._parameters, self._pool = list(network.parameters()), pool
+def shared_gradients(
+    network: nn.Module, pool: ThreadPoolExecutor, loss_of_share: Callable[[int], Tensor], n_shares: int
+) -> tuple[Tensor, list[Tensor]]:
+    """Loss and gradients, of the losses of share 0 … n_shares − 1, whose sum is the batch's, added in that order."""
+    parameters = list(network.parameters())
 
-    def __call__(self, loss_of_share: Callable[[int], Tensor], n_shares: int) -> tuple[Tensor, list[Tensor]]:
-        """Loss and gradients, of the losses of share 0 … n_shares − 1, whose sum is the batch's."""
+    def gradients(share: int) -> tuple[Tensor, tuple[Tensor, ...]]:
+        loss = loss_of_share(share)
+        return loss.detach(), torch.autograd.grad(loss, parameters)
 
-        def gradients(share: int) -> tuple[Tensor, tuple[Tensor, ...]]:
-            loss = loss_of_share(share)
-            return loss.detach(), torch.autograd.grad(loss, self._parameters)
-
-        losses, pieces = zip(*self._pool.map(gradients, range(n_shares)), strict=True)
-        return torch.stack(losses).sum(), [sum(rest, start=first) for first, *rest in zip(*pieces, strict=True)]
+    losses, pieces = zip(*pool.map(gradients, range(n_shares)), strict=True)
+    return torch.stack(losses).sum(), [sum(rest, start=first) for first, *rest in zip(*pieces, strict=True)]
 
 
 def schedule(config: TrainConfig, n_steps: int) -> Callable[[int, int], float]:

@@ -39,7 +39,7 @@ def reproducible() -> Iterator[None]:
     """Fix the algorithms, so that one seed gives one network, and PyTorch's own threads to one, until the end of the block.
 
     The matrices are too small to share among threads: two gained 15 % on two idle cores, and lost a factor of ten when
-    another program kept one of them busy. `SharedGradients` shares out the batch instead.
+    another program kept one of them busy. `shared_gradients` shares out the batch instead.
     """
     os.environ.setdefault("CUBLAS_WORKSPACE_CONFIG", ":4096:8")  # else sums on a GPU come in any order
     n_threads, deterministic = torch.get_num_threads(), torch.are_deterministic_algorithms_enabled()

@@ -23,15 +23,15 @@ from foten.training.config import TrainConfig
 from foten.training.dropout import mask, masks_from, set_dropout
 from foten.training.job import ScaledBlocks, Trained, TrainingJob
 from foten.training.loop import (
-    GradientStep,
     Loop,
     Monitor,
     Optimiser,
     Progress,
-    SharedGradients,
     epoch_seed,
+    gradient_step,
     run_loop,
     schedule,
+    shared_gradients,
 )
 from foten.training.texture_builder import MakeModel, Tensors, TextureBuilder, model_of
 
@@ -104,13 +104,12 @@ def fit_windows(network: nn.Module, data: TrainingWindows, config: TrainConfig, 
                 loss = criterion(network(on_device.windows(shares[k])), on_device.target[shares[k]])
                 return loss * (len(shares[k]) / len(batches[number]))
 
-        loss, values = shared(loss_of_share, len(shares))
+        loss, values = shared_gradients(network, pool, loss_of_share, len(shares))
         share = len(batches[number]) * n_steps / len(data.train)  # for the mean over windows, not over steps
         return loss * share, values
 
     with ThreadPoolExecutor(n_threads) as pool:
-        shared = SharedGradients(network, pool)
-        step = GradientStep(network, optimiser, gradients, config.clip_norm, schedule(config, n_steps))
+        step = gradient_step(network, optimiser, gradients, config.clip_norm, schedule(config, n_steps))
         validate = partial(validated, data=on_device, criterion=criterion, over=pool.map)
         return run_loop(Loop("network", network, n_steps, step, validate, {"optimiser": optimiser}), config, monitor)
 

@@ -26,7 +26,7 @@ from foten.models.foten_plus.linear_model import LinearModel
 from foten.models.foten_plus.network import Batches, InnovationNetwork, Innovations, mixtures, negative_log_likelihood
 from foten.training.config import TrainConfig
 from foten.training.job import ScaledBlocks
-from foten.training.loop import Epoch, GradientStep, Loop, Monitor, Optimiser, Progress, epoch_seed, run_loop, schedule
+from foten.training.loop import Epoch, Loop, Monitor, Optimiser, Progress, epoch_seed, gradient_step, run_loop, schedule
 from foten.training.training_kernel import Rollout, RolloutInputs, RolloutState, hidden_states, repeated
 
 N_EPOCHS = 8  # at most, and no more than those of the training by likelihood
@@ -263,10 +263,10 @@ class Excerpts:
             hidden = hidden_states(network.recurrent, torch.from_numpy(inputs).float().to(device))
         logs = lattice.level.logarithms(conditions[rows, at[:, p:], :2].reshape(-1, 2)).reshape(len(block), self.n, 2)
         arrays = (reflections[:, p:], level[:, p:], logs, states, hidden[:, -1].cpu().numpy(), inputs[:, -1])
-        k, level, logs, states, hidden_state, last = (np.ascontiguousarray(x, dtype=np.float32) for x in arrays)
+        k, levels, known, begin, hidden_state, last = (np.ascontiguousarray(x, dtype=np.float32) for x in arrays)
         limit, before_filter = self.innovation_limit, lattice.gain_before_filter
-        rollout = RolloutInputs(k, level, logs, before_filter, limit, tones, phase_increment)
-        return rollout, RolloutState(states, hidden_state, last, phase), coefficients
+        rollout = RolloutInputs(k, levels, known, before_filter, limit, tones, phase_increment)
+        return rollout, RolloutState(begin, hidden_state, last, phase), coefficients
 
 
 def excerpts_of(
@@ -324,7 +324,7 @@ def fit_closed_loop(
         monitor.on_stage(f"training the network in its closed loop: {100 * line.epoch // recipe.epochs} %")
 
     optimiser = Optimiser(dict(network.named_parameters()), recipe)
-    step = GradientStep(network, optimiser, gradients, recipe.clip_norm, schedule(recipe, N_STEPS))
+    step = gradient_step(network, optimiser, gradients, recipe.clip_norm, schedule(recipe, N_STEPS))
     loop = Loop("closed loop", network, N_STEPS, step, validate, {"optimiser": optimiser}, AVERAGING)
     return run_loop(loop, recipe, monitor, on_epoch)
 

@@ -15,7 +15,6 @@ import torch
 from foten.dsp.level import FRAME_MS, frame_levels, frame_means
 from foten.models.conditions import FADE_FORCE, FADE_SPEED
 from foten.models.foten_plus.closed_loop_training import excerpts_of, fit_closed_loop
-from foten.models.foten_plus.definition import NetworkDefinition
 from foten.models.foten_plus.linear_model import MAX_ORDER_SHARE, LinearModel, fit_level, fit_linear_model
 from foten.models.foten_plus.network import (
     InnovationNetwork,
@@ -230,7 +229,6 @@ def texture_of(
     metrics: dict[str, Any] = {"best_epoch": 0, "n_epochs": 0, "validation_loss": None}
     metrics["validation_mae_scaled"] = linear_mae
     if fitted is not None:
-        _check_torch_matches_definition(network, fitted.data)
         best, last = fitted.progress.best, fitted.progress.epochs[-1]
         metrics = {"best_epoch": best.epoch, "n_epochs": last.epoch, "validation_loss": best.validation_loss}
         metrics["validation_mae_scaled"] = best.validation_mae
@@ -284,18 +282,6 @@ def _innovation_limit(data: Innovations, blocks: ScaledBlocks) -> tuple[float, f
     recorded = (part[train, data.n_unknown + 1 :] for part in (data.innovation, data.innovation * data.innovation_gain))
     in_sigma, in_acceleration = (INNOVATION_HEADROOM * float(np.abs(values).max()) for values in recorded)
     return in_sigma, in_acceleration
-
-
-def _check_torch_matches_definition(network: InnovationNetwork, data: Innovations) -> None:
-    """Check that the network in PyTorch and its definition expect the same, in float64."""
-    inputs = data.inputs[:2, data.n_unknown : data.n_unknown + 16]
-    definition = NetworkDefinition(tensors_of(network, "network."), "network.")
-    hidden = np.zeros((len(inputs), network.recurrent.hidden_size))
-    for i in range(inputs.shape[1]):
-        hidden = definition.push(hidden, inputs[:, i])
-    with torch.no_grad():
-        expected = copy.deepcopy(network).cpu().double().expected(torch.from_numpy(inputs))[:, -1].numpy()
-    assert np.abs(expected - definition.mixture(hidden, inputs[:, -1]).expected()).max() < 1e-9
 
 
 def extrapolation_exponents(blocks: ScaledBlocks) -> dict[str, float]:

@@ -17,15 +17,15 @@ from foten.models.foten_plus.sizes import LOG_SCALE_LIMIT, N_INPUTS, FotenPlusSi
 from foten.training.config import TrainConfig
 from foten.training.job import ScaledBlocks
 from foten.training.loop import (
-    GradientStep,
     Loop,
     Monitor,
     Optimiser,
     Progress,
-    SharedGradients,
     epoch_seed,
+    gradient_step,
     run_loop,
     schedule,
+    shared_gradients,
 )
 from foten.training.training_kernel import hidden_states
 
@@ -209,14 +209,13 @@ def fit_innovation_network(
             nll = negative_log_likelihood(mixtures(network, inputs[k]), target[k])[:, warm_up:]
             return nll.mean() * (len(inputs[k]) / config.batch)
 
-        return shared(loss_of_share, n_shares)
+        return shared_gradients(network, pool, loss_of_share, n_shares)
 
     def validate(averaged: InnovationNetwork) -> tuple[float, float]:
         return validated(averaged, data, batches.tensors, blocks.split.validation, warm_up)
 
     with ThreadPoolExecutor(n_threads) as pool:
-        shared = SharedGradients(network, pool)
-        step = GradientStep(network, optimiser, gradients, config.clip_norm, schedule(config, N_STEPS))
+        step = gradient_step(network, optimiser, gradients, config.clip_norm, schedule(config, N_STEPS))
         loop = Loop(name, network, N_STEPS, step, validate, {"optimiser": optimiser}, AVERAGING)
         return run_loop(loop, config, monitor)
 
