@@ -15,7 +15,7 @@ from foten.baselines.fnn import EDGES, lagged_bands
 from foten.baselines.gan import Gan, fit_adversarial
 from foten.baselines.graph import build, multiply_adds
 from foten.baselines.noise_filter import NoiseFilter, log_magnitudes
-from foten.baselines.sizes import BASELINES, DftnetSizes, GanSizes, TenMfccSizes, TenWaveletSizes, trainable_sizes
+from foten.baselines.sizes import BASELINES, DftnetSizes, GanSizes, TenMfccSizes, TenWaveletSizes
 from foten.baselines.ten_variants import MfccBranch, WaveletBranch, cosine_transform, mel_bands, wavelet_transform
 from foten.recording.split import Split
 from foten.recording.trace import Trace
@@ -94,30 +94,6 @@ def test_every_window_is_predicted_by_itself(model: str) -> None:
     torch.testing.assert_close(at_once, alone, rtol=1e-9, atol=1e-12)
 
 
-@pytest.mark.parametrize(
-    ("model", "sizes", "match"),
-    [
-        ("hapinf", {"d_model": 30}, "does not divide"),
-        ("hapinf", {"n_start": 30}, "at most the window"),
-        ("ldhtd", {"n_heads": 5}, "does not divide"),
-        ("fnn", {"window": 90}, "expected 96 or more"),
-        ("ten-mfcc", {"n_coefficients": 20}, "at most n_bands"),
-        ("ten-wavelet", {"window": 12}, r"expected 2\^4 or more"),
-        ("dstn", {"channels": 0}, "channels is 0"),
-        ("dftnet", {"n_conditions": 101}, "expected 101 or more"),
-        ("gan", {"frame": 32}, "expected 240"),
-        ("gan", {"frame": 4}, "frame is 4"),
-        ("gan", {"frame": 66, "window": 274}, "a multiple of stride, 8"),
-        ("dftnet", {"window": 5000}, "expected 4096 at most"),
-        ("ldhtd", {"window": 5000}, "expected 4096 at most"),
-        ("foten", {"window": 513}, "expected 512 at most"),
-    ],
-)
-def test_what_does_not_fit_is_refused(model: str, sizes: dict[str, int], match: str) -> None:
-    with pytest.raises(ValueError, match=match):
-        trainable_sizes(model, sizes)
-
-
 def test_the_student_learns_half_from_its_teacher() -> None:
     rng = np.random.default_rng(5)
     samples = rng.standard_normal((400, 3))
@@ -155,7 +131,7 @@ def test_an_interrupted_teacher_ends_the_training(monkeypatch: pytest.MonkeyPatc
 
 @pytest.mark.parametrize(("n", "level"), [(15, 3.5), (16, -4.0), (16, 3.5), (64, 0.0)])
 def test_filtered_noise_has_the_logarithms_that_are_asked_for(n: int, level: float) -> None:
-    """White noise and those of a smooth spectrum: means over 40,000 frames, at both ends as between.
+    """White noise and those of a smooth spectrum: means over 20,000 frames, at both ends as between.
 
     However loud. At zero and at half of the rate a spectrum has no imaginary part, and the mean logarithm of a smooth one lies
     log 2 / 2 lower.
@@ -165,7 +141,7 @@ def test_filtered_noise_has_the_logarithms_that_are_asked_for(n: int, level: flo
     # A filter with three taps, which a Hann window hardly blurs.
     asked = 0.3 * torch.cos(2 * torch.pi * bins / n) + level
     asked[(bins == 0) | (2 * bins == n)] -= 0.5 * np.log(2)
-    noise = torch.randn(40_000, 2 * n - 1, dtype=torch.float64)
+    noise = torch.randn(20_000, 2 * n - 1, dtype=torch.float64)
     logs = log_magnitudes(NoiseFilter(n).double()(noise.unfold(1, n, 1), asked)).mean(0)
     # The last bin of an odd frame lies half of one below half of the rate, and is a little of either kind.
     compared = slice(None) if n % 2 == 0 else slice(-1)

@@ -291,14 +291,3 @@ def test_a_gpu_gives_the_same_file_twice_and_the_kernel_proves_it() -> None:
     assert files[0].to_bytes() == files[1].to_bytes()
     assert files[0].card["training"]["device"] == "cuda"
     assert np.isfinite(Renderer(files[0]).render(100.0, 1.0, 500)).all()
-
-
-@pytest.mark.gpu
-@on_gpu
-def test_a_gpu_learns_what_a_cpu_learns(monkeypatch: pytest.MonkeyPatch) -> None:
-    errors = []
-    for available in (True, False):
-        monkeypatch.setattr(torch.cuda, "is_available", lambda known=available: known)
-        errors.append(train(gpu_job("towel", 3)).texture.card["metrics"]["validation_mae_scaled"])
-    # Sums in another order lead training along another path to much the same place.
-    assert np.ptp(errors) < 0.05 * errors[1]

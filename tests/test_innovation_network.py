@@ -122,11 +122,6 @@ def test_the_unit_and_its_head_are_pytorchs() -> None:
     np.testing.assert_allclose(last, np.concatenate([part[:, -1] for part in theirs], axis=1), atol=1e-12)
 
 
-def test_untrained_it_expects_nothing() -> None:
-    torch.manual_seed(0)
-    assert not InnovationNetwork(SIZES).expected(torch.randn(4, 20, 5)).any()
-
-
 CONFIG = TrainConfig(**{**OWN_RECIPES["foten-plus"], "epochs": 2, "threads": 1, "batch": 32})
 CPU = torch.device("cpu")
 

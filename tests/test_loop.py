@@ -340,22 +340,3 @@ def test_matrices_move_alike_in_every_direction_and_the_rest_by_adam(kind: str) 
     for name in ("narrow", "bias", *(["square"] if kind == "adamw" else [])):
         step = (before[name] - of[name]).detach() / config.learning_rate
         torch.testing.assert_close(step, torch.ones_like(step), rtol=1e-3, atol=0)  # its first, whatever the gradient
-
-
-def test_a_checkpoint_goes_on_as_if_nothing_had_been() -> None:
-    def run(n: int, of: dict[str, nn.Parameter], optimiser: Optimiser, first: int = 0) -> None:
-        for i in range(first, n):
-            torch.manual_seed(100 + i)
-            for parameter in of.values():
-                parameter.grad = torch.randn_like(parameter)
-            optimiser.step(1.0)
-
-    straight, stopped = parameters(), parameters()
-    run(4, straight, Optimiser(straight, UNDECAYED))
-    first = Optimiser(stopped, UNDECAYED)
-    run(2, stopped, first)
-    second = Optimiser(stopped, UNDECAYED)
-    second.load_state_dict(first.state_dict())
-    run(4, stopped, second, first=2)
-    for name, parameter in straight.items():
-        torch.testing.assert_close(stopped[name], parameter, rtol=0, atol=0)

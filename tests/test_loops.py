@@ -298,15 +298,6 @@ def test_no_excitation_is_larger_than_the_largest_innovation(variant: str, large
         assert np.abs(unbounded).max() > largest[1] or largest[1] > 1
 
 
-def test_noise_without_an_excitation_is_the_deterministic_loop() -> None:
-    for key, variant in (("foten", "one-layer"), ("dstn", "graph")):
-        texture, _ = case(key, variant)
-        native = NativeTexture(texture.to_bytes())
-        windows, condition = recorded(1, texture.window), moving(1, 20)
-        silent, noisy = (run_loops(native, windows, condition, noise) for noise in (None, np.ones((1, 20))))
-        np.testing.assert_array_equal(silent, noisy)
-
-
 def test_streams_do_not_depend_on_each_other() -> None:
     texture, _ = case("foten-plus", "a-table")
     native = NativeTexture(texture.to_bytes())
