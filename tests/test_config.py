@@ -23,7 +23,7 @@ def test_the_papers_recipe_is_the_papers() -> None:
     [
         ({"loss": "l2"}, "expected one of huber, mse, mae"),
         ({"schedule": "step"}, "one_cycle"),
-        ({"optimiser": "sgd"}, "expected 'muon' or 'adamw'"),
+        ({"optimiser": "sgd"}, "expected one of muon, adamw"),
         ({"batch": 0}, "batch is 0"),
         ({"epochs": -1}, "epochs is -1"),
         ({"dropout": 1.0}, "dropout is 1.0"),

@@ -18,13 +18,18 @@ from foten.training.job import ScaledBlocks
 from foten.training.loop import Loop, Monitor, Progress, Stateful, epoch_seed, run_loop
 
 LATENTS = 5  # numbers of noise that a frame is made from
+FRAMES = 56  # of a spectrogram; Table III
+STEPS = 50  # in an epoch
+MEAN_WEIGHT = 10.0  # of how far mean spectra are apart, beside what the discriminator says
+_MIN_FRAMES = 8
+_N_DRAWS = 4  # draws of noise for each validation spectrogram
 
 
 class Gan(nn.Module):
     """Noise, speed and force of 27 frames give the spectrum of the last, and that filters noise.
 
-    Three layers of convolutions over frames, each of three frames. A frame's own chance is what a Hann window and its first two
-    cosines and sines hear of its noise, which changes little from one sample to the next.
+    Three layers of convolutions over frames, each of three frames. Latents of a frame are its noise under a Hann window and its
+    first two cosines and sines, which change little from one sample to the next.
 
     Source: a generator of spectrograms for speed and force that a discriminator judges, as Ujitoko & Ban (EuroHaptics 2018);
     the paper names [34] without a list of references, so whose it compared with is not known. Our re-implementation; causal,
@@ -93,13 +98,6 @@ class Discriminator(nn.Module):
         return self.out(features.mean(dim=(2, 3)))[:, 0]
 
 
-FRAMES = 56  # of a spectrogram; Table III
-STEPS = 50  # in an epoch
-MEAN_WEIGHT = 10.0  # of how far mean spectra are apart, beside what the discriminator says
-_MIN_FRAMES = 8
-_N_DRAWS = 4  # draws of noise for each validation spectrogram
-
-
 class _Crops:
     """Recorded spectrograms of some blocks, and the speed and force that the same length of noise goes with."""
 
@@ -108,14 +106,11 @@ class _Crops:
         self.m, self.stride = m, stride
         self.n_frames = min(FRAMES, (block - m - frame) // stride + 1)
         if self.n_frames < _MIN_FRAMES:
-            shortest = m + frame + (_MIN_FRAMES - 1) * stride
-            raise ValueError(
-                f"a block of {block} samples is too short for spectrograms of {_MIN_FRAMES} frames after {m} samples, expected "
-                f"{shortest} or more: use a longer --block"
-            )
+            expected = f"expected {m + frame + (_MIN_FRAMES - 1) * stride} or more: use a longer --block"
+            what = f"spectrograms of {_MIN_FRAMES} frames after {m} samples"
+            raise ValueError(f"a block of {block} samples is too short for {what}, {expected}")
         self.length = frame + (self.n_frames - 1) * stride  # samples of a spectrogram
         samples = torch.from_numpy(of.samples[list(blocks)]).float()
-        # Frames end where the first of their strides begins, as what is rendered does.
         self._logs = log_magnitudes(samples[:, m:, 0].unfold(1, frame, 1))
         self._speed_force = samples[:, :, 1:]
         self.n_blocks, self.last = len(blocks), block - m - self.length  # where a crop may begin, after m
@@ -147,12 +142,11 @@ def rendered_spectra(network: nn.Module, windows: Tensor, n_frames: int) -> Tens
 
 
 def fit_adversarial(network: Gan, m: int, blocks: ScaledBlocks, config: TrainConfig, monitor: Monitor) -> Progress:
-    """Train a generator in place, on the CPU, and leave it where mean spectra of the validation blocks are nearest.
+    """Train a generator in place, on the CPU, and leave it at its lowest validation loss.
 
-    The discriminator is given spectrograms of what is rendered, and the speed and force of their frames (hinge loss); the
-    generator is given besides how far the mean over the frames is from that of the recorded spectrogram under the same hand.
-    An epoch is `STEPS` steps; its losses are means of absolute differences of mean log magnitudes [nat], as `validation_mae`
-    is.
+    The discriminator is given spectrograms of what is rendered, and the speed and force of their frames (hinge loss). The loss of
+    the generator adds the difference of means over frames from the recorded spectrogram under the same speed and force. Losses of
+    the log are such differences of log magnitudes [nat], and so is `validation_mae`.
     """
     train, validation = (_Crops(network, m, blocks, some) for some in (blocks.split.train, blocks.split.validation))
     discriminator = Discriminator()
@@ -179,11 +173,11 @@ def fit_adversarial(network: Gan, m: int, blocks: ScaledBlocks, config: TrainCon
         adam.zero_grad()
         loss.backward()
         adam.step()  # of what has gradients, which here the discriminator alone has, and then the generator alone
-        distance = (fake.mean(1) - real.mean(1)).abs().mean()
+        spectrum_error = (fake.mean(1) - real.mean(1)).abs().mean()
         adam.zero_grad()
-        (MEAN_WEIGHT * distance - score(fake, conditions).mean()).backward(inputs=generating)
+        (MEAN_WEIGHT * spectrum_error - score(fake, conditions).mean()).backward(inputs=generating)
         adam.step()
-        return distance.detach()
+        return spectrum_error.detach()
 
     def validate(gan: nn.Module) -> tuple[float, float]:
         block, begin = (index.repeat(_N_DRAWS) for index in validation.tiles())
@@ -193,8 +187,8 @@ def fit_adversarial(network: Gan, m: int, blocks: ScaledBlocks, config: TrainCon
             real = validation.spectrograms(block, begin)
             # Over the draws of noise, whose scatter is none of the generator's.
             means = [s.mean(1).reshape(_N_DRAWS, -1, s.shape[2]).mean(0) for s in (fake, real)]
-            distance = float((means[0] - means[1]).abs().mean())
-        return distance, distance
+            spectrum_error = float((means[0] - means[1]).abs().mean())
+        return spectrum_error, spectrum_error
 
     parts: dict[str, Stateful] = {"discriminator": discriminator, "adam": adam}
     return run_loop(Loop("generator", network, STEPS, step, validate, parts), config, monitor)

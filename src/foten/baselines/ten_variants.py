@@ -20,8 +20,7 @@ QUIETEST = 1e-3  # power of a band, scaled, below which its logarithm no longer 
 class MfccBranch(nn.Module):
     """Mel-frequency cepstral coefficients: the power spectrum of a Hann window, triangular bands, logarithms, cosine transform.
 
-    Source: Davis and Mermelstein (1980). Mel is a scale of what ears hear; at 1 kHz it is all but linear below 500 Hz, so
-    bands are spaced as mel of frequencies up to half the rate, the rate standing for 16 kHz, that there is something of it.
+    Source: Davis and Mermelstein (1980). Mel is all but linear below 500 Hz, so the rate stands for 16 kHz.
     """
 
     def __init__(self, sizes: TenMfccSizes) -> None:

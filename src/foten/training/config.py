@@ -7,6 +7,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
+LOSSES, SCHEDULES, OPTIMISERS = ("huber", "mse", "mae"), ("one_cycle", "constant"), ("muon", "adamw")
 WARM_START = (45.0, 0.8)  # mm/s, N: mean of early contacts; Sec. V-a
 
 
@@ -38,12 +39,9 @@ class TrainConfig:
     threads: int = 2  # each takes a share of every batch; part of what makes a file reproducible
 
     def __post_init__(self) -> None:
-        if self.loss not in ("huber", "mse", "mae"):
-            raise ValueError(f"loss is {self.loss!r}, expected one of huber, mse, mae")
-        if self.schedule not in ("one_cycle", "constant"):
-            raise ValueError(f"schedule is {self.schedule!r}, expected 'one_cycle' or 'constant'")
-        if self.optimiser not in ("muon", "adamw"):
-            raise ValueError(f"optimiser is {self.optimiser!r}, expected 'muon' or 'adamw'")
+        for name, known in {"loss": LOSSES, "schedule": SCHEDULES, "optimiser": OPTIMISERS}.items():
+            if getattr(self, name) not in known:
+                raise ValueError(f"{name} is {getattr(self, name)!r}, expected one of {', '.join(known)}")
         for field in fields(self):
             value = getattr(self, field.name)
             if field.type == "int" and type(value) is not int:

@@ -160,19 +160,6 @@ def one_step_windows(blocks: ScaledBlocks, m: int) -> TrainingWindows:
     return TrainingWindows(blocks.flat, *blocks.targets(m), m)
 
 
-def fit_one_step(
-    job: TrainingJob,
-    blocks: ScaledBlocks,
-    network: nn.Module,
-    windows: TrainingWindows,
-    pack: Callable[[nn.Module], Packed],
-    monitor: Monitor,
-) -> Trained:
-    """A texture of a network that is trained in place on windows, with an excitation where one is asked for."""
-    progress = fit_windows(network, windows, job.config, monitor)
-    return one_step_texture(job, blocks, network, progress, pack(network), monitor)
-
-
 def one_step_texture(
     job: TrainingJob, blocks: ScaledBlocks, network: nn.Module, progress: Progress, packed: Packed, monitor: Monitor
 ) -> Trained:

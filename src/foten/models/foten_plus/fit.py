@@ -287,8 +287,8 @@ def _innovation_limit(data: Innovations, blocks: ScaledBlocks) -> tuple[float, f
 def extrapolation_exponents(blocks: ScaledBlocks) -> dict[str, float]:
     """Powers of speed and force that the level grows with, from the faster and the firmer half of the training blocks.
 
-    Levels in frames, least squares over their logarithms. 0, which holds the level, where there are fewer than 20 frames, speed
-    or force varies by less than a factor of 1.2 in them, or the level falls.
+    Least squares over logarithms of levels in frames. 0, which holds the level, where there are fewer than 20 frames, speed or
+    force varies by less than a factor of 1.2 in them, or the level falls.
     """
     rate = blocks.trace.rate_hz
     if blocks.trace.block < FRAME_MS * rate / 1000:

@@ -84,13 +84,18 @@ class FotenPlusSizes(ModelSizes):
         """How many numbers the network of a rendering is given of a sample."""
         return N_INPUTS + (N_PHASE_INPUTS if self.n_tones else 0)
 
-    def network_shapes(self, name: str, inputs: int) -> Shapes:
+    def network_shapes(self, name: str, n_inputs: int) -> Shapes:
         """The tensors of an innovation network."""
-        return innovation_shapes(name, inputs, self.n_hidden, self.head_width, self.n_components)
+        h, width = self.n_hidden, self.head_width
+        recurrent = {"weight_ih": (3 * h, n_inputs), "weight_hh": (3 * h, h), "bias_ih": (3 * h,), "bias_hh": (3 * h,)}
+        shapes: Shapes = {f"{name}.recurrent.{part}_l0": shape for part, shape in recurrent.items()}
+        shapes |= linear_shapes(f"{name}.head", width, h + n_inputs)
+        return shapes | linear_shapes(f"{name}.out", 3 * self.n_components, width)
 
     def network_cost(self) -> int:
         """The multiply-adds of a step of the network of a rendering."""
-        return innovation_cost(self.n_rendering_inputs, self.n_hidden, self.head_width, self.n_components)
+        n_read = self.n_rendering_inputs + self.n_hidden
+        return (3 * self.n_hidden + self.head_width) * n_read + 3 * self.n_components * self.head_width
 
     def multiply_adds(self) -> int:
         """What a rendered sample costs: predicted and taken in, four knots mixed for each coefficient."""
@@ -108,17 +113,3 @@ def table_shapes(name: str, n_speed: int, n_force: int, values: str, k: int) -> 
     """The tensors of a table of k numbers over speed and force."""
     knots: Shapes = {f"{name}.speed_knots": (n_speed,), f"{name}.force_knots": (n_force,)}
     return knots | {f"{name}.{values}": (n_speed * n_force, k)}
-
-
-def innovation_shapes(name: str, n_inputs: int, n_hidden: int, head_width: int, n_components: int) -> Shapes:
-    """Tensors of an innovation network."""
-    h, width = n_hidden, head_width
-    recurrent = {"weight_ih": (3 * h, n_inputs), "weight_hh": (3 * h, h), "bias_ih": (3 * h,), "bias_hh": (3 * h,)}
-    shapes: Shapes = {f"{name}.recurrent.{part}_l0": shape for part, shape in recurrent.items()}
-    shapes |= linear_shapes(f"{name}.head", width, h + n_inputs)
-    return shapes | linear_shapes(f"{name}.out", 3 * n_components, width)
-
-
-def innovation_cost(n_inputs: int, n_hidden: int, head_width: int, n_components: int) -> int:
-    """Multiply-adds of a step of an innovation network."""
-    return 3 * n_hidden * (n_inputs + n_hidden) + head_width * (n_hidden + n_inputs) + 3 * n_components * head_width
