@@ -608,7 +608,7 @@ MUTANTS = (
     Mutant(
         "a prediction knows the condition of its own sample",
         PACKAGE + "training/job.py",
-        "(np.concatenate([one[:, :1], one[:, :-1]], axis=1) for one in channels)",
+        "(np.concatenate([channel[:, :1], channel[:, :-1]], axis=1) for channel in channels)",
         "channels",
         ("tests/test_linear_model.py",),
     ),

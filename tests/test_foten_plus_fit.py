@@ -156,7 +156,9 @@ def test_the_level_is_calibrated_only_where_closed_loop_training_gained_nothing(
     monkeypatch.setattr(foten_plus, "fit_closed_loop", lambda *_: progress)
     network = replace(fitted.network, progress=copy.deepcopy(fitted.network.progress))
     config = replace(QUICK, closed_loop_training=True)
-    texture = replace(fitted, network=network).finish(1.0, config)
+    stages: list[str] = []
+    texture = replace(fitted, network=network).finish(1.0, config, Monitor(on_stage=stages.append))
+    assert any(stage.startswith("no training in the closed loop") for stage in stages) == (after is None)
     rendering = texture.card["metrics"]["renderings"]["with network"]
     assert len(rendering["level_errors_db"]) == (0 if after == 0.5 else 3)
     assert rendering["closed_loop_training"] == (after and {"before": 1.0, "after": after})

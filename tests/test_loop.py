@@ -231,13 +231,13 @@ def progress_of(errors: list[float]) -> Progress:
     [
         ([1.0], True, False),
         ([1.0, 0.9999, 0.9998], True, False),
-        ([1.0, 0.9999, 0.9998, 0.9995], False, True),  # probation ends without a gain of 0.1 %
+        ([1.0, 0.9999, 0.9998, 0.9995], False, True),  # the trial ends without a gain of 0.1 %
         ([1.0, 1.0, 0.9985, 1.0], True, False),
         ([1.0, 0.9, 0.91, 0.92, 0.93], True, False),
         ([1.0, 0.9, 0.91, 0.92, 0.93, 0.94], False, False),  # patience of 4
     ],
 )
-def test_probation_and_patience_end_a_training(errors: list[float], on: bool, noted: bool) -> None:
+def test_trial_and_patience_end_a_training(errors: list[float], on: bool, noted: bool) -> None:
     progress = progress_of(errors)
     assert should_continue(progress, replace(CONFIG, trial_epochs=3, min_gain=1e-3, patience=4)) == on
     note = "the network gains 0.05 % on the validation blocks in 3 epochs, less than 0.1 %: its training stops there"

@@ -24,7 +24,7 @@ from foten.training.job import ScaledBlocks
 
 SHAPE_SHARES = (0.0, 0.25, 0.5, 0.75, 1.0)  # of the fitted shape of log σ, that validation chooses from
 FLOOR = (2.0, 0.05)  # mm/s and N, that a logarithm starts from
-# Penalty of the squares of the network's weights, beside the likelihood [nat]: σ is smooth where a hand hardly went.
+# Penalty of the squares of the network's weights, beside the likelihood [nat]: σ is smooth where little was recorded.
 WEIGHT_PENALTY = 1e-4
 MAX_ITERATIONS = 60
 N_CALIBRATIONS = 3
@@ -310,8 +310,8 @@ def _filtered(power: Array, response: Array | None) -> Array:
     if response is None:
         return power
     n = power.shape[1]
-    held = np.pad(power, ((0, 0), (n, 0), (0, 0)), mode="edge")  # before the first sample as at the first
-    return np.asarray(fftconvolve(held, response[None, :n, None] / response[:n].sum(), axes=1)[:, n : 2 * n])
+    extended = np.pad(power, ((0, 0), (n, 0), (0, 0)), mode="edge")  # before the first sample as at the first
+    return np.asarray(fftconvolve(extended, response[None, :n, None] / response[:n].sum(), axes=1)[:, n : 2 * n])
 
 
 def _jackknifed(parts: Array, figure: Callable[..., Array]) -> tuple[float, float]:

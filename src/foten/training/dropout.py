@@ -31,8 +31,8 @@ def mask(shape: torch.Size, device: torch.device, p: float, generator: torch.Gen
     bits = torch.empty((n + 3) // 4, dtype=torch.int64, device=device)
     bits.random_(-(2**63), None, generator=generator)
     dropped = round(p * 2**16)
-    kept = bits.view(torch.int16)[:n].view(shape) >= dropped - 2**15
-    return kept.float().mul_(2**16 / (2**16 - dropped))
+    retained = bits.view(torch.int16)[:n].view(shape) >= dropped - 2**15
+    return retained.float().mul_(2**16 / (2**16 - dropped))
 
 
 class Dropout(nn.Module):

@@ -72,7 +72,7 @@ class ScaledBlocks:
         Speed [mm/s] and force [N], (n_blocks, block) each, and both scaled, one sample after the other, (n, 2).
         """
         channels = self.trace.blocks(self.trace.speed), self.trace.blocks(self.trace.force), self.samples[..., 1:]
-        speed, force, scaled = (np.concatenate([one[:, :1], one[:, :-1]], axis=1) for one in channels)
+        speed, force, scaled = (np.concatenate([channel[:, :1], channel[:, :-1]], axis=1) for channel in channels)
         return speed, force, scaled.reshape(-1, 2)
 
     def conditions_with_speed(self) -> Array:

@@ -291,7 +291,7 @@ def shared_gradients(
         return loss.detach(), torch.autograd.grad(loss, parameters)
 
     losses, pieces = zip(*pool.map(gradients, range(n_shares)), strict=True)
-    return torch.stack(losses).sum(), [sum(rest, start=first) for first, *rest in zip(*pieces, strict=True)]
+    return torch.stack(losses).sum(), [sum(others, start=first) for first, *others in zip(*pieces, strict=True)]
 
 
 def schedule(config: TrainConfig, n_steps: int) -> Callable[[int, int], float]:

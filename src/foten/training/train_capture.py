@@ -40,7 +40,7 @@ from foten.training.loop import Epoch, Monitor
 from foten.training.pipeline import train
 
 MODEL = "foten-plus"
-NICENESS = 5  # below what renders: sound under a hand comes first
+NICENESS = 5  # below what renders: sound that somebody strokes comes first
 HIGHEST_HZ = 2500.0  # of the texture: it carries all that skin feels
 ENOUGH_BLOCKS = 12
 STAGES, LATE_STAGES = 3, 12  # before a texture is playable, and after its network is fitted
@@ -117,9 +117,9 @@ def train_recording(recording: Recording, carried: Mapping[float, float], output
     _say(done=output.name, network_in_loop=bool(trained.texture.card["sizes"].get("network_in_loop")))
 
 
-def _say(**said: Any) -> None:
+def _say(**message: Any) -> None:
     with contextlib.suppress(BrokenPipeError):  # nobody listens any more: the texture is still to be kept
-        print(json.dumps(said), flush=True)
+        print(json.dumps(message), flush=True)
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""The tones of a periodic surface: is there a wavelength, where on it was the hand, and how loud is each multiple."""
+"""The tones of a periodic surface: is there a wavelength, where on it was the tool, and how loud is each multiple."""
 
 from __future__ import annotations
 
@@ -32,14 +32,14 @@ from foten.training.texture_builder import Tensors
 
 MIN_WAVELENGTH_MM = 0.2
 PHASE_LEAK_S = 0.5  # in which a rendering forgets the phase that it started with
-MIN_PERIODS = 3.0  # of a wavelength in a stretch: fewer lie within the main lobe of the stretch's own window
+MIN_PERIODS = 3.0  # of a wavelength in a stretch: fewer lie within the main lobe of the stretch's window
 MIN_PEAK_RATIO = 3.0  # of a spectral peak to its surroundings; irregular cloth has 4, surfaces without a wavelength 1.3
 MIN_CHANCE_RATIO = 2.0  # of a spectral peak to the largest that noise would reach
 MIN_PATH_RATIO = 1.2  # of a peak over the path to one over time: a hum at a steady speed repeats over both
 MAX_TONES = 6
 N_SPEED, N_FORCE = 32, 2  # knots: the tool turns a tone's phase by π within 30 mm/s
 N_ROUNDS = 8
-SMOOTHNESS_PENALTY = 0.005  # of squared differences between neighbouring knots, as a share of a knot's own information
+SMOOTHNESS_PENALTY = 0.005  # of squared differences between neighbouring knots, as a share of a knot's information
 SMOOTHING_WAVELENGTHS = 0.6  # over which a phase deviates evenly
 PATH_PRECISION = 3.0  # of the prior that the phase follows the path [1/rad²]
 WHITENING = 20  # order
@@ -240,9 +240,9 @@ def _fitted(
     differences = steps.T @ steps
     gram += np.kron(SMOOTHNESS_PENALTY * differences + 1e-5 * np.eye(n_knots), np.diag(information))
     knot_speeds = np.repeat(table.speed_knots, len(table.force_knots))
-    held = (knot_speeds[:, None] * np.repeat(multiples, 2) <= fastest).ravel()
+    in_band = (knot_speeds[:, None] * np.repeat(multiples, 2) <= fastest).ravel()
     values = np.zeros(n_knots * n_columns)
-    values[held] = np.linalg.solve(gram[np.ix_(held, held)], moment[held])
+    values[in_band] = np.linalg.solve(gram[np.ix_(in_band, in_band)], moment[in_band])
     return replace(table, values=values.reshape(n_knots, n_columns))
 
 
@@ -283,10 +283,10 @@ def silent_tones(linear: LinearModel, tonal: LinearModel) -> LinearModel:
     speed, force = (linear.tensors[f"lattice.{name}"][:1] for name in ("speed_knots", "force_knots"))
     silent = {"tones.speed_knots": speed, "tones.force_knots": force, "tones.values": np.zeros((1, 2), np.float32)}
     phase = {"tones.phase_params": tonal.tensors["tones.phase_params"]}
-    own = linear.sizes
-    changed: dict[str, Any] = {"n_tones": 1, "n_tone_speed": 1, "n_tone_force": 1, "residual_order": own.order}
-    changed |= {"n_residual_speed": own.n_speed, "n_residual_force": own.n_force}
-    sizes = replace(own, **changed, residual_gain_before_filter=own.gain_before_filter)
+    linear_sizes = linear.sizes
+    changed: dict[str, Any] = {"n_tones": 1, "n_tone_speed": 1, "n_tone_force": 1, "residual_order": linear_sizes.order}
+    changed |= {"n_residual_speed": linear_sizes.n_speed, "n_residual_force": linear_sizes.n_force}
+    sizes = replace(linear_sizes, **changed, residual_gain_before_filter=linear_sizes.gain_before_filter)
     return LinearModel(sizes, {**linear.tensors, **residual, **silent, **phase}, tonal.phase, tonal.report)
 
 

@@ -24,7 +24,7 @@ from foten.training.loop import Monitor, Progress
 from foten.training.texture_builder import ProvedTexture
 
 ORDERS = (4, 6, 8, 10, 12, 14, 16, 18, 20)  # tried for all models of a texture alike
-GRID_S, MAX_PIECE_S = 0.05, 1.0  # between places that a cut is tried at; of a piece, over which a hand changes
+GRID_S, MAX_PIECE_S = 0.05, 1.0  # between places that a cut is tried at; of a piece, over which speed and force change
 MIN_SAMPLES = 100  # of a piece that is fitted
 MIN_POWER = 1e-6  # of a piece, as a share of that of the training blocks: a sensor that dropped out is no texture
 MIN_RESIDUAL = 1e-9  # of a piece by its filter, as a share: one that hung, or a tone that somebody fed in

@@ -26,7 +26,7 @@ from foten.training.texture_builder import ProvedTexture, warm_start_entry, with
 _SETTLED = 1000  # samples before a golden window
 _WITH_ZEROS = 256  # samples that innovations are inferred from, where there are zeros
 _MIN_SD = np.array([1.0, 0.01])  # mm/s and N; models all at one force still have a scale
-_SETTLING = 4096  # samples of an impulse response that a level is told from
+_SETTLING = 4096  # samples of an impulse response that a level is computed from
 _LICENCE = "as of the model file; Penn's toolkit: non-profit research, no distribution, see the notice in the file"
 
 
