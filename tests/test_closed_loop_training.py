@@ -195,7 +195,7 @@ def test_the_validation_blocks_have_a_say_and_the_test_blocks_none(
 def test_a_short_training_is_short_in_its_closed_loop_too(
     surface: Surface, monkeypatch: pytest.MonkeyPatch, epochs: int, n: int
 ) -> None:
-    """And a long one has eight epochs at most, whether they gain or not, and none on trial_epochs."""
+    """And a long one has eight epochs at most, whether they gain or not, and none on trial."""
     monkeypatch.setattr(closed_loop_training, "N_STEPS", 1)
     stages: list[str] = []
     config = replace(CONFIG, epochs=epochs, patience=1, trial_epochs=1)

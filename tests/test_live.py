@@ -587,7 +587,7 @@ def test_a_circle_is_over_the_middle_of_the_trained_range() -> None:
 
 
 def test_a_stroke_is_played_over_and_over_without_a_step() -> None:
-    """Physics: the hand goes over as fast as the low-pass, SciPy's, lets a step be. Oracle: the stroke padded_gates end to end."""
+    """Physics: the hand goes over as fast as the low-pass, SciPy's, lets a step be. Oracle: the stroke laid end to end."""
     speed, force = np.linspace(20.0, 120.0, 500), np.linspace(0.5, 1.5, 500)
     condition = along(Stroke(speed[None], force, 1000.0), 20.0)
     once = Stroke(speed[None], force, 1000.0).conditioned(20.0)
