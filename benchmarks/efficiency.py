@@ -29,10 +29,8 @@ import torch
 
 from foten.baselines.dftnet import Dftnet
 from foten.baselines.fit import log_spectra
-from foten.baselines.gan import Gan
-from foten.baselines.gan_fit import STEPS, fit_adversarial
-from foten.baselines.graph import graph_of
-from foten.baselines.networks import build
+from foten.baselines.gan import STEPS, Gan, fit_adversarial
+from foten.baselines.graph import build, graph_of
 from foten.baselines.sizes import TRAINABLE, BaselineSizes, NoiseModelSizes
 from foten.models.texture_file import Texture
 from foten.recording.preprocess import PreprocessConfig, preprocess
@@ -41,14 +39,12 @@ from foten.recording.split import split_blocks
 from foten.runtime.native import NativeState, NativeTexture
 from foten.runtime.onnx_predictor import GRAPH, OnnxPredictor
 from foten.simulation.simulate import simulate
-from foten.training.blocks import ScaledBlocks, scaled_blocks
 from foten.training.config import OWN_RECIPES, RECIPES
-from foten.training.job import TrainingJob
-from foten.training.loop import Monitor, reproducible
-from foten.training.one_step import one_step_windows
-from foten.training.tensors import tensors_of
-from foten.training.texture_builder import proved
-from foten.training.window_fit import fit_windows
+from foten.training.job import ScaledBlocks, TrainingJob, scaled_blocks
+from foten.training.loop import Monitor
+from foten.training.pipeline import reproducible
+from foten.training.texture_builder import proved, tensors_of
+from foten.training.window_fit import fit_windows, one_step_windows
 from report import add_csv, report
 
 MODELS = ("dstn", "ldhtd", "gan", "dftnet", "hapinf", "fnn", "ten", "ten-mfcc", "ten-wavelet", "foten", "foten-d")

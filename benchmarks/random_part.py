@@ -29,8 +29,7 @@ from torch import Tensor
 
 from foten.baselines.sizes import trainable_sizes
 from foten.models.foten_plus.closed_loop_training import EXCERPT_S, N_EXCERPTS
-from foten.models.foten_plus.likelihood import CHUNK, mixtures
-from foten.models.foten_plus.network import InnovationNetwork, negative_log_likelihood
+from foten.models.foten_plus.network import CHUNK, InnovationNetwork, mixtures, negative_log_likelihood
 from foten.models.foten_plus.sizes import FotenPlusSizes
 from foten.runtime.bench import time_steps
 from foten.runtime.native import NativeState, NativeTexture
@@ -38,7 +37,7 @@ from foten.simulation.simulate import simulate
 from foten.training.config import recipe_of
 from foten.training.job import TrainingJob
 from foten.training.pipeline import train
-from foten.training.rollout import PARTS, Rollout, RolloutInputs, RolloutState
+from foten.training.training_kernel import WEIGHT_NAMES, Rollout, RolloutInputs, RolloutState
 from report import add_csv, report
 
 METHODS = {"noise": {"epochs": 0}, "network": {"closed_loop_training": False}, "closed loop": {}}
@@ -85,7 +84,7 @@ def step_ms() -> list[tuple[str, ...]]:
     given = (rng.uniform(-0.5, 0.5, (s, n, p)), np.ones((s, n)), np.zeros((s, n, 2)))
     around = RolloutInputs(*(one.astype(np.float32) for one in given), False, 20.0)
     begin = RolloutState(*(np.zeros((s, k), np.float32) for k in (p, sizes.n_hidden, 5)))
-    weights = {name: dict(network.named_parameters())[name].detach().numpy() for name in PARTS}
+    weights = {name: dict(network.named_parameters())[name].detach().numpy() for name in WEIGHT_NAMES}
     loss = np.ones((s, n), np.float32)
     steps: dict[str, Callable[[], object]] = {
         "likelihood, PyTorch's unit": lambda: likelihood(lambda: network(inputs)),

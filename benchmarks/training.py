@@ -25,18 +25,18 @@ os.environ.setdefault("OMP_NUM_THREADS", "2")
 
 import torch
 
-from foten.baselines.networks import build
+from foten.baselines.graph import build
 from foten.baselines.sizes import TRAINABLE
 from foten.datasets.hdf5 import write_recording
 from foten.recording.preprocess import preprocess
 from foten.recording.recording import Recording
 from foten.recording.split import split_blocks
 from foten.simulation.simulate import simulate
-from foten.training.blocks import scaled_blocks
 from foten.training.config import RECIPES, TrainConfig
-from foten.training.loop import Epoch, Monitor, pick_device, reproducible
-from foten.training.one_step import one_step_windows
-from foten.training.window_fit import TrainingWindows, fit_windows
+from foten.training.job import scaled_blocks
+from foten.training.loop import Epoch, Monitor, pick_device
+from foten.training.pipeline import reproducible
+from foten.training.window_fit import TrainingWindows, fit_windows, one_step_windows
 from report import add_csv, report
 
 

@@ -23,7 +23,7 @@ from foten.recording.split import Split
 
 if TYPE_CHECKING:
     from foten.models.piecewise_ar.local_models import LocalModels
-    from foten.training.one_step import Packed
+    from foten.training.window_fit import Packed
 
 torch.set_num_threads(1)  # small matrices only lose by more
 if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:  # as a shell sets it for what runs in its background
@@ -89,7 +89,7 @@ def untrained(model: str, sizes: ModelSizes | None = None, seed: int = 0) -> Any
     """A seeded network in PyTorch whose every parameter matters."""
     import torch
 
-    from foten.baselines.networks import build
+    from foten.baselines.graph import build
 
     torch.manual_seed(seed)
     return perturbed(build(model, sizes or TRAINABLE[model]()))
@@ -122,7 +122,7 @@ def scale(width: int, level: float, seed: int) -> Scale:
 def untrained_tensors(model: str, sizes: ModelSizes, network: Any, seed: int = 0) -> dict[str, np.ndarray]:
     """A network's tensors and seeded ones of all else; foten-plus resonates near 120 Hz through its lattice."""
     from foten.models.foten_plus.network import InnovationNetwork
-    from foten.training.tensors import tensors_of
+    from foten.training.texture_builder import tensors_of
 
     tensors: dict[str, np.ndarray] = {}
     if isinstance(sizes, BaselineSizes | NoiseModelSizes):

@@ -1,4 +1,4 @@
-"""Training in the closed loop: roll-outs are the definition's, the averaged network is validated, on validation blocks alone."""
+"""Training in the closed loop: its loss, roll-outs as the definition's, the averaged network validated on validation blocks."""
 
 from __future__ import annotations
 
@@ -9,28 +9,35 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from torch import Tensor
 
 from conftest import PLUS, perturbed
+from foten.dsp.bands import band_energies
 from foten.dsp.lattice import analyse
 from foten.dsp.tones import tone
 from foten.models.definitions import model_of
 from foten.models.excitation import Excitation
 from foten.models.foten_plus import closed_loop_training
-from foten.models.foten_plus.closed_loop_training import Excerpts, excerpts_of, fit_closed_loop
+from foten.models.foten_plus.closed_loop_training import (
+    EnvelopeEnergyDistance,
+    Excerpts,
+    energies,
+    excerpts_of,
+    fit_closed_loop,
+)
 from foten.models.foten_plus.definition import Tones
-from foten.models.foten_plus.likelihood import innovations_of
-from foten.models.foten_plus.linear_model import LinearModel, fit_level, fit_linear_model, fit_tonal_model
-from foten.models.foten_plus.network import InnovationNetwork
+from foten.models.foten_plus.linear_model import LinearModel, fit_level, fit_linear_model
+from foten.models.foten_plus.network import InnovationNetwork, innovations_of
 from foten.models.foten_plus.sizes import FotenPlusSizes
+from foten.models.foten_plus.tones_fit import fit_tonal_model
 from foten.recording.preprocess import PreprocessConfig
 from foten.simulation.simulate import simulate
-from foten.training.blocks import ScaledBlocks
+from foten.training.calibration import constant_scale
 from foten.training.config import TrainConfig
-from foten.training.job import TrainingJob
+from foten.training.job import ScaledBlocks, TrainingJob
 from foten.training.loop import Monitor, Progress
-from foten.training.scale_fit import constant_scale
-from foten.training.tensors import tensors_of
-from test_likelihood import captured_loop
+from foten.training.texture_builder import tensors_of
+from test_innovation_network import captured_loop
 
 CONFIG = TrainConfig(epochs=2, threads=1, batch=8, max_order=20, table=False)
 LIMIT, WARM_UP = 5.0, 12
@@ -54,9 +61,9 @@ def surface(request: pytest.FixtureRequest) -> Surface:
     """One without tones, and one with them."""
     sizes, preprocess = FotenPlusSizes(**PLUS), PreprocessConfig(trim_ms=0, block_ms=1000)
     blocks = TrainingJob(simulate(request.param, 9.0), "foten-plus", sizes, CONFIG, preprocess).blocks()
-    level = fit_level(blocks.flat[:, 0], sizes, blocks, CONFIG)
-    linear = fit_linear_model(level, sizes, blocks, CONFIG)
-    model = fit_tonal_model(linear, level, blocks, CONFIG) or linear
+    level, data = fit_level(blocks.flat[:, 0], sizes, blocks, CONFIG)
+    linear = fit_linear_model(level, data, sizes, CONFIG)
+    model = fit_tonal_model(linear, data, blocks, CONFIG) or linear
     assert (model.phase is None) == (request.param == "artificial-grass")
     torch.manual_seed(0)
     return Surface(blocks, model, perturbed(InnovationNetwork(model.sizes, model.sizes.n_rendering_inputs)))
@@ -86,9 +93,9 @@ def start_on_path(stream: Any, definition: Any, of: Excerpts, block: np.ndarray,
     """Give a stream the phase that is known of a recording, where the definition finds one of its own."""
     assert of.model.phase is not None
     phase = of.model.phase[block, start]
-    stream.begin_path(definition.tones, phase, phase)
+    stream.begin_phase(definition.tones, phase, phase)
     rows, at = block[:, None], start[:, None] + np.arange(-definition.sizes.history, 0)
-    before = of.blocks.path_conditions()[rows, at - 1].reshape(-1, 3)
+    before = of.blocks.conditions_with_speed()[rows, at - 1].reshape(-1, 3)
     lattice, tones = of.model.excited_lattice, Tones(of.model.tensors, of.model.level)
     played = tone(tones.coefficients(before).reshape(*at.shape, -1), of.model.phase[rows, at])
     _, after = lattice.gains(lattice.level(before[:, :2]).reshape(at.shape))
@@ -113,7 +120,7 @@ def test_a_roll_out_is_the_definitions_closed_loop(surface: Surface) -> None:
     stream = definition.start(surface.blocks.samples[rows, start[:, None] + np.arange(-definition.sizes.history, 0)])
     if surface.model.phase is not None:
         start_on_path(stream, definition, of, block, start)
-    conditions = surface.blocks.path_conditions()[rows, start[:, None] + np.arange(60)]
+    conditions = surface.blocks.conditions_with_speed()[rows, start[:, None] + np.arange(60)]
     for i in range(60):
         if surface.model.phase is not None:
             np.testing.assert_allclose(stream.phase, run.phase[:, i], atol=1e-4)
@@ -188,10 +195,10 @@ def test_the_validation_blocks_have_a_say_and_the_test_blocks_none(
 def test_a_short_training_is_short_in_its_closed_loop_too(
     surface: Surface, monkeypatch: pytest.MonkeyPatch, epochs: int, n: int
 ) -> None:
-    """And a long one has eight epochs at most, whether they gain or not, and none on probation."""
+    """And a long one has eight epochs at most, whether they gain or not, and none on trial."""
     monkeypatch.setattr(closed_loop_training, "N_STEPS", 1)
     stages: list[str] = []
-    config = replace(CONFIG, epochs=epochs, patience=1, probation=1)
+    config = replace(CONFIG, epochs=epochs, patience=1, trial_epochs=1)
     _, progress = fitted(surface, 1e-9, monkeypatch, config, on_stage=stages.append)
     assert [line.epoch for line in progress.epochs] == list(range(n + 1))
     assert [stage.split(": ")[1] for stage in stages] == [f"{100 * line.epoch // n} %" for line in progress.epochs]
@@ -218,3 +225,58 @@ def test_blocks_too_short_or_too_fine_are_not_rolled_out(
     trace = replace(surface.blocks.trace, rate_hz=rate_hz, block=block)
     excerpts = excerpts_of(replace(surface.blocks, trace=trace), of.model, of.data, LIMIT)
     assert (None if excerpts is None else excerpts.n) == n
+
+
+RATE = 1000.0
+
+
+def test_energies_are_those_of_the_listener() -> None:
+    """But for a thousandth of a unit of power that still rings in the lowest band when the transform comes round."""
+    signal = np.random.default_rng(6).standard_normal((2, 1000))
+    ours = energies(torch.from_numpy(signal).float(), RATE).numpy()
+    np.testing.assert_allclose(ours, band_energies(signal, RATE), atol=1e-3)
+
+
+def bursts(rng: np.random.Generator, n: int, deep: float) -> np.ndarray:
+    """Noise whose loudness goes up and down over some 50 ms, by so much."""
+    slow = np.repeat(rng.standard_normal((n, 16)), 48, axis=1)
+    return rng.standard_normal((n, 768)) * np.exp(deep * slow)
+
+
+@pytest.mark.parametrize("wrong", [0.0, 0.3, 1.0])
+def test_the_score_is_lowest_for_the_distribution_that_was_recorded(wrong: float) -> None:
+    rng = np.random.default_rng(7)
+    recorded, moving = bursts(rng, 300, 0.6), np.ones((300, 96), dtype=bool)
+    distance = EnvelopeEnergyDistance(recorded, moving, RATE)
+
+    def score(deep: float) -> float:
+        both, prefix = np.stack([bursts(rng, 300, deep), bursts(rng, 300, deep)]), np.zeros((300, 0))
+        drawn, truth, before = (torch.from_numpy(part).float() for part in (both, recorded, prefix))
+        return float(distance(drawn, truth, before, torch.from_numpy(moving)))
+
+    assert score(0.6) < score(wrong) - 0.01
+
+
+def test_what_is_at_rest_does_not_count() -> None:
+    """A sensor's noise at rest moves the score of nothing, and an excerpt at rest adds nothing to it.
+
+    Changed are the last 30 frames, of which the last 24 rest: what a band-pass rings is after what it is given.
+    """
+    rng = np.random.default_rng(8)
+    recorded, moving = bursts(rng, 60, 0.6), np.ones((60, 96), dtype=bool)
+    moving[:, 72:] = False
+    moving[50:] = False
+    distance = EnvelopeEnergyDistance(recorded, moving, RATE)
+    drawn, noisy = (torch.from_numpy(bursts(rng, 120, 0.6)).float().unflatten(0, (2, 60)) for _ in range(2))
+    at_rest = drawn.clone()
+    at_rest[:, :, 72 * 8 :] = 10 * noisy[:, :, 72 * 8 :]
+    at_rest[:, 50:] = 10 * noisy[:, 50:]
+
+    def score(of: Tensor, counted: Tensor) -> float:
+        return float(distance(of, torch.from_numpy(recorded).float(), torch.zeros(60, 0), counted))
+
+    strokes = torch.from_numpy(moving)
+    # Of the transform that comes round a thousandth of the power is left, a hundred times as much here.
+    assert score(at_rest, strokes) == pytest.approx(score(drawn, strokes), rel=2e-2)
+    everywhere = torch.ones_like(strokes)
+    assert score(at_rest, everywhere) > 1.2 * score(drawn, everywhere)

@@ -13,14 +13,13 @@ import pytest
 from torch import Tensor, nn
 
 from conftest import sizes_with
-from foten.baselines.graph import graph_of
-from foten.baselines.graph_model import model_of_graph
+from foten.baselines.graph import graph_of, model_of_graph
 from foten.baselines.sizes import BASELINES, TRAINABLE, NoiseModelSizes
 from foten.cli.command_line import _status
 from foten.datasets.hdf5 import write_recording
 from foten.evaluate.evaluate import evaluate
 from foten.evaluate.report.tables import to_text
-from foten.models.render_definition import render
+from foten.models.definitions import render
 from foten.models.texture_file import CLOSED_LOOP_TOLERANCE, Texture, texture_from_bytes, write_texture
 from foten.recording.preprocess import PreprocessConfig
 from foten.recording.recording import Recording

@@ -14,7 +14,7 @@ from foten.recording.trace import Trace
 from foten.recording.windows import windows
 from foten.runtime.loops import run_loops
 from foten.runtime.native import NativeTexture
-from foten.training.blocks import ScaledBlocks, scaled_blocks
+from foten.training.job import ScaledBlocks, scaled_blocks
 from foten.training.texture_builder import N_GOLDEN, TextureBuilder, pick_warm_start, proved
 
 

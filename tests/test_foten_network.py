@@ -12,10 +12,10 @@ from torch.nn import TransformerEncoderLayer
 from torch.nn.functional import layer_norm, linear
 
 from conftest import SMALL, untrained
-from foten.baselines.networks import build
+from foten.baselines.graph import build
 from foten.models.foten.definition import Network
 from foten.models.foten.sizes import FotenSizes
-from foten.training.tensors import tensors_of
+from foten.training.texture_builder import tensors_of
 
 SIZES = {
     "paper": FotenSizes(),
@@ -135,11 +135,6 @@ def test_it_has_the_papers_sizes() -> None:
     assert n == sum(math.prod(shape) for shape in FotenSizes().tensor_shapes().values())
 
 
-def test_positions_and_matrices_are_not_parameters() -> None:
-    names = set(build("foten", FotenSizes()).state_dict())
-    assert not {name for name in names if "positions" in name or name.endswith(("real", "imaginary", "sine"))}
-
-
 @pytest.mark.parametrize("pre_norm", [True, False])
 def test_the_literal_width_of_one_is_degenerate(pre_norm: bool) -> None:
     """A layer normalisation over one feature gives its bias, so the encoders add a constant, or are one."""
@@ -153,36 +148,6 @@ def test_the_literal_width_of_one_is_degenerate(pre_norm: bool) -> None:
     wide = untrained("foten", FotenSizes(**SMALL, pre_norm=pre_norm)).double().spectral
     with torch.no_grad():
         assert (wide._encode("magnitude", inputs) - inputs * pre_norm).std() > 1e-3
-
-
-@pytest.mark.parametrize("name", ["magnitude", "phase"])
-def test_the_spectral_encoders_do_not_know_which_bin_is_which(name: str) -> None:
-    """Sec. IV-d leaves positions out."""
-    order = torch.randperm(20, generator=torch.Generator().manual_seed(0))
-    bins = windows(FotenSizes())[..., 0]
-    branch = untrained("foten", FotenSizes(**SMALL)).double().spectral
-    with torch.no_grad():
-        difference = branch._encode(name, bins[:, order]) - branch._encode(name, bins)[:, order]
-    assert difference.abs().max() < 1e-13  # sums in another order: rounding
-
-
-def test_the_temporal_branch_knows_the_order() -> None:
-    branch = untrained("foten").double().temporal
-    a = windows(FotenSizes())[..., :1]
-    swapped = a[:, [1, 0, *range(2, 20)]]
-    with torch.no_grad():
-        assert (branch(a) - branch(swapped)).abs().max() > 1e-3
-
-
-def test_only_the_last_speed_and_force_matter() -> None:
-    network = untrained("foten").double()
-    inputs = windows(FotenSizes())
-    before, last = inputs.clone(), inputs.clone()
-    before[:, :-1, 1:] += 5.0
-    last[:, -1, 1:] += 5.0
-    with torch.no_grad():
-        torch.testing.assert_close(network(before), network(inputs), rtol=0, atol=0)
-        assert (network(last) - network(inputs)).abs().min() > 0
 
 
 @pytest.mark.parametrize("fields", [{}, {"pre_norm": False}, {"spectral_width": 1}])

@@ -16,18 +16,20 @@ from foten.models.foten_plus import fit as foten_plus
 from foten.models.foten_plus.fit import (
     Candidate,
     FittedNetwork,
+    Run,
+    best_candidate,
+    best_linear_model,
     calibrated_network,
     extrapolation_exponents,
-    fit_drawing_network,
-    fit_predicting_network,
-    nearest,
-    nearest_linear_model,
+    fit_network,
+    fit_rendering_network,
     texture_builder,
     texture_of,
 )
-from foten.models.foten_plus.linear_model import LinearModel, fit_level, fit_linear_model, silent_tones
+from foten.models.foten_plus.linear_model import LinearModel, fit_level, fit_linear_model
 from foten.models.foten_plus.network import InnovationNetwork
 from foten.models.foten_plus.sizes import FotenPlusSizes
+from foten.models.foten_plus.tones_fit import silent_tones
 from foten.models.texture_file import Texture
 from foten.recording.preprocess import PreprocessConfig
 from foten.recording.recording import Recording
@@ -37,14 +39,11 @@ from foten.runtime.loops import predict_blocks
 from foten.runtime.native import NativeTexture
 from foten.runtime.renderer import Renderer
 from foten.simulation.simulate import simulate
-from foten.training.blocks import ScaledBlocks, scaled_blocks
-from foten.training.calibration import Calibrated
+from foten.training.calibration import Calibrated, FreeRunErrors, constant_scale
 from foten.training.config import TrainConfig
-from foten.training.job import TrainingJob
+from foten.training.job import TrainingJob, scaled_blocks
 from foten.training.loop import Epoch, Monitor, Progress
 from foten.training.pipeline import train
-from foten.training.scale_fit import constant_scale
-from foten.training.texture_builder import TextureBuilder
 
 QUICK = TrainConfig(epochs=0, batch=32, threads=1, max_order=20, table=False, tones=False, closed_loop_training=False)
 SHORT = PreprocessConfig(trim_ms=0, block_ms=500)
@@ -59,39 +58,35 @@ def recording() -> Recording:
 class Fitted:
     """A recording's linear model, and a network that says something, whatever."""
 
-    blocks: ScaledBlocks
-    builder: TextureBuilder
-    excited_linear: Candidate
+    run: Run
+    excited: Candidate
     report: dict[str, Any]
     network: FittedNetwork
 
     def finish(self, likelier: float, config: TrainConfig = QUICK, monitor: Monitor | None = None) -> Texture:
         """The texture where the network finds the validation blocks likelier than noise by that many nat."""
-        excited_linear, predicting = self._likelier(likelier), self.network.network
-        chosen = calibrated_network(
-            self.network, excited_linear, predicting, self.builder, config, monitor or Monitor()
-        )
-        candidates = [excited_linear, *([] if chosen is None else [chosen])]
-        return texture_of(candidates[-1], predicting, self.network, self.report, candidates, self.builder)
-
-    def _likelier(self, nat: float) -> Candidate:
-        part = replace(self.excited_linear.random_part, likelihood_of_innovations=self.network.likelihood + nat)
-        return replace(self.excited_linear, random_part=part)
+        run = replace(self.run, config=config, monitor=monitor or Monitor())
+        part = replace(self.excited.random_part, innovation_nll=self.network.innovation_nll + likelier)
+        excited = replace(self.excited, random_part=part)
+        in_loop = calibrated_network(self.network, excited, self.network.network, run)
+        candidates = [excited, *([] if in_loop is None else [in_loop])]
+        return texture_of(candidates, self.network.network, self.network, self.report, run)
 
 
 @pytest.fixture(scope="module")
 def fitted(recording: Recording) -> Fitted:
     sizes = FotenPlusSizes(**PLUS)
     job = TrainingJob(recording, "foten-plus", sizes, QUICK, SHORT)
-    blocks, builder = job.blocks(), texture_builder(job, job.blocks())
-    linear = fit_linear_model(fit_level(blocks.flat[:, 0], sizes, blocks, QUICK), sizes, blocks, QUICK)
+    blocks = job.blocks()
+    run = Run(texture_builder(job, blocks), QUICK, Monitor())
+    linear = fit_linear_model(*fit_level(blocks.flat[:, 0], sizes, blocks, QUICK), sizes, QUICK)
     torch.manual_seed(0)
-    network = perturbed(InnovationNetwork(sizes))
-    excited_linear, report = nearest_linear_model(linear, None, network, builder, QUICK)
-    predicting = fit_predicting_network(network, excited_linear, blocks, QUICK, Monitor())
-    (line,) = predicting.progress.epochs
+    initial = perturbed(InnovationNetwork(sizes))
+    excited, report = best_linear_model(linear, None, initial, run)
+    network = fit_network(initial, excited, run)
+    (line,) = network.progress.epochs
     progress = Progress([replace(line, validation_loss=9.0), replace(line, epoch=1)], line.validation_loss)
-    return Fitted(blocks, builder, excited_linear, report, replace(predicting, progress=progress))
+    return Fitted(run, excited, report, replace(network, progress=progress))
 
 
 def test_a_block_too_short_to_calibrate_its_level_is_refused_before_anything_is_fitted(recording: Recording) -> None:
@@ -121,14 +116,14 @@ def test_the_network_is_in_the_loop_where_its_innovations_are_likelier(
     chosen = metrics["renderings"]["with network" if in_loop else "without network"]
     assert metrics["validation_level_error_db"] == chosen["validation_level_error_db"]
     # Whatever a rendering uses, the next sample is predicted with the network.
-    validation = list(fitted.blocks.split.validation)
-    recorded, kernel = fitted.blocks.samples[validation], NativeTexture(texture.to_bytes())
+    validation = list(fitted.run.blocks.split.validation)
+    recorded, kernel = fitted.run.blocks.samples[validation], NativeTexture(texture.to_bytes())
     linear, with_network, rendering = (
         predict_blocks(kernel, recorded, part)
         for part in ("linear", "model", "rendering")  # type: ignore[arg-type]
     )
     if in_loop:  # the card's likelihood is the judge's, of one sample less in each block
-        moving = fitted.blocks.moving()[validation, texture.window + 1 :]
+        moving = fitted.run.blocks.moving()[validation, texture.window + 1 :]
         assert metrics["validation_nll"] == pytest.approx(rendering.nll[:, 1:][moving].mean(), rel=1e-4)  # float32
         assert not moving.all()
     assert np.abs(with_network.sample - linear.sample).max() > 1e-4
@@ -141,8 +136,8 @@ def test_with_the_network_in_the_loop_the_level_is_calibrated_from_one(fitted: F
     errors = texture.card["metrics"]["level_errors_db"]
     assert abs(errors[0]) > 0.1  # a network that nobody trained is too loud or too soft
     assert abs(errors[-1]) < 0.3 * abs(errors[0])
-    data, chosen = fitted.network.data, list(fitted.blocks.split.train)
-    known = np.stack([data.innovation, data.innovation * data.innovation_gain])[:, chosen, data.first + 1 :]
+    data, chosen = fitted.network.data, list(fitted.run.blocks.split.train)
+    known = np.stack([data.innovation, data.innovation * data.innovation_gain])[:, chosen, data.n_unknown + 1 :]
     largest = 1.3 * np.abs(known).max(axis=(1, 2))
     np.testing.assert_allclose(texture.tensors["excitation.innovation_limit"], largest, rtol=1e-6)
 
@@ -161,7 +156,9 @@ def test_the_level_is_calibrated_only_where_closed_loop_training_gained_nothing(
     monkeypatch.setattr(foten_plus, "fit_closed_loop", lambda *_: progress)
     network = replace(fitted.network, progress=copy.deepcopy(fitted.network.progress))
     config = replace(QUICK, closed_loop_training=True)
-    texture = replace(fitted, network=network).finish(1.0, config)
+    stages: list[str] = []
+    texture = replace(fitted, network=network).finish(1.0, config, Monitor(on_stage=stages.append))
+    assert any(stage.startswith("no training in the closed loop") for stage in stages) == (after is None)
     rendering = texture.card["metrics"]["renderings"]["with network"]
     assert len(rendering["level_errors_db"]) == (0 if after == 0.5 else 3)
     assert rendering["closed_loop_training"] == (after and {"before": 1.0, "after": after})
@@ -178,61 +175,43 @@ def test_a_rendering_draws_from_the_network_that_knows_the_phase_where_that_is_l
     fitted: Fitted, monkeypatch: pytest.MonkeyPatch, with_tones: bool, likelier: float, interrupted: bool
 ) -> None:
     """Or where it has tones. An interrupted fit of it is an interrupted training, whichever is drawn from."""
-    linear = fitted.excited_linear.model
-    phase = np.zeros(fitted.blocks.samples.shape[:2])
+    linear = fitted.excited.model
+    phase = np.zeros(fitted.run.blocks.samples.shape[:2])
     tonal = silent_tones(linear, LinearModel(linear.sizes, {"tones.phase_params": np.array([0.1, 0.0, 0.1])}, phase))
-    predicting = replace(fitted.network, progress=copy.deepcopy(fitted.network.progress))
+    network = replace(fitted.network, progress=copy.deepcopy(fitted.network.progress))
     progress = Progress(interrupted=interrupted)
-    knowing = replace(predicting, likelihood=predicting.likelihood - likelier, progress=progress)
+    knowing = replace(network, innovation_nll=network.innovation_nll - likelier, progress=progress)
     monkeypatch.setattr(foten_plus, "_fitted", lambda *_: knowing)
-    excited_linear = replace(fitted.excited_linear, model=tonal if with_tones else linear)
-    drawing = fit_drawing_network(predicting, excited_linear, linear, tonal, fitted.blocks, QUICK, Monitor())
-    assert (drawing is knowing) == (with_tones or likelier > 0.005)
-    assert predicting.progress.interrupted == interrupted
+    excited = replace(fitted.excited, model=tonal if with_tones else linear)
+    rendering_network = fit_rendering_network(network, excited, linear, tonal, fitted.run)
+    assert (rendering_network is knowing) == (with_tones or likelier > 0.005)
+    assert network.progress.interrupted == interrupted
     if interrupted:  # then the other is not begun
         monkeypatch.delattr(foten_plus, "_fitted")
-        assert (
-            fit_drawing_network(predicting, excited_linear, linear, tonal, fitted.blocks, QUICK, Monitor())
-            is predicting
-        )
+        assert fit_rendering_network(network, excited, linear, tonal, fitted.run) is network
 
 
-def test_a_playable_texture_leaves_the_network_on_its_device(fitted: Fitted, monkeypatch: pytest.MonkeyPatch) -> None:
-    """PyTorch moves a module in place: a network taken to the CPU for its file would be fitted there."""
-    moved: list[int] = []
-    cpu = torch.nn.Module.cpu
-
-    def recorded(module: torch.nn.Module) -> torch.nn.Module:
-        moved.append(id(module))
-        return cpu(module)
-
-    monkeypatch.setattr(torch.nn.Module, "cpu", recorded)
-    fitted.finish(0.0)
-    assert moved  # copies of it, which prove the file
-    assert id(fitted.network.network) not in moved
-
-
-def candidate(name: str, distance: tuple[float, float]) -> Candidate:
+def candidate(name: str, errors: tuple[float, float]) -> Candidate:
     sigma = constant_scale(1, scaling=scaled_blocks(white(4, 200), split_of(4, 200)).scaling)
     model = LinearModel(FotenPlusSizes(), {}, report={"lattices": name})
-    return Candidate(model, Calibrated(Excitation(sigma, (1.0, 1.0)), distance, None))
+    return Candidate(model, Calibrated(Excitation(sigma, (1.0, 1.0)), FreeRunErrors(*errors), None))
 
 
 @pytest.mark.parametrize(
     ("tones", "chosen"),
     [
-        ((2.0, 0.9), "with"),  # nearer
-        ((2.09, 0.9), "with"),  # nearer still
+        ((2.0, 0.9), "with"),  # less error
+        ((2.09, 0.9), "with"),  # less error still
         ((2.11, 0.5), "without"),  # another spectrum, whatever the level
         ((2.0, 1.1), "without"),
     ],
 )
-def test_tones_are_taken_where_the_free_run_is_nearer_and_of_the_same_colour(
+def test_tones_are_taken_where_the_free_run_has_less_error_and_the_same_colour(
     tones: tuple[float, float], chosen: str
 ) -> None:
-    best, report = nearest([candidate("without", (2.0, 1.0)), candidate("with", tones)])
+    best, report = best_candidate([candidate("without", (2.0, 1.0)), candidate("with", tones)])
     assert best.model.report["lattices"] == chosen
-    assert report["free_run"] == dict(zip(("lsd_db", "level_error_db"), best.random_part.distance, strict=True))
+    assert report["free_run"] == best.random_part.free_run._asdict()
     (rejected,) = report["rejected"]
     assert rejected["lattices"] == {"with": "without", "without": "with"}[chosen]
 
@@ -275,7 +254,7 @@ def test_the_growth_of_foten_plus_is_in_its_card_and_the_papers_network_clamps(
     recording: Recording, fitted: Fitted
 ) -> None:
     exponents = fitted.finish(0.0).card["extrapolation_exponents"]
-    assert exponents == extrapolation_exponents(fitted.blocks)
+    assert exponents == extrapolation_exponents(fitted.run.blocks)
     assert exponents != {"speed": 0.0, "force": 0.0}
     job = TrainingJob(recording, "foten", sizes_with("foten", SMALL), QUICK, SHORT)
     assert train(job).texture.card["extrapolation_exponents"] == {"speed": 0.0, "force": 0.0}
@@ -314,14 +293,3 @@ def test_a_gpu_gives_the_same_file_twice_and_the_kernel_proves_it() -> None:
     assert files[0].to_bytes() == files[1].to_bytes()
     assert files[0].card["training"]["device"] == "cuda"
     assert np.isfinite(Renderer(files[0]).render(100.0, 1.0, 500)).all()
-
-
-@pytest.mark.gpu
-@on_gpu
-def test_a_gpu_learns_what_a_cpu_learns(monkeypatch: pytest.MonkeyPatch) -> None:
-    errors = []
-    for available in (True, False):
-        monkeypatch.setattr(torch.cuda, "is_available", lambda known=available: known)
-        errors.append(train(gpu_job("towel", 3)).texture.card["metrics"]["validation_mae_scaled"])
-    # Sums in another order lead training along another path to much the same place.
-    assert np.ptp(errors) < 0.05 * errors[1]

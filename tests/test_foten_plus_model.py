@@ -7,8 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from conftest import PLUS, reflections_of, untrained, untrained_tensors
-from foten.dsp.lattice import LEAK
+from conftest import PLUS, untrained, untrained_tensors
 from foten.models.definitions import model_of
 from foten.models.foten_plus.definition import FotenPlus
 from foten.models.foten_plus.sizes import FotenPlusSizes
@@ -47,20 +46,6 @@ def test_a_prediction_takes_no_more_than_its_history(before: bool) -> None:
     np.testing.assert_allclose(predictor.predict(longer[:, 3:]), expected, rtol=1e-9, atol=1e-9)
     moved = np.abs(predictor.predict(first) - expected).max() > 1e-8  # rounding is 1e-14 of 30
     assert moved != before
-
-
-def test_it_starts_as_its_lattice() -> None:
-    """Oracle: the direct form of an AR(2); the means of the network's mixture are zero."""
-    sizes, tensors = with_sizes(order=2)
-    for name in ("out.weight", "out.bias", "exponents"):
-        tensors[f"lattice.level.{name}"] = np.zeros_like(tensors[f"lattice.level.{name}"])
-    k = sizes.n_components
-    for name in ("weight", "bias"):  # of the means
-        tensors[f"network.out.{name}"][k : 2 * k] = 0.0
-    tensors["lattice.reflections"] = reflections_of(np.array([-0.9, 1.6]))[None]
-    inputs = windows(40, sizes.history)
-    expected = inputs[:, -2:, 0] @ (np.array([-0.9, 1.6]) * LEAK ** np.array([2, 1]))
-    np.testing.assert_allclose(model(sizes, tensors).predict(inputs), expected, atol=1e-12)
 
 
 @pytest.mark.parametrize("noise", [-5.6, None, 5.6])

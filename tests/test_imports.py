@@ -38,7 +38,7 @@ MAY_IMPORT = table()
 FOR_ALL = {"atomic_write", "untrusted"}
 EVERYTHING = {"", *(package for package, names in MAY_IMPORT.items() if names is None)}  # "": foten itself, lazily
 WITH_TORCH = {"training", "baselines", "experiments", "cli"}
-TRAINED = re.compile(r"foten\.models\.\w+\.(?!definition$|innovation_network$|sizes$)\w+")  # by PyTorch
+TRAINED = re.compile(r"foten\.models\.\w+\.(?!definition$|sizes$)\w+")  # by PyTorch
 FRAMEWORK_FREE = {
     "foten.training",
     "foten.baselines",

@@ -1,9 +1,10 @@
-"""The innovation network: mixtures by their definition, the unit and its head as PyTorch's."""
+"""The innovation network: mixtures by their definition, its layers as PyTorch's, and what it makes of known processes."""
 
 from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -12,12 +13,30 @@ from scipy.integrate import quad
 from scipy.special import log_ndtr, ndtri_exp
 from scipy.stats import norm
 
-from conftest import PLUS, untrained
-from foten.models.foten_plus.innovation_network import InnovationNetwork as Definition
-from foten.models.foten_plus.innovation_network import Mixture
-from foten.models.foten_plus.network import InnovationNetwork, NextInnovation, negative_log_likelihood
+from conftest import PLUS, untrained, untrained_tensors
+from foten.models.foten_plus import network as innovation
+from foten.models.foten_plus.definition import Mixture, NetworkDefinition, innovation_inputs, phase_inputs
+from foten.models.foten_plus.linear_model import LinearModel
+from foten.models.foten_plus.network import (
+    CHUNK,
+    Batches,
+    Chunks,
+    InnovationNetwork,
+    Innovations,
+    NextInnovation,
+    asymmetry,
+    fit_innovation_network,
+    innovations_of,
+    negative_log_likelihood,
+    validated,
+)
 from foten.models.foten_plus.sizes import FotenPlusSizes
-from foten.training.tensors import tensors_of
+from foten.recording.split import Split
+from foten.recording.trace import Trace
+from foten.training.config import OWN_RECIPES, TrainConfig
+from foten.training.job import ScaledBlocks, scaled_blocks
+from foten.training.loop import Loop, Monitor, Progress, run_loop
+from foten.training.texture_builder import tensors_of
 
 SIZES = FotenPlusSizes(**PLUS)
 
@@ -86,7 +105,7 @@ def test_the_unit_and_its_head_are_pytorchs() -> None:
     network = untrained("foten-plus", SIZES).double()
     rng = np.random.default_rng(0)
     inputs, innovation = 2 * rng.standard_normal((3, 30, 5)), rng.standard_normal((3, 30))
-    definition, hidden = Definition(tensors_of(network), ""), np.zeros((3, SIZES.n_hidden))
+    definition, hidden = NetworkDefinition(tensors_of(network), ""), np.zeros((3, SIZES.n_hidden))
     with torch.no_grad():
         mixture = network(torch.from_numpy(inputs))
         last = NextInnovation(network)(torch.from_numpy(inputs)).numpy()
@@ -103,6 +122,155 @@ def test_the_unit_and_its_head_are_pytorchs() -> None:
     np.testing.assert_allclose(last, np.concatenate([part[:, -1] for part in theirs], axis=1), atol=1e-12)
 
 
-def test_untrained_it_expects_nothing() -> None:
+CONFIG = TrainConfig(**{**OWN_RECIPES["foten-plus"], "epochs": 2, "threads": 1, "batch": 32})
+CPU = torch.device("cpu")
+
+
+def process(kind: str, n_blocks: int = 24, block: int = 1000) -> tuple[ScaledBlocks, Innovations]:
+    """Unit innovations of a known kind as what a network is fitted to, under a steady hand."""
+    rng = np.random.default_rng(0)
+    z = rng.standard_normal((n_blocks, block))
+    if kind == "bursts":  # of 20 samples, ten times as large as what is between
+        burst = np.repeat(rng.random((n_blocks, block // 20)) < 0.2, 20, axis=1)
+        z = z * np.where(burst, 1.0, 0.1) / math.sqrt(0.2 + 0.8 * 0.01)
+    elif kind == "skewed":
+        z = rng.exponential(size=z.shape) - 1
+    speed = np.linspace(20.0, 200.0, n_blocks * block)
+    trace = Trace(z.ravel(), speed, np.ones(z.size), 1000.0, block)
+    numbers = tuple(range(n_blocks))
+    blocks = scaled_blocks(trace, Split(numbers[:16], numbers[16:20], numbers[20:], n_blocks, block, "contiguous", 0))
+    inputs = innovation_inputs(z.ravel(), z.ravel(), np.zeros((z.size, 2))).reshape(n_blocks, block, 5)
+    mirrored = asymmetry(z[:16]) < 4.0
+    return blocks, Innovations(inputs, z, np.ones_like(z), speed.reshape(z.shape), 20, mirrored)
+
+
+def new_network() -> InnovationNetwork:
     torch.manual_seed(0)
-    assert not InnovationNetwork(SIZES).expected(torch.randn(4, 20, 5)).any()
+    return InnovationNetwork(FotenPlusSizes(n_hidden=16, head_width=16, window=20))
+
+
+def fitted(blocks: ScaledBlocks, data: Innovations, config: TrainConfig = CONFIG) -> Progress:
+    return fit_innovation_network(new_network(), data, blocks, 20, config, Monitor())
+
+
+def test_of_noise_nothing_is_learned_and_of_bursts_when_they_are(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Gaussian noise has ½ log 2πe; bursts that are known have their own share of it, and 20 samples hide little."""
+    monkeypatch.setattr(innovation, "N_STEPS", 50)
+    gaussian = 0.5 * math.log(2 * math.pi * math.e)
+    assert fitted(*process("noise")).best_loss == pytest.approx(gaussian, abs=0.03)
+    known = gaussian + 0.8 * math.log(0.1) - 0.5 * math.log(0.2 + 0.8 * 0.01)
+    blocks, data = process("bursts")
+    nats = fitted(blocks, data).best_loss
+    assert known - 0.02 < nats < known + 0.25  # the first samples of each burst come unannounced
+    # Independent draws of the right kurtosis, all that an excitation without memory can be.
+    x = data.innovation[16:20].ravel()
+    parts = np.array([0.2, 0.8]), np.zeros(2), np.array([1.0, 0.1]) / math.sqrt(0.208)
+    unaware = -float(Mixture(*(np.tile(part, (x.size, 1)) for part in parts)).log_density(x).mean())
+    assert nats < unaware - 0.15
+
+
+def test_only_the_training_blocks_are_learned_from(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Those of validation are ten times as large here: whoever learned from them would have a loss of 3.7 nat."""
+    monkeypatch.setattr(innovation, "N_STEPS", 20)
+    blocks, data = process("bursts")
+    louder = data.innovation.copy()
+    louder[16:20] *= 10
+    assert fitted(blocks, dataclasses.replace(data, innovation=louder)).epochs[-1].train_loss < 1.5
+
+
+def test_more_threads_than_a_batch_has_shares_for_learn_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Ten chunks for eight threads are five shares of two; sums of other shares differ by rounding, which steps amplify."""
+    monkeypatch.setattr(innovation, "N_STEPS", 30)
+    blocks, data = process("bursts")
+    configs = [dataclasses.replace(CONFIG, epochs=1, batch=10, threads=n) for n in (1, 8, 8)]
+    losses = [fitted(blocks, data, config).epochs[1] for config in configs]
+    assert losses[1].train_loss == pytest.approx(losses[0].train_loss, rel=1e-3)
+    assert losses[2].validation_loss == losses[1].validation_loss
+
+
+def captured_loop(monkeypatch: pytest.MonkeyPatch, module: str, fit: Callable[[], Progress]) -> tuple[Loop, Progress]:
+    """The loop that a fit runs, and its progress."""
+    loops: list[Loop] = []
+
+    def captured(loop: Loop, *arguments: object) -> Progress:
+        loops.append(loop)
+        return run_loop(loop, *arguments)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(f"foten.models.foten_plus.{module}.run_loop", captured)
+    progress = fit()
+    return loops[0], progress
+
+
+def test_the_averaged_network_is_validated_on_the_validation_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Oracle: the definition in NumPy, sample by sample over these blocks, in float64."""
+    monkeypatch.setattr(innovation, "N_STEPS", 20)
+    blocks, data = process("bursts", block=300)
+    data = dataclasses.replace(data, innovation_gain=3.0 * np.ones_like(data.innovation))
+    loop, progress = captured_loop(monkeypatch, "network", lambda: fitted(blocks, data))
+    assert loop.averaging > 0
+    assert progress.best.epoch > 0
+    other = untrained("foten-plus", FotenPlusSizes(n_hidden=16, head_width=16, window=20))
+    for network in (loop.network, other):
+        definition = NetworkDefinition(tensors_of(network), "")
+        hidden, nats, errors = np.zeros((4, 16)), [], []
+        for n in range(20, 299):
+            hidden = definition.push(hidden, data.inputs[16:20, n])
+            mixture = definition.mixture(hidden, data.inputs[16:20, n])
+            follows = data.innovation[16:20, n + 1]
+            nats.append(-mixture.log_density(follows))
+            errors.append(3 * np.abs(follows - mixture.expected()))
+        expected = (np.mean(nats[20:]), np.mean(errors[20:]))
+        assert loop.validate(network) == pytest.approx(expected, rel=1e-4)
+        assert validated(network, data, data.tensors(CPU), blocks.split.validation, 20) == loop.validate(network)  # type: ignore[arg-type]
+    assert loop.validate(loop.network)[0] == pytest.approx(progress.best_loss, rel=1e-6)
+
+
+@pytest.mark.parametrize(("kind", "mirrored"), [("noise", True), ("skewed", False)])
+@pytest.mark.parametrize("repeats", [False, True])
+def test_a_network_is_fitted_to_the_innovations_of_a_linear_model(kind: str, mirrored: bool, repeats: bool) -> None:
+    """Of one that leaves all, a level of 1 and no reflections: mirrored where it may be, with the phase of the sample after."""
+    blocks, data = process(kind)
+    sizes = FotenPlusSizes(**PLUS, order=1, n_tones=int(repeats), network_in_loop=False)
+    tensors = untrained_tensors("foten-plus", sizes, untrained("foten-plus", sizes))
+    for name in tensors:
+        if name.endswith((".reflections", ".values", "level.out.weight", "level.out.bias", "level.exponents")):
+            tensors[name] = 0 * tensors[name]
+    phase = np.cumsum(0.1 * np.ones(data.innovation.shape), axis=1) if repeats else None
+    model = LinearModel(sizes, tensors, phase)
+    of = innovations_of(model, blocks, 20, residual=True)
+    np.testing.assert_allclose(of.innovation[:, 1:], blocks.samples[:, 1:, 0], rtol=1e-6, atol=1e-9)
+    logs = model.level.logarithms(blocks.samples[..., 1:].reshape(-1, 2))
+    inputs = innovation_inputs(of.innovation.ravel(), of.innovation.ravel(), logs).reshape(*of.innovation.shape, 5)
+    np.testing.assert_allclose(of.inputs[:, 1:, :5], inputs[:, 1:])
+    assert of.mirrored == (mirrored and not repeats)
+    if phase is not None:
+        np.testing.assert_allclose(of.inputs[..., 5:], phase_inputs(phase + 0.1), atol=1e-9)
+        assert innovations_of(model, blocks, 20).inputs.shape[2] == 5  # what predicts is given no phase
+
+
+def test_only_what_has_no_sign_is_mirrored() -> None:
+    """And in mirror images what follows changes its sign with the innovation and x, and nothing else does."""
+    blocks, data = process("noise")
+    assert process("bursts")[1].mirrored
+    assert not process("skewed")[1].mirrored
+    (inputs, follows), (plain, same) = (
+        Batches(dataclasses.replace(data, mirrored=mirrored), blocks, 20, CONFIG, CPU).draw(np.random.default_rng(1))
+        for mirrored in (True, False)
+    )
+    sign = torch.sign(follows / same)
+    assert set(sign.mean(dim=1).tolist()) == {-1.0, 1.0}
+    for column in range(5):
+        expected = plain[..., column] * (sign if column in (0, 2) else 1.0)
+        torch.testing.assert_close(inputs[..., column], expected, rtol=0, atol=0)
+
+
+def test_slow_chunks_are_drawn_more_often() -> None:
+    """By 1 / (speed + 25 mm/s): from 20 to 140 mm/s over the training blocks, 3.7 to 1."""
+    blocks, data = process("noise")
+    where = Chunks(data, blocks.split.train, 20)
+    block, sample = where.draw(20_000, np.random.default_rng(0))
+    assert sample.shape == (20_000, 20 + CHUNK)
+    assert sample.max() < 1000 - 21  # rows of inputs and of what follows each
+    first, last = (np.mean(block[:, 0] == number) for number in (0, 15))
+    speed = data.speed.mean(axis=1)
+    assert first / last == pytest.approx((speed[15] + 25) / (speed[0] + 25), rel=0.1)

@@ -11,7 +11,7 @@ from scipy.signal import lfilter
 from foten.dsp import lattice
 from foten.dsp.lattice import LEAK, analyse, check_reflections, predict, push
 from foten.dsp.speed_force_table import FORCE_FLOOR, SpeedForceTable, spanning
-from foten.models.foten_plus.lattice_fit import (
+from foten.models.foten_plus.linear_model import (
     N_FOLDS,
     N_FOLDS_OF_MANY,
     LatticeData,

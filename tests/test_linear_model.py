@@ -12,16 +12,17 @@ from conftest import PLUS, SCALING, exported, untrained, untrained_tensors
 from foten.dsp.tones import tone
 from foten.models.foten_plus import linear_model
 from foten.models.foten_plus.definition import Tones
-from foten.models.foten_plus.linear_model import LinearModel, fit_level, fit_linear_model, fit_tonal_model, silent_tones
+from foten.models.foten_plus.linear_model import LinearModel, fit_level, fit_linear_model
 from foten.models.foten_plus.sizes import FotenPlusSizes
+from foten.models.foten_plus.tones_fit import fit_tonal_model, silent_tones
 from foten.recording.preprocess import PreprocessConfig, preprocess
 from foten.recording.split import Split, split_blocks
 from foten.recording.trace import Trace
 from foten.runtime.loops import predict_blocks
 from foten.runtime.native import NativeTexture
 from foten.simulation.simulate import TEXTURES, simulate
-from foten.training.blocks import ScaledBlocks, scaled_blocks
 from foten.training.config import TrainConfig
+from foten.training.job import ScaledBlocks, scaled_blocks
 
 
 def moving_blocks(n_blocks: int = 5, block: int = 300) -> ScaledBlocks:
@@ -83,7 +84,7 @@ def test_innovations_beside_tones_are_of_what_the_tones_leave() -> None:
     """A recording of tones alone, whose phase is known, leaves nothing; without them it does."""
     model, blocks = with_tensors(order=4, n_tones=2, residual_order=3), moving_blocks()
     tones = Tones(model.tensors, model.level)
-    path = blocks.path_conditions()
+    path = blocks.conditions_with_speed()
     phase = np.cumsum(tones.phase_increment(path), axis=1) - tones.phase_increment(path)[:, :1]
     samples = blocks.samples.copy()
     coefficients = tones.coefficients(path[:, :-1].reshape(-1, 3)).reshape(5, 299, -1)
@@ -130,14 +131,14 @@ def test_a_surface_that_repeats_is_fitted_once_more_with_its_tones(name: str, pr
     sizes, config = FotenPlusSizes(**PLUS), TrainConfig(max_order=20, table=False)
     trace = preprocess(simulate(name, 10.0, seed=1), PreprocessConfig(trim_ms=0, block_ms=1000))
     blocks = scaled_blocks(trace, split_blocks(trace, "regrouped", 0))
-    level = fit_level(blocks.flat[:, 0], sizes, blocks, config)
-    linear = fit_linear_model(level, sizes, blocks, config)
+    level, data = fit_level(blocks.flat[:, 0], sizes, blocks, config)
+    linear = fit_linear_model(level, data, sizes, config)
     assert linear.phase is None
     assert not linear.sizes.n_tones
     assert linear.report["wavelength_mm"] is None
-    tonal = fit_tonal_model(linear, level, blocks, config)
+    tonal = fit_tonal_model(linear, data, blocks, config)
     assert (tonal is None) == (precision is None)
-    assert fit_tonal_model(linear, level, blocks, dataclasses.replace(config, tones=False)) is None
+    assert fit_tonal_model(linear, data, blocks, dataclasses.replace(config, tones=False)) is None
     if tonal is not None:
         assert tonal.sizes.n_tones
         length = TEXTURES[name].wavelength_mm

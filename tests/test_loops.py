@@ -15,8 +15,7 @@ from foten.dsp.lattice import LEAK, polynomial
 from foten.dsp.noise import innovation_likelihood
 from foten.models.definitions import model_of
 from foten.models.excitation import Excitation
-from foten.models.foten_plus.definition import FotenPlus
-from foten.models.foten_plus.innovation_network import Mixture
+from foten.models.foten_plus.definition import FotenPlus, Mixture
 from foten.models.foten_plus.sizes import FotenPlusSizes
 from foten.models.model_sizes import ModelSizes
 from foten.models.piecewise_ar.definition import PiecewiseAr
@@ -113,20 +112,20 @@ def standardised(mixture: Mixture, values: np.ndarray) -> np.ndarray:
 
 
 def followed(
-    model: Model, blocks: np.ndarray, part: PredictionPart
+    model: Model, m: int, blocks: np.ndarray, part: PredictionPart
 ) -> tuple[np.ndarray, np.ndarray | None, np.ndarray | None, np.ndarray | None]:
     """The reference's predictions of recorded blocks, which it takes in sample by sample; with scales, z and nll."""
-    m, n = model.window, blocks.shape[1]  # type: ignore[attr-defined]
+    n = blocks.shape[1]
     if isinstance(model, FotenPlus):
         in_loop = model.sizes.network_in_loop and not model.sizes.n_tones
         corrected = part == "model" or (part == "rendering" and in_loop)
         stream = model._analysed(blocks[:, :m], model.lattice, model.network if corrected else None, calibrated=False)
-        conditions, predictions, units = model.with_path(blocks[:, :, 1:]), [], []
+        conditions, predictions, units = model.with_speed(blocks[:, :, 1:]), [], []
         for t in range(m, n):
             predictions.append(stream.predict())
             units.append(np.sqrt(1 - stream.reflections**2).prod(axis=0) * stream.level)
             x = blocks[:, t, 0] / stream.level
-            stream.follow(stream.analyse(blocks[:, t, 0]), x, conditions[:, t])
+            stream.advance(stream.analyse(blocks[:, t, 0]), x, conditions[:, t])
         samples = np.stack([one.sample for one in predictions], axis=1)
         if model.sizes.n_tones or corrected != in_loop:
             return samples, None, None, None
@@ -169,7 +168,7 @@ def test_the_kernel_predicts_recorded_samples_as_the_reference(key: str, variant
     exact = rounding(texture.sizes)
     predictions = {}
     for part in get_args(PredictionPart):
-        sample, scale, standardised, nll = followed(model, blocks, part)
+        sample, scale, standardised, nll = followed(model, texture.window, blocks, part)
         predictions[part] = predicted = predict_blocks(native, blocks, part)
         tolerance = exact if in_float64_alone(texture.sizes) else ONE_STEP_TOLERANCE  # a network's float32
         np.testing.assert_allclose(predicted.sample, sample, rtol=tolerance, atol=tolerance)
@@ -297,15 +296,6 @@ def test_no_excitation_is_larger_than_the_largest_innovation(variant: str, large
     if key == "foten":
         assert np.abs(out).max() <= largest[1] * (1 + 1e-12)
         assert np.abs(unbounded).max() > largest[1] or largest[1] > 1
-
-
-def test_noise_without_an_excitation_is_the_deterministic_loop() -> None:
-    for key, variant in (("foten", "one-layer"), ("dstn", "graph")):
-        texture, _ = case(key, variant)
-        native = NativeTexture(texture.to_bytes())
-        windows, condition = recorded(1, texture.window), moving(1, 20)
-        silent, noisy = (run_loops(native, windows, condition, noise) for noise in (None, np.ones((1, 20))))
-        np.testing.assert_array_equal(silent, noisy)
 
 
 def test_streams_do_not_depend_on_each_other() -> None:

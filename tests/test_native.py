@@ -29,7 +29,7 @@ import foten
 from conftest import PLUS, SCALING, SMALL, exported
 from foten.baselines.sizes import TRAINABLE
 from foten.dsp.noise import gaussian
-from foten.models import render_definition as reference
+from foten.models import definitions as reference
 from foten.models.definitions import model_of
 from foten.models.foten.sizes import FotenSizes
 from foten.models.foten_plus.sizes import FotenPlusSizes

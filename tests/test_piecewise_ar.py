@@ -11,10 +11,10 @@ import pytest
 from conftest import CARD, SCALING, exported, local_models
 from foten.dsp.lattice import LEAK, predict, push, reflections_of
 from foten.dsp.lsf import line_spectral_frequencies, polynomial_of
+from foten.models.definitions import render
 from foten.models.piecewise_ar.definition import PiecewiseAr
 from foten.models.piecewise_ar.local_models import LocalModels, local_texture
 from foten.models.piecewise_ar.sizes import PiecewiseArSizes
-from foten.models.render_definition import render
 from foten.models.texture_file import Texture
 from foten.runtime.loops import run_loops
 from foten.runtime.native import NativeState, NativeTexture
@@ -211,19 +211,3 @@ def test_what_is_broken_is_refused(what: str) -> None:
     )
     with pytest.raises(ValueError, match=message):
         NativeTexture(broken.to_bytes())
-
-
-@pytest.mark.parametrize(
-    ("sizes", "message"),
-    [
-        ({"order": 41, "window": 42}, "order is 41, expected 40 at most"),
-        ({"ma": 41}, "ma is 41, expected 40 at most"),
-        ({"window": 20}, "window is 20, expected a whole number, 21 or more"),
-        ({"order": "x"}, "order is 'x', expected a whole number"),
-        ({"n_models": 2}, "n_models is 2"),
-        ({"n_triangles": 0}, "n_triangles is 0"),
-    ],
-)
-def test_sizes_that_cannot_be_are_refused(sizes: dict[str, Any], message: str) -> None:
-    with pytest.raises(ValueError, match=message):
-        PiecewiseArSizes(**sizes)

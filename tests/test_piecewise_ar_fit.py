@@ -23,9 +23,8 @@ from foten.recording.split import split_blocks
 from foten.runtime.loops import predict_blocks
 from foten.runtime.native import NativeState, NativeTexture
 from foten.simulation.simulate import simulate
-from foten.training.blocks import scaled_blocks
 from foten.training.config import TrainConfig
-from foten.training.job import Trained, TrainingJob
+from foten.training.job import Trained, TrainingJob, scaled_blocks
 from foten.training.pipeline import train
 
 SHORT = PreprocessConfig(trim_ms=0, block_ms=1000)

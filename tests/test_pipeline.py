@@ -14,17 +14,17 @@ import pytest
 from conftest import PLUS, sizes_with
 from foten.baselines.sizes import TRAINABLE
 from foten.models.foten.sizes import FotenSizes
-from foten.models.foten_plus import closed_loop_training, likelihood
+from foten.models.foten_plus import closed_loop_training
 from foten.models.foten_plus import fit as foten_plus
+from foten.models.foten_plus import network as innovation
 from foten.models.foten_plus.sizes import FotenPlusSizes
 from foten.models.texture_file import Texture, texture_from_bytes
 from foten.recording.preprocess import PreprocessConfig
 from foten.recording.recording import Recording
 from foten.runtime.renderer import Renderer
 from foten.simulation.simulate import simulate
-from foten.training.blocks import ScaledBlocks
 from foten.training.config import TrainConfig
-from foten.training.job import Trained, TrainingJob
+from foten.training.job import ScaledBlocks, Trained, TrainingJob
 from foten.training.loop import Checkpoint, Epoch, Monitor, Progress
 from foten.training.pipeline import FITS, train
 
@@ -39,7 +39,7 @@ SECONDS = PreprocessConfig(trim_ms=0, block_ms=1000)
 def brief() -> Any:
     """Fit networks for a few steps."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(likelihood, "N_STEPS", 10)
+        patch.setattr(innovation, "N_STEPS", 10)
         for name, value in {"N_STEPS": 2, "N_EXCERPTS": 6, "N_KNOWN": 40, "N_VALIDATIONS": 1}.items():
             patch.setattr(closed_loop_training, name, value)
         yield
@@ -70,13 +70,12 @@ def test_every_model_has_a_fit() -> None:
     assert set(FITS) == set(TRAINABLE)
 
 
-@pytest.mark.parametrize("model", ["foten", "ten"])
-def test_the_papers_networks_learn(recording: Recording, model: str) -> None:
+def test_the_papers_network_learns(recording: Recording) -> None:
     config = TrainConfig(epochs=3, batch=128, learning_rate=2e-3, threads=1)
-    trained = train(TrainingJob(recording, model, sizes_with(model, SMALL), config, SHORT))
+    trained = train(TrainingJob(recording, "foten", sizes_with("foten", SMALL), config, SHORT))
     errors = [line.validation_mae for line in trained.progress.epochs]
     assert min(errors) < 0.9 * errors[0]
-    assert trained.texture.card["model"] == model
+    assert trained.texture.card["model"] == "foten"
     assert trained.texture.window == 12
     assert trained.linear_mae is None
     assert not trained.texture.has_excitation
@@ -122,7 +121,7 @@ def test_a_training_interrupted_before_its_first_epoch_has_given_a_playable_text
     def interrupted(*_: object) -> tuple[float, float]:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(likelihood, "validated", interrupted)
+    monkeypatch.setattr(innovation, "validated", interrupted)
     playable: list[Texture] = []
     with pytest.raises(KeyboardInterrupt):
         train(job_of(recording), Monitor(on_playable=playable.append))
@@ -165,7 +164,7 @@ def mesh(monkeypatch: pytest.MonkeyPatch) -> TrainingJob:
         return fit_once
 
     monkeypatch.setattr(foten_plus, "MIN_GAIN_NAT", -1e3)  # whatever the networks gain
-    for name in ("fit_level", "fit_linear_model", "fit_tonal_model", "nearest_linear_model"):
+    for name in ("fit_level", "fit_linear_model", "fit_tonal_model", "best_linear_model"):
         monkeypatch.setattr(foten_plus, name, once(name))
     sizes, config = FotenPlusSizes(**PLUS), replace(QUICK, tones=True)
     return TrainingJob(simulate("steel-mesh-1", 9.0), "foten-plus", sizes, config, SECONDS)
@@ -204,11 +203,6 @@ def test_a_training_goes_on_in_the_loop_where_it_was_interrupted(
     assert again.texture.to_bytes() == of_mesh.texture.to_bytes()
     assert not again.progress.interrupted
     assert [line.epoch for line in again.progress.epochs] == [0, 1, 2]
-
-
-def test_another_seed_gives_another_texture(recording: Recording, trained: Trained) -> None:
-    other = train(job_of(recording, seed=1))
-    assert other.texture.to_bytes() != trained.texture.to_bytes()
 
 
 def test_the_card_says_how_it_came_about(trained: Trained) -> None:

@@ -69,7 +69,7 @@ def test_a_run_depends_on_its_measures_and_not_on_others() -> None:
     others |= {"foten.experiments.sweep", "foten.experiments.tables", "foten.reporting.table", "foten.study.store"}
     assert not others & set(sources)
     assert set(sources_of("foten", ("stability",))) - set(sources) == {
-        "foten.baselines.graph_model",
+        "foten.baselines.graph",
         "foten.experiments.stability",
     }
     assert "foten.evaluate.listener_network" in sources_of("foten", ("listener",))

@@ -2,22 +2,21 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, fields
+from dataclasses import fields
 from typing import Any
 
 import numpy as np
 import pytest
 import torch
-from scipy.signal import lfilter
 
-from conftest import PLUS, SMALL, exported, resonance, sizes_with, untrained
+from conftest import PLUS, SMALL, exported, sizes_with, untrained
 from foten.baselines.sizes import TRAINABLE
 from foten.models.definitions import model_of
 from foten.models.foten.definition import Network
 from foten.models.foten.sizes import TransformerSizes
 from foten.models.foten_plus.sizes import FotenPlusSizes
-from foten.models.stream import Prediction, run
-from foten.training.tensors import tensors_of
+from foten.models.stream import run
+from foten.training.texture_builder import tensors_of
 
 VARIANTS: dict[str, dict[str, Any]] = {
     "default": {},
@@ -119,108 +118,6 @@ def test_it_is_stateless_and_takes_windows_in_any_number(variant: str) -> None:
     # Products of other shapes sum in another order, in float64.
     np.testing.assert_allclose(alone, at_once, rtol=1e-10, atol=1e-12)
     np.testing.assert_array_equal(windows, before)
-
-
-def test_every_tensor_of_a_model_is_needed() -> None:
-    for key, variant in (("foten-plus", "tones"), ("foten", "excited"), ("ten", "default")):
-        sizes = sizes_for(key, variant)
-        tensors = exported(key, sizes).tensors
-        windows = np.random.default_rng(0).standard_normal((1, sizes.history, 3))
-
-        def use(given: dict[str, np.ndarray], sizes: Any = sizes, windows: np.ndarray = windows) -> None:
-            model = model_of(sizes, given)
-            model.predict(windows)
-            model.start(windows).begin(np.zeros((1, 3)), np.ones((1, 99)))
-
-        for name in sizes.tensor_shapes():
-            without = {other: tensor for other, tensor in tensors.items() if other != name}
-            with pytest.raises(ValueError, match="has no tensor"):
-                use(without)
-
-
-@dataclass
-class Taps:
-    """Streams of a linear predictor that remember what they were shown."""
-
-    taps: np.ndarray
-    windows: np.ndarray
-    sigma: float = 0.0
-    bounded: bool = False
-    shown: list[np.ndarray] = field(default_factory=list)
-    n_initial: int = 0
-
-    def begin(self, condition: np.ndarray, noise: np.ndarray) -> None:
-        raise AssertionError
-
-    def predict(self) -> Prediction:
-        self.shown.append(self.windows.copy())
-        sample = self.windows[:, :, 0] @ self.taps
-        return Prediction(sample, np.full(len(sample), self.sigma) if self.sigma else None)
-
-    def push(self, sample: np.ndarray, condition: np.ndarray, noise: np.ndarray | None) -> None:
-        self.windows = np.roll(self.windows, -1, axis=1)
-        self.windows[:, -1, 0], self.windows[:, -1, 1:] = sample, condition[:, :2]
-
-
-M = 4
-TAPS = resonance(120.0, 0.95, M)
-
-
-def test_with_noise_a_loop_is_the_ar_filter() -> None:
-    """Oracle: scipy.signal.lfilter."""
-    noise = np.random.default_rng(0).standard_normal((3, 500))
-    result = run(Taps(TAPS, np.zeros((3, M, 3)), 0.7), np.zeros((3, 500, 3)), noise)
-    expected = lfilter([0.7], np.concatenate([[1.0], -TAPS[::-1]]), noise)
-    np.testing.assert_allclose(result, expected, atol=1e-10)  # rounding, amplified by 1/(1 − 0.95)
-
-
-def test_without_noise_the_first_window_rings_out() -> None:
-    window = np.zeros((1, M, 3))
-    window[0, -1, 0] = 1.0
-    result = run(Taps(TAPS, window), np.zeros((1, 400, 3)), None)[0]
-    impulse = lfilter([1.0], np.concatenate([[1.0], -TAPS[::-1]]), np.eye(1, 401)[0])
-    np.testing.assert_allclose(result, impulse[1:], atol=1e-12)  # the first sample stands in the window
-
-
-def test_a_prediction_is_given_speed_and_force_up_to_the_sample_before() -> None:
-    """Eq. 1: the window for n ends at n − 1, for speed and force too."""
-    stream = Taps(np.zeros(M), np.zeros((1, M, 3)))
-    condition = np.arange(1.0, 19).reshape(1, 6, 3)
-    run(stream, condition, None)
-    for n, window in enumerate(stream.shown):
-        past = np.concatenate([np.zeros((M, 2)), condition[0, :, :2]])[n : n + M]
-        np.testing.assert_array_equal(window[0, :, 1:], past)
-
-
-def test_its_own_output_is_its_history() -> None:
-    stream = Taps(np.zeros(M), np.zeros((1, M, 3)), 1.0)
-    result = run(stream, np.zeros((1, 10, 3)), np.arange(1.0, 11)[None])
-    np.testing.assert_array_equal(result[0], np.arange(1.0, 11))
-    np.testing.assert_array_equal(stream.shown[-1][0, :, 0], result[0, -1 - M : -1])
-
-
-@pytest.mark.parametrize(
-    ("bounded", "expected"),
-    # 2 a[n−1] − 1.5 a[n−2] after 0, 1. From 2 and 2.5 the next is 2, from 2 and the cut 2.2 it is 1.4.
-    [(False, [2.0, 2.2, 1.4, -0.5, -2.2]), (True, [2.0, 2.2, 2.0, 0.25, -2.2])],
-)
-def test_what_is_cut_off_is_fed_back_to_bounded_streams_alone(bounded: bool, expected: list[float]) -> None:
-    window = np.zeros((2, 2, 3))
-    window[0, -1, 0], window[1, -1, 0] = 1.0, -1.0
-    stream = Taps(np.array([-1.5, 2.0]), window, bounded=bounded)
-    result = run(stream, np.zeros((2, 5, 3)), None, limit=2.2)
-    np.testing.assert_allclose(result, [expected, [-sample for sample in expected]], rtol=1e-12)
-
-
-def test_noise_without_a_scale_and_a_scale_without_noise_are_the_deterministic_loop() -> None:
-    window, noise = np.random.default_rng(0).standard_normal((1, M, 3)), np.ones((1, 20))
-
-    def looped(sigma: float, noise: np.ndarray | None) -> np.ndarray:
-        return run(Taps(TAPS, window.copy(), sigma), np.zeros((1, 20, 3)), noise)
-
-    np.testing.assert_array_equal(looped(0.0, noise), looped(0.0, None))
-    np.testing.assert_array_equal(looped(1.0, None), looped(0.0, None))
-    assert not np.array_equal(looped(1.0, noise), looped(0.0, noise))
 
 
 @pytest.mark.parametrize("sizes", [{"order": 6}, {"n_tones": 2, "residual_order": 6}])

@@ -47,7 +47,7 @@ def test_a_disk_that_fills_up_costs_the_log_and_not_the_training(
     folder.open({}, resume=False)
     folder.log(epoch(0))
     before = (folder.path / "log.csv").read_text()
-    monkeypatch.setattr("foten.training.run_folder.write_log", full)
+    monkeypatch.setattr("foten.training.run_folder._write_log", full)
     folder.log(epoch(1))
     folder.log(epoch(2))
     assert notes == [f"{folder.path / 'log.csv'}: no space left on device; the training goes on without its log"]

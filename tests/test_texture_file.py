@@ -14,9 +14,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from safetensors.numpy import save
 
-from conftest import PLUS, SCALING, exported
-from foten.baselines.sizes import TRAINABLE
-from foten.models.foten_plus.sizes import FotenPlusSizes
+from conftest import exported
+from foten.models.registry import MODELS
 from foten.models.texture_file import Texture, read_texture, texture_from_bytes, write_texture
 from foten.recording.recording import UNITS
 from foten.runtime.native import NativeTexture
@@ -62,17 +61,6 @@ def test_a_header_of_any_length_is_read(texture: Texture) -> None:
             with pytest.raises(ValueError, match="truncated"):
                 texture_from_bytes(data[:length])
     assert seen == set(range(0, 256, 8))
-
-
-def test_it_says_what_it_holds(texture: Texture, plain_texture: Texture) -> None:
-    assert (texture.rate_hz, texture.window) == (1000.0, 12 + 6 + 1)
-    sizes = {**PLUS, "order": 6, "n_speed": 3, "n_force": 2}
-    assert texture.sizes == FotenPlusSizes(**sizes)
-    assert texture.scaling == SCALING
-    assert texture.trained_range("speed") == (8.0, 220.0)
-    assert texture.trained_range("force") == (0.3, 2.5)
-    assert texture.has_excitation
-    assert not plain_texture.has_excitation
 
 
 NONE = "no growth could be learned from the recording"
@@ -185,7 +173,6 @@ def test_every_key_of_the_card_is_needed_and_has_its_type(texture: Texture) -> N
         ({"window": 21}, "window 21 and the network 19"),
         ({"sizes": {"width": 3}}, "foten-plus has no size 'width', expected one of window, n_hidden"),
         ({"sizes": {"window": 1}}, "window is 1"),
-        ({"sizes": {"window": "20"}}, "window is '20'"),
         ({"rate_hz": 0}, "'rate_hz' in the card is 0"),
         ({"rate_hz": float("nan")}, "'rate_hz' in the card is nan"),
         ({"saturation": -1.0}, "'saturation' in the card is -1.0"),
@@ -194,13 +181,15 @@ def test_every_key_of_the_card_is_needed_and_has_its_type(texture: Texture) -> N
         ({"trained_range": {"speed": [220.0, 8.0], "force": [0, 1]}}, "trained range of speed"),
         ({"trained_range": {"speed": [-1.0, 8.0], "force": [0, 1]}}, "trained range of speed"),
         ({"trained_range": {"speed": [float("nan"), 8.0], "force": [0, 1]}}, "trained range of speed"),
-        ({"trained_range": {"speed": [1, 8, 9], "force": [0, 1]}}, "trained range of speed"),
         ({"units": {**UNITS, "speed": "m/s"}}, "^the card's speed is in 'm/s', expected mm/s; was the card edited[?]$"),
         ({"units": {**UNITS, "force": ["N"]}}, r"force is in \['N'\], expected N"),
         ({"units": {**UNITS, "acceleration": "g"}}, r"acceleration is in 'g', expected m/s\^2 or relative"),
         ({"units": {}}, "acceleration is in None, expected"),
         ({"scaling": {"mean": [0, 0, 0]}}, "three means and three standard deviations"),
         ({"scaling": {"mean": [0, 0], "sd": [1, 1]}}, "three means"),
+        ({"scaling": {"mean": ["a", 0, 0], "sd": [1, 1, 1]}}, "three means"),
+        ({"trained_range": {"speed": [None, 1], "force": [0, 1]}}, "trained range of speed"),
+        ({"rate_hz": 10**400}, "expected a positive number"),
         ({"scaling": {"mean": [0, 0, 0], "sd": [1, 0, 1]}}, "speed has mean 0 and standard deviation 0"),
     ],
 )
@@ -226,44 +215,11 @@ def test_only_floats_of_32_and_64_bits(texture: Texture, dtype: type) -> None:
 
 @pytest.mark.parametrize(
     ("name", "shape"),
-    [
-        ("warm_start", (18, 3)),
-        ("warm_start", (20, 2)),
-        ("warm_start", (60,)),
-        ("golden.windows", (34, 21, 3)),
-        ("golden.one_step", (34, 1)),
-        ("golden.condition", (63, 2)),
-        ("golden.closed_loop", (65,)),
-    ],
+    [("warm_start", (18, 3)), ("warm_start", (60,)), ("golden.one_step", (34, 1)), ("golden.closed_loop", (65,))],
 )
 def test_a_tensor_of_another_shape_is_refused(texture: Texture, name: str, shape: tuple[int, ...]) -> None:
     with pytest.raises(ValueError, match=rf"tensor '{name}' has shape \({shape[0]}.*expected"):
         texture_from_bytes(with_tensor(texture, name, np.zeros(shape)))
-
-
-@pytest.mark.parametrize(
-    "name", ["warm_start", "golden.windows", "golden.one_step", "golden.condition", "golden.closed_loop"]
-)
-def test_the_proof_cannot_be_left_out(texture: Texture, name: str) -> None:
-    tensors = {other: tensor for other, tensor in texture.tensors.items() if other != name}
-    with pytest.raises(ValueError, match=f"tensor '{name}' has shape None|proves nothing"):
-        texture_from_bytes(raw(dict(texture.card), tensors))
-
-
-@pytest.mark.parametrize(
-    ("fields", "match"),
-    [
-        ({"sizes": {"n_hidden": 0}}, "n_hidden is 0"),
-        ({"trained_range": {"speed": ["a", "b"], "force": [0, 1]}}, "trained range of speed"),
-        ({"trained_range": {"speed": [None, 1], "force": [0, 1]}}, "trained range of speed"),
-        ({"scaling": {"mean": ["a", 0, 0], "sd": [1, 1, 1]}}, "three means"),
-        ({"scaling": {"mean": [None, 0, 0], "sd": [1, 1, 1]}}, "three means"),
-        ({"rate_hz": 10**400}, "expected a positive number"),
-    ],
-)
-def test_a_card_of_wrong_types_is_a_value_error(texture: Texture, fields: dict, match: str) -> None:
-    with pytest.raises(ValueError, match=match):
-        texture_from_bytes(raw({**texture.card, **fields}, dict(texture.tensors)))
 
 
 def test_an_unknown_tensor_is_refused(plain_texture: Texture) -> None:
@@ -272,7 +228,7 @@ def test_an_unknown_tensor_is_refused(plain_texture: Texture) -> None:
         texture_from_bytes(raw(dict(plain_texture.card), tensors))
 
 
-@pytest.mark.parametrize("key", TRAINABLE)
+@pytest.mark.parametrize("key", [*MODELS, "fnn", "gan"])
 def test_every_tensor_is_needed(key: str) -> None:
     """By whoever reads the file, and by the kernel."""
     texture = exported(key)
@@ -308,13 +264,6 @@ def test_a_damaged_header_is_a_value_error_or_none(texture: Texture, position: f
         texture_from_bytes(bytes(data))
 
 
-def test_a_failing_write_leaves_nothing_behind(texture: Texture, tmp_path: Path) -> None:
-    unwritable = dataclasses.replace(texture, card={**texture.card, "training": {"loss": float("nan")}})
-    with pytest.raises(ValueError, match="JSON compliant"):
-        write_texture(unwritable, tmp_path / "a.foten")
-    assert list(tmp_path.iterdir()) == []
-
-
 def test_a_failing_write_keeps_what_was_there(
     texture: Texture, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -335,17 +284,6 @@ def test_a_failing_write_keeps_what_was_there(
         write_texture(texture, path)
     assert path.read_bytes() == before
     assert [p.name for p in tmp_path.iterdir()] == ["a.foten"]
-
-
-def test_a_header_whose_length_begins_like_a_pickle_is_read(texture: Texture) -> None:
-    """Notes of every length in a row give headers of every length mod 256, 0x80 among them."""
-    first_bytes = set()
-    for n in range(0, 256, 8):
-        padded = Texture({**texture.card, "notes": "x" * n}, texture.tensors)
-        data = padded.to_bytes()
-        first_bytes.add(data[0])
-        assert texture_from_bytes(data).card["notes"] == "x" * n
-    assert 0x80 in first_bytes
 
 
 DEEP = "[" * 100_000

@@ -10,9 +10,9 @@ from conftest import PLUS, SCALING, exported
 from foten.dsp.tones import anti_alias_gain, fitted_phase, tone, tone_slope
 from foten.models.definitions import model_of
 from foten.models.foten_plus.definition import FotenPlus
-from foten.models.foten_plus.lattice_fit import LatticeData
+from foten.models.foten_plus.linear_model import LatticeData
 from foten.models.foten_plus.sizes import FotenPlusSizes
-from foten.models.foten_plus.tones_fit import _period_jitter, fit_tones, n_tones, wavelength
+from foten.models.foten_plus.tones_fit import _period_jitter, fit_tones, n_multiples, wavelength
 from foten.models.texture_file import Texture
 from foten.runtime.loops import run_loops
 from foten.runtime.native import NativeTexture
@@ -83,9 +83,9 @@ def test_a_wavelength_is_recovered_and_none_from_noise() -> None:
 
 
 def test_the_multiples_stay_below_the_rate() -> None:
-    assert n_tones(1.0, np.full(9, 100.0), 1000.0) == 4  # 100 Hz; 450 Hz is within the band
-    assert n_tones(0.1, np.full(9, 100.0), 1000.0) == 1
-    assert n_tones(10.0, np.full(9, 100.0), 1000.0) == 6
+    assert n_multiples(1.0, np.full(9, 100.0), 1000.0) == 4  # 100 Hz; 450 Hz is within the band
+    assert n_multiples(0.1, np.full(9, 100.0), 1000.0) == 1
+    assert n_multiples(10.0, np.full(9, 100.0), 1000.0) == 6
 
 
 def test_tones_are_recovered_under_noise_and_jitter() -> None:
@@ -117,7 +117,7 @@ def test_a_rendering_goes_on_where_the_recording_was() -> None:
     m, n = texture.window, 12
     physical = np.array([120.0, 1.0])
     scaled = np.broadcast_to((physical - SCALING.mean[1:]) / SCALING.sd[1:], (4, m + n, 2))
-    condition = model.with_path(scaled)
+    condition = model.with_speed(scaled)
     start = np.array([0.2, 1.9, 3.3, 5.5])[:, None]
     phase = start + 2 * np.pi / 2.5 / RATE * 120.0 * np.arange(m + n)
     coefficients = model.tones.coefficients(condition.reshape(-1, 3)).reshape(4, m + n, -1)
@@ -156,7 +156,7 @@ def test_a_rendering_forgets_the_window_that_it_started_from(period_jitter: floa
     n = 5000
     speed = 90 + 60 * np.sin(np.arange(n) / 300)
     physical = np.stack([speed, np.full(n, 1.0)], axis=1)
-    condition = model.with_path((physical - SCALING.mean[1:]) / np.array(SCALING.sd[1:]))
+    condition = model.with_speed((physical - SCALING.mean[1:]) / np.array(SCALING.sd[1:]))
     noise = np.tile(rng.standard_normal(n), (3, 1))
     out = run_loops(NativeTexture(texture.to_bytes()), windows, np.tile(condition, (3, 1, 1)), noise)
     apart = np.abs(out - out[0]).max(axis=0)

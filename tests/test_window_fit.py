@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import torch
 
-from foten.baselines.networks import build
+from foten.baselines.graph import build
 from foten.models.foten.sizes import FotenSizes
 from foten.training.config import TrainConfig
 from foten.training.dropout import Dropout, set_dropout
@@ -91,13 +91,3 @@ def test_a_resumed_training_draws_the_same_order_and_the_same_dropout(tmp_path: 
     assert [line.validation_loss for line in again.epochs] == [line.validation_loss for line in log.epochs]
     for name, tensor in expected.state_dict().items():
         assert torch.equal(tensor, resumed.state_dict()[name]), name
-
-
-def test_an_outlier_is_named_by_the_windows_that_see_it() -> None:
-    samples = np.random.default_rng(0).standard_normal((400, 3))
-    samples[50, 0] = np.inf  # of a training window alone
-    with pytest.raises(ValueError, match="the training loss is not finite"):
-        fit_windows(untrained(), windows_of(samples), QUICK, Monitor())
-    samples[350, 0] = np.nan
-    with pytest.raises(ValueError, match="the validation loss is not finite"):
-        fit_windows(untrained(), windows_of(samples), QUICK, Monitor())

@@ -18,7 +18,7 @@ static inline double clip(double x, double limit) { return x > limit ? limit : x
 /* Sizes: their limits, and what holds where a card does not name one. */
 #define FOTEN_MAX_COUNT 65536           /* foten.models.model_sizes.MAX_COUNT */
 #define FOTEN_MAX_WINDOW 512            /* foten.models.model_sizes.MAX_WINDOW */
-#define FOTEN_MAX_GRAPH_WINDOW 4096     /* foten.models.graph_sizes.MAX_GRAPH_WINDOW */
+#define FOTEN_MAX_GRAPH_WINDOW 4096     /* foten.models.registry.MAX_GRAPH_WINDOW */
 #define FOTEN_MAX_AR_ORDER 40           /* foten.models.piecewise_ar.sizes.MAX_AR_ORDER */
 #define FOTEN_USUAL_WINDOW 20           /* foten.models.foten.sizes.FotenSizes.window */
 #define FOTEN_USUAL_PLUS_WINDOW 40      /* foten.models.foten_plus.sizes.FotenPlusSizes.window */
@@ -67,11 +67,11 @@ static inline double clip(double x, double limit) { return x > limit ? limit : x
 #define FOTEN_N_INPUTS 5                     /* foten.models.foten_plus.sizes.N_INPUTS */
 #define FOTEN_N_PHASE_INPUTS 4               /* foten.models.foten_plus.sizes.N_PHASE_INPUTS */
 #define FOTEN_LOG_SCALE_LIMIT 6.0            /* foten.models.foten_plus.sizes.LOG_SCALE_LIMIT */
-#define FOTEN_MAX_NEWTON_STEPS 60            /* foten.models.foten_plus.innovation_network.MAX_NEWTON_STEPS */
-#define FOTEN_NEWTON_PRECISION 1e-14         /* foten.models.foten_plus.innovation_network.NEWTON_PRECISION */
+#define FOTEN_MAX_NEWTON_STEPS 60            /* foten.models.foten_plus.definition.MAX_NEWTON_STEPS */
+#define FOTEN_NEWTON_PRECISION 1e-14         /* foten.models.foten_plus.definition.NEWTON_PRECISION */
 
 /* How a stream begins. */
-#define FOTEN_FIRST_INITIAL 0x8000000000000000 /* foten.models.render_definition.FIRST_INITIAL */
+#define FOTEN_FIRST_INITIAL 0x8000000000000000 /* foten.models.definitions.FIRST_INITIAL */
 #define FOTEN_MAX_INITIAL 50.0                 /* foten.models.window_model.MAX_INITIAL */
 #define FOTEN_SETTLING_SAMPLES 256             /* foten.models.piecewise_ar.definition.SETTLING_SAMPLES */
 #define FOTEN_MAX_INNOVATION 100.0             /* foten.models.piecewise_ar.definition.MAX_INNOVATION */

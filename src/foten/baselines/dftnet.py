@@ -13,7 +13,7 @@ from foten.training.dropout import Dropout
 
 
 class Spectrum(nn.Module):
-    """What the hand did → the log magnitudes of a frame around now: a perceptron of three hidden layers."""
+    """Past speeds and forces → the log magnitudes of a frame around now: a perceptron of three hidden layers."""
 
     def __init__(self, sizes: DftnetSizes) -> None:
         super().__init__()

@@ -10,25 +10,21 @@ import numpy as np
 import torch
 from torch import nn
 
-from foten.baselines.gan_fit import fit_adversarial
-from foten.baselines.graph import graph_of, in_float64, multiply_adds
-from foten.baselines.graph_model import NoiseModel
-from foten.baselines.networks import build
+from foten.baselines.gan import fit_adversarial
+from foten.baselines.graph import build, graph_of, in_float64, multiply_adds
 from foten.baselines.noise_filter import log_magnitudes
 from foten.baselines.sizes import BaselineSizes, HapinfSizes, NoiseModelSizes
 from foten.models.excitation import Excitation
-from foten.models.graph_sizes import GRAPH
 from foten.models.model_sizes import ModelSizes
+from foten.models.registry import GRAPH
 from foten.models.stream import Model
-from foten.models.window_model import WindowModel
+from foten.models.window_model import NoiseModel, WindowModel
 from foten.runtime.onnx_predictor import INPUT, NOISE
-from foten.training.blocks import ScaledBlocks
 from foten.training.config import TrainConfig
-from foten.training.job import Trained, TrainingJob, check_block
+from foten.training.job import ScaledBlocks, Trained, TrainingJob, check_block
 from foten.training.loop import Monitor, pick_device
-from foten.training.one_step import Packed, fit_one_step, one_step_texture, one_step_windows
 from foten.training.texture_builder import Tensors
-from foten.training.window_fit import TrainingWindows, fit_windows, predict
+from foten.training.window_fit import Packed, TrainingWindows, fit_windows, one_step_texture, one_step_windows, predict
 
 _AT_ONCE = 65536  # frames
 
@@ -52,13 +48,14 @@ def fit(job: TrainingJob, monitor: Monitor) -> Trained:
     if job.model == "gan":  # stays on the CPU
         progress = fit_adversarial(network, m, blocks, job.config, monitor)
         packed = noise_graph(network, job.sizes, progress.best.validation_mae)
-        return one_step_texture(job, blocks, network, progress, packed, monitor)
-    network.to(pick_device())
-    if job.model == "dftnet":
+    elif job.model == "dftnet":
+        network.to(pick_device())
         progress = fit_windows(network.spectrum, log_spectra(windows, blocks), job.config, monitor)
         packed = noise_graph(network, job.sizes, progress.best.validation_mae)
-        return one_step_texture(job, blocks, network, progress, packed, monitor)
-    return fit_one_step(job, blocks, network, windows, lambda trained: one_step_graph(trained, job.sizes), monitor)
+    else:
+        progress = fit_windows(network.to(pick_device()), windows, job.config, monitor)
+        packed = one_step_graph(network, job.sizes)
+    return one_step_texture(job, blocks, network, progress, packed, monitor)
 
 
 def one_step_graph(network: nn.Module, sizes: ModelSizes) -> Packed:
@@ -73,18 +70,16 @@ def one_step_graph(network: nn.Module, sizes: ModelSizes) -> Packed:
     return Packed(sizes.in_file(), {GRAPH: graph}, definition, {"multiply_adds": cost})
 
 
-def noise_graph(network: nn.Module, sizes: ModelSizes, distance_nat: float) -> Packed:
-    """A network that makes samples from noise as the graph of a texture file; its spectra miss the recorded by a distance."""
+def noise_graph(network: nn.Module, sizes: ModelSizes, spectrum_error_nat: float) -> Packed:
+    """A network that makes samples from noise as the graph of a texture file; with the error of its mean log spectra [nat]."""
     assert isinstance(sizes, NoiseModelSizes)
     in_double = in_float64(network)
 
     def definition(in_file: ModelSizes, tensors: Tensors) -> Model:
         return NoiseModel(in_double, in_file.window)
 
-    metrics: dict[str, Any] = {
-        "validation_mae_scaled": None,
-        "validation_spectrum_db": 20 / math.log(10) * distance_nat,
-    }
+    error_db = 20 / math.log(10) * spectrum_error_nat
+    metrics: dict[str, Any] = {"validation_mae_scaled": None, "validation_spectrum_db": error_db}
     metrics["multiply_adds"] = multiply_adds(network, sizes.window)
     return Packed(sizes.in_file(), {GRAPH: graph_of(network, sizes.window, name=NOISE)}, definition, metrics)
 

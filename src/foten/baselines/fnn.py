@@ -20,9 +20,8 @@ class Fnn(nn.Module):
 
     Causal low-passes and what they leave split the vibration into bands that add up to it, without delay.
 
-    Source: Shin, Osgouei, Kim and Choi, World Haptics 2015, of which only the abstract was available ("frequency bands", "past
-    output", "velocity and force"): our re-implementation. All bands are trained at once on the error of their sum, and on its own
-    output it hears that sum through the bands' filters.
+    Source: Shin, Osgouei, Kim and Choi, World Haptics 2015, of which only the abstract was available: our re-implementation. All
+    bands are trained at once on the error of their sum.
     """
 
     def __init__(self, sizes: FnnSizes) -> None:

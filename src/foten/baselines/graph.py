@@ -1,4 +1,4 @@
-"""Networks of PyTorch as ONNX graphs, and what a graph costs."""
+"""Networks of PyTorch by their model's key, as ONNX graphs; what a graph costs; the model of a graph."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import copy
 import io
 import warnings
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import torch
@@ -13,13 +14,44 @@ from numpy.typing import NDArray
 from torch import nn
 from torch.utils.flop_counter import FlopCounterMode
 
-from foten.baselines.networks import NETWORKS, build
+from foten.baselines.dftnet import Dftnet
+from foten.baselines.dstn import Dstn
+from foten.baselines.fnn import Fnn
+from foten.baselines.gan import Gan
+from foten.baselines.hapinf import Hapinf
+from foten.baselines.ldhtd import Ldhtd
+from foten.baselines.ten_variants import FotenD, TenMfcc, TenWavelet
 from foten.dsp import Array
+from foten.models.excitation import Excitation
+from foten.models.foten.network import Foten
 from foten.models.foten_plus.network import InnovationNetwork, NextInnovation
 from foten.models.foten_plus.sizes import N_INPUTS, FotenPlusSizes
-from foten.models.graph_sizes import GRAPH
+from foten.models.model_sizes import ModelSizes
+from foten.models.registry import GRAPH
+from foten.models.stream import Model
 from foten.models.texture_file import Texture
-from foten.runtime.onnx_predictor import INPUT, OUTPUT
+from foten.models.window_model import NoiseModel, WindowModel
+from foten.runtime.onnx_predictor import INPUT, OUTPUT, OnnxPredictor
+
+NETWORKS: dict[str, Callable[[Any], nn.Module]] = {
+    "foten-plus": InnovationNetwork,
+    "foten": Foten,
+    "ten": Foten,
+    "ten-mfcc": TenMfcc,
+    "ten-wavelet": TenWavelet,
+    "foten-d": FotenD,
+    "fnn": Fnn,
+    "dstn": Dstn,
+    "hapinf": Hapinf,
+    "ldhtd": Ldhtd,
+    "dftnet": Dftnet,
+    "gan": Gan,
+}
+
+
+def build(model: str, sizes: ModelSizes) -> nn.Module:
+    """A new network of the given model and sizes, drawn from PyTorch's current seed."""
+    return NETWORKS[model](sizes)
 
 
 def in_float64(network: nn.Module) -> Callable[[Array], Array]:
@@ -81,3 +113,12 @@ def multiply_adds(network: nn.Module, m: int) -> int:
         with torch.no_grad(), torch.backends.mkldnn.flags(enabled=False), FlopCounterMode(display=False) as counter:
             copy.deepcopy(network).cpu().float().eval().requires_grad_(False)(torch.zeros(1, m, 3))
     return int(counter.get_total_flops()) // 2
+
+
+def model_of_graph(texture: Texture) -> Model:
+    """The model of a texture's graph, run by ONNX Runtime."""
+    predictor = OnnxPredictor(texture.sizes, texture.tensors)
+    if predictor.takes_noise:
+        return NoiseModel(predictor.predict, predictor.window)
+    excitation = Excitation.of(texture.tensors) if texture.sizes.excited else None
+    return WindowModel(predictor.predict, predictor.window, excitation)

@@ -14,9 +14,8 @@ from foten.training.dropout import Dropout
 class Hapinf(nn.Module):
     """Tokens of acceleration, speed and force are encoded; a decoder begins with the last of them and asks for the next sample.
 
-    Source: Informer (Zhou et al., AAAI 2021) as far as a window of 20 samples leaves something of it: the decoder's known
-    beginning and one placeholder for what is to be predicted. Its sparse attention would choose among 20 tokens, and is left
-    out. No source of HapInf [20] itself was available: our re-implementation.
+    Source: Informer (Zhou et al., AAAI 2021), without its sparse attention, which has no use in a window of 20 samples. No source
+    of HapInf [20] itself was available: our re-implementation.
     """
 
     def __init__(self, sizes: HapinfSizes) -> None:
@@ -39,8 +38,8 @@ class Hapinf(nn.Module):
         memory = self.dropout(self.embedding(windows) + positions[:m])
         for layer in self.encoder:
             memory = layer(memory)
-        # The placeholder holds the last known hand and no acceleration.
-        asked = torch.cat([torch.zeros_like(windows[:, -1:, :1]), windows[:, -1:, 1:]], dim=2)
-        decoded = torch.cat([windows[:, m - self.sizes.n_start :], asked], dim=1)
+        # A placeholder of the last known speed and force, and no acceleration.
+        placeholder = torch.cat([torch.zeros_like(windows[:, -1:, :1]), windows[:, -1:, 1:]], dim=2)
+        decoded = torch.cat([windows[:, m - self.sizes.n_start :], placeholder], dim=1)
         tokens = self.dropout(self.embedding(decoded) + positions[m - self.sizes.n_start :])
         return self.out(self.decoded(self.decoder(tokens, self.encoded(memory))[:, -1]))[:, 0]

@@ -1,4 +1,4 @@
-"""LDHTD [20], the student: a recurrent encoder of the hand and one decoder layer over the acceleration."""
+"""LDHTD [20], the student: a recurrent encoder of speed and force and one decoder layer over the acceleration."""
 
 from __future__ import annotations
 
@@ -12,11 +12,10 @@ from foten.training.dropout import Dropout
 
 
 class Ldhtd(nn.Module):
-    """What the hand did goes through an LSTM; tokens of the acceleration attend to it, and the last gives the next sample.
+    """Speed and force go through an LSTM; tokens of the acceleration attend to it, and the last gives the next sample.
 
     Source: the paper's account of [20], "LSTM-based encoder for action inputs" and "lightweight Transformer-based decoder";
-    sizes are our choice: our re-implementation. The code that its authors published is another system (images of the surface,
-    200 samples at once).
+    sizes are our choice: our re-implementation. The code that its authors published is another system.
     """
 
     def __init__(self, sizes: LdhtdSizes) -> None:

@@ -20,10 +20,8 @@ class NoiseFilter(nn.Module):
     """Noise through the filter whose output has, on the mean, the log magnitudes that are asked for under a Hann window.
 
     The magnitudes of Gaussian noise under a window scatter: the mean of their logarithms lies γ/2 below that of their mean square
-    (γ is Euler's constant), at zero and at half of the rate, where there is no imaginary part, (γ + log 2)/2. What is added here
-    is that, so that a model of logarithms is not 2.5 dB too soft. The filter has as many taps as the frame has samples, and no
-    phase. Equal to overlapping frames of these magnitudes and random phases, one begun at every sample. What is narrower than a
-    few bins is as broad as the window leaves it, and looked at through a window broader still.
+    (γ is Euler's constant), at zero and at half of the rate, where there is no imaginary part, (γ + log 2)/2. That is added here.
+    The filter has as many taps as the frame has samples, and no phase.
     """
 
     def __init__(self, n: int) -> None:

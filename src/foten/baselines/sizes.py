@@ -10,9 +10,8 @@ from dataclasses import dataclass
 from typing import Any, ClassVar
 
 from foten.models.foten.sizes import SpectralSizes, TransformerSizes
-from foten.models.graph_sizes import MAX_GRAPH_WINDOW, GraphSizes
 from foten.models.model_sizes import ModelSizes, check_heads
-from foten.models.registry import MODELS, checked_sizes
+from foten.models.registry import MAX_GRAPH_WINDOW, MODELS, GraphSizes, checked_sizes
 
 
 @dataclass(frozen=True)

@@ -57,7 +57,7 @@ def evaluate(
 
 def info(texture_file: TextureFile, as_json: JsonOption = False) -> None:
     """Show what a texture file holds, and prove it on its golden windows."""
-    from foten.models.graph_sizes import GRAPH
+    from foten.models.registry import GRAPH
     from foten.models.texture_file import read_texture
     from foten.runtime.native import NativeTexture
 

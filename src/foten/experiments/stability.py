@@ -18,13 +18,13 @@ from typing import Any
 
 import numpy as np
 
-from foten.baselines.graph_model import model_of_graph
+from foten.baselines.graph import model_of_graph
 from foten.dsp import Array
 from foten.dsp.lattice import LEAK
 from foten.evaluate.free_run import render_strokes
 from foten.models.definitions import model_of
 from foten.models.foten_plus.sizes import FotenPlusSizes
-from foten.models.graph_sizes import GRAPH
+from foten.models.registry import GRAPH
 from foten.models.texture_file import Texture
 from foten.runtime.loops import run_loops
 from foten.runtime.native import NativeTexture

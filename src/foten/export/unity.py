@@ -11,7 +11,7 @@ from pathlib import Path
 
 from foten.atomic_write import atomic_write
 from foten.export.c_header import identifier
-from foten.models.graph_sizes import GraphSizes
+from foten.models.registry import GraphSizes
 from foten.models.texture_file import Texture
 from foten.runtime.binding import LIBRARIES, kernel_file
 

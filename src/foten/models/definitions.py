@@ -1,13 +1,19 @@
-"""The definition of any model that the kernel runs: NumPy, float64, written to be read.
+"""The definition of any model that the kernel runs, and its rendering: NumPy, float64, written to be read.
 
 Training makes golden samples with it, and tests hold the kernel against it; nothing that a user calls renders with it.
 """
 
+from __future__ import annotations
+
 from collections.abc import Mapping
 from typing import Any
 
+import numpy as np
 from numpy.typing import NDArray
 
+from foten.dsp import Array
+from foten.dsp.noise import gaussian
+from foten.models.conditions import EXTRAPOLATION_LIMIT, FADE_FORCE, FADE_SPEED
 from foten.models.excitation import Excitation
 from foten.models.foten.definition import Network
 from foten.models.foten.sizes import TransformerSizes
@@ -16,7 +22,8 @@ from foten.models.foten_plus.sizes import FotenPlusSizes
 from foten.models.model_sizes import ModelSizes
 from foten.models.piecewise_ar.definition import PiecewiseAr
 from foten.models.piecewise_ar.sizes import PiecewiseArSizes
-from foten.models.stream import Model
+from foten.models.stream import Model, run
+from foten.models.texture_file import Texture
 from foten.models.window_model import WindowModel
 
 
@@ -28,3 +35,55 @@ def model_of(sizes: ModelSizes, tensors: Mapping[str, NDArray[Any]]) -> Model:
         return PiecewiseAr(sizes, tensors)
     assert isinstance(sizes, TransformerSizes)
     return WindowModel(Network(sizes, tensors), sizes.window, Excitation.of(tensors) if sizes.excited else None)
+
+
+FIRST_INITIAL = 2**63  # the first of the noise numbers that streams begin with: no rendering lasts that long
+
+
+def render(
+    texture: Texture,
+    speed: Array,
+    force: Array,
+    seed: int = 0,
+    n_streams: int = 1,
+    excitation: bool = True,
+    model: Model | None = None,
+) -> Array:
+    """Acceleration of a stroke from its beginning [m/s²], shape (n_streams, n).
+
+    The closed loop times a fade that falls linearly to zero, with speed below the trained range (at least below 5 mm/s) and with
+    force likewise (at least below 0.1 N). Where the gain comes before the lattice it is what enters that fades, and what rang
+    rings out. Above the trained range the loop keeps to its end, tones go on with the path, and the level grows by a power
+    law of the training blocks, up to twice the range, or is held where they gave none.
+
+    Differs from the paper: it clamps to the recorded range on both sides (Sec. VIII), and so vibrates at rest.
+
+    Args:
+        speed, force: at the texture's rate [mm/s, N], shape (n,).
+        seed, n_streams: of the noise; stream k of it is stream k here.
+        excitation: False runs the deterministic loop from the warm start.
+        model: of a graph; the definition of the texture's own by default.
+    """
+    names = ("speed", "force")
+    low, high = np.array([texture.trained_range(name) for name in names]).T
+    exponents = np.array([texture.extrapolation_exponent(name) for name in names])
+    scaling = texture.scaling
+    physical = np.stack([speed, force], axis=1)
+    extrapolated = np.minimum(physical, EXTRAPOLATION_LIMIT * high)
+    scaled = (np.clip(physical, low, high) - scaling.mean[1:]) / np.array(scaling.sd[1:])
+    condition = np.repeat(np.concatenate([scaled, extrapolated[:, :1]], axis=1)[None], n_streams, axis=0)
+    model = model or model_of(texture.sizes, texture.tensors)
+    warm_start = texture.tensors["warm_start"].astype(np.float64)
+    stream = model.start(np.repeat(warm_start[None], n_streams, axis=0))
+    random = excitation and texture.has_excitation
+    fade = np.minimum(physical / np.maximum(low, [FADE_SPEED, FADE_FORCE]), 1.0).prod(axis=1)
+
+    def noise(first: int, n: int) -> Array:
+        return np.stack([gaussian(seed, k, first, n) for k in range(n_streams)])
+
+    if random and len(speed):
+        stream.begin(condition[:, 0], noise(FIRST_INITIAL, stream.n_initial), float(fade[0]))
+    drawn = noise(0, len(speed)) if random else None
+    vibration = run(stream, condition, drawn, float(texture.card["saturation"]), fade)
+    growth = (np.maximum(extrapolated / high, 1.0) ** exponents).prod(axis=1)
+    return (vibration * scaling.sd[0] + scaling.mean[0] * fade) * growth

@@ -1,8 +1,6 @@
-"""The random part of a model, and what it is made of: standard deviations over speed and force.
+"""The random part of a model: σ(v, f) z, z standard normal, at most the innovation limit.
 
-The excitation is σ(v, f) z, z standard normal, at most the innovation limit. The paper has none.
-
-Source: ours; why it is needed is in docs/model.md.
+Source: ours, the paper has none; why it is needed is in docs/model.md.
 """
 
 from __future__ import annotations
@@ -16,11 +14,11 @@ from numpy.typing import NDArray
 
 from foten.dsp import Array
 from foten.models.model_sizes import ModelSizes, Shapes
-from foten.models.stream import Prediction
-from foten.models.weights import Weights
+from foten.models.stream import Prediction, Weights
 
 N_FEATURES = 4  # of the network in log σ: scaled speed and force, and their logarithms
 N_POWERS = 5  # x, y, x², xy, y² of the logarithms
+MAX_SIGMA = 1e6  # of a scale that nothing bounds
 
 
 @dataclass(frozen=True)
@@ -73,8 +71,7 @@ class Scale:
 
         log σ = q · exponents + out · tanh(hidden · u) + bias,   at most log sigma_max
 
-    with x, y = log((v + floor) / (v̄ + floor)), likewise of f; q = (x, y, x², xy, y²), and u = (v, f scaled, x, y). The level of a
-    texture is near a power law, and falls by a factor of ten where speed, in standard deviations, hardly changes.
+    with x, y = log((v + floor) / (v̄ + floor)), likewise of f; q = (x, y, x², xy, y²), and u = (v, f scaled, x, y).
     """
 
     hidden_weight: Array  # (width, 4)
@@ -91,11 +88,11 @@ class Scale:
     def of(cls, tensors: Mapping[str, NDArray[Any]], prefix: str) -> Scale:
         """The scale whose tensors have names under a prefix, such as ``lattice.level.``."""
         weights = Weights(tensors, prefix)
-        return cls(**{name: weights[_tensor(name)] for name in _parts(cls)})
+        return cls(**{field.name: weights[_tensor(field.name)] for field in fields(cls)})
 
     def tensors(self, prefix: str) -> dict[str, NDArray[np.float32]]:
         """Its tensors as a texture file has them."""
-        return {prefix + _tensor(name): getattr(self, name).astype(np.float32) for name in _parts(type(self))}
+        return {prefix + _tensor(name): value.astype(np.float32) for name, value in vars(self).items()}
 
     def __call__(self, condition: Array) -> Array:
         """σ at speeds and forces: (n, 2) scaled → (n,)."""
@@ -115,18 +112,10 @@ class Scale:
     def bounded(self, condition: Array) -> Scale:
         """The same, nowhere above its 97th percentile over conditions (n, 2) scaled, those of the training blocks.
 
-        Ten minutes on simulated jeans peak at 13.0 standard deviations with the 99th percentile, at 11.4 with the 97th; the
-        recording reaches 11.1.
+        Ten minutes on simulated jeans peak at 11.4 standard deviations with it, at 13.0 with the 99th; the recording at 11.1.
         """
         free = replace(self, sigma_max=np.array([MAX_SIGMA]))
         return replace(free, sigma_max=np.quantile(free(condition), [0.97]))
-
-
-MAX_SIGMA = 1e6  # of a scale that nothing bounds
-
-
-def _parts(kind: type) -> tuple[str, ...]:
-    return tuple(field.name for field in fields(kind))
 
 
 def _tensor(name: str) -> str:
@@ -141,11 +130,7 @@ def powers(logs: Array) -> Array:
 
 @dataclass(frozen=True)
 class Excitation:
-    """σ(v, f), in units of what it excites, and the largest innovation, in units of σ and in scaled acceleration.
-
-    No innovation is larger than what was recorded, in either unit: a rare shock of a slow stroke would be beyond all that was
-    recorded in a fast and firm one.
-    """
+    """σ(v, f), in units of what it excites, and the largest recorded innovation, in units of σ and in scaled acceleration."""
 
     sigma: Scale
     innovation_limit: tuple[float, float]

@@ -3,14 +3,29 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import fields
-from typing import Any
+from dataclasses import dataclass, fields
+from typing import Any, ClassVar
 
+from foten.models.excitation import WithExcitation
 from foten.models.foten.sizes import FotenSizes, TenSizes
 from foten.models.foten_plus.sizes import FotenPlusSizes
-from foten.models.graph_sizes import GraphSizes
-from foten.models.model_sizes import ModelSizes, shortened
+from foten.models.model_sizes import ModelSizes, Shapes, shortened
 from foten.models.piecewise_ar.sizes import PiecewiseArSizes
+
+GRAPH = "graph"  # the tensor that holds one, as bytes
+MAX_GRAPH_WINDOW = 4096  # samples
+
+
+@dataclass(frozen=True)
+class GraphSizes(WithExcitation):
+    """What a texture file says of a graph's sizes; what the graph is made of is its own."""
+
+    max_window: ClassVar[int] = MAX_GRAPH_WINDOW
+
+    def tensor_shapes(self) -> Shapes:
+        """The graph, and the excitation where there is one."""
+        return {GRAPH: (None,), **super().tensor_shapes()}
+
 
 MODELS: dict[str, type[ModelSizes]] = {
     "foten-plus": FotenPlusSizes,

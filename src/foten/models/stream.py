@@ -1,22 +1,41 @@
-"""What the definition of a model offers, and its closed loop (Sec. V); all scaled."""
+"""What the definition of a model is made of and offers: tensors by name, streams, their closed loop (Sec. V); all scaled."""
 
 from __future__ import annotations
 
-from typing import NamedTuple, Protocol
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from foten.dsp import Array
 
+if TYPE_CHECKING:
+    from foten.models.foten_plus.definition import Mixture
 
-class Distribution(Protocol):
-    """How the next innovation of s streams is distributed."""
 
-    def expected(self) -> Array:
-        """Its means, (s,)."""
+class Weights(dict[str, Array]):
+    """The tensors of a texture file under one prefix, in float64, and the two maps that every network has of them."""
 
-    def quantile(self, noise: Array) -> Array:
-        """The values below which lies Φ(z), for standard normal numbers z (s,)."""
+    def __init__(self, tensors: Mapping[str, NDArray[Any]], prefix: str) -> None:
+        under = {name.removeprefix(prefix): tensor for name, tensor in tensors.items() if name.startswith(prefix)}
+        super().__init__({name: np.asarray(tensor, dtype=np.float64) for name, tensor in under.items()})
+
+    def __missing__(self, name: str) -> Array:
+        raise ValueError(f"the texture file has no tensor {name!r}")
+
+    def linear(self, name: str, values: Array) -> Array:
+        weight, bias = self[f"{name}.weight"], self[f"{name}.bias"]
+        if values.shape[-1] == 1:
+            return values * weight[:, 0] + bias
+        # One large product is faster than NumPy's loop over a stack of small ones.
+        flat = values.reshape(-1, values.shape[-1]) @ weight.T + bias
+        return flat.reshape(*values.shape[:-1], -1)
+
+    def norm(self, name: str, values: Array) -> Array:
+        centred = values - values.mean(axis=-1, keepdims=True)
+        variance = np.square(centred).mean(axis=-1, keepdims=True)
+        return centred / np.sqrt(variance + 1e-5) * self[f"{name}.weight"] + self[f"{name}.bias"]
 
 
 class Prediction(NamedTuple):
@@ -25,9 +44,7 @@ class Prediction(NamedTuple):
     sample: Array
     scale: Array | None = None  # by how much a unit of excitation moves it; None for no excitation
     innovation_limit: tuple[float, float] = (np.inf, np.inf)  # in units of the scale, and of scaled acceleration
-    mixture: Distribution | None = (
-        None  # of the innovation, in units of the scale, its mean in the sample; None for noise
-    )
+    mixture: Mixture | None = None  # of the innovation, in units of the scale, its mean in the sample; None for noise
     # Where near rest what enters a lattice fades, and not what leaves it: the sample without innovation, and the tones in it.
     linear: Array | None = None
     tone: Array | float = 0.0
@@ -73,13 +90,13 @@ class Stream(Protocol):
         """How many numbers of noise a stream takes to `begin`."""
 
     def begin(self, condition: Array, noise: Array, fade: float = 1.0) -> None:
-        """Take a state as after a long time under one condition (s, 3), whatever was before; standard normal (s, n_initial)."""
+        """Take a state as after a long time under one condition (s, 3), of standard normal numbers (s, n_initial)."""
 
     def predict(self) -> Prediction:
         """The next samples, shape (s,)."""
 
     def push(self, sample: Array, condition: Array, noise: Array | None) -> None:
-        """Take in the next samples (s,), the condition (s, 3) that goes with them, and the noise in them."""
+        """Take in the next samples (s,), their condition (s, 3), and the noise that was in them, (s,) or None."""
 
 
 class Model(Protocol):
@@ -98,8 +115,7 @@ def run(
     """n samples of each stream's closed loop, shape (s, n).
 
     A sample is predicted under the condition of the one before (Eq. 1). What the saturator cuts off is cut from what leaves; a
-    bounded stream goes on from its uncut sample, since the innovation of a cut one would be as large as the cut over the gain of
-    the lattice.
+    bounded stream goes on from its uncut sample.
 
     Args:
         condition: of each sample, shape (s, n, 3).

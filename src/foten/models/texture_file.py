@@ -29,9 +29,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from foten.atomic_write import atomic_write
-from foten.models.graph_sizes import GRAPH
 from foten.models.model_sizes import ModelSizes, shortened
-from foten.models.registry import MODELS, sizes_of
+from foten.models.registry import GRAPH, MODELS, sizes_of
 from foten.recording.preprocess import PreprocessConfig
 from foten.recording.recording import RELATIVE, UNITS
 from foten.recording.scaling import Scaling
@@ -55,10 +54,7 @@ _CARD: Mapping[type | tuple[type, ...], str] = {
     (dict, type(None)): "split",
 }
 """What a card must hold, by JSON type; a texture that was not trained here has no split."""
-_VALIDATED = (
-    "validation_mae_scaled",
-    "validation_spectrum_db",
-)  # of which a trained model has one: it predicts samples, or spectra
+_VALIDATED = ("validation_mae_scaled", "validation_spectrum_db")  # of which a trained model has one
 
 
 @dataclass(frozen=True)
@@ -115,11 +111,11 @@ class Texture:
 
     def extrapolation_in_words(self) -> str:
         """How the level goes on above the trained range: where it grows, and where and why it is held."""
-        powers = {name: self.extrapolation_exponent(name) for name in ("speed", "force")}
+        powers, model = {name: self.extrapolation_exponent(name) for name in ("speed", "force")}, self.card["model"]
         grows = " and ".join(f"{name}^{power:.2g}" for name, power in powers.items() if power)
         held = " and ".join(name for name, power in powers.items() if not power)
-        ours = self.card["model"] == "foten-plus"
-        why = "no growth could be learned from the recording" if ours else f"{self.card['model']} learns no growth"
+        learns = model == "foten-plus"
+        why = "no growth could be learned from the recording" if learns else f"{model} learns no growth"
         if not grows:
             return f"the level is held: {why}"
         text = f"the level grows with {grows}, up to twice the range"
@@ -167,7 +163,7 @@ def texture_from_bytes(data: bytes) -> Texture:
 
     if len(data) < 9:
         raise ValueError(f"the file has {len(data)} bytes, expected a texture file; is it truncated?")
-    # A header's length may begin with the very byte that a pickle begins with; the brace after it tells them apart.
+    # A header's length may begin as a pickle does; the brace after it tells them apart.
     if data[8:9] != b"{" and (data[:1] == b"\x80" or data[:4] == b"PK\x03\x04"):
         advice = "pickles can run code and are never opened: export with 'foten train'"
         raise ValueError(f"this is a pickle or a PyTorch checkpoint, expected a texture file; {advice}")
@@ -240,13 +236,11 @@ def check_card(card: Any) -> None:
         raise ValueError(f"the preprocessing or the split in the card is incomplete ({error})") from error
     if preprocess.rate_hz != card["rate_hz"]:
         raise ValueError(f"the card has a rate of {card['rate_hz']} Hz and preprocessing to {preprocess.rate_hz} Hz")
-    if card["split"] is None:
-        return
-    if not any(_are_numbers([card["metrics"].get(name)], 1) for name in _VALIDATED):
+    metrics = card["metrics"]
+    if card["split"] is not None and not any(_are_numbers([metrics.get(name)], 1) for name in _VALIDATED):
         raise ValueError(f"the card has none of {', '.join(_VALIDATED)} among its metrics")
     for name in ("validation_mae_scaled", "validation_mae_scaled_lattice"):
-        value = card["metrics"].get(name)
-        if value is not None and not _are_numbers([value], 1):
+        if metrics.get(name) is not None and not _are_numbers([metrics[name]], 1):
             raise ValueError(f"{name!r} among the card's metrics is no number")
 
 
@@ -254,17 +248,14 @@ def _check_units(units: Mapping[str, Any]) -> None:
     for channel in CHANNELS:
         known = (UNITS[channel], RELATIVE) if channel == "acceleration" else (UNITS[channel],)
         if units.get(channel) not in known:
-            written = shortened(units.get(channel))
-            raise ValueError(
-                f"the card's {channel} is in {written}, expected {' or '.join(known)}; was the card edited?"
-            )
+            expected = f"expected {' or '.join(known)}; was the card edited?"
+            raise ValueError(f"the card's {channel} is in {shortened(units.get(channel))}, {expected}")
 
 
 def _are_numbers(values: Any, n: int) -> bool:
     """Whether a JSON value is a list of n numbers that a float64 or an int64 holds."""
-    if not isinstance(values, list) or len(values) != n:
-        return False
-    return all(type(v) in (int, float) and abs(v) < 2**63 for v in values)  # NaN compares false
+    of_length = isinstance(values, list) and len(values) == n
+    return of_length and all(type(v) in (int, float) and abs(v) < 2**63 for v in values)  # NaN compares false
 
 
 def _check_tensors(texture: Texture) -> None:
@@ -299,7 +290,7 @@ def _check_tensors(texture: Texture) -> None:
         if (
             actual is None
             or len(actual) != len(shape)
-            or any(n not in (None, m) for n, m in zip(shape, actual, strict=True))
+            or any(n not in (None, k) for n, k in zip(shape, actual, strict=True))
         ):
             raise ValueError(f"tensor {name!r} has shape {actual}, expected {shape}")
     unknown = set(texture.tensors) - set(shapes)

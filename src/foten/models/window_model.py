@@ -1,4 +1,4 @@
-"""Models that predict from the last m samples alone: networks, with an excitation or without."""
+"""Models that predict from the last m samples alone: networks, with an excitation or without, or of noise."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ class WindowStream:
         return 0 if self.model.excitation is None else self.windows.shape[1]
 
     def begin(self, condition: Array, noise: Array, fade: float = 1.0) -> None:
-        """Run for a window's length under the condition; without an excitation change nothing: no window is known."""
+        """Run for a window's length under the condition; without an excitation change nothing."""
         if self.model.excitation is None:
             return
         self.windows[:, -1, 1:] = condition[:, :2]
@@ -65,3 +65,39 @@ class WindowStream:
         self.windows[:, :-1] = self.windows[:, 1:]
         self.windows[:, -1, 0] = sample
         self.windows[:, -1, 1:] = condition[:, :2]
+
+
+@dataclass(frozen=True)
+class NoiseModel(WindowModel):
+    """A network that makes samples from noise: windows (b, m, 3) of noise, speed and force, scaled → (b,) scaled."""
+
+    def predict(self, windows: Array) -> Array:
+        """The samples without chance: of recorded windows (b, m, 3) scaled the noise is not known → (b,)."""
+        return self.network(windows * [0.0, 1.0, 1.0])
+
+    def start(self, windows: Array) -> Stream:
+        """Streams that go on from scaled windows, shape (s, m, 3)."""
+        return NoiseStream(self, windows * [0.0, 1.0, 1.0])
+
+
+class NoiseStream(WindowStream):
+    """Streams of a model of noise: noise and condition of the last m samples, shape (s, m, 3)."""
+
+    bounded: ClassVar[bool] = True
+
+    @property
+    def n_initial(self) -> int:
+        """A number for each sample of a window."""
+        return self.windows.shape[1]
+
+    def begin(self, condition: Array, noise: Array, fade: float = 1.0) -> None:
+        """Take noise of a window's length; the conditions before are those of the window."""
+        self.windows[..., 0] = noise
+
+    def predict(self) -> Prediction:
+        """The next samples; what is random in them is in the noise before."""
+        return Prediction(self.model.network(self.windows))
+
+    def push(self, sample: Array, condition: Array, noise: Array | None) -> None:
+        """Move the windows on by a number of noise, 0 in the deterministic loop."""
+        super().push(np.zeros(len(self.windows)) if noise is None else noise, condition, noise)

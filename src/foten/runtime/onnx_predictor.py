@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from foten.dsp import Array
-from foten.models.graph_sizes import GRAPH
 from foten.models.model_sizes import ModelSizes
+from foten.models.registry import GRAPH
 
 INPUT, NOISE, OUTPUT = "windows", "noise", "next"
 # What our networks are made of. A file is not trusted: nothing that repeats, branches, reads other files or is somebody's own.

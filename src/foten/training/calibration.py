@@ -1,32 +1,131 @@
-"""The random part, fitted and calibrated: σ by likelihood, its level in the model's own closed loop, rendered by the kernel."""
+"""Scales over speed and force, and the random part: σ by likelihood, its level in the model's own closed loop."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field
-from typing import Any
+from dataclasses import dataclass, field, replace
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import minimize
 from scipy.signal import fftconvolve
 
 from foten.dsp import Array
 from foten.dsp.distance import log_spectral_distance, scored_bins, segment_length, welch
 from foten.dsp.level import frame_levels, frame_means
 from foten.dsp.noise import gaussian, innovation_likelihood
-from foten.models.excitation import Excitation, Scale, powers
+from foten.models.excitation import MAX_SIGMA, N_FEATURES, N_POWERS, Excitation, Scale, powers
+from foten.recording.scaling import Scaling
 from foten.runtime.loops import run_loops
 from foten.runtime.native import NativeTexture
-from foten.training.blocks import ScaledBlocks
-from foten.training.scale_fit import constant_scale, fit_scale
+from foten.training.job import ScaledBlocks
 
+SHAPE_SHARES = (0.0, 0.25, 0.5, 0.75, 1.0)  # of the fitted shape of log σ, that validation chooses from
+FLOOR = (2.0, 0.05)  # mm/s and N, that a logarithm starts from
+# Penalty of the squares of the network's weights, beside the likelihood [nat]: σ is smooth where little was recorded.
+WEIGHT_PENALTY = 1e-4
+MAX_ITERATIONS = 60
 N_CALIBRATIONS = 3
-N_RUNS = 5  # free runs of a block that a distance is the mean of
-# The judge's streams begin at 0; what is calibrated or chosen on is other noise than he renders with.
-CALIBRATION_STREAM, DISTANCE_STREAM = 2**32, 2**33
+N_RUNS = 5  # free runs of a block that errors are means of
+# The judge's streams begin at 0: what is calibrated or chosen on is other noise than what is judged.
+CALIBRATION_STREAM, ERROR_STREAM = 2**32, 2**33
 RIDGE = 0.05  # of each exponent's adjustment, for each frame: a recording at one condition has no slopes to adjust
 MAX_ADJUSTMENT = 1.0  # of a term of log σ, at once
+UNSCORED_SHARE = 0.2  # of a block, its beginning, that no level or spectrum is taken of
+
+
+def fit_scale(width: int, condition: Array, residual: Array, n_train: int, scaling: Scaling, seed: int) -> Scale:
+    """The scale of a vibration or of residuals over speed and force, by Gaussian maximum likelihood.
+
+    The shape of log σ is fitted on the training samples. How much of it is taken, from none to all, is chosen by the likelihood
+    of the validation samples: in two seconds the differences between blocks are mostly chance.
+
+    Args:
+        condition: speed and force that go with each residual, scaled, the training, then the validation samples, (n, 2).
+        residual: of which the scale is, (n,).
+        n_train: number of training samples.
+    """
+    squared = np.square(residual) + 1e-12
+    start = _initial(width, scaling, float(0.5 * np.log(squared[:n_train].mean())), np.random.default_rng(seed))
+    features = np.concatenate([condition, start.logarithms(condition)], axis=1)
+    terms = powers(features[:, 2:])
+    fitted = _minimised(start, features[:n_train], terms[:n_train], squared[:n_train])
+    shape = np.log(fitted(condition)) - fitted.out_bias
+    tried = []
+    for share in SHAPE_SHARES:
+        # The factor that maximises the likelihood of a given shape, in closed form.
+        factor = math.sqrt((squared[:n_train] * np.exp(-2 * share * shape[:n_train])).mean())
+        nll = _gaussian_nll(math.log(factor) + share * shape[n_train:], squared[n_train:])
+        tried.append((nll, share, math.log(factor)))
+    _, share, log_factor = min(tried)
+    parts = {"out_weight": share * fitted.out_weight, "exponents": share * fitted.exponents}
+    return _as_in_file(replace(fitted, **parts, out_bias=np.array([log_factor])).bounded(condition[:n_train]))
+
+
+def constant_scale(width: int, scaling: Scaling) -> Scale:
+    """σ = 1 at every speed and force, at most 1."""
+    parts = {"hidden_weight": np.zeros((width, N_FEATURES)), "hidden_bias": np.zeros(width)}
+    return replace(_initial(width, scaling, 0.0, np.random.default_rng(0)), **parts, sigma_max=np.ones(1))
+
+
+def _initial(width: int, scaling: Scaling, log_sigma: float, rng: np.random.Generator) -> Scale:
+    bound = 1 / math.sqrt(N_FEATURES)
+    return Scale(
+        hidden_weight=rng.uniform(-bound, bound, (width, N_FEATURES)),
+        hidden_bias=rng.uniform(-bound, bound, width),
+        out_weight=np.zeros((1, width)),
+        out_bias=np.array([log_sigma]),
+        exponents=np.zeros(N_POWERS),
+        sigma_max=np.array([MAX_SIGMA]),
+        mean=np.array(scaling.mean[1:]),
+        sd=np.array(scaling.sd[1:]),
+        floor=np.array(FLOOR),
+    )
+
+
+def _as_in_file(scale: Scale) -> Scale:
+    """The same, rounded to float32."""
+    return Scale.of(scale.tensors(""), "")
+
+
+def _gaussian_nll(log_sigma: Array, squared: Array) -> float:
+    """Mean Gaussian negative log-likelihood [nat] of squared residuals, (n,) each."""
+    return float((log_sigma + 0.5 * squared * np.exp(-2 * log_sigma)).mean() + 0.5 * math.log(2 * math.pi))
+
+
+_FITTED = ("hidden_weight", "hidden_bias", "out_weight", "out_bias", "exponents")
+
+
+def _minimised(start: Scale, features: Array, terms: Array, squared: Array) -> Scale:
+    """The scale of the greatest likelihood, from features (n, 4), powers (n, 5) and squared residuals (n,)."""
+    shapes = {name: getattr(start, name).shape for name in _FITTED}
+    ends = np.cumsum([math.prod(shape) for shape in shapes.values()])
+
+    def parts(x: Array) -> dict[str, Array]:
+        pieces = np.split(x, ends[:-1])
+        return {name: piece.reshape(shape) for (name, shape), piece in zip(shapes.items(), pieces, strict=True)}
+
+    def loss(x: Array) -> tuple[float, Array]:
+        w = parts(x)
+        hidden = np.tanh(features @ w["hidden_weight"].T + w["hidden_bias"])
+        log_sigma = hidden @ w["out_weight"][0] + w["out_bias"] + terms @ w["exponents"]
+        by_sigma = (1 - squared * np.exp(-2 * log_sigma)) / len(squared)
+        by_hidden = by_sigma[:, None] * w["out_weight"] * (1 - hidden * hidden)
+        gradient = [
+            by_hidden.T @ features + 2 * WEIGHT_PENALTY * w["hidden_weight"],
+            by_hidden.sum(axis=0),
+            by_sigma @ hidden + 2 * WEIGHT_PENALTY * w["out_weight"],
+            by_sigma.sum(keepdims=True),
+            by_sigma @ terms,
+        ]
+        rough = WEIGHT_PENALTY * (np.square(w["hidden_weight"]).sum() + np.square(w["out_weight"]).sum())
+        return _gaussian_nll(log_sigma, squared) + float(rough), np.concatenate([part.ravel() for part in gradient])
+
+    x = np.concatenate([getattr(start, name).ravel() for name in _FITTED])
+    options = {"maxiter": MAX_ITERATIONS, "maxcor": 20, "ftol": 1e-10}
+    return replace(start, **parts(minimize(loss, x, jac=True, method="L-BFGS-B", options=options).x))
 
 
 @dataclass(frozen=True)
@@ -38,6 +137,13 @@ class Residuals:
     innovation_gain: Array  # what an innovation of 1 is in scaled acceleration
     n_train: int
     moving: NDArray[np.bool_]  # where a rendering does not fade
+
+
+class FreeRunErrors(NamedTuple):
+    """Log-spectral distance and level error [dB]."""
+
+    lsd_db: float
+    level_error_db: float
 
 
 @dataclass(frozen=True)
@@ -54,9 +160,9 @@ class ClosedLoop:
     limit: float = math.inf  # that samples are cut to; infinite for what is bounded by itself
 
     @property
-    def first(self) -> int:
-        """The first sample of a block that counts: after its first fifth, and after the history."""
-        return max(self.history, round(0.2 * self.blocks.trace.block))
+    def first_scored(self) -> int:
+        """The first sample of a block that level and spectrum are taken of: also after the history."""
+        return max(self.history, round(UNSCORED_SHARE * self.blocks.trace.block))
 
     def free_runs(
         self, excitation: Excitation, numbers: tuple[int, ...], seed: int, first_stream: int, n_runs: int
@@ -64,48 +170,42 @@ class ClosedLoop:
         """Recorded blocks, and free runs under their speed and force, scaled: (n_blocks, n), (n_runs, n_blocks, n)."""
         m, block, chosen = self.history, self.blocks.trace.block, list(numbers)
         starts = np.tile(self.blocks.samples[chosen, :m], (n_runs, 1, 1))
-        conditions = np.tile(self.blocks.path_conditions()[chosen, m:], (n_runs, 1, 1))
+        conditions = np.tile(self.blocks.conditions_with_speed()[chosen, m:], (n_runs, 1, 1))
         noise = np.stack([gaussian(seed, first_stream + k, 0, block - m) for k in range(len(starts))])
         rendered = run_loops(self.kernel(excitation), starts, conditions, noise, self.limit)
-        recorded = self.blocks.samples[chosen, self.first :, 0]
-        return recorded, rendered[:, self.first - m :].reshape(n_runs, len(chosen), -1)
+        recorded = self.blocks.samples[chosen, self.first_scored :, 0]
+        return recorded, rendered[:, self.first_scored - m :].reshape(n_runs, len(chosen), -1)
 
-    def distance(self, excitation: Excitation, seed: int) -> tuple[float, float]:
-        """Log-spectral distance and level error [dB] of the free run on the validation blocks."""
+    def free_run_errors(self, excitation: Excitation, seed: int) -> FreeRunErrors:
+        """Errors of the free run on the validation blocks."""
         rate, block = self.blocks.trace.rate_hz, self.blocks.trace.block
-        recorded, rendered = self.free_runs(excitation, self.blocks.split.validation, seed, DISTANCE_STREAM, N_RUNS)
+        recorded, rendered = self.free_runs(excitation, self.blocks.split.validation, seed, ERROR_STREAM, N_RUNS)
         (frequencies, p), (_, q) = (welch(signal, rate, segment_length(block)) for signal in (recorded, rendered))
         bins = scored_bins(frequencies, rate)
         reference = float(np.sqrt(np.square(recorded).mean()))
         levels, rendered_levels = (frame_levels(signal, rate, reference) for signal in (recorded, rendered))
         lsd_db = log_spectral_distance(p[None, :, bins], q[..., bins])
-        return float(lsd_db.mean()), float(np.abs(rendered_levels - levels).mean())
+        return FreeRunErrors(float(lsd_db.mean()), float(np.abs(rendered_levels - levels).mean()))
 
 
 @dataclass(frozen=True)
 class Calibrated:
-    """A random part, and how near its free run is."""
+    """A random part; errors and negative log-likelihoods (nll) [nat] are of the validation blocks."""
 
     excitation: Excitation
-    distance: tuple[float, float]  # log-spectral distance and level error of the free run on the validation blocks [dB]
-    # Negative log-likelihood, mean over the validation blocks where a rendering does not fade [nat]; None where it always does.
-    likelihood: float | None
-    # By how much the loop was too loud before each adjustment [dB].
-    level_errors_db: list[float] = field(default_factory=list)
-    # The negative log-likelihood of innovations over all of the validation blocks, before the level was calibrated [nat].
-    likelihood_of_innovations: float = math.nan
-
-    @property
-    def nearness(self) -> float:
-        """What decides between renderings: log-spectral distance times level error."""
-        return math.prod(self.distance)
+    free_run: FreeRunErrors
+    acceleration_nll: float | None  # where a rendering does not fade; None where it always does
+    level_errors_db: list[float] = field(
+        default_factory=list
+    )  # by how much the loop was too loud before each adjustment
+    innovation_nll: float = math.nan  # before the level was calibrated
 
     def metrics(self) -> dict[str, Any]:
         """What the card says of it."""
         return {
-            "validation_nll": self.likelihood,
-            "validation_lsd_db": self.distance[0],
-            "validation_level_error_db": self.distance[1],
+            "validation_nll": self.acceleration_nll,
+            "validation_lsd_db": self.free_run.lsd_db,
+            "validation_level_error_db": self.free_run.level_error_db,
             "level_errors_db": self.level_errors_db,
         }
 
@@ -119,15 +219,16 @@ def calibrate_excitation(width: int, residuals: Residuals, loop: ClosedLoop, see
     recorded = (innovation / sigma(residuals.condition))[:n], (innovation * gain)[:n]
     fitted = Excitation(sigma, (float(np.abs(recorded[0]).max()), float(np.abs(recorded[1]).max())))
 
-    def likelihood(excitation: Excitation) -> tuple[float | None, float]:
+    def nll_under(excitation: Excitation) -> Array:
         scale = excitation.sigma(residuals.condition[n:]) * gain[n:]
-        _, nll = innovation_likelihood((innovation * gain)[n:], scale)
-        moving = residuals.moving[n:]
-        return float(nll[moving].mean()) if moving.any() else None, float((nll - np.log(gain[n:])).mean())
+        return innovation_likelihood((innovation * gain)[n:], scale)[1]
 
-    _, of_innovations = likelihood(fitted)
+    innovation_nll = float((nll_under(fitted) - np.log(gain[n:])).mean())
     excitation, errors = calibrate_level(loop, fitted, seed)
-    return Calibrated(excitation, loop.distance(excitation, seed), likelihood(excitation)[0], errors, of_innovations)
+    nll, moving = nll_under(excitation), residuals.moving[n:]
+    acceleration_nll = float(nll[moving].mean()) if moving.any() else None
+    free_run = loop.free_run_errors(excitation, seed)
+    return Calibrated(excitation, free_run, acceleration_nll, errors, innovation_nll)
 
 
 def calibrate_network_gain(
@@ -135,34 +236,35 @@ def calibrate_network_gain(
     innovation_limit: tuple[float, float],
     loop: ClosedLoop,
     seed: int,
-    likelihood: float | None,
+    acceleration_nll: float | None,
     level: bool,
 ) -> Calibrated:
     """What scales a network's innovations in the closed loop, σ near 1, and bounds them.
 
     Args:
         innovation_limit: in units of σ and in scaled acceleration.
-        likelihood: as `Calibrated` has it, the network's.
+        acceleration_nll: as `Calibrated` has it, the network's.
         level: False leaves σ at 1: the network has learned its level in the closed loop.
     """
     excitation, errors = Excitation(constant_scale(width, loop.blocks.scaling), innovation_limit), list[float]()
     if level:
         excitation, errors = calibrate_level(loop, excitation, seed)
-    return Calibrated(excitation, loop.distance(excitation, seed), likelihood, errors)
+    return Calibrated(excitation, loop.free_run_errors(excitation, seed), acceleration_nll, errors)
 
 
 def calibrate_level(loop: ClosedLoop, excitation: Excitation, seed: int) -> tuple[Excitation, list[float]]:
     """Adjust σ until the closed loop is as loud as the recording, at every speed and force.
 
-    A likelihood measures the error of one step. In the closed loop the lattice filters the excitation, and small errors
-    of its resonances, or a correction that feeds on itself, change the level by a dB. What the levels of frames miss is taken
-    off the terms of log σ in log speed and log force, by a ridge regression on how each frame answers to each term; what the
-    power of all misses, as far as that is beyond chance, off its constant; three times over.
+    A likelihood measures the error of one step. In the closed loop small errors of a resonance, or a correction that feeds on
+    itself, change the level by a dB. So the loop runs under the speed and force of the training and validation blocks, and log σ
+    is adjusted `N_CALIBRATIONS` times. Its terms in log speed and log force are changed by a ridge regression of the level errors
+    of frames on the derivatives of their levels by each term; its constant by the level error of the whole, as far as that is
+    beyond chance. σ stays within its range over the training blocks.
 
-    The loop runs under the speed and force of the training and validation blocks, the first fifth not counted; σ stays within
-    its range over the training blocks. With it, by how much the loop was louder than the recording before each adjustment [dB].
+    Returns:
+        The excitation, and by how much the loop was louder than the recording before each adjustment [dB].
     """
-    blocks, m, first = loop.blocks, loop.history, loop.first
+    blocks, m, first = loop.blocks, loop.history, loop.first_scored
     rate, known = blocks.trace.rate_hz, list(blocks.known)
     recorded = blocks.samples[known, first:, 0]
     reference = float(np.sqrt(np.square(recorded).mean()))
@@ -177,21 +279,21 @@ def calibrate_level(loop: ClosedLoop, excitation: Excitation, seed: int) -> tupl
         rendered = loop.free_runs(excitation, blocks.known, seed, CALIBRATION_STREAM, 1)[1][0]
         error = (frame_levels(rendered, rate, reference) - level).ravel()
         block_powers = np.stack([np.square(signal).mean(axis=1) for signal in (rendered, recorded)])
-        louder, standard_error = _jackknifed(block_powers, lambda ours, theirs: 10 * np.log10(ours / theirs))
+        louder, standard_error = _jackknifed(block_powers, lambda power, reference: 10 * np.log10(power / reference))
         errors.append(louder)
-        # A frame's power is the mean of ℓ²σ² and the tones': it answers to a term of log σ by that term's mean under ℓ²σ².
+        # The power of a frame is the mean of ℓ²σ² and the tones'; its derivative by a term of log σ is that term's mean under it.
         random_power = innovation_power * np.square(excitation.sigma(condition))
         weighted = random_power[:, None] * np.insert(terms, 0, 1.0, axis=1)
         weighted = _filtered(weighted.reshape(len(known), -1, 6), loop.response)[:, first - m :]
         total = frame_means(weighted[..., 0] + tone_power, rate).reshape(-1, 1)
-        answers = np.stack([frame_means(weighted[..., k], rate).ravel() for k in range(6)], axis=1) / total
+        slopes = np.stack([frame_means(weighted[..., k], rate).ravel() for k in range(6)], axis=1) / total
         ridge = RIDGE * len(error) * np.diag([0.0, 1.0, 1.0, 1.0, 1.0, 1.0])
-        step = -np.linalg.solve(answers.T @ answers + ridge, answers.T @ error)
-        # What all frames have in common follows the power of all, and only as far as it is beyond chance: of two seconds
-        # it is known to a dB, and calibrated on that the real copper's free run was 2 to 9 % further from the recording.
+        step = -np.linalg.solve(slopes.T @ slopes + ridge, slopes.T @ error)
+        # The constant follows the power of all frames, as far as it is beyond chance: two seconds give it to a dB only, and a
+        # free run of real copper calibrated on that was 2 to 9 % further from the recording.
         loud = 10 ** (level.ravel() / 10)
-        answer = (loud[:, None] * answers).sum(axis=0) / loud.sum()
-        step[0] = -(_beyond_chance(louder, standard_error) + float(answer[1:] @ step[1:])) / answer[0]
+        slope = (loud[:, None] * slopes).sum(axis=0) / loud.sum()
+        step[0] = -(_beyond_chance(louder, standard_error) + float(slope[1:] @ step[1:])) / slope[0]
         step = np.clip(step * math.log(10) / 20, -MAX_ADJUSTMENT, MAX_ADJUSTMENT)
         excitation = Excitation(_adjusted(excitation.sigma, step, within), excitation.innovation_limit)
     return excitation, errors
@@ -200,8 +302,7 @@ def calibrate_level(loop: ClosedLoop, excitation: Excitation, seed: int) -> tupl
 def _adjusted(sigma: Scale, step: NDArray[np.floating], within: Array) -> Scale:
     """σ with a step (6,) added to the constant and the exponents of its logarithm, bounded over conditions (n, 2) scaled."""
     parts = {"out_bias": sigma.out_bias + step[:1], "exponents": sigma.exponents + step[1:]}
-    moved = Scale(**{**vars(sigma), **parts}).bounded(within)
-    return Scale.of(moved.tensors(""), "")  # in float32, as the file has it
+    return _as_in_file(replace(sigma, **parts).bounded(within))
 
 
 def _filtered(power: Array, response: Array | None) -> Array:
@@ -209,8 +310,8 @@ def _filtered(power: Array, response: Array | None) -> Array:
     if response is None:
         return power
     n = power.shape[1]
-    held = np.pad(power, ((0, 0), (n, 0), (0, 0)), mode="edge")  # before the first sample as at the first
-    return np.asarray(fftconvolve(held, response[None, :n, None] / response[:n].sum(), axes=1)[:, n : 2 * n])
+    extended = np.pad(power, ((0, 0), (n, 0), (0, 0)), mode="edge")  # before the first sample as at the first
+    return np.asarray(fftconvolve(extended, response[None, :n, None] / response[:n].sum(), axes=1)[:, n : 2 * n])
 
 
 def _jackknifed(parts: Array, figure: Callable[..., Array]) -> tuple[float, float]:

@@ -7,6 +7,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
+LOSSES, SCHEDULES, OPTIMISERS = ("huber", "mse", "mae"), ("one_cycle", "constant"), ("muon", "adamw")
 WARM_START = (45.0, 0.8)  # mm/s, N: mean of early contacts; Sec. V-a
 
 
@@ -17,14 +18,12 @@ class TrainConfig:
     recipe: str = "default"
     epochs: int = 12  # at most
     patience: int = 10  # epochs without a better validation loss; Sec. IV-e
-    probation: int = 3  # epochs in which a network has to gain something; more than `epochs` for none
+    trial_epochs: int = 3  # epochs in which a network has to gain something; more than `epochs` for none
     min_gain: float = 1e-3  # of the one-step validation error, over the network before training
     batch: int = 128  # windows
     optimiser: str = "muon"  # orthogonalised momentum for matrices (`training.optimiser`); or "adamw" for all
     matrix_learning_rate: float = 3e-3  # of that, at its highest
-    # Of AdamW, at its highest. What a lattice leaves is nearly white: from 1e-3 on AdamW alone learned nothing of a mesh
-    # in 16 epochs.
-    learning_rate: float = 5e-4
+    learning_rate: float = 5e-4  # of AdamW, at its highest
     schedule: str = "one_cycle"  # or "constant"
     weight_decay: float = 0.3  # of each step, times its learning rate
     clip_norm: float = 1.0  # of the gradient; 0 for none
@@ -40,22 +39,19 @@ class TrainConfig:
     threads: int = 2  # each takes a share of every batch; part of what makes a file reproducible
 
     def __post_init__(self) -> None:
-        if self.loss not in ("huber", "mse", "mae"):
-            raise ValueError(f"loss is {self.loss!r}, expected one of huber, mse, mae")
-        if self.schedule not in ("one_cycle", "constant"):
-            raise ValueError(f"schedule is {self.schedule!r}, expected 'one_cycle' or 'constant'")
-        if self.optimiser not in ("muon", "adamw"):
-            raise ValueError(f"optimiser is {self.optimiser!r}, expected 'muon' or 'adamw'")
+        for name, known in {"loss": LOSSES, "schedule": SCHEDULES, "optimiser": OPTIMISERS}.items():
+            if getattr(self, name) not in known:
+                raise ValueError(f"{name} is {getattr(self, name)!r}, expected one of {', '.join(known)}")
         for field in fields(self):
             value = getattr(self, field.name)
             if field.type == "int" and type(value) is not int:
                 raise ValueError(f"{field.name} is {value!r}, expected a whole number")
             if field.type == "float" and (type(value) not in (int, float) or not math.isfinite(value)):
                 raise ValueError(f"{field.name} is {value!r}, expected a finite number")
-        for name in ("epochs", "batch", "patience", "probation", "threads", "max_order"):
-            least = 0 if name == "epochs" else 1
-            if getattr(self, name) < least:
-                raise ValueError(f"{name} is {getattr(self, name)}, expected {least} or more")
+        for name in ("epochs", "batch", "patience", "trial_epochs", "threads", "max_order"):
+            minimum = 0 if name == "epochs" else 1
+            if getattr(self, name) < minimum:
+                raise ValueError(f"{name} is {getattr(self, name)}, expected {minimum} or more")
         if not 0 <= self.dropout <= 0.9:
             raise ValueError(f"dropout is {self.dropout}, expected from 0 to 0.9")
         if min(self.learning_rate, self.matrix_learning_rate, self.delta) <= 0:
@@ -70,7 +66,7 @@ RECIPES: dict[str, TrainConfig] = {
         recipe="paper",
         epochs=100,
         patience=10,
-        probation=101,
+        trial_epochs=101,
         batch=16,
         optimiser="adamw",
         learning_rate=1e-3,
@@ -78,7 +74,7 @@ RECIPES: dict[str, TrainConfig] = {
         weight_decay=0.0,
         clip_norm=0.0,
         dropout=0.2,
-        threads=1,  # two halves of 16 windows take longer than all: 21.5 against 18 s an epoch
+        threads=1,  # two halves of 16 windows take longer than all
     ),
 }
 """The paper's is Sec. IV-e: Adam at 1e-3, batches of 16, 100 epochs at most, dropout of 0.2, stopped after 10 without a gain.
@@ -92,7 +88,7 @@ OWN_RECIPES: dict[str, dict[str, Any]] = {
     # Epochs of 100 steps, of chunks; what is left to learn of a linear process ends them by patience.
     "foten-plus": {
         **{"optimiser": "adamw", "learning_rate": 4e-3, "weight_decay": 0.1, "batch": 64},
-        **{"patience": 4, "probation": 10_000},
+        **{"patience": 4, "trial_epochs": 10_000},
     },
     "ten": {"delta": 2.0},
     "ten-wavelet": {"loss": "mse"},
@@ -102,10 +98,10 @@ OWN_RECIPES: dict[str, dict[str, Any]] = {
 }
 """What a model changes of a recipe: losses of Sec. VI-d for TEN's variants, and for the others, where nothing is stated, ours."""
 UNUSED: dict[str, tuple[str, ...]] = {
-    "foten-plus": ("loss", "delta", "dropout", "matrix_learning_rate", "probation", "min_gain"),
+    "foten-plus": ("loss", "delta", "dropout", "matrix_learning_rate", "trial_epochs", "min_gain"),
     "gan": (
         *("loss", "delta", "dropout", "threads", "weight_decay", "schedule", "clip_norm"),
-        *("optimiser", "matrix_learning_rate", "probation", "min_gain"),
+        *("optimiser", "matrix_learning_rate", "trial_epochs", "min_gain"),
     ),
 }
 """Settings that are nothing to a model: foten-plus has a likelihood for a loss, the GAN what judges it."""

@@ -25,21 +25,20 @@ def masks_from(source: Callable[[torch.Size, torch.device, float], Tensor]) -> I
 def mask(shape: torch.Size, device: torch.device, p: float, generator: torch.Generator | None = None) -> Tensor:
     """What values of a shape are multiplied by: 0 for a share p of them, and 1 ÷ (1 − p) for the others.
 
-    Four from each 64 random bits: six times as fast as `bernoulli_`, which was a third of a training step.
+    Four from each 64 random bits: six times as fast as `bernoulli_`.
     """
     n = shape.numel()
     bits = torch.empty((n + 3) // 4, dtype=torch.int64, device=device)
     bits.random_(-(2**63), None, generator=generator)
     dropped = round(p * 2**16)
-    kept = bits.view(torch.int16)[:n].view(shape) >= dropped - 2**15
-    return kept.float().mul_(2**16 / (2**16 - dropped))
+    retained = bits.view(torch.int16)[:n].view(shape) >= dropped - 2**15
+    return retained.float().mul_(2**16 / (2**16 - dropped))
 
 
 class Dropout(nn.Module):
     """Zero a share p of the values in training and scale up the rest; the identity otherwise.
 
-    As `torch.nn.Dropout`, which draws from one generator for all threads: threads that share out a batch
-    would take its numbers in an order of their own, and one seed would not give one network.
+    `torch.nn.Dropout` draws from one generator for all threads, so one seed would not give one network.
     """
 
     def __init__(self) -> None:

@@ -1,17 +1,14 @@
-"""The one training loop: gradients that threads share, clipped, averaged; the best weights kept, early stop, checkpoints."""
+"""The one training loop: optimiser, gradients that threads share, averaging, the best weights, early stop, checkpoints."""
 
 from __future__ import annotations
 
 import copy
-import csv
 import io
 import math
-import os
 import pickle
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Protocol
@@ -21,16 +18,86 @@ from torch import Tensor, nn
 
 from foten.atomic_write import atomic_write, reason
 from foten.training.config import TrainConfig
-from foten.training.optimiser import Optimiser
+
+MOMENTUM = 0.95
+MIN_SIDE = 4  # a matrix is wider and taller than that: of what is narrower little is left by orthogonalisation
+
+
+class Optimiser:
+    """Steps of all parameters, at a share of their learning rates.
+
+    Matrices move along the orthogonal factor of their momentum, so that no direction is slow (`benchmarks/training.py`).
+
+    Source: Jordan et al., "Muon: an optimizer for hidden layers in neural networks" (2024), the iteration and its coefficients;
+    for the paper's recipe Adam, Sec. IV-e.
+    """
+
+    def __init__(self, parameters: Mapping[str, nn.Parameter], config: TrainConfig) -> None:
+        self._config = config
+        self._matrices = {
+            name: matrix
+            for name, matrix in parameters.items()
+            if config.optimiser == "muon" and matrix.ndim == 2 and min(matrix.shape) > MIN_SIDE
+        }
+        self._momentum = {name: torch.zeros_like(matrix) for name, matrix in self._matrices.items()}
+        others = [parameter for name, parameter in parameters.items() if name not in self._matrices]
+        self._adam = torch.optim.AdamW(others, lr=config.learning_rate, weight_decay=config.weight_decay, fused=True)
+
+    def step(self, rate: float) -> None:
+        """Take a step with the gradients that there are, at a share of the highest learning rates."""
+        config = self._config
+        self._adam.param_groups[0]["lr"] = config.learning_rate * rate
+        self._adam.step()
+        directions = []
+        for name, matrix in self._matrices.items():
+            momentum = self._momentum[name].mul_(MOMENTUM).add_(matrix.grad)
+            directions.append(matrix.grad.add(momentum, alpha=MOMENTUM))
+        with torch.no_grad():
+            for matrix, direction in zip(self._matrices.values(), orthogonalised(directions), strict=True):
+                tall = max(1.0, matrix.shape[-2] / matrix.shape[-1]) ** 0.5
+                matrix.mul_(1 - config.learning_rate * rate * config.weight_decay)
+                matrix.sub_(direction, alpha=config.matrix_learning_rate * rate * tall)
+
+    def state_dict(self) -> dict[str, Any]:
+        """What a checkpoint keeps."""
+        return {"adam": self._adam.state_dict(), "momentum": self._momentum}
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Go on from a checkpoint."""
+        self._adam.load_state_dict(state["adam"])
+        for name, momentum in state["momentum"].items():
+            self._momentum[name].copy_(momentum)
+
+
+@torch.no_grad()
+def orthogonalised(matrices: Sequence[Tensor]) -> list[Tensor]:
+    """The orthogonal factors of matrices, roughly: (…, a, b) each → singular values of 0.7 to 1.2.
+
+    A quintic in odd powers, five times over, which is Newton and Schulz's iteration with a steeper start. Matrices of one shape
+    are one batched product.
+    """
+    a, b, c = 3.4445, -4.7750, 2.0315  # pushes singular values towards 1
+    wide = [x.mT if x.shape[-2] > x.shape[-1] else x for x in matrices]
+    out = [torch.empty(0)] * len(wide)
+    for shape in {x.shape[-2:] for x in wide}:
+        alike = [i for i, x in enumerate(wide) if x.shape[-2:] == shape]
+        x = torch.cat([wide[i].reshape(-1, *shape) for i in alike])
+        x = x / (x.norm(dim=(-2, -1), keepdim=True) + 1e-7)
+        for _ in range(5):
+            gram = x @ x.mT
+            x = torch.baddbmm(x, torch.baddbmm(gram, gram, gram, beta=b, alpha=c), x, beta=a)
+        for i, product in zip(alike, x.split([wide[i].numel() // shape.numel() for i in alike]), strict=True):
+            factor = product.reshape(wide[i].shape)
+            out[i] = factor.mT if wide[i].shape != matrices[i].shape else factor
+    return out
 
 
 @dataclass(frozen=True)
 class Epoch:
     """One line of the log; epoch 0 is the network before training.
 
-    Losses are one-step, of the target's errors (foten-plus: of innovations [nat], so that a slow light stroke is predicted as
-    carefully as a fast hard one); `validation_mae` is of scaled acceleration, or of what else is the target: log magnitudes
-    [nat] of a model of spectra.
+    Losses are one-step; of foten-plus they are the nll of innovations [nat]. `validation_mae` is of scaled acceleration, of a
+    model of spectra of log magnitudes [nat].
     """
 
     epoch: int
@@ -106,10 +173,7 @@ class Monitor:
 def run_loop(
     loop: Loop, config: TrainConfig, monitor: Monitor, on_epoch: Callable[[Epoch], None] | None = None
 ) -> Progress:
-    """Epochs until there are enough, none gains, or Ctrl-C; the network is left at its best.
-
-    The network before training is epoch 0: one that starts from a linear predictor never has a higher validation loss. Ctrl-C
-    ends the loop and keeps the best so far; before there is one, it goes on to the caller.
+    """Epochs until there are enough, none gains, or Ctrl-C; the network is left at its best, epoch 0 included.
 
     Args:
         on_epoch: in place of the monitor's.
@@ -145,7 +209,6 @@ def run_loop(
         if not progress.epochs:
             finish(0, math.nan, time.perf_counter())
         for epoch in range(len(progress.epochs), config.epochs + 1):
-            # Of a validation that is not finite, nothing that follows is.
             if not progress.best_state or not should_continue(progress, config):
                 break
             started = time.perf_counter()
@@ -168,14 +231,14 @@ def run_loop(
 def should_continue(progress: Progress, config: TrainConfig) -> bool:
     """Whether another epoch may gain anything; where none has, the progress says so in a note.
 
-    None does where the last `patience` epochs brought no better loss, or where the first `probation` ones lowered the error by
-    less than `min_gain`: what a lattice leaves of a linear process is noise, and a network learns nothing from it however long.
+    None does where the last `patience` epochs brought no better loss, or where the first `trial_epochs` lowered the error by less
+    than `min_gain`.
     """
     epoch, first = progress.epochs[-1].epoch, progress.epochs[0].validation_mae
     if epoch - progress.best.epoch >= config.patience:
         return False
     gain = 1 - min(line.validation_mae for line in progress.epochs) / first if first > 0 else 0.0
-    if epoch != config.probation or gain >= config.min_gain:
+    if epoch != config.trial_epochs or gain >= config.min_gain:
         return True
     progress.notes.append(
         f"the network gains {100 * gain:.2f} % on the validation blocks in {epoch} epochs, less than "
@@ -190,45 +253,45 @@ def _average(averaged: nn.Module, network: nn.Module, share: float) -> None:
         mean.lerp_(weight, 1 - share)
 
 
-class GradientStep:
-    """A step down a loss: its gradients, clipped, taken by the optimiser at the schedule's rate."""
+def gradient_step(
+    network: nn.Module,
+    optimiser: Optimiser,
+    gradients: Callable[[int, int], tuple[Tensor, Sequence[Tensor]]],
+    clip_norm: float,
+    rate: Callable[[int, int], float],
+) -> Callable[[int, int], Tensor]:
+    """A step down a loss: its gradients, clipped, taken by the optimiser at the schedule's rate.
 
-    def __init__(
-        self,
-        network: nn.Module,
-        optimiser: Optimiser,
-        gradients: Callable[[int, int], tuple[Tensor, Sequence[Tensor]]],  # of an epoch's step, by parameter
-        clip_norm: float,
-        rate: Callable[[int, int], float],  # share of the highest learning rate at an epoch's step
-    ) -> None:
-        self._parameters = list(network.parameters())
-        self._optimiser, self._gradients, self._clip_norm, self._rate = optimiser, gradients, clip_norm, rate
+    Args:
+        gradients: loss and its gradients by parameter at an epoch's step.
+        rate: share of the highest learning rate at an epoch's step.
+    """
+    parameters = list(network.parameters())
 
-    def __call__(self, epoch: int, number: int) -> Tensor:
-        loss, gradients = self._gradients(epoch, number)
-        for parameter, gradient in zip(self._parameters, gradients, strict=True):
+    def step(epoch: int, number: int) -> Tensor:
+        loss, values = gradients(epoch, number)
+        for parameter, gradient in zip(parameters, values, strict=True):
             parameter.grad = gradient
-        if self._clip_norm > 0:
-            nn.utils.clip_grad_norm_(self._parameters, self._clip_norm)
-        self._optimiser.step(self._rate(epoch, number))
+        if clip_norm > 0:
+            nn.utils.clip_grad_norm_(parameters, clip_norm)
+        optimiser.step(rate(epoch, number))
         return loss
 
+    return step
 
-class SharedGradients:
-    """Gradients of a loss that threads share out among them, added in the order of the shares: whichever thread was first."""
 
-    def __init__(self, network: nn.Module, pool: ThreadPoolExecutor) -> None:
-        self._parameters, self._pool = list(network.parameters()), pool
+def shared_gradients(
+    network: nn.Module, pool: ThreadPoolExecutor, loss_of_share: Callable[[int], Tensor], n_shares: int
+) -> tuple[Tensor, list[Tensor]]:
+    """Loss and gradients, of the losses of share 0 … n_shares − 1, whose sum is the batch's, added in that order."""
+    parameters = list(network.parameters())
 
-    def __call__(self, loss_of_share: Callable[[int], Tensor], n_shares: int) -> tuple[Tensor, list[Tensor]]:
-        """Loss and gradients, of the losses of share 0 … n_shares − 1, whose sum is the batch's."""
+    def gradients(share: int) -> tuple[Tensor, tuple[Tensor, ...]]:
+        loss = loss_of_share(share)
+        return loss.detach(), torch.autograd.grad(loss, parameters)
 
-        def gradients(share: int) -> tuple[Tensor, tuple[Tensor, ...]]:
-            loss = loss_of_share(share)
-            return loss.detach(), torch.autograd.grad(loss, self._parameters)
-
-        losses, pieces = zip(*self._pool.map(gradients, range(n_shares)), strict=True)
-        return torch.stack(losses).sum(), [sum(rest, start=first) for first, *rest in zip(*pieces, strict=True)]
+    losses, pieces = zip(*pool.map(gradients, range(n_shares)), strict=True)
+    return torch.stack(losses).sum(), [sum(others, start=first) for first, *others in zip(*pieces, strict=True)]
 
 
 def schedule(config: TrainConfig, n_steps: int) -> Callable[[int, int], float]:
@@ -253,36 +316,6 @@ def epoch_seed(seed: int, epoch: int) -> int:
 def pick_device() -> torch.device:
     """The GPU where there is one, else the CPU."""
     return torch.device("cuda" if torch.cuda.is_available() else "cpu")
-
-
-@contextmanager
-def reproducible() -> Iterator[None]:
-    """Fix the algorithms, so that one seed gives one network, and PyTorch's own threads to one, until the end of the block.
-
-    The matrices are too small to share among threads: two gained 15 % on two idle cores, and lost a factor of ten when
-    another program kept one of them busy. `SharedGradients` shares out the batch instead.
-    """
-    os.environ.setdefault("CUBLAS_WORKSPACE_CONFIG", ":4096:8")  # else sums on a GPU come in any order
-    n_threads, deterministic = torch.get_num_threads(), torch.are_deterministic_algorithms_enabled()
-    torch.set_num_threads(1)
-    # On the CPU one thread adds up in one order anyway, and the call takes a second, for it loads a compiler.
-    on_gpu = torch.cuda.is_available()
-    if on_gpu:
-        torch.use_deterministic_algorithms(True, warn_only=True)
-    try:
-        yield
-    finally:
-        torch.set_num_threads(n_threads)
-        if on_gpu:
-            torch.use_deterministic_algorithms(deterministic)
-
-
-def write_log(path: Path, epochs: list[Epoch]) -> None:
-    """Write the log as CSV."""
-    with atomic_write(path) as part, part.open("w", newline="") as file:
-        writer = csv.DictWriter(file, fieldnames=list(Epoch.__dataclass_fields__))
-        writer.writeheader()
-        writer.writerows(asdict(epoch) for epoch in epochs)
 
 
 class Checkpoint:
@@ -320,7 +353,7 @@ class Checkpoint:
     def save(self, name: str, parts: Mapping[str, Stateful], progress: Progress) -> None:
         """Write the state of every part of a loop, and its log, beside those of the loops before it.
 
-        Of a full disk, say, one note is enough: the training is worth more.
+        A full disk gives one note: the training is worth more.
         """
         self._loops[name] = {
             "parts": {key: part.state_dict() for key, part in parts.items()},
@@ -328,7 +361,7 @@ class Checkpoint:
             "best_loss": progress.best_loss,
             "best_state": progress.best_state,
         }
-        content = io.BytesIO()  # PyTorch's own writer says of a full disk only that its archive is inconsistent
+        content = io.BytesIO()  # PyTorch's own writer does not say that a disk is full
         torch.save({"config": self._config, "loops": self._loops}, content)
         try:
             with atomic_write(self._path) as part:

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import os
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from importlib import import_module
+
+import torch
 
 from foten.baselines.sizes import BASELINES
 from foten.training.job import Trained, TrainingJob
-from foten.training.loop import Monitor, reproducible
+from foten.training.loop import Monitor
 
 FITS: Mapping[str, str] = {
     "foten-plus": "foten.models.foten_plus.fit",
@@ -28,3 +32,25 @@ def train(job: TrainingJob, monitor: Monitor | None = None) -> Trained:
     with reproducible():
         trained: Trained = import_module(FITS[job.model]).fit(job, monitor or Monitor())
         return trained
+
+
+@contextmanager
+def reproducible() -> Iterator[None]:
+    """Fix the algorithms, so that one seed gives one network, and PyTorch's own threads to one, until the end of the block.
+
+    The matrices are too small to share among threads: two gained 15 % on two idle cores, and lost a factor of ten when
+    another program kept one of them busy. `shared_gradients` shares out the batch instead.
+    """
+    os.environ.setdefault("CUBLAS_WORKSPACE_CONFIG", ":4096:8")  # else sums on a GPU come in any order
+    n_threads, deterministic = torch.get_num_threads(), torch.are_deterministic_algorithms_enabled()
+    torch.set_num_threads(1)
+    # On the CPU one thread adds up in one order anyway, and the call takes a second, for it loads a compiler.
+    on_gpu = torch.cuda.is_available()
+    if on_gpu:
+        torch.use_deterministic_algorithms(True, warn_only=True)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(n_threads)
+        if on_gpu:
+            torch.use_deterministic_algorithms(deterministic)

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import csv
 import json
 import math
 from collections.abc import Callable, Mapping
-from contextlib import suppress
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -14,16 +15,14 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from foten.atomic_write import atomic_write, reason
 from foten.training.job import Trained
-from foten.training.loop import Epoch, write_log
+from foten.training.loop import Epoch
 
 
 class RunFolder:
     """Everything about one training but its result: configuration, log, curves, split, checkpoint.
 
-    ``config.json``, ``log.csv`` and, at the end, ``split.json`` and ``curves.png``; ``checkpoint.pt`` while
-    it runs; TensorBoard events where tensorboard is installed.
-
-    What cannot be written after the first line of the log is said in a note: the training is worth more.
+    ``config.json``, ``log.csv`` and, at the end, ``split.json`` and ``curves.png``; ``checkpoint.pt`` while it runs. What cannot
+    be written after the first line of the log is said in a note: the training is worth more.
     """
 
     def __init__(self, path: Path, on_note: Callable[[str], None] = lambda text: None) -> None:
@@ -31,10 +30,9 @@ class RunFolder:
         self._on_note, self._noted = on_note, False
         self._config = ""
         self._epochs: list[Epoch] = []
-        self._events: Any = None
 
     def open(self, config: Mapping[str, Any], resume: bool) -> None:
-        """Refuse what a run with this configuration cannot use; nothing is written before the first line of the log.
+        """Refuse what a run with this configuration cannot use; nothing is written yet.
 
         Raises:
             ValueError: the path is a file, or there is nothing to resume, or the settings differ.
@@ -56,37 +54,33 @@ class RunFolder:
             self.path.mkdir(parents=True, exist_ok=True)
             with atomic_write(self.path / "config.json") as part:
                 part.write_text(self._config)
-            with suppress(ImportError):
-                from torch.utils.tensorboard import SummaryWriter
-
-                self._events = SummaryWriter(str(self.path))
         self._epochs.append(epoch)
         try:
-            write_log(self.path / "log.csv", self._epochs)
+            _write_log(self.path / "log.csv", self._epochs)
         except OSError as error:
             if len(self._epochs) == 1:
                 raise
             if not self._noted:
                 self._on_note(f"{reason(error)}; the training goes on without its log")
             self._noted = True
-        if self._events is not None:
-            for name in ("train_loss", "validation_loss", "validation_mae"):
-                value = getattr(epoch, name)
-                if not math.isnan(value):
-                    self._events.add_scalar(name, value, epoch.epoch)
 
     def close(self, trained: Trained) -> None:
         """Write log, split and curves, as far as the disk takes them; the checkpoint goes unless the run was interrupted."""
         try:
-            write_log(self.path / "log.csv", trained.progress.epochs)
+            _write_log(self.path / "log.csv", trained.progress.epochs)
             trained.split.save(self.path / "split.json")
             _draw_curves(self.path / "curves.png", trained)
-        except OSError as error:  # the texture is written, and its folder is not worth an error
+        except OSError as error:
             self._on_note(f"{reason(error)}; the run folder is not complete")
         if not trained.progress.interrupted:
             self.checkpoint.unlink(missing_ok=True)
-        if self._events is not None:
-            self._events.close()
+
+
+def _write_log(path: Path, epochs: list[Epoch]) -> None:
+    with atomic_write(path) as part, part.open("w", newline="") as file:
+        writer = csv.DictWriter(file, fieldnames=list(Epoch.__dataclass_fields__))
+        writer.writeheader()
+        writer.writerows(asdict(epoch) for epoch in epochs)
 
 
 def _draw_curves(path: Path, trained: Trained) -> None:

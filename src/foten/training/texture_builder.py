@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from torch import nn
 
 from foten.dsp import Array
 from foten.dsp.noise import gaussian
@@ -19,11 +20,11 @@ from foten.models.texture_file import FORMAT_VERSION, MIN_GOLDEN, Texture, textu
 from foten.recording.scaling import Scaling
 from foten.recording.windows import windows
 from foten.runtime.native import NativeTexture
-from foten.training.blocks import ScaledBlocks
 from foten.training.config import WARM_START
+from foten.training.job import ScaledBlocks
 
 Tensors = dict[str, NDArray[Any]]
-Definition = Callable[[ModelSizes, Tensors], Model]
+MakeModel = Callable[[ModelSizes, Tensors], Model]
 
 N_GOLDEN = 12  # windows of the validation blocks
 NEAR_SHARE = 100  # of so many training windows one is near enough to begin from
@@ -45,7 +46,7 @@ class TextureBuilder:
     model: str
     blocks: ScaledBlocks
     card: dict[str, Any]  # entries beyond model, sizes and scaling
-    definition: Definition = model_of
+    definition: MakeModel = model_of
 
     def kernel(self, sizes: ModelSizes, tensors: Tensors, excitation: Excitation) -> NativeTexture:
         """What renders a texture with an excitation that is being fitted."""
@@ -72,7 +73,7 @@ def proved(
     golden: Array,
     warm_start: Array,
     card: dict[str, Any],
-    definition: Definition = model_of,
+    definition: MakeModel = model_of,
 ) -> ProvedTexture:
     """A texture with golden samples, loaded into the kernel, which replays them.
 
@@ -87,7 +88,7 @@ def proved(
         ValueError: the kernel does not reproduce the definition.
     """
     golden = np.concatenate([golden, np.zeros_like(golden[:1]), 4 * golden[:1]])
-    # What they are predicted from is stored in half of the bytes, which are most of a file with a long history; exactly so.
+    # Predictions are of what is stored, in float32.
     stored, stored_start = golden.astype(np.float32), warm_start.astype(np.float32)
     golden, warm_start = stored.astype(np.float64), stored_start.astype(np.float64)
     condition = np.repeat(warm_start[-1:, 1:], 64, axis=0)
@@ -128,12 +129,10 @@ def with_golden(
 def pick_warm_start(blocks: ScaledBlocks, m: int) -> tuple[Array, dict[str, Any]]:
     """A recorded training window near 45 mm/s and 0.8 N that is neither loud nor soft, scaled, (m, 3), and its condition.
 
-    Of the hundredth of the training windows that is nearest (in units of the training standard deviations), it is the one
-    whose last 20 ms have the median power: those ring on. What is rendered without excitation goes on from it, and so does the
-    proof of the file; with excitation a stroke begins with noise.
+    Of the hundredth of the training windows that is nearest, in units of the training standard deviations, it is the one whose
+    last 20 ms have the median power: those ring on. What is rendered without excitation goes on from it.
 
-    Source: Sec. V-a. Differs from the paper: it synthesises the window without saying from what; ours is recorded, and the
-    card says under what condition.
+    Source: Sec. V-a. Differs from the paper: it synthesises the window without saying from what; ours is recorded.
     """
     trace = blocks.trace
     ends, _ = blocks.targets(m)
@@ -154,3 +153,8 @@ def warm_start_entry(recorded: Array) -> dict[str, dict[str, float]]:
         "asked": dict(zip(channels, WARM_START, strict=True)),
         "recorded": dict(zip(channels, recorded.tolist(), strict=True)),
     }
+
+
+def tensors_of(module: nn.Module, prefix: str = "") -> Tensors:
+    """A module's parameters and buffers by name, copied."""
+    return {f"{prefix}{name}": t.detach().cpu().numpy().copy() for name, t in module.state_dict().items()}

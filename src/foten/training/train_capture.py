@@ -40,7 +40,7 @@ from foten.training.loop import Epoch, Monitor
 from foten.training.pipeline import train
 
 MODEL = "foten-plus"
-NICENESS = 5  # below what renders: sound under a hand comes first
+NICENESS = 5  # below what renders: sound that somebody strokes comes first
 HIGHEST_HZ = 2500.0  # of the texture: it carries all that skin feels
 ENOUGH_BLOCKS = 12
 STAGES, LATE_STAGES = 3, 12  # before a texture is playable, and after its network is fitted
@@ -86,21 +86,14 @@ def train_captured(folder: Path) -> None:
 
 
 def train_recording(recording: Recording, carried: Mapping[float, float], output: Path) -> None:
-    """Train a texture from a recording as a capture is, by the shares that each rate carries of it (`perception.carried`)."""
-
+    """Train a texture from a recording, by the shares that each rate carries of it (`perception.carried`)."""
     rate_hz = min(HIGHEST_HZ, smallest_rate(carried)) if carried else PreprocessConfig().rate_hz
     usable_ms = 1000 * recording.duration_s
     block_ms = next((ms for ms in SHORT_BLOCKS_MS if usable_ms >= ENOUGH_BLOCKS * ms), SHORT_BLOCKS_MS[-1])
     config = recipe_of(MODEL)
     # Nothing is to be trimmed: what lies before the first stroke and after the last was left out with the taps.
-    job = TrainingJob(
-        recording,
-        MODEL,
-        FotenPlusSizes(),
-        config,
-        PreprocessConfig(rate_hz=rate_hz, trim_ms=0.0, block_ms=block_ms),
-        texture_name=recording.texture,
-    )
+    preprocess = PreprocessConfig(rate_hz=rate_hz, trim_ms=0.0, block_ms=block_ms)
+    job = TrainingJob(recording, MODEL, FotenPlusSizes(), config, preprocess, texture_name=recording.texture)
     share = 0.05
 
     def on_stage(stage: str) -> None:
@@ -124,9 +117,9 @@ def train_recording(recording: Recording, carried: Mapping[float, float], output
     _say(done=output.name, network_in_loop=bool(trained.texture.card["sizes"].get("network_in_loop")))
 
 
-def _say(**said: Any) -> None:
+def _say(**message: Any) -> None:
     with contextlib.suppress(BrokenPipeError):  # nobody listens any more: the texture is still to be kept
-        print(json.dumps(said), flush=True)
+        print(json.dumps(message), flush=True)
 
 
 if __name__ == "__main__":

@@ -1,23 +1,39 @@
-"""Networks fitted to windows: what each sees, on its device, and its loop."""
+"""Networks fitted to windows: what each sees, on its device, and its loop; with an excitation, made a texture."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
+from typing import Any
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
+from foten.dsp import Array
+from foten.models.excitation import WithExcitation
+from foten.models.model_sizes import ModelSizes
 from foten.recording.windows import window_indices
+from foten.training.calibration import ClosedLoop, Residuals, calibrate_excitation
 from foten.training.config import TrainConfig
 from foten.training.dropout import mask, masks_from, set_dropout
-from foten.training.loop import GradientStep, Loop, Monitor, Progress, SharedGradients, epoch_seed, run_loop, schedule
-from foten.training.optimiser import Optimiser
+from foten.training.job import ScaledBlocks, Trained, TrainingJob
+from foten.training.loop import (
+    Loop,
+    Monitor,
+    Optimiser,
+    Progress,
+    epoch_seed,
+    gradient_step,
+    run_loop,
+    schedule,
+    shared_gradients,
+)
+from foten.training.texture_builder import MakeModel, Tensors, TextureBuilder, model_of
 
 
 @dataclass(frozen=True)
@@ -77,33 +93,25 @@ def fit_windows(network: nn.Module, data: TrainingWindows, config: TrainConfig, 
         if number == 0:
             torch.manual_seed(epoch_seed(config.seed, epoch))
             batches = on_device.shuffled(config.seed, epoch).split(config.batch)
-        shares, seed = batches[number].chunk(n_threads), mask_seed(config.seed, epoch, number) * n_threads
+        shares = batches[number].chunk(n_threads)
+        # No seed comes twice in 1000 epochs of a million steps.
+        seed = ((config.seed * 1_000 + epoch) * 1_000_000 + number) * n_threads
 
         def loss_of_share(k: int) -> Tensor:
-            with masks_from(partial(mask, generator=masks_of(seed + k, on_device.device))):
+            on_cpu = on_device.device.type == "cpu"  # on a GPU its own generator draws
+            generator = torch.Generator().manual_seed((seed + k) % 2**63) if on_cpu else None
+            with masks_from(partial(mask, generator=generator)):
                 loss = criterion(network(on_device.windows(shares[k])), on_device.target[shares[k]])
                 return loss * (len(shares[k]) / len(batches[number]))
 
-        loss, values = shared(loss_of_share, len(shares))
-        return loss * (
-            len(batches[number]) * n_steps / len(data.train)
-        ), values  # the mean over windows, not over steps
+        loss, values = shared_gradients(network, pool, loss_of_share, len(shares))
+        share = len(batches[number]) * n_steps / len(data.train)  # for the mean over windows, not over steps
+        return loss * share, values
 
     with ThreadPoolExecutor(n_threads) as pool:
-        shared = SharedGradients(network, pool)
-        step = GradientStep(network, optimiser, gradients, config.clip_norm, schedule(config, n_steps))
+        step = gradient_step(network, optimiser, gradients, config.clip_norm, schedule(config, n_steps))
         validate = partial(validated, data=on_device, criterion=criterion, over=pool.map)
         return run_loop(Loop("network", network, n_steps, step, validate, {"optimiser": optimiser}), config, monitor)
-
-
-def mask_seed(seed: int, epoch: int, number: int) -> int:
-    """Seed of a step's dropout: none comes twice in 1000 epochs of a million steps."""
-    return (seed * 1_000 + epoch) * 1_000_000 + number
-
-
-def masks_of(seed: int, device: torch.device) -> torch.Generator | None:
-    """What draws a step's dropout; on a GPU its own generator does."""
-    return torch.Generator().manual_seed(seed % 2**63) if device.type == "cpu" else None
 
 
 def predict(network: nn.Module, data: TrainingWindows, n: NDArray[np.int64]) -> NDArray[np.float64]:
@@ -135,3 +143,60 @@ def validated(
         sum(each) / len(data.validation) for each in zip(*over(sums, data.validation.split(1024)), strict=True)
     )
     return loss, mae
+
+
+@dataclass(frozen=True)
+class Packed:
+    """A network as its texture file holds it."""
+
+    sizes: ModelSizes
+    tensors: Tensors
+    definition: MakeModel = model_of
+    metrics: dict[str, Any] = field(default_factory=dict)
+
+
+def one_step_windows(blocks: ScaledBlocks, m: int) -> TrainingWindows:
+    """Windows of m samples, whose targets are the accelerations that follow."""
+    return TrainingWindows(blocks.flat, *blocks.targets(m), m)
+
+
+def one_step_texture(
+    job: TrainingJob, blocks: ScaledBlocks, network: nn.Module, progress: Progress, packed: Packed, monitor: Monitor
+) -> Trained:
+    """A texture of a trained network, with an excitation where one is asked for."""
+    best, sizes, tensors = progress.best, packed.sizes, packed.tensors
+    card = job.card(blocks, next(network.parameters()).device.type)
+    builder = TextureBuilder(job.model, blocks, card, packed.definition)
+    metrics: dict[str, Any] = {
+        "validation_loss": best.validation_loss,
+        "validation_mae_scaled": best.validation_mae,
+        "recorded_peak_sd": blocks.peak_sd,
+        "best_epoch": best.epoch,
+        "n_epochs": progress.epochs[-1].epoch,
+        **packed.metrics,
+    }
+    if isinstance(sizes, WithExcitation) and sizes.excitation:
+        monitor.on_stage("fitting the excitation and calibrating its level in the closed loop")
+        residuals = _residuals(blocks, network, sizes.window)
+        loop = ClosedLoop(
+            blocks, sizes.history, partial(builder.kernel, sizes, tensors), _unit_power, limit=blocks.saturation
+        )
+        calibrated = calibrate_excitation(sizes.excitation_width, residuals, loop, job.config.seed)
+        metrics |= calibrated.metrics()
+        tensors = {**tensors, **calibrated.excitation.tensors()}
+    monitor.on_stage("proving the texture file")
+    texture = builder.texture(sizes, tensors, metrics).texture
+    return Trained(texture, blocks.trace, blocks.split, progress)
+
+
+def _unit_power(condition: Array) -> tuple[Array, Array]:
+    """Of a linear filter; a network's is not known."""
+    return np.ones(len(condition)), np.zeros(len(condition))
+
+
+def _residuals(blocks: ScaledBlocks, network: nn.Module, m: int) -> Residuals:
+    windows = one_step_windows(blocks, m)
+    n = np.concatenate([windows.train, windows.validation])
+    residual = windows.samples[n, 0] - predict(network, windows, n)
+    gain, moving = np.ones(len(n)), blocks.moving().ravel()[n]
+    return Residuals(windows.samples[n - 1, 1:3], residual, gain, len(windows.train), moving)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from foten.dsp import Array
 from foten.dsp.spectrum import WEAKEST_BIN, dft_matrices, position_encoding
 from foten.models.foten.sizes import SpectralSizes, TransformerSizes
-from foten.models.weights import Weights
+from foten.models.stream import Weights
 
 
 class Network:
@@ -39,10 +39,9 @@ class Network:
         """A_spec: (b, m) → (b, m), Eq. 6 to 9."""
         real, imaginary = (acceleration @ matrix[:, : sizes.n_bins] for matrix in dft_matrices(sizes.window))
         power = real * real + imaginary * imaginary
-        # What is nothing but rounding is zero: its phase, or by its sign that of a negative real part (π or −π), would differ
-        # from one processor to the next.
-        least = WEAKEST_BIN * power.sum(axis=1, keepdims=True)
-        real, imaginary = np.where(real**2 > least, real, 0.0), np.where(imaginary**2 > least, imaginary, 0.0)
+        # Rounding alone is zero: its phase would differ from one processor to the next.
+        weakest = WEAKEST_BIN * power.sum(axis=1, keepdims=True)
+        real, imaginary = np.where(real**2 > weakest, real, 0.0), np.where(imaginary**2 > weakest, imaginary, 0.0)
         phase = np.arctan2(imaginary, real)
         magnitude = np.sqrt(power + 1e-16)
         magnitude, phase = self._bins(sizes, "magnitude", magnitude), self._bins(sizes, "phase", phase)

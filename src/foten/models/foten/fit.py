@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import torch
-from torch import nn
 
 from foten.models.foten.network import Foten
 from foten.models.foten.sizes import TransformerSizes
 from foten.training.job import Trained, TrainingJob, check_block
 from foten.training.loop import Monitor, pick_device
-from foten.training.one_step import Packed, fit_one_step, one_step_windows
-from foten.training.tensors import tensors_of
+from foten.training.texture_builder import tensors_of
+from foten.training.window_fit import Packed, fit_windows, one_step_texture, one_step_windows
 
 
 def fit(job: TrainingJob, monitor: Monitor) -> Trained:
@@ -20,8 +19,6 @@ def fit(job: TrainingJob, monitor: Monitor) -> Trained:
     check_block(blocks, m)
     torch.manual_seed(job.config.seed)
     network = Foten(job.sizes).to(pick_device())
-
-    def packed(network: nn.Module) -> Packed:
-        return Packed(job.sizes, tensors_of(network))
-
-    return fit_one_step(job, blocks, network, one_step_windows(blocks, m), packed, monitor)
+    progress = fit_windows(network, one_step_windows(blocks, m), job.config, monitor)
+    packed = Packed(job.sizes, tensors_of(network))
+    return one_step_texture(job, blocks, network, progress, packed, monitor)

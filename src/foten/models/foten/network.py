@@ -59,8 +59,7 @@ class SpectralBranch(nn.Module):
         # −0 would turn the angle of a negative real bin from π to −π.
         imaginary = acceleration @ self.imaginary.to(dtype) + 0.0
         power = real * real + imaginary * imaginary
-        # What is nothing but rounding is zero: its phase, or by its sign that of a negative real part (π or −π), would differ
-        # from one processor to the next.
+        # Rounding alone is zero: its phase would differ from one processor to the next.
         weakest = WEAKEST_BIN * power.sum(dim=1, keepdim=True)
         real, imaginary = torch.where(real**2 > weakest, real, 0.0), torch.where(imaginary**2 > weakest, imaginary, 0.0)
         magnitude = self._encode("magnitude", torch.sqrt(power + 1e-16))
@@ -77,7 +76,7 @@ def _angle(real: Tensor, imaginary: Tensor) -> Tensor:
     """The angle, π of what is real and negative, 0 of nothing."""
     if not torch.onnx.is_in_onnx_export():
         return torch.atan2(imaginary, real)
-    # ONNX has no such function; the exporter's stand-in divides by nothing, and gives −π where nothing is imaginary.
+    # The exporter's stand-in divides by zero, and gives −π where nothing is imaginary.
     is_real = imaginary == 0
     angle = torch.atan2(imaginary, torch.where(is_real, 1.0, real))
     return torch.where(is_real & (real < 0), math.pi, angle)

@@ -79,8 +79,7 @@ class SpectralSizes(TransformerSizes):
     """A temporal and a Fourier branch, fused at the last token.
 
     Differs from the paper where it is silent: the spectral branches are lifted from width 1 to `spectral_width` and projected
-    back, since at the literal width 1 a layer normalisation outputs a constant and the branch carries nothing; all m bins are
-    kept and Eq. 9 gives its real part.
+    back, since at width 1 a layer normalisation outputs a constant; all m bins are kept, and Eq. 9 gives its real part.
     """
 
     window: int = 20  # m, samples; Sec. VI-b

@@ -32,16 +32,16 @@ class EncoderLayer(nn.Module):
         `last_only` gives exactly the last row of the whole result, at the cost of one query and one feed-forward row.
         """
         normed = self.norm_1(tokens) if self.pre_norm else tokens
-        asked = slice(-1, None) if last_only else slice(None)
-        hidden = tokens[:, asked] + self.dropout(self._attend(normed, asked))
+        queries = slice(-1, None) if last_only else slice(None)
+        hidden = tokens[:, queries] + self.dropout(self._attend(normed, queries))
         hidden = hidden if self.pre_norm else self.norm_1(hidden)
         inner = self.norm_2(hidden) if self.pre_norm else hidden
         fed = self.dropout(self.feedforward_out(self.dropout(torch.relu(self.feedforward_in(inner)))))
         return hidden + fed if self.pre_norm else self.norm_2(hidden + fed)
 
-    def _attend(self, normed: Tensor, asked: slice) -> Tensor:
+    def _attend(self, normed: Tensor, queries: slice) -> Tensor:
         width, weight, bias = normed.shape[2], self.attention_in.weight, self.attention_in.bias
-        query = nn.functional.linear(normed[:, asked], weight[:width], bias[:width])
+        query = nn.functional.linear(normed[:, queries], weight[:width], bias[:width])
         key, value = nn.functional.linear(normed, weight[width:], bias[width:]).chunk(2, dim=-1)
         return self.attention_out(attended(query, key, value, self.n_heads))
 

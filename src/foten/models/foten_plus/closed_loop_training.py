@@ -1,13 +1,14 @@
-"""An innovation network trained in its own closed loop, after it was fitted by likelihood: `rollout`, `envelope_loss`.
+"""An innovation network trained in its own closed loop, after it was fitted by likelihood: excerpts, roll-outs, their loss.
 
-Likelihood asks what comes after recorded samples. A rendering never has these: it goes on from what it drew itself, and a small
-error of each step becomes another texture. What is best on the validation blocks is kept: on artificial grass that is the
-network as it was, on rubber that squeals the loss fell by 15 %.
+A likelihood is of what follows recorded samples. A rendering goes on from what it drew itself, and small errors of single steps
+become another texture.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import lru_cache
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -16,48 +17,174 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from foten.dsp import Array
-from foten.dsp.bands import BAND_FRAME_MS
+from foten.dsp.bands import BAND_FRAME_MS, N_BANDS, envelope_edges
 from foten.dsp.lattice import analyse
 from foten.dsp.level import framed
 from foten.dsp.tones import tone
 from foten.models.foten_plus.definition import Tones
-from foten.models.foten_plus.likelihood import Batches, Innovations, mixtures
 from foten.models.foten_plus.linear_model import LinearModel
-from foten.models.foten_plus.network import InnovationNetwork, negative_log_likelihood
-from foten.training.blocks import ScaledBlocks
+from foten.models.foten_plus.network import Batches, InnovationNetwork, Innovations, mixtures, negative_log_likelihood
 from foten.training.config import TrainConfig
-from foten.training.envelope_loss import EnvelopeEnergyDistance
-from foten.training.loop import Epoch, GradientStep, Loop, Monitor, Progress, epoch_seed, run_loop, schedule
-from foten.training.optimiser import Optimiser
-from foten.training.rollout import PARTS, Rollout, RolloutInputs, RolloutState, repeated
-from foten.training.training_kernel import hidden_states
+from foten.training.job import ScaledBlocks
+from foten.training.loop import Epoch, Loop, Monitor, Optimiser, Progress, epoch_seed, gradient_step, run_loop, schedule
+from foten.training.training_kernel import Rollout, RolloutInputs, RolloutState, hidden_states, repeated
 
-N_EPOCHS = 8  # at most: of a shorter training this part is short too
+N_EPOCHS = 8  # at most, and no more than those of the training by likelihood
 N_STEPS = 25  # of an epoch
 N_EXCERPTS = 32  # of a step, each rendered twice
-EXCERPT_S, PREFIX_S = 0.512, 0.256  # what is rendered, and what was recorded before it, so that filters have settled
-MIN_S = 0.3  # of an excerpt, for its statistics to be any
+EXCERPT_S, PREFIX_S = 0.512, 0.256  # of what is rendered, and of the recording before it, in which filters settle
+MIN_S = 0.3  # of an excerpt
 MAX_SAMPLES = 1300  # of an excerpt: at 10 kHz a step would take ten times as long
 WARM_UP = 64  # samples that the network takes in first
-LIKELIHOOD_WEIGHT = 0.2  # beside the envelope loss, so that what was learned by likelihood is not lost
+NLL_WEIGHT = 0.2  # beside the envelope loss, so that what was learned by likelihood is not lost
 AVERAGING = 0.97  # of the weights, from step to step
-N_KNOWN = 400  # excerpts of the recording that say how much statistics vary
+N_KNOWN = 400  # recorded excerpts, whose statistics are standardised by
 N_VALIDATIONS = 8  # draws of excerpts of the validation blocks that a network is validated by
 RECIPE: dict[str, Any] = {
-    "optimiser": "adamw",
-    "learning_rate": 2e-3,
-    "weight_decay": 0.0,
-    "clip_norm": 1.0,
-    "schedule": "one_cycle",
+    **{"optimiser": "adamw", "learning_rate": 2e-3, "weight_decay": 0.0},
+    **{"clip_norm": 1.0, "schedule": "one_cycle"},
 }
+LAGS = (1, 2, 3, 4, 6, 8, 12)  # frames over which a band may go on
+POOLED = (1, 2, 4, 8, 16, 32)  # frames of a stretch of all bands
+STRETCH_WEIGHT = 0.3  # weight of these beside the statistics
+FLOOR = 1e-4  # of the mean energy of a band, as a listener's
+MIN_FRAMES = 8  # of a stroke in an excerpt, for its statistics to be any
+_MIN_VARIANCE, _MIN_SQUARE = 1e-3, 1e-4
+
+
+@lru_cache(maxsize=4)
+def _responses(n: int, rate_hz: float) -> Tensor:
+    """The band-passes of `dsp.bands` at the frequencies of a transform of n samples, (N_BANDS, n // 2 + 1)."""
+    from scipy.signal import butter, sosfreqz
+
+    frequencies = np.fft.rfftfreq(n, 1 / rate_hz)
+    passes = [
+        sosfreqz(butter(2, edges, "bandpass", fs=rate_hz, output="sos"), frequencies, fs=rate_hz)[1]
+        for edges in pairwise(envelope_edges(rate_hz))
+    ]
+    return torch.from_numpy(np.stack(passes)).to(torch.complex64)
+
+
+def energies(signals: Tensor, rate_hz: float) -> Tensor:
+    """What `dsp.bands.band_energies` does, but for what rings on: signals (…, n) → (…, N_BANDS, n_frames)."""
+    n, frame = signals.shape[-1], round(BAND_FRAME_MS * rate_hz / 1000)
+    length = n + round(0.25 * rate_hz)  # in which the lowest band rings out, and does not come round
+    spectra = torch.fft.rfft(signals, length)[..., None, :] * _responses(length, rate_hz)
+    bands = torch.fft.irfft(spectra, length)[..., : n // frame * frame]
+    return bands.reshape(*bands.shape[:-1], n // frame, frame).square().mean(dim=-1)
+
+
+class EnvelopeEnergyDistance:
+    """A loss of renderings against what was recorded, in units of how much recorded excerpts vary.
+
+    Half a second is described by log energies in the bands and frames of `dsp.bands`: of each band the mean, the deviation, the
+    skewness and the autocorrelation over 8 to 96 ms; of each pair the correlation, and which of the two leads. A likelihood of
+    single samples hardly depends on these.
+
+    With y recorded and x, x' two renderings under its speed and force, the energy distance
+
+        E |x − y| − ½ E |x − x'|
+
+    is smallest where x is distributed as y is, and for no other distribution. It is taken of each statistic by itself (the
+    continuous ranked probability score), and of short stretches of all bands at once. Frames at rest do not count: a rendering is
+    silent there by rule, and a sensor is not.
+
+    Source: McDermott & Simoncelli, "Sound texture perception via statistics of the auditory periphery" (Neuron 2011), for the
+    statistics; Gneiting & Raftery, "Strictly proper scoring rules" (JASA 2007), for the score.
+    """
+
+    def __init__(self, recorded: Array, moving: NDArray[np.bool_], rate_hz: float) -> None:
+        """Standardise by recorded excerpts (k, n), scaled, whose frames move or rest (k, f)."""
+        self._rate_hz = rate_hz
+        known, counted = energies(torch.from_numpy(recorded).float(), rate_hz), torch.from_numpy(moving)
+        of_strokes = known.transpose(1, 2)[counted] if counted.any() else known.transpose(1, 2).flatten(0, 1)
+        self._floor = FLOOR * of_strokes.mean(dim=0)[:, None] + torch.finfo(torch.float32).tiny
+        logs = torch.log(of_strokes.T + self._floor)
+        self._mean, self._sd = logs.mean(dim=1)[:, None], logs.std(dim=1)[:, None].clamp_min(1e-6)
+        self._unit = self._statistics(known, counted).std(dim=0).clamp_min(1e-6)
+
+    def __call__(self, drawn: Tensor, recorded: Tensor, prefix: Tensor, moving: Tensor) -> Tensor:
+        """The loss of two renderings each (2, k, n) of excerpts (k, n), both after what was recorded before (k, m).
+
+        Args:
+            moving: the frames of the excerpts that are of a stroke, (k, f).
+        """
+        n_before = prefix.shape[-1] // round(BAND_FRAME_MS * self._rate_hz / 1000)
+        first, second, truth = (
+            energies(torch.cat([prefix, signal], dim=-1), self._rate_hz)[..., n_before:]
+            for signal in (*drawn, recorded)
+        )
+        of_statistics = [self._statistics(energy, moving) / self._unit for energy in (first, second, truth)]
+        loss = _energy_distance(*(statistics[..., None] for statistics in of_statistics))
+        stretches = zip(*(self._stretches(energy, moving) for energy in (first, second, truth)), strict=True)
+        return loss + STRETCH_WEIGHT * torch.stack([_energy_distance(*stretch) for stretch in stretches]).mean()
+
+    def _statistics(self, energy: Tensor, moving: Tensor) -> Tensor:
+        """What describes excerpts (k, N_BANDS, f) whose frames move or rest (k, f): (k, n_statistics).
+
+        All zero where an excerpt is too short.
+        """
+        counts = moving[:, None].float()
+        logs = counts * (torch.log(energy + self._floor) - self._mean) / self._sd
+        n = counts.sum(dim=-1).clamp_min(1)
+        mean = logs.sum(dim=-1) / n
+        off = counts * (logs - mean[..., None])
+        variance = off.square().sum(dim=-1) / n + _MIN_VARIANCE
+        sd = variance.sqrt()
+
+        def pairs(lag: int) -> Tensor:
+            return (counts[..., lag:] * counts[..., :-lag]).sum(dim=-1).clamp_min(1)
+
+        autocorrelation = [
+            (off[..., lag:] * off[..., :-lag]).sum(dim=-1) / pairs(lag) / variance
+            for lag in LAGS
+            if lag < off.shape[-1]
+        ]
+        unit = off / sd[..., None]
+        row, column = np.triu_indices(N_BANDS, 1)
+        correlation = unit @ unit.transpose(-1, -2) / n[..., None]
+        later = unit[..., 1:] @ unit[..., :-1].transpose(-1, -2) / pairs(1)[..., None]
+        lag_difference = later - later.transpose(-1, -2)
+        skewness = unit.pow(3).sum(dim=-1) / n
+        of_pairs = correlation[..., row, column], lag_difference[..., row, column]
+        return torch.cat([mean, sd, *autocorrelation, skewness, *of_pairs], dim=-1) * (n >= MIN_FRAMES)
+
+    def _stretches(self, energy: Tensor, moving: Tensor) -> list[Tensor]:
+        """Log energies of all bands over two stretches in a row, for stretches of several lengths: (k, any, 2 N_BANDS).
+
+        Zero where all of a stretch is at rest.
+        """
+        parts = []
+        counts = moving[:, None].float()
+        for length in POOLED:
+            n = energy.shape[-1] // length
+            if n < 2:
+                break
+            pooled, counted = (
+                values[..., : n * length].unflatten(-1, (n, length)).sum(dim=-1) for values in (counts * energy, counts)
+            )
+            logs = torch.log(pooled / counted.clamp_min(1) + self._floor) / self._sd * (counted > 0)
+            parts.append(torch.cat([logs[..., :-1], logs[..., 1:]], dim=-2).transpose(-1, -2))
+        return parts
+
+
+def _energy_distance(first: Tensor, second: Tensor, recorded: Tensor) -> Tensor:
+    """The mean of |x − y| − ½ |x − x'| over vectors along the last axis, equal shapes."""
+
+    def distance(a: Tensor, b: Tensor) -> Tensor:
+        if a.shape[-1] == 1:
+            return (a - b).abs().mean()
+        return (a - b).square().sum(dim=-1).add(_MIN_SQUARE).sqrt().mean()
+
+    return 0.5 * (distance(first, recorded) + distance(second, recorded) - distance(first, second))
 
 
 @dataclass(frozen=True)
 class Excerpts:
-    """Where a network is rolled out: stretches of the recording, after what was recorded before them."""
+    """Where a network is rolled out: stretches of the recording, each with the recording before it."""
 
     blocks: ScaledBlocks
-    model: LinearModel  # whose lattice and tones a rendering goes by
+    model: LinearModel
     data: Innovations  # what the network was fitted to
     n: int  # samples of an excerpt
     innovation_limit: float
@@ -69,16 +196,16 @@ class Excerpts:
         return round(PREFIX_S * self.blocks.trace.rate_hz / frame) * frame
 
     @property
-    def first(self) -> int:
+    def min_start(self) -> int:
         """The first sample of a block that an excerpt may begin with."""
-        return max(self.n_before, self.data.first + WARM_UP, self.model.excited_lattice.order) + 1
+        return max(self.n_before, self.data.n_unknown + WARM_UP, self.model.excited_lattice.order) + 1
 
     def draw(
         self, numbers: tuple[int, ...], n: int, rng: np.random.Generator
     ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """The blocks and the first samples of n excerpts of some blocks, (n,) each."""
-        last = self.blocks.trace.block - self.n - 1
-        return np.array(numbers)[rng.integers(0, len(numbers), n)], rng.integers(self.first, last + 1, n)
+        end = self.blocks.trace.block - self.n
+        return np.array(numbers)[rng.integers(0, len(numbers), n)], rng.integers(self.min_start, end, n)
 
     def recorded(self, block: NDArray[np.int64], start: NDArray[np.int64]) -> tuple[Array, Array]:
         """Excerpts (k, n) and what was recorded before each (k, n_before), scaled."""
@@ -98,12 +225,12 @@ class Excerpts:
         rng: np.random.Generator,
         times: int = 1,
     ) -> tuple[Rollout, Array]:
-        """The network's roll-outs of k excerpts, and the whole vibration (times · k, n), scaled: all in turn, `times`."""
+        """The network's roll-outs of k excerpts, each `times`, and the vibration with its tones (times · k, n), scaled."""
         inputs, state, coefficients = self._rollout_inputs(network, block, start)
         if times > 1:
             inputs, state = repeated(inputs, times), repeated(state, times)
             coefficients = None if coefficients is None else np.tile(coefficients, (times, 1, 1))
-        weights = {name: dict(network.named_parameters())[name].detach().cpu().numpy() for name in PARTS}
+        weights = {name: weight.detach().cpu().numpy() for name, weight in network.named_parameters()}
         run = Rollout(weights, inputs, state, rng)
         tones = 0.0 if coefficients is None else tone(coefficients, run.phase)
         return run, np.asarray(run.residual + tones)
@@ -111,9 +238,9 @@ class Excerpts:
     def _rollout_inputs(
         self, network: InnovationNetwork, block: NDArray[np.int64], start: NDArray[np.int64]
     ) -> tuple[RolloutInputs, RolloutState, Array | None]:
-        """What roll-outs are given, with the state that the recording leaves, and the coefficients of tones."""
+        """The inputs of roll-outs, their states after the recording, and the coefficients of tones."""
         lattice, p = self.model.excited_lattice, self.model.excited_lattice.order
-        rows, conditions = block[:, None], self.blocks.path_conditions()
+        rows, conditions = block[:, None], self.blocks.conditions_with_speed()
         # A prediction knows the condition of the sample before; the states of the lattice are of its last p samples.
         at = start[:, None] + np.arange(-p, self.n)
         before = conditions[rows, at - 1]
@@ -136,10 +263,10 @@ class Excerpts:
             hidden = hidden_states(network.recurrent, torch.from_numpy(inputs).float().to(device))
         logs = lattice.level.logarithms(conditions[rows, at[:, p:], :2].reshape(-1, 2)).reshape(len(block), self.n, 2)
         arrays = (reflections[:, p:], level[:, p:], logs, states, hidden[:, -1].cpu().numpy(), inputs[:, -1])
-        k, of_level, of_logs, of_lattice, of_network, last = (np.ascontiguousarray(x, dtype=np.float32) for x in arrays)
+        k, levels, known, begin, hidden_state, last = (np.ascontiguousarray(x, dtype=np.float32) for x in arrays)
         limit, before_filter = self.innovation_limit, lattice.gain_before_filter
-        rollout = RolloutInputs(k, of_level, of_logs, before_filter, limit, tones, phase_increment)
-        return rollout, RolloutState(of_lattice, of_network, last, phase), coefficients
+        rollout = RolloutInputs(k, levels, known, before_filter, limit, tones, phase_increment)
+        return rollout, RolloutState(begin, hidden_state, last, phase), coefficients
 
 
 def excerpts_of(
@@ -147,25 +274,27 @@ def excerpts_of(
 ) -> Excerpts | None:
     """Where a network can be rolled out, or None where blocks are too short, or half a second is too many samples."""
     rate, block = blocks.trace.rate_hz, blocks.trace.block
-    n = min(round(EXCERPT_S * rate), block - Excerpts(blocks, model, data, 0, innovation_limit).first - 2)
-    return Excerpts(blocks, model, data, n, innovation_limit) if MIN_S * rate <= n <= MAX_SAMPLES else None
+    excerpts = Excerpts(blocks, model, data, 0, innovation_limit)
+    n = min(round(EXCERPT_S * rate), block - excerpts.min_start - 2)
+    return replace(excerpts, n=n) if MIN_S * rate <= n <= MAX_SAMPLES else None
 
 
 def fit_closed_loop(
     network: InnovationNetwork, excerpts: Excerpts, warm_up: int, config: TrainConfig, monitor: Monitor
 ) -> Progress:
-    """Train a network in place in its own closed loop, and leave it where the validation blocks are nearest, or as it was.
+    """Train a network in place in its own closed loop, and leave it at its lowest validation loss; see `run_loop`.
 
-    The loss is the envelope energy distance of two roll-outs of each excerpt, and a share of the likelihood, which the log
-    leaves out; see `run_loop`.
+    The loss is the envelope energy distance of two roll-outs of each excerpt, and a share of the nll, which the log leaves out.
 
     Args:
-        warm_up: samples of a chunk that the likelihood does not count.
+        warm_up: samples of a chunk that the nll does not count.
     """
-    own = replace(config, **RECIPE, epochs=min(N_EPOCHS, config.epochs), patience=N_EPOCHS, probation=N_EPOCHS + 1)
+    recipe = replace(
+        config, **RECIPE, epochs=min(N_EPOCHS, config.epochs), patience=N_EPOCHS, trial_epochs=N_EPOCHS + 1
+    )
     split, rate = excerpts.blocks.split, excerpts.blocks.trace.rate_hz
     known = excerpts.draw(split.train, N_KNOWN, np.random.default_rng(config.seed))
-    distance = EnvelopeEnergyDistance(excerpts.recorded(*known)[0], excerpts.moving(*known), rate)
+    envelope_distance = EnvelopeEnergyDistance(excerpts.recorded(*known)[0], excerpts.moving(*known), rate)
     device = next(network.parameters()).device
     batches = Batches(excerpts.data, excerpts.blocks, warm_up, config, device)
     rng = np.random.default_rng()
@@ -174,42 +303,43 @@ def fit_closed_loop(
         nonlocal rng
         if number == 0:
             rng = np.random.default_rng((config.seed, 2, epoch_seed(config.seed, epoch)))
-        loss, drawn, run = _loss(distance, excerpts, network, split.train, rng)
-        (by_drawn,) = torch.autograd.grad(loss, [drawn])
-        by_rollout = run.gradients(by_drawn.numpy())
-        inputs, follows = batches.draw(rng)
-        nll = negative_log_likelihood(mixtures(network, inputs), follows)[:, warm_up:].mean()
-        by_likelihood = torch.autograd.grad(LIKELIHOOD_WEIGHT * nll, list(network.parameters()))
-        names = [name for name, _ in network.named_parameters()]
-        both = zip(names, by_likelihood, strict=True)
-        return loss.detach(), [torch.from_numpy(by_rollout[name]).to(device) + by_nll for name, by_nll in both]
+        loss, drawn, run = _loss(envelope_distance, excerpts, network, split.train, rng)
+        (grad_drawn,) = torch.autograd.grad(loss, [drawn])
+        grad_rollout = run.gradients(grad_drawn.numpy())
+        inputs, targets = batches.draw(rng)
+        nll = negative_log_likelihood(mixtures(network, inputs), targets)[:, warm_up:].mean()
+        grad_nll = torch.autograd.grad(NLL_WEIGHT * nll, list(network.parameters()))
+        both = zip(network.named_parameters(), grad_nll, strict=True)
+        return loss.detach(), [torch.from_numpy(grad_rollout[name]).to(device) + part for (name, _), part in both]
 
     def validate(averaged: InnovationNetwork) -> tuple[float, float]:
         validation = np.random.default_rng(config.seed + 1)  # the same excerpts and noise each time
-        draws = [_loss(distance, excerpts, averaged, split.validation, validation) for _ in range(N_VALIDATIONS)]
+        draws = [
+            _loss(envelope_distance, excerpts, averaged, split.validation, validation) for _ in range(N_VALIDATIONS)
+        ]
         mean = float(np.mean([float(loss.detach()) for loss, _, _ in draws]))
         return mean, mean
 
     def on_epoch(line: Epoch) -> None:
-        monitor.on_stage(f"training the network in its closed loop: {100 * line.epoch // own.epochs} %")
+        monitor.on_stage(f"training the network in its closed loop: {100 * line.epoch // recipe.epochs} %")
 
-    optimiser = Optimiser(dict(network.named_parameters()), own)
-    step = GradientStep(network, optimiser, gradients, own.clip_norm, schedule(own, N_STEPS))
+    optimiser = Optimiser(dict(network.named_parameters()), recipe)
+    step = gradient_step(network, optimiser, gradients, recipe.clip_norm, schedule(recipe, N_STEPS))
     loop = Loop("closed loop", network, N_STEPS, step, validate, {"optimiser": optimiser}, AVERAGING)
-    return run_loop(loop, own, monitor, on_epoch)
+    return run_loop(loop, recipe, monitor, on_epoch)
 
 
 def _loss(
-    distance: EnvelopeEnergyDistance,
+    envelope_distance: EnvelopeEnergyDistance,
     excerpts: Excerpts,
     network: InnovationNetwork,
     numbers: tuple[int, ...],
     rng: np.random.Generator,
 ) -> tuple[Tensor, Tensor, Rollout]:
-    """Loss of two roll-outs of each of some excerpts, what was drawn (2k, n), which has a gradient of it, and the roll-outs."""
+    """Loss of two roll-outs of each of some excerpts, the drawn vibration (2k, n), by which it has a gradient, the roll-outs."""
     block, start = excerpts.draw(numbers, N_EXCERPTS, rng)
     run, vibration = excerpts.rollout(network, block, start, rng, 2)
     drawn = torch.from_numpy(vibration.astype(np.float32)).requires_grad_()
     recorded, prefix = (torch.from_numpy(x).float() for x in excerpts.recorded(block, start))
     moving = torch.from_numpy(excerpts.moving(block, start))
-    return distance(drawn.unflatten(0, (2, len(block))), recorded, prefix, moving), drawn, run
+    return envelope_distance(drawn.unflatten(0, (2, len(block))), recorded, prefix, moving), drawn, run

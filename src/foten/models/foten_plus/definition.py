@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
@@ -13,10 +15,111 @@ from foten.dsp.lattice import check_reflections, predict, push
 from foten.dsp.speed_force_table import SpeedForceTable
 from foten.dsp.tones import MAX_JITTER_DRIVE, anti_alias_gain, fitted_phase, tone
 from foten.models.excitation import Excitation, Scale
-from foten.models.foten_plus.innovation_network import InnovationNetwork, innovation_inputs, phase_inputs
-from foten.models.foten_plus.sizes import FotenPlusSizes
-from foten.models.stream import Prediction, limit_of
-from foten.models.weights import Weights
+from foten.models.foten_plus.sizes import LOG_SCALE_LIMIT, FotenPlusSizes
+from foten.models.stream import Prediction, Weights, limit_of
+
+_erfc = np.vectorize(math.erfc, otypes=[float])
+MAX_NEWTON_STEPS = 60  # of Newton's method, which takes about six
+NEWTON_PRECISION = 1e-14
+
+
+@dataclass(frozen=True)
+class Mixture:
+    """Mixtures of k Gaussians, one for each of s streams: all (s, k)."""
+
+    weight: Array
+    mean: Array
+    scale: Array
+
+    def expected(self) -> Array:
+        """Their means, (s,)."""
+        return np.asarray((self.weight * self.mean).sum(axis=1))
+
+    def sd(self) -> Array:
+        """Their standard deviations, (s,)."""
+        deviation = self.mean - self.expected()[:, None]
+        return np.sqrt((self.weight * (deviation**2 + self.scale**2)).sum(axis=1))
+
+    def log_density(self, values: Array) -> Array:
+        """Log p of values (s,) [nat]."""
+        z = (values[:, None] - self.mean) / self.scale
+        terms = np.log(self.weight) - np.log(self.scale) - 0.5 * z * z
+        largest = terms.max(axis=1)
+        return largest + np.log(np.exp(terms - largest[:, None]).sum(axis=1)) - 0.5 * np.log(2 * np.pi)
+
+    def quantile(self, noise: Array) -> Array:
+        """The values below which lies Φ(z), for standard normal numbers z (s,).
+
+        Newton's method on log F, within the smallest and the largest of the components' own quantiles, from their mean; the
+        upper half by the mirror image, since only small probabilities are known to many digits.
+        """
+        sign = np.where(noise > 0, -1.0, 1.0)
+        z, mean = -np.abs(noise), sign[:, None] * self.mean
+        log_p = np.log(0.5 * _erfc(-z / np.sqrt(2)))
+        quantiles = mean + self.scale * z[:, None]  # of each component by itself
+        low, high, x = quantiles.min(axis=1), quantiles.max(axis=1), (self.weight * quantiles).sum(axis=1)
+        for _ in range(MAX_NEWTON_STEPS):
+            deviation = (x[:, None] - mean) / self.scale
+            below = (self.weight * 0.5 * _erfc(-deviation / np.sqrt(2))).sum(axis=1)
+            density = (self.weight * np.exp(-0.5 * deviation * deviation) / self.scale).sum(axis=1) / np.sqrt(2 * np.pi)
+            with np.errstate(all="ignore"):
+                error = np.log(below) - log_p
+                low, high = np.where(error < 0, x, low), np.where(error < 0, high, x)
+                step = x - error * below / density
+            step = np.where((step >= low) & (step <= high), step, 0.5 * (low + high))
+            converged, x = np.abs(step - x) <= NEWTON_PRECISION * (1 + np.abs(x)), step
+            if converged.all():
+                break
+        return sign * x
+
+
+def innovation_inputs(innovation: Array, sample: Array, logs: Array) -> Array:
+    """u: innovations (s,), samples over the level (s,), log speed and force re their means (s, 2) → (s, 5)."""
+    size = np.arcsinh(3 * np.abs(innovation)) - 1
+    return np.column_stack([np.arcsinh(innovation), size, sample / 2, logs])
+
+
+def phase_inputs(phase: Array) -> Array:
+    """What a network is given of the phase of the next sample [rad]: cosine and sine, and of twice it: (…,) → (…, 4)."""
+    return np.stack([np.cos(phase), np.sin(phase), np.cos(2 * phase), np.sin(2 * phase)], axis=-1)
+
+
+class NetworkDefinition:
+    """The innovation network of a texture's tensors.
+
+    A gated recurrent unit takes in what each sample was; a head gives a mixture of Gaussians for the next innovation:
+
+        u = (asinh e, asinh 3|e| − 1, x/2, log v/v̄, log f/f̄ [, cos φ, sin φ, cos 2φ, sin 2φ])      h ← GRU(u, h)
+        (log w, μ, log s) = W₂ tanh(W₁ [h, u] + b₁) + b₂           p(e) = Σ w_k N(e; μ_k, s_k),  log s = L tanh(· / L)
+
+    φ, where there are tones, is the phase of the next sample. The mean is what of the next innovation can be predicted. In a
+    rendering the innovation is the mixture's quantile at Φ(z), z one Gaussian number: it moves smoothly with the weights, the
+    state and the number.
+
+    Source: ours; the unit is that of Cho et al., "Learning phrase representations using RNN encoder–decoder" (2014), with the
+    reset gate after the product.
+    """
+
+    def __init__(self, tensors: Mapping[str, NDArray[Any]], prefix: str) -> None:
+        self._w = Weights(tensors, prefix)
+        self.n_hidden = self._w["recurrent.weight_hh_l0"].shape[1]
+
+    def push(self, hidden: Array, inputs: Array) -> Array:
+        """h after inputs (s, 5 or 9): (s, h) → (s, h)."""
+        from_inputs = inputs @ self._w["recurrent.weight_ih_l0"].T + self._w["recurrent.bias_ih_l0"]
+        from_hidden = hidden @ self._w["recurrent.weight_hh_l0"].T + self._w["recurrent.bias_hh_l0"]
+        (r, z, n), (hr, hz, candidate_preactivation) = (np.split(x, 3, axis=1) for x in (from_inputs, from_hidden))
+        reset, update = (0.5 + 0.5 * np.tanh(0.5 * gate) for gate in (r + hr, z + hz))  # the logistic function
+        candidate = np.tanh(n + reset * candidate_preactivation)
+        return (1 - update) * candidate + update * hidden
+
+    def mixture(self, hidden: Array, inputs: Array) -> Mixture:
+        """The distributions after h (s, h) and the last inputs (s, 5 or 9)."""
+        out = self._w.linear("out", np.tanh(self._w.linear("head", np.concatenate([hidden, inputs], axis=1))))
+        logit, mean, log_scale = np.split(out, 3, axis=1)
+        weight = np.exp(logit - logit.max(axis=1, keepdims=True))
+        scale = np.exp(LOG_SCALE_LIMIT * np.tanh(log_scale / LOG_SCALE_LIMIT))
+        return Mixture(weight / weight.sum(axis=1, keepdims=True), mean, scale)
 
 
 class Lattice:
@@ -37,6 +140,17 @@ class Lattice:
         """What multiplies the innovation before the filter, and what multiplies the sample after it."""
         ones = np.ones_like(level)
         return (level, ones) if self.gain_before_filter else (ones, level)
+
+
+def lattice_tensors(prefix: str, level: Scale, table: SpeedForceTable) -> dict[str, NDArray[np.float32]]:
+    """The tensors of a `Lattice`, as a texture file has them."""
+    return {**table_tensors(prefix, table, "reflections"), **level.tensors(f"{prefix}level.")}
+
+
+def table_tensors(prefix: str, table: SpeedForceTable, values: str) -> dict[str, NDArray[np.float32]]:
+    """The tensors of a table, whose values have a name."""
+    tensors = {"speed_knots": table.speed_knots, "force_knots": table.force_knots, values: table.values}
+    return {f"{prefix}{name}": tensor.astype(np.float32) for name, tensor in tensors.items()}
 
 
 class Tones:
@@ -63,11 +177,11 @@ class FotenPlus:
     """The model of a texture's tensors."""
 
     def __init__(self, sizes: FotenPlusSizes, tensors: Mapping[str, NDArray[Any]]) -> None:
-        self.sizes, self.window = sizes, sizes.history
+        self.sizes = sizes
         self.excitation = Excitation.of(tensors)
         self.lattice = self.excited_lattice = Lattice(tensors, "lattice.", sizes.gain_before_filter)
-        self.network = InnovationNetwork(tensors, "network.")
-        self.network_in_loop = InnovationNetwork(tensors, "rendering_network.") if sizes.network_in_loop else None
+        self.network = NetworkDefinition(tensors, "network.")
+        self.rendering_network = NetworkDefinition(tensors, "rendering_network.") if sizes.network_in_loop else None
         self.tones: Tones | None = None
         if sizes.n_tones:
             self.excited_lattice = Lattice(tensors, "residual.", sizes.residual_gain_before_filter)
@@ -80,12 +194,11 @@ class FotenPlus:
     def start(self, windows: Array) -> FotenPlusStream:
         """Streams that go on from scaled windows, shape (s, m, 3).
 
-        Their first sample is not what `predict` gives where the network is not in the loop, where there are tones, or where σ
-        is not 1.
+        Their first sample is what `predict` gives where the network is in the loop, there are no tones, and σ is 1.
         """
         if self.tones is None:
-            return self._analysed(windows, self.lattice, self.network_in_loop)
-        condition = self.with_path(windows[:, :-1, 1:])
+            return self._analysed(windows, self.lattice, self.rendering_network)
+        condition = self.with_speed(windows[:, :-1, 1:])
         flat = condition.reshape(-1, 3)
         level = self.lattice.level(flat[:, :2]).reshape(condition.shape[:2])
         coefficients = self.tones.coefficients(flat).reshape(*level.shape, -1) / level[..., None]
@@ -93,16 +206,14 @@ class FotenPlus:
         phase = fitted_phase(windows[:, 1:, 0] / level, coefficients, travelled)
         residual = windows.copy()
         residual[:, 1:, 0] -= level * tone(coefficients, travelled + phase[:, None])
-        follow = travelled + phase[:, None]
-        last = follow[:, -1:] + self.tones.phase_increment(self.with_path(windows[:, -1:, 1:]))
-        follow = np.concatenate([follow, last], axis=1)  # of each sample the phase of the next
-        stream = self._analysed(residual, self.excited_lattice, self.network_in_loop, self.tones, follow)
-        phase = follow[:, -1]
-        phase = np.remainder(phase + np.pi, 2 * np.pi) - np.pi  # within half a turn
-        stream.begin_path(self.tones, phase, np.zeros_like(phase))
+        last = travelled[:, -1:] + phase[:, None] + self.tones.phase_increment(self.with_speed(windows[:, -1:, 1:]))
+        next_phase = np.concatenate([travelled + phase[:, None], last], axis=1)
+        stream = self._analysed(residual, self.excited_lattice, self.rendering_network, self.tones, next_phase)
+        phase = np.remainder(next_phase[:, -1] + np.pi, 2 * np.pi) - np.pi  # within half a turn
+        stream.begin_phase(self.tones, phase, np.zeros_like(phase))
         return stream
 
-    def with_path(self, condition: Array) -> Array:
+    def with_speed(self, condition: Array) -> Array:
         """Conditions (…, 2) scaled with the speed that they stand for [mm/s], (…, 3)."""
         return np.concatenate([condition, self.lattice.level.physical(condition)[..., :1]], axis=-1)
 
@@ -110,25 +221,21 @@ class FotenPlus:
         self,
         windows: Array,
         lattice: Lattice,
-        network: InnovationNetwork | None,
+        network: NetworkDefinition | None,
         tones: Tones | None = None,
-        phase: Array | None = None,
+        next_phase: Array | None = None,
         calibrated: bool = True,
     ) -> FotenPlusStream:
-        """Streams after windows of what a lattice is of, with the phase of tones after each sample (s, n).
-
-        The network takes in the last samples.
-        """
-        conditions = self.with_path(windows[:, :, 1:])
+        """Streams after windows of what a lattice is of, with the phase of tones at the sample after each (s, n)."""
+        conditions = self.with_speed(windows[:, :, 1:])
         stream = FotenPlusStream(self, lattice, network, conditions[:, 0], tones, calibrated)
         n = windows.shape[1]
         for i in range(1, n):
             e = stream.analyse(windows[:, i, 0])
-            if phase is not None:
-                stream.phase = phase[:, i]
-            stream.follow(
-                e, windows[:, i, 0] / stream.level, conditions[:, i], update_network=i >= n - self.sizes.window
-            )
+            if next_phase is not None:
+                stream.phase = next_phase[:, i]
+            warming_up = i >= n - self.sizes.window
+            stream.advance(e, windows[:, i, 0] / stream.level, conditions[:, i], update_network=warming_up)
         return stream
 
 
@@ -144,7 +251,7 @@ class FotenPlusStream:
         self,
         model: FotenPlus,
         lattice: Lattice,
-        network: InnovationNetwork | None,
+        network: NetworkDefinition | None,
         condition: Array,
         tones: Tones | None = None,
         calibrated: bool = True,
@@ -154,7 +261,7 @@ class FotenPlusStream:
         self.states = np.zeros((lattice.order, s))  # b₀ … b_{p−1} of the lattice
         self.hidden_state = np.zeros((s, network.n_hidden if network else 0))  # of the network, after the last sample
         # Phase of the tones at the next sample [rad], the same without jitter, r of `dsp.tones`, and T; 0 without tones.
-        self.phase = self.path = self.rate = self.tone = np.zeros(s)
+        self.phase = self.steady_phase = self.rate = self.tone = np.zeros(s)
         self.set_condition(condition)
         self.inputs = self._inputs(np.zeros(s), np.zeros(s))  # of the last sample
 
@@ -170,9 +277,9 @@ class FotenPlusStream:
         inputs = innovation_inputs(innovation, x, self.logs)
         return inputs if self.tones is None else np.concatenate([inputs, phase_inputs(self.phase)], axis=1)
 
-    def begin_path(self, tones: Tones, phase: Array, path: Array) -> None:
-        """Begin the path of tones at a phase of the next sample, and that without jitter, (s,) each."""
-        self.phase, self.path, self.rate = phase, path, np.zeros_like(phase)
+    def begin_phase(self, tones: Tones, phase: Array, steady_phase: Array) -> None:
+        """Begin the tones at a phase of the next sample, and that without jitter, (s,) each."""
+        self.phase, self.steady_phase, self.rate = phase, steady_phase, np.zeros_like(phase)
         self.tone = tone(tones.coefficients(self.condition), phase)
 
     @property
@@ -185,10 +292,9 @@ class FotenPlusStream:
         """Draw the states and where in its period a surface is touched; run the network for its window.
 
         Under a constant condition the states of a normalised lattice are uncorrelated and as large as what enters it, each a sum
-        of many innovations, so Gaussian numbers of that size are a stream that was always there (but for the leak): level,
-        colour and peaks are right from the first sample on. A recorded window, as the paper has it, rings on alike in every first
-        stroke: linear cloth exceeded the settled 99.9th percentile in 0.212 ± 0.016 % of the first 20 ms from one, and in
-        0.114 % settled.
+        of many innovations. So Gaussian numbers of that size are a stream that was always there, but for the leak.
+
+        Differs from the paper: its recorded window rings on alike in every first stroke.
         """
         self.set_condition(condition)
         p, excitation, known = len(self.states), self.model.excitation, condition[:, :2]
@@ -199,7 +305,7 @@ class FotenPlusStream:
         self.states = size * noise[:, :p].T
         if self.tones:
             phase = np.arctan2(noise[:, p], noise[:, p + 1])
-            self.begin_path(self.tones, phase, phase)
+            self.begin_phase(self.tones, phase, phase)
             p += 2
         zero = np.zeros(len(noise))
         self.hidden_state, self.inputs = np.zeros_like(self.hidden_state), self._inputs(zero, zero)
@@ -216,13 +322,10 @@ class FotenPlusStream:
         mixture = self.network.mixture(self.hidden_state, self.inputs)
         if not self.calibrated:
             return Prediction(sample + innovation_gain * mixture.expected(), innovation_gain, mixture=mixture)
-        scale, innovation_limit = (
-            innovation_gain * self.model.excitation.sigma(known),
-            self.model.excitation.innovation_limit,
-        )
-        limit = limit_of(innovation_limit, scale)
+        scale, bounds = innovation_gain * self.model.excitation.sigma(known), self.model.excitation.innovation_limit
+        limit = limit_of(bounds, scale)
         expected = sample + scale * np.clip(mixture.expected(), -limit, limit)
-        return self._fading(Prediction(expected, scale, innovation_limit, mixture), sample)
+        return self._fading(Prediction(expected, scale, bounds, mixture), sample)
 
     def _fading(self, prediction: Prediction, linear: Array) -> Prediction:
         """A prediction that says what of it fades near rest, from its sample without innovation (s,)."""
@@ -235,7 +338,7 @@ class FotenPlusStream:
         self.states, e = push(self.states, self.reflections, sample / after)
         return e / before
 
-    def follow(self, innovation: Array, x: Array, condition: Array, update_network: bool = True) -> None:
+    def advance(self, innovation: Array, x: Array, condition: Array, update_network: bool = True) -> None:
         """Go on to the condition (s, 3) of a sample; the network takes in its innovation and x, (s,) each."""
         self.set_condition(condition)
         if self.network is not None and update_network:
@@ -243,12 +346,10 @@ class FotenPlusStream:
             self.hidden_state = self.network.push(self.hidden_state, self.inputs)
 
     def push(self, sample: Array, condition: Array, noise: Array | None) -> None:
-        """Take in the next samples.
+        """Take in the next samples; the noise in them is known from their innovations.
 
-        The phase of tones jitters as the surface does, by the innovation, and is drawn back to that of the path alone by a share
-        of all that it is away, full turns included: two streams under the same noise come nearer by that share in every sample,
-        so a rendering forgets where it started. Drawn to the nearest turn, two on either side of half a turn were drawn apart:
-        on simulated jeans, whose periods are uneven, they had not met in 12 s.
+        The phase of tones jitters with the innovation, and loses a share of all that it is away from that without jitter, full
+        turns included: so two streams under the same noise meet, and a rendering forgets where it started.
         """
         before, tones, sigma = self.condition, self.tones, self.model.excitation.sigma(self.condition[:, :2])
         level = self.level * sigma
@@ -259,8 +360,8 @@ class FotenPlusStream:
             memory = np.exp(-increment / np.pi)
             jitter = tones.period_jitter * np.clip(e, -MAX_JITTER_DRIVE, MAX_JITTER_DRIVE)
             self.rate = memory * self.rate + np.sqrt(1 - memory * memory) * jitter
-            self.phase = self.phase - tones.phase_leak * (self.phase - self.path) + increment * self.rate
+            self.phase = self.phase - tones.phase_leak * (self.phase - self.steady_phase) + increment * self.rate
             self.phase = self.phase + tones.phase_increment(condition)
-            self.path = self.path + tones.phase_increment(condition)
+            self.steady_phase = self.steady_phase + tones.phase_increment(condition)
             self.tone = tone(tones.coefficients(condition), self.phase)
-        self.follow(e / sigma, x / level, condition)
+        self.advance(e / sigma, x / level, condition)

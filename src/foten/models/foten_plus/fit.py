@@ -15,24 +15,48 @@ import torch
 from foten.dsp.level import FRAME_MS, frame_levels, frame_means
 from foten.models.conditions import FADE_FORCE, FADE_SPEED
 from foten.models.foten_plus.closed_loop_training import excerpts_of, fit_closed_loop
-from foten.models.foten_plus.innovation_network import InnovationNetwork as ReferenceNetwork
-from foten.models.foten_plus.likelihood import Innovations, fit_innovation_network, innovations_of, scored
-from foten.models.foten_plus.linear_model import LinearModel, fit_level, fit_linear_model, fit_tonal_model, silent_tones
-from foten.models.foten_plus.network import InnovationNetwork
+from foten.models.foten_plus.linear_model import MAX_ORDER_SHARE, LinearModel, fit_level, fit_linear_model
+from foten.models.foten_plus.network import (
+    InnovationNetwork,
+    Innovations,
+    fit_innovation_network,
+    innovations_of,
+    scored,
+)
 from foten.models.foten_plus.sizes import FotenPlusSizes
+from foten.models.foten_plus.tones_fit import fit_tonal_model, silent_tones
 from foten.models.texture_file import Texture
-from foten.training.blocks import ScaledBlocks
-from foten.training.calibration import Calibrated, ClosedLoop, Residuals, calibrate_excitation, calibrate_network_gain
+from foten.training.calibration import (
+    UNSCORED_SHARE,
+    Calibrated,
+    ClosedLoop,
+    Residuals,
+    calibrate_excitation,
+    calibrate_network_gain,
+)
 from foten.training.config import TrainConfig
-from foten.training.job import Trained, TrainingJob, check_block
+from foten.training.job import ScaledBlocks, Trained, TrainingJob, check_block
 from foten.training.loop import Monitor, Progress, pick_device
-from foten.training.tensors import tensors_of
-from foten.training.texture_builder import Tensors, TextureBuilder
+from foten.training.texture_builder import Tensors, TextureBuilder, tensors_of
 
-MIN_GAIN_NAT = 0.005  # of an innovation's likelihood on the validation blocks, for a network to be in the loop
+MIN_GAIN_NAT = 0.005  # of an innovation's nll on the validation blocks, for a network to be in the loop
 INNOVATION_HEADROOM = 1.3  # times the largest recorded innovation is the largest that a network may draw
 MAX_TONE_DISTORTION = 1.05  # times the log-spectral distance without tones, on the validation blocks
 MAX_EXPONENT = 1.5  # of speed or force, that the level grows with above the trained range
+
+
+@dataclass(frozen=True)
+class Run:
+    """What every stage after the linear model is given."""
+
+    builder: TextureBuilder
+    config: TrainConfig
+    monitor: Monitor
+
+    @property
+    def blocks(self) -> ScaledBlocks:
+        """The recording."""
+        return self.builder.blocks
 
 
 @dataclass(frozen=True)
@@ -41,20 +65,20 @@ class Candidate:
 
     model: LinearModel
     random_part: Calibrated
-    network: Tensors = field(default_factory=dict)  # of a rendering, where one is in the loop
+    rendering_network: Tensors = field(default_factory=dict)  # where one is in the loop
     closed_loop: dict[str, float] | None = None  # validation loss of its closed-loop training, before and after
 
 
 @dataclass(frozen=True)
 class FittedNetwork:
-    """A network fitted by likelihood, for renderings by a linear model."""
+    """A network fitted by likelihood, for renderings by a linear model; its nll is of the validation blocks [nat]."""
 
     model: LinearModel
     network: InnovationNetwork
     data: Innovations
     progress: Progress
-    likelihood: float  # negative, of innovations of the validation blocks [nat]
-    metric: float | None  # the same of acceleration, where a rendering does not fade [nat]; None where it always does
+    innovation_nll: float
+    acceleration_nll: float | None  # where a rendering does not fade; None where it always does
 
 
 def fit(job: TrainingJob, monitor: Monitor) -> Trained:
@@ -63,26 +87,25 @@ def fit(job: TrainingJob, monitor: Monitor) -> Trained:
     assert isinstance(sizes, FotenPlusSizes)
     blocks = checked_blocks(job, sizes.window)
     monitor.on_stage("fitting level and lattice")
-    level = fit_level(blocks.flat[:, 0], sizes, blocks, config)
-    linear = fit_linear_model(level, sizes, blocks, config)
+    level, data = fit_level(blocks.flat[:, 0], sizes, blocks, config)
+    linear = fit_linear_model(level, data, sizes, config)
     monitor.on_stage("looking for a wavelength, and fitting its tones")
-    tonal = fit_tonal_model(linear, level, blocks, config)
-    builder = texture_builder(job, blocks)
+    tonal = fit_tonal_model(linear, data, blocks, config)
+    run = Run(texture_builder(job, blocks), config, monitor)
     torch.manual_seed(config.seed)
-    network = InnovationNetwork(sizes).to(pick_device())
+    initial = InnovationNetwork(sizes).to(pick_device())
     monitor.on_stage("fitting the excitation and calibrating its level in the closed loop")
-    excited_linear, report = nearest_linear_model(linear, tonal, network, builder, config)
-    playable = texture_of(excited_linear, network, None, report, [], builder)
-    monitor.on_playable(playable)
-    predicting = fit_predicting_network(network, excited_linear, blocks, config, monitor)
-    drawing = fit_drawing_network(predicting, excited_linear, linear, tonal, blocks, config, monitor)
-    chosen = calibrated_network(drawing, excited_linear, network, builder, config, monitor)
-    predicting.progress.include(drawing.progress)
+    excited, report = best_linear_model(linear, tonal, initial, run)
+    monitor.on_playable(texture_of([excited], initial, None, report, run))
+    network = fit_network(initial, excited, run)
+    rendering_network = fit_rendering_network(network, excited, linear, tonal, run)
+    in_loop = calibrated_network(rendering_network, excited, network.network, run)
+    network.progress.include(rendering_network.progress)
     monitor.on_stage("proving the texture file")
-    candidates = [excited_linear, *([chosen] if chosen is not None else [])]
-    texture = texture_of(candidates[-1], network, predicting, report, candidates, builder)
+    candidates = [excited, *([] if in_loop is None else [in_loop])]
+    texture = texture_of(candidates, network.network, network, report, run)
     mae = texture.card["metrics"]["validation_mae_scaled_lattice"]
-    return Trained(texture, blocks.trace, blocks.split, predicting.progress, mae)
+    return Trained(texture, blocks.trace, blocks.split, network.progress, mae)
 
 
 def checked_blocks(job: TrainingJob, window: int) -> ScaledBlocks:
@@ -90,9 +113,9 @@ def checked_blocks(job: TrainingJob, window: int) -> ScaledBlocks:
     blocks = job.blocks()
     check_block(blocks, window)
     rate, block = blocks.trace.rate_hz, blocks.trace.block
-    frame, history = FRAME_MS * rate / 1000, window + 1 + min(job.config.max_order, block // 8)
-    if block - max(0.2 * block, history) < frame:
-        enough = max(frame / 0.8, (frame + window + 1) / (1 - 1 / 8))
+    frame, history = FRAME_MS * rate / 1000, window + 1 + min(job.config.max_order, block // MAX_ORDER_SHARE)
+    if block - max(UNSCORED_SHARE * block, history) < frame:
+        enough = max(frame / (1 - UNSCORED_SHARE), (frame + window + 1) / (1 - 1 / MAX_ORDER_SHARE))
         raise ValueError(
             f"a block of {1000 * block / rate:g} ms holds no frame of {FRAME_MS:g} ms after its first {history} samples, and "
             f"the level could not be calibrated: use a --block of {math.ceil(1000 * enough / rate)} ms or more"
@@ -106,231 +129,166 @@ def texture_builder(job: TrainingJob, blocks: ScaledBlocks) -> TextureBuilder:
     return TextureBuilder(job.model, blocks, {**card, "extrapolation_exponents": extrapolation_exponents(blocks)})
 
 
-def nearest_linear_model(
-    linear: LinearModel,
-    tonal: LinearModel | None,
-    network: InnovationNetwork,
-    builder: TextureBuilder,
-    config: TrainConfig,
+def best_linear_model(
+    linear: LinearModel, tonal: LinearModel | None, network: InnovationNetwork, run: Run
 ) -> tuple[Candidate, dict[str, Any]]:
-    """The linear model, with tones or without, whose free run is nearer with an excitation; and what was tried."""
-    weights = tensors_of(network, "network.")
+    """The linear model, with tones or without, whose free run has less error with an excitation; and what was tried."""
     candidates = []
     for model in [linear, *([] if tonal is None else [tonal])]:
-        residuals, width = _residuals(model, builder.blocks), model.sizes.excitation_width
-        loop = _closed_loop(model, builder, weights)
-        candidates.append(Candidate(model, calibrate_excitation(width, residuals, loop, config.seed)))
-    return nearest(candidates)
+        _, e, gain = model.innovations(run.blocks, residual=True)
+        train, validation = run.blocks.targets(model.sizes.history)
+        n = np.concatenate([train, validation])
+        condition, moving = run.blocks.flat[n - 1, 1:], run.blocks.moving().ravel()[n]
+        residuals = Residuals(condition, e.ravel()[n], gain.ravel()[n], len(train), moving)
+        loop, width = _closed_loop(model, tensors_of(network, "network."), run), model.sizes.excitation_width
+        candidates.append(Candidate(model, calibrate_excitation(width, residuals, loop, run.config.seed)))
+    return best_candidate(candidates)
 
 
-def nearest(candidates: Sequence[Candidate]) -> tuple[Candidate, dict[str, Any]]:
-    """The candidate whose free run is nearest, and what was tried.
+def best_candidate(candidates: Sequence[Candidate]) -> tuple[Candidate, dict[str, Any]]:
+    """The candidate with the least product of log-spectral distance and level error of the free run; and what was tried.
 
     Tones that change the spectrum are none of the surface's, whatever the level.
     """
 
     def report(candidate: Candidate) -> dict[str, Any]:
-        distance = dict(zip(("lsd_db", "level_error_db"), candidate.random_part.distance, strict=True))
-        return {**candidate.model.report, "free_run": distance}
+        return {**candidate.model.report, "free_run": candidate.random_part.free_run._asdict()}
 
     first, *others = candidates
-    allowed = MAX_TONE_DISTORTION * first.random_part.distance[0]
-    eligible = [first, *(candidate for candidate in others if candidate.random_part.distance[0] <= allowed)]
-    best = min(eligible, key=lambda candidate: candidate.random_part.nearness)
+    allowed = MAX_TONE_DISTORTION * first.random_part.free_run.lsd_db
+    eligible = [first, *(candidate for candidate in others if candidate.random_part.free_run.lsd_db <= allowed)]
+    best = min(eligible, key=lambda candidate: math.prod(candidate.random_part.free_run))
     rejected = [report(candidate) for candidate in candidates if candidate is not best]
     return best, {**report(best), **({"rejected": rejected} if rejected else {})}
 
 
-def fit_predicting_network(
-    network: InnovationNetwork, excited_linear: Candidate, blocks: ScaledBlocks, config: TrainConfig, monitor: Monitor
-) -> FittedNetwork:
+def fit_network(network: InnovationNetwork, excited: Candidate, run: Run) -> FittedNetwork:
     """The network that predicts a recorded sample, over the linear model's lattice."""
-    data = innovations_of(excited_linear.model, blocks, _first(excited_linear.model))
-    return _fitted(network, excited_linear.model, data, blocks, config, monitor, "network")
+    data = innovations_of(excited.model, run.blocks, excited.model.n_unknown)
+    return _fitted(network, excited.model, data, run, "network")
 
 
-def fit_drawing_network(
-    predicting: FittedNetwork,
-    excited_linear: Candidate,
-    linear: LinearModel,
-    tonal: LinearModel | None,
-    blocks: ScaledBlocks,
-    config: TrainConfig,
-    monitor: Monitor,
+def fit_rendering_network(
+    network: FittedNetwork, excited: Candidate, linear: LinearModel, tonal: LinearModel | None, run: Run
 ) -> FittedNetwork:
     """The network that a rendering may draw from: the one that predicts, or one that is given the phase of the surface.
 
     Where the rendering has tones, that of what they leave; else the one with the phase where it is likelier.
     """
-    if tonal is None or predicting.progress.interrupted:
-        return predicting
-    with_tones = excited_linear.model.phase is not None
-    model = excited_linear.model if with_tones else silent_tones(linear, tonal)
-    data = innovations_of(model, blocks, predicting.data.first, residual=True)
-    torch.manual_seed(config.seed + 1)
-    network = InnovationNetwork(model.sizes, model.sizes.n_rendering_inputs).to(pick_device())
-    monitor.on_stage("training a network that is given the phase of the surface")
-    quiet = replace(monitor, on_epoch=lambda epoch: None)
-    phase_conditioned = _fitted(network, model, data, blocks, config, quiet, "phase-conditioned network")
-    predicting.progress.include(phase_conditioned.progress)  # that of the training, whichever is drawn from
-    likelier = predicting.likelihood - phase_conditioned.likelihood >= MIN_GAIN_NAT
-    return phase_conditioned if with_tones or likelier else predicting
+    if tonal is None or network.progress.interrupted:
+        return network
+    with_tones = excited.model.phase is not None
+    model = excited.model if with_tones else silent_tones(linear, tonal)
+    data = innovations_of(model, run.blocks, network.data.n_unknown, residual=True)
+    torch.manual_seed(run.config.seed + 1)
+    initial = InnovationNetwork(model.sizes, model.sizes.n_rendering_inputs).to(pick_device())
+    run.monitor.on_stage("training a network that is given the phase of the surface")
+    quiet = replace(run, monitor=replace(run.monitor, on_epoch=lambda epoch: None))
+    phase_conditioned = _fitted(initial, model, data, quiet, "phase-conditioned network")
+    network.progress.include(phase_conditioned.progress)  # that of the training, whichever is drawn from
+    likelier = network.innovation_nll - phase_conditioned.innovation_nll >= MIN_GAIN_NAT
+    return phase_conditioned if with_tones or likelier else network
 
 
 def calibrated_network(
-    drawing: FittedNetwork,
-    excited_linear: Candidate,
-    predicting: InnovationNetwork,
-    builder: TextureBuilder,
-    config: TrainConfig,
-    monitor: Monitor,
+    fitted: FittedNetwork, excited: Candidate, network: InnovationNetwork, run: Run
 ) -> Candidate | None:
     """The rendering that draws from a network, trained in its closed loop and calibrated; None where noise is as likely."""
-    before = excited_linear.random_part.likelihood_of_innovations
-    if not drawing.progress.best.epoch or before - drawing.likelihood < MIN_GAIN_NAT:
+    gain_nat = excited.random_part.innovation_nll - fitted.innovation_nll
+    if not fitted.progress.best.epoch or gain_nat < MIN_GAIN_NAT:
         return None
-    blocks, network = builder.blocks, copy.deepcopy(drawing.network)
-    if network.recurrent.input_size != drawing.model.sizes.n_rendering_inputs:
+    drawing, sizes = copy.deepcopy(fitted.network), fitted.model.sizes
+    if drawing.recurrent.input_size != sizes.n_rendering_inputs:
         return None  # it was interrupted before there was one that is given the phase of its tones
-    model = replace(drawing.model, sizes=replace(drawing.model.sizes, network_in_loop=True))
-    limit, closed_loop = _innovation_limit(drawing.data, blocks), None
-    if config.closed_loop_training and not drawing.progress.interrupted:
-        closed_loop = _train_in_closed_loop(network, drawing, model, limit[0], blocks, config, monitor)
+    model = replace(fitted.model, sizes=replace(sizes, network_in_loop=True))
+    limit, closed_loop = _innovation_limit(fitted.data, run.blocks), None
+    if run.config.closed_loop_training and not fitted.progress.interrupted:
+        closed_loop = _train_in_closed_loop(drawing, fitted, model, limit[0], run)
     gained = closed_loop is not None and closed_loop["after"] < closed_loop["before"]
     if not gained:
-        monitor.on_stage("calibrating the level with the network in the loop")
-    weights = {**tensors_of(predicting, "network."), **tensors_of(network, "rendering_network.")}
-    loop, width = _closed_loop(model, builder, weights), model.sizes.excitation_width
-    random_part = calibrate_network_gain(width, limit, loop, config.seed, drawing.metric, level=not gained)
-    return Candidate(model, random_part, tensors_of(network, "rendering_network."), closed_loop)
+        run.monitor.on_stage("calibrating the level with the network in the loop")
+    tensors = tensors_of(drawing, "rendering_network.")
+    loop = _closed_loop(model, {**tensors_of(network, "network."), **tensors}, run)
+    nll, seed = fitted.acceleration_nll, run.config.seed
+    random_part = calibrate_network_gain(sizes.excitation_width, limit, loop, seed, nll, level=not gained)
+    return Candidate(model, random_part, tensors, closed_loop)
 
 
 def texture_of(
-    chosen: Candidate,
-    network: InnovationNetwork,
-    predicting: FittedNetwork | None,
-    report: dict[str, Any],
     candidates: Sequence[Candidate],
-    builder: TextureBuilder,
+    network: InnovationNetwork,
+    fitted: FittedNetwork | None,
+    report: dict[str, Any],
+    run: Run,
 ) -> Texture:
-    """The proved texture of a candidate; without a fitted network, that of its linear model alone."""
-    blocks, model = builder.blocks, chosen.model
-    linear_mae = _linear_mae(candidates[0] if candidates else chosen, blocks)
-    names = ("without network", "with network")
-    epochs: dict[str, Any] = {
-        "best_epoch": 0,
-        "n_epochs": 0,
-        "validation_loss": None,
-        "validation_mae_scaled": linear_mae,
-    }
-    if predicting is not None:
-        _check_torch_matches_definition(network, predicting.data)
-        best, last = predicting.progress.best, predicting.progress.epochs[-1]
-        epochs = {"best_epoch": best.epoch, "n_epochs": last.epoch, "validation_loss": best.validation_loss}
-        epochs["validation_mae_scaled"] = best.validation_mae
-    metrics = {
-        **epochs,
+    """The proved texture of the last candidate, the first being its linear model alone; before a network is fitted None."""
+    excited, chosen = candidates[0].model, candidates[-1]
+    _, e, gain = excited.innovations(run.blocks)
+    first = excited.n_unknown + 1 + excited.sizes.window
+    linear_mae = float(np.abs((e * gain)[list(run.blocks.split.validation), first:]).mean())
+    metrics: dict[str, Any] = {"best_epoch": 0, "n_epochs": 0, "validation_loss": None}
+    metrics["validation_mae_scaled"] = linear_mae
+    if fitted is not None:
+        best, last = fitted.progress.best, fitted.progress.epochs[-1]
+        metrics = {"best_epoch": best.epoch, "n_epochs": last.epoch, "validation_loss": best.validation_loss}
+        metrics["validation_mae_scaled"] = best.validation_mae
+    metrics |= {
         **chosen.random_part.metrics(),
         "validation_mae_scaled_lattice": linear_mae,
         "linear_model": report,
         "renderings": {
             name: {**candidate.random_part.metrics(), "closed_loop_training": candidate.closed_loop}
-            for name, candidate in zip(names, candidates, strict=False)
+            for name, candidate in zip(("without network", "with network"), candidates, strict=False)
         },
-        "recorded_peak_sd": blocks.peak_sd,
+        "recorded_peak_sd": run.blocks.peak_sd,
     }
-    tensors = {**model.tensors, **tensors_of(network, "network."), **chosen.network}
+    tensors = {**chosen.model.tensors, **tensors_of(network, "network."), **chosen.rendering_network}
     tensors |= chosen.random_part.excitation.tensors()
-    return builder.texture(model.sizes, tensors, metrics).texture
+    return run.builder.texture(chosen.model.sizes, tensors, metrics).texture
 
 
-def _fitted(
-    network: InnovationNetwork,
-    model: LinearModel,
-    data: Innovations,
-    blocks: ScaledBlocks,
-    config: TrainConfig,
-    monitor: Monitor,
-    name: str,
-) -> FittedNetwork:
-    warm_up, validation = model.sizes.window, blocks.split.validation
-    progress = fit_innovation_network(network, data, blocks, warm_up, config, monitor, name)
+def _fitted(network: InnovationNetwork, model: LinearModel, data: Innovations, run: Run, name: str) -> FittedNetwork:
+    warm_up, blocks = model.sizes.window, run.blocks
+    progress = fit_innovation_network(network, data, blocks, warm_up, run.config, run.monitor, name)
     tensors = data.tensors(next(network.parameters()).device)
-    nll, _, gain = scored(network, data, tensors, validation, warm_up)
-    moving = blocks.moving()[list(validation), data.first + 1 + warm_up :]
-    metric = float((nll + np.log(gain))[moving].mean()) if moving.any() else None
-    return FittedNetwork(model, network, data, progress, float(nll.mean()), metric)
+    nll, _, gain = scored(network, data, tensors, blocks.split.validation, warm_up)
+    moving = blocks.moving()[list(blocks.split.validation), data.n_unknown + 1 + warm_up :]
+    acceleration_nll = float((nll + np.log(gain))[moving].mean()) if moving.any() else None
+    return FittedNetwork(model, network, data, progress, float(nll.mean()), acceleration_nll)
 
 
 def _train_in_closed_loop(
-    network: InnovationNetwork,
-    drawing: FittedNetwork,
-    model: LinearModel,
-    innovation_limit: float,
-    blocks: ScaledBlocks,
-    config: TrainConfig,
-    monitor: Monitor,
+    network: InnovationNetwork, fitted: FittedNetwork, model: LinearModel, innovation_limit: float, run: Run
 ) -> dict[str, float] | None:
-    """Validation loss before and after; None where blocks are too short for it."""
-    excerpts = excerpts_of(blocks, model, drawing.data, innovation_limit)
+    """Validation loss before and after; None where blocks are too short for it, or the rate is too high."""
+    excerpts = excerpts_of(run.blocks, model, fitted.data, innovation_limit)
     if excerpts is None:
+        run.monitor.on_stage("no training in the closed loop: blocks are too short for it, or the rate is too high")
         return None
-    progress = fit_closed_loop(network, excerpts, model.sizes.window, config, monitor)
-    drawing.progress.include(progress)
+    progress = fit_closed_loop(network, excerpts, model.sizes.window, run.config, run.monitor)
+    fitted.progress.include(progress)
     return {"before": progress.epochs[0].validation_loss, "after": progress.best_loss}
 
 
-def _closed_loop(model: LinearModel, builder: TextureBuilder, weights: Tensors) -> ClosedLoop:
-    kernel = partial(builder.kernel, model.sizes, {**model.tensors, **weights})
-    history, block = model.sizes.history, builder.blocks.trace.block
-    return ClosedLoop(builder.blocks, history, kernel, model.power, model.response(block - history))
-
-
-def _first(model: LinearModel) -> int:
-    """The first sample of a block whose innovation is known well."""
-    return model.sizes.history - model.sizes.window
-
-
-def _residuals(model: LinearModel, blocks: ScaledBlocks) -> Residuals:
-    """What a linear model leaves of what a rendering excites."""
-    _, e, gain = model.innovations(blocks, residual=True)
-    train, validation = blocks.targets(model.sizes.history)
-    n = np.concatenate([train, validation])
-    return Residuals(blocks.flat[n - 1, 1:], e.ravel()[n], gain.ravel()[n], len(train), blocks.moving().ravel()[n])
-
-
-def _linear_mae(excited_linear: Candidate, blocks: ScaledBlocks) -> float:
-    """One-step validation error of the lattice alone, scaled."""
-    _, e, gain = excited_linear.model.innovations(blocks)
-    first = _first(excited_linear.model) + 1 + excited_linear.model.sizes.window
-    return float(np.abs((e * gain)[list(blocks.split.validation), first:]).mean())
+def _closed_loop(model: LinearModel, networks: Tensors, run: Run) -> ClosedLoop:
+    kernel = partial(run.builder.kernel, model.sizes, {**model.tensors, **networks})
+    history, block = model.sizes.history, run.blocks.trace.block
+    return ClosedLoop(run.blocks, history, kernel, model.power, model.response(block - history))
 
 
 def _innovation_limit(data: Innovations, blocks: ScaledBlocks) -> tuple[float, float]:
     """The largest innovations that a network may draw: in units of σ, and in scaled acceleration."""
     train = list(blocks.split.train)
-    recorded = (part[train, data.first + 1 :] for part in (data.innovation, data.innovation * data.innovation_gain))
+    recorded = (part[train, data.n_unknown + 1 :] for part in (data.innovation, data.innovation * data.innovation_gain))
     in_sigma, in_acceleration = (INNOVATION_HEADROOM * float(np.abs(values).max()) for values in recorded)
     return in_sigma, in_acceleration
-
-
-def _check_torch_matches_definition(network: InnovationNetwork, data: Innovations) -> None:
-    """Check that the network in PyTorch and its definition expect the same, in float64."""
-    inputs = data.inputs[:2, data.first : data.first + 16]
-    definition = ReferenceNetwork(tensors_of(network, "network."), "network.")
-    hidden = np.zeros((len(inputs), network.recurrent.hidden_size))
-    for i in range(inputs.shape[1]):
-        hidden = definition.push(hidden, inputs[:, i])
-    with torch.no_grad():
-        ours = copy.deepcopy(network).cpu().double().expected(torch.from_numpy(inputs))[:, -1].numpy()
-    assert np.abs(ours - definition.mixture(hidden, inputs[:, -1]).expected()).max() < 1e-9
 
 
 def extrapolation_exponents(blocks: ScaledBlocks) -> dict[str, float]:
     """Powers of speed and force that the level grows with, from the faster and the firmer half of the training blocks.
 
-    Levels in frames, least squares over their logarithms. 0, which holds the level, where there are fewer than 20 frames, speed
-    or force varies by less than a factor of 1.2 in them, or the level falls.
+    Least squares over logarithms of levels in frames. 0, which holds the level, where there are fewer than 20 frames, speed or
+    force varies by less than a factor of 1.2 in them, or the level falls.
     """
     rate = blocks.trace.rate_hz
     if blocks.trace.block < FRAME_MS * rate / 1000:

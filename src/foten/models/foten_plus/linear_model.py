@@ -1,30 +1,293 @@
-"""Level, lattice and tones of foten-plus: all that is fitted before the network, in closed form."""
+"""Level and lattice of foten-plus, fitted in closed form: section by section, shrunk by their own evidence."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
+from itertools import product
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+from scipy.ndimage import uniform_filter1d
 from scipy.signal import lfilter
 
 from foten.dsp import Array
-from foten.dsp.lattice import analyse, polynomial
-from foten.dsp.speed_force_table import SpeedForceTable
+from foten.dsp.lattice import MAX_REFLECTION, analyse, delayed, polynomial, rotate_back
+from foten.dsp.speed_force_table import SpeedForceTable, spanning
 from foten.dsp.tones import tone
 from foten.models.excitation import Scale
-from foten.models.foten_plus.definition import Lattice, Tones
-from foten.models.foten_plus.lattice_fit import FittedReflections, LatticeData, fit_lattice
+from foten.models.foten_plus.definition import Lattice, Tones, lattice_tensors
 from foten.models.foten_plus.sizes import FotenPlusSizes
-from foten.models.foten_plus.tones_fit import FittedTones, fit_tones, wavelength
-from foten.training.blocks import ScaledBlocks
+from foten.training.calibration import fit_scale
 from foten.training.config import TrainConfig
-from foten.training.scale_fit import fit_scale
+from foten.training.job import ScaledBlocks
 from foten.training.texture_builder import Tensors
 
-PHASE_LEAK_S = 0.5  # in which a rendering forgets the phase that it started with
-MAX_ORDER_SHARE = 8  # of a block, as 1 in so many samples, is the longest lattice that is tried
+ORDERS = (10, 20, 40, 80, 160, 240)  # tried, as far as a block allows
+# Longer orders take three times as long. They are tried of the best kinds alone, where the error falls by this share from the
+# order before up to this one: it fell by 1.1 % or more where 240 were best, by 0.6 % elsewhere.
+SHORT_ORDER, MIN_FALL = 80, 0.008
+MAX_ORDER_SHARE = 8  # the longest order that is tried is a block divided by this
+N_SPEED, N_FORCE = 12, 3  # knots
+CORRELATION = (
+    0.5  # length over which the prior correlates reflections, as a share of the range of speed and of log force
+)
+SCALES = (
+    0.0,
+    0.01,
+    0.03,
+    0.1,
+    0.3,
+    1.0,
+)  # prior standard deviations of a reflection over speed and force, that are tried
+N_FOLDS = 8  # of the cross-validation over training and validation blocks, at most one for each block
+N_FOLDS_OF_MANY, MANY_BLOCKS = 4, 16  # folds where there are more blocks than that
+LEVEL_SAMPLES = 241  # samples that a level is averaged over for the gain before the filter
+NEIGHBOURS = 10  # sections on each side from which the variance of a reflection is estimated
+MIN_GAIN = 1e-3  # share by which a longer order, the gain before the filter or a table must lower the error
 _AT_ONCE = 8_000_000  # reflection coefficients held in memory
+
+
+@dataclass(frozen=True)
+class LatticeData:
+    """What a lattice is fitted to: the training blocks of arrays of shape (n_blocks, block)."""
+
+    x: Array  # what the lattice is of: acceleration over its level, or acceleration
+    gain: Array  # what an x of 1 is in the acceleration that is scored
+    speed: Array  # that each prediction may know: of the sample before [mm/s]
+    force: Array  # and [N]
+    train: tuple[int, ...]  # numbers of blocks
+    validation: tuple[int, ...]
+    weight: Array | None = None  # of each sample's squared errors; None for all alike
+
+    def with_gain_before_filter(self) -> LatticeData:
+        """The same for a lattice of the acceleration itself.
+
+        Weighted by 1/level², its mean over `LEVEL_SAMPLES`: unweighted, soft strokes would count nothing, and weights that
+        change within the memory bias Burg's method towards too long a ringing.
+        """
+        weight = 1 / uniform_filter1d(np.square(self.gain), LEVEL_SAMPLES, axis=1)
+        return replace(self, x=self.x * self.gain, gain=np.ones_like(self.gain), weight=weight)
+
+
+@dataclass(frozen=True)
+class FittedReflections:
+    """A table of reflection coefficients; whether of the acceleration, or of the acceleration over its level; what was tried."""
+
+    table: SpeedForceTable
+    gain_before_filter: bool
+    tried: list[dict[str, float]]
+
+
+def fit_lattice(data: LatticeData, max_order: int, tables: bool = True, both_gains: bool = True) -> FittedReflections:
+    """The lattice of the training blocks whose kind predicts best, in absolute one-step error.
+
+    Tried: the `ORDERS` up to `max_order`, with one set of reflections for all speeds and forces and, unless `tables` is
+    False, with a table of them; of the acceleration over its level and, unless `both_gains` is False, of the acceleration itself.
+    The kind is chosen by cross-validation over training and validation blocks: two validation blocks of 200 ms are too few.
+
+    Differs from the paper: it has no linear part.
+    """
+    orders = [order for order in ORDERS if order <= max_order] or [max_order]
+    sizes, gains = ((1, 1), (N_SPEED, N_FORCE))[: 1 + tables], (False, True)[: 1 + both_gains]
+    of_gain = {gain: data.with_gain_before_filter() if gain else data for gain in gains}
+    folds = {gain: _folds(of_gain[gain]) for gain in gains}
+    weights = [len(fold.validation) for fold in folds[False]]
+    kinds = list(product(sizes, gains))
+
+    def errors_of(among: list[tuple[tuple[int, int], bool]], longest: int) -> list[list[float]]:
+        """The errors of some kinds, of each by order."""
+        shorter = [order for order in orders if order <= longest]
+
+        def of_fold(knots: tuple[int, int], fold: LatticeData) -> list[float]:
+            return validation_errors(fit_lattice_of(fold, longest, *knots), fold, shorter)
+
+        tasks = [(knots, fold) for knots, gain in among for fold in folds[gain]]
+        with ThreadPoolExecutor() as pool:  # NumPy's and SciPy's loops release the interpreter's lock
+            each = np.array(list(pool.map(of_fold, *zip(*tasks, strict=True))))
+        return np.average(each.reshape(len(among), len(weights), -1), axis=1, weights=weights).tolist()
+
+    errors = dict(zip(kinds, errors_of(kinds, min(SHORT_ORDER, orders[-1])), strict=True))
+    if orders[-1] > SHORT_ORDER:
+        lowest_errors = min(errors.values(), key=lambda of_kind: of_kind[-1])
+        if lowest_errors[-1] < lowest_errors[-2] * (1 - MIN_FALL):
+            near = [kind for kind in kinds if errors[kind][-1] <= lowest_errors[-1] * (1 + MIN_GAIN)]
+            errors |= zip(near, errors_of(near, orders[-1]), strict=True)
+    tried: list[dict[str, float]] = []
+    lowest, best = np.inf, (orders[0], *kinds[0])
+    for (knots, gain), of_kind in errors.items():
+        n_knots = len(spanning(data.speed, data.force, *knots).values)
+        for order, error in zip(orders, of_kind, strict=False):
+            tried.append({"order": order, "vertices": n_knots, "gain_before_filter": gain, "mae_scaled": error})
+            if error < lowest * (1 - MIN_GAIN):
+                lowest, best = error, (order, knots, gain)
+    order, knots, gain = best
+    return FittedReflections(fit_lattice_of(of_gain[gain], order, *knots), gain, tried)
+
+
+def _folds(data: LatticeData) -> list[LatticeData]:
+    known = sorted((*data.train, *data.validation))
+    n = min(N_FOLDS if len(known) <= MANY_BLOCKS else N_FOLDS_OF_MANY, len(known))
+    parts = [tuple(known[first::n]) for first in range(n)]
+    return [replace(data, train=tuple(b for b in known if b not in part), validation=part) for part in parts]
+
+
+def validation_errors(reflections: SpeedForceTable, data: LatticeData, orders: Sequence[int]) -> list[float]:
+    """The mean absolute one-step errors of the first sections alone, by their number, on the validation blocks [scaled].
+
+    The first samples of each block are left out, as many as the longest of these orders for all alike.
+    """
+    scored = slice(min(orders[-1], data.x.shape[1] // 2), None)
+    error = np.zeros(len(orders))
+    for block in data.validation:  # one by one: reflections of a minute at 10 kHz would take gigabytes
+        k = reflections.at(data.speed[block], data.force[block])
+        f = b = data.x[block]
+        gain = data.gain[block]
+        for i in range(orders[-1]):
+            f, b, cosine = rotate_back(f, delayed(b), k[:, i])
+            gain = gain * cosine
+            if i + 1 in orders:
+                error[orders.index(i + 1)] += np.abs(f * gain)[scored].mean()
+    return (error / len(data.validation)).tolist()
+
+
+def fit_lattice_of(data: LatticeData, order: int, n_speed: int, n_force: int) -> SpeedForceTable:
+    """The reflections that make forward and backward errors of each section least, over the training blocks.
+
+    Section i minimises Σ w ((f_{i−1} + k b)² + (b + k f_{i−1})²) over k at the knots: Burg's method, a least-squares
+    problem in as many unknowns as there are knots. What the knots differ by has a Gaussian prior in three parts,
+    over speed, over force and over both, exponentially correlated, whose standard deviations are those of the greatest
+    evidence. So a section that speed and force do not change stays one number.
+
+    Source: Burg's criterion; the time-varying extension after Grenier, IEEE Trans. ASSP 31 (1983); the prior is ours.
+    """
+    chosen = list(data.train)
+    speed, force, x = data.speed[chosen], data.force[chosen], data.x[chosen]
+    table = spanning(speed, force, n_speed, n_force)
+    near = knot_weights(table, speed, force)
+    n_knots = near.by_knot.shape[0]
+    parts = _covariances(len(table.speed_knots), len(table.force_knots))
+    weight = np.ones_like(speed) if data.weight is None else data.weight[chosen]
+    shares = _share_beyond_chance(x, weight, order)
+    f = b = x
+    reflections = np.zeros((n_knots, order))
+    for i in range(order):
+        b = delayed(b)
+        power, correlation = weight * (f * f + b * b) / 2, weight * f * b
+        power[:, : i + 1] = correlation[:, : i + 1] = 0.0  # before that a section still fills
+        upper = (near.by_pair @ power.ravel()).reshape(n_knots, n_knots)
+        gram = upper + upper.T - np.diag(np.diag(upper))
+        moment = -(near.by_knot @ correlation.ravel())
+        everywhere = shares[i] * moment.sum() / gram.sum()
+        # In units of a section's own error: a reflection is known to within √((1 − k²)/n).
+        noise = max(1e-4, 1 - everywhere**2) * power[:, i + 1 :].mean()
+        k = everywhere + _shrunk(gram / noise, (moment - gram.sum(axis=1) * everywhere) / noise, parts)
+        reflections[:, i] = np.clip(k, -MAX_REFLECTION, MAX_REFLECTION)
+        f, b, _ = rotate_back(f, b, (near.by_knot.T @ reflections[:, i]).reshape(f.shape))
+    return replace(table, values=reflections)
+
+
+@dataclass(frozen=True)
+class KnotWeights:
+    """Weights of a table's k knots at n samples, and products of each pair of knots i ≤ j, in row i·k + j: (k, n) and (k², n).
+
+    Sparse: at a sample four knots have a weight, and ten pairs a product.
+    """
+
+    by_knot: sparse.csc_array
+    by_pair: sparse.csc_array
+
+
+def knot_weights(table: SpeedForceTable, speed: Array, force: Array) -> KnotWeights:
+    """The weights of a table's knots at the samples of blocks, speed and force (n_blocks, block) each."""
+    by_block = [sparse.csr_array(table.weights(*block)) for block in zip(speed, force, strict=True)]
+    by_pair = [_pairs(block) for block in by_block]
+    return KnotWeights(sparse.vstack(by_block, format="csr").T, sparse.vstack(by_pair, format="csr").T)
+
+
+def _pairs(weights: sparse.csr_array) -> sparse.csr_array:
+    """The products of each row's weights, (n, k) → (n, k²): of knots i ≤ j, in column i·k + j."""
+    n, k = weights.shape
+    counts = np.diff(weights.indptr)
+    rows = np.repeat(np.arange(n), counts)
+    place = np.arange(weights.nnz) - weights.indptr[rows]
+    knot, weight = np.zeros((2, n, int(counts.max())))
+    knot[rows, place], weight[rows, place] = weights.indices, weights.data
+    first, second = np.triu_indices(knot.shape[1])
+    columns = knot[:, first] * k + knot[:, second]
+    products = weight[:, first] * weight[:, second]
+    nonzero = products != 0
+    at = np.repeat(np.arange(n), nonzero.sum(axis=1))
+    return sparse.csr_array((products[nonzero], (at, columns[nonzero].astype(np.int64))), shape=(n, k * k))
+
+
+def _share_beyond_chance(x: Array, weight: Array, order: int) -> Array:
+    """The share of each section's common reflection that is kept, shape (order,).
+
+    Reflections of far sections are mostly chance, and unshrunk draw ripples into the spectrum of a free run. The share is
+    Wiener's, τ²/(τ² + v), with v the variance between blocks and τ² what the squares of the neighbours have above it.
+    """
+    common, spread = np.zeros(order), np.zeros(order)
+    f = b = x
+    for i in range(order):
+        b = delayed(b)
+        filled = slice(i + 1, None)
+        power = (weight * (f * f + b * b) / 2)[:, filled].sum(axis=1)
+        moment = -(weight * f * b)[:, filled].sum(axis=1)
+        k = moment.sum() / power.sum()
+        share_of = power / power.sum()
+        each = moment / np.maximum(power, 1e-300)
+        common[i] = np.clip(k, -MAX_REFLECTION, MAX_REFLECTION)
+        spread[i] = (share_of**2 * (each - k) ** 2).sum() * len(x) / max(1, len(x) - 1)
+        f, b, _ = rotate_back(f, b, np.full_like(f, common[i]))
+    share = np.ones(order)
+    for i in range(NEIGHBOURS, order):  # the first sections are the shape of the spectrum, and none of them chance
+        near = slice(i - NEIGHBOURS, i + NEIGHBOURS + 1)
+        # The median of squares, since one strong reflection says nothing of its neighbours; 0.455 is that of χ² of one.
+        noise = spread[near].mean()
+        if noise > 0:
+            signal = max(0.0, np.median(np.square(common[near])) / 0.455 - noise)
+            share[i] = signal / (signal + noise)
+    return share
+
+
+def _covariances(n_speed: int, n_force: int) -> list[NDArray[Any]]:
+    """The prior covariances, of unit variance, of what knots differ by: over speed, over force, over both."""
+    if n_speed * n_force == 1:
+        return []
+    at = (np.arange(n) / max(1, n - 1) for n in (n_speed, n_force))
+    speed, force = (np.exp(-np.abs(np.subtract.outer(x, x)) / CORRELATION) for x in at)
+    return [np.kron(speed, np.ones_like(force)), np.kron(np.ones_like(speed), force), np.kron(speed, force)]
+
+
+def _shrunk(information: Array, score: Array, parts: list[NDArray[Any]]) -> NDArray[Any]:
+    """The posterior mean of deviations with likelihood exp(score·d − d·information·d/2), prior scales by evidence."""
+    if not parts:
+        return np.zeros_like(score)
+    identity = np.eye(len(score))
+
+    def solved(scales: list[float]) -> tuple[float, NDArray[Any]]:
+        prior = sum((scale**2 * part for scale, part in zip(scales, parts, strict=True)), 0 * identity)
+        system = identity + prior @ information
+        mean = np.linalg.solve(system, prior @ score)
+        return -0.5 * float(np.linalg.slogdet(system)[1]) + 0.5 * float(score @ mean), mean
+
+    scales = [0.0] * len(parts)
+    best = solved(scales)
+    for _ in range(2):
+        before = scales
+        for number, scale in product(range(len(parts)), SCALES):
+            tried = [*scales[:number], scale, *scales[number + 1 :]]
+            if tried != scales:
+                candidate = solved(tried)
+                if candidate[0] > best[0] + 1e-9:
+                    best, scales = candidate, tried
+        if scales == before:
+            break
+    return best[1]
 
 
 @dataclass(frozen=True)
@@ -36,6 +299,11 @@ class LinearModel:
     # Of the fundamental at every sample [rad], (n_blocks, block); None where the surface does not repeat.
     phase: Array | None = None
     report: dict[str, Any] = field(default_factory=dict)  # what was tried on the way
+
+    @property
+    def n_unknown(self) -> int:
+        """How many samples of a block come before the first whose innovation is known well."""
+        return self.sizes.history - self.sizes.window
 
     @property
     def _excited(self) -> tuple[str, bool]:
@@ -56,11 +324,10 @@ class LinearModel:
     def innovations(self, blocks: ScaledBlocks, residual: bool = False) -> tuple[Array, Array, Array]:
         """x, the innovations, and what an innovation of 1 is in scaled acceleration, (n_blocks, block) each.
 
-        The first sample of each block gives zeros: nothing comes before it. A sample's level and reflection coefficients are
-        those of the condition before it: a prediction knows no others (Eq. 1).
-        A `residual` is what the tones leave of the acceleration, where there are tones.
+        Each sample's level and reflection coefficients are those of the condition before it (Eq. 1), and a block's first sample
+        gives zeros. A `residual` is what the tones leave of the acceleration, where there are tones.
         """
-        samples, before = blocks.samples[:, 1:, 0], blocks.path_conditions()[:, :-1]
+        samples, before = blocks.samples[:, 1:, 0], blocks.conditions_with_speed()[:, :-1]
         lattice = Lattice(self.tensors, "lattice.", self.sizes.gain_before_filter)
         if residual and self.phase is not None:
             tones = Tones(self.tensors, lattice.level)
@@ -98,16 +365,10 @@ class LinearModel:
         return np.square(lfilter([1.0], polynomial(k), np.eye(1, n)[0]))
 
 
-@dataclass(frozen=True)
-class Levelled:
-    """A signal over its level, as a lattice is fitted to it."""
-
-    level: Scale
-    data: LatticeData
-
-
-def fit_level(signal: Array, sizes: FotenPlusSizes, blocks: ScaledBlocks, config: TrainConfig) -> Levelled:
-    """The level of a signal (n,) over speed and force, by likelihood."""
+def fit_level(
+    signal: Array, sizes: FotenPlusSizes, blocks: ScaledBlocks, config: TrainConfig
+) -> tuple[Scale, LatticeData]:
+    """The level of a signal (n,) over speed and force, by likelihood, and the signal over it."""
     train, validation = blocks.targets(sizes.window)
     both = np.concatenate([train, validation])
     condition = blocks.flat[both - 1, 1:]
@@ -115,95 +376,25 @@ def fit_level(signal: Array, sizes: FotenPlusSizes, blocks: ScaledBlocks, config
     speed, force, before = blocks.condition_before()
     gain = level(before)
     x, gain = (signal / gain).reshape(speed.shape), gain.reshape(speed.shape)
-    return Levelled(level, LatticeData(x, gain, speed, force, blocks.split.train, blocks.split.validation))
+    return level, LatticeData(x, gain, speed, force, blocks.split.train, blocks.split.validation)
 
 
-def fit_linear_model(
-    levelled: Levelled, sizes: FotenPlusSizes, blocks: ScaledBlocks, config: TrainConfig
-) -> LinearModel:
+def fit_linear_model(level: Scale, data: LatticeData, sizes: FotenPlusSizes, config: TrainConfig) -> LinearModel:
     """Level and lattice of the vibration."""
-    fitted = _fitted_lattice(levelled, blocks, config)
-    counts = _counts(fitted.table, "order", "n_speed", "n_force")
+    fitted = fitted_lattice(data, config)
+    counts = counts_of(fitted.table, "order", "n_speed", "n_force")
     sizes = replace(sizes, **counts, gain_before_filter=fitted.gain_before_filter, network_in_loop=False)
-    tensors = _lattice_tensors("lattice.", levelled.level, fitted)
+    tensors = lattice_tensors("lattice.", level, fitted.table)
     return LinearModel(sizes, tensors, report={"lattices": fitted.tried, "wavelength_mm": None})
 
 
-def fit_tonal_model(
-    linear: LinearModel, levelled: Levelled, blocks: ScaledBlocks, config: TrainConfig
-) -> LinearModel | None:
-    """The same with tones of the path, and a lattice of what they leave; None where no wavelength stands out."""
-    rate = blocks.trace.rate_hz
-    length = wavelength(levelled.data, rate) if config.tones else None
-    if length is None:
-        return None
-    tones = fit_tones(levelled.data, length, rate)
-    # Of what the tones leave when the phase is known as well as it can be.
-    residual = blocks.flat[:, 0] - (tones.played * levelled.data.gain).ravel()
-    beside = fit_level(residual, linear.sizes, blocks, config)
-    fitted = _fitted_lattice(beside, blocks, config)
-    counts = _counts(fitted.table, "residual_order", "n_residual_speed", "n_residual_force")
-    counts |= _counts(tones.table, "n_tones", "n_tone_speed", "n_tone_force")
-    counts["n_tones"] //= 2  # of which each has two coefficients
-    sizes = replace(linear.sizes, **counts, residual_gain_before_filter=fitted.gain_before_filter)
-    tensors = {**linear.tensors, **_tone_tensors(tones, rate), **_lattice_tensors("residual.", beside.level, fitted)}
-    report = {
-        "lattices": linear.report["lattices"],
-        "lattices_of_the_residual": fitted.tried,
-        "wavelength_mm": tones.wavelength_mm,
-        "period_jitter": tones.period_jitter,
-    }
-    return LinearModel(sizes, tensors, tones.phase, report)
+def fitted_lattice(data: LatticeData, config: TrainConfig) -> FittedReflections:
+    """The lattice of levelled data, of the kinds that a configuration tries."""
+    max_order = max(1, min(data.x.shape[1] // MAX_ORDER_SHARE, config.max_order))
+    return fit_lattice(data, max_order, config.table, config.gain_before_filter)
 
 
-def silent_tones(linear: LinearModel, tonal: LinearModel) -> LinearModel:
-    """The model without tones with the phase of those: silent tones, for a network that is given where it is.
-
-    Tones of one amplitude everywhere are none of a surface whose periods differ; where one begins and ends is known all the same.
-    """
-    residual = {
-        f"residual.{name.removeprefix('lattice.')}": tensor
-        for name, tensor in linear.tensors.items()
-        if name.startswith("lattice.")
-    }
-    speed, force = (linear.tensors[f"lattice.{name}"][:1] for name in ("speed_knots", "force_knots"))
-    silent = {"tones.speed_knots": speed, "tones.force_knots": force, "tones.values": np.zeros((1, 2), np.float32)}
-    phase = {"tones.phase_params": tonal.tensors["tones.phase_params"]}
-    sizes = linear.sizes
-    sizes = replace(
-        sizes,
-        n_tones=1,
-        n_tone_speed=1,
-        n_tone_force=1,
-        residual_order=sizes.order,
-        n_residual_speed=sizes.n_speed,
-        n_residual_force=sizes.n_force,
-        residual_gain_before_filter=sizes.gain_before_filter,
-    )
-    return LinearModel(sizes, {**linear.tensors, **residual, **silent, **phase}, tonal.phase, tonal.report)
-
-
-def _fitted_lattice(levelled: Levelled, blocks: ScaledBlocks, config: TrainConfig) -> FittedReflections:
-    max_order = max(1, min(blocks.trace.block // MAX_ORDER_SHARE, config.max_order))
-    return fit_lattice(levelled.data, max_order, config.table, config.gain_before_filter)
-
-
-def _counts(table: SpeedForceTable, *names: str) -> dict[str, Any]:
-    """How many values a vertex has, and how many vertices there are over speed and over force."""
+def counts_of(table: SpeedForceTable, *names: str) -> dict[str, Any]:
+    """How many values a knot has, and how many knots there are over speed and over force."""
     counts = table.values.shape[1], len(table.speed_knots), len(table.force_knots)
     return dict(zip(names, counts, strict=True))
-
-
-def _lattice_tensors(prefix: str, level: Scale, fitted: FittedReflections) -> Tensors:
-    return {**_table_tensors(prefix, fitted.table, "reflections"), **level.tensors(f"{prefix}level.")}
-
-
-def _tone_tensors(tones: FittedTones, rate_hz: float) -> Tensors:
-    increment = 2 * np.pi / (tones.wavelength_mm * rate_hz)  # [rad] a sample at 1 mm/s
-    phase = np.array([increment, tones.period_jitter, 1 / (PHASE_LEAK_S * rate_hz)])
-    return {**_table_tensors("tones.", tones.table, "values"), "tones.phase_params": phase}
-
-
-def _table_tensors(prefix: str, table: SpeedForceTable, values: str) -> Tensors:
-    tensors = {"speed_knots": table.speed_knots, "force_knots": table.force_knots, values: table.values}
-    return {f"{prefix}{name}": tensor.astype(np.float32) for name, tensor in tensors.items()}  # as networks are

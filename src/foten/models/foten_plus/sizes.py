@@ -2,29 +2,22 @@
 
 With ℓ(v, f) the level of the vibration, x = a/ℓ is of about unit size at every speed and force. A lattice whose reflection
 coefficients follow v and f (`dsp.lattice`) predicts x and leaves the innovation e, of unit variance; a unit of it is worth
-Π cᵢ in x. Innovations of a surface that is really scraped are uncorrelated and far from independent: impacts come where the
-tool left the surface, and ring. So a network, a gated recurrent unit that takes in each innovation, x, v and f, gives the
-distribution of the next one, a mixture of Gaussians:
+Π cᵢ in x. Innovations of a scraped surface are uncorrelated and far from independent: impacts ring. So a gated recurrent unit,
+given each innovation, x, v and f, gives the distribution of the next one, a mixture of Gaussians:
 
     a[n] = ℓ · ( lattice(x[n−1], x[n−2], …) + Π cᵢ · e[n] )        e[n] ~ Σ w_k N(μ_k, s_k),  w, μ, s = network(e, x, v, f)
 
 The mean of the mixture is what is predicted; in the closed loop e is drawn, through the mixture's quantile function, from one
 Gaussian number. This is the gain after the filter. With the gain before the filter the lattice predicts a itself and ℓ e enters
-it, so that what rang before rings on as loud as it was. Training chooses. In a rendering ℓ is multiplied by σ(v, f): 1, or near
-it, to settle the level of the closed loop.
+it, so that what rang before rings on as loud as it was. Training chooses. In a rendering ℓ is multiplied by σ(v, f), which is
+near 1; where validation says that the network brings nothing, e is σ(v, f) times Gaussian noise.
 
-What enters the lattice is at most E = σ · (largest innovation), times the largest ℓ where the gain comes before the filter,
-whatever the network says; the lattice's energy stays below E²/(1 − leak²), however speed and force move (`dsp.lattice`), and the
-network's state within ±1 by its gates.
+What enters the lattice is at most E = σ · (largest innovation), times the largest ℓ where the gain comes before the filter; the
+lattice's energy stays below E²/(1 − leak²), however speed and force move, and the network's state within ±1 by its gates.
 
-Where validation says that the network brings nothing, e is σ(v, f) times Gaussian noise.
-
-A rendering draws from a network of its own (`rendering_network.`), which begins as the other and is trained in its closed loop
-(`closed_loop_training`). A surface that repeats is rendered otherwise: tones of the path (`dsp.tones`), plus a lattice of the
-residual's own, and a network that is given the phase of the tones as well. Its next sample is still predicted as above.
-
-The network is given e because what a tool does after an impact depends on the impact, which is one large innovation that the
-acceleration hides under ringing.
+A rendering draws from a network of its own (`rendering_network.`), which begins as the other and is trained in its closed loop.
+A surface that repeats is rendered by tones of the path (`dsp.tones`), a lattice of the residual's own, and a network that is
+given the phase of the tones as well. Its next sample is predicted as above.
 
 Source: ours. Differs from the paper: its network (Sec. IV) is `foten`; as a correction of the lattice it gained 6 % of the
 one-step error on simulated styrofoam, this one, of a quarter of the weights, 12 %.
@@ -54,14 +47,14 @@ class FotenPlusSizes(ModelSizes):
     excitation_width: int = 16  # hidden units of log σ over speed and force, and of log levels
     network_in_loop: bool = True  # whether a rendering uses a network
     order: int = 20  # p of the lattice, samples
-    n_speed: int = 1  # its vertices over speed
+    n_speed: int = 1  # its knots over speed
     n_force: int = 1  # and over force
     gain_before_filter: bool = False  # where the level enters the lattice
     n_tones: int = 0  # multiples of the path's frequency; none for a surface that does not repeat, nor what follows
-    n_tone_speed: int = 1  # vertices of their amplitudes over speed
+    n_tone_speed: int = 1  # knots of their amplitudes over speed
     n_tone_force: int = 1  # and over force
     residual_order: int = 1  # of the lattice of what tones leave
-    n_residual_speed: int = 1  # its vertices over speed
+    n_residual_speed: int = 1  # its knots over speed
     n_residual_force: int = 1  # and over force
     residual_gain_before_filter: bool = False
     excited: ClassVar[bool] = True
@@ -91,16 +84,21 @@ class FotenPlusSizes(ModelSizes):
         """How many numbers the network of a rendering is given of a sample."""
         return N_INPUTS + (N_PHASE_INPUTS if self.n_tones else 0)
 
-    def network_shapes(self, name: str, inputs: int) -> Shapes:
+    def network_shapes(self, name: str, n_inputs: int) -> Shapes:
         """The tensors of an innovation network."""
-        return innovation_shapes(name, inputs, self.n_hidden, self.head_width, self.n_components)
+        h, width = self.n_hidden, self.head_width
+        recurrent = {"weight_ih": (3 * h, n_inputs), "weight_hh": (3 * h, h), "bias_ih": (3 * h,), "bias_hh": (3 * h,)}
+        shapes: Shapes = {f"{name}.recurrent.{part}_l0": shape for part, shape in recurrent.items()}
+        shapes |= linear_shapes(f"{name}.head", width, h + n_inputs)
+        return shapes | linear_shapes(f"{name}.out", 3 * self.n_components, width)
 
     def network_cost(self) -> int:
         """The multiply-adds of a step of the network of a rendering."""
-        return innovation_cost(self.n_rendering_inputs, self.n_hidden, self.head_width, self.n_components)
+        n_read = self.n_rendering_inputs + self.n_hidden
+        return (3 * self.n_hidden + self.head_width) * n_read + 3 * self.n_components * self.head_width
 
     def multiply_adds(self) -> int:
-        """What a rendered sample costs: predicted and taken in, four vertices mixed for each coefficient."""
+        """What a rendered sample costs: predicted and taken in, four knots mixed for each coefficient."""
         order = self.residual_order if self.n_tones else self.order
         linear = 10 * order + 12 * self.n_tones + (2 + (self.n_tones > 0)) * scale_cost(self.excitation_width)
         return linear + self.network_in_loop * self.network_cost()
@@ -115,17 +113,3 @@ def table_shapes(name: str, n_speed: int, n_force: int, values: str, k: int) -> 
     """The tensors of a table of k numbers over speed and force."""
     knots: Shapes = {f"{name}.speed_knots": (n_speed,), f"{name}.force_knots": (n_force,)}
     return knots | {f"{name}.{values}": (n_speed * n_force, k)}
-
-
-def innovation_shapes(name: str, n_inputs: int, n_hidden: int, head_width: int, n_components: int) -> Shapes:
-    """Tensors of an innovation network."""
-    h, width = n_hidden, head_width
-    recurrent = {"weight_ih": (3 * h, n_inputs), "weight_hh": (3 * h, h), "bias_ih": (3 * h,), "bias_hh": (3 * h,)}
-    shapes: Shapes = {f"{name}.recurrent.{part}_l0": shape for part, shape in recurrent.items()}
-    shapes |= linear_shapes(f"{name}.head", width, h + n_inputs)
-    return shapes | linear_shapes(f"{name}.out", 3 * n_components, width)
-
-
-def innovation_cost(n_inputs: int, n_hidden: int, head_width: int, n_components: int) -> int:
-    """Multiply-adds of a step of an innovation network."""
-    return 3 * n_hidden * (n_inputs + n_hidden) + head_width * (n_hidden + n_inputs) + 3 * n_components * head_width

@@ -1,10 +1,11 @@
-"""The tones of a periodic surface: is there a wavelength, where on it was the hand, and how loud is each multiple."""
+"""The tones of a periodic surface: is there a wavelength, where on it was the tool, and how loud is each multiple."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from scipy.signal import lfilter
@@ -14,20 +15,33 @@ from foten.dsp import Array
 from foten.dsp.lattice import polynomial
 from foten.dsp.speed_force_table import SpeedForceTable, spanning
 from foten.dsp.tones import tone, tone_slope
-from foten.models.foten_plus.lattice_fit import LatticeData, VertexWeights, fit_lattice_of, vertex_weights
+from foten.models.foten_plus.definition import lattice_tensors, table_tensors
+from foten.models.foten_plus.linear_model import (
+    KnotWeights,
+    LatticeData,
+    LinearModel,
+    counts_of,
+    fit_lattice_of,
+    fit_level,
+    fitted_lattice,
+    knot_weights,
+)
+from foten.training.config import TrainConfig
+from foten.training.job import ScaledBlocks
+from foten.training.texture_builder import Tensors
 
 MIN_WAVELENGTH_MM = 0.2
-MIN_PERIODS = 3.0  # in a stretch: so many of a window's own lobes lie at the lowest spatial frequencies
-# Times its surroundings, for a wavelength to be tried; irregular cloth has 4, surfaces without one 1.3.
-MIN_PEAK_RATIO = 3.0
-MIN_CHANCE_RATIO = 2.0  # the largest that noise would reach
-MIN_PATH_RATIO = 1.2  # times what stands out over time: a hum at a steady speed repeats over both
+PHASE_LEAK_S = 0.5  # in which a rendering forgets the phase that it started with
+MIN_PERIODS = 3.0  # of a wavelength in a stretch: fewer lie within the main lobe of the stretch's window
+MIN_PEAK_RATIO = 3.0  # of a spectral peak to its surroundings; irregular cloth has 4, surfaces without a wavelength 1.3
+MIN_CHANCE_RATIO = 2.0  # of a spectral peak to the largest that noise would reach
+MIN_PATH_RATIO = 1.2  # of a peak over the path to one over time: a hum at a steady speed repeats over both
 MAX_TONES = 6
-N_SPEED, N_FORCE = 32, 2  # vertices: the tool turns a tone's phase by π within 30 mm/s
+N_SPEED, N_FORCE = 32, 2  # knots: the tool turns a tone's phase by π within 30 mm/s
 N_ROUNDS = 8
-NEIGHBOUR_BOND = 0.005  # how much neighbouring vertices are held together, as a share of what one vertex knows
-SMOOTHING_WAVELENGTHS = 0.6  # wavelengths over which a phase is taken to deviate evenly
-PATH_PRECISION = 3.0  # of the path, against what the samples of such a stretch say [1/rad²]
+SMOOTHNESS_PENALTY = 0.005  # of squared differences between neighbouring knots, as a share of a knot's information
+SMOOTHING_WAVELENGTHS = 0.6  # over which a phase deviates evenly
+PATH_PRECISION = 3.0  # of the prior that the phase follows the path [1/rad²]
 WHITENING = 20  # order
 USABLE_BAND = 0.45  # of the rate, that tones keep to
 
@@ -35,9 +49,9 @@ USABLE_BAND = 0.45  # of the rate, that tones keep to
 def wavelength(data: LatticeData, rate_hz: float) -> float | None:
     """The length that a surface repeats itself after [mm], or None where none stands out.
 
-    The vibration over its level is cut into stretches of some millimetres, and each one's power is taken at spatial frequencies,
-    with the path for time: mean over stretches, against the median of its surroundings. What stands out as much with time for the
-    path is a hum or a resonance, and a hand that kept its speed cannot tell it from a surface that repeats.
+    The vibration over its level is cut into stretches of some millimetres of path. The power of each is taken at spatial
+    frequencies: its mean over stretches, against the median of its surroundings. What stands out as much over time is a hum or a
+    resonance: at a steady speed the two are the same.
     """
     path = np.cumsum(data.speed, axis=1) / rate_hz
     for span in (15.0, 5.0):
@@ -70,9 +84,8 @@ def wavelength(data: LatticeData, rate_hz: float) -> float | None:
     rises = np.diff(powers[0]) > 0
     ratio[~np.array([False, *(rises[:-1] & ~rises[1:]), False])] = 0.0
     peak = int(np.argmax(ratio))
-    # What the largest of so many bins of noise, over their mean, exceeds once in twenty recordings: a mean over half-overlapping
-    # windowed stretches has about 1.2 degrees of freedom for each of them. Two seconds of real leather have some sixty stretches
-    # of 5 mm, and a fixed threshold gave tones in three splits of five.
+    # The largest of so many bins of noise, over their mean, exceeds this once in twenty recordings: a mean over half-overlapping
+    # windowed stretches has about 1.2 degrees of freedom for each. A fixed threshold gave leather tones in three splits of five.
     half_freedom = 0.6 * len(stretches)
     largest_by_chance = float(gammainccinv(half_freedom, 0.05 / len(cycles)) / half_freedom)
     enough = max(MIN_PEAK_RATIO, MIN_CHANCE_RATIO * largest_by_chance)
@@ -96,7 +109,7 @@ def _stretches(path: Array, span: float) -> Iterator[slice]:
         first = int(np.searchsorted(path, path[first] + span / 2))
 
 
-def n_tones(wavelength_mm: float, speed: Array, rate_hz: float) -> int:
+def n_multiples(wavelength_mm: float, speed: Array, rate_hz: float) -> int:
     """How many multiples the rate holds at the median speed [mm/s], at least one."""
     fundamental_hz = float(np.median(speed)) / wavelength_mm
     return int(np.clip(USABLE_BAND * rate_hz / max(fundamental_hz, 1e-9), 1, MAX_TONES))
@@ -116,19 +129,19 @@ class FittedTones:
 def fit_tones(data: LatticeData, wavelength_mm: float, rate_hz: float) -> FittedTones:
     """The tones of a surface that seems to repeat.
 
-    In turn, least squares for the coefficients given the phases, and a step of Gauss and Newton for the phases given the
-    coefficients, which may deviate from the path by an even amount over about a wavelength. Errors are whitened: the tool's
-    resonance would else drown the high multiples, which know the phase best.
+    In turn, least squares for the coefficients given the phases, and a Gauss–Newton step for the phases given the coefficients;
+    a phase deviates from the path evenly over about a wavelength. Errors are whitened: the tool's resonance would else drown the
+    high multiples, which know the phase best.
     """
     chosen = list(data.train)
     speed, force = data.speed[chosen], data.force[chosen]
     path = np.cumsum(data.speed, axis=1) / rate_hz
     phase = _demodulated(data.x, path, wavelength_mm)
     table = spanning(speed, force, N_SPEED, N_FORCE)
-    table = replace(table, values=np.zeros((len(table.values), 2 * n_tones(wavelength_mm, speed, rate_hz))))
+    table = replace(table, values=np.zeros((len(table.values), 2 * n_multiples(wavelength_mm, speed, rate_hz))))
     fastest = USABLE_BAND * rate_hz * wavelength_mm
     whitener = np.ones(1)
-    near = vertex_weights(table, speed, force)
+    near = knot_weights(table, speed, force)
     for _ in range(N_ROUNDS):
         table = _fitted(data, table, phase, whitener, fastest, near)
         coefficients = _coefficients(data, table)
@@ -152,9 +165,8 @@ def fit_tones(data: LatticeData, wavelength_mm: float, rate_hz: float) -> Fitted
 def _period_jitter(path: Array, deviation: Array, speed: Array, wavelength_mm: float) -> float:
     """The standard deviation of a period's length, as a share of it, from how the phase's variance grows on the path.
 
-    From 4 to 12 wavelengths: what is unsure of each phase by itself is the same at both distances and drops out. Only the
-    quarter of places is compared where the hand was about as fast: the tool turns the phase by itself as speed changes, and of
-    simulated meshes ten times their jitter came out with all.
+    From 4 to 12 wavelengths: the error of a single phase is the same at both distances and drops out. Only the quarter of places
+    with the least change of speed is compared, since the tool turns the phase as speed changes.
     """
 
     def variance(n_wavelengths: int) -> float:
@@ -162,10 +174,10 @@ def _period_jitter(path: Array, deviation: Array, speed: Array, wavelength_mm: f
         for place, *rows in zip(path, deviation, speed, strict=True):
             at = np.arange(place[0], place[-1] - away, wavelength_mm / 2)
             differences.append([np.interp(at + away, place, row) - np.interp(at, place, row) for row in rows])
-        change, acceleration = np.abs(np.concatenate(differences, axis=1))
-        if not acceleration.size:
+        change, speed_change = np.abs(np.concatenate(differences, axis=1))
+        if not speed_change.size:
             return 0.0
-        return float(np.square(change[acceleration <= np.quantile(acceleration, 0.25)]).mean())
+        return float(np.square(change[speed_change <= np.quantile(speed_change, 0.25)]).mean())
 
     near, far = 4, 12
     return math.sqrt(max(0.0, (variance(far) - variance(near)) / (far - near))) / (2 * math.pi)
@@ -197,16 +209,14 @@ def _coefficients(data: LatticeData, table: SpeedForceTable) -> Array:
 
 
 def _fitted(
-    data: LatticeData, table: SpeedForceTable, phase: Array, whitener: Array, fastest: float, near: VertexWeights
+    data: LatticeData, table: SpeedForceTable, phase: Array, whitener: Array, fastest: float, near: KnotWeights
 ) -> SpeedForceTable:
-    """The coefficients that leave the least whitened error, neighbours held together.
+    """The coefficients that leave the least whitened error, with a penalty of differences between neighbouring knots.
 
-    The weights of vertices change little within the whitener's length, so waves are whitened first and weighted then:
-    in the normal equations a sample counts at the ten pairs of its four vertices alone.
-
-    Where speed times multiple exceeds `fastest` [mm/s] they are zero: the rate does not hold that frequency.
+    The weights of knots change little within the whitener's length, so waves are whitened first and weighted then. Where speed
+    times multiple exceeds `fastest` [mm/s] coefficients are zero: the rate does not hold that frequency.
     """
-    n_vertices, n_columns = table.values.shape
+    n_knots, n_columns = table.values.shape
     chosen = list(data.train)
     multiples = np.arange(1, n_columns // 2 + 1)
     angle = phase[chosen][:, None] * multiples[:, None]
@@ -216,22 +226,71 @@ def _fitted(
     waves = waves.transpose(1, 0, 2).reshape(n_columns, -1)
     row, column = np.triu_indices(n_columns)
     products = near.by_pair @ (waves[row] * waves[column]).T
-    upper = np.zeros((n_vertices, n_vertices, n_columns, n_columns))
-    upper[:, :, row, column] = upper[:, :, column, row] = products.reshape(n_vertices, n_vertices, -1)
+    upper = np.zeros((n_knots, n_knots, n_columns, n_columns))
+    upper[:, :, row, column] = upper[:, :, column, row] = products.reshape(n_knots, n_knots, -1)
     blocks = upper + upper.transpose(1, 0, 2, 3)
-    blocks[range(n_vertices), range(n_vertices)] /= 2
-    gram = blocks.transpose(0, 2, 1, 3).reshape((n_vertices * n_columns,) * 2)
-    moment = (near.by_vertex @ (waves * target.ravel()).T).ravel()
-    # What a vertex knows of each wave, on the mean, is the unit of what holds it to its neighbours.
-    known = np.diag(gram).reshape(n_vertices, n_columns).mean(axis=0)
+    blocks[range(n_knots), range(n_knots)] /= 2
+    gram = blocks.transpose(0, 2, 1, 3).reshape((n_knots * n_columns,) * 2)
+    moment = (near.by_knot @ (waves * target.ravel()).T).ravel()
+    information = np.diag(gram).reshape(n_knots, n_columns).mean(axis=0)
     over_speed, over_force = (np.eye(len(knots)) for knots in (table.speed_knots, table.force_knots))
     steps = np.concatenate(
         [np.kron(np.diff(over_speed, axis=0), over_force), np.kron(over_speed, np.diff(over_force, axis=0))]
-    )  # from each vertex to its neighbours
-    bonds = steps.T @ steps
-    gram += np.kron(NEIGHBOUR_BOND * bonds + 1e-5 * np.eye(n_vertices), np.diag(known))
-    vertex_speeds = np.repeat(table.speed_knots, len(table.force_knots))
-    held = (vertex_speeds[:, None] * np.repeat(multiples, 2) <= fastest).ravel()
-    values = np.zeros(n_vertices * n_columns)
-    values[held] = np.linalg.solve(gram[np.ix_(held, held)], moment[held])
-    return replace(table, values=values.reshape(n_vertices, n_columns))
+    )  # from each knot to its neighbours
+    differences = steps.T @ steps
+    gram += np.kron(SMOOTHNESS_PENALTY * differences + 1e-5 * np.eye(n_knots), np.diag(information))
+    knot_speeds = np.repeat(table.speed_knots, len(table.force_knots))
+    in_band = (knot_speeds[:, None] * np.repeat(multiples, 2) <= fastest).ravel()
+    values = np.zeros(n_knots * n_columns)
+    values[in_band] = np.linalg.solve(gram[np.ix_(in_band, in_band)], moment[in_band])
+    return replace(table, values=values.reshape(n_knots, n_columns))
+
+
+def fit_tonal_model(
+    linear: LinearModel, data: LatticeData, blocks: ScaledBlocks, config: TrainConfig
+) -> LinearModel | None:
+    """The same with tones of the path, and a lattice of what they leave; None where no wavelength stands out."""
+    rate = blocks.trace.rate_hz
+    length = wavelength(data, rate) if config.tones else None
+    if length is None:
+        return None
+    tones = fit_tones(data, length, rate)
+    # Of what the tones leave when the phase is known as well as it can be.
+    residual = blocks.flat[:, 0] - (tones.played * data.gain).ravel()
+    level, of_residual = fit_level(residual, linear.sizes, blocks, config)
+    fitted = fitted_lattice(of_residual, config)
+    counts = counts_of(fitted.table, "residual_order", "n_residual_speed", "n_residual_force")
+    counts |= counts_of(tones.table, "n_tones", "n_tone_speed", "n_tone_force")
+    counts["n_tones"] //= 2  # of which each has two coefficients
+    sizes = replace(linear.sizes, **counts, residual_gain_before_filter=fitted.gain_before_filter)
+    tensors = {**linear.tensors, **_tone_tensors(tones, rate), **lattice_tensors("residual.", level, fitted.table)}
+    report = {
+        "lattices": linear.report["lattices"],
+        "lattices_of_the_residual": fitted.tried,
+        "wavelength_mm": tones.wavelength_mm,
+        "period_jitter": tones.period_jitter,
+    }
+    return LinearModel(sizes, tensors, tones.phase, report)
+
+
+def silent_tones(linear: LinearModel, tonal: LinearModel) -> LinearModel:
+    """The model without tones, with tones of amplitude zero: its network is given their phase.
+
+    For a surface whose periods differ too much for tones of one amplitude, but whose phase is known all the same.
+    """
+    lattice = {name: tensor for name, tensor in linear.tensors.items() if name.startswith("lattice.")}
+    residual = {name.replace("lattice", "residual", 1): tensor for name, tensor in lattice.items()}
+    speed, force = (linear.tensors[f"lattice.{name}"][:1] for name in ("speed_knots", "force_knots"))
+    silent = {"tones.speed_knots": speed, "tones.force_knots": force, "tones.values": np.zeros((1, 2), np.float32)}
+    phase = {"tones.phase_params": tonal.tensors["tones.phase_params"]}
+    linear_sizes = linear.sizes
+    changed: dict[str, Any] = {"n_tones": 1, "n_tone_speed": 1, "n_tone_force": 1, "residual_order": linear_sizes.order}
+    changed |= {"n_residual_speed": linear_sizes.n_speed, "n_residual_force": linear_sizes.n_force}
+    sizes = replace(linear_sizes, **changed, residual_gain_before_filter=linear_sizes.gain_before_filter)
+    return LinearModel(sizes, {**linear.tensors, **residual, **silent, **phase}, tonal.phase, tonal.report)
+
+
+def _tone_tensors(tones: FittedTones, rate_hz: float) -> Tensors:
+    increment = 2 * np.pi / (tones.wavelength_mm * rate_hz)  # [rad] a sample at 1 mm/s
+    phase = np.array([increment, tones.period_jitter, 1 / (PHASE_LEAK_S * rate_hz)])
+    return {**table_tensors("tones.", tones.table, "values"), "tones.phase_params": phase}

@@ -1,15 +1,14 @@
 """Piecewise AR: local linear models over speed and force, mixed by line spectral frequencies and power, run as a lattice.
 
-Between the three models around a condition their line spectral frequencies are mixed by barycentric weights; that is a stable
-filter, but stable filters in turn need not be. So it is run as a normalised lattice, in which they are (`dsp.lattice`);
-under the condition of a model it is the very filter, gain (1 + b₁z⁻¹ + …) / A. What enters a normalised lattice is as loud as
-what leaves it, whatever its colour: its power is what is mixed. No sample exceeds D N / √(1 − leak²), where D is the
-largest gain of a model before the lattice, and N the largest noise times 1 + Σ|b_k|.
+Between the three models around a condition their line spectral frequencies are mixed by barycentric weights. That is a stable
+filter, but a change from one stable filter to the next need not be, except in a normalised lattice (`dsp.lattice`). Under the
+condition of a model it is the very filter, gain (1 + b₁z⁻¹ + …) / A. What enters a normalised lattice is as loud as what leaves
+it: its power is what is mixed. No sample exceeds D N / √(1 − leak²), where D is the largest gain of a model before the lattice,
+and N the largest noise times 1 + Σ|b_k|.
 
 Source: Culbertson, Unwin and Kuchenbecker, IEEE Trans. Haptics 7 (2014), [12] of the paper, as far as its abstract and
 the public texture files say: our re-implementation. Differs from it: the lattice, where a direct form keeps its samples;
-and power, where the variance of innovations is mixed there: half-way from a loud noise to a soft tone that is louder than
-both, by 18 dB from a recording in which a sensor dropped out.
+and power, where the variance of innovations is mixed there, which half-way from a noise to a tone is louder than both.
 """
 
 from __future__ import annotations
@@ -25,8 +24,7 @@ from foten.dsp.lattice import predict, push, reflections_of
 from foten.dsp.lsf import polynomial_of
 from foten.dsp.mesh import Mesh
 from foten.models.piecewise_ar.sizes import PiecewiseArSizes
-from foten.models.stream import Prediction
-from foten.models.weights import Weights
+from foten.models.stream import Prediction, Weights
 
 MAX_INNOVATION = 100.0  # standard deviations, of those inferred from a recorded window
 SETTLING_SAMPLES = 256  # samples that a stream begins with, where there are zeros
@@ -37,7 +35,7 @@ class PiecewiseAr:
 
     def __init__(self, sizes: PiecewiseArSizes, tensors: Mapping[str, NDArray[Any]]) -> None:
         w = Weights(tensors, "piecewise_ar.")
-        self.sizes, self.window = sizes, sizes.window
+        self.sizes = sizes
         self._mean, self._sd = w["mean"], w["sd"]
         self._mesh = Mesh(w["points"], w["triangles"].astype(np.int64), w["scale"])
         zeros = w["ma_lsf"] if sizes.ma else np.empty((sizes.n_models, 0))
@@ -102,8 +100,8 @@ class PiecewiseArStream:
     def predict(self) -> Prediction:
         """What lattice and past innovations predict."""
         sample, cosines = predict(self.states, self.reflections)
-        unit = self._gain * cosines
-        return Prediction(sample + unit * (self._zeros * self._past).sum(axis=0), unit)
+        scale = self._gain * cosines
+        return Prediction(sample + scale * (self._zeros * self._past).sum(axis=0), scale)
 
     def push(self, sample: Array, condition: Array, noise: Array | None) -> None:
         """Take in the next samples; their innovations are those of the noise."""

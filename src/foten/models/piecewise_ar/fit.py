@@ -19,13 +19,12 @@ from foten.models.conditions import FADE_FORCE, FADE_SPEED
 from foten.models.piecewise_ar.local_models import LocalModels, local_texture
 from foten.runtime.loops import predict_blocks
 from foten.runtime.native import NativeTexture
-from foten.training.blocks import ScaledBlocks
-from foten.training.job import Trained, TrainingJob, versions
+from foten.training.job import ScaledBlocks, Trained, TrainingJob, versions
 from foten.training.loop import Monitor, Progress
 from foten.training.texture_builder import ProvedTexture
 
 ORDERS = (4, 6, 8, 10, 12, 14, 16, 18, 20)  # tried for all models of a texture alike
-GRID_S, MAX_PIECE_S = 0.05, 1.0  # between places that a cut is tried at; of a piece, over which a hand changes
+GRID_S, MAX_PIECE_S = 0.05, 1.0  # between places that a cut is tried at; of a piece, over which speed and force change
 MIN_SAMPLES = 100  # of a piece that is fitted
 MIN_POWER = 1e-6  # of a piece, as a share of that of the training blocks: a sensor that dropped out is no texture
 MIN_RESIDUAL = 1e-9  # of a piece by its filter, as a share: one that hung, or a tone that somebody fed in
@@ -42,10 +41,8 @@ def fit(job: TrainingJob, monitor: Monitor) -> Trained:
     """
     blocks = job.blocks()
     if blocks.trace.block < 2 * MAX_ORDER:
-        raise ValueError(
-            f"a block of {blocks.trace.block} samples is too short for filters of order {MAX_ORDER}, expected twice as many: "
-            "use a longer --block"
-        )
+        block, expected = blocks.trace.block, "expected twice as many: use a longer --block"
+        raise ValueError(f"a block of {block} samples is too short for filters of order {MAX_ORDER}, {expected}")
     monitor.on_stage("cutting the training blocks into pieces")
     all_pieces = list(_pieces(blocks))
     pieces = [piece for piece in all_pieces if _is_of_a_texture(piece[:, 0], blocks.scaling.sd[0])]
@@ -61,9 +58,8 @@ def fit(job: TrainingJob, monitor: Monitor) -> Trained:
         return local_texture(local_models(pieces, blocks, order), blocks.scaling, {**card, "metrics": metrics})
 
     monitor.on_stage("choosing the order")
-    errors = {
-        order: _validation_error(texture_of(order, {"validation_mae_scaled": 0.0}).kernel, blocks) for order in ORDERS
-    }
+    unscored = {"validation_mae_scaled": 0.0}
+    errors = {order: _validation_error(texture_of(order, unscored).kernel, blocks) for order in ORDERS}
     best = min(errors, key=lambda order: errors[order])
     metrics = {
         "validation_mae_scaled": errors[best],
@@ -78,8 +74,8 @@ def fit(job: TrainingJob, monitor: Monitor) -> Trained:
 def local_models(pieces: list[Array], blocks: ScaledBlocks, order: int) -> LocalModels:
     """A model for each piece (n, 3) of acceleration [m/s²], speed [mm/s] and force [N], merged, and others around.
 
-    Labels are medians. Models nearer than `MERGE_DISTANCE` are merged. Around the trained range stand models as loud as the
-    nearest, and silent ones at rest and without force, all with the angles of the nearest.
+    Each stands at the medians of its piece; those nearer than `MERGE_DISTANCE` are merged. Around the trained range stand models
+    as loud as the nearest, and silent ones at rest and without force, all with the angles of the nearest.
     """
     angles, variances = [], []
     for piece in pieces:
@@ -113,7 +109,6 @@ def local_models(pieces: list[Array], blocks: ScaledBlocks, order: int) -> Local
 
 
 def _is_of_a_texture(x: Array, sd: float) -> bool:
-    """Whether a piece vibrates, and not for ever the same."""
     power = float(np.square(x - x.mean()).mean())
     if power <= MIN_POWER * sd * sd:
         return False

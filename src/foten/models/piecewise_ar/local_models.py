@@ -26,7 +26,7 @@ from foten.training.texture_builder import ProvedTexture, warm_start_entry, with
 _SETTLED = 1000  # samples before a golden window
 _WITH_ZEROS = 256  # samples that innovations are inferred from, where there are zeros
 _MIN_SD = np.array([1.0, 0.01])  # mm/s and N; models all at one force still have a scale
-_SETTLING = 4096  # samples of an impulse response that a level is told from
+_SETTLING = 4096  # samples of an impulse response that a level is computed from
 _LICENCE = "as of the model file; Penn's toolkit: non-profit research, no distribution, see the notice in the file"
 
 
@@ -79,31 +79,31 @@ def local_texture(models: LocalModels, scaling: Scaling, card: dict[str, Any]) -
     if q:
         tensors |= {"piecewise_ar.ma_lsf": models.ma_lsf, "piecewise_ar.gain": models.gain}
     filters = [_direct_form(models, i, scaling.sd[0]) for i in range(n)]
-    hands = (models.points - mean) / sd
+    conditions = (models.points - mean) / sd
     chosen = np.arange(max(n, MIN_GOLDEN)) % n
     golden = [(i, _played(filters[i], window, stream)) for stream, i in enumerate(chosen)]
     spread = np.abs(models.points - WARM_START) / models.scale
     warm = int(np.where(models.variance > 0, spread.sum(axis=1), np.inf).argmin())
     start = _played(filters[warm], window, len(chosen))
     tensors |= {
-        "golden.windows": np.stack([_window(samples, hands[i]) for i, samples in golden]),
+        "golden.windows": np.stack([_window(samples, conditions[i]) for i, samples in golden]),
         "golden.one_step": np.array([_after(filters[i], samples, np.zeros(1))[0] for i, samples in golden]),
         "golden.sigma": np.array([filters[i][0][0] for i in chosen]),
-        "golden.condition": np.tile(hands[warm], (64, 1)),
+        "golden.condition": np.tile(conditions[warm], (64, 1)),
         "golden.closed_loop": _after(filters[warm], start, gaussian(0, 0, 0, 64)),
-        "warm_start": _window(start, hands[warm]),
+        "warm_start": _window(start, conditions[warm]),
     }
     low, high = models.points.min(axis=0).tolist(), models.points.max(axis=0).tolist()
-    own = {
+    entries = {
         "trained_range": {"speed": [low[0], high[0]], "force": [low[1], high[1]]},
         "extrapolation_exponents": {"speed": 0.0, "force": 0.0},
         "warm_start": warm_start_entry(models.points[warm]),
     }
-    return with_golden("ar", sizes, tensors, scaling, {**own, **card})
+    return with_golden("ar", sizes, tensors, scaling, {**entries, **card})
 
 
-def _window(samples: Array, hand: Array) -> Array:
-    return np.concatenate([samples[:, None], np.tile(hand, (len(samples), 1))], axis=1)
+def _window(samples: Array, condition: Array) -> Array:
+    return np.concatenate([samples[:, None], np.tile(condition, (len(samples), 1))], axis=1)
 
 
 def _direct_form(models: LocalModels, i: int, sd: float) -> tuple[Array, Array]:
@@ -111,15 +111,13 @@ def _direct_form(models: LocalModels, i: int, sd: float) -> tuple[Array, Array]:
     a, b = (polynomial_of(lsf[i : i + 1])[0] for lsf in (models.lsf, models.ma_lsf))
     radius = float(np.abs(np.roots(a)).max())
     if not radius < LEAK:
-        raise ValueError(
-            f"local model {i} has a pole {radius:.6f} from the middle, expected less than {LEAK}: it would ring for too long"
-        )
+        expected = f"expected less than {LEAK}: it would ring for too long"
+        raise ValueError(f"local model {i} has a pole {radius:.6f} from the middle, {expected}")
     gain = models.gain[i] if b.size > 1 else 1.0
     return gain * np.sqrt(models.variance[i] / sd**2) * b, a
 
 
 def _played(b_a: tuple[Array, Array], n: int, stream: int) -> Array:
-    """N samples of a filter under a stream of noise."""
     return lfilter(*b_a, gaussian(1, stream, 0, _SETTLED + n))[-n:]
 
 
@@ -139,8 +137,7 @@ def imported_texture(models: HattModels, digest: str, name: str = "", notes: str
     """Models of a file as a texture, and what was decided on the way.
 
     A pole that would ring for seconds, or grow, is pulled in, with the others of its model. Zeros outside the unit circle are
-    reflected into it, which leaves the spectrum as it was. The recording behind the file is not known: there is no split, and a
-    recording is judged as another's, on all of its blocks.
+    reflected into it, which leaves the spectrum as it was. The recording behind the file is not known: there is no split.
 
     Args:
         digest: SHA-256 of the file.
