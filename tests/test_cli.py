@@ -204,7 +204,7 @@ def test_a_disk_that_fills_up_while_training_costs_no_more_than_the_run_folder(
 
     def write(path: Path) -> AbstractContextManager[Path]:
         if path.name == "checkpoint.pt":
-            monkeypatch.setattr(run, "write_log", full)
+            monkeypatch.setattr(run, "_write_log", full)
             full(path)
         return atomic_write(path)
 

@@ -13,7 +13,7 @@ import pytest
 from torch import Tensor, nn
 
 from conftest import sizes_with
-from foten.baselines.graph import graph_of, model_of_graph
+from foten.baselines.graph import graph_of
 from foten.baselines.sizes import BASELINES, TRAINABLE, NoiseModelSizes
 from foten.cli.command_line import _status
 from foten.datasets.hdf5 import write_recording
@@ -25,7 +25,7 @@ from foten.recording.preprocess import PreprocessConfig
 from foten.recording.recording import Recording
 from foten.runtime.bench import INSTRUCTION_SETS, time_all
 from foten.runtime.native import NativeTexture
-from foten.runtime.onnx_predictor import OnnxPredictor
+from foten.runtime.onnx_predictor import OnnxPredictor, model_of_graph
 from foten.runtime.renderer import Renderer
 from foten.simulation.simulate import simulate
 from foten.training import calibration

@@ -68,10 +68,7 @@ def test_a_run_depends_on_its_measures_and_not_on_others() -> None:
     others = {"foten.experiments.stability", "foten.evaluate.listener_network"}
     others |= {"foten.experiments.sweep", "foten.experiments.tables", "foten.reporting.table", "foten.study.store"}
     assert not others & set(sources)
-    assert set(sources_of("foten", ("stability",))) - set(sources) == {
-        "foten.baselines.graph",
-        "foten.experiments.stability",
-    }
+    assert set(sources_of("foten", ("stability",))) - set(sources) == {"foten.experiments.stability"}
     assert "foten.evaluate.listener_network" in sources_of("foten", ("listener",))
     for model in TRAINABLE:
         assert "foten.evaluate.listener_network" not in sources_of(model, ())

@@ -1,4 +1,4 @@
-"""Networks of PyTorch by their model's key, as ONNX graphs; what a graph costs; the model of a graph."""
+"""Networks of PyTorch by their model's key, as ONNX graphs; what a graph costs."""
 
 from __future__ import annotations
 
@@ -22,16 +22,13 @@ from foten.baselines.hapinf import Hapinf
 from foten.baselines.ldhtd import Ldhtd
 from foten.baselines.ten_variants import FotenD, TenMfcc, TenWavelet
 from foten.dsp import Array
-from foten.models.excitation import Excitation
 from foten.models.foten.network import Foten
 from foten.models.foten_plus.network import InnovationNetwork, NextInnovation
 from foten.models.foten_plus.sizes import N_INPUTS, FotenPlusSizes
 from foten.models.model_sizes import ModelSizes
 from foten.models.registry import GRAPH
-from foten.models.stream import Model
 from foten.models.texture_file import Texture
-from foten.models.window_model import NoiseModel, WindowModel
-from foten.runtime.onnx_predictor import INPUT, OUTPUT, OnnxPredictor
+from foten.runtime.onnx_predictor import INPUT, OUTPUT
 
 NETWORKS: dict[str, Callable[[Any], nn.Module]] = {
     "foten-plus": InnovationNetwork,
@@ -113,12 +110,3 @@ def multiply_adds(network: nn.Module, m: int) -> int:
         with torch.no_grad(), torch.backends.mkldnn.flags(enabled=False), FlopCounterMode(display=False) as counter:
             copy.deepcopy(network).cpu().float().eval().requires_grad_(False)(torch.zeros(1, m, 3))
     return int(counter.get_total_flops()) // 2
-
-
-def model_of_graph(texture: Texture) -> Model:
-    """The model of a texture's graph, run by ONNX Runtime."""
-    predictor = OnnxPredictor(texture.sizes, texture.tensors)
-    if predictor.takes_noise:
-        return NoiseModel(predictor.predict, predictor.window)
-    excitation = Excitation.of(texture.tensors) if texture.sizes.excited else None
-    return WindowModel(predictor.predict, predictor.window, excitation)

@@ -18,7 +18,6 @@ from typing import Any
 
 import numpy as np
 
-from foten.baselines.graph import model_of_graph
 from foten.dsp import Array
 from foten.dsp.lattice import LEAK
 from foten.evaluate.free_run import render_strokes
@@ -28,6 +27,7 @@ from foten.models.registry import GRAPH
 from foten.models.texture_file import Texture
 from foten.runtime.loops import run_loops
 from foten.runtime.native import NativeTexture
+from foten.runtime.onnx_predictor import model_of_graph
 from foten.simulation.stroking import stroking
 
 BOUNDED = ("foten-plus", "ar", "gan", "dftnet")  # models that no sample of their own drives further than their bound

@@ -10,8 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from foten.dsp import Array
+from foten.models.excitation import Excitation
 from foten.models.model_sizes import ModelSizes
 from foten.models.registry import GRAPH
+from foten.models.stream import Model
+from foten.models.texture_file import Texture
+from foten.models.window_model import NoiseModel, WindowModel
 
 INPUT, NOISE, OUTPUT = "windows", "noise", "next"
 # What our networks are made of. A file is not trusted: nothing that repeats, branches, reads other files or is somebody's own.
@@ -84,3 +88,12 @@ def _session(graph: bytes) -> Any:
         return onnxruntime.InferenceSession(graph, options, providers=["CPUExecutionProvider"])
     except Exception as error:  # of onnxruntime, whose errors have no common base but this
         raise ValueError(f"the texture's graph is damaged: {str(error).splitlines()[0][:200]}") from error
+
+
+def model_of_graph(texture: Texture) -> Model:
+    """The model of a texture's graph, run by ONNX Runtime."""
+    predictor = OnnxPredictor(texture.sizes, texture.tensors)
+    if predictor.takes_noise:
+        return NoiseModel(predictor.predict, predictor.window)
+    excitation = Excitation.of(texture.tensors) if texture.sizes.excited else None
+    return WindowModel(predictor.predict, predictor.window, excitation)
