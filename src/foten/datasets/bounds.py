@@ -1,7 +1,4 @@
-"""How much a recording may hold, and what a hand does: beyond it, a file is damaged, or a rate or a unit is wrong.
-
-Each check raises a ValueError that says what came, what was expected, and what was meant perhaps.
-"""
+"""Bounds of a recording: beyond them a file is damaged, or a rate or a unit is wrong, and a check raises a ValueError."""
 
 from __future__ import annotations
 
@@ -73,6 +70,6 @@ def check_channel(name: str, channel: Channel, force_units: bool) -> str:
             f"{name} is too short: {counted(size.size, 'sample')} at {channel.rate_hz:g} Hz, {channel.duration_s * 1000:.3g} ms, "
             f"expected {MIN_DURATION_S * 1000:g} ms or more; is the rate right?"
         )
-    return (
-        f"{what}; {counted(n_beyond, 'sample')} beyond {limit:g} {unit} let through (--force-units)" if n_beyond else ""
-    )
+    if not n_beyond:
+        return ""
+    return f"{what}; {counted(n_beyond, 'sample')} beyond {limit:g} {unit} let through (--force-units)"

@@ -80,7 +80,7 @@ def _store(file: Any, name: str, samples: NDArray[Any]) -> Any:
 
 
 def load_recording(path: Path) -> Recording:
-    """Recording in a file of the layout above, written by `write_recording` or by another program.
+    """Recording in a file of the layout above.
 
     Raises:
         FileNotFoundError: there is no such file.
@@ -138,7 +138,6 @@ def load_recording(path: Path) -> Recording:
 
 
 def _simulation(attributes: Mapping[str, Any], name: str) -> dict[str, Any] | None:
-    """Parameters of the simulator, where it made the recording."""
     if "simulation" not in attributes:
         return None
     with contextlib.suppress(ValueError):

@@ -56,8 +56,7 @@ def earth_mover_octaves(frequencies: Array, recorded: Array, synthesized: Array)
 
     Frequencies [Hz], shape (k,), and densities (…, k) of scored bins → (…,); 0 where one is silent.
 
-    Source: on 84 judgements of pen vibrations it agrees with people in 96 % of the clear cases, log-spectral distance in 85 %;
-    people tell frequencies apart from about 0.25 to 0.3 octave on (Israr & Tan, 2006).
+    A just noticeable difference is about 0.25 to 0.3 octave (Israr & Tan, 2006).
     """
     totals = recorded.sum(axis=-1), synthesized.sum(axis=-1)
     shares = [

@@ -56,9 +56,6 @@ def gaussian(key: int, stream: int, first: int, n: int) -> Array:
 
 
 def innovation_likelihood(residual: Array, scale: Array) -> tuple[Array, Array]:
-    """Residuals over the scale of the excitation, which should be standard normal, and −log p of them [nat, scaled].
-
-    Recorded minus predicted, and σ of the excitation, scaled, of equal shapes.
-    """
+    """Residuals (recorded − predicted, scaled) over σ of the excitation (scaled), and −log p of them [nat], of one shape."""
     z = residual / scale
     return z, 0.5 * z * z + np.log(scale) + 0.5 * math.log(2 * math.pi)

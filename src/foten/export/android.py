@@ -9,10 +9,8 @@
         builder.addControlPoint(it.amplitude, hertz, it.duration_ms)
     }
 
-Control points are 20 ms to 1 s apart, which every phone with envelopes takes; some take
-closer ones (`getMinControlPointDurationMillis()`). Android plays no effect that holds a frequency which the phone does not have,
-and corrects none: clamp them to its profile. A phone takes 16 points or more at once (`getMaxSize()`); an effect of more points
-is broken down by Android itself.
+Control points are 20 ms to 1 s apart, which every phone with envelopes takes. Android plays no effect with a frequency outside
+the phone's profile. A phone takes 16 points or more at once (`getMaxSize()`); Android splits an effect of more.
 
 Source: Android's reference of `VibratorEnvelopeEffectInfo` and `WaveformEnvelopeBuilder`.
 """

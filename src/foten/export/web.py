@@ -18,9 +18,9 @@ def write_site(
 
     Args:
         files: of the page, by name.
-        listed: what the page is told of the textures.
-        textures: their files and pictures, by the name that the list has.
-        folder: is made; what else is in it stays.
+        listed: descriptions of the textures.
+        textures: their files and pictures, by the name in the list.
+        folder: is made; other files in it stay.
     """
     folder.mkdir(parents=True, exist_ok=True)
     for name, path in {**files, **textures}.items():

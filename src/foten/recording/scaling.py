@@ -36,10 +36,7 @@ class Scaling:
 
 
 def fit_scaling(trace: Trace, blocks: tuple[int, ...]) -> Scaling:
-    """Scaling measured on some blocks of a trace (the training ones).
-
-    A speed or force that never varies keeps its own magnitude as scale, so that a recording at one condition
-    still trains.
+    """Scaling of some blocks of a trace, the training ones; a speed or force that never varies is scaled by its magnitude.
 
     Raises:
         ValueError: the acceleration is constant.

@@ -52,12 +52,10 @@ class Split:
 def split_blocks(trace: Trace, method: str = "regrouped", seed: int = 0) -> Split:
     """60/20/20 split of a trace's blocks.
 
-    `regrouped`: blocks are grouped by mean speed, then within each group by mean force; the blocks that hold the
-    extremes of speed and force train, so that the test conditions lie inside the trained range; the others are drawn
-    60/20/20 within the groups.
+    `regrouped`: blocks are grouped by mean speed, then by mean force, and drawn 60/20/20 within the groups; the blocks that
+    hold the extremes of speed and force train, so that the test conditions lie inside the trained range.
 
-    `contiguous`: first 60 %, next 20 %, last 20 % in time. Neighbouring blocks share the hand's movement, so
-    a model that does much worse here was helped by leakage.
+    `contiguous`: first 60 %, next 20 %, last 20 % in time. A model that does much worse here was helped by leakage.
 
     Raises:
         ValueError: fewer than `MIN_BLOCKS`.
@@ -70,9 +68,7 @@ def split_blocks(trace: Trace, method: str = "regrouped", seed: int = 0) -> Spli
         raise ValueError(f"split is {method!r}, expected one of {', '.join(METHODS)}")
     if n < MIN_BLOCKS:
         some = f"{n} block{'s' * (n > 1)} of {trace.block / trace.rate_hz * 1000:g} ms"
-        raise ValueError(
-            f"the trace has {some}, expected {MIN_BLOCKS} or more; a short recording wants a shorter --block and --trim"
-        )
+        raise ValueError(f"the trace has {some}, expected {MIN_BLOCKS} or more; use a shorter --block and --trim")
     n_held = max(1, round(0.2 * n))  # of validation and of test
     if method == "contiguous":
         parts = tuple(part.tolist() for part in np.split(np.arange(n), [n - 2 * n_held, n - n_held]))
@@ -93,12 +89,10 @@ def _regroup(trace: Trace, n_held: int, rng: np.random.Generator) -> tuple[list[
     for group in np.array_split(np.argsort(speed, kind="stable"), n_groups):
         by_force = group[np.argsort(force[group], kind="stable")]
         cells += [[int(i) for i in cell if int(i) not in extreme] for cell in np.array_split(by_force, n_groups)]
-    # Walking over shuffled cells in turn and dealing test, validation, train in their ratio spreads each part
-    # over the cells and meets the totals exactly, which rounding within cells of three blocks does not.
+    # Dealing the blocks of shuffled cells in turn spreads each part over the cells and meets the totals exactly.
     for cell in cells:
         rng.shuffle(cell)
     order = [cells[i] for i in rng.permutation(len(cells))]
     dealt = [block for layer in zip_longest(*order) for block in layer if block is not None]
     test, validation = dealt[0 : 2 * n_held : 2], dealt[1 : 2 * n_held : 2]
-    others = [block for block in range(n) if block not in set(test) | set(validation)]
-    return others, validation, test
+    return sorted({*range(n)} - {*test, *validation}), validation, test

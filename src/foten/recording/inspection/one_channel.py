@@ -30,11 +30,11 @@ _GUESSES = {
         (500, "peaks at {:.4g} m/s², expected up to about 100; was it given in mm/s² or mg?"),
     ),
 }
-"""The least and the largest usual size of a quantity in its unit, and what is said beyond."""
+"""Smallest and largest usual size of a quantity in its unit, and the doubt beyond."""
 
 
 def unit_doubt(kind: str, size: float) -> str:
-    """Doubt about the unit of a quantity of this size, such as "peaks at 0.1, … was it given in m/s?"; else nothing."""
+    """Doubt about the unit of a quantity of this size: "peaks at 0.1, … was it given in m/s?"; or nothing."""
     (low, too_small), (high, too_large) = _GUESSES[kind]
     return too_small.format(size) if size < low else too_large.format(size) if size > high else ""
 
@@ -63,8 +63,8 @@ def check_units(name: str, channel: Channel, recording: Recording) -> Iterable[F
 def check_spikes(name: str, channel: Channel) -> Iterable[Finding]:
     """Yield a problem where one or two samples stand alone, far from their neighbours.
 
-    A median filter of five keeps steps and slopes. It removes single outliers and, in a fast signal, the peaks of the
-    vibration, so an outlier is what exceeds a high percentile of the removed part by far.
+    A median filter of five removes single outliers and, in a fast signal, the peaks of the vibration, so an outlier is what
+    exceeds a high percentile of the removed part by far.
     """
     from scipy.ndimage import median_filter
 
@@ -73,7 +73,7 @@ def check_spikes(name: str, channel: Channel) -> Iterable[Finding]:
         return
     removed = np.abs(x - median_filter(x, 5, mode="nearest"))
     usual, share = (0.99, 0.3) if name.startswith("acceleration") else (0.95, 0.1)
-    # Ten times: on four real textures at 10 kHz the largest peak was 4.3 times the 99th percentile.
+    # The largest peak of four real textures at 10 kHz is 4.3 times the 99th percentile.
     threshold = max(10 * float(np.quantile(removed, usual)), share * swing(x, 0.01), 1e-9)
     spikes = np.flatnonzero(removed > threshold)
     if spikes.size:
@@ -115,9 +115,8 @@ def check_clipping(name: str, channel: Channel) -> Iterable[Finding]:
 def _leaves_steeply(x: Array, start: int, end: int, quantum: float) -> bool:
     """Whether a signal leaves a flat top x[start:end] more steeply than a smooth rounded one can.
 
-    A smooth top is a parabola. Rounded to steps of q it is flat over n samples where it drops by less than q, over a half-width
-    of at least (n−1)/2. Another n samples out it has dropped by at most q·((n−1)/2 + n)²/((n−1)/2)², and by one q more from
-    rounding. A clipped top drops at the slope at which it was cut.
+    A parabola, rounded to steps of q, is flat over n samples where it drops by less than q over (n−1)/2. Another n samples out
+    it has dropped by at most q·((n−1)/2 + n)²/((n−1)/2)², and by one q more from rounding.
     """
     n = end - start
     flattest = quantum * (((3 * n - 1) / (n - 1)) ** 2 + 1)
@@ -126,10 +125,7 @@ def _leaves_steeply(x: Array, start: int, end: int, quantum: float) -> bool:
 
 
 def slow_noise(samples: Array) -> float:
-    """RMS of white noise on a slow signal, from its third differences.
-
-    White noise of variance s² has third differences of variance (1+9+9+1)·s²; those of the hand's movement are next to zero.
-    """
+    """RMS of white noise on a slow signal, from its third differences, of variance (1+9+9+1)·s² for noise of variance s²."""
     if samples.size < 4:
         return 0.0
     return float(1.4826 * np.median(np.abs(np.diff(samples, 3))) / np.sqrt(20))
@@ -188,11 +184,9 @@ def check_whiteness(name: str, channel: Channel) -> Iterable[Finding]:
     power = float(np.mean(x**2))
     if x.size < 1000 or power == 0:
         return
-    # Noise alone explains 1/n of the power in each of its period−1 free means; what exceeds that is the pattern.
-    explained = {
-        period: float(np.mean(_pattern(x, period) ** 2)) / power - 1 / (x.size // period)
-        for period in range(2, min(250, x.size // 40))
-    }
+    # Noise alone explains 1/n of the power by means of n periods.
+    periods = range(2, min(250, x.size // 40))
+    explained = {p: float(np.mean(_pattern(x, p) ** 2)) / power - 1 / (x.size // p) for p in periods}
     largest = max(explained.values())
     without, patterned = x, largest > 0.05
     if patterned:

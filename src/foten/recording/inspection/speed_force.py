@@ -33,7 +33,7 @@ class SpeedForce:
 
 
 def speed_force_of(recording: Recording) -> SpeedForce | None:
-    """Speed and force, None where one is missing or they share too little time; refused is what `velocity_and_force` refuses."""
+    """Speed and force; None where one is missing or they share too little time. Raises as `velocity_and_force` does."""
     if not recording.movement or not recording.normal_force:
         return None
     start_s, end_s = common_span_s(recording.used)
@@ -88,7 +88,6 @@ def coverage_of(speed_force: SpeedForce) -> Coverage | None:
     for samples, cell, usual in zip(conditions, (CELL_MM_S, CELL_N), (USUAL_MM_S, USUAL_N), strict=True):
         low, high = np.quantile(samples, [0.001, 0.999]).tolist()
         ranges.append((low, high))
-        # A spike must not stretch the range until all else is in one cell.
         top = min(max(usual, high), 2 * usual)
         cells.append(np.arange(0, np.ceil(top / cell - 1e-9) + 1) * cell)
     counts, *_ = np.histogram2d(*conditions, bins=cells)
