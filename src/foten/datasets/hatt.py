@@ -38,12 +38,7 @@ class HattModels:
 
 
 def read_models(path: Path) -> HattModels:
-    """Models in a file.
-
-    Raises:
-        FileNotFoundError: there is none.
-        ValueError: it is not a model file, or its parts do not fit together.
-    """
+    """Models in a file; ValueError where it is not a model file, or its parts do not fit together."""
     check_regular(path)
     n_bytes = path.stat().st_size
     if n_bytes > MAX_FILE_BYTES:

@@ -46,12 +46,7 @@ _TEXTS = ("texture", "tool", "sensors", "notes")
 
 
 def write_recording(recording: Recording, path: Path) -> None:
-    """Write a recording, whole or not at all.
-
-    Raises:
-        OSError: no space is left, or the folder cannot be written to.
-        ValueError: a text is too long.
-    """
+    """Write a recording, whole or not at all; ValueError where a text is too long."""
     import h5py
 
     texts = {key: getattr(recording, key) for key in _TEXTS} | {"history": "\n".join(recording.history)}
@@ -80,23 +75,15 @@ def _store(file: Any, name: str, samples: NDArray[Any]) -> Any:
 
 
 def load_recording(path: Path) -> Recording:
-    """Recording in a file of the layout above.
-
-    Raises:
-        FileNotFoundError: there is no such file.
-        ValueError: another format, with the command that imports it; another version, truncated, a channel, unit, rate, time
-            or sample that cannot be.
-    """
+    """Recording in a file of the layout above; ValueError for another format or version, a damaged file, or absurd content."""
     name = path.name
     if path.exists() and path.suffix.lower() not in (".h5", ".hdf5"):
         raise ValueError(f"{name} is not a foten recording (.h5); first run: foten import {path} -o {path.stem}.h5")
     contents, arrays = read_isolated("HDF5", path)
     attributes = contents["attributes"]
     if attributes.get("format") != FORMAT:
-        raise ValueError(
-            f"{name} is HDF5 but not a foten recording (attribute format is not {FORMAT!r}); "
-            f"first run: foten import {path} -o {path.stem}-foten.h5"
-        )
+        run = f"first run: foten import {path} -o {path.stem}-foten.h5"
+        raise ValueError(f"{name} is HDF5 but not a foten recording (attribute format is not {FORMAT!r}); {run}")
     version = _number(attributes.get("version"))
     if version != VERSION:
         raise ValueError(f"{name} has version {version:g}, expected {VERSION}; a newer foten may read it")

@@ -49,12 +49,7 @@ MIN_DROPOUT_S = 0.005  # of zeros to the last digit in a sound, which no microph
 
 
 def read_columns(path: Path) -> list[Column]:
-    """Columns of any file that `DATASETS` can read.
-
-    Raises:
-        FileNotFoundError: there is none.
-        ValueError: it is empty, has an unknown extension, is a pickle, or a bad file.
-    """
+    """Columns of any file that `DATASETS` can read; ValueError for another extension, a pickle, or an empty or bad file."""
     check_regular(path)
     suffix = path.suffix.lower()
     if suffix in (".pkl", ".pickle"):
@@ -220,10 +215,8 @@ def import_capture(
     lost_s = (np.diff(np.flatnonzero(column.samples)) - 1) / rate_hz  # of zeros between other samples
     lost_s = lost_s[lost_s >= MIN_DROPOUT_S]
     if lost_s.size:
-        decisions.append(
-            f"the sound is zero to the last digit for {1000 * lost_s.sum():.0f} ms in {counted(lost_s.size, 'place')}: "
-            "parts of it were lost as it was recorded, and are learned as silence"
-        )
+        zero = f"zero to the last digit for {1000 * lost_s.sum():.0f} ms in {counted(lost_s.size, 'place')}"
+        decisions.append(f"the sound is {zero}: parts of it were lost as it was recorded, and are learned as silence")
     events = PenEvents(stroke["time"], stroke["position_x"], stroke["position_y"], stroke["pressure"])
     clock = joined(events, column.samples, rate_hz)
     channels = pen_channels(events, clock, force)

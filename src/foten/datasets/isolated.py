@@ -30,14 +30,7 @@ _START = "import sys; sys.path[:] = {path!r}; from foten.datasets.isolated impor
 
 
 def read_isolated(kind: str, path: Path) -> Contents:
-    """Contents of a file, read by another process.
-
-    Raises:
-        FileNotFoundError: there is none.
-        OSError: it may not be read.
-        ValueError: it is empty, no file, of another format, or damaged.
-        ModuleNotFoundError: the library is not installed.
-    """
+    """Contents of a file, read by another process; ValueError where it is damaged, ModuleNotFoundError without the library."""
     check_regular(path)
     with path.open("rb") as file:
         if not file.read(1):

@@ -120,11 +120,7 @@ def _example(files: Files) -> str:
 
 
 def columns_of(files: Files, channel: str, reference: str) -> list[Column]:
-    """Columns of a reference, by their header or else by their number from 0; several only of `time` without `FILE:`.
-
-    Raises:
-        ValueError: there is none, there are several, or it holds no numbers.
-    """
+    """Columns of a reference, by their header or else by their number from 0; several only of `time` without `FILE:`."""
     every = [(path, k, column) for path, columns in files.items() for k, column in enumerate(columns)]
     hits = [hit for hit in every if reference in _references(hit[0], hit[2].name)]
     hits = hits or [hit for hit in every if reference in _references(hit[0], str(hit[1]))]

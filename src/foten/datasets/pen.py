@@ -46,12 +46,10 @@ class PenClock:
         return np.asarray(times_s * (1.0 + self.drift) + self.delay_s)
 
     def __str__(self) -> str:
-        late = "late" if self.delay_s <= 0 else "early"
-        fast = "fast" if self.drift <= 0 else "slow"
-        return (
-            f"{self.n_taps} taps join the clocks: the pen's is {abs(1000 * self.delay_s):.1f} ms {late} and "
-            f"{abs(1e6 * self.drift):.0f} ppm {fast}; taps lie {self.residual_ms:.1f} ms about the line"
-        )
+        late = f"{abs(1000 * self.delay_s):.1f} ms {'late' if self.delay_s <= 0 else 'early'}"
+        fast = f"{abs(1e6 * self.drift):.0f} ppm {'fast' if self.drift <= 0 else 'slow'}"
+        apart = f"taps lie {self.residual_ms:.1f} ms about the line"
+        return f"{self.n_taps} taps join the clocks: the pen's is {late} and {fast}; {apart}"
 
 
 def landings_of(events: PenEvents) -> tuple[Array, Array, NDArray[np.bool_]]:
@@ -83,11 +81,7 @@ def knocks_of(sound: Array, rate_hz: float) -> Array:
 
 
 def joined(events: PenEvents, sound: Array, rate_hz: float) -> PenClock:
-    """Line between the two clocks.
-
-    Raises:
-        ValueError: there are too few taps, or they are not in the sound.
-    """
+    """Line between the two clocks; ValueError where there are too few taps, or they are not in the sound."""
     landings, off_by, is_tap = landings_of(events)
     taps, knocks = landings[is_tap], knocks_of(sound, rate_hz)
     if taps.size < MIN_TAPS:
@@ -100,10 +94,8 @@ def joined(events: PenEvents, sound: Array, rate_hz: float) -> PenClock:
     paired = (_pairs(taps + delay, knocks, reach) for delay in tried)
     best = max(paired, key=lambda pairs: pairs[0].size, default=NO_PAIRS)
     if best[0].size < n_required:
-        raise ValueError(
-            f"{best[0].size} of {taps.size} taps are in the sound, expected {n_required} or more: is it the sound of this "
-            "stroke, and is the microphone on the pen or the surface?"
-        )
+        taps_in = f"{best[0].size} of {taps.size} taps are in the sound, expected {n_required} or more"
+        raise ValueError(f"{taps_in}: is it the sound of this stroke, with the microphone on the pen or the surface?")
     n_taps = best[0].size
     drift, delay = _line(taps[best[0]], knocks[best[1]])
     # The landing of each stroke is a knock, too.
@@ -113,10 +105,8 @@ def joined(events: PenEvents, sound: Array, rate_hz: float) -> PenClock:
     off = knocks[best[1]] - (landings[best[0]] * (1 + drift) + delay)
     near = np.abs(off) <= 1.5 * max(events.usual_step_s, FRAME_S)
     if near.sum() < n_required:
-        raise ValueError(
-            f"{near.sum()} of {landings.size} touches lie on one line with the sound, expected {n_required} or more: was one of "
-            "the clocks stopped in between?"
-        )
+        on_line = f"{near.sum()} of {landings.size} touches lie on one line with the sound"
+        raise ValueError(f"{on_line}, expected {n_required} or more: was one of the clocks stopped in between?")
     drift, delay = _centre(landings[best[0]][near], knocks[best[1]][near], off_by[best[0]][near])
     off = knocks[best[1]] - (landings[best[0]] * (1 + drift) + delay)
     return PenClock(delay, drift, int(n_taps), 1000 * float(np.sqrt(np.square(off).mean())))

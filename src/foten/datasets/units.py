@@ -157,10 +157,8 @@ def factor_of(channel: str, header: str, stated: str = "", by_user: str | None =
     known = FACTORS[kind]
     in_header = split_header(header, kind)[1]
     if by_user is None and stated and in_header and canonical(stated) != canonical(in_header):
-        raise ValueError(
-            f"{channel}: column {header!r} is in {in_header} by its name and in {stated} by its unit; say which: "
-            f"--unit {channel}={in_header}"
-        )
+        both = f"is in {in_header} by its name and in {stated} by its unit"
+        raise ValueError(f"{channel}: column {header!r} {both}; say which: --unit {channel}={in_header}")
     of_file = stated or in_header
     text = of_file if by_user is None else by_user
     if not text:
@@ -174,10 +172,8 @@ def factor_of(channel: str, header: str, stated: str = "", by_user: str | None =
     if by_user is not None and "*" in text:
         return _sensitivity(channel, text, known, target)
     if label == FULL_SCALE:
-        raise ValueError(
-            f"{channel}: the samples of {header} are fractions of full scale; say how many {target} full scale is, "
-            f"e.g. --unit {channel}=*50"
-        )
+        hint = f"say how many {target} full scale is, e.g. --unit {channel}=*50"
+        raise ValueError(f"{channel}: the samples of {header} are fractions of full scale; {hint}")
     if kind == "force" and label in _MASSES:
         hint = f"that is a mass: if the sensor shows the weight on it, --unit {channel}={_MASSES[label]}"
     elif kind == "time":
@@ -201,8 +197,6 @@ def _sensitivity(channel: str, text: str, known: Mapping[str, float], target: st
     if not np.isfinite(factor) or factor == 0:
         raise ValueError(f"{channel}: unit {text!r}: {number!r} is not a factor, e.g. {channel}=V*4.9")
     if label in known and label != target:
-        raise ValueError(
-            f"{channel}: {label} is a known unit and takes no factor; write {channel}={label}, or "
-            f"{channel}=*{known[label] * factor:g} to get {target}"
-        )
+        write = f"write {channel}={label}, or {channel}=*{known[label] * factor:g} to get {target}"
+        raise ValueError(f"{channel}: {label} is a known unit and takes no factor; {write}")
     return factor, f"{channel} was multiplied by {factor:g} to get {target}" + f" from {label}" * bool(label)

@@ -24,10 +24,7 @@ def at_rate(values: Array, times_s: Array, rate_hz: float, n: int) -> Array:
 
 
 def velocity(positions: Array, rate_hz: float) -> Array:
-    """Velocity of each axis [mm/s], shape (n_axes, n), of positions [mm] at a rate, (n_axes, n).
-
-    Central differences; low-pass it before taking the norm (`speed_of`).
-    """
+    """Velocity of each axis [mm/s] by central differences of positions [mm] at a rate: (n_axes, n) → (n_axes, n)."""
     if positions.shape[1] < 2:
         return np.zeros(positions.shape)
     return np.asarray(np.gradient(positions, 1 / rate_hz, axis=1))

@@ -24,11 +24,7 @@ MIN_GAP_RAD = 0.005  # rad between neighbours, and from 0 and π: nearer ones ri
 
 
 def line_spectral_frequencies(a: Array) -> Array:
-    """Angles of a polynomial with its zeros inside the unit circle: (p + 1,), 1 first → (p,), rising [rad].
-
-    Raises:
-        ValueError: a zero lies on the unit circle or outside it.
-    """
+    """Angles of a polynomial: (p + 1,), 1 first → (p,), rising [rad]; ValueError where a zero is not inside the unit circle."""
     p = a.size - 1
     if p == 0:
         return np.empty(0)

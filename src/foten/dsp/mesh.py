@@ -49,7 +49,7 @@ class Mesh:
         inside = (shares > _INSIDE).all(axis=2)
         triangle = inside.argmax(axis=1)
         weights = shares[np.arange(len(places)), triangle]
-        outside = ~inside.any(axis=1)
+        outside = inside.sum(axis=1) == 0
         if outside.any():
             triangle[outside], weights[outside] = _nearest(places[outside], corners)
         weights = np.maximum(weights, 0.0)

@@ -36,11 +36,7 @@ class Clip:
 
 
 def clip_of(samples: Array, rate_hz: float, about: Mapping[str, Any], full_scale: float | None = None) -> Clip:
-    """Clip of a rendered stroke, cut at full scale; without one, its peak is 1.
-
-    Raises:
-        ValueError: there are no samples, or the full scale is not positive.
-    """
+    """Clip of a rendered stroke, cut at full scale or scaled to its peak; ValueError for less than two samples."""
     if samples.size < 2:
         raise ValueError(f"the stroke has {samples.size} samples, expected two or more")
     if full_scale is not None and not 0 < full_scale < np.inf:

@@ -35,7 +35,7 @@ def write_csv(clip: Clip, path: Path) -> None:
 
 def write_npz(clip: Clip, path: Path) -> None:
     """Write `drive`, `rate_hz`, `full_scale` and, as JSON, `about`."""
-    about = json.dumps(dict(clip.about), sort_keys=True)
-    arrays = {"drive": clip.drive, "rate_hz": clip.rate_hz, "full_scale": clip.full_scale, "about": about}
+    about = np.array(json.dumps(dict(clip.about), sort_keys=True))
+    rate_hz, full_scale = np.array(clip.rate_hz), np.array(clip.full_scale)
     with atomic_write(path) as part, part.open("wb") as file:
-        np.savez_compressed(file, **{name: np.array(value) for name, value in arrays.items()})
+        np.savez_compressed(file, drive=clip.drive, rate_hz=rate_hz, full_scale=full_scale, about=about)

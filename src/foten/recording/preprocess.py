@@ -220,17 +220,15 @@ def velocity_and_force(recording: Recording, rate_hz: float) -> tuple[Array, Arr
 
 
 def pressing(force: Channel) -> Array:
-    """Force as captured, pressing positive [N], shape (n,); a low-pass would hide short losses of contact."""
+    """Force as captured, pressing positive [N], shape (n,)."""
     return -force.samples if np.median(force.samples) < 0 else force.samples
 
 
 def _check_size(quantity: str, largest: float) -> None:
     if largest > LIMITS[quantity]:
         unit = UNITS[quantity].replace("^2", "²")
-        raise ValueError(
-            f"the {quantity} reaches {largest:.6g} {unit}, beyond any hand ({LIMITS[quantity]:g} {unit}); another unit, or "
-            "spikes? `foten inspect` shows which; --force-units takes it as it is"
-        )
+        beyond = f"the {quantity} reaches {largest:.6g} {unit}, beyond any hand ({LIMITS[quantity]:g} {unit})"
+        raise ValueError(f"{beyond}; another unit, or spikes? See foten inspect; --force-units takes it as it is")
 
 
 def _common(recording: Recording, rate_hz: float) -> tuple[int, int]:

@@ -30,11 +30,7 @@ LOOP_MM = 4000.0  # after which a profile begins again: half a minute at the usu
 RATE_HZ = 10_000.0  # of both simulators' physics, of the force sensor, and of the accelerometer by default
 SUBSTEPS = 4  # of the mechanics in each sample of a stroke
 MAX_IMPACT_N = 50.0  # of an impact, for which steps must be short enough
-PIECE_S, OVERLAP_S, FADE_S = (
-    0.25,
-    0.15,
-    0.01,
-)  # pieces are integrated side by side: each settles, and fades into the next
+PIECE_S, OVERLAP_S, FADE_S = 0.25, 0.15, 0.01  # of pieces that are integrated side by side, settle and overlap
 BODY_G = 80.0  # mass of the tool that the sensor sits on
 MODES_HZ, MODES_DAMPING, MODES_SHARE = (120.0, 340.0), (0.30, 0.15), (1.0, 0.7)  # of the tool, that both forces ring
 STIFF_SHARE = 0.15  # of the forces that moves the body at once

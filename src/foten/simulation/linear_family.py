@@ -93,11 +93,7 @@ def linear_signal(parameters: LinearParameters, speed: Array, force: Array, rng:
 
 
 def linear_truth(recording: Recording) -> LinearParameters:
-    """Process that made a simulated recording, at its rate, from the parameters that it carries.
-
-    Raises:
-        ValueError: the recording is no member of the linear family.
-    """
+    """Process that made a simulated recording, at its rate; ValueError where it is no member of the linear family."""
     simulation = recording.simulation
     if simulation is None or "coefficients" not in simulation["parameters"]:
         source = "no simulator" if simulation is None else f"the texture {simulation['key']!r}"

@@ -184,10 +184,9 @@ def simulate(
 def second_realisation(
     recording: Recording, noise_seed: int, *, stroke_seed: int | None = None, seconds: float | None = None
 ) -> Recording:
-    """Stroke and texture of a simulated recording, by the parameters that it carries, with fresh surface and noise.
+    """Stroke and texture of a simulated recording with fresh surface and noise, under another stroke where one is given.
 
-    The recording's own `noise_seed` gives the recording back. With a `stroke_seed` or `seconds`, another stroke
-    or a longer one over the same texture.
+    The recording's own `noise_seed` gives the recording back.
 
     Raises:
         ValueError: the recording is not simulated, or by another version of the model.

@@ -70,11 +70,7 @@ class SimulatedCapture:
 
 
 def simulate_capture(key: str, seconds: float, seed: int = 0) -> SimulatedCapture:
-    """Capture of a texture of the simulator, with so many seconds of strokes.
-
-    Raises:
-        ValueError: the texture is unknown, or the strokes are shorter than one.
-    """
+    """Capture of a simulated texture; ValueError where it is unknown, or `seconds` of strokes are fewer than one has."""
     if key not in TEXTURES:
         raise ValueError(f"unknown texture {key!r}, expected one of {', '.join(TEXTURES)}")
     if not STROKE_S <= seconds <= 600:

@@ -78,10 +78,8 @@ def check_spikes(name: str, channel: Channel) -> Iterable[Finding]:
     spikes = np.flatnonzero(removed > threshold)
     if spikes.size:
         largest = int(spikes[np.argmax(removed[spikes])])
-        text = (
-            f"{name}: {counted(spikes.size, 'spike')} of one or two samples, the largest {x[largest]:.6g} {UNITS[name]} at "
-            f"sample {largest} ({channel.times[largest]:.3f} s)"
-        )
+        where = f"{x[largest]:.6g} {UNITS[name]} at sample {largest} ({channel.times[largest]:.3f} s)"
+        text = f"{name}: {counted(spikes.size, 'spike')} of one or two samples, the largest {where}"
         yield Finding(PROBLEM, "spikes", name, text, places(channel, spikes))
 
 
@@ -105,10 +103,8 @@ def check_clipping(name: str, channel: Channel) -> Iterable[Finding]:
         cut = [i for i in at if _leaves_steeply(x, starts[i], ends[i], quantum)]
         flat = lengths[cut]
         if flat.size and flat.max() >= 3 * usual and (flat.size > 1 or flat.max() >= 5):
-            text = (
-                f"{name} is clipped: it stays at its {what} value, {extreme:.5g} {UNITS[name]}, for "
-                f"{counted(flat.sum(), 'sample')} in {counted(flat.size, 'place')}: the sensor or its amplifier was at its limit"
-            )
+            stays = f"stays at its {what} value, {extreme:.5g} {UNITS[name]}, for {counted(flat.sum(), 'sample')}"
+            text = f"{name} is clipped: it {stays} in {counted(flat.size, 'place')}: was the sensor at its limit?"
             yield Finding(PROBLEM, "clipping", name, text, places(channel, starts[cut]))
 
 
@@ -154,16 +150,11 @@ def check_noise(reports: Iterable[ChannelReport]) -> Iterable[Finding]:
     for report in (report for report in reports if report.name.startswith("acceleration")):
         vibration = float(np.sqrt(max(report.rms**2 - report.mean**2, 0.0)))
         if report.noise_floor_from != "rest":
-            text = (
-                f"{report.name}: no rest was found, so the noise floor is only known to lie below {report.noise_floor:.3g} m/s² "
-                "(the quietest twentieth)"
-            )
+            text = f"{report.name}: no rest was found; the noise floor is below {report.noise_floor:.3g} m/s²"
             yield Finding(NOTE, "noise", report.name, text)
         elif vibration < 2 * report.noise_floor:
-            text = (
-                f"{report.name}: its level, {vibration:.3g} m/s², is hardly above the {report.noise_floor:.3g} m/s² "
-                "at rest: most of it is sensor noise"
-            )
+            levels = f"its level, {vibration:.3g} m/s², is hardly above the {report.noise_floor:.3g} m/s² at rest"
+            text = f"{report.name}: {levels}: most of it is sensor noise"
             yield Finding(PROBLEM, "noise", report.name, text)
 
 
@@ -198,16 +189,13 @@ def check_whiteness(name: str, channel: Channel) -> Iterable[Finding]:
     if patterned:
         hz = channel.rate_hz / period
         mains = not white and min(abs(hz / m - round(hz / m)) for m in (50, 60)) < 1e-6
-        text = (
-            f"{name}: one pattern repeats exactly every {period} samples ({hz:.4g} Hz) throughout and holds "
-            f"{largest:.0%} of the power: {'mains hum?' if mains else 'a processed or generated signal?'}"
-        )
+        guess = "mains hum?" if mains else "a processed or generated signal?"
+        repeats = f"one pattern repeats exactly every {period} samples ({hz:.4g} Hz)"
+        text = f"{name}: {repeats} and holds {largest:.0%} of the power: {guess}"
         yield Finding(PROBLEM if white else NOTE, "pattern", name, text)
     if white:
-        text = (
-            f"{name} has next to no autocorrelation (at lags 1 to 5 at most {max(lagged):.2f}"
-            f"{', the pattern aside' if patterned else ''}): was it shuffled, or generated, or is it noise alone?"
-        )
+        where = f"at lags 1 to 5 at most {max(lagged):.2f}{', the pattern aside' if patterned else ''}"
+        text = f"{name} has next to no autocorrelation ({where}): was it shuffled or generated, or is it noise alone?"
         yield Finding(PROBLEM, "white", name, text)
 
 
@@ -228,9 +216,7 @@ def check_lines(name: str, frequency: Array, power: Array) -> Iterable[Finding]:
     peaks = peaks[frequency[peaks] > HAND_HZ]
     if peaks.size:
         strongest = np.sort(peaks[np.argsort(ratio[peaks])[::-1][:6]])
-        text = (
-            f"{name}: narrow lines at {', '.join(f'{frequency[i]:.4g}' for i in strongest)} Hz"
-            f"{' and elsewhere' if peaks.size > strongest.size else ''}, up to "
-            f"{10 * np.log10(ratio[peaks].max()):.0f} dB above their surroundings: instruments or mains?"
-        )
+        at = f"{', '.join(f'{frequency[i]:.4g}' for i in strongest)} Hz{' …' * (peaks.size > strongest.size)}"
+        above = f"up to {10 * np.log10(ratio[peaks].max()):.0f} dB above their surroundings"
+        text = f"{name}: narrow lines at {at}, {above}: instruments or mains?"
         yield Finding(NOTE, "lines", name, text)

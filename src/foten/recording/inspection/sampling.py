@@ -40,10 +40,8 @@ def check_durations(recording: Recording) -> Iterable[Finding]:
     slack = max(0.05, 0.01 * last)
     for name, start, end in zip(recording.channels, starts, ends, strict=True):
         if start > first + slack or end < last - slack:
-            text = (
-                f"{name} covers {start:.2f} to {end:.2f} s, of {first:.2f} to {last:.2f} s: training uses the common part; "
-                "are all rates right?"
-            )
+            covers = f"{name} covers {start:.2f} to {end:.2f} s, of {first:.2f} to {last:.2f} s"
+            text = f"{covers}: training uses the common part; are all rates right?"
             yield Finding(NOTE, "durations", name, text)
 
 
@@ -51,11 +49,11 @@ def check_short(seconds: float, options: str) -> Iterable[Finding]:
     """Yield a note where all channels cover less than the defaults of training need, with the options that fit."""
     config = PreprocessConfig()
     if seconds < config.shortest_s:
-        text = (
-            f"it lasts {seconds:.2f} s, and trimming {config.trim_ms / 1000:g} s at both ends and {MIN_BLOCKS} blocks of "
-            f"{config.block_ms / 1000:g} s take {config.shortest_s:g} s: "
-            + (f"train with {options}" if options else "too short to learn from; record for longer")
+        advice = f"train with {options}" if options else "too short to learn from; record for longer"
+        needs = (
+            f"trimming {config.trim_ms / 1000:g} s at both ends and {MIN_BLOCKS} blocks of {config.block_ms / 1000:g} s"
         )
+        text = f"it lasts {seconds:.2f} s, and {needs} take {config.shortest_s:g} s: {advice}"
         yield Finding(NOTE, "short", "", text)
 
 
@@ -69,10 +67,8 @@ def check_gaps(name: str, channel: Channel) -> Iterable[Finding]:
     if gaps.size:
         longest = int(gaps[np.argmax(steps[gaps])])
         lost = int(np.round(steps[gaps] / usual - 1).sum())
-        text = (
-            f"{name}: {counted(gaps.size, 'gap')} in time, about {lost} samples lost; the longest lasts "
-            f"{steps[longest] * 1000:.4g} ms at {channel.times_s[longest]:.3f} s"
-        )
+        lasts = f"{steps[longest] * 1000:.4g} ms at {channel.times_s[longest]:.3f} s"
+        text = f"{name}: {counted(gaps.size, 'gap')} in time, about {lost} samples lost; the longest lasts {lasts}"
         severity = PROBLEM if name.startswith("acceleration") or steps[longest] > 0.1 else NOTE
         yield Finding(severity, "gaps", name, text, places(channel, gaps))
     if (jitter := np.median(np.abs(steps - usual))) > MAX_JITTER * usual:
@@ -100,10 +96,8 @@ def check_repeats(name: str, channel: Channel) -> Iterable[Finding]:
     frozen = x[changes[long]]
     long = long[(frozen != 0) & (frozen < x.max()) & (frozen > x.min())]
     if long.size:
-        text = (
-            f"{name} stands still to the last digit in {counted(long.size, 'place')}, the longest for "
-            f"{steps[long].max() / channel.rate_hz * 1000:.4g} ms: did the sensor fall silent?"
-        )
+        longest = f"the longest for {steps[long].max() / channel.rate_hz * 1000:.4g} ms"
+        text = f"{name} stands still to the last digit in {counted(long.size, 'place')}, {longest}: did the sensor fall silent?"
         severity = PROBLEM if name.startswith("acceleration") else NOTE
         yield Finding(severity, "frozen", name, text, places(channel, changes[long]))
 

@@ -72,10 +72,9 @@ def check_contact(recording: Recording, speed_force: SpeedForce | None) -> Itera
         starts, lengths = starts[lasting], lengths[lasting]
         if starts.size:
             longest = int(np.argmax(lengths))
-            text = (
-                f"contact is lost (force below {CONTACT_N:g} N while moving) in {counted(starts.size, 'place')}, "
-                f"{lengths.sum():.3g} s together, the longest {lengths[longest]:.3g} s at {times[starts[longest]]:.2f} s"
-            )
+            lasts = f"{lengths.sum():.3g} s together, the longest {lengths[longest]:.3g} s at {times[starts[longest]]:.2f} s"
+            where = f"(force below {CONTACT_N:g} N while moving) in {counted(starts.size, 'place')}"
+            text = f"contact is lost {where}, {lasts}"
             yield Finding(NOTE, "contact", name, text, places(channel, starts))
 
 
@@ -108,8 +107,6 @@ def check_ranges(coverage: Coverage) -> Iterable[Finding]:
     if heavy < 6:
         yield Finding(NOTE, "range", "force", f"force above {heavy:.2g} N never visited: {grows}")
     if coverage.fraction < 0.15:
-        text = (
-            f"only {coverage.fraction:.0%} of the plane up to {coverage.speed_edges[-1]:g} mm/s and "
-            f"{coverage.force_edges[-1]:g} N was visited: vary speed and force separately when recording"
-        )
+        plane = f"the plane up to {coverage.speed_edges[-1]:g} mm/s and {coverage.force_edges[-1]:g} N"
+        text = f"only {coverage.fraction:.0%} of {plane} was visited: vary speed and force separately when recording"
         yield Finding(NOTE, "coverage", "", text)
