@@ -129,10 +129,7 @@ def _rate(increment_s: Any) -> float | None:
 
 
 def read_wav(path: Path) -> list[Column]:
-    """Tracks of a WAV file, named by number, with its rate: an accelerometer through a sound card.
-
-    Integer samples become fractions of full scale; float samples stay as they are.
-    """
+    """Tracks of a WAV file, named by number, with its rate; integers become fractions of full scale."""
     from scipy.io import wavfile
 
     with reading(path, "WAV file"), warnings.catch_warnings():

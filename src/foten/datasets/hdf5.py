@@ -1,22 +1,4 @@
-"""Our own recording file: HDF5 that MATLAB, LabVIEW or Python can also write.
-
-Layout, version 1::
-
-    /                       attributes  format = "foten-recording", version = 1
-                                        texture, tool, sensors, notes   text, may be absent
-                                        history     text, one sentence a line, may be absent
-                                        simulation  JSON text, only in simulated recordings
-    /channels/NAME          dataset of n numbers (float32 or float64; n×1 and 1×n are read too)
-                            attributes  rate_hz, and unit: that of the table below, spelled so
-    /times_s/NAME           dataset of n float64, seconds, only where the capture was irregular
-
-NAME and unit are one of: acceleration, acceleration_x, _y, _z [m/s^2, or relative]; speed [mm/s]; position_x, _y, _z [mm];
-force, force_x, _y, _z [N]; z is the surface normal. In MATLAB::
-
-    h5create('denim.h5', '/channels/force', numel(f));  h5write('denim.h5', '/channels/force', f(:));
-    h5writeatt('denim.h5', '/channels/force', 'rate_hz', 1000);
-    h5writeatt('denim.h5', '/channels/force', 'unit', 'N');
-    h5writeatt('denim.h5', '/', 'format', 'foten-recording');  h5writeatt('denim.h5', '/', 'version', 1);
+"""Our own recording file: HDF5 that MATLAB, LabVIEW or Python can also write; its layout is in docs/tutorials/recordings.md.
 
 The same recording always gives the same bytes.
 """
@@ -75,7 +57,7 @@ def _store(file: Any, name: str, samples: NDArray[Any]) -> Any:
 
 
 def load_recording(path: Path) -> Recording:
-    """Recording in a file of the layout above; ValueError for another format or version, a damaged file, or absurd content."""
+    """Recording in a file of ours; ValueError for another format or version, a damaged file, or absurd content."""
     name = path.name
     if path.exists() and path.suffix.lower() not in (".h5", ".hdf5"):
         raise ValueError(f"{name} is not a foten recording (.h5); first run: foten import {path} -o {path.stem}.h5")

@@ -68,13 +68,10 @@ def read_columns(path: Path) -> list[Column]:
 
 @np.errstate(over="ignore", invalid="ignore")  # infinite and absurd samples are refused, in a sentence
 def import_recording(paths: Sequence[Path], options: ImportOptions) -> tuple[Recording, list[str]]:
-    """Recording in some files, and sentences for the user on what was decided.
+    """Recording in some files, and sentences on what was decided; ValueError on what is missing, ambiguous or impossible.
 
     A mapped `time` column serves the channels of its file that have as many rows. Times of several files are of one clock; they
     count from the start of the acceleration, or else from the earliest.
-
-    Raises:
-        ValueError: one sentence on what is missing, ambiguous or impossible.
     """
     if not paths:
         raise ValueError("no file to import")
@@ -199,9 +196,6 @@ def import_capture(
         sound: a file with one channel, or several of which the first counts.
         pen: a table of t, x, y and pressure.
         force: of pressures 0 … 1, shape (n,) → (n,) [N].
-
-    Raises:
-        ValueError: one sentence on what is missing or impossible.
     """
     columns = [column for column in read_columns(sound) if column.rate_hz]
     if not columns:
@@ -238,15 +232,9 @@ def import_capture(
 
 
 def read_stroke(path: Path, units: Mapping[str, str]) -> dict[str, Array]:
-    """Columns of a stroke's table, shape (n,) each, without its blank lines.
+    """Columns of a stroke's table, shape (n,) each, without its blank lines; `units`, by channel, go before the file's.
 
     They are time [s], which increases, speed [mm/s] or position_x and position_y [mm], and force [N] or pressure [0 … 1].
-
-    Args:
-        units: by channel, before those of the file.
-
-    Raises:
-        ValueError: it is no table, a column is missing, a unit unknown, a value no finite number, or time does not increase.
     """
     if DATASETS.get(path.suffix.lower()) not in (read_delimited, read_excel):
         raise ValueError(f"{path.name} is no table (.csv, .tsv, .txt, .dat, .xlsx), expected one of {STROKE}")

@@ -164,12 +164,7 @@ def pen_channels(events: PenEvents, clock: PenClock, force: Callable[[Array], Ar
     """Position [mm] and force [N] of a pen's strokes by the sound's clock, evenly sampled.
 
     Gaps of up to `MAX_GAP_S` in a stroke are filled. In the air the force is 0 and the position is held, without speed.
-
-    Args:
-        force: of pressures 0 … 1, shape (n,) → (n,) [N].
-
-    Raises:
-        ValueError: the pen only tapped.
+    `force` is a function of pressures 0 … 1, (n,) → (n,) [N]. ValueError where the pen only tapped.
     """
     step = events.usual_step_s
     rows: list[Array] = []  # time, x, y, force of each stroke and of each time in the air, shape (4, n)

@@ -121,10 +121,7 @@ def _is_number(cell: Any) -> bool:
 
 
 def _table(rows: list[list[Any]], where: str, comments: Collection[int] = ()) -> list[Column]:
-    """Columns below the header of a table. Rows are counted from 1, as editors do.
-
-    Rows in `comments`, counted from 0, may name the columns but hold no data.
-    """
+    """Columns below the header of a table; rows in `comments`, from 0, may name columns but hold no data."""
     while rows and (len(rows) - 1 in comments or not _width(rows[-1])):
         rows.pop()
     numbers = [row for i, row in enumerate(rows) if i not in comments and any(map(_is_number, row))]

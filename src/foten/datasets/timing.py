@@ -120,11 +120,8 @@ def irregular(times: Array, rate_hz: float) -> str:
 def filled(name: str, channel: Channel, gap_ms: float, column: Column) -> tuple[Channel, str]:
     """Channel whose gaps are straight lines, and a sentence on them; refused where they are longer than allowed.
 
-    A gap is of samples that are NaN, and in position, speed and force of rows that the times leave out, too.
-
-    Args:
-        gap_ms: of the longest gap that is filled.
-        column: of the channel, for row numbers in messages.
+    A gap is of samples that are NaN, and in position, speed and force of rows that the times leave out, too. `gap_ms` is the
+    longest that is filled; `column` has the row numbers.
     """
     samples, times, fills = channel.samples, channel.times, quantity(name) in FILLED
     known = np.flatnonzero(~np.isnan(samples))

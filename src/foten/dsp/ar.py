@@ -22,10 +22,7 @@ def spectral_radius(taps: Array) -> float:
 
 
 def stabilised(taps: Array, radius: float) -> Array:
-    """Taps with every pole pulled inside `radius` by the factor γ^lag on each tap, unchanged if they are.
-
-    Scaling the tap of lag k by γ^k scales every pole by γ; resonances keep their frequency.
-    """
+    """Taps with every pole within `radius`: γ^k on the tap of lag k scales every pole by γ, and keeps its frequency."""
     largest = spectral_radius(taps)
     return taps if largest <= radius else taps * (radius / largest) ** np.arange(taps.size, 0, -1)
 
@@ -47,10 +44,7 @@ def levinson(moments: Array) -> tuple[Array, Array]:
 
 
 def burg(x: Array, p: int) -> tuple[Array, float]:
-    """Reflections of an autoregression of order p, shape (p,), and its innovations' variance: x (n,) of mean zero.
-
-    Nothing is taken to be zero outside, so a sharp resonance of a short piece stays sharp. Source: Burg 1975.
-    """
+    """Reflections (p,) of an autoregression of order p, and the variance of its innovations: x (n,) of mean zero (Burg 1975)."""
     forward, backward = x[1:].copy(), x[:-1].copy()
     reflections, error = np.zeros(p), float(np.square(x).mean())
     for i in range(p):

@@ -31,10 +31,7 @@ def velocity(positions: Array, rate_hz: float) -> Array:
 
 
 def speed_of(velocity: Array) -> Array:
-    """Speed [mm/s], shape (n,), of low-passed velocities (n_axes, n); a single row is a speed already.
-
-    Low-passed, because the norm is never negative and noise adds to it: a pen at rest would have a speed.
-    """
+    """Speed [mm/s] (n,) of velocities (n_axes, n), low-passed since noise adds to a norm; a single row is a speed already."""
     if velocity.shape[0] == 1:
         return np.maximum(velocity[0], 0.0)  # a second-order low-pass undershoots by 4 %
     return np.sqrt(np.square(velocity).sum(axis=0))

@@ -28,10 +28,9 @@ def sensitivity(hertz: Array) -> Array:
 
 
 def carried(densities: Mapping[str, tuple[Array, Array]], rate_hz: float) -> dict[float, float]:
-    """Share of the perceived power that each rate [Hz] keeps: the `RATES_HZ` up to `rate_hz`, and `rate_hz`.
+    """Share of the perceived power, 0 to 1, that `RATES_HZ` up to the captured `rate_hz` keep, and `rate_hz`; {} of silence.
 
-    Shares from 0 to 1, none where no power is perceived, from the frequencies [Hz] (k,) and power densities (k,) of each axis of
-    an acceleration captured at `rate_hz`.
+    `densities` are the frequencies [Hz] (k,) and power densities (k,) of each axis.
     """
     weighted = [(hertz, density * sensitivity(hertz)) for hertz, density in densities.values()]
 

@@ -60,9 +60,7 @@ class Envelopes:
 
 
 def envelopes_of(clip: Clip) -> Envelopes:
-    """Envelopes of a clip: an RMS follower, and the centroid of the spectrum below 1 kHz.
-
-    Both end with the clip, and have at most `MAX_POINTS_PER_S`.
+    """Envelopes of a clip, an RMS follower and the centroid of the spectrum below 1 kHz, of at most `MAX_POINTS_PER_S`.
 
     Source: the published defaults of Meta's haptics SDK (constants); the reduction is Visvalingam and Whyatt's (1993).
     """

@@ -19,11 +19,7 @@ _WORD = "TEXTURE"  # in the sources, where the texture's name stands
 
 
 def write_unity(texture: Texture, folder: Path) -> str:
-    """Write the package into a folder, which is made, and return the texture's name in it; what else is there stays.
-
-    Raises:
-        ValueError: the texture is a network that ONNX Runtime runs.
-    """
+    """Write the package into a folder, which is made, and return the texture's name; ValueError for one of ONNX Runtime."""
     if isinstance(texture.sizes, GraphSizes):
         runs = "the network of this texture is run by ONNX Runtime, which the package does not hold"
         raise ValueError(f"{runs}: export a texture of foten-plus, foten or ar")

@@ -169,9 +169,7 @@ def preprocess(recording: Recording, config: PreprocessConfig | None = None, n_b
 def condition(velocities: Array, normal_force: Array, rate_hz: float, lowpass_hz: float) -> tuple[Array, Array]:
     """Speed [mm/s] and force [N], shapes (n,), through the causal low-pass of rendering, settled on the first sample.
 
-    Args:
-        velocities: velocity of each axis [mm/s], shape (n_axes, n); one axis where only the speed is known.
-        normal_force: normal force [N], shape (n,).
+    Of velocities [mm/s], shape (n_axes, n), one axis where only the speed is known, and the normal force [N], shape (n,).
     """
     sections = butterworth("lowpass", lowpass_hz, rate_hz)
     filtered = []
@@ -186,10 +184,7 @@ def velocity_and_force(recording: Recording, rate_hz: float) -> tuple[Array, Arr
     """Velocity [mm/s] (n_axes, n) and normal force [N] (n,) at a rate, where both and any acceleration are covered.
 
     Not yet low-passed. The velocity has the axes x and y where positions were recorded, else the speed alone. Pressing counts
-    positive: the sign of a force that is mostly negative is changed.
-
-    Raises:
-        ValueError: speed or force is missing, has holes or the wrong sign.
+    positive: the sign of a force that is mostly negative is changed. ValueError where one is missing or has holes.
     """
     start, stop = _common(recording, rate_hz)
     for name in (*recording.movement, *recording.normal_force):

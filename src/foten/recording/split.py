@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from foten.atomic_write import atomic_write
+from foten.atomic_write import write_json
 from foten.recording.trace import Trace
 
 METHODS = ("regrouped", "contiguous")
@@ -44,21 +44,16 @@ class Split:
 
     def save(self, path: Path) -> None:
         """Write the split and its digest as JSON."""
-        document = {**asdict(self), "sha256": self.sha256()}
-        with atomic_write(path) as part:
-            part.write_text(json.dumps(document, sort_keys=True, indent=1) + "\n")
+        write_json(path, {**asdict(self), "sha256": self.sha256()})
 
 
 def split_blocks(trace: Trace, method: str = "regrouped", seed: int = 0) -> Split:
-    """60/20/20 split of a trace's blocks.
+    """60/20/20 split of a trace's blocks; ValueError where they are fewer than `MIN_BLOCKS`.
 
     `regrouped`: blocks are grouped by mean speed, then by mean force, and drawn 60/20/20 within the groups; the blocks that
     hold the extremes of speed and force train, so that the test conditions lie inside the trained range.
 
     `contiguous`: first 60 %, next 20 %, last 20 % in time. A model that does much worse here was helped by leakage.
-
-    Raises:
-        ValueError: fewer than `MIN_BLOCKS`.
 
     Source: Sec. VI ("divided into 2000 samples and regrouped based on speed and force regions").
     Differs from the paper: how [14] groups is not stated; terciles of speed and of force within them are ours.

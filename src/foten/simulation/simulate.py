@@ -153,6 +153,8 @@ def simulate(
     A texture comes as raw sensors (Sec. III): acceleration with gravity, force and position, three axes each.
     A linear process comes as acceleration, speed and force at the model's rate, one axis, without noise.
 
+    ValueError for an unknown key, or lengths, seeds and rates out of range.
+
     Args:
         key: one of TEXTURES, CONTACT or LINEAR_FAMILY.
         seconds: length; the default leaves 60 s once 2 s are cut at each end.
@@ -160,9 +162,6 @@ def simulate(
         noise_seed: of the surface, the impacts and the sensors; another one is a second realisation.
         stroke_seed: of the hand.
         accelerometer_hz: 10 000 (by default) divided by a whole number; for the linear family, its rate, 1000 by default.
-
-    Raises:
-        ValueError: an unknown key, or lengths, seeds and rates out of range.
     """
     known: dict[str, Parameters] = {**TEXTURES, **CONTACT, **LINEAR_FAMILY}
     if key not in known:
@@ -186,10 +185,7 @@ def second_realisation(
 ) -> Recording:
     """Stroke and texture of a simulated recording with fresh surface and noise, under another stroke where one is given.
 
-    The recording's own `noise_seed` gives the recording back.
-
-    Raises:
-        ValueError: the recording is not simulated, or by another version of the model.
+    The recording's own `noise_seed` gives the recording back. ValueError where it is not simulated by this version.
     """
     simulation = recording.simulation
     if simulation is None:

@@ -51,7 +51,7 @@ def check_short(seconds: float, options: str) -> Iterable[Finding]:
     if seconds < config.shortest_s:
         advice = f"train with {options}" if options else "too short to learn from; record for longer"
         needs = (
-            f"trimming {config.trim_ms / 1000:g} s at both ends and {MIN_BLOCKS} blocks of {config.block_ms / 1000:g} s"
+            f"trimming {config.trim_ms / 1000:g} s at both ends, {MIN_BLOCKS} blocks of {config.block_ms / 1000:g} s"
         )
         text = f"it lasts {seconds:.2f} s, and {needs} take {config.shortest_s:g} s: {advice}"
         yield Finding(NOTE, "short", "", text)
