@@ -68,21 +68,12 @@ def test_a_ramp_comes_out_late_by_the_delay(order: int) -> None:
     assert (ramp[-1] - late) / 0.3 / RATE_HZ == pytest.approx(delay_s(lowpass, RATE_HZ), abs=1e-9)
 
 
-def test_the_delay_is_the_textbooks() -> None:
-    # √2/ω_c for the analog second order; prewarping moves it by (π f_c / rate)² / 3 = 0.13 %.
-    expected = np.sqrt(2) / (2 * np.pi * 20.0)
-    assert delay_s(butterworth("lowpass", 20.0, RATE_HZ), RATE_HZ) == pytest.approx(expected, rel=2e-3)
-
-
 def test_zero_phase_has_no_delay() -> None:
     lowpass = butterworth("lowpass", 20.0, RATE_HZ)
     n = np.arange(2000)
     bump = np.exp(-0.5 * ((n - 1000) / 40.0) ** 2)
     out = filter_recorded(lowpass, bump, zero_phase=True)
     np.testing.assert_allclose(out[1:], out[:0:-1], atol=1e-9)  # symmetric about 1000, as the input
-    late = filter_recorded(lowpass, bump)
-    centroid = (n * late).sum() / late.sum()
-    assert centroid - 1000 == pytest.approx(delay_s(lowpass, RATE_HZ) * RATE_HZ, abs=1e-6)
 
 
 @given(cuts=st.lists(st.integers(0, 300), max_size=6), order=st.sampled_from([2, 4]), seed=st.integers(0, 99))
@@ -106,20 +97,9 @@ def test_streaming_is_the_offline_filter(kind: str, cutoff_hz: float, rate_hz: f
     np.testing.assert_allclose(streaming.process(samples), filter_recorded(sections, samples), atol=1e-9)
 
 
-def test_a_reset_to_a_value_has_no_transient() -> None:
-    biquads = Biquads(butterworth("lowpass", 20.0, RATE_HZ, 4))
-    biquads.process(np.ones(50))
-    biquads.reset(80.0)
-    np.testing.assert_allclose(biquads.process(np.full(100, 80.0)), 80.0, atol=1e-9)  # rounding
-
-
-@pytest.mark.parametrize("cutoff_hz", [0.0, -5.0, 500.0, 600.0, float("nan")])
-def test_a_cutoff_out_of_range_is_refused(cutoff_hz: float) -> None:
-    with pytest.raises(ValueError, match="half the rate, 500 Hz"):
-        butterworth("lowpass", cutoff_hz, RATE_HZ)
-
-
-@pytest.mark.parametrize("order", [0, 1, 3, -2])
-def test_an_odd_order_is_refused(order: int) -> None:
-    with pytest.raises(ValueError, match="expected 2, 4, 6"):
-        butterworth("lowpass", 20.0, RATE_HZ, order)
+@pytest.mark.parametrize(
+    ("cutoff_hz", "order"), [(0.0, 2), (500.0, 2), (float("nan"), 2), (20.0, 0), (20.0, 3), (20.0, -2)]
+)
+def test_what_is_no_filter_is_refused(cutoff_hz: float, order: int) -> None:
+    with pytest.raises(ValueError, match=r"half the rate, 500 Hz|expected 2, 4, 6"):
+        butterworth("lowpass", cutoff_hz, RATE_HZ, order)

@@ -204,14 +204,9 @@ def test_a_channel_that_starts_late_leaves_the_common_part():
     inspection = _inspect(late, times={"speed": times})
     assert [f.channel for f in inspection.findings if f.code == "durations"] == ["speed"]
     assert _text(inspection, "durations").startswith("speed covers 3.00 to 18.00 s, of 0.00 to 20.00 s: training uses")
-    short = _inspect(
-        {name: x[:16_000] for name, x in samples.items()} | {"speed": late["speed"][:13_000]},
-        times={"speed": times[:13_000]},
-    )
-    # Of 16 s, the 13 that are common.
-    assert re.fullmatch(
-        r"it lasts 13.00 s, and .* take 14 s: train with --rate 1000 --trim 0 --block 1000", _text(short, "short")
-    )
+    first = {name: x[:16_000] for name, x in samples.items()} | {"speed": late["speed"][:13_000]}
+    text = _text(_inspect(first, times={"speed": times[:13_000]}), "short")  # of 16 s, the 13 that are common
+    assert re.fullmatch(r"it lasts 13.00 s, and .* take 14 s: train with --rate 1000 --trim 0 --block 1000", text)
 
 
 @pytest.mark.parametrize(
@@ -256,9 +251,8 @@ def test_coverage_counts_the_seconds_in_each_cell():
     n = 4000
     speed = np.concatenate([np.full(n, 60.0), np.full(n, 210.0), np.full(n, 1.0)])
     force = np.concatenate([np.full(n, 0.7), np.full(n, 2.2), np.full(n, 2.2)])
-    coverage = _inspect(
-        {"acceleration": np.random.default_rng(0).standard_normal(3 * n), "speed": speed, "force": force}
-    ).coverage
+    vibration = np.random.default_rng(0).standard_normal(3 * n)
+    coverage = _inspect({"acceleration": vibration, "speed": speed, "force": force}).coverage
     assert coverage.covered == 2  # the third part is at rest
     # The low-pass takes 50 ms at the ends of the recording and some 20 ms at the step.
     assert coverage.seconds[2, 1] == pytest.approx(4, abs=0.08)
@@ -399,9 +393,8 @@ def test_density_integrates_to_the_variance():
     # Parseval: a density in (m/s²)²/Hz and not a spectrum; Welch's windows cost a few percent.
     recording = _recording()
     frequency, power = inspect_recording(recording).psd["acceleration_x"]
-    assert power.sum() * (frequency[1] - frequency[0]) == pytest.approx(
-        recording["acceleration_x"].samples.var(), rel=0.05
-    )
+    variance = recording["acceleration_x"].samples.var()
+    assert power.sum() * (frequency[1] - frequency[0]) == pytest.approx(variance, rel=0.05)
 
 
 def test_only_the_pictures_that_the_channels_allow_are_written_and_they_are_reproducible(tmp_path):

@@ -1,5 +1,4 @@
 import dataclasses
-import json
 
 import numpy as np
 import pytest
@@ -106,13 +105,6 @@ def test_no_filter_leaves_the_autoregression() -> None:
     infinite, window = one_step_bounds(truth, *ONE, one, one, 8)
     np.testing.assert_allclose(infinite, np.sqrt(2 / np.pi) * truth.sigma(*ONE))
     np.testing.assert_allclose(window, infinite, rtol=1e-9)
-
-
-def test_the_truth_travels_with_the_file() -> None:
-    recording = simulate("linear-hum", 2, accelerometer_hz=2500)
-    stored = dataclasses.replace(recording, simulation=json.loads(json.dumps(dict(recording.simulation or {}))))
-    truth = linear_truth(stored)
-    np.testing.assert_array_equal(truth.coefficients, LINEAR_FAMILY["linear-hum"].coefficients)
 
 
 def test_what_has_no_truth_is_refused() -> None:

@@ -8,8 +8,8 @@ from hypothesis import strategies as st
 
 from foten.recording.recording import Channel, Recording
 from foten.recording.scaling import Scaling, fit_scaling
-from foten.recording.trace import CHANNELS, Trace
-from foten.recording.windows import targets, window_indices, windows
+from foten.recording.trace import Trace
+from foten.recording.windows import targets, windows
 
 
 def channel(n: int = 100, rate_hz: float = 1000.0, seed: int = 0) -> Channel:
@@ -80,13 +80,6 @@ def test_blocks_are_consecutive_and_share_memory() -> None:
     assert np.shares_memory(trace.blocks(trace.speed), trace.speed)
 
 
-def test_the_columns_are_those_of_eq_1() -> None:
-    n = np.arange(4.0)
-    stacked = Trace(n, n + 100, n + 200, 1000.0, 2).stacked()
-    assert CHANNELS == ("acceleration", "speed", "force")
-    np.testing.assert_array_equal(stacked[3], [3, 103, 203])
-
-
 @given(
     blocks=st.lists(st.integers(0, 5), min_size=1, max_size=4, unique=True),
     m=st.integers(1, 7),
@@ -105,16 +98,6 @@ def test_windows_are_eq_1(blocks: list[int], m: int, extra: int) -> None:
     n = targets(tuple(blocks), block, m + extra)
     np.testing.assert_array_equal(windows(samples, n, m), np.array(expected).reshape(-1, m, 3))
     np.testing.assert_array_equal(samples[n, 0], answers)
-
-
-@pytest.mark.parametrize("m", [1, 5, 20])
-def test_no_window_straddles_blocks(m: int) -> None:
-    block = 25
-    n = targets((0, 3, 4), block, m)
-    of_target = n // block
-    assert set(of_target.tolist()) == {0, 3, 4}
-    assert np.all(window_indices(n, m) // block == of_target[:, None])
-    assert n.size == 3 * (block - m)  # and none that does not is left out
 
 
 def trace(seed: int = 0) -> Trace:

@@ -67,11 +67,6 @@ def test_one_process_is_one_piece() -> None:
     assert sum(n_cuts) <= 1
 
 
-def test_no_piece_is_longer_than_asked() -> None:
-    cuts, _ = pieces_of(played(((3000, (1.5, -0.9)),), 1), longest=700)
-    assert np.diff(np.concatenate([[0], cuts, [3000]])).max() <= 700
-
-
 def test_a_long_recording_takes_as_much_longer_as_it_is_long() -> None:
     """Pieces of a second at most: 240 s in 4800 steps of the grid, which a square of them would not fit in memory for."""
     rng = np.random.default_rng(0)

@@ -121,10 +121,8 @@ def test_the_level_rises_with_speed_and_force_and_standstill_is_silent(key: str)
 
 
 def test_textures_are_in_the_order_of_roughness_that_their_names_promise() -> None:
-    levels = {
-        key: level(vibration(parameters, steady(100.0, 1.0), np.random.default_rng(0)))
-        for key, parameters in TEXTURES.items()
-    }
+    stroke = steady(100.0, 1.0)
+    levels = {key: level(vibration(row, stroke, np.random.default_rng(0))) for key, row in TEXTURES.items()}
     assert min(levels, key=levels.__getitem__) == "smooth-rubber"
     assert levels["steel-mesh-1"] > 5 * levels["smooth-rubber"]
     assert levels["towel"] > 2 * levels["soft-fabric"]
@@ -290,8 +288,6 @@ def test_velocity_is_the_derivative_of_position() -> None:
 
 
 def test_speed_and_force_leave_the_texture_band_alone() -> None:
-    from scipy.signal import welch
-
     stroke = stroking(64, 2, 1000.0)
     for signal in (stroke.speed, stroke.force):
         frequency_hz, power = welch(signal, 1000, nperseg=4000)

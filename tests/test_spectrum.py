@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from scipy.signal import butter, lfilter, sosfilt
+from scipy.signal import butter, sosfilt
 
 from foten.dsp.bands import N_BANDS, band_energies, envelope_edges
 from foten.dsp.distance import earth_mover_octaves
@@ -44,21 +44,12 @@ def test_the_last_row_is_the_inverse_transforms_last_sample(m: int) -> None:
     np.testing.assert_allclose(found, expected, atol=1e-14)  # m roundings over m
 
 
-@pytest.mark.parametrize(("m", "d_model"), [(20, 32), (5, 8), (30, 6)])
+@pytest.mark.parametrize(("m", "d_model"), [(20, 32), (5, 8), (4, 5)])
 def test_positions_are_eq_2(m: int, d_model: int) -> None:
-    """Oracle: Eq. 2, term by term."""
-    found = position_encoding(m, d_model)
-    assert found.shape == (m, d_model)
-    for pos in range(m):
-        for i in range(d_model // 2):
-            angle = pos * 10000 ** (-2 * i / d_model)
-            assert found[pos, 2 * i] == pytest.approx(math.sin(angle), abs=1e-13)  # rounding of the angle
-            assert found[pos, 2 * i + 1] == pytest.approx(math.cos(angle), abs=1e-13)
-
-
-def test_an_odd_width_ends_with_a_sine() -> None:
-    found = position_encoding(4, 5)
-    np.testing.assert_allclose(found[:, 4], np.sin(np.arange(4) * 10000 ** (-4 / 5)), atol=1e-13)
+    """Oracle: Eq. 2, term by term; an odd width ends with a sine."""
+    waves = (math.sin, math.cos)
+    expected = [[waves[i % 2](pos * 10000 ** (-(i - i % 2) / d_model)) for i in range(d_model)] for pos in range(m)]
+    np.testing.assert_allclose(position_encoding(m, d_model), expected, atol=1e-13)  # rounding of the angle
 
 
 @pytest.mark.parametrize("m", [5, 8, 9, 20])
@@ -167,4 +158,3 @@ def test_slow_modulation_is_seen_and_a_filter_is_causal() -> None:
     energies = band_energies(carrier, RATE_HZ)
     assert energies[:, :125].sum() == 0.0
     assert energies[:, 125:130].sum() > 0.0
-    assert np.isfinite(lfilter([1.0], [1.0, -0.9], energies, axis=1)).all()

@@ -44,11 +44,6 @@ def test_every_block_has_one_part_and_the_totals_are_60_20_20(method: str, n_blo
     assert len(split.train) >= len(split.test)
 
 
-@pytest.mark.parametrize("method", METHODS)
-def test_the_papers_56_seconds(method: str) -> None:
-    assert [len(part) for part in parts(split_blocks(trace(28), method))] == [16, 6, 6]
-
-
 @given(n_blocks=st.integers(8, 60), seed=st.integers(0, 1000))
 @settings(max_examples=30, deadline=None)
 def test_the_extremes_of_speed_and_force_train(n_blocks: int, seed: int) -> None:

@@ -102,13 +102,6 @@ def test_a_blank_line_among_numbers_is_a_missing_row(tmp_path):
     assert (a[0], a[1] != a[1], a[2], len(a)) == (1, True, 3, 3)
 
 
-def test_a_word_among_numbers_spoils_only_its_column(tmp_path):
-    (tmp_path / "a.csv").write_text("a,b\n1,1\n2,oops\n3,3\n")
-    a, b = read_delimited(tmp_path / "a.csv")
-    assert a.fault == ""
-    assert b.fault == "row 3 is 'oops', expected a number"
-
-
 @pytest.mark.parametrize("units", ["", "s,N,,m/s\n"])
 def test_a_word_in_the_first_row_of_data_loses_no_row(tmp_path, units):
     rows = "0.000000,OVL,0.0,1.0\n0.000100,OVL,0.5,1.5\n0.000200,2,1,2\n0.000300,3,2,3\n0.000400,4,2,3\n"

@@ -1,7 +1,4 @@
-"""NumPy, MATLAB, HDF5, TDMS and WAV files as columns. Nothing here unpickles: a pickle runs code when it is opened.
-
-A ValueError says of a file what is wrong with it: it is truncated, foreign, or holds pickled objects.
-"""
+"""NumPy, MATLAB, HDF5, TDMS and WAV files as columns; ValueError where one is truncated, foreign, or holds pickled objects."""
 
 from __future__ import annotations
 
@@ -51,7 +48,7 @@ def read_numpy(path: Path) -> list[Column]:
 
 
 def _array(file: Any, size: int, left: int, name: str) -> NDArray[Any]:
-    """Array in an .npy file of `size` bytes, if it holds what its header says: NumPy makes room before it reads."""
+    """Array in an .npy file of `size` bytes, if these are as many as its header says: NumPy allocates before it reads."""
     version = np.lib.format.read_magic(file)
     header = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
     shape, by_columns, dtype = header[min(version, (2, 0))](file)
@@ -74,19 +71,15 @@ def read_matlab(path: Path) -> list[Column]:
 
 
 def read_hdf5(path: Path) -> list[Column]:
-    """Datasets of a foreign HDF5 file, by its path in the file; a recording of ours needs no import."""
+    """Datasets of a foreign HDF5 file, by their paths in it; a recording of ours is refused."""
     contents, arrays = read_isolated("HDF5", path)
     if contents["attributes"].get("format") == FORMAT:
         raise ValueError(f"{path.name} is a foten recording already; nothing to import")
     columns: list[Column] = []
-    texts: dict[str, Any] = {
-        f"{entry['name']}/{key}".lstrip("/"): value
-        for entry in [{"name": "", "attributes": contents["attributes"]}, *contents["objects"]]
-        for key, value in entry.get("attributes", {}).items()
-        if isinstance(value, str | list)
-    }
-    for entry in contents["objects"]:
-        name = entry["name"]
+    texts: dict[str, Any] = {}
+    for entry in [{"name": "", "attributes": contents["attributes"]}, *contents["objects"]]:
+        name, attributes = entry["name"], entry.get("attributes", {}).items()
+        texts |= {f"{name}/{key}".lstrip("/"): value for key, value in attributes if isinstance(value, str | list)}
         if "array" in entry:
             columns += columns_of_array(name, arrays[entry["array"]])
         elif "texts" in entry:
@@ -127,7 +120,7 @@ def read_tdms(path: Path) -> list[Column]:
 
 
 def _rate(increment_s: Any) -> float | None:
-    """Rate of a waveform [Hz]; none where the file states no step, or one that cannot be."""
+    """Rate of a waveform [Hz]; none where the file states no step or an absurd one."""
     if not isinstance(increment_s, int | float | np.number) or not 1e-12 < increment_s < 1e12:
         return None
     rate = 1 / float(increment_s)
@@ -136,10 +129,7 @@ def _rate(increment_s: Any) -> float | None:
 
 
 def read_wav(path: Path) -> list[Column]:
-    """Tracks of a WAV file, named by number, with its rate: an accelerometer through a sound card.
-
-    Integer samples become fractions of full scale; float samples stay as they are.
-    """
+    """Tracks of a WAV file, named by number, with its rate; integers become fractions of full scale."""
     from scipy.io import wavfile
 
     with reading(path, "WAV file"), warnings.catch_warnings():

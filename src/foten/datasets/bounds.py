@@ -1,7 +1,4 @@
-"""How much a recording may hold, and what a hand does: beyond it, a file is damaged, or a rate or a unit is wrong.
-
-Each check raises a ValueError that says what came, what was expected, and what was meant perhaps.
-"""
+"""Bounds of a recording: beyond them a file is damaged, or a rate or a unit is wrong, and a check raises a ValueError."""
 
 from __future__ import annotations
 
@@ -33,10 +30,9 @@ def check_length(where: str, channel: Channel) -> None:
     if channel.rate_hz > MAX_RATE_HZ:
         raise ValueError(f"{where}: the rate is {channel.rate_hz:g} Hz, expected {MAX_RATE_HZ:g} at most; is it right?")
     if not channel.duration_s <= MAX_DURATION_S:
-        raise ValueError(
-            f"{where}: {counted(channel.samples.size, 'sample')} at {channel.rate_hz:g} Hz, {channel.duration_s:.4g} s, expected "
-            f"{MAX_DURATION_S:g} s at most; is the rate right, or was the time given in ms?"
-        )
+        lasts = f"{counted(channel.samples.size, 'sample')} at {channel.rate_hz:g} Hz, {channel.duration_s:.4g} s"
+        hint = "is the rate right, or was the time given in ms?"
+        raise ValueError(f"{where}: {lasts}, expected {MAX_DURATION_S:g} s at most; {hint}")
 
 
 def check_overlap(channels: Mapping[str, Channel]) -> None:
@@ -44,14 +40,13 @@ def check_overlap(channels: Mapping[str, Channel]) -> None:
     starts, ends = ({name: channel.span_s[k] for name, channel in channels.items()} for k in (0, 1))
     late, early = max(starts, key=lambda name: starts[name]), min(ends, key=lambda name: ends[name])
     if starts[late] >= ends[early]:
-        raise ValueError(
-            f"{late} starts at {starts[late]:.6g} s, when {early} has ended ({ends[early]:.6g} s); "
-            "were their clocks different? Leave time out and give --rate if they were started together"
-        )
+        when = f"{starts[late]:.6g} s, when {early} has ended ({ends[early]:.6g} s)"
+        hint = "were their clocks different? If they were started together, leave time out and give --rate"
+        raise ValueError(f"{late} starts at {when}; {hint}")
 
 
 def check_channel(name: str, channel: Channel, force_units: bool) -> str:
-    """Check that a channel is long enough and holds what a hand does; return a sentence where more was let through."""
+    """Check a channel's length and values; return a sentence where values beyond the limits were let through."""
     check_size(name, channel.samples)
     check_length(name, channel)
     kind, unit = quantity(name), UNITS[name]
@@ -73,6 +68,6 @@ def check_channel(name: str, channel: Channel, force_units: bool) -> str:
             f"{name} is too short: {counted(size.size, 'sample')} at {channel.rate_hz:g} Hz, {channel.duration_s * 1000:.3g} ms, "
             f"expected {MIN_DURATION_S * 1000:g} ms or more; is the rate right?"
         )
-    return (
-        f"{what}; {counted(n_beyond, 'sample')} beyond {limit:g} {unit} let through (--force-units)" if n_beyond else ""
-    )
+    if not n_beyond:
+        return ""
+    return f"{what}; {counted(n_beyond, 'sample')} beyond {limit:g} {unit} let through (--force-units)"

@@ -1,4 +1,4 @@
-"""What a file holds before anyone says which column is which channel."""
+"""Columns of a file, before they are mapped to channels."""
 
 from __future__ import annotations
 
@@ -48,12 +48,12 @@ class Column:
 
 
 class RefusedError(ValueError):
-    """What a reader says of a file in a sentence of its own, with the file's name."""
+    """A reader's own sentence on a file, with the file's name."""
 
 
 @contextmanager
 def reading(path: Path, what: str) -> Iterator[None]:
-    """Refuse in a line what a library raises on a damaged file: one of a dozen kinds, zlib.error and TypeError among them."""
+    """Refuse in a line what a library raises on a damaged file: any kind, zlib.error and TypeError among them."""
     try:
         yield
     except RefusedError:
@@ -65,22 +65,17 @@ def reading(path: Path, what: str) -> Iterator[None]:
 
 
 def check_width(name: str, n_columns: int) -> None:
-    """Check that a file has no more columns than a recording could, before any is made.
-
-    Raises:
-        RefusedError: it has more than `MAX_COLUMNS`.
-    """
+    """Check that a file has at most `MAX_COLUMNS`; RefusedError where it has more."""
     if n_columns > MAX_COLUMNS:
-        raise RefusedError(
-            f"{name} has {n_columns:,} columns, expected {MAX_COLUMNS:,} at most; do its samples lie along a row? Transpose it"
-        )
+        at_most = f"expected {MAX_COLUMNS:,} at most"
+        raise RefusedError(f"{name} has {n_columns:,} columns, {at_most}; do its samples lie along a row? Transpose it")
 
 
 def columns_of_array(name: str, array: NDArray[Any]) -> list[Column]:
     """Array as columns: `name` for one, `name.0`, `name.1`, … for several.
 
-    The longer axis of a matrix is taken as time, as both layouts are common; scalars come back as columns of one sample. Arrays
-    that hold no numbers, or have more than two axes of length above 1, come back with a fault.
+    The longer axis of a matrix is taken as time; scalars are columns of one sample. Arrays of no numbers, or with more than two
+    axes of length above 1, have a fault.
     """
     if array.dtype.names:
         return [c for field in array.dtype.names for c in columns_of_array(f"{name}.{field}", array[field])]
@@ -103,8 +98,8 @@ def columns_of_array(name: str, array: NDArray[Any]) -> list[Column]:
 def with_units(columns: list[Column], texts: Mapping[str, str | list[str]]) -> list[Column]:
     """Columns with the units that texts beside them state.
 
-    A text `force_unit`, `force.units` or `units.force` is the unit of `force`; one that is called `unit` alone is that of
-    everything beside it; `.` or `/` lead into a struct or a group. A list of texts has one for each column of a matrix.
+    A text `force_unit`, `force.units` or `units.force` is the unit of `force`, `unit` alone that of everything beside it; `.` or
+    `/` lead into a struct or a group. A list of texts has one for each column of a matrix.
     """
     by_name = {name.lower(): text for name, text in texts.items()}
     return [replace(column, unit=_unit_beside(column.name.lower(), by_name)) for column in columns]

@@ -1,4 +1,4 @@
-"""What HDF5 and MATLAB files hold, as plain values and arrays; `isolated` runs this in a process of its own."""
+"""Contents of HDF5 and MATLAB files, as plain values and arrays; `isolated` runs this in a process of its own."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ MAX_TEXTS = 64  # of an attribute or a dataset; those of units have one for each
 def hdf5_contents(path: Path) -> Contents:
     """Contents of an HDF5 file, `{"attributes": …, "objects": […]}`, objects in the order of their names.
 
-    An object has a name, attributes, and, where it is a dataset, the index of its array, or its texts, or the fault for which it
-    was not read. Links are left out, and samples in other files not read: they could lead to any file of this machine.
+    An object has a name, attributes, and, where it is a dataset, the index of its array, its texts, or a fault. Links are left
+    out and samples in other files not read: they could lead to any file of this machine.
     """
     try:
         file = h5py.File(path, "r")

@@ -1,8 +1,7 @@
 """Model files of the Penn Haptic Texture Toolkit: linear models of one surface, each at a speed and a force, as XML.
 
-Source: the format as its public files have it (Culbertson, Lopez Delgado and Kuchenbecker, Haptics Symposium 2014): AR alone at
-10 kHz, or ARMA with a gain at 1 kHz; m/s², mm/s, N. The files' own notice allows non-profit research and no distribution: we read
-them and ship none.
+Source: the public files (Culbertson, Lopez Delgado and Kuchenbecker, Haptics Symposium 2014): AR at 10 kHz, or ARMA with a
+gain at 1 kHz; m/s², mm/s, N. Their notice allows non-profit research and no distribution.
 """
 
 from __future__ import annotations
@@ -18,14 +17,14 @@ from numpy.typing import NDArray
 from foten.dsp import Array
 from foten.untrusted import check_regular
 
-MAX_FILE_BYTES = 20_000_000  # bytes; the toolkit's have a tenth of a million
+MAX_FILE_BYTES = 20_000_000  # the toolkit's have 100,000
 MAX_MODELS = 1000
 UNITS = {"AccelUnits": "m/s^2", "SpeedUnits": "mm/s", "ForceUnits": "N"}
 
 
 @dataclass(frozen=True)
 class HattModels:
-    """What a model file holds; y[n] = −Σ a_k y[n−k] + gain · (e[n] + Σ b_k e[n−k]), e white, Gaussian."""
+    """Models of a file; y[n] = −Σ a_k y[n−k] + gain · (e[n] + Σ b_k e[n−k]), e white, Gaussian."""
 
     material: str
     rate_hz: float  # of the models
@@ -39,17 +38,11 @@ class HattModels:
 
 
 def read_models(path: Path) -> HattModels:
-    """Models in a file.
-
-    Raises:
-        FileNotFoundError: there is none.
-        ValueError: it is not a model file, or what it holds does not fit together.
-    """
+    """Models in a file; ValueError where it is not a model file, or its parts do not fit together."""
     check_regular(path)
-    if path.stat().st_size > MAX_FILE_BYTES:
-        raise ValueError(
-            f"{path.name} has {path.stat().st_size} bytes, expected a model file of at most {MAX_FILE_BYTES}"
-        )
+    n_bytes = path.stat().st_size
+    if n_bytes > MAX_FILE_BYTES:
+        raise ValueError(f"{path.name} has {n_bytes} bytes, expected a model file of at most {MAX_FILE_BYTES}")
     try:
         return _models(Xml.fromstring(path.read_bytes()))
     except Xml.ParseError as error:
@@ -73,21 +66,21 @@ def _models(root: Xml.Element) -> HattModels:
     stated = root.findtext("numMod")
     if stated is not None and int(_number(stated, "numMod")) != len(models):
         raise ValueError(f"<numMod> says {stated.strip()} models and the file holds {len(models)}: is it truncated?")
-    ar = _rows([model.find("ARcoeff") for model in models], "ARcoeff")
+
+    def of_models(name: str, default: str | None = None) -> Array:
+        return np.array([_number(model.findtext(name, default), name) for model in models])
+
     no_zeros = Xml.fromstring("<MAcoeff>1</MAcoeff>")
-    ma = _rows([next(model.iterfind("MAcoeff"), no_zeros) for model in models], "MAcoeff")
     friction = root.findtext("mu")
     read = HattModels(
         material=(root.findtext("material") or "").strip(),
         rate_hz=_number(root.findtext("SampleRate"), "SampleRate"),
         friction=np.nan if friction is None else _number(friction, "mu"),
-        points=np.array(
-            [[_number(model.findtext(name), name) for name in ("speedMod", "forceMod")] for model in models]
-        ),
-        ar=ar,
-        ma=ma,
-        variance=np.array([_number(model.findtext("var"), "var") for model in models]),
-        gain=np.array([_number(model.findtext("gain", "1"), "gain") for model in models]),
+        points=np.stack([of_models("speedMod"), of_models("forceMod")], axis=1),
+        ar=_rows([model.find("ARcoeff") for model in models], "ARcoeff"),
+        ma=_rows([next(model.iterfind("MAcoeff"), no_zeros) for model in models], "MAcoeff"),
+        variance=of_models("var"),
+        gain=of_models("gain", "1"),
         triangles=_triangles(root, len(models)),
     )
     if not read.rate_hz > 0:

@@ -1,22 +1,4 @@
-"""Our own recording file: HDF5 that MATLAB, LabVIEW or Python can also write.
-
-Layout, version 1::
-
-    /                       attributes  format = "foten-recording", version = 1
-                                        texture, tool, sensors, notes   text, may be absent
-                                        history     text, one sentence a line, may be absent
-                                        simulation  JSON text, only in simulated recordings
-    /channels/NAME          dataset of n numbers (float32 or float64; n×1 and 1×n are read too)
-                            attributes  rate_hz, and unit: that of the table below, spelled so
-    /times_s/NAME           dataset of n float64, seconds, only where the capture was irregular
-
-NAME and unit are one of: acceleration, acceleration_x, _y, _z [m/s^2, or relative]; speed [mm/s]; position_x, _y, _z [mm];
-force, force_x, _y, _z [N]; z is the surface normal. In MATLAB::
-
-    h5create('denim.h5', '/channels/force', numel(f));  h5write('denim.h5', '/channels/force', f(:));
-    h5writeatt('denim.h5', '/channels/force', 'rate_hz', 1000);
-    h5writeatt('denim.h5', '/channels/force', 'unit', 'N');
-    h5writeatt('denim.h5', '/', 'format', 'foten-recording');  h5writeatt('denim.h5', '/', 'version', 1);
+"""Our own recording file: HDF5 that MATLAB, LabVIEW or Python can also write; its layout is in docs/tutorials/recordings.md.
 
 The same recording always gives the same bytes.
 """
@@ -46,12 +28,7 @@ _TEXTS = ("texture", "tool", "sensors", "notes")
 
 
 def write_recording(recording: Recording, path: Path) -> None:
-    """Write a recording, whole or not at all.
-
-    Raises:
-        OSError: no space is left, or the folder cannot be written to.
-        ValueError: a text is too long.
-    """
+    """Write a recording, whole or not at all; ValueError where a text is too long."""
     import h5py
 
     texts = {key: getattr(recording, key) for key in _TEXTS} | {"history": "\n".join(recording.history)}
@@ -80,23 +57,15 @@ def _store(file: Any, name: str, samples: NDArray[Any]) -> Any:
 
 
 def load_recording(path: Path) -> Recording:
-    """Recording in a file of the layout above, written by `write_recording` or by another program.
-
-    Raises:
-        FileNotFoundError: there is no such file.
-        ValueError: another format, with the command that imports it; another version, truncated, a channel, unit, rate, time
-            or sample that cannot be.
-    """
+    """Recording in a file of ours; ValueError for another format or version, a damaged file, or absurd content."""
     name = path.name
     if path.exists() and path.suffix.lower() not in (".h5", ".hdf5"):
         raise ValueError(f"{name} is not a foten recording (.h5); first run: foten import {path} -o {path.stem}.h5")
     contents, arrays = read_isolated("HDF5", path)
     attributes = contents["attributes"]
     if attributes.get("format") != FORMAT:
-        raise ValueError(
-            f"{name} is HDF5 but not a foten recording (attribute format is not {FORMAT!r}); "
-            f"first run: foten import {path} -o {path.stem}-foten.h5"
-        )
+        run = f"first run: foten import {path} -o {path.stem}-foten.h5"
+        raise ValueError(f"{name} is HDF5 but not a foten recording (attribute format is not {FORMAT!r}); {run}")
     version = _number(attributes.get("version"))
     if version != VERSION:
         raise ValueError(f"{name} has version {version:g}, expected {VERSION}; a newer foten may read it")
@@ -138,7 +107,6 @@ def load_recording(path: Path) -> Recording:
 
 
 def _simulation(attributes: Mapping[str, Any], name: str) -> dict[str, Any] | None:
-    """Parameters of the simulator, where it made the recording."""
     if "simulation" not in attributes:
         return None
     with contextlib.suppress(ValueError):

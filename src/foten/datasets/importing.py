@@ -1,4 +1,4 @@
-"""From columns of files to a Recording, or to a stroke: which column is which channel, in what unit, at what rate.
+"""Columns of files to a Recording, or to a stroke.
 
 Nothing is resampled or padded. Every conversion and every filled gap is written into the recording's history.
 """
@@ -39,28 +39,21 @@ DATASETS: dict[str, Callable[[Path], list[Column]]] = {
     ".tdms": read_tdms,
     ".wav": read_wav,
 }
-"""What reads a file, by its extension."""
+"""Readers by extension."""
 
 STROKE = "t (s), and speed (mm/s) or x, y (mm), and force (N) or pressure (0 to 1)"
-"""What a table of a stroke has to hold; units in its header come before these."""
+"""Columns of a table of a stroke; units in its header come before these."""
 
 MIN_ACCELERATION_HZ = 40.0  # of an acceleration: half of it is the lowest frequency that training keeps
 MIN_DROPOUT_S = 0.005  # of zeros to the last digit in a sound, which no microphone gives
 
 
 def read_columns(path: Path) -> list[Column]:
-    """Columns of any file that `DATASETS` can read.
-
-    Raises:
-        FileNotFoundError: there is none.
-        ValueError: it is empty, has an unknown extension, is a pickle, or a bad file.
-    """
+    """Columns of any file that `DATASETS` can read; ValueError for another extension, a pickle, or an empty or bad file."""
     check_regular(path)
     suffix = path.suffix.lower()
     if suffix in (".pkl", ".pickle"):
-        raise ValueError(
-            f"{path.name} is a pickle, which can run code when opened; save plain arrays as .npz or .h5 instead"
-        )
+        raise ValueError(f"{path.name} is a pickle, which can run code when opened; save arrays as .npz or .h5 instead")
     if suffix not in DATASETS:
         hint = "; save it as .xlsx" if suffix in (".xls", ".xlsb", ".ods") else ""
         raise ValueError(f"cannot read {path.name}, expected one of {' '.join(DATASETS)}{hint}")
@@ -75,13 +68,10 @@ def read_columns(path: Path) -> list[Column]:
 
 @np.errstate(over="ignore", invalid="ignore")  # infinite and absurd samples are refused, in a sentence
 def import_recording(paths: Sequence[Path], options: ImportOptions) -> tuple[Recording, list[str]]:
-    """Recording that some files hold, and what was decided on the way: sentences for the user.
+    """Recording in some files, and sentences on what was decided; ValueError on what is missing, ambiguous or impossible.
 
-    A mapped `time` column serves the channels of its own file that have as many rows; give it once per file. Times of several
-    files are taken to be one clock; they count from the start of the acceleration, or else from the earliest.
-
-    Raises:
-        ValueError: one sentence on what is missing, ambiguous or impossible.
+    A mapped `time` column serves the channels of its file that have as many rows. Times of several files are of one clock; they
+    count from the start of the acceleration, or else from the earliest.
     """
     if not paths:
         raise ValueError("no file to import")
@@ -97,9 +87,7 @@ def import_recording(paths: Sequence[Path], options: ImportOptions) -> tuple[Rec
         taken = {reference for _, reference in mapping}
         left_out = [name for name in names_of(files) if name not in taken]
         decisions += [f"left out: {', '.join(left_out)}"] if left_out else []
-    clocks = [
-        clock for channel, reference in mapping if channel == "time" for clock in columns_of(files, channel, reference)
-    ]
+    clocks = [clock for channel, name in mapping if channel == "time" for clock in columns_of(files, channel, name)]
     columns = {channel: columns_of(files, channel, name)[0] for channel, name in mapping if channel != "time"}
     if not columns:
         raise ValueError("only time is mapped, expected a channel as well, e.g. --map time=0,acceleration=1")
@@ -130,12 +118,7 @@ def import_recording(paths: Sequence[Path], options: ImportOptions) -> tuple[Rec
 def _converted(
     name: str, column: Column, clocks: Sequence[Column], beside: Sequence[Column], options: ImportOptions
 ) -> tuple[Channel, list[str], list[str]]:
-    """Channel of a column, in the unit of `UNITS` and with its times; sentences for the history, and on a rate not used.
-
-    Args:
-        clocks: the time columns that are mapped.
-        beside: all columns of the column's file.
-    """
+    """Channel of a column, with the mapped time columns and all columns of its file; history, and on a rate not used."""
     path = column.file
     history = []
     if column.n_blank:
@@ -205,17 +188,14 @@ def _on_units(
 def import_capture(
     sound: Path, pen: Path, options: ImportOptions, force: Callable[[Array], Array]
 ) -> tuple[Recording, PenClock, list[str]]:
-    """Recording of a microphone on a pen and the pen's events, the clock that joins them, and what was decided, in sentences.
+    """Recording of a microphone on a pen and the pen's events, the clock that joins them, and sentences on what was decided.
 
     Without a unit for the acceleration it is in relative units: 1 is its RMS while the pen strokes.
 
     Args:
         sound: a file with one channel, or several of which the first counts.
         pen: a table of t, x, y and pressure.
-        force: of pressures 0 … 1, shape (n,) → (n,).
-
-    Raises:
-        ValueError: one sentence on what is missing or impossible.
+        force: of pressures 0 … 1, shape (n,) → (n,) [N].
     """
     columns = [column for column in read_columns(sound) if column.rate_hz]
     if not columns:
@@ -229,18 +209,15 @@ def import_capture(
     lost_s = (np.diff(np.flatnonzero(column.samples)) - 1) / rate_hz  # of zeros between other samples
     lost_s = lost_s[lost_s >= MIN_DROPOUT_S]
     if lost_s.size:
-        decisions.append(
-            f"the sound is zero to the last digit for {1000 * lost_s.sum():.0f} ms in {counted(lost_s.size, 'place')}: "
-            "parts of it were lost as it was recorded, and are learned as silence"
-        )
+        zero = f"zero to the last digit for {1000 * lost_s.sum():.0f} ms in {counted(lost_s.size, 'place')}"
+        decisions.append(f"the sound is {zero}: parts of it were lost as it was recorded, and are learned as silence")
     events = PenEvents(stroke["time"], stroke["position_x"], stroke["position_y"], stroke["pressure"])
     clock = joined(events, column.samples, rate_hz)
     channels = pen_channels(events, clock, force)
     unit = options.units.get("acceleration")
     if unit is None:
-        force_at = np.interp(
-            np.arange(column.samples.size) / rate_hz, channels["force"].times, channels["force"].samples, 0, 0
-        )
+        sound_s, pressed = np.arange(column.samples.size) / rate_hz, channels["force"]
+        force_at = np.interp(sound_s, pressed.times, pressed.samples, 0, 0)
         level = float(column.samples[force_at > 0].std())
         if not level > 0:
             raise ValueError(f"{sound.name} is silent while the pen strokes: is it the right input?")
@@ -249,25 +226,15 @@ def import_capture(
     else:
         factor, on_unit = factor_of("acceleration", column.name, column.unit, unit)
     channels["acceleration"] = Channel(column.samples * factor, rate_hz)
-    history = [
-        f"acceleration is column {column.name} of {sound.name}",
-        f"position and force are those of {pen.name}",
-        str(clock),
-        on_unit,
-    ]
+    source = f"acceleration is column {column.name} of {sound.name}"
+    history = [source, f"position and force are those of {pen.name}", str(clock), on_unit]
     return _checked(channels, history, options.force_units, calibrated=unit is not None), clock, decisions
 
 
 def read_stroke(path: Path, units: Mapping[str, str]) -> dict[str, Array]:
-    """Columns of a stroke's table, shape (n,) each, without its blank lines.
+    """Columns of a stroke's table, shape (n,) each, without its blank lines; `units`, by channel, go before the file's.
 
     They are time [s], which increases, speed [mm/s] or position_x and position_y [mm], and force [N] or pressure [0 … 1].
-
-    Args:
-        units: by channel, before those of the file.
-
-    Raises:
-        ValueError: it is no table, a column is missing, a unit unknown, a value no finite number, or time does not increase.
     """
     if DATASETS.get(path.suffix.lower()) not in (read_delimited, read_excel):
         raise ValueError(f"{path.name} is no table (.csv, .tsv, .txt, .dat, .xlsx), expected one of {STROKE}")
@@ -305,7 +272,7 @@ def read_stroke(path: Path, units: Mapping[str, str]) -> dict[str, Array]:
 
 
 def _share(column: Column) -> float:
-    """Factor from a pressure to a share from 0 to 1, where it is one."""
+    """Factor from a pressure to a share from 0 to 1."""
     unit = column.unit or split_header(column.name, "force")[1]
     if any(map(str.isalpha, unit)):
         raise ValueError(f"the pressure is in {unit}, expected a share, 0 to 1 or in %; is it a force?")

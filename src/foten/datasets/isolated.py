@@ -1,4 +1,4 @@
-"""Files whose readers are libraries in C, each read in a process of its own: a damaged file can crash it, and nothing else."""
+"""Files whose readers are libraries in C, each read in a process of its own, which a damaged file may crash."""
 
 from __future__ import annotations
 
@@ -18,26 +18,19 @@ from foten.dsp import Array
 from foten.untrusted import brief, check_regular
 
 Contents = tuple[Any, list[Array]]
-"""What a file holds: a JSON value, and arrays that it refers to by their order."""
+"""Contents of a file: a JSON value, and arrays that it refers to by their order."""
 
 READERS = {"HDF5": "foten.datasets.contents:hdf5_contents", "MATLAB": "foten.datasets.contents:matlab_contents"}
 """Functions from a path to `Contents`, by format; they run in the other process alone."""
 
-MAX_CPU_S = 15  # of processor time for one file, and one more for each
+MAX_CPU_S = 15  # for one file, and one more for each
 BYTES_PER_CPU_S = 10 << 20  # in it; the slowest compression gives 20 MB
-MAX_MEMORY_BYTES = 8 << 30  # of memory for one file; the largest that is read takes 5
+MAX_MEMORY_BYTES = 8 << 30  # for one file; the largest that is read takes 5
 _START = "import sys; sys.path[:] = {path!r}; from foten.datasets.isolated import answer; answer(*sys.argv[1:])"
 
 
 def read_isolated(kind: str, path: Path) -> Contents:
-    """Contents of a file, read by another process.
-
-    Raises:
-        FileNotFoundError: there is none.
-        OSError: it may not be read.
-        ValueError: it is empty, no file, of another format, or damaged.
-        ModuleNotFoundError: the library is not installed.
-    """
+    """Contents of a file, read by another process; ValueError where it is damaged, ModuleNotFoundError without the library."""
     check_regular(path)
     with path.open("rb") as file:
         if not file.read(1):
@@ -67,7 +60,7 @@ def read_isolated(kind: str, path: Path) -> Contents:
 
 
 def answer(kind: str, name: str) -> None:
-    """Write to the standard output what a file holds, as one line of JSON and the arrays after it."""
+    """Write contents of a file to the standard output, as one line of JSON and the arrays after it."""
     path = Path(name)
     with contextlib.suppress(ModuleNotFoundError):  # on Windows
         _limit(path.stat().st_size)

@@ -1,4 +1,4 @@
-"""Which column is which channel: as the user says, or as the headers leave no doubt about."""
+"""Mapping of columns to channels, by the user or by unambiguous headers."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ _STROKE: Mapping[str, frozenset[str]] = {
 
 
 def guessed_mapping(files: Files, options: ImportOptions) -> tuple[tuple[str, str], ...]:
-    """Mapping that the headers alone leave no doubt about."""
+    """Mapping by the headers alone; ValueError where they are ambiguous."""
     places: dict[str, list[Column]] = {}
     for column in (column for columns in files.values() for column in columns if column.n_rows > 1):
         for channel, aliases in _GUESSES.items():
@@ -72,9 +72,8 @@ def guessed_mapping(files: Files, options: ImportOptions) -> tuple[tuple[str, st
             could = ", ".join(name_of(files, column) for column in candidates)
             raise ValueError(f"{channel} could be any of {could}; say which, e.g. --map {_example(files)}")
     if not set(places) - {"time"}:
-        raise ValueError(
-            f"no header says which column is which; found {_listing(files)}; say so, e.g. --map {_example(files)}"
-        )
+        say_so = f"say so, e.g. --map {_example(files)}"
+        raise ValueError(f"no header says which column is which; found {_listing(files)}; {say_so}")
     return tuple((channel, name_of(files, column)) for channel, candidates in places.items() for column in candidates)
 
 
@@ -97,12 +96,12 @@ def _header(column: Column, channel: str) -> str:
 
 
 def name_of(files: Files, column: Column) -> str:
-    """Reference to a column: its name, with several files `FILE:COLUMN`."""
+    """Name of a column, with several files `FILE:COLUMN`."""
     return column.name if len(files) == 1 else f"{column.file.name}:{column.name}"
 
 
 def names_of(files: Files) -> list[str]:
-    """References to all columns."""
+    """Names of all columns."""
     return [name_of(files, column) for columns in files.values() for column in columns]
 
 
@@ -112,7 +111,7 @@ def _listing(files: Files) -> str:
 
 
 def _example(files: Files) -> str:
-    """Example of a mapping, columns in their order; one that always rises is a clock."""
+    """Example of a mapping, columns in their order; one that always rises is time."""
     usable = {name_of(files, c): c for columns in files.values() for c in columns if c.n_rows > 1 and not c.fault}
     clocks = [name for name, column in usable.items() if (np.diff(column.samples) > 0).all()][:1]
     others = [name for name in usable if name not in clocks]
@@ -121,13 +120,7 @@ def _example(files: Files) -> str:
 
 
 def columns_of(files: Files, channel: str, reference: str) -> list[Column]:
-    """Columns that a reference means, by their header or else by their number from 0.
-
-    It is one, but for a header of times without `FILE:`, which is that of each file that has it.
-
-    Raises:
-        ValueError: there is none, there are several, or it holds no numbers.
-    """
+    """Columns of a reference, by their header or else by their number from 0; several only of `time` without `FILE:`."""
     every = [(path, k, column) for path, columns in files.items() for k, column in enumerate(columns)]
     hits = [hit for hit in every if reference in _references(hit[0], hit[2].name)]
     hits = hits or [hit for hit in every if reference in _references(hit[0], str(hit[1]))]

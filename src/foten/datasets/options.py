@@ -1,4 +1,4 @@
-"""What the user says about the files: `--map`, `--unit`, `--rate` and the others."""
+"""Options of an import: `--map`, `--unit`, `--rate` and the others."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from foten.recording.recording import UNITS
 
 @dataclass(frozen=True)
 class ImportOptions:
-    """What the user says about the files."""
+    """Options of an import."""
 
     mapping: tuple[tuple[str, str], ...] = ()
     """(channel, column) pairs, column as `COLUMN` or `FILE:COLUMN`; `time` may come once per file. Empty: by the headers."""
@@ -48,28 +48,18 @@ def _pieces(texts: Sequence[str]) -> list[str]:
 
 
 def parse_pairs(texts: Sequence[str], option: str) -> list[tuple[str, str]]:
-    """Pairs of texts `A=B,C=D`.
-
-    Raises:
-        ValueError: a piece without `=`.
-    """
+    """Pairs of texts `A=B,C=D`; ValueError where a piece has no `=`."""
     pairs = []
     for piece in _pieces(texts):
         key, _, value = piece.partition("=")
         if not key.strip() or not value.strip():
-            raise ValueError(
-                f"{option} {piece!r} is not CHANNEL=VALUE (a column whose name holds a comma goes by its number)"
-            )
+            raise ValueError(f"{option} {piece!r} is not CHANNEL=VALUE (a column name with a comma goes by its number)")
         pairs.append((key.strip(), value.strip()))
     return pairs
 
 
 def parse_rates(texts: Sequence[str]) -> tuple[float | None, dict[str, float]]:
-    """Rate for all channels and rates by channel, of texts `HZ` and `CHANNEL=HZ`.
-
-    Raises:
-        ValueError: not a number.
-    """
+    """Rate for all channels and rates by channel, of texts `HZ` and `CHANNEL=HZ`; ValueError where one is no number."""
     overall, by_channel = None, {}
     for piece in _pieces(texts):
         channel, equals, number = piece.rpartition("=")

@@ -1,7 +1,6 @@
-"""A sound and a pen's events, recorded by two clocks, as one recording: their taps join them.
+"""A sound and a pen's events, recorded by two clocks, joined by taps before and after the strokes.
 
-The pen knocks on the surface a few times before and after the strokes. Each knock is a transient in the sound and a short touch
-in the events. A line through the pairs is delay and drift of the one clock against the other.
+Each tap is a knock in the sound and a short touch in the events; a line through the pairs gives delay and drift.
 """
 
 from __future__ import annotations
@@ -23,12 +22,11 @@ KNOCK_HZ = 200.0  # above which a knock is looked for: hums are below
 FRAME_S = 0.0005  # of the sound's level
 MIN_RISE = 4.0  # of the level over what was there before, at a knock
 QUIET_S = 0.06  # before a knock
-N_RISE = 3  # frames in which a knock rises: it may begin at the end of one
+N_RISE = 3  # frames in which a knock rises
 MAX_APART_S = 0.012  # between a tap and its knock
 MAX_DRIFT, USUAL_DRIFT = 1e-3, 1e-4  # of two quartzes and whatever lies between
 MAX_GAP_S = 0.12  # between events of a stroke, over which a hand is still smooth
 MIN_TAPS, MIN_TAP_SHARE = 3, 0.6  # that have to be in the sound
-
 
 Pairs = tuple[NDArray[np.int64], NDArray[np.int64]]
 NO_PAIRS: Pairs = (np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64))
@@ -36,7 +34,7 @@ NO_PAIRS: Pairs = (np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64))
 
 @dataclass(frozen=True)
 class PenClock:
-    """When an event happened by the sound's clock: t · (1 + drift) + delay."""
+    """Time of an event by the sound's clock: t · (1 + drift) + delay."""
 
     delay_s: float
     drift: float
@@ -48,19 +46,17 @@ class PenClock:
         return np.asarray(times_s * (1.0 + self.drift) + self.delay_s)
 
     def __str__(self) -> str:
-        late = "late" if self.delay_s <= 0 else "early"
-        fast = "fast" if self.drift <= 0 else "slow"
-        return (
-            f"{self.n_taps} taps join the clocks: the pen's is {abs(1000 * self.delay_s):.1f} ms {late} and "
-            f"{abs(1e6 * self.drift):.0f} ppm {fast}; taps lie {self.residual_ms:.1f} ms about the line"
-        )
+        late = f"{abs(1000 * self.delay_s):.1f} ms {'late' if self.delay_s <= 0 else 'early'}"
+        fast = f"{abs(1e6 * self.drift):.0f} ppm {'fast' if self.drift <= 0 else 'slow'}"
+        apart = f"taps lie {self.residual_ms:.1f} ms about the line"
+        return f"{self.n_taps} taps join the clocks: the pen's is {late} and {fast}; {apart}"
 
 
 def landings_of(events: PenEvents) -> tuple[Array, Array, NDArray[np.bool_]]:
-    """Start of each touch by the pen's clock [s], by how much that may be off [s], and whether it is a tap; (k,) each.
+    """Start of each touch by the pen's clock [s], its largest error [s], and whether it is a tap; (k,) each.
 
-    A tablet looks every so often: a touch began somewhere between the event that tells of it and the one before, or a usual step
-    before where a tablet says nothing of a pen in the air. A tap is short and stays in place.
+    A touch began between its first event and the one before, or, without events of a pen in the air, a usual step before. A tap
+    is short and stays in place.
     """
     touches, step = events.touches(), events.usual_step_s
     first, end = touches.T if touches.size else (touches[:, 0], touches[:, 1])
@@ -85,42 +81,32 @@ def knocks_of(sound: Array, rate_hz: float) -> Array:
 
 
 def joined(events: PenEvents, sound: Array, rate_hz: float) -> PenClock:
-    """Line between the two clocks.
-
-    Raises:
-        ValueError: there are too few taps, or they are not in the sound.
-    """
+    """Line between the two clocks; ValueError where there are too few taps, or they are not in the sound."""
     landings, off_by, is_tap = landings_of(events)
     taps, knocks = landings[is_tap], knocks_of(sound, rate_hz)
     if taps.size < MIN_TAPS:
-        raise ValueError(
-            f"the pen tapped {taps.size} times, expected {MIN_TAPS} or more: tap three times before the strokes and three after"
-        )
+        expected = f"expected {MIN_TAPS} or more: tap three times before the strokes and three after"
+        raise ValueError(f"the pen tapped {taps.size} times, {expected}")
     n_required = max(MIN_TAPS, int(np.ceil(MIN_TAP_SHARE * taps.size)))
-    # By the first taps alone, near which the drift is nothing yet; then by all.
+    # By the first taps alone, where the drift does not count yet; then by all.
     tried = (knocks[:, None] - taps[None, : MIN_TAPS + 2]).ravel()
     reach = MAX_APART_S + MAX_DRIFT * (taps - taps[0])
-    best = max(
-        (_pairs(taps + delay, knocks, reach) for delay in tried), key=lambda pairs: pairs[0].size, default=NO_PAIRS
-    )
+    paired = (_pairs(taps + delay, knocks, reach) for delay in tried)
+    best = max(paired, key=lambda pairs: pairs[0].size, default=NO_PAIRS)
     if best[0].size < n_required:
-        raise ValueError(
-            f"{best[0].size} of {taps.size} taps are in the sound, expected {n_required} or more: is it the sound of this "
-            "stroke, and is the microphone on the pen or the surface?"
-        )
+        taps_in = f"{best[0].size} of {taps.size} taps are in the sound, expected {n_required} or more"
+        raise ValueError(f"{taps_in}: is it the sound of this stroke, with the microphone on the pen or the surface?")
     n_taps = best[0].size
     drift, delay = _line(taps[best[0]], knocks[best[1]])
-    # The landing of each stroke is a knock, too: more of them halve the error that the tablet's steps leave.
+    # The landing of each stroke is a knock, too.
     for _ in range(2):
         best = _pairs(landings * (1 + drift) + delay, knocks, np.full(landings.size, MAX_APART_S))
         drift, delay = _line(landings[best[0]], knocks[best[1]])
     off = knocks[best[1]] - (landings[best[0]] * (1 + drift) + delay)
     near = np.abs(off) <= 1.5 * max(events.usual_step_s, FRAME_S)
     if near.sum() < n_required:
-        raise ValueError(
-            f"{near.sum()} of {landings.size} touches lie on one line with the sound, expected {n_required} or more: was one of "
-            "the clocks stopped in between?"
-        )
+        on_line = f"{near.sum()} of {landings.size} touches lie on one line with the sound"
+        raise ValueError(f"{on_line}, expected {n_required} or more: was one of the clocks stopped in between?")
     drift, delay = _centre(landings[best[0]][near], knocks[best[1]][near], off_by[best[0]][near])
     off = knocks[best[1]] - (landings[best[0]] * (1 + drift) + delay)
     return PenClock(delay, drift, int(n_taps), 1000 * float(np.sqrt(np.square(off).mean())))
@@ -144,10 +130,9 @@ def _line(taps: Array, knocks: Array) -> tuple[float, float]:
 
 
 def _centre(landings: Array, knocks: Array, off_by: Array) -> tuple[float, float]:
-    """Drift and delay in the middle of all lines that pass each touch within what it may be off.
+    """Drift and delay in the middle of all lines that pass each touch within its largest error.
 
-    The errors of a clock that looks every so often are uniform: the lines that are possible at all are fewer than those near
-    the one of least squares, and their middle is nearer (trials at 200 events a second in `tests/test_pen.py`).
+    The errors of sampled events are uniform, so the middle of the possible lines is nearer than the line of least squares.
     """
     usual = landings.mean()
     drifts = np.arange(-MAX_DRIFT, MAX_DRIFT, 2e-6) if np.ptp(landings) >= 2.0 else np.zeros(1)
@@ -166,7 +151,7 @@ def _centre(landings: Array, knocks: Array, off_by: Array) -> tuple[float, float
 
 
 def _strokes(events: PenEvents) -> list[tuple[int, int]]:
-    """First event of each stroke and the one after its last; where a tablet says nothing for long, one ends."""
+    """First event of each stroke and the one after its last; a gap longer than `MAX_GAP_S` ends one."""
     found: list[tuple[int, int]] = []
     for first, end in events.touches()[~landings_of(events)[2]]:
         gaps = first + 1 + np.flatnonzero(np.diff(events.times_s[first:end]) > MAX_GAP_S)
@@ -176,16 +161,10 @@ def _strokes(events: PenEvents) -> list[tuple[int, int]]:
 
 
 def pen_channels(events: PenEvents, clock: PenClock, force: Callable[[Array], Array]) -> dict[str, Channel]:
-    """Position [mm] and force [N] of a pen by the sound's clock, evenly sampled, without the taps that joined them.
+    """Position [mm] and force [N] of a pen's strokes by the sound's clock, evenly sampled.
 
-    Gaps of up to `MAX_GAP_S` in a stroke are filled.
-    In the air a tablet tells nothing: the force is 0 there, and the position stays where it was, so that no speed comes of it.
-
-    Args:
-        force: of pressures 0 … 1, shape (n,) → (n,).
-
-    Raises:
-        ValueError: the pen only tapped.
+    Gaps of up to `MAX_GAP_S` in a stroke are filled. In the air the force is 0 and the position is held, without speed.
+    `force` is a function of pressures 0 … 1, (n,) → (n,) [N]. ValueError where the pen only tapped.
     """
     step = events.usual_step_s
     rows: list[Array] = []  # time, x, y, force of each stroke and of each time in the air, shape (4, n)
@@ -203,7 +182,7 @@ def pen_channels(events: PenEvents, clock: PenClock, force: Callable[[Array], Ar
         raise ValueError("the pen only tapped, expected strokes between the taps")
     pen_s, *values = np.concatenate(rows, axis=1)
     pen_s = clock(pen_s)
-    times = np.arange(pen_s[0], pen_s[-1], step)  # a late event, or a few that are missing, are none of the hand's
+    times = np.arange(pen_s[0], pen_s[-1], step)
     return {
         name: Channel(np.interp(times, pen_s, samples), 1.0 / step, times)
         for name, samples in zip(("position_x", "position_y", "force"), values, strict=True)

@@ -1,7 +1,4 @@
-"""Tables of text (CSV, TSV, …) and Excel sheets, with a header or none, as columns.
-
-A ValueError says of a file what is wrong with it: it is empty, cut off, damaged, no table, or has rows of different widths.
-"""
+"""Tables of text (CSV, TSV, …) and Excel sheets, with a header or none, as columns; ValueError where one is damaged."""
 
 from __future__ import annotations
 
@@ -29,11 +26,7 @@ MAX_ROWS = 2_000_000  # of a sheet; a program of tables has 1,048,576
 
 
 def read_delimited(path: Path) -> list[Column]:
-    """Columns of a text table; the separator and the decimal comma are seen from its lines.
-
-    Lines before the table, comments anywhere, and a second header row that holds only units are understood. A comment may
-    name the columns.
-    """
+    """Columns of a text table with any separator, decimal commas, lines before it, comments, and a second header of units."""
     lines = _decode(path.read_bytes(), path.name).splitlines()
     if not any(map(str.strip, lines)):
         raise ValueError(f"{path.name} is empty")
@@ -62,15 +55,14 @@ def read_delimited(path: Path) -> list[Column]:
 
 
 def _has_decimal_commas(lines: list[str], sample: str, delimiter: str | None) -> bool:
-    """Whether numbers have a decimal comma: in the line amid the others, or in any of them where none has a point."""
+    """Whether numbers have a decimal comma: in the middle line, or in any where none has a point."""
 
     def has(decimal: re.Pattern[str], mark: str, among: Iterable[str]) -> bool:
         cells = (cell.strip() for line in among if mark in line for cell in line.split(delimiter))
         return any(map(decimal.fullmatch, cells))
 
-    return has(_DECIMAL_COMMA, ",", [sample]) or (
-        has(_DECIMAL_COMMA, ",", lines) and not has(_DECIMAL_POINT, ".", lines)
-    )
+    anywhere = has(_DECIMAL_COMMA, ",", lines) and not has(_DECIMAL_POINT, ".", lines)
+    return anywhere or has(_DECIMAL_COMMA, ",", [sample])
 
 
 def read_excel(path: Path) -> list[Column]:
@@ -129,10 +121,7 @@ def _is_number(cell: Any) -> bool:
 
 
 def _table(rows: list[list[Any]], where: str, comments: Collection[int] = ()) -> list[Column]:
-    """Columns below the header of a table. Rows are counted from 1, as editors do.
-
-    Rows in `comments`, counted from 0, may name the columns but hold no data.
-    """
+    """Columns below the header of a table; rows in `comments`, from 0, may name columns but hold no data."""
     while rows and (len(rows) - 1 in comments or not _width(rows[-1])):
         rows.pop()
     numbers = [row for i, row in enumerate(rows) if i not in comments and any(map(_is_number, row))]
@@ -151,8 +140,7 @@ def _table(rows: list[list[Any]], where: str, comments: Collection[int] = ()) ->
     worded = [i for i in range(start) if len(rows[i]) == width and _width(rows[i]) and not has_numbers[i]]
     # A comment below a header is no header; above a table without one it is.
     worded = [i for i in worded if i not in comments] or worded
-    # A row that does not fit is still data where it cannot be anything else: an overflow in the first row is no
-    # header, and to skip it would shift this table against all others.
+    # A row of numbers below the header is data even where it does not fit: skipping an overflow would shift the table.
     after_words = worded[-1] + 1 if worded else 0
     skipped = [i for i in range(after_words, start) if i not in comments and has_numbers[i]]
     if worded:
@@ -162,9 +150,7 @@ def _table(rows: list[list[Any]], where: str, comments: Collection[int] = ()) ->
             among = [_is_number(cell) for cell in rows[i]]
             # What stands above a table without a header begins with a word: `Sample rate, 10000`.
             if len(among) == width and (among[0] or sum(among) > width / 2):
-                raise ValueError(
-                    f"{where}, row {i + 1} holds numbers and words: is it a header, or data? Correct or remove it"
-                )
+                raise ValueError(f"{where}, row {i + 1} holds numbers and words: is it a header, or data? Correct it")
     data = [i for i in range(start, len(rows)) if i not in comments]
     for i in data:
         if not _width(rows[i]):
@@ -199,7 +185,7 @@ def _words(cell: Any) -> str:
 
 
 def _column(empty: Column, cells: Sequence[Any]) -> Column:
-    """Column with the numbers that its cells hold, or with why they are none."""
+    """Column with the numbers in its cells, or with a fault."""
     n = _width(cells)
     numbers = [float("nan") if _is_blank(cell) else cell for cell in cells[:n]]
     try:

@@ -1,7 +1,4 @@
-"""When samples were taken: from a column of times, from what the file states, or from what the user says; and gaps in them.
-
-A ValueError says what is missing, ambiguous or impossible.
-"""
+"""Times and rate of samples, from a column, the file or the user, and gaps in them; ValueError where they are impossible."""
 
 from __future__ import annotations
 
@@ -17,8 +14,8 @@ from foten.dsp import Array
 from foten.recording.inspection.values import counted
 from foten.recording.recording import Channel
 
-MAX_JITTER = 0.01  # of a period: less, and times are called regular
-FILLED = ("position", "speed", "force")  # quantities that change slowly; an acceleration is not invented
+MAX_JITTER = 0.01  # of a period, in regular times
+FILLED = ("position", "speed", "force")  # quantities that change slowly
 
 
 def times_of(
@@ -76,9 +73,8 @@ def rate_and_source(
     known = stated if stated is not None else options.rate_hz
     if known is not None:
         return known, ""
-    scalars = [
-        c for c in columns if c.samples.size == 1 and re.search(r"(^|[._])(fs|rate|sample_?rate|hz)$", c.name.lower())
-    ]
+    is_rate = re.compile(r"(^|[._])(fs|rate|sample_?rate|hz)$", re.IGNORECASE)
+    scalars = [c for c in columns if c.samples.size == 1 and is_rate.search(c.name)]
     guess = f"{scalars[0].samples[0]:g}" if scalars else "10000"
     hint = f" (the file has {scalars[0].name} = {guess})" if scalars else ""
     raise ValueError(
@@ -124,12 +120,8 @@ def irregular(times: Array, rate_hz: float) -> str:
 def filled(name: str, channel: Channel, gap_ms: float, column: Column) -> tuple[Channel, str]:
     """Channel whose gaps are straight lines, and a sentence on them; refused where they are longer than allowed.
 
-    A gap is of samples that are NaN, and in position, speed and force of rows that the times leave out, too; an acceleration
-    at irregular times is refused before it is used.
-
-    Args:
-        gap_ms: of the longest gap that is filled.
-        column: what the channel was taken from; it knows the rows of the samples.
+    A gap is of samples that are NaN, and in position, speed and force of rows that the times leave out, too. `gap_ms` is the
+    longest that is filled; `column` has the row numbers.
     """
     samples, times, fills = channel.samples, channel.times, quantity(name) in FILLED
     known = np.flatnonzero(~np.isnan(samples))
@@ -151,7 +143,7 @@ def filled(name: str, channel: Channel, gap_ms: float, column: Column) -> tuple[
         return channel, ""
     steps = np.diff(times)
     period = float(np.median(steps))
-    longest_ms = 1000 * float(np.diff(times[known])[is_gap].max() - period)  # as long as what was lost
+    longest_ms = 1000 * float(np.diff(times[known])[is_gap].max() - period)
     what = (
         f"{name}: samples are missing, NaN or blank in {counted(int(is_gap.sum()), 'gap')}, the longest {longest_ms:.4g} ms, "
         f"the first after {place(int(known[:-1][is_gap][0]))}"

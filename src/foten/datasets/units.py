@@ -1,7 +1,4 @@
-"""Units: what one is worth, and where a header states one.
-
-Each unit that a reader meets passes `factor_of`: it is converted or refused, and never dropped.
-"""
+"""Units: their factors, and where a header states one; `factor_of` converts or refuses each."""
 
 from __future__ import annotations
 
@@ -17,7 +14,7 @@ from foten.recording.recording import UNITS
 G = 9.80665  # m/s², standard gravity
 POUND_N = 0.45359237 * G  # the weight of a pound, whose mass is exact
 FULL_SCALE = "of full scale"
-"""The unit of integer samples of sound: fractions of full scale, which mean nothing until someone gives the factor."""
+"""The unit of integer samples of sound, which needs a factor from the user."""
 
 _LENGTHS_MM = {"mm": 1.0, "cm": 10.0, "m": 1000.0, "um": 1e-3, "nm": 1e-6, "in": 25.4, "ft": 304.8}
 
@@ -31,13 +28,13 @@ FACTORS: Mapping[str, Mapping[str, float]] = {
     | {"gf": G / 1000, "kgf": G, "lbf": POUND_N, "ozf": POUND_N / 16, "dyn": 1e-5},
     "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0},
 }
-"""For each quantity, what a number in a unit is multiplied by to give the unit of `UNITS` (time: seconds)."""
+"""Factors to the unit of `UNITS` (time: seconds), by quantity."""
 
 _MASSES: Mapping[str, str] = {"g": "gf", "gram": "gf", "kg": "kgf", "lb": "lbf", "oz": "ozf"}
 """Units of mass, each with the force that a sensor of weight may mean by it."""
 
 _RAW = frozenset(["V", "mV", "uV", "A", "mA", "uA", "V/V", "mV/V", "count", "LSB", "ADC", "bit", "digit", "%"])
-"""What converters and amplifiers give: nothing without a sensitivity."""
+"""Units of converters and amplifiers, which need a sensitivity."""
 
 _SPELLINGS = """
     s: sec secs second seconds; ms: msec msecs millisecond milliseconds; us: usec usecs microsecond microseconds;
@@ -70,13 +67,11 @@ _BRACKETS = re.compile(r"\s*(?P<open>[\[(])(?P<words>[^\[\]()]*)(?:[\])]|$)")
 _AXIS = re.compile(r"(?P<name>.+?)(?P<axis>[_.](?:[xyz]|\d+))?")
 _BEFORE_A_UNIT = re.compile(r"\s+in\s+|\s*[/,]\s*|[_\s]+")
 
-_REMARKS = frozenset(
-    ["x", "y", "z", "normal", "tangential", "lateral", "vertical", "horizontal", "filtered", "smoothed"]
-)
+_REMARKS = frozenset(["normal", "tangential", "lateral", "vertical", "horizontal", "filtered", "smoothed", *"xyz"])
 """Words in brackets that are no unit."""
 
 _NAMES = frozenset(["in", "ft", "min", "h", "n", "v", "a", "s", "m", "g's", "gs", "count", "bit", "digit"])
-"""Units that at the end of a name rather belong to it (input, force-torque, minimum, normal), but to their own quantity."""
+"""Units that at the end of a name rather mean input, force-torque, minimum or normal, except for their own quantity."""
 
 
 def quantity(channel: str) -> str:
@@ -113,8 +108,7 @@ def is_unit(text: str) -> bool:
 def split_header(header: str, kind: str) -> tuple[str, str]:
     """Header without its unit, and the unit as it is written: `Acc [g]`, `acc_g`, `Acc / g` → `Acc`, `g`.
 
-    What stands in brackets is a unit, whatever it is, but for a remark in parentheses. The end of a name is one where it
-    is known as such, for the quantity (`kind`) that the column is taken for.
+    A word in brackets is a unit, but for a remark in parentheses; the end of a name where it is a unit of the quantity (`kind`).
     """
     name = _BRACKETS.sub("", header).strip()
     brackets = [_stated(match["open"], match["words"]) for match in _BRACKETS.finditer(header)]
@@ -148,25 +142,20 @@ def _ends_a_name(text: str, kind: str) -> bool:
 
 
 def factor_of(channel: str, header: str, stated: str = "", by_user: str | None = None) -> tuple[float, str]:
-    """Factor from a column to the unit of `UNITS`, and a sentence where that changes something.
+    """Factor from a column to the unit of `UNITS`, and a sentence on it; ValueError for the unit of another quantity.
 
     Args:
         channel: or `time`.
         header: the column's name.
-        stated: the unit that the file states beside the header: in a row of units, or as an attribute.
-        by_user: what the user says, before all others: a unit, `*FACTOR` or `LABEL*FACTOR`.
-
-    Raises:
-        ValueError: the unit is not one of the quantity's, or two are stated.
+        stated: unit in the file beside the header: in a row of units, or as an attribute.
+        by_user: unit, `*FACTOR` or `LABEL*FACTOR`; before all others.
     """
     kind, target = quantity(channel), UNITS.get(channel, "s")
     known = FACTORS[kind]
     in_header = split_header(header, kind)[1]
     if by_user is None and stated and in_header and canonical(stated) != canonical(in_header):
-        raise ValueError(
-            f"{channel}: column {header!r} is in {in_header} by its name and in {stated} by its unit; say which: "
-            f"--unit {channel}={in_header}"
-        )
+        both = f"is in {in_header} by its name and in {stated} by its unit"
+        raise ValueError(f"{channel}: column {header!r} {both}; say which: --unit {channel}={in_header}")
     of_file = stated or in_header
     text = of_file if by_user is None else by_user
     if not text:
@@ -180,10 +169,8 @@ def factor_of(channel: str, header: str, stated: str = "", by_user: str | None =
     if by_user is not None and "*" in text:
         return _sensitivity(channel, text, known, target)
     if label == FULL_SCALE:
-        raise ValueError(
-            f"{channel}: the samples of {header} are fractions of full scale; say how many {target} full scale is, "
-            f"e.g. --unit {channel}=*50"
-        )
+        hint = f"say how many {target} full scale is, e.g. --unit {channel}=*50"
+        raise ValueError(f"{channel}: the samples of {header} are fractions of full scale; {hint}")
     if kind == "force" and label in _MASSES:
         hint = f"that is a mass: if the sensor shows the weight on it, --unit {channel}={_MASSES[label]}"
     elif kind == "time":
@@ -207,8 +194,6 @@ def _sensitivity(channel: str, text: str, known: Mapping[str, float], target: st
     if not np.isfinite(factor) or factor == 0:
         raise ValueError(f"{channel}: unit {text!r}: {number!r} is not a factor, e.g. {channel}=V*4.9")
     if label in known and label != target:
-        raise ValueError(
-            f"{channel}: {label} is a known unit and takes no factor; write {channel}={label}, or "
-            f"{channel}=*{known[label] * factor:g} to get {target}"
-        )
+        write = f"write {channel}={label}, or {channel}=*{known[label] * factor:g} to get {target}"
+        raise ValueError(f"{channel}: {label} is a known unit and takes no factor; {write}")
     return factor, f"{channel} was multiplied by {factor:g} to get {target}" + f" from {label}" * bool(label)

@@ -6,7 +6,7 @@ import numpy as np
 
 from foten.dsp import Array
 
-MAX_POLE = 0.9995  # a memory of 2000 samples, 0.2 s at 10 kHz; least squares on real textures gives up to 0.9999
+MAX_POLE = 0.9995  # a memory of 2000 samples
 
 
 def solved(gram: Array, moment: Array) -> Array:
@@ -22,19 +22,15 @@ def spectral_radius(taps: Array) -> float:
 
 
 def stabilised(taps: Array, radius: float) -> Array:
-    """Taps with every pole pulled inside `radius` by the factor γ^lag on each tap, unchanged if they are.
-
-    Scaling the tap of lag k by γ^k scales every pole by γ; resonances keep their frequency.
-    """
+    """Taps with every pole within `radius`: γ^k on the tap of lag k scales every pole by γ, and keeps its frequency."""
     largest = spectral_radius(taps)
     return taps if largest <= radius else taps * (radius / largest) ** np.arange(taps.size, 0, -1)
 
 
 def levinson(moments: Array) -> tuple[Array, Array]:
-    """Reflections of autoregressions, as `dsp.lattice` has them (p, b), and the variance that orders 0 … p leave.
+    """Reflections of autoregressions (p, b), and the variance that orders 0 … p leave (p + 1, b).
 
-    From autocovariances at lags 0 … p, shape (p + 1, b), by the recursion of Levinson and Durbin; biased ones give stable
-    autoregressions.
+    From autocovariances at lags 0 … p, (p + 1, b); biased ones give stable autoregressions. Source: Levinson and Durbin.
     """
     p, b = moments.shape[0] - 1, moments.shape[1]
     a, reflections, errors = np.zeros((p + 1, b)), np.zeros((p, b)), np.empty((p + 1, b))
@@ -48,11 +44,7 @@ def levinson(moments: Array) -> tuple[Array, Array]:
 
 
 def burg(x: Array, p: int) -> tuple[Array, float]:
-    """Reflections of an autoregression of order p, shape (p,), and its innovations' variance: x (n,) of mean zero.
-
-    Both prediction errors are made small at once (Burg 1975): nothing is taken to be zero outside, so that of a short piece a
-    sharp resonance stays sharp, and every reflection lies within 1.
-    """
+    """Reflections (p,) of an autoregression of order p, and the variance of its innovations: x (n,) of mean zero (Burg 1975)."""
     forward, backward = x[1:].copy(), x[:-1].copy()
     reflections, error = np.zeros(p), float(np.square(x).mean())
     for i in range(p):

@@ -1,8 +1,6 @@
-"""Energies in bands over time: what a hand may know of a vibration, and nothing of its waveform.
+"""Energies of eight bands, equal in log frequency, in frames of 8 ms: the envelopes of a vibration without its waveform.
 
-Eight bands, equal in log frequency, from 20 to 450 Hz, in frames of 8 ms: a third to half an octave each, about as fine as people
-tell frequencies apart on the skin (a just noticeable difference of a quarter to a third of an octave; Israr & Tan, 2006), and
-finer in time than the rhythm that a hand follows (modulations up to about 50 Hz).
+A band is about as wide as a just noticeable difference of frequency on the skin (Israr & Tan, 2006).
 """
 
 from __future__ import annotations

@@ -12,8 +12,7 @@ def dft321(axes: Array) -> Array:
 
         |A_s(f)| = √Σ_k |A_k(f)|²,   arg A_s(f) = arg Σ_k A_k(f)
 
-    Call it on one block at a time: over a whole record it smears 3 to 6 % of a burst's energy everywhere, across
-    the borders between training and test.
+    Call it on one block at a time: over a whole record it smears bursts across the borders of training and test.
 
     Args:
         axes: acceleration [m/s²], shape (…, n_axes, n); the result has (…, n).

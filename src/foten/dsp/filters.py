@@ -13,13 +13,10 @@ Sections = tuple[tuple[float, float, float, float, float], ...]
 
 
 def butterworth(kind: str, cutoff_hz: float, rate_hz: float, order: int = 2) -> Sections:
-    """Butterworth `lowpass` or `highpass` of even order, by its −3 dB frequency and samples a second.
+    """Butterworth `lowpass` or `highpass` by its −3 dB frequency; ValueError above half the rate or for an odd order.
 
     Bilinear transform with the cutoff prewarped, one biquad for each pair of poles at angle θ from the
     negative real axis, whose damping is 1/Q = 2 cos θ.
-
-    Raises:
-        ValueError: the cutoff does not lie between 0 and half the rate, or the order is odd.
     """
     if not 0 < cutoff_hz < rate_hz / 2:
         raise ValueError(f"cutoff is {cutoff_hz:g} Hz, expected between 0 and half the rate, {rate_hz / 2:g} Hz")
@@ -37,14 +34,9 @@ def butterworth(kind: str, cutoff_hz: float, rate_hz: float, order: int = 2) -> 
 
 
 def delay_s(sections: Sections, rate_hz: float) -> float:
-    """Group delay of a low-pass at 0 Hz [s].
-
-    The delay of b/a at 0 Hz is Σ k·b_k / Σ b_k − Σ k·a_k / Σ a_k samples, summed over the sections.
-    """
-    samples = 0.0
-    for b0, b1, b2, a1, a2 in sections:
-        samples += (b1 + 2 * b2) / (b0 + b1 + b2) - (a1 + 2 * a2) / (1 + a1 + a2)
-    return samples / rate_hz
+    """Group delay of a low-pass at 0 Hz [s]: Σ k·b_k / Σ b_k − Σ k·a_k / Σ a_k samples, summed over the sections."""
+    of_sections = ((b1 + 2 * b2) / (b0 + b1 + b2) - (a1 + 2 * a2) / (1 + a1 + a2) for b0, b1, b2, a1, a2 in sections)
+    return sum(of_sections) / rate_hz
 
 
 class Biquads:
@@ -78,10 +70,7 @@ class Biquads:
 
 
 def filter_recorded(sections: Sections, samples: Array, *, zero_phase: bool = False) -> Array:
-    """Recorded signal, filtered, shape (n,), starting settled on its first value.
-
-    The same numbers as `Biquads`, by SciPy; `zero_phase` runs it forwards and backwards, which looks into the future.
-    """
+    """Recorded signal, filtered as by `Biquads`, shape (n,), settled on its first value; `zero_phase` filters both ways."""
     from scipy import signal
 
     sos = np.array([[b0, b1, b2, 1.0, a1, a2] for b0, b1, b2, a1, a2 in sections])

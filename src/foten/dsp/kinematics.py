@@ -10,8 +10,8 @@ from foten.dsp import Array
 def at_rate(values: Array, times_s: Array, rate_hz: float, n: int) -> Array:
     """Signal at `n` samples of a rate from time 0, linearly interpolated, ends held.
 
-    Where the signal is denser than the rate, each sample is the mean over one period around it, so that its noise is
-    averaged and not picked up. Values and rising times are of shape (k,), the result is of (n,).
+    Where the signal is denser than the rate, each sample is the mean over one period around it, which averages noise.
+    Values and rising times are of shape (k,), the result is of (n,).
     """
     grid = np.arange(n) / rate_hz
     if times_s.size < 2 or np.median(np.diff(times_s)) >= 0.75 / rate_hz:
@@ -24,20 +24,14 @@ def at_rate(values: Array, times_s: Array, rate_hz: float, n: int) -> Array:
 
 
 def velocity(positions: Array, rate_hz: float) -> Array:
-    """Velocity of each axis [mm/s], shape (n_axes, n), of positions [mm] at a rate, (n_axes, n).
-
-    Central differences; low-pass it before taking the norm (`speed_of`).
-    """
+    """Velocity of each axis [mm/s] by central differences of positions [mm] at a rate: (n_axes, n) → (n_axes, n)."""
     if positions.shape[1] < 2:
         return np.zeros(positions.shape)
     return np.asarray(np.gradient(positions, 1 / rate_hz, axis=1))
 
 
 def speed_of(velocity: Array) -> Array:
-    """Speed [mm/s], shape (n,), of low-passed velocities (n_axes, n); a single row is a speed already.
-
-    Low-passed, because the norm is never negative and noise adds to it: a pen at rest would have a speed.
-    """
+    """Speed [mm/s] (n,) of velocities (n_axes, n), low-passed since noise adds to a norm; a single row is a speed already."""
     if velocity.shape[0] == 1:
         return np.maximum(velocity[0], 0.0)  # a second-order low-pass undershoots by 4 %
     return np.sqrt(np.square(velocity).sum(axis=0))

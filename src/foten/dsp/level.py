@@ -1,4 +1,4 @@
-"""Levels in short frames: what training settles and what the judge scores."""
+"""Levels in short frames."""
 
 from __future__ import annotations
 
@@ -14,10 +14,7 @@ FLOOR_DB = -30.0  # re the reference; levels below it count as it: a texture at 
 
 
 def frame_levels(blocks: Array, rate_hz: float, reference: float) -> Array:
-    """RMS in frames of 40 ms [dB re `reference`], not below −30 dB: blocks (…, n) → (…, frames).
-
-    Samples after the last whole frame are left out.
-    """
+    """RMS in whole frames of 40 ms [dB re `reference`], not below −30 dB: blocks (…, n) → (…, frames)."""
     power = frame_means(np.square(blocks), rate_hz) / reference**2
     return 10 * np.log10(np.maximum(power, 10 ** (FLOOR_DB / 10)))
 

@@ -1,4 +1,4 @@
-"""Line spectral frequencies: p angles that say what a polynomial does, and that may be mixed at will.
+"""Line spectral frequencies: p angles that give a polynomial, and whose means are those of a stable filter.
 
 For A(z) = 1 + a₁z⁻¹ + … + a_p z^−p, with its mirror image z^−(p+1) A(1/z), the polynomials
 
@@ -6,8 +6,7 @@ For A(z) = 1 + a₁z⁻¹ + … + a_p z^−p, with its mirror image z^−(p+1) A
 
 have all their zeros on the unit circle. Where those of A lie inside it, the zeros of P and Q alternate, and their angles in
 (0, π) are the line spectral frequencies ω₁ < … < ω_p. Any rising angles in (0, π) are those of some such A, and a mean of
-rising angles rises: a mixture of filters is a filter without poles outside, which a mixture of coefficients need not be.
-So it is in exact arithmetic: in float64 a filter of order 20 whose angles all lie within 1 rad has poles outside for rounding.
+rising angles rises. In float64 a filter of order 20 whose angles all lie within 1 rad has poles outside by rounding.
 
 Source: Itakura, J. Acoust. Soc. Am. 57 (1975) S35; used between local models of a texture by Culbertson, Unwin and Kuchenbecker,
 IEEE Trans. Haptics 7 (2014).
@@ -25,11 +24,7 @@ MIN_GAP_RAD = 0.005  # rad between neighbours, and from 0 and π: nearer ones ri
 
 
 def line_spectral_frequencies(a: Array) -> Array:
-    """Angles of a polynomial with its zeros inside the unit circle: (p + 1,), 1 first → (p,), rising [rad].
-
-    Raises:
-        ValueError: a zero lies on the unit circle or outside it.
-    """
+    """Angles of a polynomial: (p + 1,), 1 first → (p,), rising [rad]; ValueError where a zero is not inside the unit circle."""
     p = a.size - 1
     if p == 0:
         return np.empty(0)
@@ -37,10 +32,9 @@ def line_spectral_frequencies(a: Array) -> Array:
         raise ValueError("the polynomial has a zero outside the unit circle, expected a stable filter")
     padded = np.append(a, 0.0)
     both = [padded + padded[::-1], padded - padded[::-1]]
-    angles = [
-        np.angle(np.roots(np.polydiv(polynomial, known)[0])) for polynomial, known in zip(both, _known(p), strict=True)
-    ]
-    return np.sort(np.concatenate([angle[angle > 0] for angle in angles]))
+    zeros = [np.roots(np.polydiv(polynomial, known)[0]) for polynomial, known in zip(both, _known(p), strict=True)]
+    angles = np.angle(np.concatenate(zeros))
+    return np.sort(angles[angles > 0])
 
 
 def _known(p: int) -> tuple[list[float], list[float]]:

@@ -16,7 +16,7 @@ _AT_ONCE = 500_000  # points times triangles held in memory
 
 @dataclass(frozen=True)
 class Mesh:
-    """Triangles over speed and force; whoever stands outside of all is taken to the nearest edge."""
+    """Triangles over speed and force; a point outside of all is moved to the nearest edge."""
 
     points: Array  # speed [mm/s] and force [N], shape (n, 2)
     triangles: NDArray[np.int64]  # three points each, shape (t, 3)
@@ -49,9 +49,9 @@ class Mesh:
         inside = (shares > _INSIDE).all(axis=2)
         triangle = inside.argmax(axis=1)
         weights = shares[np.arange(len(places)), triangle]
-        lost = inside.sum(axis=1) == 0
-        if lost.any():
-            triangle[lost], weights[lost] = _nearest(places[lost], corners)
+        outside = inside.sum(axis=1) == 0
+        if outside.any():
+            triangle[outside], weights[outside] = _nearest(places[outside], corners)
         weights = np.maximum(weights, 0.0)
         return triangle, weights / weights.sum(axis=1, keepdims=True)
 

@@ -41,10 +41,7 @@ def philox(counter: NDArray[np.uint64], key: int) -> NDArray[np.uint64]:
 
 
 def gaussian(key: int, stream: int, first: int, n: int) -> Array:
-    """Samples `first` … `first + n − 1` of one stream, shape (n,): zero mean, unit variance.
-
-    Key and stream from 0 to 2⁶⁴ − 1; streams of one key are independent.
-    """
+    """Samples `first` … `first + n − 1` of one stream, shape (n,): zero mean, unit variance; key and stream below 2⁶⁴."""
     index = np.arange(first, first + n, dtype=np.uint64)
     counter = np.empty((n, 4), dtype=np.uint64)
     counter[:, 0], counter[:, 1] = index & _MASK, index >> 32
@@ -56,9 +53,6 @@ def gaussian(key: int, stream: int, first: int, n: int) -> Array:
 
 
 def innovation_likelihood(residual: Array, scale: Array) -> tuple[Array, Array]:
-    """Residuals over the scale of the excitation, which should be standard normal, and −log p of them [nat, scaled].
-
-    Recorded minus predicted, and σ of the excitation, scaled, of equal shapes.
-    """
+    """Residuals (recorded − predicted, scaled) over σ of the excitation (scaled), and −log p of them [nat], of one shape."""
     z = residual / scale
     return z, 0.5 * z * z + np.log(scale) + 0.5 * math.log(2 * math.pi)

@@ -17,27 +17,25 @@ RATES_HZ = (1000.0, 2500.0, 10_000.0)
 def sensitivity(hertz: Array) -> Array:
     """Weight of acceleration power at frequencies [Hz] (k,): the inverse square of the threshold, 1 up to 250 Hz.
 
-    The displacement threshold falls by 12 dB per octave from 40 Hz to its minimum near 250 Hz, so the acceleration threshold
-    is flat there. Above the minimum the displacement threshold is taken to rise by the same 12 dB per octave, which makes
-    24 dB per octave of acceleration. Below 40 Hz the displacement threshold is flat and acceleration would weigh more, but
-    much of that band is the hand's own movement; it weighs 1. Outside 20 to 1000 Hz the weight is 0.
+    The displacement threshold falls by 12 dB per octave from 40 Hz to its minimum near 250 Hz, so that of acceleration is
+    flat there. Above, it is taken to rise by the same 12 dB, which makes 24 dB per octave of acceleration. Below 40 Hz, where
+    much is the hand's movement, the weight is 1 too. Outside 20 to 1000 Hz it is 0.
 
-    Source: Verrillo, J. Acoust. Soc. Am. 35 (1963), for large contactors; the slope above 250 Hz is our reading of a U.
+    Source: Verrillo, J. Acoust. Soc. Am. 35 (1963), for large contactors; the slope above 250 Hz is ours.
     """
     steep = np.minimum(BEST_FREQUENCY_HZ / np.maximum(hertz, 1e-9), 1.0) ** 8
     return np.where((hertz >= MIN_SCORED_HZ) & (hertz <= MAX_SCORED_HZ), steep, 0.0)
 
 
 def carried(densities: Mapping[str, tuple[Array, Array]], rate_hz: float) -> dict[float, float]:
-    """Share of the perceived power that each rate [Hz] keeps: the `RATES_HZ` up to `rate_hz`, and `rate_hz`.
+    """Share of the perceived power, 0 to 1, that `RATES_HZ` up to the captured `rate_hz` keep, and `rate_hz`; {} of silence.
 
-    Shares from 0 to 1, none where no power is perceived, from the frequencies [Hz] (k,) and power densities (k,) of each axis of
-    an acceleration captured at `rate_hz`.
+    `densities` are the frequencies [Hz] (k,) and power densities (k,) of each axis.
     """
     weighted = [(hertz, density * sensitivity(hertz)) for hertz, density in densities.values()]
 
     def power(highest_hz: float) -> float:
-        below = [(hertz, np.where(hertz <= highest_hz, density, 0.0)) for hertz, density in weighted]
+        below = [(hertz, density * (hertz <= highest_hz)) for hertz, density in weighted]
         return sum(float(0.5 * (density[1:] + density[:-1]) @ np.diff(hertz)) for hertz, density in below)
 
     total, rates = power(np.inf), {*(rate for rate in RATES_HZ if rate <= rate_hz), rate_hz}

@@ -1,12 +1,12 @@
-"""Where a signal becomes another one: pieces that are autoregressions each, by the minimum description length.
+"""Segmentation of a signal into stationary autoregressions by the minimum description length.
 
 A signal of n samples cut into m + 1 pieces of n_j samples, each an autoregression of order p_j with Yule–Walker variance σ_j²,
 takes
 
     log m + (m + 1) log n + Σ log p_j + Σ (p_j + 2)/2 · log n_j + Σ n_j/2 · log(2π σ_j²)      (log 0 counted as 0)
 
-nats to tell. Differs from the source: found by dynamic programming, exactly over all cuts on a grid and then moved by single
-samples while that is shorter, not by a genetic search.
+nats. Differs from the source: the cuts are found by dynamic programming on a grid and then moved by single samples, not by a
+genetic search.
 
 Source: AutoPARM of Davis, Lee and Rodriguez-Yam, J. Am. Stat. Assoc. 101 (2006), which [12] cuts recordings with.
 """
@@ -24,12 +24,12 @@ Index = NDArray[np.int64]
 MAX_ORDER = 20
 MIN_PIECE_SAMPLES = np.array([10, 10, 12, 14, 16, 18, 20, *[25] * 4, *[50] * 10])
 """The fewest samples of a piece of each order; as in the source."""
-_MIN_VARIANCE = 1e-12  # of the signal's power, a piece's variance: a silent piece is not infinitely short to tell
+_MIN_VARIANCE = 1e-12  # of a piece, relative to the signal's power
 _PASSES = 5  # over all cuts, at most, when they are moved
 
 
 def pieces_of(x: Array, max_order: int = MAX_ORDER, grid: int = 50, longest: int | None = None) -> tuple[Index, float]:
-    """Starts of the pieces of the shortest description but for the first, rising, and its length in nats.
+    """Cuts of the shortest description, rising, and its length in nats.
 
     Args:
         x: shape (n,), of mean zero; two steps of the grid or more.
@@ -57,7 +57,7 @@ def pieces_of(x: Array, max_order: int = MAX_ORDER, grid: int = 50, longest: int
 
 
 class _Description:
-    """What pieces of one signal take to tell, without what their number takes."""
+    """Description lengths of pieces of one signal, without what their number takes."""
 
     def __init__(self, x: Array, max_order: int) -> None:
         self.n = x.size
@@ -79,11 +79,10 @@ class _Description:
 
 
 def _best(costs: Array, each: float) -> Index:
-    """Places to cut at: from the nats of pieces that end at each place (w, k), and those of one piece more."""
+    """Places to cut at, from the nats of pieces that end at each place (w, k) and those of one piece more."""
     w, k = costs.shape
-    begin = np.arange(k) - np.arange(1, w + 1)[:, None]  # of a piece; what is below 0 costs infinitely much
-    # By how many pieces a place is reached with: the logarithm of their number does not add up. It only grows, so there are no
-    # more pieces than without it.
+    begin = np.arange(k) - np.arange(1, w + 1)[:, None]  # of a piece; below 0 the costs are infinite
+    # The logarithm of the number of pieces does not add up, so their number is a state too; it only bounds that number.
     shortest, pieces = np.full(k, np.inf), np.zeros(k, dtype=int)
     shortest[0] = 0.0
     for j in range(1, k):
@@ -106,7 +105,7 @@ def _best(costs: Array, each: float) -> Index:
 
 
 def _with_cuts_moved(description: _Description, cuts: Index, grid: int, longest: int) -> Index:
-    """Each cut in turn where the two pieces beside it are shortest to tell, at most a step of the grid away."""
+    """Cuts, each moved by at most a step of the grid to where the pieces beside it are shortest."""
     edges = np.concatenate([[0], cuts, [description.n]])
     for j in range(1, len(edges) - 1):
         before, after = edges[j - 1], edges[j + 1]

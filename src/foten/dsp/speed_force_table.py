@@ -1,4 +1,4 @@
-"""Numbers that follow the hand: a table over speed and force."""
+"""A table over speed and force."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 from foten.dsp import Array
 
 FORCE_FLOOR = 0.05  # N; what a logarithm of force starts from
-MIN_SPREAD = 0.02  # of the largest speed, and of force: what a hand has to vary by for a second vertex
+MIN_SPREAD = 0.02  # of the largest speed, and of log force: less variation has one vertex
 
 
 @dataclass(frozen=True)
@@ -25,7 +25,7 @@ class SpeedForceTable:
             raise ValueError("the knots of speed or force do not rise")
 
     def weights(self, speed: Array, force: Array) -> Array:
-        """How much each vertex counts: speed [mm/s] and force [N] (n,) → (n, n_v · n_f), rows sum to 1."""
+        """Weights of the vertices: speed [mm/s] and force [N] (n,) → (n, n_v · n_f), rows sum to 1."""
         over_speed = hat_weights(speed, self.speed_knots)
         over_force = hat_weights(log_force(force), self.force_knots)
         return (over_speed[:, :, None] * over_force[:, None, :]).reshape(len(over_speed), -1)
@@ -48,10 +48,7 @@ def hat_weights(values: Array, knots: Array) -> Array:
 
 
 def spanning(speed: Array, force: Array, n_speed: int, n_force: int) -> SpeedForceTable:
-    """An empty table over where a hand was: speeds [mm/s] and forces [N], any equal shapes.
-
-    One vertex stands for all where the hand did not vary by 2 %. The outermost hundredths of force are too rare for a vertex.
-    """
+    """Empty table over the range of speeds [mm/s] and the middle 98 % of forces [N], any equal shapes."""
 
     def knots(low: float, high: float, n: int, min_spread: float) -> Array:
         return np.linspace(low, high, n) if n > 1 and high - low > min_spread else np.zeros(1)

@@ -1,7 +1,6 @@
 """Apple's AHAP: a pattern of Core Haptics, in JSON.
 
-Source: Apple's documentation of Core Haptics. A curve has at most 16 points, as Lofelt's and Meta's tools write them; an event
-lasts at most 30 s. The times of points count from their curve's.
+An event lasts at most 30 s; the times of points count from their curve's. Source: Apple's documentation of Core Haptics.
 """
 
 from __future__ import annotations
@@ -18,7 +17,7 @@ from foten.export.clip import Clip, envelopes_of
 
 KEEPS = "AHAP keeps the envelope, not the waveform"
 MAX_EVENT_S = 30.0
-MAX_CURVE_POINTS = 16  # of a curve
+MAX_CURVE_POINTS = 16  # as Lofelt's and Meta's tools write them
 
 
 def write_ahap(clip: Clip, path: Path) -> None:
@@ -39,25 +38,20 @@ def write_ahap(clip: Clip, path: Path) -> None:
         }
         for start in starts
     ]
-    # What skin feels grows with less than the amplitude: the square root is what Meta's tools use.
+    # Perceived intensity grows with less than the amplitude; Meta's tools take its square root.
     for name, points in (("Intensity", envelopes.amplitude), ("Sharpness", envelopes.frequency)):
-        pattern += _curves(f"Haptic{name}Control", points, np.sqrt)
-    document = {
-        "Version": 1.0,
-        "Metadata": {"Project": "foten", "Description": json.dumps(dict(clip.about))},
-        "Pattern": pattern,
-    }
-    write_json(path, document)
+        pattern += _curves(f"Haptic{name}Control", points)
+    metadata = {"Project": "foten", "Description": json.dumps(dict(clip.about))}
+    write_json(path, {"Version": 1.0, "Metadata": metadata, "Pattern": pattern})
 
 
-def _curves(parameter: str, points: Array, mapped: Any) -> list[dict[str, Any]]:
+def _curves(parameter: str, points: Array) -> list[dict[str, Any]]:
     curves = []
     for at in range(0, len(points) - 1, MAX_CURVE_POINTS - 1):
         some = points[at : at + MAX_CURVE_POINTS]
-        control = [
-            {"Time": round(float(t - some[0, 0]), 6), "ParameterValue": round(float(mapped(value)), 4)}
-            for t, value in some
-        ]
-        curve = {"ParameterID": parameter, "Time": round(float(some[0, 0]), 6), "ParameterCurveControlPoints": control}
+        begin = round(float(some[0, 0]), 6)
+        rows = zip((some[:, 0] - some[0, 0]).round(6).tolist(), np.sqrt(some[:, 1]).round(4).tolist(), strict=True)
+        control = [{"Time": time, "ParameterValue": value} for time, value in rows]
+        curve = {"ParameterID": parameter, "Time": begin, "ParameterCurveControlPoints": control}
         curves.append({"ParameterCurve": curve})
     return curves

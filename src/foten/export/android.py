@@ -1,20 +1,6 @@
 """For Android: a waveform of amplitudes, and an envelope of amplitude and frequency, in one JSON file.
 
-    val vibration = VibrationEffect.createWaveform(timings, amplitudes, -1)     // "waveform", since Android 8
-
-    val has = vibrator.frequencyProfile!!               // "envelope", Android 16, where areEnvelopeEffectsSupported()
-    val builder = VibrationEffect.WaveformEnvelopeBuilder()
-    envelope.forEach {
-        val hertz = it.frequency_hz.coerceIn(has.minFrequencyHz, has.maxFrequencyHz)
-        builder.addControlPoint(it.amplitude, hertz, it.duration_ms)
-    }
-
-Control points are 20 ms to 1 s apart, which every phone with envelopes takes; some take
-closer ones (`getMinControlPointDurationMillis()`). Android plays no effect that holds a frequency which the phone does not have,
-and corrects none: clamp them to its profile. A phone takes 16 points or more at once (`getMaxSize()`); an effect of more points
-is broken down by Android itself.
-
-Source: Android's reference of `VibratorEnvelopeEffectInfo` and `WaveformEnvelopeBuilder`.
+Source: Android's reference of `VibratorEnvelopeEffectInfo` and `WaveformEnvelopeBuilder`; docs/tutorials/page.md plays it.
 """
 
 from __future__ import annotations

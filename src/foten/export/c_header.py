@@ -1,7 +1,4 @@
-"""A texture as a C header, for programs without files: the bytes of the texture file, aligned, to be given to `foten_model_load`.
-
-Keeps everything. What loads it replays its golden windows, on the microcontroller too.
-"""
+"""A texture as a C header: the bytes of the texture file, aligned, for `foten_model_load`."""
 
 from __future__ import annotations
 
@@ -24,9 +21,8 @@ def identifier(name: str) -> str:
 def write_c_header(texture: Texture, path: Path) -> str:
     """Write a texture as a header and return the name of its bytes in C."""
     name, data, card = identifier(str(texture.card["texture"]) or path.stem), texture.to_bytes(), texture.card
-    rows = [", ".join(str(byte) for byte in data[i : i + _ROW]) for i in range(0, len(data), _ROW)]
+    body = ",\n".join(", ".join(map(str, data[i : i + _ROW])) for i in range(0, len(data), _ROW))
     (slow, fast), (light, firm) = texture.trained_range("speed"), texture.trained_range("force")
-    body = ",\n".join(rows)
     trained = f"{slow:.0f} to {fast:.0f} mm/s, {light:.1f} to {firm:.1f} N"
     text = f"""/* {name}: a texture of foten, {card["model"]} at {texture.rate_hz:g} Hz, recorded at {trained}.
  *

@@ -1,7 +1,4 @@
-"""A rendered stroke as other formats take it: a drive within ±1, and its envelopes.
-
-A texture answers a hand; every format of clips keeps one stroke of it.
-"""
+"""A rendered stroke for other formats: a drive within ±1, and its envelopes."""
 
 from __future__ import annotations
 
@@ -39,11 +36,7 @@ class Clip:
 
 
 def clip_of(samples: Array, rate_hz: float, about: Mapping[str, Any], full_scale: float | None = None) -> Clip:
-    """Clip of a rendered stroke, cut at full scale; without one, its peak is 1.
-
-    Raises:
-        ValueError: there are no samples, or the full scale is not positive.
-    """
+    """Clip of a rendered stroke, cut at full scale or scaled to its peak; ValueError for less than two samples."""
     if samples.size < 2:
         raise ValueError(f"the stroke has {samples.size} samples, expected two or more")
     if full_scale is not None and not 0 < full_scale < np.inf:
@@ -67,9 +60,7 @@ class Envelopes:
 
 
 def envelopes_of(clip: Clip) -> Envelopes:
-    """Envelopes of a clip: an RMS follower, and the centroid of the spectrum below 1 kHz.
-
-    Both end with the clip, and have at most `MAX_POINTS_PER_S`.
+    """Envelopes of a clip, an RMS follower and the centroid of the spectrum below 1 kHz, of at most `MAX_POINTS_PER_S`.
 
     Source: the published defaults of Meta's haptics SDK (constants); the reduction is Visvalingam and Whyatt's (1993).
     """
@@ -105,19 +96,19 @@ def _centroids(clip: Clip) -> tuple[Array, Array]:
     hop = N_FFT // OVERLAP
     padded = np.pad(clip.drive, (N_FFT // 2, N_FFT))
     n = 1 + clip.drive.size // hop
-    window = np.hanning(N_FFT)
+    frames = np.lib.stride_tricks.sliding_window_view(padded, N_FFT)[::hop][:n]
     hertz = np.fft.rfftfreq(N_FFT, 1 / clip.rate_hz)
     used = hertz <= 1000.0
-    power = np.stack([np.abs(np.fft.rfft(padded[i * hop : i * hop + N_FFT] * window))[used] for i in range(n)])
+    window = np.hanning(N_FFT)
+    power = np.stack([np.abs(np.fft.rfft(frame * window))[used] for frame in frames])
     total = power.sum(axis=1)
-    centroid = np.where(total > 0, power @ hertz[used] / np.where(total > 0, total, 1.0), MIN_FREQUENCY_HZ)
-    return np.arange(n) * hop / clip.rate_hz, np.clip(
-        (centroid - MIN_FREQUENCY_HZ) / (MAX_FREQUENCY_HZ - MIN_FREQUENCY_HZ), 0.0, 1.0
-    )
+    centroid = np.divide(power @ hertz[used], total, out=np.full(n, MIN_FREQUENCY_HZ), where=total > 0)
+    share = (centroid - MIN_FREQUENCY_HZ) / (MAX_FREQUENCY_HZ - MIN_FREQUENCY_HZ)
+    return np.arange(n) * hop / clip.rate_hz, np.clip(share, 0.0, 1.0)
 
 
 def _reduced(points: Array, max_points: int) -> Array:
-    """Points that are left where those that span the smallest triangles are taken out, one after the other."""
+    """Points without those that span the smallest triangles, taken out one after the other."""
     n = len(points)
     rows = points.tolist()
     before, after = [i - 1 for i in range(n)], [i + 1 for i in range(n)]

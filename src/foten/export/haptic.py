@@ -1,7 +1,4 @@
-"""The .haptic format, version 1.0, of Lofelt and Meta: envelopes of amplitude and frequency, in JSON.
-
-Source: the published specification of the format.
-"""
+"""The .haptic format, version 1.0, of Lofelt and Meta, by its published specification: envelopes in JSON."""
 
 from __future__ import annotations
 

@@ -1,8 +1,7 @@
 """MPEG's HJIF (ISO/IEC 23090-31): the waveform sample by sample, or a chirp that follows its envelopes.
 
-Source: the members that the reference software reads and what its synthesizer does: a curve needs three keyframes or more and
-position 0, and its last sample is not rendered, so that one more is written; a vectorial wave counts in milliseconds. A stroke
-is a vibration in time; what MPEG calls a vibrotactile texture counts along the surface, and has no duration.
+Source: the reference software: a curve needs three keyframes or more and position 0, and its last sample is not rendered, so
+that one more is written; a vectorial wave counts in milliseconds.
 """
 
 from __future__ import annotations
@@ -65,28 +64,21 @@ def write_hjif(clip: Clip, path: Path, parametric: bool = False) -> None:
 
 def _curve(clip: Clip) -> dict[str, Any]:
     drive = np.append(clip.drive, np.zeros(max(1, 3 - clip.drive.size)))
-    keyframes = [
-        {"relative_position": i, "amplitude_modulation": round(float(value), 6)} for i, value in enumerate(drive)
-    ]
+    values = enumerate(drive.round(6).tolist())
+    keyframes = [{"relative_position": i, "amplitude_modulation": value} for i, value in values]
     effect = {"effect_type": "Basis", "position": 0, "keyframes": keyframes}
     return {"band_type": "Curve", "curve_type": "Linear", "effects": [effect]}
 
 
 def _chirp(clip: Clip) -> dict[str, Any]:
     envelopes = envelopes_of(clip)
-    times = np.unique(
-        np.round(1000 * np.concatenate([envelopes.amplitude[:, 0], envelopes.frequency[:, 0]])).astype(int)
-    )
-    amplitude = np.interp(times / 1000, envelopes.amplitude[:, 0], envelopes.amplitude[:, 1])
+    points_s = np.concatenate([envelopes.amplitude[:, 0], envelopes.frequency[:, 0]])
+    times = np.unique(np.round(1000 * points_s).astype(int))
+    # An amplitude here is that of a sine, whose RMS is less by √2.
+    amplitude = np.minimum(1.0, 2**0.5 * np.interp(times / 1000, *envelopes.amplitude.T)).round(4)
     hertz = np.round(envelopes.hertz(times / 1000)).astype(int)
-    keyframes = [
-        # An amplitude here is that of a sine, whose RMS is less by √2.
-        {
-            "relative_position": int(t),
-            "amplitude_modulation": round(min(1.0, float(a) * 2**0.5), 4),
-            "frequency_modulation": int(f),
-        }
-        for t, a, f in zip(times, amplitude, hertz, strict=True)
-    ]
+    members = ("relative_position", "amplitude_modulation", "frequency_modulation")
+    rows = zip(times.tolist(), amplitude.tolist(), hertz.tolist(), strict=True)
+    keyframes = [dict(zip(members, row, strict=True)) for row in rows]
     effect = {"effect_type": "Basis", "position": 0, "phase": 0.0, "base_signal": "Sine", "keyframes": keyframes}
     return {"band_type": "VectorialWave", "effects": [effect]}

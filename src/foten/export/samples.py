@@ -36,7 +36,6 @@ def write_csv(clip: Clip, path: Path) -> None:
 def write_npz(clip: Clip, path: Path) -> None:
     """Write `drive`, `rate_hz`, `full_scale` and, as JSON, `about`."""
     about = np.array(json.dumps(dict(clip.about), sort_keys=True))
+    rate_hz, full_scale = np.array(clip.rate_hz), np.array(clip.full_scale)
     with atomic_write(path) as part, part.open("wb") as file:
-        np.savez_compressed(
-            file, drive=clip.drive, rate_hz=np.array(clip.rate_hz), full_scale=np.array(clip.full_scale), about=about
-        )
+        np.savez_compressed(file, drive=clip.drive, rate_hz=rate_hz, full_scale=full_scale, about=about)

@@ -1,7 +1,4 @@
-"""A Unity package with a texture inside: the C# binding, a component, the kernel of this system.
-
-Keeps everything. The folder goes into the `Packages` of a project.
-"""
+"""A Unity package with a texture inside: the C# binding, a component, the kernel of this system."""
 
 from __future__ import annotations
 
@@ -22,11 +19,7 @@ _WORD = "TEXTURE"  # in the sources, where the texture's name stands
 
 
 def write_unity(texture: Texture, folder: Path) -> str:
-    """Write the package into a folder, which is made, and return the texture's name in it; what else is there stays.
-
-    Raises:
-        ValueError: the texture is a network that is run by ONNX Runtime, which the kernel does not.
-    """
+    """Write the package into a folder, which is made, and return the texture's name; ValueError for one of ONNX Runtime."""
     if isinstance(texture.sizes, GraphSizes):
         runs = "the network of this texture is run by ONNX Runtime, which the package does not hold"
         raise ValueError(f"{runs}: export a texture of foten-plus, foten or ar")

@@ -14,14 +14,7 @@ KEEPS = "the page keeps the textures whole, and renders them in the browser"
 def write_site(
     files: Mapping[str, Path], listed: Mapping[str, Any], textures: Mapping[str, Path], folder: Path
 ) -> None:
-    """Write the page, the textures beside it and their list into a folder.
-
-    Args:
-        files: of the page, by name.
-        listed: what the page is told of the textures.
-        textures: their files and pictures, by the name that the list has.
-        folder: is made; what else is in it stays.
-    """
+    """Write files of the page and of textures, by name, and the list of textures, into a folder, which is made."""
     folder.mkdir(parents=True, exist_ok=True)
     for name, path in {**files, **textures}.items():
         (folder / name).parent.mkdir(parents=True, exist_ok=True)

@@ -1,4 +1,4 @@
-"""The folder of a captured surface: the sound of a pen on it, the pen's events, and what is known of both."""
+"""The folder of a captured surface: the sound of a pen on it, the pen's events, and their description."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ SOUND, PEN, ABOUT = "sound.wav", "pen.csv", "capture.json"
 
 @dataclass(frozen=True)
 class About:
-    """What is known of a capture: `capture.json`."""
+    """Description of a capture: `capture.json`."""
 
     name: str  # of the texture
     rate_hz: float  # of the sound
@@ -25,7 +25,7 @@ class About:
     steepness: float = 3.32
     full_scale_m_s2: float | None = None  # acceleration of a sample of 1; None where it is not known
     input: str = ""  # what the browser calls the input
-    n_late_events: int = 0  # that came after one of a later time, and are not in the file but for touches and lifts
+    n_late_events: int = 0  # out of the order of time; of these only touches and lifts are in the file
 
     @classmethod
     def of(cls, message: Mapping[str, Any]) -> About:
@@ -35,7 +35,7 @@ class About:
 
 @dataclass(frozen=True)
 class PenEvents:
-    """What a tablet tells of a pen; all shapes (n,)."""
+    """Events of a pen on a tablet; all shapes (n,)."""
 
     times_s: Array  # by the pen's clock, increasing
     x_mm: Array

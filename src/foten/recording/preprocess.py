@@ -17,26 +17,19 @@ from foten.recording.recording import LIMITS, UNITS, Channel, Recording, common_
 from foten.recording.split import MIN_BLOCKS
 from foten.recording.trace import Trace
 
-MAX_HIGHPASS_ORDER = 20  # of a high-pass; one of 20 already rings for longer than a window
-SHORT_BLOCKS_MS = (
-    2000.0,
-    1000.0,
-    500.0,
-    200.0,
-    100.0,
-)  # of a recording too short for the defaults; less holds no level
-ENOUGH_BLOCKS = 9  # of a split: two of them choose and two judge
-ENOUGH_SAMPLES = 5000  # to learn from, by our choice; below it a higher rate gives more of them
-WRONG_SIGN = (5.0, 0.5)  # mm/s, N; below minus this a magnitude is not a magnitude with noise
+MAX_HIGHPASS_ORDER = 20
+SHORT_BLOCKS_MS = (2000.0, 1000.0, 500.0, 200.0, 100.0)  # of a recording too short for the defaults
+ENOUGH_BLOCKS = 9  # of a split: two validate and two test
+ENOUGH_SAMPLES = 5000  # to train on, by our choice; below it a higher rate is suggested
+WRONG_SIGN = (5.0, 0.5)  # mm/s, N; what noise takes a magnitude below zero at most
 
 
 @dataclass(frozen=True)
 class PreprocessConfig:
     """How a recording becomes a trace.
 
-    Differs from the paper: its band of 20 to 1000 Hz cannot exist at 1 kHz, where nothing above 500 Hz does; what
-    remains is the high-pass. Speed and force pass one low-pass of 20 Hz in training and in rendering, where the paper
-    trains with 25 and renders with 20.
+    Differs from the paper: its band of 20 to 1000 Hz cannot exist at 1 kHz; what remains is the high-pass. Speed and
+    force pass one low-pass of 20 Hz in training and in rendering, where the paper trains with 25 and renders with 20.
     """
 
     rate_hz: float = 1000.0  # of the trace; Sec. III-c
@@ -59,10 +52,9 @@ class PreprocessConfig:
             raise ValueError(f"trim is {self.trim_ms:g} ms and block {self.block_ms:g} ms, expected ≥ 0 and > 0")
         half = self.rate_hz / 2
         for name in ("highpass_hz", "lowpass_hz", "render_lowpass_hz"):
-            if not 0 < getattr(self, name) < half:
-                raise ValueError(
-                    f"{name} is {getattr(self, name):g} Hz, expected between 0 and half the rate, {half:g} Hz"
-                )
+            cutoff = getattr(self, name)
+            if not 0 < cutoff < half:
+                raise ValueError(f"{name} is {cutoff:g} Hz, expected between 0 and half the rate, {half:g} Hz")
         if self.highpass_order > MAX_HIGHPASS_ORDER:
             raise ValueError(f"highpass_order is {self.highpass_order}, expected {MAX_HIGHPASS_ORDER} at most")
         # The filters' own check, before a long recording is read.
@@ -89,7 +81,7 @@ def fitting_options(seconds: float, rate_hz: float, captured_hz: float | None = 
 
     Args:
         seconds: that every channel covers.
-        rate_hz: of the model. So few samples are too few to learn from in a short recording: then it is a higher one.
+        rate_hz: of the model; for a short recording a higher one, so that there are `ENOUGH_SAMPLES`.
         captured_hz: of the acceleration, which is never upsampled; None leaves the rate as it is, and unnamed.
     """
     config = PreprocessConfig()
@@ -98,7 +90,7 @@ def fitting_options(seconds: float, rate_hz: float, captured_hz: float | None = 
     else:
         rates = sorted({rate_hz, *(rate for rate in RATES_HZ if rate_hz < rate <= (captured_hz or 0))})
         rate, trim_ms = next((rate for rate in rates if rate * seconds >= ENOUGH_SAMPLES), rates[-1]), 0.0
-        usable_ms = 1000 * (seconds - 1 / rate) - config.delay_ms  # which is whole samples
+        usable_ms = 1000 * (seconds - 1 / rate) - config.delay_ms
         blocks_ms = [ms for n in (ENOUGH_BLOCKS, MIN_BLOCKS) for ms in SHORT_BLOCKS_MS if usable_ms >= n * ms]
     if not blocks_ms:
         return ""
@@ -109,12 +101,11 @@ def fitting_options(seconds: float, rate_hz: float, captured_hz: float | None = 
 def preprocess(recording: Recording, config: PreprocessConfig | None = None, n_blocks: int | None = None) -> Trace:
     """Trace of a recording: whole blocks of acceleration, speed and force at one rate.
 
-    Used is the stretch that every channel covers. The low-pass of speed and force is causal, as in rendering; the whole
-    samples nearest its delay are then cut off, so that speed and force stand beside the acceleration that they caused.
-    With three axes, DFT321 makes one of them in each block by itself.
+    It has the stretch that every channel covers. The low-pass of speed and force is causal, as in rendering; its delay is
+    then cut off to a whole sample. DFT321 joins three axes in each block by itself.
 
     Args:
-        n_blocks: that a training needs; None, at a rate that a texture has already, takes one.
+        n_blocks: that a training needs; None, at the rate of an existing texture, takes one.
 
     Raises:
         ValueError: a quantity is missing or beyond what a hand can do, the acceleration is slower than the rate or irregular
@@ -159,9 +150,8 @@ def preprocess(recording: Recording, config: PreprocessConfig | None = None, n_b
     def settled(sections: Sections, signal: Array, first: int) -> Array:
         return filter_recorded(sections, signal, zero_phase=config.zero_phase)[first:][: usable - n_dropped]
 
-    vibration = np.stack(
-        [settled(highpass, decimate(axis.samples, axis.rate_hz, rate)[start:stop], trim) for axis in axes]
-    )
+    decimated = [decimate(axis.samples, axis.rate_hz, rate)[start:stop] for axis in axes]
+    vibration = np.stack([settled(highpass, samples, trim) for samples in decimated])
     acceleration = vibration[0]
     if len(axes) > 1:
         acceleration = dft321(vibration.reshape(len(axes), -1, config.block).swapaxes(0, 1)).ravel()
@@ -172,19 +162,14 @@ def preprocess(recording: Recording, config: PreprocessConfig | None = None, n_b
         _check_size("speed", float(speed.max()))
         _check_size("force", float(force.max()))
     n_uncovered = max(round(axis.duration_s * rate) for axis in axes) - (stop - start)
-    return Trace(
-        acceleration, speed, force, rate, config.block, recording.sha256(), asdict(config), n_dropped, n_uncovered
-    )
+    source = recording.sha256(), asdict(config), n_dropped, n_uncovered
+    return Trace(acceleration, speed, force, rate, config.block, *source)
 
 
 def condition(velocities: Array, normal_force: Array, rate_hz: float, lowpass_hz: float) -> tuple[Array, Array]:
-    """Speed [mm/s] and force [N], shapes (n,), through the causal low-pass of rendering.
+    """Speed [mm/s] and force [N], shapes (n,), through the causal low-pass of rendering, settled on the first sample.
 
-    The filter starts settled on the first sample.
-
-    Args:
-        velocities: velocity of each axis [mm/s], shape (n_axes, n); one axis where only the speed is known.
-        normal_force: normal force [N], shape (n,).
+    Of velocities [mm/s], shape (n_axes, n), one axis where only the speed is known, and the normal force [N], shape (n,).
     """
     sections = butterworth("lowpass", lowpass_hz, rate_hz)
     filtered = []
@@ -198,11 +183,8 @@ def condition(velocities: Array, normal_force: Array, rate_hz: float, lowpass_hz
 def velocity_and_force(recording: Recording, rate_hz: float) -> tuple[Array, Array]:
     """Velocity [mm/s] (n_axes, n) and normal force [N] (n,) at a rate, where both and any acceleration are covered.
 
-    Not yet low-passed. The velocity has the axes of the plane where positions were recorded, else the speed as its only one.
-    The normal is the z axis, and pressing counts positive: a force that is mostly negative is turned round.
-
-    Raises:
-        ValueError: speed or force is missing, has holes or the wrong sign.
+    Not yet low-passed. The velocity has the axes x and y where positions were recorded, else the speed alone. Pressing counts
+    positive: the sign of a force that is mostly negative is changed. ValueError where one is missing or has holes.
     """
     start, stop = _common(recording, rate_hz)
     for name in (*recording.movement, *recording.normal_force):
@@ -227,24 +209,21 @@ def velocity_and_force(recording: Recording, rate_hz: float) -> tuple[Array, Arr
     force = recording[recording.normal_force[0]]
     raw = pressing(force)
     if raw.min() < -WRONG_SIGN[1]:
-        raise ValueError(
-            f"force runs from {raw.min():.4g} to {raw.max():.4g} N, expected 0 or more; is the sensor not zeroed?"
-        )
+        span = f"{raw.min():.4g} to {raw.max():.4g} N"
+        raise ValueError(f"force runs from {span}, expected 0 or more; is the sensor not zeroed?")
     return rows, _slow(replace(force, samples=raw), rate_hz, stop)[start:]
 
 
 def pressing(force: Channel) -> Array:
-    """Force as captured, pressing positive [N], shape (n,); a low-pass would hide short losses of contact."""
+    """Force as captured, pressing positive [N], shape (n,)."""
     return -force.samples if np.median(force.samples) < 0 else force.samples
 
 
 def _check_size(quantity: str, largest: float) -> None:
     if largest > LIMITS[quantity]:
         unit = UNITS[quantity].replace("^2", "²")
-        raise ValueError(
-            f"the {quantity} reaches {largest:.6g} {unit}, beyond any hand ({LIMITS[quantity]:g} {unit}); another unit, or "
-            "spikes? `foten inspect` shows which; --force-units takes it as it is"
-        )
+        beyond = f"the {quantity} reaches {largest:.6g} {unit}, beyond any hand ({LIMITS[quantity]:g} {unit})"
+        raise ValueError(f"{beyond}; another unit, or spikes? See foten inspect; --force-units takes it as it is")
 
 
 def _common(recording: Recording, rate_hz: float) -> tuple[int, int]:

@@ -67,10 +67,7 @@ class Channel:
         return float(self.times_s[-1] - self.times_s[0]) + 1 / self.rate_hz
 
     def holes(self) -> NDArray[np.int64]:
-        """Samples after which others were lost, as the times tell; none at a steady rate.
-
-        A step is a hole where the five samples on either side say so too, so that one late time stamp is none.
-        """
+        """Samples after which others were lost; a step counts by five samples on either side, not by one late time stamp."""
         if self.times_s is None or self.times_s.size < 3:
             return np.zeros(0, dtype=np.int64)
         times = self.times_s
@@ -98,11 +95,9 @@ class Recording:
     tool: str = ""
     sensors: str = ""
     notes: str = ""
-    simulation: Mapping[str, Any] | None = None  # parameters of the simulator that made it: the judge asks it for truth
+    simulation: Mapping[str, Any] | None = None  # parameters of the simulator that made it
     history: tuple[str, ...] = ()  # what was done to the samples on the way in, one sentence each
-    calibrated: bool = (
-        True  # False where the acceleration is in relative units, of a sensor whose sensitivity nobody knows
-    )
+    calibrated: bool = True  # False where the acceleration is in relative units
 
     def __post_init__(self) -> None:
         unknown = sorted(set(self.channels) - set(UNITS))

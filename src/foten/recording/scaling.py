@@ -36,13 +36,9 @@ class Scaling:
 
 
 def fit_scaling(trace: Trace, blocks: tuple[int, ...]) -> Scaling:
-    """Scaling measured on some blocks of a trace (the training ones).
+    """Scaling of the training blocks; ValueError where the acceleration is constant.
 
-    A speed or force that never varies keeps its own magnitude as scale, so that a recording at one condition
-    still trains.
-
-    Raises:
-        ValueError: the acceleration is constant.
+    A speed or force that never varies is scaled by its magnitude.
     """
     picked = trace.stacked().reshape(trace.n_blocks, trace.block, 3)[list(blocks)].reshape(-1, 3)
     mean, sd = picked.mean(axis=0), picked.std(axis=0)

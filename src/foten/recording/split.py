@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from foten.atomic_write import atomic_write
+from foten.atomic_write import write_json
 from foten.recording.trace import Trace
 
 METHODS = ("regrouped", "contiguous")
@@ -44,23 +44,16 @@ class Split:
 
     def save(self, path: Path) -> None:
         """Write the split and its digest as JSON."""
-        document = {**asdict(self), "sha256": self.sha256()}
-        with atomic_write(path) as part:
-            part.write_text(json.dumps(document, sort_keys=True, indent=1) + "\n")
+        write_json(path, {**asdict(self), "sha256": self.sha256()})
 
 
 def split_blocks(trace: Trace, method: str = "regrouped", seed: int = 0) -> Split:
-    """60/20/20 split of a trace's blocks.
+    """60/20/20 split of a trace's blocks; ValueError where they are fewer than `MIN_BLOCKS`.
 
-    `regrouped`: blocks are grouped by mean speed, then within each group by mean force; the blocks that hold the
-    extremes of speed and force train, so that the test conditions lie inside the trained range; the others are drawn
-    60/20/20 within the groups.
+    `regrouped`: blocks are grouped by mean speed, then by mean force, and drawn 60/20/20 within the groups; the blocks that
+    hold the extremes of speed and force train, so that the test conditions lie inside the trained range.
 
-    `contiguous`: first 60 %, next 20 %, last 20 % in time. Neighbouring blocks share the hand's movement, so
-    a model that does much worse here was helped by leakage.
-
-    Raises:
-        ValueError: fewer than `MIN_BLOCKS`.
+    `contiguous`: first 60 %, next 20 %, last 20 % in time. A model that does much worse here was helped by leakage.
 
     Source: Sec. VI ("divided into 2000 samples and regrouped based on speed and force regions").
     Differs from the paper: how [14] groups is not stated; terciles of speed and of force within them are ours.
@@ -70,9 +63,7 @@ def split_blocks(trace: Trace, method: str = "regrouped", seed: int = 0) -> Spli
         raise ValueError(f"split is {method!r}, expected one of {', '.join(METHODS)}")
     if n < MIN_BLOCKS:
         some = f"{n} block{'s' * (n > 1)} of {trace.block / trace.rate_hz * 1000:g} ms"
-        raise ValueError(
-            f"the trace has {some}, expected {MIN_BLOCKS} or more; a short recording wants a shorter --block and --trim"
-        )
+        raise ValueError(f"the trace has {some}, expected {MIN_BLOCKS} or more; use a shorter --block and --trim")
     n_held = max(1, round(0.2 * n))  # of validation and of test
     if method == "contiguous":
         parts = tuple(part.tolist() for part in np.split(np.arange(n), [n - 2 * n_held, n - n_held]))
@@ -93,12 +84,10 @@ def _regroup(trace: Trace, n_held: int, rng: np.random.Generator) -> tuple[list[
     for group in np.array_split(np.argsort(speed, kind="stable"), n_groups):
         by_force = group[np.argsort(force[group], kind="stable")]
         cells += [[int(i) for i in cell if int(i) not in extreme] for cell in np.array_split(by_force, n_groups)]
-    # Walking over shuffled cells in turn and dealing test, validation, train in their ratio spreads each part
-    # over the cells and meets the totals exactly, which rounding within cells of three blocks does not.
+    # Dealing the blocks of shuffled cells in turn spreads each part over the cells and meets the totals exactly.
     for cell in cells:
         rng.shuffle(cell)
     order = [cells[i] for i in rng.permutation(len(cells))]
     dealt = [block for layer in zip_longest(*order) for block in layer if block is not None]
     test, validation = dealt[0 : 2 * n_held : 2], dealt[1 : 2 * n_held : 2]
-    others = [block for block in range(n) if block not in set(test) | set(validation)]
-    return others, validation, test
+    return sorted({*range(n)} - {*test, *validation}), validation, test

@@ -7,19 +7,13 @@ from numpy.typing import NDArray
 
 
 def targets(blocks: tuple[int, ...], block: int, first: int) -> NDArray[np.int64]:
-    """Indices n to predict: in each given block all but the first `first` samples, shape (k,).
-
-    With `first >= m` no window of m samples straddles blocks.
-    """
+    """Indices n to predict, (k,): in each block all but the first `first` samples; from m on no window straddles blocks."""
     within = np.arange(first, block)
     return (np.asarray(blocks, dtype=np.int64)[:, None] * block + within[None, :]).ravel()
 
 
 def window_indices(n: NDArray[np.int64], m: int) -> NDArray[np.int64]:
-    """The m indices before each n, oldest first: shape (b,) → (b, m).
-
-    Source: Eq. 1: a[n-m] … a[n-1], and the same of speed and force.
-    """
+    """The m indices before each n, oldest first: (b,) → (b, m). Source: Eq. 1."""
     return n[:, None] + np.arange(-m, 0)
 
 

@@ -3,17 +3,14 @@
     place on the profile ─▶ height under the ball ─▶ Hertz contact, or none ─▶ force ─┐
     speed ─▶ the tip, on a spring, under Coulomb friction of that force ─▶ friction ──┴─▶ modes of the tool ─▶ acceleration
 
-Here no autoregression is the truth: a tip that flies is silent until it lands, a sharp grain is struck harder the faster it
-is met, and a sticking tip lets go when its spring has the force. The profile is the texture's, drawn by its key and closed to a
-loop; a realisation meets it from a place of its own.
+No autoregression is the truth. The profile is drawn by the texture's key and closed to a loop; a realisation starts at a place of
+its own.
 
 Height under a ball of radius R, the dilation of the profile: h(s) = maxᵤ [p(s + u) − u²/2R].
 Normal force: F = K δ^1.5 (1 + D dδ/dt), not negative, with δ = h − z and K = 4/3 E* √R (Hertz; Hunt & Crossley, "Coefficient of
-restitution interpreted as damping in vibroimpact", Journal of Applied Mechanics 42, 1975). The tip: m z̈ = F − P − c ż, pressed by
-the hand with P and damped by it; and along the stroke m q̈ = −k q − d q̇ ± μF, with Coulomb friction that falls from μ(1 + s) at
-rest to μ. The sensor sits on the tool's body, which both forces reach through two modes.
-
-Not fitted to any surface; sizes are those of hand-held tools and everyday materials.
+restitution interpreted as damping in vibroimpact", Journal of Applied Mechanics 42, 1975). The tip: m z̈ = F − P − c ż, under the
+hand's force P; and along the stroke m q̈ = −k q − d q̇ ± μF, with Coulomb friction that falls from μ(1 + s) at rest to μ. Both
+forces reach the sensor on the tool's body through two modes. Not fitted to any surface.
 """
 
 from __future__ import annotations
@@ -33,17 +30,12 @@ LOOP_MM = 4000.0  # after which a profile begins again: half a minute at the usu
 RATE_HZ = 10_000.0  # of both simulators' physics, of the force sensor, and of the accelerometer by default
 SUBSTEPS = 4  # of the mechanics in each sample of a stroke
 MAX_IMPACT_N = 50.0  # of an impact, for which steps must be short enough
-PIECE_S, OVERLAP_S, FADE_S = (
-    0.25,
-    0.15,
-    0.01,
-)  # pieces are integrated side by side: each settles first, and fades into the next
+PIECE_S, OVERLAP_S, FADE_S = 0.25, 0.15, 0.01  # of pieces that are integrated side by side, settle and overlap
 BODY_G = 80.0  # mass of the tool that the sensor sits on
 MODES_HZ, MODES_DAMPING, MODES_SHARE = (120.0, 340.0), (0.30, 0.15), (1.0, 0.7)  # of the tool, that both forces ring
 STIFF_SHARE = 0.15  # of the forces that moves the body at once
 DIRECTION = np.array([0.8, 0.6])  # of tangential motion in the sensor's x and y
 STRIBECK_MM_S = 15.0  # speed over which friction falls from static to kinetic
-
 
 # A profile has a point every `GRID_MM`, and holds no finer parts.
 RANGES: Mapping[str, tuple[float, float]] = {
@@ -99,9 +91,8 @@ class ContactParameters:
         check_parameters(self, RANGES)
         stiffest = 1.5 * self.stiffness ** (2 / 3) * MAX_IMPACT_N ** (1 / 3)
         if stiffest / self.mass_kg > (0.5 * RATE_HZ * SUBSTEPS) ** 2:
-            raise ValueError(
-                f"a contact of {self.modulus_mpa:g} MPa under {self.tip_mass_g:g} g is too stiff for steps of 25 µs"
-            )
+            contact = f"{self.modulus_mpa:g} MPa under {self.tip_mass_g:g} g"
+            raise ValueError(f"a contact of {contact} is too stiff for steps of 25 µs")
 
     @property
     def mass_kg(self) -> float:
@@ -157,10 +148,7 @@ CONTACT: Mapping[str, ContactParameters] = {
 
 @lru_cache(maxsize=2)
 def profile(parameters: ContactParameters, key: str) -> Array:
-    """Height of a texture along its loop [mm], one point every `GRID_MM`, zero on the mean.
-
-    The texture's own: the same for every seed.
-    """
+    """Height of a texture along its loop [mm], one point every `GRID_MM`, zero on the mean, the same for every seed."""
     from scipy.fft import irfft, rfft, rfftfreq
 
     rng = np.random.default_rng([3, *key.encode()])
@@ -181,9 +169,8 @@ def profile(parameters: ContactParameters, key: str) -> Array:
 
 def _periodic(parameters: ContactParameters, n: int, rng: np.random.Generator) -> Array:
     """Crests of unit height with uneven periods, closed to a loop, (n,)."""
-    periods = np.maximum(
-        0.3, 1 + parameters.period_jitter * rng.standard_normal(round(LOOP_MM / parameters.wavelength_mm / 2) * 2)
-    )
+    n_periods = round(LOOP_MM / parameters.wavelength_mm / 2) * 2
+    periods = np.maximum(0.3, 1 + parameters.period_jitter * rng.standard_normal(n_periods))
     edges = np.concatenate([[0.0], np.cumsum(periods)]) * LOOP_MM / periods.sum()
     phase = np.interp(np.arange(n) * GRID_MM, edges, np.arange(edges.size))
     crest = (0.5 - 0.5 * np.cos(2 * np.pi * phase)) ** parameters.sharpness
@@ -191,7 +178,7 @@ def _periodic(parameters: ContactParameters, n: int, rng: np.random.Generator) -
 
 
 def _with_grains(height: Array, parameters: ContactParameters, rng: np.random.Generator) -> Array:
-    """Profile with caps on it, or pores in it: where they overlap, the higher cap or the deeper pore."""
+    """Profile with caps or pores; where they overlap, the higher cap or the deeper pore."""
     n, half = height.size, round(0.5 * parameters.grain_mm / GRID_MM)
     count = rng.poisson(parameters.grains_per_mm * LOOP_MM)
     at = rng.integers(0, n, count)
@@ -205,7 +192,7 @@ def _with_grains(height: Array, parameters: ContactParameters, rng: np.random.Ge
 
 @lru_cache(maxsize=2)
 def under_ball(parameters: ContactParameters, key: str) -> Array:
-    """Height of a ball that rests on the profile [mm], for each of its points: what the tip can follow."""
+    """Height of a ball that rests on the profile [mm], for each of its points."""
     from scipy.ndimage import grey_dilation
 
     height = profile(parameters, key)
@@ -219,10 +206,7 @@ def under_ball(parameters: ContactParameters, key: str) -> Array:
 def contact_vibration(
     parameters: ContactParameters, key: str, stroke: Stroking, rng: np.random.Generator
 ) -> tuple[Array, Array]:
-    """Vibration of the tool before any sensor [m/s²], axes x, y, z, (n, 3), and the force of the contact [N], (n,).
-
-    Under the stroke's speed and force, from a place of the profile that is drawn.
-    """
+    """Vibration of the tool before any sensor [m/s²], axes x, y, z, (n, 3), and the force of the contact [N], (n,)."""
     from scipy.signal import lfilter
 
     rate = stroke.rate_hz
@@ -250,8 +234,7 @@ def _pieces(
 ) -> tuple[Array, Array]:
     """Contact force and friction [N], each (n,).
 
-    The stroke in pieces side by side, each from equilibrium and well settled when it takes over: what a damped contact does
-    is forgotten in a few hundredths of a second, and 60 s would be 2.4 million steps one after the other.
+    The stroke is integrated in pieces side by side, each from equilibrium and settled when it takes over.
     """
     n, piece, overlap, fade = place.size, *(round(s * rate_hz) for s in (PIECE_S, OVERLAP_S, FADE_S))
     starts = np.arange(0, n, piece)
@@ -306,11 +289,7 @@ def _integrate(
 
 
 def _passed(surface: Array, places: Array, dt: float) -> Iterator[tuple[Array, Array]]:
-    """Yield the surface's height [m] and how fast it rises [m/s] in the steps of dt [s] up to each sample, (SUBSTEPS, k) each.
-
-    Args:
-        places: on the surface [mm], (n, k).
-    """
+    """Yield height [m] and its rate [m/s] in the steps of dt [s] up to each sample, (SUBSTEPS, k), at places [mm] (n, k)."""
     last = _height(surface, places[:1])
     for i in range(len(places)):
         heights = _height(surface, _substeps(places, i))
@@ -319,7 +298,7 @@ def _passed(surface: Array, places: Array, dt: float) -> Iterator[tuple[Array, A
 
 
 def _substeps(samples: Array, i: int) -> Array:
-    """Values at the steps up to sample i, on straight lines from the one before: (SUBSTEPS, k) of (n, k), in its unit."""
+    """Values at the steps up to sample i, on straight lines from the one before: (n, k) → (SUBSTEPS, k)."""
     share = (np.arange(SUBSTEPS) + 1.0) / SUBSTEPS
     before = samples[max(i - 1, 0)]
     return np.asarray(before + share[:, None] * (samples[i] - before))

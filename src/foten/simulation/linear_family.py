@@ -25,11 +25,9 @@ def from_poles(*poles: tuple[float, float]) -> tuple[float, ...]:
 
 
 def check_parameters(parameters: Any, ranges: Mapping[str, tuple[float, float]]) -> None:
-    """Check that the fields of a simulated texture, which may come from a file, are numbers or short rows of numbers.
+    """Check that the fields of a simulated texture, but for `description`, are numbers or short rows of numbers.
 
-    Args:
-        parameters: a dataclass; its `description` is not looked at.
-        ranges: lowest and highest number by field; others lie within ±`MAX_PARAMETER`.
+    Lowest and highest number are in `ranges`, by field; others lie within ±`MAX_PARAMETER`.
     """
     for name, value in vars(parameters).items():
         if name == "description":
@@ -95,11 +93,7 @@ def linear_signal(parameters: LinearParameters, speed: Array, force: Array, rng:
 
 
 def linear_truth(recording: Recording) -> LinearParameters:
-    """Process that made a simulated recording, at its rate, from the parameters that it carries.
-
-    Raises:
-        ValueError: the recording is no member of the linear family.
-    """
+    """Process that made a simulated recording, at its rate; ValueError where it is no member of the linear family."""
     simulation = recording.simulation
     if simulation is None or "coefficients" not in simulation["parameters"]:
         source = "no simulator" if simulation is None else f"the texture {simulation['key']!r}"
@@ -112,10 +106,9 @@ def one_step_bounds(
 ) -> tuple[Array, Array]:
     """Least expected absolute one-step error that the past of the high-passed signal allows.
 
-    The high-passed signal is x = B(z) / (A_h(z) A(z)) σe. Its zeros lie on the unit circle at worst, so the whole past gives
-    away all of x[n] but b₀ σ e[n]; exactly, however σ varies. Zeros at z = 1 make that past very long: a window of m gets down
-    to s_m > b₀ only, the residual of the best linear predictor of m samples (the best of all, the process being Gaussian), here
-    for a σ that is constant over the window; the σ of a simulated stroke costs it 0.1 to 0.4 % (64 s, six seeds, m = 20, 40).
+    The high-passed signal is x = B(z) / (A_h(z) A(z)) σe. Its zeros lie on the unit circle at worst, so the whole past
+    predicts all of x[n] but b₀ σ e[n], however σ varies. A window of m leaves s_m > b₀, the residual of the best linear
+    predictor of m samples, for a σ that is constant over the window; that of a stroke costs 0.1 to 0.4 % (six seeds).
 
     Args:
         truth: of the recording; the signal is at the recording's rate.

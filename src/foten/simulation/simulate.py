@@ -6,17 +6,14 @@ The model of one of the twelve, from the hand to the sensor:
     Poisson impacts of asperities, a number for each mm ─────────────────┴▶ × level fᵅ vᵝ ─┐
                                                 sensors ◀─ two modes of the tool ◀─ contact ◀┘
 
-Nothing in it is fitted to a real surface. It is there to have tones that move with speed, levels and colours that depend on speed
-and force, and parts that no model can predict, in known amounts. It leaves out the direction of the stroke and its place on the
-plate: going back meets new roughness of the same kind. Those of contact mechanics (`contact`) are where no linear filter of
-anything is the truth.
+Not fitted to any surface. A way back meets new roughness of the same kind.
 """
 
 from __future__ import annotations
 
 import json
 import threading
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -52,7 +49,6 @@ GRID_MM = 0.02  # of the roughness
 TIP_PER_MM = 4.0  # cycles/mm: the ball of 2 mm bridges finer structure
 AXIS_GAINS = np.array([[0.45, 0.55], [0.35, -0.25], [0.82, 0.80]])
 """Share of the two tool modes in x, y, z; each column has about unit norm, so that DFT321 keeps the level."""
-
 
 RANGES: Mapping[str, tuple[float, float]] = {
     "level": POSITIVE,
@@ -98,6 +94,9 @@ class TextureParameters:
         for name in ("modes_hz", "damping"):
             if len(getattr(self, name)) != 2:
                 raise ValueError(f"{name} is {getattr(self, name)}, expected two numbers")
+
+
+Parameters = TextureParameters | ContactParameters | LinearParameters
 
 
 def _phases(key: str, n: int) -> tuple[float, ...]:
@@ -154,6 +153,8 @@ def simulate(
     A texture comes as raw sensors (Sec. III): acceleration with gravity, force and position, three axes each.
     A linear process comes as acceleration, speed and force at the model's rate, one axis, without noise.
 
+    ValueError for an unknown key, or lengths, seeds and rates out of range.
+
     Args:
         key: one of TEXTURES, CONTACT or LINEAR_FAMILY.
         seconds: length; the default leaves 60 s once 2 s are cut at each end.
@@ -161,15 +162,8 @@ def simulate(
         noise_seed: of the surface, the impacts and the sensors; another one is a second realisation.
         stroke_seed: of the hand.
         accelerometer_hz: 10 000 (by default) divided by a whole number; for the linear family, its rate, 1000 by default.
-
-    Raises:
-        ValueError: an unknown key, or lengths, seeds and rates out of range.
     """
-    known: dict[str, TextureParameters | ContactParameters | LinearParameters] = {
-        **TEXTURES,
-        **CONTACT,
-        **LINEAR_FAMILY,
-    }
+    known: dict[str, Parameters] = {**TEXTURES, **CONTACT, **LINEAR_FAMILY}
     if key not in known:
         raise ValueError(f"unknown texture {key!r}, expected one of {', '.join(known)}")
     default_hz = LINEAR_RATE_HZ if key in LINEAR_FAMILY else RATE_HZ
@@ -189,13 +183,9 @@ def simulate(
 def second_realisation(
     recording: Recording, noise_seed: int, *, stroke_seed: int | None = None, seconds: float | None = None
 ) -> Recording:
-    """Stroke and texture of a simulated recording, by the parameters that it carries, with fresh surface and noise.
+    """Stroke and texture of a simulated recording with fresh surface and noise, under another stroke where one is given.
 
-    The recording's own `noise_seed` gives the recording back. With a `stroke_seed` or `seconds`, another stroke
-    or a longer one over the same texture.
-
-    Raises:
-        ValueError: the recording is not simulated, or by another version of the model.
+    The recording's own `noise_seed` gives the recording back. ValueError where it is not simulated by this version.
     """
     simulation = recording.simulation
     if simulation is None:
@@ -209,18 +199,13 @@ def second_realisation(
         raise ValueError(f"its parameters are those of another simulator ({error}): simulate it again") from error
 
 
-_KINDS: Mapping[str, Callable[..., TextureParameters | ContactParameters | LinearParameters]] = {
-    "coefficients": LinearParameters,
-    "tip_mm": ContactParameters,
-}
-"""By a name that only they have; `TextureParameters` else."""
-
-
 def _simulate(simulation: Mapping[str, Any]) -> Recording:
     seconds, rate_hz = float(simulation["seconds"]), float(simulation["accelerometer_hz"])
     _, noise_seed, stroke_seed = (int(simulation[name]) for name in ("seed", "noise_seed", "stroke_seed"))
     key = str(simulation["key"])
-    kind = next((kind for name, kind in _KINDS.items() if name in simulation["parameters"]), TextureParameters)
+    kinds: Mapping[str, type[Parameters]] = {"coefficients": LinearParameters, "tip_mm": ContactParameters}
+    # By a field that only they have.
+    kind = next((kind for name, kind in kinds.items() if name in simulation["parameters"]), TextureParameters)
     parameters = kind(**simulation["parameters"])
     if not 1 <= seconds <= 3600:
         raise ValueError(f"{seconds:g} s asked for, expected 1 to 3600")
@@ -228,7 +213,7 @@ def _simulate(simulation: Mapping[str, Any]) -> Recording:
         raise ValueError(f"the accelerometer is at {rate_hz:g} Hz, expected 100 to {RATE_HZ:g}")
     if min(noise_seed, stroke_seed) < 0:
         raise ValueError("a seed is negative, expected 0 or more")
-    # The key's bytes keep two textures of one seed apart; the stroke they share, and can be compared on.
+    # The key's bytes keep two textures of one seed apart, under one stroke.
     rng = np.random.default_rng([noise_seed, 2, *key.encode()])
     with _LOCK:  # several realisations of one stroke are simulated at once, and share it
         stroke = stroking(seconds, stroke_seed, rate_hz if kind is LinearParameters else RATE_HZ)
@@ -283,7 +268,7 @@ def vibration(parameters: TextureParameters, stroke: Stroking, rng: np.random.Ge
     roughness = _roughness(parameters, path_mm[-1], rng)
     excitation = np.interp(path_mm, np.arange(roughness.size) * GRID_MM, roughness)
 
-    # Impacts are Poisson in the path, so they follow the speed: sparse clicks when slow, a hiss when fast.
+    # Impacts are Poisson in the path: sparse when slow, dense when fast.
     counts = rng.poisson(parameters.impacts_per_mm * stroke.speed / stroke.rate_hz)
     at_reference = parameters.impacts_per_mm * REFERENCE_SPEED / stroke.rate_hz
     # White up to 5 kHz, of which the contact passes contact_hz; scaled so that this part has the stated rms.

@@ -1,13 +1,13 @@
-"""A simulated capture: what a microphone on a pen hears on a surface of the simulator, and what a tablet tells of the pen.
+"""A simulated capture: the sound of a microphone on a pen, and the pen's events on a tablet.
 
     click ─ 8 s ─ three taps ─ strokes of 6 s with 0.4 s in the air between them ─ three taps
 
-A tap and the landing of each stroke knock. Pen and microphone have clocks of their own.
+Each tap and the landing of each stroke knock. Pen and microphone have their own clocks.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +18,7 @@ from foten.dsp.resample import interpolate, rate_ratio
 from foten.recording.capture_folder import PEN, SOUND, About, PenEvents
 from foten.recording.recording import Channel, Recording
 from foten.simulation.simulate import TEXTURES, vibration
-from foten.simulation.stroking import Stroking, stroking
+from foten.simulation.stroking import stroking
 
 RATE_HZ, SOUND_HZ, PLAN_HZ = 10_000.0, 48_000.0, 1000.0
 FULL_SCALE = 60.0  # m/s² of a sample of 1
@@ -44,7 +44,7 @@ class SimulatedCapture:
     recording: Recording  # of the strokes alone, with a true sensor on everything
 
     def events(self, rng: np.random.Generator, rate_hz: float = EVENTS_HZ) -> PenEvents:
-        """Events of a tablet that looks at this rate, ±20 % of a step, by its clock."""
+        """Events of a tablet at this rate, ±20 % of a step, by its clock."""
         times = np.arange(self.plan[0, 0], self.plan[-1, 0], 1.0 / rate_hz)
         times += rng.uniform(-JITTER, JITTER, times.size) / rate_hz
         at = np.clip((times * PLAN_HZ).astype(int), 0, len(self.plan) - 1)
@@ -63,18 +63,14 @@ class SimulatedCapture:
         events = self.events(rng)
         rows = np.stack([events.times_s, events.x_mm, events.y_mm, events.pressure], axis=1)
         touches = events.pressure > 0
-        with atomic_write(pen) as part:  # a tablet tells of the pen while it touches, and when it leaves
+        with atomic_write(pen) as part:  # a tablet reports touches and the end of each
             rows = rows[touches | np.append(False, touches[:-1])]
             np.savetxt(part, rows, "%.6f", ",", header="t [s],x [mm],y [mm],pressure", comments="")
         return sound, pen
 
 
 def simulate_capture(key: str, seconds: float, seed: int = 0) -> SimulatedCapture:
-    """Capture of a texture of the simulator, with so many seconds of strokes.
-
-    Raises:
-        ValueError: the texture is unknown, or the strokes are shorter than one.
-    """
+    """Capture of a simulated texture; ValueError where it is unknown, or `seconds` of strokes are fewer than one has."""
     if key not in TEXTURES:
         raise ValueError(f"unknown texture {key!r}, expected one of {', '.join(TEXTURES)}")
     if not STROKE_S <= seconds <= 600:
@@ -85,9 +81,7 @@ def simulate_capture(key: str, seconds: float, seed: int = 0) -> SimulatedCaptur
     touches = at % (STROKE_S + LIFT_S) < STROKE_S
     low, high = NEWTONS * np.exp(STEEPNESS * np.array([0.03, 0.95]))
     force = np.clip(stroke.force, low, high)
-    vibrated = vibration(TEXTURES[key], Stroking(RATE_HZ, stroke.position, stroke.velocity, force, stroke.tilt), rng)[
-        :, 2
-    ]
+    vibrated = vibration(TEXTURES[key], replace(stroke, force=force), rng)[:, 2]
     vibrated = vibrated * touches + NOISE * rng.standard_normal(vibrated.size)
 
     start = BEGIN_S + PAUSE_S[0]

@@ -1,7 +1,4 @@
-"""The simulated hand: one unconstrained stroking of a plate, a function of its seed and length alone.
-
-Seen from any rate it is the same motion, because every part of it is a formula or a spline of time.
-"""
+"""Simulated unconstrained stroking of a plate, a function of seed and length; any rate samples the same motion."""
 
 from __future__ import annotations
 
@@ -15,8 +12,8 @@ from foten.dsp import Array
 PLATE_MM = 100.0  # Sec. III-b: 100 x 100 mm
 MARGIN_MM = 12.0  # targets stay this far from the edge, so that curved strokes do too
 PEAK_SPEED_MM_S = (20.0, 340.0)  # of a movement
-SKEW = 0.35  # peaks are log-uniform at 1; less favours fast movements
-STROKE_S = (0.3, 0.75)  # a shorter one would reach towards the 20 Hz where texture begins
+SKEW = 0.35  # of the peaks, log-uniform at 1; less favours fast movements
+STROKE_S = (0.3, 0.75)  # a shorter one would reach the texture's band, from 20 Hz
 PEAK_TO_MEAN = 1.875  # speed of a minimum-jerk movement
 OVERLAP = 0.4  # of the shorter of two movements
 REVERSAL_SHARE = 0.35  # of movements that wait for the one before to end, so that the speed passes through zero
@@ -46,9 +43,8 @@ class Stroking:
 def stroking(seconds: float, seed: int, rate_hz: float) -> Stroking:
     """Human-like stroking: overlapping point-to-point movements under a wandering force.
 
-    Each movement has the minimum-jerk profile 10u³ - 15u⁴ + 6u⁵; adding overlapping ones bends the path
-    as hands do. No sum of two leaves the plate: it lies between three targets. Speed and force hold nothing
-    above about 10 Hz; the median speed is near 100 mm/s. The rate changes the sampling, not the motion.
+    Each movement has the minimum-jerk profile 10u³ - 15u⁴ + 6u⁵; overlapping ones are added, which stays on the plate.
+    Speed and force hold nothing above about 10 Hz; the median speed is near 100 mm/s.
     """
     rng = np.random.default_rng([seed, 1])  # 1: the hand; the texture and the sensors draw from other streams
     n = round(seconds * rate_hz)

@@ -27,18 +27,17 @@ def inspect_recording(recording: Recording) -> Inspection:
         speed_force = speed_force_of(recording)
     except ValueError as error:
         findings.append(Finding(PROBLEM, "refused", "", f"training refuses it: {error}"))
-    reports = tuple(
-        _report(name, channel, recording.unit(name), speed_force) for name, channel in recording.channels.items()
-    )
+    named = recording.channels.items()
+    reports = tuple(_report(name, channel, recording.unit(name), speed_force) for name, channel in named)
     findings += sampling.check_missing(recording)
     findings += sampling.check_durations(recording)
-    for name, channel in recording.channels.items():
+    for name, channel in named:
         findings += one_channel.check_units(name, channel, recording)
         of_channel = (sampling.check_gaps, one_channel.check_spikes, one_channel.check_clipping, sampling.check_repeats)
         findings += [finding for check in of_channel for finding in check(name, channel)]
     findings += sampling.check_order(recording)
     psd = {}
-    for name, channel in recording.channels.items():
+    for name, channel in named:
         if name.startswith("acceleration"):
             findings += one_channel.check_whiteness(name, channel)
             if channel.samples.size >= 64:

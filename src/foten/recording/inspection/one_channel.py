@@ -30,11 +30,11 @@ _GUESSES = {
         (500, "peaks at {:.4g} m/s², expected up to about 100; was it given in mm/s² or mg?"),
     ),
 }
-"""The least and the largest usual size of a quantity in its unit, and what is said beyond."""
+"""Smallest and largest usual size of a quantity in its unit, and the doubt beyond."""
 
 
 def unit_doubt(kind: str, size: float) -> str:
-    """Doubt about the unit of a quantity of this size, such as "peaks at 0.1, … was it given in m/s?"; else nothing."""
+    """Doubt about the unit of a quantity of this size: "peaks at 0.1, … was it given in m/s?"; or nothing."""
     (low, too_small), (high, too_large) = _GUESSES[kind]
     return too_small.format(size) if size < low else too_large.format(size) if size > high else ""
 
@@ -63,8 +63,8 @@ def check_units(name: str, channel: Channel, recording: Recording) -> Iterable[F
 def check_spikes(name: str, channel: Channel) -> Iterable[Finding]:
     """Yield a problem where one or two samples stand alone, far from their neighbours.
 
-    A median filter of five keeps steps and slopes. It removes single outliers and, in a fast signal, the peaks of the
-    vibration, so an outlier is what exceeds a high percentile of the removed part by far.
+    A median filter of five removes single outliers and, in a fast signal, the peaks of the vibration, so an outlier is what
+    exceeds a high percentile of the removed part by far.
     """
     from scipy.ndimage import median_filter
 
@@ -73,15 +73,13 @@ def check_spikes(name: str, channel: Channel) -> Iterable[Finding]:
         return
     removed = np.abs(x - median_filter(x, 5, mode="nearest"))
     usual, share = (0.99, 0.3) if name.startswith("acceleration") else (0.95, 0.1)
-    # Ten times: on four real textures at 10 kHz the largest peak was 4.3 times the 99th percentile.
+    # The largest peak of four real textures at 10 kHz is 4.3 times the 99th percentile.
     threshold = max(10 * float(np.quantile(removed, usual)), share * swing(x, 0.01), 1e-9)
     spikes = np.flatnonzero(removed > threshold)
     if spikes.size:
         largest = int(spikes[np.argmax(removed[spikes])])
-        text = (
-            f"{name}: {counted(spikes.size, 'spike')} of one or two samples, the largest {x[largest]:.6g} {UNITS[name]} at "
-            f"sample {largest} ({channel.times[largest]:.3f} s)"
-        )
+        where = f"{x[largest]:.6g} {UNITS[name]} at sample {largest} ({channel.times[largest]:.3f} s)"
+        text = f"{name}: {counted(spikes.size, 'spike')} of one or two samples, the largest {where}"
         yield Finding(PROBLEM, "spikes", name, text, places(channel, spikes))
 
 
@@ -105,19 +103,16 @@ def check_clipping(name: str, channel: Channel) -> Iterable[Finding]:
         cut = [i for i in at if _leaves_steeply(x, starts[i], ends[i], quantum)]
         flat = lengths[cut]
         if flat.size and flat.max() >= 3 * usual and (flat.size > 1 or flat.max() >= 5):
-            text = (
-                f"{name} is clipped: it stays at its {what} value, {extreme:.5g} {UNITS[name]}, for "
-                f"{counted(flat.sum(), 'sample')} in {counted(flat.size, 'place')}: the sensor or its amplifier was at its limit"
-            )
+            stays = f"stays at its {what} value, {extreme:.5g} {UNITS[name]}, for {counted(flat.sum(), 'sample')}"
+            text = f"{name} is clipped: it {stays} in {counted(flat.size, 'place')}: was the sensor at its limit?"
             yield Finding(PROBLEM, "clipping", name, text, places(channel, starts[cut]))
 
 
 def _leaves_steeply(x: Array, start: int, end: int, quantum: float) -> bool:
     """Whether a signal leaves a flat top x[start:end] more steeply than a smooth rounded one can.
 
-    A smooth top is a parabola. Rounded to steps of q it is flat over n samples where it drops by less than q, over a half-width
-    of at least (n−1)/2. Another n samples out it has dropped by at most q·((n−1)/2 + n)²/((n−1)/2)², and by one q more from
-    rounding. A clipped top drops at the slope at which it was cut.
+    A parabola, rounded to steps of q, is flat over n samples where it drops by less than q over (n−1)/2. Another n samples out
+    it has dropped by at most q·((n−1)/2 + n)²/((n−1)/2)², and by one q more from rounding.
     """
     n = end - start
     flattest = quantum * (((3 * n - 1) / (n - 1)) ** 2 + 1)
@@ -126,10 +121,7 @@ def _leaves_steeply(x: Array, start: int, end: int, quantum: float) -> bool:
 
 
 def slow_noise(samples: Array) -> float:
-    """RMS of white noise on a slow signal, from its third differences.
-
-    White noise of variance s² has third differences of variance (1+9+9+1)·s²; those of the hand's movement are next to zero.
-    """
+    """RMS of white noise on a slow signal, from its third differences, of variance (1+9+9+1)·s² for noise of variance s²."""
     if samples.size < 4:
         return 0.0
     return float(1.4826 * np.median(np.abs(np.diff(samples, 3))) / np.sqrt(20))
@@ -158,16 +150,11 @@ def check_noise(reports: Iterable[ChannelReport]) -> Iterable[Finding]:
     for report in (report for report in reports if report.name.startswith("acceleration")):
         vibration = float(np.sqrt(max(report.rms**2 - report.mean**2, 0.0)))
         if report.noise_floor_from != "rest":
-            text = (
-                f"{report.name}: no rest was found, so the noise floor is only known to lie below {report.noise_floor:.3g} m/s² "
-                "(the quietest twentieth)"
-            )
+            text = f"{report.name}: no rest was found; the noise floor is below {report.noise_floor:.3g} m/s²"
             yield Finding(NOTE, "noise", report.name, text)
         elif vibration < 2 * report.noise_floor:
-            text = (
-                f"{report.name}: its level, {vibration:.3g} m/s², is hardly above the {report.noise_floor:.3g} m/s² "
-                "at rest: most of it is sensor noise"
-            )
+            levels = f"its level, {vibration:.3g} m/s², is hardly above the {report.noise_floor:.3g} m/s² at rest"
+            text = f"{report.name}: {levels}: most of it is sensor noise"
             yield Finding(PROBLEM, "noise", report.name, text)
 
 
@@ -188,11 +175,9 @@ def check_whiteness(name: str, channel: Channel) -> Iterable[Finding]:
     power = float(np.mean(x**2))
     if x.size < 1000 or power == 0:
         return
-    # Noise alone explains 1/n of the power in each of its period−1 free means; what exceeds that is the pattern.
-    explained = {
-        period: float(np.mean(_pattern(x, period) ** 2)) / power - 1 / (x.size // period)
-        for period in range(2, min(250, x.size // 40))
-    }
+    # Noise alone explains 1/n of the power by means of n periods.
+    periods = range(2, min(250, x.size // 40))
+    explained = {p: float(np.mean(_pattern(x, p) ** 2)) / power - 1 / (x.size // p) for p in periods}
     largest = max(explained.values())
     without, patterned = x, largest > 0.05
     if patterned:
@@ -204,16 +189,13 @@ def check_whiteness(name: str, channel: Channel) -> Iterable[Finding]:
     if patterned:
         hz = channel.rate_hz / period
         mains = not white and min(abs(hz / m - round(hz / m)) for m in (50, 60)) < 1e-6
-        text = (
-            f"{name}: one pattern repeats exactly every {period} samples ({hz:.4g} Hz) throughout and holds "
-            f"{largest:.0%} of the power: {'mains hum?' if mains else 'a processed or generated signal?'}"
-        )
+        guess = "mains hum?" if mains else "a processed or generated signal?"
+        repeats = f"one pattern repeats exactly every {period} samples ({hz:.4g} Hz)"
+        text = f"{name}: {repeats} and holds {largest:.0%} of the power: {guess}"
         yield Finding(PROBLEM if white else NOTE, "pattern", name, text)
     if white:
-        text = (
-            f"{name} has next to no autocorrelation (at lags 1 to 5 at most {max(lagged):.2f}"
-            f"{', the pattern aside' if patterned else ''}): was it shuffled, or generated, or is it noise alone?"
-        )
+        where = f"at lags 1 to 5 at most {max(lagged):.2f}{', the pattern aside' if patterned else ''}"
+        text = f"{name} has next to no autocorrelation ({where}): was it shuffled or generated, or is it noise alone?"
         yield Finding(PROBLEM, "white", name, text)
 
 
@@ -234,9 +216,7 @@ def check_lines(name: str, frequency: Array, power: Array) -> Iterable[Finding]:
     peaks = peaks[frequency[peaks] > HAND_HZ]
     if peaks.size:
         strongest = np.sort(peaks[np.argsort(ratio[peaks])[::-1][:6]])
-        text = (
-            f"{name}: narrow lines at {', '.join(f'{frequency[i]:.4g}' for i in strongest)} Hz"
-            f"{' and elsewhere' if peaks.size > strongest.size else ''}, up to "
-            f"{10 * np.log10(ratio[peaks].max()):.0f} dB above their surroundings: instruments or mains?"
-        )
+        at = f"{', '.join(f'{frequency[i]:.4g}' for i in strongest)} Hz{' …' * (peaks.size > strongest.size)}"
+        above = f"up to {10 * np.log10(ratio[peaks].max()):.0f} dB above their surroundings"
+        text = f"{name}: narrow lines at {at}, {above}: instruments or mains?"
         yield Finding(NOTE, "lines", name, text)

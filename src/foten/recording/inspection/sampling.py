@@ -24,10 +24,8 @@ def check_missing(recording: Recording) -> Iterable[Finding]:
         text = "there is no acceleration: nothing to learn from; speed and force can still drive a renderer"
         yield Finding(PROBLEM, "missing", "acceleration", text)
     elif axes[0].rate_hz < PreprocessConfig().rate_hz:
-        text = (
-            f"acceleration was captured at {axes[0].rate_hz:g} Hz and is never upsampled: train with "
-            f"--rate {axes[0].rate_hz:g} or lower"
-        )
+        rate = f"{axes[0].rate_hz:g}"
+        text = f"acceleration was captured at {rate} Hz and is never upsampled: train with --rate {rate} or lower"
         yield Finding(PROBLEM, "rate", "acceleration", text)
     if not recording.movement:
         yield Finding(PROBLEM, "missing", "speed", "there is no speed, and no position to take it from")
@@ -42,10 +40,8 @@ def check_durations(recording: Recording) -> Iterable[Finding]:
     slack = max(0.05, 0.01 * last)
     for name, start, end in zip(recording.channels, starts, ends, strict=True):
         if start > first + slack or end < last - slack:
-            text = (
-                f"{name} covers {start:.2f} to {end:.2f} s, of {first:.2f} to {last:.2f} s: training uses the common part; "
-                "are all rates right?"
-            )
+            covers = f"{name} covers {start:.2f} to {end:.2f} s, of {first:.2f} to {last:.2f} s"
+            text = f"{covers}: training uses the common part; are all rates right?"
             yield Finding(NOTE, "durations", name, text)
 
 
@@ -53,11 +49,11 @@ def check_short(seconds: float, options: str) -> Iterable[Finding]:
     """Yield a note where all channels cover less than the defaults of training need, with the options that fit."""
     config = PreprocessConfig()
     if seconds < config.shortest_s:
-        text = (
-            f"it lasts {seconds:.2f} s, and trimming {config.trim_ms / 1000:g} s at both ends and {MIN_BLOCKS} blocks of "
-            f"{config.block_ms / 1000:g} s take {config.shortest_s:g} s: "
-            + (f"train with {options}" if options else "too short to learn from; record for longer")
+        advice = f"train with {options}" if options else "too short to learn from; record for longer"
+        needs = (
+            f"trimming {config.trim_ms / 1000:g} s at both ends, {MIN_BLOCKS} blocks of {config.block_ms / 1000:g} s"
         )
+        text = f"it lasts {seconds:.2f} s, and {needs} take {config.shortest_s:g} s: {advice}"
         yield Finding(NOTE, "short", "", text)
 
 
@@ -71,10 +67,8 @@ def check_gaps(name: str, channel: Channel) -> Iterable[Finding]:
     if gaps.size:
         longest = int(gaps[np.argmax(steps[gaps])])
         lost = int(np.round(steps[gaps] / usual - 1).sum())
-        text = (
-            f"{name}: {counted(gaps.size, 'gap')} in time, about {lost} samples lost; the longest lasts "
-            f"{steps[longest] * 1000:.4g} ms at {channel.times_s[longest]:.3f} s"
-        )
+        lasts = f"{steps[longest] * 1000:.4g} ms at {channel.times_s[longest]:.3f} s"
+        text = f"{name}: {counted(gaps.size, 'gap')} in time, about {lost} samples lost; the longest lasts {lasts}"
         severity = PROBLEM if name.startswith("acceleration") or steps[longest] > 0.1 else NOTE
         yield Finding(severity, "gaps", name, text, places(channel, gaps))
     if (jitter := np.median(np.abs(steps - usual))) > MAX_JITTER * usual:
@@ -102,10 +96,8 @@ def check_repeats(name: str, channel: Channel) -> Iterable[Finding]:
     frozen = x[changes[long]]
     long = long[(frozen != 0) & (frozen < x.max()) & (frozen > x.min())]
     if long.size:
-        text = (
-            f"{name} stands still to the last digit in {counted(long.size, 'place')}, the longest for "
-            f"{steps[long].max() / channel.rate_hz * 1000:.4g} ms: did the sensor fall silent?"
-        )
+        longest = f"the longest for {steps[long].max() / channel.rate_hz * 1000:.4g} ms"
+        text = f"{name} stands still to the last digit in {counted(long.size, 'place')}, {longest}: did the sensor fall silent?"
         severity = PROBLEM if name.startswith("acceleration") else NOTE
         yield Finding(severity, "frozen", name, text, places(channel, changes[long]))
 
@@ -113,31 +105,24 @@ def check_repeats(name: str, channel: Channel) -> Iterable[Finding]:
 def check_order(recording: Recording) -> Iterable[Finding]:
     """Yield problems where rows are probably not in the order of time, and findings on single jumps.
 
-    Rows in order hardly ever jump. Rows in a wrong order jump where pieces meet: at many places, in all slow channels at the
-    same rows, over much of the range, and at multiples of the length where all pieces are equally long. A finding needs many
-    jumps and one of the other three.
+    Rows in a wrong order jump at many places, and in all slow channels at the same rows, over much of the range, or at
+    multiples of a length. A finding needs many jumps and one of the other three.
     """
-    slow = {
-        name: channel
-        for name, channel in recording.channels.items()
-        if not name.startswith("acceleration") and channel.samples.size >= 100
-    }
+    channels = recording.channels.items()
+    slow = {name: c for name, c in channels if not name.startswith("acceleration") and c.samples.size >= 100}
     jumps = {name: _jumps(name, channel) for name, channel in slow.items()}
     many = {name: at for name, (at, _, _) in jumps.items() if at.size >= max(10, 0.001 * slow[name].samples.size)}
     for name, channel in slow.items():
         at, threshold, share = jumps[name]
         evidence = []
         if (correlation := _neighbour_correlation(name, channel)) < 0.8:
-            evidence.append(
-                f"neighbours correlate by {correlation:.2f}, where a hand moves smoothly; or it is noise alone"
-            )
+            evidence.append(f"neighbours correlate by {correlation:.2f}: no smooth movement, or noise alone")
         if name in many and share > 0.1:
             evidence.append(f"{at.size} jumps by {share:.0%} of its range, faster than a hand moves")
         if name in many and (piece := _piece(at)):
             evidence.append(f"jumps at multiples of {piece} samples, as if pieces of {piece} rows were shuffled")
         for other in [other for other in many if other != name and name in many]:
             common = np.isin(at, many[other]).mean()
-            # Many more common rows than chance gives.
             is_beside = slow[other].samples.size == channel.samples.size
             if is_beside and common > max(0.25, 3 * many[other].size / channel.samples.size):
                 evidence.append(f"{common:.0%} of its jumps at the same rows as in {other}")
@@ -149,17 +134,15 @@ def check_order(recording: Recording) -> Iterable[Finding]:
             text = f"{name} {what} in {where}; were lost markers written as 0? Blank them and import with --fill-gaps"
             yield Finding(PROBLEM, "jumps", name, text, places(channel, at))
         elif at.size:
-            yield Finding(
-                NOTE, "jumps", name, f"{name} {what} in {where}, faster than a hand moves", places(channel, at)
-            )
+            text = f"{name} {what} in {where}, faster than a hand moves"
+            yield Finding(NOTE, "jumps", name, text, places(channel, at))
 
 
 def _jumps(name: str, channel: Channel) -> tuple[NDArray[np.int64], float, float]:
     """Samples before each jump of a slow signal, the smallest size of a jump, and the median one by the range.
 
-    A signal of range r that holds nothing above f moves at most π·f·r a second, as a sine of that range does. A jump exceeds
-    that and the sensor's noise, and is a step: the samples on both sides of it move far less. Spikes are removed before.
-    Positions move slower than speed and force: a stroke there and back takes 200 ms or more.
+    A sine of range r and frequency f moves at most π·f·r a second. A jump exceeds that and the sensor's noise, and the samples
+    on both sides of it move far less. A stroke there and back takes 200 ms or more, so positions move slower.
     """
     from scipy.ndimage import median_filter
 

@@ -33,7 +33,7 @@ class SpeedForce:
 
 
 def speed_force_of(recording: Recording) -> SpeedForce | None:
-    """Speed and force, None where one is missing or they share too little time; refused is what `velocity_and_force` refuses."""
+    """Speed and force; None where one is missing or they share too little time. Raises as `velocity_and_force` does."""
     if not recording.movement or not recording.normal_force:
         return None
     start_s, end_s = common_span_s(recording.used)
@@ -72,10 +72,9 @@ def check_contact(recording: Recording, speed_force: SpeedForce | None) -> Itera
         starts, lengths = starts[lasting], lengths[lasting]
         if starts.size:
             longest = int(np.argmax(lengths))
-            text = (
-                f"contact is lost (force below {CONTACT_N:g} N while moving) in {counted(starts.size, 'place')}, "
-                f"{lengths.sum():.3g} s together, the longest {lengths[longest]:.3g} s at {times[starts[longest]]:.2f} s"
-            )
+            lasts = f"{lengths.sum():.3g} s together, the longest {lengths[longest]:.3g} s at {times[starts[longest]]:.2f} s"
+            where = f"(force below {CONTACT_N:g} N while moving) in {counted(starts.size, 'place')}"
+            text = f"contact is lost {where}, {lasts}"
             yield Finding(NOTE, "contact", name, text, places(channel, starts))
 
 
@@ -88,7 +87,6 @@ def coverage_of(speed_force: SpeedForce) -> Coverage | None:
     for samples, cell, usual in zip(conditions, (CELL_MM_S, CELL_N), (USUAL_MM_S, USUAL_N), strict=True):
         low, high = np.quantile(samples, [0.001, 0.999]).tolist()
         ranges.append((low, high))
-        # A spike must not stretch the range until all else is in one cell.
         top = min(max(usual, high), 2 * usual)
         cells.append(np.arange(0, np.ceil(top / cell - 1e-9) + 1) * cell)
     counts, *_ = np.histogram2d(*conditions, bins=cells)
@@ -109,8 +107,6 @@ def check_ranges(coverage: Coverage) -> Iterable[Finding]:
     if heavy < 6:
         yield Finding(NOTE, "range", "force", f"force above {heavy:.2g} N never visited: {grows}")
     if coverage.fraction < 0.15:
-        text = (
-            f"only {coverage.fraction:.0%} of the plane up to {coverage.speed_edges[-1]:g} mm/s and "
-            f"{coverage.force_edges[-1]:g} N was visited: vary speed and force separately when recording"
-        )
+        plane = f"the plane up to {coverage.speed_edges[-1]:g} mm/s and {coverage.force_edges[-1]:g} N"
+        text = f"only {coverage.fraction:.0%} of {plane} was visited: vary speed and force separately when recording"
         yield Finding(NOTE, "coverage", "", text)

@@ -21,7 +21,7 @@ CELL_S = 0.05  # a cell counts as covered from this time on
 class Finding:
     """One thing to know about a recording."""
 
-    severity: str  # `problem` where training on the recording as it is would learn something false, else `note`
+    severity: str  # `problem` where training would learn something false, else `note`
     code: str  # a word for programs, e.g. `spikes`
     channel: str  # or empty
     text: str  # a sentence for people
