@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import csv
 import html
-import io
 import json
 import math
 import statistics
@@ -13,6 +11,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
+
+import pandas
 
 from foten.atomic_write import atomic_write
 from foten.reporting.figure import inline_svg, write_figure
@@ -28,6 +28,7 @@ FIGURES = {
     "textures": "Ratings of each participant, a panel for each texture",
 }
 WITHIN = "Tests within textures"
+SUMMARY = ["question", "n", "mean", "sd", "answer", "count"]  # of what participants say of themselves
 STYLE = Path(__file__).with_name("report.css")
 DICTIONARY = (  # columns of ratings.csv, meaning, unit
     ("participant", "number of the participant", ""),
@@ -60,94 +61,74 @@ def write_report(result: Result, folder: Path) -> list[Path]:
     pictures = [folder / f"{name}.{form}" for name in figures for form in ("png", "pdf")]
     for path in pictures:
         write_figure(figures[path.stem], path, dpi=150)
+    svgs = {name: inline_svg(figure, name, FIGURES[name]) for name, figure in figures.items()}
     texts = {
-        "report.html": _html(
-            result, {name: inline_svg(figure, name, FIGURES[name]) for name, figure in figures.items()}
-        ),
+        "report.html": _html(result, svgs),
         "report.md": _markdown(result),
         "results.json": json.dumps(result.document, indent=1, allow_nan=False) + "\n",
-        "ratings.csv": _csv(_long(result)),
-        "ratings-wide.csv": _csv(_wide(result)),
-        "pairs.csv": _csv(_pairs(result)),
-        "answers.csv": _csv(_answers(result)),
-        "participants.csv": _csv(_participants(result)),
-        "dictionary.csv": _csv([("column", "meaning", "unit"), *DICTIONARY]),
     }
+    for name, frame in _frames(result).items():
+        texts[name] = frame.to_csv(index=False, float_format="%.6g", lineterminator="\n")
     for name, text in texts.items():
         with atomic_write(folder / name) as part:
             part.write_text(text, encoding="utf-8", newline="")
     return [*(folder / name for name in texts), *pictures]
 
 
-def _csv(rows: Sequence[Sequence[Any]]) -> str:
-    """CSV of rows; a cell without a value is empty."""
-    out = io.StringIO()
-    csv.writer(out, lineterminator="\n").writerows([[_text(cell) for cell in row] for row in rows])
-    return out.getvalue()
+def _frames(result: Result) -> dict[str, pandas.DataFrame]:
+    """Tables of the folder by file; a cell without a value is empty.
 
-
-def _text(cell: Any) -> str:
-    return "" if cell is None else f"{cell:.6g}" if isinstance(cell, float) else str(cell)
-
-
-def _long(result: Result) -> list[Sequence[Any]]:
-    columns = [name for name, _, _ in DICTIONARY]
-    rows: list[Sequence[Any]] = [columns]
-    for row in result.ratings.rows:
-        cells = {**row["measured"], **row, "texture": row["texture_key"], "method": row["method_key"]}
-        cells["corrected"] = int(row["corrected"])
-        rows.append([cells.get(name) for name in columns])
-    return rows
-
-
-def _wide(result: Result) -> list[Sequence[Any]]:
-    """A row for each participant, as JASP and jamovi want repeated measures; a missing rating is an empty cell."""
-    numbers = sorted({row["participant"] for row in result.ratings.rows})
-    names = [f"{method}.{texture}" for method in result.ratings.methods for texture in result.ratings.textures]
-    simulated = result.ratings.simulated
-    rows: list[Sequence[Any]] = [("participant", *["simulated"] * simulated, *names)]
-    for number, ratings in zip(numbers, result.ratings.values, strict=True):
-        rows.append([number, *[1] * simulated, *(None if value != value else value for value in ratings.ravel())])
-    return rows
-
-
-def _pairs(result: Result) -> list[Sequence[Any]]:
-    of = {"": result.document["pairs_overall"], **result.document["pairs_within_textures"]}
-    names = [name for name in of[""][0] if name != "pair"]
-    rows: list[Sequence[Any]] = [("texture", "first", "second", *names, "simulated")]
-    for texture, tests in of.items():
-        rows += [
-            [texture, *test["pair"], *(test[name] for name in names), int(result.ratings.simulated)] for test in tests
-        ]
-    return rows
-
-
-def _answers(result: Result) -> list[Sequence[Any]]:
-    names = ("participant", "question", "answer", "at")
-    rows: list[Sequence[Any]] = [(*names, "simulated")]
-    rows += [[*(answer[name] for name in names), int(result.ratings.simulated)] for answer in result.ratings.answers]
-    return rows
+    The wide one has a row for each participant, as JASP and jamovi want repeated measures.
+    """
+    ratings, document = result.ratings, result.document
+    rows = [
+        {**row["measured"], **row, "texture": row["texture_key"], "method": row["method_key"]} for row in ratings.rows
+    ]
+    numbers = sorted({row["participant"] for row in ratings.rows})
+    names = [f"{method}.{texture}" for method in ratings.methods for texture in ratings.textures]
+    wide = pandas.DataFrame(ratings.values.reshape(len(numbers), -1), numbers, names).reset_index(names="participant")
+    if ratings.simulated:
+        wide.insert(1, "simulated", 1)
+    pairs = []
+    for texture, tests in {"": document["pairs_overall"], **document["pairs_within_textures"]}.items():
+        for test in tests:
+            first, second = test["pair"]
+            numbers_of_test = {name: value for name, value in test.items() if name != "pair"}
+            pairs.append({"texture": texture, "first": first, "second": second, **numbers_of_test})
+    marked = {
+        "pairs.csv": pandas.DataFrame(pairs),
+        "answers.csv": pandas.DataFrame(ratings.answers, columns=["participant", "question", "answer", "at"]),
+        "participants.csv": pandas.DataFrame(_participants(result), columns=SUMMARY),
+    }
+    return {
+        "ratings.csv": pandas.DataFrame(rows, columns=[name for name, *_ in DICTIONARY]).astype({"corrected": int}),
+        "ratings-wide.csv": wide,
+        "dictionary.csv": pandas.DataFrame(DICTIONARY, columns=["column", "meaning", "unit"]),
+        **{name: frame.assign(simulated=int(ratings.simulated)) for name, frame in marked.items()},
+    }
 
 
 def _participants(result: Result) -> list[Sequence[Any]]:
     """Summary of the private answers: a row for a question that has numbers, else a row for each answer."""
-    rows: list[Sequence[Any]] = [("question", "n", "mean", "sd", "answer", "count", "simulated")]
-    simulated = int(result.ratings.simulated)
+    rows: list[Sequence[Any]] = []
     for question, answers in _by_question(result).items():
         if numbers := _numbers(answers):
             sd = statistics.stdev(numbers) if len(numbers) > 1 else None
-            rows.append([question, len(answers), statistics.fmean(numbers), sd, None, None, simulated])
+            rows.append((question, len(answers), statistics.fmean(numbers), sd, None, None))
         else:
             counts = Counter(answers).most_common()
-            rows += [[question, len(answers), None, None, answer, count, simulated] for answer, count in counts]
+            rows += [(question, len(answers), None, None, answer, count) for answer, count in counts]
     return rows
 
 
 def _participants_table(result: Result) -> list[Table]:
     """The same to be read; none where nothing was asked."""
-    heads, *rows = [[_text(cell) for cell in row[:-1]] for row in _participants(result)]
+    rows = [
+        ["" if cell is None else f"{cell:.6g}" if isinstance(cell, float) else str(cell) for cell in row]
+        for row in _participants(result)
+    ]
     notes = (f"The first {MAX_ROWS} of {len(rows)} rows; participants.csv has all.",) if len(rows) > MAX_ROWS else ()
-    table = replace(Table.of(heads, rows[:MAX_ROWS]), title="Participants", notes=notes)
+    table = replace(Table.of(SUMMARY, rows[:MAX_ROWS]), title="Participants", notes=notes)
     return [table.known()] if rows else []
 
 

@@ -130,7 +130,7 @@ class Session:
             raise RefusedError(f"explore both surfaces for {min_s:g} s first")
 
     def _rated(self, message: Mapping[str, Any]) -> Rated:
-        log = self._log.summary([] if self.contact is None else [self.contact.statistics])
+        log = self._log.summary()
         if self.server.output is None:  # the sound runs dry in the tablet, if anywhere, and its page counts that
             log["n_underruns"] = message.get("underruns")
         page = next((page for page in self.pages if page.strokes), None)
@@ -191,7 +191,7 @@ class Session:
             await asyncio.to_thread(contact.open, server.stimuli.bytes_of[key], page.calibration, seed)
         except (OSError, ValueError) as error:
             raise RefusedError(f"nothing can be played: {error}") from error
-        self._log.block_s = player.statistics.block_ms / 1000
+        self._log.contacts.append(contact.statistics)
         self.contact, self._page, self._saved_at = contact, page, time.monotonic()
 
     async def save_strokes(self) -> None:
@@ -213,7 +213,6 @@ class Session:
             self._unsaved = []
         contact, self.contact = self.contact, None
         if contact is not None:
-            self._log.ended.append(contact.statistics)
             with contextlib.suppress(OSError, ValueError, RuntimeError):
                 await asyncio.to_thread(contact.close)
 
@@ -245,32 +244,28 @@ class TrialLog:
     """A trial through all its contacts: a lost connection or a hold begins another contact."""
 
     conditions: list[tuple[float, float]] = field(default_factory=list)  # speed [mm/s], force [N] at each block's end
-    ended: list[LiveStatistics] = field(default_factory=list)  # of contacts before the present one
-    block_s: float = 0.0
+    contacts: list[LiveStatistics] = field(default_factory=list)
 
-    def summary(self, live: Sequence[LiveStatistics]) -> dict[str, Any]:
+    def summary(self) -> dict[str, Any]:
         """Seconds in contact; of them the 10th, 50th and 90th percentile of speed [mm/s] and force [N]; p99 of a block's
         rendering [ms], blocks that came late, and under-runs.
-
-        Args:
-            live: statistics of the contacts that have not ended.
         """
+        block, block_ms = Timing(), 0.0
+        for contact in self.contacts:
+            block.counts += contact.block.counts
+            block.largest_s, block_ms = max(block.largest_s, contact.block.largest_s), contact.block_ms
         in_contact = np.array([c for c in list(self.conditions) if c[1] > MIN_CONTACT_N]).reshape(-1, 2)
-        result: dict[str, Any] = {"contact_s": round(self.block_s * len(in_contact), 3)}
+        result: dict[str, Any] = {"contact_s": round(block_ms / 1000 * len(in_contact), 3)}
         for name, values in zip(("speed_mm_s", "force_n"), in_contact.T, strict=True):
             for percent in (10, 50, 90):
                 result[f"{name}_p{percent}"] = round(float(np.percentile(values, percent)), 4) if values.size else None
-        block, contacts = Timing(), [*self.ended, *live]
-        for contact in contacts:
-            block.counts += contact.block.counts
-            block.largest_s = max(block.largest_s, contact.block.largest_s)
         p99_ms = 1000 * block.percentile_s(99.0)
         return {
             **result,
             "block_p99_ms": round(p99_ms, 4) if math.isfinite(p99_ms) else None,
-            "n_missed": sum(contact.n_missed for contact in contacts),
-            "n_underruns": sum(contact.n_underruns for contact in contacts),
-            "n_contacts": len(contacts),
+            "n_missed": sum(contact.n_missed for contact in self.contacts),
+            "n_underruns": sum(contact.n_underruns for contact in self.contacts),
+            "n_contacts": len(self.contacts),
         }
 
 

@@ -162,13 +162,12 @@ def paired_tests(y: Array, reference: int | None = None) -> Paired:
 
     n, a = y.shape[-2:]
     family = pairs(a, reference)
-    first, second = (y[..., [pair[i] for pair in family]] for i in (0, 1))
+    first, second = np.moveaxis(y[..., family], -1, 0)
     d = first - second
     mean, sd = d.mean(-2), d.std(-2, ddof=1)
     with np.errstate(divide="ignore", invalid="ignore"):
-        t = mean / (sd / np.sqrt(n))
-        d_av = mean / ((first.std(-2, ddof=1) + second.std(-2, ddof=1)) / 2)
-        dz = mean / sd
+        dz, d_av = mean / sd, mean / ((first.std(-2, ddof=1) + second.std(-2, ddof=1)) / 2)
+        t = dz * np.sqrt(n)
     p = 2 * stats.t.sf(np.abs(t), n - 1)
     half = stats.t.ppf(0.975, n - 1) * sd / np.sqrt(n)
     bonferroni = np.minimum(len(family) * p, 1.0)
@@ -223,9 +222,9 @@ def wilcoxon_tests(y: Array, reference: int | None = None) -> SignedRank:
         if d.size == 0:
             rows.append((np.nan, 1.0, 0.0))
             continue
-        ranks = stats.rankdata(np.abs(d))
-        up, down = ranks[d > 0].sum(), ranks[d < 0].sum()
-        rows.append((min(up, down), stats.wilcoxon(d).pvalue, (up - down) / (up + down)))
+        test, total = stats.wilcoxon(d), d.size * (d.size + 1) / 2
+        up = stats.wilcoxon(d, alternative="greater").statistic
+        rows.append((test.statistic, test.pvalue, 2 * up / total - 1))
     w, p, rank_biserial = np.array(rows).T
     return SignedRank(family, w, p, holm(p), rank_biserial)
 
@@ -259,7 +258,7 @@ def reliability(y: Array) -> Reliability:
 class MixedModel:
     """A linear mixed model of ratings, for those that are not complete."""
 
-    terms: list[tuple[str, float, int, float, float]]  # name, F, and its two degrees of freedom, p
+    terms: list[dict[str, Any]]  # name, f, its two degrees of freedom df, p
     sd: dict[str, float]  # of the random effects, and of the residual
     converged: bool
 
@@ -292,13 +291,11 @@ def mixed_model(participant: Index, method: Index, texture: Index, rating: Array
         )
         fitted = model.fit(reml=True, method=["lbfgs", "powell"])
         wald = fitted.wald_test_terms(scalar=True).table.iloc[1:]  # behind the intercept
-    terms: list[tuple[str, float, int, float, float]] = []
+    terms = []
     for (name, df), chi2, width in zip(df2.items(), wald["statistic"], wald["df_constraint"], strict=True):
         f = float(chi2) / width
-        terms.append((name, f, int(width), float(df), float(stats.f.sf(f, width, df))))
+        terms.append({"name": name, "f": f, "df": [int(width), float(df)], "p": float(stats.f.sf(f, width, df))})
     variances = {"participants": np.asarray(fitted.cov_re)[0, 0], **dict.fromkeys(random, 0.0)}
-    variances |= dict(zip(model.exog_vc.names, fitted.vcomp, strict=True))
-    sd = {
-        name: float(np.sqrt(max(0.0, variance))) for name, variance in (*variances.items(), ("residual", fitted.scale))
-    }
+    variances |= dict(zip(model.exog_vc.names, fitted.vcomp, strict=True), residual=fitted.scale)
+    sd = {name: float(np.sqrt(max(0.0, variance))) for name, variance in variances.items()}
     return MixedModel(terms, sd, bool(fitted.converged))

@@ -20,14 +20,13 @@ from pathlib import Path
 from typing import Any
 
 from starlette.applications import Starlette
-from starlette.datastructures import Headers
-from starlette.requests import Request
+from starlette.requests import HTTPConnection, Request
 from starlette.responses import FileResponse, PlainTextResponse, RedirectResponse, Response
 from starlette.routing import Route, WebSocketRoute
 from starlette.types import ASGIApp
 from starlette.websockets import WebSocket
 
-from foten.studio.access import Access, Guarded, cookie_in, is_same
+from foten.studio.access import Access, Guarded, is_same
 from foten.studio.messages import RefusedError
 from foten.studio.players import OutputDevice, Player, RoundRobinRenderer
 from foten.studio.studio_server import missing, page_file, page_files
@@ -137,14 +136,14 @@ class StudyServer:
             secure = request.url.scheme == "https"
             moved.set_cookie(OPERATOR_COOKIE, self.operator_key, httponly=True, samesite="lax", secure=secure)
             return moved
-        if not self._is_operator(request.headers):
+        if not self._is_operator(request):
             why = "this page is the operator's: open the link that the server printed\n"
             return PlainTextResponse(why, status_code=403)
         return FileResponse(PAGES / OPERATOR_PAGE, media_type="text/html")
 
     async def _code(self, request: Request) -> Response:
         """A code to scan, which opens a participant's page."""
-        if not self._is_operator(request.headers):
+        if not self._is_operator(request):
             return missing("this is the operator's")
         import segno
 
@@ -158,14 +157,14 @@ class StudyServer:
         segno.make(self.link(**query), error="l").save(drawn, kind="svg", scale=8, border=2)
         return Response(drawn.getvalue(), media_type="image/svg+xml")
 
-    def _is_operator(self, headers: Headers) -> bool:
-        return is_same(cookie_in(headers, OPERATOR_COOKIE) or "", self.operator_key)
+    def _is_operator(self, connection: HTTPConnection) -> bool:
+        return is_same(connection.cookies.get(OPERATOR_COOKIE, ""), self.operator_key)
 
     async def _serve_page(self, socket: WebSocket) -> None:
         await serve_page(socket, self.pages, MAX_PAGES, lambda socket: ParticipantPage(self, socket))
 
     async def _serve_operator(self, socket: WebSocket) -> None:
-        if self._is_operator(socket.headers):
+        if self._is_operator(socket):
             await serve_page(socket, self.operators, MAX_PAGES, lambda socket: OperatorPage(self, socket))
         else:
             await socket.close(1008, "this is the operator's")
