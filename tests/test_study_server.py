@@ -53,7 +53,7 @@ def study_file(folder: Path, n_textures: int = 2, n_methods: int = 2, participan
 
 def server_of(path: Path) -> StudyServer:
     study = load_study(path)
-    return StudyServer(study.open_store(path.with_suffix(".db")), study.design, study.stimuli, None)
+    return StudyServer(study.open_store(path.with_suffix(".db")), study)
 
 
 @contextlib.contextmanager

@@ -1,6 +1,4 @@
-"""A page that captures: the sound of a pen on a surface and the pen's events in, files that `foten import --pen` reads, and
-progress of the training out.
-"""
+"""Captures: sound and events of a pen come in, are written as `foten import --pen` reads them, and are trained from."""
 
 from __future__ import annotations
 
@@ -115,13 +113,10 @@ class CapturePage(PageSocket):
     """A page that captures; a message that is refused ends its capture, for something of it would be missing."""
 
     def __init__(self, socket: WebSocket, trainings: TrainingQueue) -> None:
-        super().__init__(socket, CAPTURE, MAX_CAPTURE_MESSAGES_PER_S)
+        super().__init__(socket, CAPTURE, self._send, max_messages_per_s=MAX_CAPTURE_MESSAGES_PER_S)
         self._trainings = trainings
         self._capture: CaptureSession | None = None
         self._outgoing: asyncio.Queue[Mapping[str, Any]] = asyncio.Queue()
-
-    async def run(self) -> None:
-        await self.converse(self._send())
 
     async def refuse(self, why: str) -> None:
         """End the capture, and say why."""

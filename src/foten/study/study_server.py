@@ -1,11 +1,4 @@
-"""The server of a study.
-
-GET  /                participants' page; its files
-GET  /pictures/N      the picture of a texture
-WS   /session         a participant's page (`page_sockets`)
-GET  /operator        the operator's page, by the key in its link
-WS   /operate         what it shows, and does (`page_sockets`)
-"""
+"""Server of a study: the participants' page, the operator's page by the key in its link, and their WebSockets."""
 
 from __future__ import annotations
 
@@ -28,11 +21,10 @@ from starlette.websockets import WebSocket
 
 from foten.studio.access import Access, Guarded, is_same
 from foten.studio.messages import RefusedError
-from foten.studio.players import OutputDevice, Player, RoundRobinRenderer
+from foten.studio.players import Player, RoundRobinRenderer
 from foten.studio.studio_server import missing, page_file, page_files
 from foten.studio.websocket import serve_page
-from foten.study.design import Design
-from foten.study.loading import Stimuli
+from foten.study.loading import Study
 from foten.study.page_sockets import OperatorPage, ParticipantPage
 from foten.study.session import Session
 from foten.study.store import Store
@@ -51,15 +43,14 @@ class StudyServer:
 
     Args:
         store: its database.
-        design, stimuli: as the database has them.
-        output: plays here; None where the pages play.
+        study: as the database has it.
     """
 
-    def __init__(self, store: Store, design: Design, stimuli: Stimuli, output: OutputDevice | None) -> None:
-        self.store, self.design, self.stimuli, self.output = store, design, stimuli, output
+    def __init__(self, store: Store, study: Study) -> None:
+        self.store, self.design, self.stimuli, self.output = store, study.design, study.stimuli, study.output
         self.operator_key = secrets.token_urlsafe(16)
         self.gains = {key: stimulus.gain_db for key, stimulus in store.stimuli().items()}
-        self.player: Callable[[float], Player] = (output or RoundRobinRenderer()).player
+        self.player: Callable[[float], Player] = (study.output or RoundRobinRenderer()).player
         self.link: Callable[..., str]  # by which the next device comes in, as `Access.link` gives it
         self.sessions: dict[int, Session] = {}
         self.pages: set[ParticipantPage] = set()
