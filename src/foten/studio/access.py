@@ -1,4 +1,4 @@
-"""Who may talk to the server: the names that it answers to, its own pages, devices that came by its link; a certificate.
+"""Access to the server: hosts, origins, devices that came by its link, and a certificate.
 
 The token in a link lets one device in: it is exchanged for a secret of that device, in a cookie, and the next link has another.
 """

@@ -155,7 +155,7 @@ class StrokePage(PageSocket):
         known |= {"n_refused": self.n_refused, "n_unsent": self._blocks.n_unsent}
         contact = self._contact
         if contact is not None:
-            live = contact.statistics
+            live = contact.player.statistics
             known |= {"block_ms": live.block_ms, "n_missed": live.n_missed, "n_underruns": live.n_underruns}
             for percent in (50, 99):
                 value = 1000 * live.block.percentile_s(percent)
@@ -230,7 +230,7 @@ class StrokePage(PageSocket):
             if contact is None:
                 continue
             await self.say({"state": self.state()})
-            if not contact.running and contact is self._contact:
+            if not contact.player.running and contact is self._contact:
                 self._contact = None
                 try:
                     await asyncio.to_thread(contact.close)

@@ -148,13 +148,17 @@ def _result(ratings: Ratings, reference: int | None) -> Result:
 
 def _means(ratings: Ratings) -> list[dict[str, Any]]:
     """Means of each method on each texture, and of all textures, where the texture is None."""
+    from scipy import stats
+
     means = []
     for m, method in enumerate(ratings.methods):
         columns = [*zip(ratings.textures, ratings.values[:, m].T, strict=True), (None, ratings.y[:, m].mean(-1))]
         for texture, of_texture in columns:
             values = of_texture[np.isfinite(of_texture)]
-            row = {"method": method, "texture": texture, "n": values.size, "mean": float(values.mean())}
-            means.append(row | {"sd": float(values.std(ddof=1))})
+            n, mean, sd = values.size, float(values.mean()), float(values.std(ddof=1))
+            half = float(stats.t.ppf(0.975, n - 1)) * sd / n**0.5
+            row = {"method": method, "texture": texture, "n": n, "mean": mean, "sd": sd}
+            means.append(row | {"ci95_low": mean - half, "ci95_high": mean + half})
     return means
 
 

@@ -191,7 +191,7 @@ class Session:
             await asyncio.to_thread(contact.open, server.stimuli.bytes_of[key], page.calibration, seed)
         except (OSError, ValueError) as error:
             raise RefusedError(f"nothing can be played: {error}") from error
-        self._log.contacts.append(contact.statistics)
+        self._log.contacts.append(player.statistics)
         self.contact, self._page, self._saved_at = contact, page, time.monotonic()
 
     async def save_strokes(self) -> None:
@@ -234,7 +234,7 @@ class Session:
             texture = self.server.design.textures[step["trial"].texture]
             shown |= {"texture": texture.name, "real": texture.real, "practice": step["trial"].practice}
         if self.contact is not None:
-            live = self.contact.statistics  # how long a block takes would tell methods apart
+            live = self.contact.player.statistics  # how long a block takes would tell methods apart
             shown |= {"n_missed": live.n_missed, "n_underruns": live.n_underruns}
         return shown
 

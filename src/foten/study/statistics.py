@@ -1,12 +1,6 @@
-"""Repeated-measures statistics of ratings: arrays in, numbers out; they know nothing of a server or a file.
+"""Repeated-measures statistics of ratings y, shape (…, n, a) or (…, n, a, b): studies, participants, methods, textures.
 
-Ratings are arrays y of shape (n, a) or (n, a, b): participants, methods, textures; none is missing but for the mixed model.
-Leading axes before those are studies.
-What cannot be computed, where every value is the same, is NaN.
-
-Sources: Greenhouse & Geisser, Psychometrika 24, 95 (1959), for ε; Mauchly, Annals of Mathematical Statistics 11, 204 (1940);
-Olejnik & Algina, Psychological Methods 8, 434 (2003), for generalised η²; Holm, Scandinavian Journal of Statistics 6, 65 (1979);
-Shrout & Fleiss, Psychological Bulletin 86, 420 (1979), for intraclass correlations.
+Ratings are complete, but for the mixed model. What cannot be computed, where every value is the same, is NaN.
 """
 
 from __future__ import annotations
@@ -48,6 +42,9 @@ def anova(y: Array) -> list[Effect]:
     """Repeated-measures analysis of variance of complete ratings, shape (…, n, a, b): both main effects and their interaction.
 
     With one texture, or ratings averaged over textures, b is 1, and there is the effect of method alone.
+
+    Sources: Greenhouse & Geisser, Psychometrika 24, 95 (1959), for ε; Olejnik & Algina, Psychological Methods 8, 434 (2003),
+    for generalised η².
     """
     n, a, b = y.shape[-3:]
     flat = y.reshape(*y.shape[:-2], a * b)
@@ -100,6 +97,8 @@ def _mauchly(covariance: Array, n: int) -> Array:
 
     R 4.2's `mauchly.test` has the number of conditions in one place of that term where the number of contrasts belongs, which
     moves p by less than a hundredth where it is above 0.03.
+
+    Source: Mauchly, Annals of Mathematical Statistics 11, 204 (1940).
     """
     from scipy import stats
 
@@ -118,7 +117,7 @@ def _mauchly(covariance: Array, n: int) -> Array:
 
 
 def holm(p: Array) -> Array:
-    """p values adjusted by Holm's method along the last axis."""
+    """p values adjusted along the last axis; Holm, Scandinavian Journal of Statistics 6, 65 (1979)."""
     m = p.shape[-1]
     order = np.argsort(p, axis=-1)
     stepped = np.maximum.accumulate(np.take_along_axis(p, order, -1) * np.arange(m, 0, -1), axis=-1)
@@ -152,11 +151,8 @@ class Paired:
 
 
 def paired_tests(y: Array, reference: int | None = None) -> Paired:
-    """Paired t-tests of conditions y (…, n, a): a family for Bonferroni and Holm.
-
-    Args:
-        y: complete ratings.
-        reference: compares all others with this condition; None for all pairs.
+    """Paired t-tests of all pairs of conditions y (…, n, a), or of a reference with each other one: a family for Bonferroni and
+    Holm.
     """
     from scipy import stats
 
@@ -239,7 +235,10 @@ class Reliability:
 
 
 def reliability(y: Array) -> Reliability:
-    """Reliability of ratings y (n, conditions); NaN where a participant rated all the same."""
+    """Reliability of ratings y (n, conditions); NaN where a participant rated all the same.
+
+    Source: Shrout & Fleiss, Psychological Bulletin 86, 420 (1979).
+    """
     n, k = y.shape
     others = (y.sum(0) - y) / (n - 1)
     with np.errstate(divide="ignore", invalid="ignore"):

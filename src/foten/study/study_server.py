@@ -39,12 +39,7 @@ SHARED = ("studio.css", "pad.js", "settings.js", "stream.js")  # not the kernel,
 
 
 class StudyServer:
-    """A study that runs.
-
-    Args:
-        store: its database.
-        study: as the database has it.
-    """
+    """A study that runs, with its database."""
 
     def __init__(self, store: Store, study: Study) -> None:
         self.store, self.design, self.stimuli, self.output = store, study.design, study.stimuli, study.output
@@ -72,7 +67,7 @@ class StudyServer:
         """Session of a new participant, under a code that the page drew: a page that asks again gets the same.
 
         Raises:
-            RefusedError: the design has no more.
+            RefusedError: the code is none, or all participants of the design have begun.
         """
         code = code or "".join(secrets.choice(LETTERS) for _ in range(CODE_LETTERS))
         if len(code) != CODE_LETTERS or not set(code) <= set(LETTERS):
