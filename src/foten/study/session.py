@@ -70,10 +70,24 @@ class Session:
         self._log = TrialLog()
 
     def shown(self) -> Step:
-        """The step as a participant's page gets it."""
-        public = public_step(self.step, self.server.design)
-        public |= {"title": self.server.design.title, "simulated": self.server.store.simulated, "held": self.held}
-        return public | ({"side": self.side} if self.step["kind"] == "trial" else {})
+        """The step as a participant's page gets it: nothing of methods."""
+        step, design = self.step, self.server.design
+        shown: Step = {name: value for name, value in step.items() if name not in ("trial", "questions")}
+        shown |= {"title": design.title, "simulated": self.server.store.simulated, "held": self.held}
+        if step["kind"] == "questions":
+            shown["questions"] = [
+                {"key": q.key, "text": q.text, "kind": q.kind, "options": list(q.options), "required": q.required}
+                for q in step["questions"]
+            ]
+        if step["kind"] == "trial":
+            trial: Trial = step["trial"]
+            texture, rating, setup = design.textures[trial.texture], design.rating, design.setup
+            shown |= {"practice": trial.practice, "real_side": setup.real_side, "screens": setup.screens}
+            shown |= {"question": rating.question, "lowest": rating.lowest, "highest": rating.highest}
+            shown |= {"min_s": rating.min_seconds, "side": self.side}
+            if setup.show_names:
+                shown |= {"name": texture.name, "picture": f"pictures/{trial.texture}" if texture.picture else None}
+        return shown
 
     async def show(self) -> None:
         """Show the step on all pages."""
@@ -291,25 +305,6 @@ def steps_of(design: Design, trials: Sequence[Trial]) -> list[Step]:
 def _questions(questions: Sequence[Question], at: str | int) -> list[Step]:
     asked = [question for question in questions if question.at == at]
     return [{"id": f"questions:{at}", "kind": "questions", "questions": asked}] if asked else []
-
-
-def public_step(step: Step, design: Design) -> Step:
-    """What a participant's page gets of a step: nothing of methods."""
-    public: Step = {name: value for name, value in step.items() if name not in ("trial", "questions")}
-    if step["kind"] == "questions":
-        public["questions"] = [
-            {"key": q.key, "text": q.text, "kind": q.kind, "options": list(q.options), "required": q.required}
-            for q in step["questions"]
-        ]
-    if step["kind"] == "trial":
-        trial: Trial = step["trial"]
-        texture, rating, setup = design.textures[trial.texture], design.rating, design.setup
-        public |= {"practice": trial.practice, "real_side": setup.real_side, "screens": setup.screens}
-        public |= {"question": rating.question, "lowest": rating.lowest, "highest": rating.highest}
-        public |= {"min_s": rating.min_seconds}
-        if setup.show_names:
-            public |= {"name": texture.name, "picture": f"pictures/{trial.texture}" if texture.picture else None}
-    return public
 
 
 def checked_answers(questions: Sequence[Question], answers: Any) -> tuple[dict[str, str], dict[str, str]]:
