@@ -158,7 +158,7 @@ def is_same(secret: str, expected: str) -> bool:
 
 
 def _ahead(headers: Headers) -> bool:
-    """Whether a browser fetches what nobody opened yet."""
+    """Whether a browser prefetches a page that nobody opened yet."""
     purpose = [headers.get(name, "") for name in ("sec-purpose", "purpose", "x-purpose", "x-moz")]
     return any(word in header.lower() for header in purpose for word in ("prefetch", "prerender", "preview"))
 

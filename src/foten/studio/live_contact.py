@@ -126,7 +126,7 @@ class Contact:
                     self._stroked.stylus.push(*event)
 
     def lift(self) -> None:
-        """The pen is off the surface, from where it was."""
+        """Lift the pen where it is."""
         if self._last and self._last[-1][2] > 0:
             x, y, _, t = self._last[-1]
             self.push(np.array([[x, y, 0.0, t + LIFT_S]]))
@@ -161,7 +161,7 @@ class Contact:
             limit(out)
 
     def _cross(self, out: Samples, previous: _Stroked) -> None:
-        """Fade from what leaves to what takes over."""
+        """Fade from the previous texture to the present one."""
         leaving, share = np.empty_like(out), np.zeros_like(out)
         previous.stylus.render_into(leaving)
         part = self._fade[self._faded : self._faded + out.size]

@@ -60,7 +60,7 @@ class Session:
 
     @property
     def step(self) -> Step:
-        """First step that is not behind the participant."""
+        """First step that is not completed."""
         return next((step for step in self.steps if step["id"] not in self.done), self.steps[-1])
 
     def _arrive(self) -> None:
@@ -95,7 +95,7 @@ class Session:
             await page.show()
 
     async def finish(self, step_id: str, message: Mapping[str, Any]) -> None:
-        """Take the answers of a step, into the database, and go on; a step that is behind already is left as it is.
+        """Take the answers of a step, into the database, and go on; a completed step is left as it is.
 
         Raises:
             RefusedError: it is not this step's turn, or an answer is missing or wrong, or cannot be stored.

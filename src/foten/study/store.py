@@ -152,7 +152,7 @@ class Store(contextlib.AbstractContextManager["Store"]):
         return {(row["texture"], row["method"]): Stimulus(*row) for row in self._rows("SELECT * FROM stimuli")}
 
     def done(self, participant: int) -> set[str]:
-        """Steps that a participant has behind."""
+        """Steps that a participant has completed."""
         return {str(row[0]) for row in self._rows("SELECT step FROM steps WHERE participant = ?", participant)}
 
     def take_step(
