@@ -202,6 +202,8 @@ def _cell(row: dict[str, Any], key: str) -> str:
         return f"{_short(row['ci95_low'])} to {_short(row['ci95_high'])}"
     if key == "pair":
         return " − ".join(row["pair"])
+    if key in ("mean", "sd", "difference"):
+        return f"{row[key]:.2f}"  # points
     if key == "df":
         return ", ".join(f"{df:.0f}" for df in row["df"])
     return row[key] if isinstance(row[key], str) else _short(row[key])
