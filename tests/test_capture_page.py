@@ -161,7 +161,7 @@ def test_it_can_be_read_and_used_by_all(quiet_browser: Any, studio_link: str) ->
         until(page, "document.querySelectorAll('#inputs option').length > 0")
         for step in ("set-up", "tap-in", "stroke", "training", "failed"):
             page.evaluate(f"(step) => {{ {CAPTURE}.enter(step); {CAPTURE}.draw(); }}", step)
-            assert look(page, f"capture-{step}", ("phone", "desktop")) == []
+            assert look(page, f"capture-{step}", ("phone", "desktop"), "#capture") == []
 
 
 def test_an_input_is_asked_to_filter_nothing_and_refused_where_it_does(quiet_browser: Any, studio_link: str) -> None:

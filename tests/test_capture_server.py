@@ -29,10 +29,10 @@ from foten.studio.capture_server import CaptureSession, in_order
 from foten.studio.messages import MAX_BYTES, RefusedError
 from foten.studio.shelf import Shelf
 from foten.studio.studio_server import Studio
-from test_studio_server import HERE, LOCAL
+from test_messages import BEGIN
+from test_studio_server import HERE, LOCAL, until
 
 WS = "ws://127.0.0.1:8000/capture"
-BEGIN = {"do": "begin", "name": "Old denim, washed", "rate_hz": 48000}
 PIECE = 896  # samples
 
 
@@ -55,14 +55,9 @@ def events(*rows: tuple[float, float, float, float]) -> bytes:
     return b"e" + np.array(rows, dtype="<f8").tobytes()
 
 
-def answered(socket: Any, kind: str, seconds: float = 60.0) -> dict[str, Any]:
+def answered(socket: Any, kind: str) -> dict[str, Any]:
     """The first answer of a kind, or the refusal."""
-    end = time.monotonic() + seconds
-    while time.monotonic() < end:
-        document: dict[str, Any] = json.loads(socket.receive_text())
-        if kind in document or "refused" in document:
-            return document
-    raise AssertionError(f"no {kind} within {seconds:g} s")
+    return until(socket, kind, "refused")
 
 
 def say(socket: Any, performance: SimulatedCapture, hz: float = 200.0) -> None:
@@ -75,10 +70,10 @@ def say(socket: Any, performance: SimulatedCapture, hz: float = 200.0) -> None:
     rows[middle, 3] = rows[middle - 1, 3] - 0.001
     piece_s, sent = PIECE / SOUND_HZ, 0
     for k in range(performance.sound.size // PIECE):
-        until = int(np.searchsorted(np.maximum.accumulate(rows[:, 3]), (k + 1) * piece_s))
-        if until > sent:
-            socket.send_bytes(events(*map(tuple, rows[sent:until].tolist())))
-            sent = until
+        come = int(np.searchsorted(np.maximum.accumulate(rows[:, 3]), (k + 1) * piece_s))
+        if come > sent:
+            socket.send_bytes(events(*map(tuple, rows[sent:come].tolist())))
+            sent = come
         socket.send_bytes(sound(performance.sound[k * PIECE : (k + 1) * PIECE]))
 
 
@@ -207,9 +202,7 @@ def test_only_so_many_pages_capture_at_once_and_one_that_left_makes_room(
 
 
 def test_without_what_trains_a_capture_says_so_before_it_begins(client: TestClient, monkeypatch: Any) -> None:
-    monkeypatch.setattr(
-        capture_server, "why_not", lambda: "the server cannot train without torch: pip install 'foten[train]'"
-    )
+    monkeypatch.setattr(capture_server, "why_not", lambda: "pip install 'foten[train]'")
     with client.websocket_connect(WS) as socket:
         socket.send_text(json.dumps(BEGIN))
         assert "pip install 'foten[train]'" in answered(socket, "ready")["refused"]
@@ -269,7 +262,7 @@ def test_a_texture_is_there_before_its_training_ends_and_the_servers_end_ends_th
             folder = studio.trainings.captures / answered(socket, "saved")["saved"]
             assert abs(answered(socket, "joined")["joined"]["delay_ms"]) < 3  # one clock gave both here
             assert "1 event of the pen came late" in answered(socket, "notes")["notes"][0]
-            playable = answered(socket, "playable", 300.0)["playable"]
+            playable = answered(socket, "playable")["playable"]
         assert (playable["name"], playable["file"]) == ("Old denim, washed", "old-denim-washed.foten")
         assert playable["relative"]
         assert client.get("/textures.json").json()["textures"][1] == playable

@@ -36,6 +36,7 @@ from foten.studio.players import OutputDevice, RoundRobinRenderer
 from foten.studio.shelf import Shelf
 from foten.studio.studio_server import Studio
 from test_live import FakeDaq
+from test_messages import event
 
 LOCAL = Access(LOOPBACK, 8000)
 HERE = "http://127.0.0.1:8000"
@@ -62,13 +63,10 @@ def stroking(studio: Studio) -> Iterator[Any]:
         yield socket
 
 
-def event(x: float, t: float, pressure: float = 0.5) -> bytes:
-    return np.array([x, 0.0, pressure, t], dtype="<f8").tobytes()
-
-
 def until(socket: Any, *keys: str) -> dict[str, Any]:
     while True:
         message = socket.receive()
+        assert message["type"] != "websocket.close", message
         if message.get("text"):
             document: dict[str, Any] = json.loads(message["text"])
             if document.keys() & set(keys):

@@ -2,35 +2,38 @@
 
 from __future__ import annotations
 
+import contextlib
 import csv
+import io
 import json
 import signal
 import subprocess
 import sys
 import threading
 from pathlib import Path
-from typing import Any
+from typing import IO
 
 import numpy as np
 import pytest
 
 pytest.importorskip("starlette")
 pytest.importorskip("statsmodels")
+from foten.cli.command_line import _status
 from foten.datasets.importing import read_stroke
 from foten.runtime.stroke import tabled_stroke
 from foten.study.store import Store
 from test_study_server import study_file
 
+STUDY = [sys.executable, "-c", "from foten.cli import main; main()", "study"]
+
 
 def foten(*arguments: str | Path, ok: bool = True) -> str:
-    command = [sys.executable, "-c", "from foten.cli import main; main()", "study", *map(str, arguments)]
-    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=120)  # none of these serves
-    if ok:
-        assert done.returncode == 0, done.stderr
-        return done.stdout + done.stderr
-    assert done.returncode == 2, done.stdout + done.stderr
-    assert done.stderr.count("\n") == 1
-    return done.stderr
+    out, errors = io.StringIO(), io.StringIO()
+    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(errors):
+        status = _status(["study", *map(str, arguments)])
+    assert status == (0 if ok else 2), errors.getvalue()
+    assert ok or errors.getvalue().count("\n") == 1
+    return out.getvalue() + errors.getvalue()
 
 
 def test_from_texture_files_to_a_report_without_anyone(tmp_path: Path) -> None:
@@ -84,17 +87,15 @@ def test_what_a_command_refuses_is_a_line(tmp_path: Path) -> None:
 
 
 def test_power_says_how_many() -> None:
-    document = json.loads(
-        foten("power", "--studies", "60", "--difference", "12", "--methods", "2", "--textures", "3", "--json")
-    )
+    sizes = ("--studies", "60", "--methods", "2", "--textures", "3")
+    document = json.loads(foten("power", "--difference", "12", "--json", *sizes))
     assert 4 < document["participants"] < 60
     assert document["power"][0]["participants"] == 4
 
 
 def started_study(path: Path, *options: str) -> tuple[subprocess.Popen[str], str, str]:
     """A study that runs, its operator's link and its participants'."""
-    command = [sys.executable, "-c", "from foten.cli import main; main()", "study", "run", str(path), "--no-open"]
-    process = subprocess.Popen([*command, *options], stderr=subprocess.PIPE, text=True)
+    process = subprocess.Popen([*STUDY, "run", str(path), "--no-open", *options], stderr=subprocess.PIPE, text=True)
     assert process.stderr is not None
     operator = next(line for line in process.stderr if line.startswith("operator: ")).split()[-1]
     participants = next(line for line in process.stderr if line.startswith("participants at ")).split()[-1]
@@ -102,7 +103,7 @@ def started_study(path: Path, *options: str) -> tuple[subprocess.Popen[str], str
     return process, operator, participants
 
 
-def _read_out(stream: Any) -> None:
+def _read_out(stream: IO[str]) -> None:
     with stream:
         stream.read()
 
@@ -116,7 +117,10 @@ def test_a_study_that_runs_ends_cleanly_and_goes_on(tmp_path: Path) -> None:
             assert len(store.ordered()) == 3 + 2  # and some for those who leave
             if n_before == 0:
                 store.join("ABCDE")
-                assert "is in use: end the 'foten study run' of it" in foten("run", study, "--port", "0", ok=False)
+                refused = subprocess.run(
+                    [*STUDY, "run", study], capture_output=True, text=True, check=False, timeout=60
+                )
+                assert "is in use: end the 'foten study run' of it" in refused.stderr
                 assert "is in use" in foten("forget", database, "--participant", "1", "--yes", ok=False)
         assert operator.startswith(f"{participants}operator?key=")
         assert participants.startswith("http://127.0.0.1:")

@@ -239,7 +239,8 @@ def test_the_pages_are_accessible_and_look_as_the_screenshots_show(browser: Any,
     context.on("weberror", lambda failed: violations.append(str(failed.error)))
 
     def check(page: Any, name: str) -> None:
-        violations.extend(look(page, f"study-{name}"))
+        sizes = ("phone", "tablet", "desktop") if name in ("trial", "operator") else ("phone", "desktop")
+        violations.extend(look(page, f"study-{name}", sizes))
 
     with running(study_file(tmp_path, practice="0", break_every="1")) as (operator, link):
         page = context.new_page()

@@ -86,9 +86,7 @@ def test_what_participants_say_of_themselves_comes_out_in_sum(asked: Path) -> No
 
 def test_too_few_ratings_and_another_reference_are_refused(tmp_path: Path) -> None:
     path = database(tmp_path / "s.db", 2, 2, 2)
-    with pytest.raises(
-        ValueError, match="2 participants have rated everything, of 2 who began: expected three or more"
-    ):
+    with pytest.raises(ValueError, match="2 participants have rated everything, of 2 who began: expected three"):
         results(path)
     with pytest.raises(ValueError, match="the reference is 'x', expected one of m0, m1"):
         results(path, "x")
@@ -182,12 +180,7 @@ def test_few_tests_within_textures_are_one_table_and_many_show_the_lowest_p(tmp_
     ("methods", "textures", "reference", "expected"),
     [
         (3, 2, None, "each texture, paired t-tests of all 3 pairs of methods, Holm-corrected for 3: of 2 textures, "),
-        (
-            3,
-            2,
-            "m2",
-            "each texture, paired t-tests of the 2 other methods against m2, Bonferroni-corrected for 2: of 2 ",
-        ),
+        (3, 2, "m2", "each texture, paired t-tests of the 2 other methods against m2, Bonferroni-corrected for 2: "),
         (3, 1, None, "the one texture, paired t-tests of all 3 pairs of methods, Bonferroni-corrected for 3: "),
         (2, 2, None, "each texture, paired t-tests of m0 and m1: of 2 textures, m0 above m1 on "),
     ],

@@ -53,7 +53,7 @@ def study_file(folder: Path, n_textures: int = 2, n_methods: int = 2, participan
 
 def server_of(path: Path) -> StudyServer:
     study = load_study(path)
-    return StudyServer(study.open_store(path.with_suffix(".db")), study.design, study.stimuli, None)
+    return StudyServer(study.open_store(path.with_suffix(".db")), study)
 
 
 @contextlib.contextmanager
@@ -191,15 +191,8 @@ def test_no_byte_that_a_participant_is_sent_names_or_orders_methods(tmp_path: Pa
         for name in ("", *study_files()):
             answer = client.get(f"/{name}")
             said.append([answer.text, str(answer.headers)])
-        for path in (
-            "operator",
-            "operate",
-            "textures.json",
-            f"textures/{EXAMPLE.name}",
-            "state",
-            "gains",
-            "pictures/0",
-        ):
+        others = ("operator", "operate", "textures.json", "state", "gains", "pictures/0")
+        for path in (f"textures/{EXAMPLE.name}", *others):
             assert client.get(f"/{path}").status_code in (403, 404)
     stored = [[trial.method for trial in server.store.trials(n)] for n in (1, 2, 3)]
     assert len({tuple(one) for one in stored}) == 3  # they were given different orders

@@ -181,11 +181,10 @@ def test_a_mixed_model_of_complete_ratings_is_the_analysis_of_variance() -> None
     participant, method, texture = (index.ravel() for index in np.indices(y.shape))
     model = mixed_model(participant, method, texture, y.ravel())
     assert model.converged
-    for (name, f, df1, df2, p), effect in zip(model.terms, anova(y), strict=True):
-        assert name == effect.name
-        assert (df1, df2) == effect.df
-        assert f == pytest.approx(float(effect.f), rel=5e-3)
-        assert p == pytest.approx(float(effect.p), rel=0.05, abs=1e-6)
+    for term, effect in zip(model.terms, anova(y), strict=True):
+        assert (term["name"], tuple(term["df"])) == (effect.name, effect.df)
+        assert term["f"] == pytest.approx(float(effect.f), rel=5e-3)
+        assert term["p"] == pytest.approx(float(effect.p), rel=0.05, abs=1e-6)
 
 
 def test_a_mixed_model_takes_ratings_that_are_not_complete() -> None:
@@ -193,9 +192,8 @@ def test_a_mixed_model_takes_ratings_that_are_not_complete() -> None:
     rated = np.random.default_rng(5).random(y.shape) < 0.8
     participant, method, texture = (axis[rated] for axis in np.indices(y.shape))
     model = mixed_model(participant, method, texture, y[rated])
-    assert model.terms[0][0] == "method"
-    assert model.terms[0][4] < 1e-4
-    assert model.terms[1][4] > 1e-3
+    assert model.terms[0]["name"] == "method"
+    assert model.terms[0]["p"] < 1e-4 < 1e-3 < model.terms[1]["p"]
 
 
 def test_raters_are_as_their_model_says() -> None:
@@ -258,7 +256,7 @@ def test_error_rates_of_the_mixed_model() -> None:
     null = Raters(np.full((4, 12), 60.0))
     y = null.draw(np.random.default_rng(2), 21, 2000)
     index = [axis.ravel() for axis in np.indices(y.shape[1:])]
-    found = np.array([[term[4] < 0.05 for term in mixed_model(*index, one.ravel()).terms] for one in y])
+    found = np.array([[term["p"] < 0.05 for term in mixed_model(*index, one.ravel()).terms] for one in y])
     rates = found.mean(0)
     print(dict(zip(("method", "texture", "method × texture"), rates, strict=True)))
     assert rates.max() <= 0.06

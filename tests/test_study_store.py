@@ -56,11 +56,8 @@ def test_a_step_is_stored_once(store: Store) -> None:
     assert not store.take_step(number, "trial:3", (3, Rated(10.0)))
     (row,) = store.ratings()
     assert (row["rating"], row["response_s"], row["switches"], row["measured"]) == (62.0, 12.5, 4, {"contact_s": 9.0})
-    assert (row["software"], row["simulated"], row["sha256"]) == (
-        __version__,
-        0,
-        f"{row['texture']}{row['method']}" * 8,
-    )
+    digest = f"{row['texture']}{row['method']}" * 8
+    assert (row["software"], row["simulated"], row["sha256"]) == (__version__, 0, digest)
     assert store.done(number) == {"trial:3"}
     store.take_step(number, "trial:0", (0, Rated(50.0)))  # practice, which is stored and not analysed
     assert len(store.ratings()) == store.counts()[number]["n"] == 1
@@ -134,15 +131,13 @@ def test_strokes_come_back_as_they_went_in(store: Store) -> None:
 def filled(store: Store) -> list[int]:
     numbers = [store.join(code) for code in ("FIRST", "SECOND", "THIRD")]
     for number in numbers:
-        store.take_step(
-            number, "questions:start", answers={"q": f"SECRET-{number}"}, private={"age": f"PRIVATE-{number}"}
-        )
+        answers, private = {"q": f"SECRET-{number}"}, {"age": f"PRIVATE-{number}"}
+        store.take_step(number, "questions:start", answers=answers, private=private)
         for trial in range(1, 7):
             store.add_strokes(number, trial, np.full((50, 4), float(number)))
             store.add_switch(number, trial, "real", "operator")
-            store.take_step(
-                number, f"trial:{trial}", (trial, Rated(10.0 * number, 3.0, 1, {"note": f"MEASURED-{number}"}))
-            )
+            rated = Rated(10.0 * number, 3.0, 1, {"note": f"MEASURED-{number}"})
+            store.take_step(number, f"trial:{trial}", (trial, rated))
     return numbers
 
 
@@ -155,11 +150,9 @@ def test_a_participant_who_is_forgotten_is_gone_from_every_byte(store: Store) ->
     assert sorted(store.counts()) == [numbers[0], numbers[2]]
     assert {row["participant"] for row in store.ratings()} == {numbers[0], numbers[2]}
     assert store.check() == []
-    log = [what for _, what in store.log()]
-    assert log[1:] == [
-        "participant 20, trial 2: corrected to 3: slipped",
-        "all data of participant 2 was removed, as asked",
-    ]
+    corrected, removed = (what for _, what in store.log()[1:])
+    assert corrected == "participant 20, trial 2: corrected to 3: slipped"
+    assert removed == "all data of participant 2 was removed, as asked"
     store.close()
     for path in store.path.parent.glob("study.db*"):
         data = path.read_bytes()

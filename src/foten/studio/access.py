@@ -1,4 +1,4 @@
-"""Who may talk to the server: the names that it answers to, its own pages, devices that came by its link; a certificate.
+"""Access to the server: hosts, origins, devices that came by its link, and a certificate.
 
 The token in a link lets one device in: it is exchanged for a secret of that device, in a cookie, and the next link has another.
 """
@@ -11,12 +11,11 @@ import ipaddress
 import secrets
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
-from http.cookies import SimpleCookie
 from pathlib import Path
-from typing import Any
-from urllib.parse import parse_qs, parse_qsl, urlencode, urlsplit
+from urllib.parse import urlencode, urlsplit
 
 from starlette.datastructures import Headers, MutableHeaders
+from starlette.requests import HTTPConnection
 from starlette.responses import PlainTextResponse, RedirectResponse
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
@@ -91,18 +90,16 @@ class Guarded:
         if scope["type"] == "lifespan":
             await self._app(scope, receive, send)
             return
-        headers = Headers(scope=scope)
-        query = parse_qs(scope.get("query_string", b"").decode("latin-1"))
-        token, known = query.get("token", [None])[0], self._knows(cookie_in(headers, COOKIE))
-        why = self._refused(headers, scope, token, known)
-        if why:
+        connection = HTTPConnection(scope)
+        token, known = connection.query_params.get("token"), self._knows(connection.cookies.get(COOKIE))
+        if why := self._refused(connection.headers, scope, token, known):
             await _refuse(scope, receive, send, why)
             return
         if token is not None and self._access.token is not None and scope.get("method") == "GET":
-            if not known and _ahead(headers):
+            if not known and _ahead(connection.headers):
                 await _refuse(scope, receive, send, "open the link: it lets in who opens it, not who looks ahead", 503)
-                return
-            await self._enter(scope, receive, send, known)
+            else:
+                await self._enter(connection, receive, send, known)
             return
 
         async def send_with_headers(message: Message) -> None:
@@ -114,11 +111,10 @@ class Guarded:
 
         await self._app(scope, receive, send_with_headers)
 
-    async def _enter(self, scope: Scope, receive: Receive, send: Send, known: bool) -> None:
+    async def _enter(self, connection: HTTPConnection, receive: Receive, send: Send, known: bool) -> None:
         """Send a device on to the address without the token, where others could read it; a new one gets a secret of its own."""
-        # One slash in front: two would be the address of another host.
-        query = [(name, value) for name, value in parse_qsl(scope["query_string"].decode("latin-1")) if name != "token"]
-        path = "/" + scope["path"].lstrip("/")
+        scope, query = connection.scope, [item for item in connection.query_params.multi_items() if item[0] != "token"]
+        path = "/" + scope["path"].lstrip("/")  # one slash in front: two would be the address of another host
         response = RedirectResponse(f"{path}?{urlencode(query)}" if query else path, status_code=303)
         if known:
             await response(scope, receive, send)
@@ -162,18 +158,9 @@ def is_same(secret: str, expected: str) -> bool:
 
 
 def _ahead(headers: Headers) -> bool:
-    """Whether a browser fetches what nobody opened yet."""
+    """Whether a browser prefetches a page that nobody opened yet."""
     purpose = [headers.get(name, "") for name in ("sec-purpose", "purpose", "x-purpose", "x-moz")]
     return any(word in header.lower() for header in purpose for word in ("prefetch", "prerender", "preview"))
-
-
-def cookie_in(headers: Headers, name: str) -> str | None:
-    """Value of a cookie; None where there is none, or the header is damaged."""
-    try:
-        morsel = SimpleCookie(headers.get("cookie", "")).get(name)
-    except ValueError:
-        return None
-    return None if morsel is None else morsel.value
 
 
 async def _refuse(scope: Scope, receive: Receive, send: Send, why: str, status: int = 403) -> None:
@@ -190,8 +177,15 @@ def write_certificate(folder: Path, hosts: Iterable[str]) -> tuple[Path, Path]:
     A tablet gives a page the pen's pressure and low-latency sound only over HTTPS; it asks once whether to trust this one.
     """
     from cryptography import x509
-    from cryptography.hazmat.primitives import hashes, serialization
+    from cryptography.hazmat.primitives import hashes
+    from cryptography.hazmat.primitives import serialization as form
     from cryptography.hazmat.primitives.asymmetric import ec
+
+    def general_name(host: str) -> x509.GeneralName:
+        try:
+            return x509.IPAddress(ipaddress.ip_address(host))
+        except ValueError:
+            return x509.DNSName(host)
 
     key = ec.generate_private_key(ec.SECP256R1())
     name = x509.Name([x509.NameAttribute(x509.NameOID.COMMON_NAME, "foten on this network")])
@@ -204,23 +198,12 @@ def write_certificate(folder: Path, hosts: Iterable[str]) -> tuple[Path, Path]:
         .serial_number(x509.random_serial_number())
         .not_valid_before(now - datetime.timedelta(hours=1))
         .not_valid_after(now + datetime.timedelta(days=CERTIFICATE_DAYS))
-        .add_extension(x509.SubjectAlternativeName([_general(host) for host in hosts]), critical=False)
+        .add_extension(x509.SubjectAlternativeName(map(general_name, hosts)), critical=False)
         .add_extension(x509.BasicConstraints(ca=False, path_length=None), critical=True)
         .sign(key, hashes.SHA256())
     )
     paths = folder / "certificate.pem", folder / "key.pem"
-    paths[0].write_bytes(certificate.public_bytes(serialization.Encoding.PEM))
+    paths[0].write_bytes(certificate.public_bytes(form.Encoding.PEM))
     paths[1].touch(mode=0o600)
-    paths[1].write_bytes(
-        key.private_bytes(serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8, serialization.NoEncryption())
-    )
+    paths[1].write_bytes(key.private_bytes(form.Encoding.PEM, form.PrivateFormat.PKCS8, form.NoEncryption()))
     return paths
-
-
-def _general(host: str) -> Any:
-    from cryptography import x509
-
-    try:
-        return x509.IPAddress(ipaddress.ip_address(host))
-    except ValueError:
-        return x509.DNSName(host)

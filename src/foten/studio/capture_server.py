@@ -1,10 +1,9 @@
-"""A page that captures: the sound of a pen on a surface and the pen's events in, files that `foten import --pen` reads, and
-progress of the training out.
-"""
+"""Captures: sound and events of a pen come in, are written as `foten import --pen` reads them, and are trained from."""
 
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import importlib.util
 import json
 import sys
@@ -115,13 +114,10 @@ class CapturePage(PageSocket):
     """A page that captures; a message that is refused ends its capture, for something of it would be missing."""
 
     def __init__(self, socket: WebSocket, trainings: TrainingQueue) -> None:
-        super().__init__(socket, CAPTURE, MAX_CAPTURE_MESSAGES_PER_S)
+        super().__init__(socket, CAPTURE, self._send, max_messages_per_s=MAX_CAPTURE_MESSAGES_PER_S)
         self._trainings = trainings
         self._capture: CaptureSession | None = None
         self._outgoing: asyncio.Queue[Mapping[str, Any]] = asyncio.Queue()
-
-    async def run(self) -> None:
-        await self.converse(self._send())
 
     async def refuse(self, why: str) -> None:
         """End the capture, and say why."""
@@ -183,11 +179,7 @@ class CaptureSession:
         return self._n_samples / self.about.rate_hz
 
     def add_sound(self, samples: NDArray[np.float32]) -> None:
-        """Take in the next samples, of which full scale is 1.
-
-        Raises:
-            RefusedError: it is longer than `MAX_CAPTURE_S`.
-        """
+        """Take in the next samples, of which full scale is 1; RefusedError where the sound gets longer than `MAX_CAPTURE_S`."""
         if self._n_samples + samples.size > MAX_CAPTURE_S * self.about.rate_hz:
             raise RefusedError(f"the capture is longer than {MAX_CAPTURE_S:g} s")
         self._sound.append(samples)
@@ -244,9 +236,8 @@ class CaptureSession:
 def in_order(events: NDArray[np.float64]) -> tuple[NDArray[np.float64], int]:
     """Events with increasing times, shape (k, 4), and how many came late: after an event of a later time.
 
-    A late event is left out, since the pen was there before. If it is a touch or a lift, it counts at the time of the event
-    before: events come in the right order where a clock does not, and without it two touches would be one. Of events of one
-    time the last counts; a touch and the lift before it may have one time.
+    A late event is left out. A late touch or lift counts at the time of the event before it: without it two touches would be
+    one. Of events of one time the last counts; a touch and the lift before it may have one time.
 
     Args:
         events: x, y [mm], pressure, t [s] in the order in which they came, shape (n, 4).
@@ -265,9 +256,7 @@ def _new_folder(captures: Path, name: str) -> Path:
     stem, n = file_name(name), 1
     while True:
         folder = captures / (stem if n == 1 else f"{stem}-{n}")
-        try:
+        with contextlib.suppress(FileExistsError):
             folder.mkdir(parents=True)
-        except FileExistsError:
-            n += 1
-        else:
             return folder
+        n += 1

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from itertools import product
 
 import numpy as np
 
@@ -31,11 +32,10 @@ def gains_db(renderers: Sequence[Renderer], scales: Sequence[float]) -> list[flo
 def _conditions(renderers: Sequence[Renderer]) -> list[tuple[float, float]]:
     """Nine speeds [mm/s] and forces [N] within the range that all were trained in."""
     infos = [renderer.native_texture.info for renderer in renderers]
-    axes = []
-    for ranges in ([info.trained_speed for info in infos], [info.trained_force for info in infos]):
-        low, high = max(low for low, _ in ranges), min(high for _, high in ranges)
-        axes.append([low + share * max(0.0, high - low) for share in SHARES])
-    return [(speed, force) for speed in axes[0] for force in axes[1]]
+    ranges = np.array([(info.trained_speed, info.trained_force) for info in infos])
+    low, high = ranges[..., 0].max(0), ranges[..., 1].min(0)
+    grid: list[tuple[float, float]] = (low + np.array([*product(SHARES, SHARES)]) * np.maximum(0, high - low)).tolist()
+    return grid
 
 
 def _level_db(renderer: Renderer, conditions: Sequence[tuple[float, float]]) -> float:

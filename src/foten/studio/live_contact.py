@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from foten.runtime.actuator import ActuatorProfile
-from foten.runtime.live.live import LiveStatistics, Samples
+from foten.runtime.live.live import Samples
 from foten.runtime.renderer import Renderer
 from foten.runtime.stylus import PressureCalibration, Stylus
 from foten.studio.players import Player
@@ -38,7 +38,7 @@ class _Stroked:
 
 
 class Contact:
-    """Events in, vibration out of a player, from `open` to `close`.
+    """Vibration of a pen's events, given to a player from `open` to `close`.
 
     Args:
         player: takes what is rendered, in full scale or, where it is calibrated, as it is.
@@ -47,7 +47,7 @@ class Contact:
 
     def __init__(self, player: Player, on_block: OnBlock) -> None:
         self._on_block = on_block
-        self._player, self._rate_hz = player, player.rate_hz
+        self.player = player
         self._actuator, self._full_scale = player.actuator, 1.0
         self._stroked: _Stroked | None = None
         self._previous: _Stroked | None = None
@@ -66,7 +66,7 @@ class Contact:
             ValueError: it is no texture file, or its rate and the player's do not go together.
             OSError: the player's device refuses, or the contact was closed meanwhile.
         """
-        renderer = Renderer(texture, rate=self._rate_hz, seed=seed, actuator=self._actuator)
+        renderer = Renderer(texture, rate=self.player.rate_hz, seed=seed, actuator=self._actuator)
         sd = float(renderer.native_texture.info.acceleration_sd)
         with self._pushing, self._changing:
             stroked = _Stroked(renderer, self._stylus(renderer, calibration), self._scale(sd), sd)
@@ -76,10 +76,10 @@ class Contact:
                 raise OSError("the page has left")
             if not self._started:
                 self._started = True
-                self._player.start(self._render)
+                self.player.start(self._render)
 
     def _scale(self, sd: float) -> float:
-        if self._player.calibrated:
+        if self.player.calibrated:
             return 1.0
         return 1 / self._full_scale if self._actuator is not None else LOUDNESS / sd
 
@@ -100,7 +100,7 @@ class Contact:
         """Render an actuator's drive from now on, of which so much is full scale; None renders acceleration. Where the player has
         an actuator of its own, that stays.
         """
-        if self._player.actuator is not None:
+        if self.player.actuator is not None:
             return
         with self._changing:
             self._actuator, self._full_scale = actuator, full_scale
@@ -126,20 +126,10 @@ class Contact:
                     self._stroked.stylus.push(*event)
 
     def lift(self) -> None:
-        """The pen is off the surface, from where it was."""
+        """Lift the pen where it is."""
         if self._last and self._last[-1][2] > 0:
             x, y, _, t = self._last[-1]
             self.push(np.array([[x, y, 0.0, t + LIFT_S]]))
-
-    @property
-    def running(self) -> bool:
-        """Whether it plays; where it ended by itself, `close` says why."""
-        return self._player.running
-
-    @property
-    def statistics(self) -> LiveStatistics:
-        """Statistics of rendering in real time."""
-        return self._player.statistics
 
     @property
     def stylus_counts(self) -> dict[str, int]:
@@ -153,7 +143,7 @@ class Contact:
         """End playing for good, and give the device back; raises what it died of."""
         with self._starting:
             self._closed = True
-        self._player.stop()
+        self.player.stop()
 
     def _render(self, out: Samples) -> None:
         with self._changing:
@@ -167,11 +157,11 @@ class Contact:
             volume = self._volume if self._volume_was is None else self._volume_was, self._volume
             self._volume_was = self._volume
         out *= np.linspace(*volume, out.size, dtype=np.float32)
-        if not self._player.calibrated:
+        if not self.player.calibrated:
             limit(out)
 
     def _cross(self, out: Samples, previous: _Stroked) -> None:
-        """Fade from what leaves to what takes over."""
+        """Fade from the previous texture to the present one."""
         leaving, share = np.empty_like(out), np.zeros_like(out)
         previous.stylus.render_into(leaving)
         part = self._fade[self._faded : self._faded + out.size]

@@ -1,26 +1,6 @@
-"""What a page may say to the server, and no more: each message is checked here once, and refused with a reason.
+"""Messages of pages to the server: each is checked here once, and refused with a reason.
 
-Text is JSON, one object with `do`. A page that strokes says:
-
-    {"do": "open", "texture": KEY, "sink": "stream" | "device", "rate_hz": 48000, "volume_db": 0,
-     "newtons": 0.13, "steepness": 3.32}
-    {"do": "volume", "volume_db": -6}
-    {"do": "calibrate", "newtons": 0.13, "steepness": 3.32}
-    {"do": "actuate", "resonance_hz": 80, "damping": 0.3, "gain": 40, "lowest_hz": 20, "limit": 2, "full_scale": 2}
-    {"do": "actuate"}                               without an actuator
-    {"do": "close"}
-
-Bytes are events of a pen, 1 to `MAX_EVENTS` at once, each four little-endian float64: x and y [mm], pressure 0 … 1 (0 is
-lifted), the device's time [s].
-
-A page that captures says:
-
-    {"do": "begin", "name": "denim", "rate_hz": 48000, "newtons": 0.13, "steepness": 3.32, "full_scale_m_s2": 50, "input": "…"}
-    {"do": "train"}
-    {"do": "discard"}
-
-The bytes of a capture begin with a letter: `e` and events as above, or `s` and samples of the sound in their order,
-little-endian float32.
+Text is JSON, an object such as {"do": "volume", "volume_db": -6}; bytes are events of a pen or samples of a sound.
 """
 
 from __future__ import annotations
@@ -145,7 +125,8 @@ def _expectation(name: str, value: Any, allowed: Allowed) -> str:
 
 
 def parse_events(data: bytes) -> NDArray[np.float64]:
-    """Events in a message of bytes: x, y [mm], pressure, t [s], shape (n, 4).
+    """Events of a pen in bytes: x, y [mm], pressure 0 … 1 (0 is lifted), the device's time t [s], shape (n, 4), each four
+    little-endian float64.
 
     Raises:
         RefusedError: it does not hold 1 to `MAX_EVENTS` complete events, or one is not finite or out of range.
@@ -162,7 +143,8 @@ def parse_events(data: bytes) -> NDArray[np.float64]:
 
 
 def parse_capture_bytes(data: bytes) -> tuple[str, NDArray[np.float64]]:
-    """Bytes of a capture: `events`, shape (n, 4), or `sound`, shape (n,).
+    """Values in the bytes of a capture: `events` behind a letter `e`, shape (n, 4), or `sound` behind an `s`, shape (n,),
+    little-endian float32.
 
     Raises:
         RefusedError: it is neither, or a value is not finite or out of range.

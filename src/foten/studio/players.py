@@ -69,20 +69,11 @@ class OutputDevice:
         return self.to != "sound" or self.actuator is not None or self.gain is not None
 
     def check(self) -> None:
-        """Open the output once, and give it back.
-
-        Raises:
-            OSError: it is not there.
-            ValueError: it names none, or one without devices and channels of which some were given.
-        """
+        """Open the output once, and give it back; OSError where it is missing, ValueError where its options do not fit."""
         self.player(SOUND_RATE_HZ).stop()
 
     def player(self, rate_hz: float) -> DevicePlayer:
-        """Player on it.
-
-        Raises:
-            OSError: it is not there, or refuses the rate.
-        """
+        """Player on it; OSError where it is missing, or refuses the rate."""
         return DevicePlayer(self, rate_hz)
 
 

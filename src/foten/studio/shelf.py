@@ -49,11 +49,7 @@ class Shelf:
         return len(self._entries)
 
     def put(self, path: Path) -> Entry:
-        """Put a texture file on the shelf, or read it again; its entry.
-
-        Raises:
-            ValueError: it is no texture file.
-        """
+        """Put a texture file on the shelf, or read it again; its entry, or ValueError where it is no texture file."""
         texture = read_texture(path)
         key, n = path.name, 2
         while key in self._entries and self._entries[key].path != path:

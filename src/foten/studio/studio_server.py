@@ -1,14 +1,6 @@
-"""The server of the page: its files, the textures, and a WebSocket for sound that is rendered here.
+"""Server of the studio: its page, the textures, and WebSockets for strokes that are rendered here and for captures.
 
-    GET  /                          the page, and its files
-    GET  /textures.json             what is on the shelf
-    GET  /textures/KEY              a texture file; /pictures/… its photograph
-    GET  /gains?texture=A&texture=B  what makes methods of one texture equally loud [dB]
-    GET  /state                     who strokes, and how rendering keeps up
-    WS   /stroke                    events in, vibration out (`messages`)
-    WS   /capture                   sound and events in, a texture out (`messages`)
-
-Each page has its own state, which a lost page frees.
+Each page has its own state, which is freed when the page is lost.
 """
 
 from __future__ import annotations
@@ -79,7 +71,7 @@ class Studio:
             Route("/textures.json", self._textures),
             Route("/textures/{key}", self._texture),
             Route("/pictures/{name}", self._picture),
-            Route("/gains", self._gains),
+            Route("/gains", self._gains),  # ?texture=A&texture=B
             Route("/state", self._state),
             WebSocketRoute("/stroke", self._stroke),
             WebSocketRoute("/capture", self._capture),
@@ -141,17 +133,14 @@ class StrokePage(PageSocket):
     """A page that strokes: events and settings in, what is rendered for it back."""
 
     def __init__(self, studio: Studio, socket: WebSocket) -> None:
-        super().__init__(socket, STROKE, MAX_MESSAGES_PER_S)
-        self._studio = studio
-        self._blocks = BlockQueue(socket)
+        self._studio, self._blocks = studio, BlockQueue(socket)
+        senders = self._blocks.send, self._send_state
+        super().__init__(socket, STROKE, *senders, max_messages_per_s=MAX_MESSAGES_PER_S)
         self._contact: Contact | None = None
         self._opening: Contact | None = None  # that does not play yet
         self._calibration = PressureCalibration()
         self._texture, self._sink, self._rate_hz = "", "", 0.0
         self._n_events = 0
-
-    async def run(self) -> None:
-        await self.converse(self._blocks.send(), self._send_state())
 
     async def leave(self) -> None:
         contacts = [contact for contact in (self._contact, self._opening) if contact is not None]
@@ -166,7 +155,7 @@ class StrokePage(PageSocket):
         known |= {"n_refused": self.n_refused, "n_unsent": self._blocks.n_unsent}
         contact = self._contact
         if contact is not None:
-            live = contact.statistics
+            live = contact.player.statistics
             known |= {"block_ms": live.block_ms, "n_missed": live.n_missed, "n_underruns": live.n_underruns}
             for percent in (50, 99):
                 value = 1000 * live.block.percentile_s(percent)
@@ -241,7 +230,7 @@ class StrokePage(PageSocket):
             if contact is None:
                 continue
             await self.say({"state": self.state()})
-            if not contact.running and contact is self._contact:
+            if not contact.player.running and contact is self._contact:
                 self._contact = None
                 try:
                     await asyncio.to_thread(contact.close)

@@ -29,6 +29,7 @@ MAX_REFUSED = 1000  # messages of a page, after which it is sent away
 MAX_MESSAGES_PER_S = 1200.0  # a pen has at most a thousand events a second
 MAX_WAITING_BLOCKS = 64  # for a page that does not take them; the oldest go
 CONDITION_BYTES = 8  # speed [mm/s] and force [N] before the samples of a block
+Sender = Callable[[], Coroutine[Any, Any, None]]
 
 
 class PageSocket:
@@ -37,17 +38,16 @@ class PageSocket:
     Args:
         socket: accepted.
         protocol: the messages that it may send.
+        senders: run while the page is served.
         max_messages_per_s: after a second of silence a second's worth may come at once.
     """
 
-    def __init__(self, socket: WebSocket, protocol: Protocol, max_messages_per_s: float = MAX_MESSAGES_PER_S) -> None:
+    def __init__(
+        self, socket: WebSocket, protocol: Protocol, *senders: Sender, max_messages_per_s: float = MAX_MESSAGES_PER_S
+    ) -> None:
         self.socket, self.n_refused = socket, 0
-        self._protocol = protocol
+        self._protocol, self._senders = protocol, senders
         self._messages, self._events = Allowance(max_messages_per_s), Allowance(MAX_EVENTS_PER_S)
-
-    async def run(self) -> None:
-        """Serve the page until it goes."""
-        await self.converse()
 
     async def leave(self) -> None:
         """Free what the page had; a second time nothing happens."""
@@ -77,9 +77,9 @@ class PageSocket:
         with contextlib.suppress(RuntimeError, WebSocketDisconnect):
             await self.socket.send_text(json.dumps(document, allow_nan=False))
 
-    async def converse(self, *senders: Coroutine[Any, Any, None]) -> None:
-        """Take messages until the page goes, or until `MAX_REFUSED` were refused; the senders run meanwhile."""
-        tasks = [asyncio.create_task(sender) for sender in senders]
+    async def run(self) -> None:
+        """Take messages until the page goes, or until `MAX_REFUSED` were refused."""
+        tasks = [asyncio.create_task(sender()) for sender in self._senders]
         try:
             while True:
                 received = await self.socket.receive()

@@ -14,6 +14,7 @@ from foten.study.statistics import (
     ALPHA,
     Array,
     Effect,
+    Friedman,
     Paired,
     SignedRank,
     anova,
@@ -43,6 +44,7 @@ class Ratings:
     rows: list[dict[str, Any]]  # in long form
     values: Array  # (participants, methods, textures), NaN where there is none
     complete: list[int]  # numbers of the participants who rated everything
+    y: Array  # their values
     answers: list[dict[str, Any]]  # to the questions that are not private, by participant
     abouts: list[dict[str, Any]]  # to the private ones, without numbers
 
@@ -74,7 +76,7 @@ def analyse(store: Store, reference: str | None = None) -> Result:
     if len(ratings.complete) < 3:
         many = f"{len(ratings.complete)} participants have rated everything, of {len(ratings.values)} who began"
         raise ValueError(f"{many}: expected three or more; foten study status says who is where")
-    return _Analysis(ratings, None if reference is None else ratings.methods.index(reference)).result()
+    return _result(ratings, None if reference is None else ratings.methods.index(reference))
 
 
 def read_ratings(store: Store) -> Ratings:
@@ -86,9 +88,10 @@ def read_ratings(store: Store) -> Ratings:
     values = np.full((len(numbers), len(methods), len(textures)), np.nan)
     for row in rows:
         values[numbers.index(row["participant"]), row["method"], row["texture"]] = row["rating"]
-    complete = [number for number, ratings in zip(numbers, values, strict=True) if np.isfinite(ratings).all()]
+    whole = np.isfinite(values).all((1, 2))
+    complete = [number for number, is_whole in zip(numbers, whole, strict=True) if is_whole]
     study = str(store.study["title"]), store.simulated, str(store.study["software"])
-    return Ratings(*study, methods, textures, rows, values, complete, store.answers(), store.abouts())
+    return Ratings(*study, methods, textures, rows, values, complete, values[whole], store.answers(), store.abouts())
 
 
 def null_rates(n: int, a: int, b: int) -> dict[str, float]:
@@ -106,172 +109,174 @@ def null_rates(n: int, a: int, b: int) -> dict[str, float]:
     return {name: count / NULL_STUDIES for name, count in errors.items()}
 
 
-class _Analysis:
-    def __init__(self, ratings: Ratings, reference: int | None) -> None:
-        self.ratings, self.values, self.reference = ratings, ratings.values, reference
-        self.methods, self.textures, self.complete = ratings.methods, ratings.textures, ratings.complete
-        self.y = self.values[np.isfinite(self.values).all((1, 2))]  # of those who rated everything
-        self.cautions: list[str] = []
-
-    def result(self) -> Result:
-        y, n = self.y, len(self.complete)
-        by_participant = y.mean(-1)  # as in Sec. VII, averaged across textures
-        one_way = anova(by_participant[..., None])
-        two_way = anova(y) if len(self.textures) > 1 else []
-        within = [paired_tests(y[..., t], self.reference) for t in range(len(self.textures))]
-        agreement = reliability(y.reshape(n, -1))
-        rates = null_rates(n, len(self.methods), len(self.textures))
-        document: dict[str, Any] = {
-            "title": self.ratings.title,
-            "simulated": self.ratings.simulated,
-            "software": self.ratings.software,
-            "participants": {"began": len(self.values), "complete": n, "numbers": self.complete},
-            "means": self._means(),
-            "null_rates": rates,
-            "anova_one_way": [_effect(effect) for effect in one_way],
-            "anova_two_way": [_effect(effect) for effect in two_way],
-            "pairs_overall": self._by_pair(paired_tests(by_participant, self.reference)),
-            "pairs_within_textures": {
-                key: self._by_pair(tests) for key, tests in zip(self.textures, within, strict=True)
+def _result(ratings: Ratings, reference: int | None) -> Result:
+    y, n, textures = ratings.y, len(ratings.complete), ratings.textures
+    by_participant = y.mean(-1)  # as in Sec. VII, averaged across textures
+    one_way = anova(by_participant[..., None])
+    two_way = anova(y) if len(textures) > 1 else []
+    within = [paired_tests(y[..., t], reference) for t in range(len(textures))]
+    agreement = reliability(y.reshape(n, -1))
+    rates = null_rates(n, len(ratings.methods), len(textures))
+    mixed, cautions = _mixed(ratings.values)
+    document: dict[str, Any] = {
+        "title": ratings.title,
+        "simulated": ratings.simulated,
+        "software": ratings.software,
+        "participants": {"began": len(ratings.values), "complete": n, "numbers": ratings.complete},
+        "means": _means(ratings),
+        "null_rates": rates,
+        "anova_one_way": [_numbers(effect) for effect in one_way],
+        "anova_two_way": [_numbers(effect) for effect in two_way],
+        "pairs_overall": _by_pair(ratings.methods, paired_tests(by_participant, reference)),
+        "pairs_within_textures": {
+            key: _by_pair(ratings.methods, tests) for key, tests in zip(textures, within, strict=True)
+        },
+        "friedman": _numbers(friedman(by_participant)),
+        "wilcoxon": _by_pair(ratings.methods, wilcoxon_tests(by_participant, reference)),
+        "mixed_model": mixed,
+        "reliability": {
+            "icc_single": _json_value(agreement.single),
+            "icc_mean": _json_value(agreement.mean),
+            "with_others": {
+                str(p): _json_value(r) for p, r in zip(ratings.complete, agreement.with_others, strict=True)
             },
-            "friedman": {name: _or_none(value) for name, value in vars(friedman(by_participant)).items()},
-            "wilcoxon": self._by_pair(wilcoxon_tests(by_participant, self.reference)),
-            "mixed_model": self._mixed(),
-            "reliability": {
-                "icc_single": _or_none(agreement.single),
-                "icc_mean": _or_none(agreement.mean),
-                "with_others": {str(p): _or_none(r) for p, r in zip(self.complete, agreement.with_others, strict=True)},
-            },
-        }
-        self._caution(two_way or one_way, rates, agreement.with_others)
-        return Result(self.ratings, document, self._sentences(one_way, two_way, within, document), self.cautions)
+        },
+    }
+    cautions += _cautions(ratings, two_way or one_way, rates, agreement.with_others)
+    return Result(ratings, document, _sentences(document, one_way, two_way, within, reference), cautions)
 
-    def _means(self) -> list[dict[str, Any]]:
-        """Means of each method on each texture, and of all textures, where the texture is None."""
-        means = []
-        for m, method in enumerate(self.methods):
-            columns = [*zip(self.textures, self.values[:, m].T, strict=True), (None, self.y[:, m].mean(-1))]
-            for texture, ratings in columns:
-                values = ratings[np.isfinite(ratings)]
-                row = {"method": method, "texture": texture, "n": values.size, "mean": float(values.mean())}
-                means.append(row | {"sd": float(values.std(ddof=1))})
-        return means
 
-    def _by_pair(self, tests: Paired | SignedRank) -> list[dict[str, Any]]:
-        columns = {name: values for name, values in vars(tests).items() if name != "pairs"}
-        return [
-            {
-                "pair": [self.methods[i], self.methods[j]],
-                **{name: _or_none(values[k] if np.ndim(values) else values) for name, values in columns.items()},
-            }
-            for k, (i, j) in enumerate(tests.pairs)
-        ]
+def _means(ratings: Ratings) -> list[dict[str, Any]]:
+    """Means of each method on each texture, and of all textures, where the texture is None."""
+    from scipy import stats
 
-    def _mixed(self) -> dict[str, Any] | None:
-        index = np.nonzero(np.isfinite(self.values))
-        try:
-            model = mixed_model(index[0], index[1], index[2], self.values[index])
-        except (ValueError, np.linalg.LinAlgError) as error:
-            self.cautions.append(f"no mixed model could be fitted: {error}")
-            return None
-        if not model.converged:
-            self.cautions.append("the mixed model did not converge: do not report it")
-        return {
-            "n_ratings": int(index[0].size),
-            "n_participants": int(np.unique(index[0]).size),
-            "terms": [{"name": name, "f": f, "df": [df1, df2], "p": p} for name, f, df1, df2, p in model.terms],
-            "sd": model.sd,
-            "converged": model.converged,
-        }
+    means = []
+    for m, method in enumerate(ratings.methods):
+        columns = [*zip(ratings.textures, ratings.values[:, m].T, strict=True), (None, ratings.y[:, m].mean(-1))]
+        for texture, of_texture in columns:
+            values = of_texture[np.isfinite(of_texture)]
+            n, mean, sd = values.size, float(values.mean()), float(values.std(ddof=1))
+            half = float(stats.t.ppf(0.975, n - 1)) * sd / n**0.5
+            row = {"method": method, "texture": texture, "n": n, "mean": mean, "sd": sd}
+            means.append(row | {"ci95_low": mean - half, "ci95_high": mean + half})
+    return means
 
-    def _caution(self, effects: Sequence[Effect], rates: dict[str, float], with_others: Array) -> None:
-        n, began = len(self.complete), len(self.values)
-        if n < began:
-            self.cautions.append(
-                f"{began - n} of {began} participants did not rate everything: the analyses of variance, paired tests and ranks "
-                "leave them out, the mixed model does not"
+
+def _by_pair(methods: Sequence[str], tests: Paired | SignedRank) -> list[dict[str, Any]]:
+    columns = {
+        name: np.broadcast_to(values, len(tests.pairs)) for name, values in vars(tests).items() if name != "pairs"
+    }
+    return [
+        {"pair": [methods[i], methods[j]], **{name: _json_value(values[k]) for name, values in columns.items()}}
+        for k, (i, j) in enumerate(tests.pairs)
+    ]
+
+
+def _mixed(values: Array) -> tuple[dict[str, Any] | None, list[str]]:
+    """Numbers of the mixed model, None where none can be fitted, and cautions."""
+    index = np.nonzero(np.isfinite(values))
+    try:
+        model = mixed_model(index[0], index[1], index[2], values[index])
+    except (ValueError, np.linalg.LinAlgError) as error:
+        return None, [f"no mixed model could be fitted: {error}"]
+    counts = {"n_ratings": int(index[0].size), "n_participants": int(np.unique(index[0]).size)}
+    cautions = [] if model.converged else ["the mixed model did not converge: do not report it"]
+    return {**counts, **vars(model)}, cautions
+
+
+def _cautions(ratings: Ratings, effects: Sequence[Effect], rates: dict[str, float], with_others: Array) -> list[str]:
+    n, began, cautions = len(ratings.complete), len(ratings.values), list[str]()
+    if n < began:
+        cautions.append(
+            f"{began - n} of {began} participants did not rate everything: the analyses of variance, paired tests and ranks "
+            "leave them out, the mixed model does not"
+        )
+    for effect in effects:
+        # With one contrast ε is 1 and nothing is corrected: a low rate is chance.
+        if effect.df[0] > 1 and rates[effect.name] < MIN_NULL_RATE:
+            cautions.append(
+                f"{effect.name}: in null studies of this size Greenhouse and Geisser's correction errs in "
+                f"{100 * rates[effect.name]:.1f} % at α = {ALPHA:g}: it is conservative, and that an effect is not "
+                "significant by it does not say that there is none"
             )
-        for effect in effects:
-            # With one contrast ε is 1 and nothing is corrected: a low rate is chance.
-            if effect.df[0] > 1 and rates[effect.name] < MIN_NULL_RATE:
-                self.cautions.append(
-                    f"{effect.name}: in null studies of this size Greenhouse and Geisser's correction errs in "
-                    f"{100 * rates[effect.name]:.1f} % at α = {ALPHA:g}: it is conservative, and that an effect is not "
-                    "significant by it does not say that there is none"
-                )
-        low = [str(p) for p, r in zip(self.complete, with_others, strict=True) if not r >= MIN_RELIABILITY]
-        if low:
-            who = f"participant{'s' * (len(low) > 1)} {', '.join(low)}"
-            self.cautions.append(
-                f"{who}: correlation with the others below {MIN_RELIABILITY:g}; look at these ratings; leaving them out needs a "
-                "reason that was set before"
-            )
-        if corrected := sum(row["corrected"] for row in self.ratings.rows):
-            self.cautions.append(f"ratings corrected by hand: {corrected}; the log of the study says which")
-        if under := sum(bool(row["measured"].get("n_underruns")) for row in self.ratings.rows):
-            self.cautions.append(f"trials in which the sound had under-runs: {under}")
-
-    def _sentences(
-        self, one_way: Sequence[Effect], two_way: Sequence[Effect], within: Sequence[Paired], document: dict[str, Any]
-    ) -> list[str]:
-        n, b, several = len(self.complete), len(self.textures), len(self.textures) > 1
-        who = "simulated raters" if self.ratings.simulated else "participants"
-        overall = [row for row in document["means"] if row["texture"] is None]
-        means = ", ".join(f"{row['method']} {row['mean']:.2f} ± {row['sd']:.2f}" for row in overall)
-        sentences = [
-            f"{n} {who} rated {len(self.methods)} methods on {b} texture{'s' * several} ({n * len(self.methods) * b} ratings). "
-            f"Mean similarity: {means} (± SD between participants).",
-            f"A one-way repeated-measures ANOVA on ratings{' averaged across textures' * several} gave an effect of method, "
-            f"{_anova(one_way[0])}.",
-        ]
-        if two_way:
-            effects = "; ".join(f"{effect.name}, {_anova(effect)}" for effect in two_way)
-            sentences.append(
-                f"A two-way repeated-measures ANOVA (method × texture, Greenhouse–Geisser) gave {effects}."
-            )
-        sentences += self._paired_sentences(within)
-        ranks, model, agree = document["friedman"], document["mixed_model"], document["reliability"]
-        if ranks["p"] is not None:
-            sentences.append(
-                f"Friedman: χ²({ranks['df']:.0f}) = {ranks['chi2']:.2f}, {_p(ranks['p'])}, Kendall's W = {ranks['w']:.2f}."
-            )
-        if model is not None:
-            terms = "; ".join(
-                f"{term['name']}, F({term['df'][0]:.0f}, {term['df'][1]:.0f}) = {term['f']:.2f}, {_p(term['p'])}"
-                for term in model["terms"]
-            )
-            sentences.append(f"Linear mixed model of all {model['n_ratings']} ratings: {terms}.")
-        if agree["icc_mean"] is not None:
-            sentences.append(f"Agreement: ICC(2,1) = {agree['icc_single']:.2f}, ICC(2,k) = {agree['icc_mean']:.2f}.")
-        best = max(overall, key=lambda row: row["mean"])
-        return [*sentences, f"The highest mean is that of {best['method']}."]
-
-    def _paired_sentences(self, within: Sequence[Paired]) -> list[str]:
-        """Results of the tests within textures, by each correction; a single pair needs none."""
-        family, b = within[0].pairs, len(within)
-        many = len(family)
-        if many == 1:
-            what = f"paired t-test{'s' * (b > 1)} of {self.methods[family[0][0]]} and {self.methods[family[0][1]]}"
-        elif self.reference is None:
-            what = f"paired t-tests of all {many} pairs of methods"
-        else:
-            what = f"paired t-tests of the {many} other methods against {self.methods[self.reference]}"
-        where, of = ("each texture", f"of {b} textures") if b > 1 else ("the one texture", "of it")
-        sentences = []
-        for name, key in (("Bonferroni", "p_bonferroni"), ("Holm", "p_holm"))[: 1 if many == 1 else 2]:
-            results = []
-            for k, (i, j) in enumerate(family):
-                up = sum(bool(t.difference[k] > 0 and getattr(t, key)[k] < ALPHA) for t in within)
-                down = sum(bool(t.difference[k] < 0 and getattr(t, key)[k] < ALPHA) for t in within)
-                results.append(f"{self.methods[i]} above {self.methods[j]} on {up}, below on {down}")
-            corrected = f", {name}-corrected for {many}" if many > 1 else ""
-            sentences.append(f"Within {where}, {what}{corrected}: {of}, {'; '.join(results)}.")
-        return sentences
+    low = [str(p) for p, r in zip(ratings.complete, with_others, strict=True) if not r >= MIN_RELIABILITY]
+    if low:
+        who = f"participant{'s' * (len(low) > 1)} {', '.join(low)}"
+        cautions.append(
+            f"{who}: correlation with the others below {MIN_RELIABILITY:g}; look at these ratings; leaving them out needs a "
+            "reason that was set before"
+        )
+    if corrected := sum(row["corrected"] for row in ratings.rows):
+        cautions.append(f"ratings corrected by hand: {corrected}; the log of the study says which")
+    if under := sum(bool(row["measured"].get("n_underruns")) for row in ratings.rows):
+        cautions.append(f"trials in which the sound had under-runs: {under}")
+    return cautions
 
 
-def _effect(effect: Effect) -> dict[str, Any]:
-    values = {name: _or_none(value) for name, value in vars(effect).items() if name not in ("name", "df")}
-    return {"name": effect.name, "df": list(effect.df), **values}
+def _sentences(
+    document: dict[str, Any],
+    one_way: Sequence[Effect],
+    two_way: Sequence[Effect],
+    within: Sequence[Paired],
+    reference: int | None,
+) -> list[str]:
+    n, b, several = document["participants"]["complete"], len(within), len(within) > 1
+    who = "simulated raters" if document["simulated"] else "participants"
+    overall = [row for row in document["means"] if row["texture"] is None]
+    methods = [row["method"] for row in overall]
+    means = ", ".join(f"{row['method']} {row['mean']:.2f} ± {row['sd']:.2f}" for row in overall)
+    sentences = [
+        f"{n} {who} rated {len(methods)} methods on {b} texture{'s' * several} ({n * len(methods) * b} ratings). "
+        f"Mean similarity: {means} (± SD between participants).",
+        f"A one-way repeated-measures ANOVA on ratings{' averaged across textures' * several} gave an effect of method, "
+        f"{_anova(one_way[0])}.",
+    ]
+    if two_way:
+        effects = "; ".join(f"{effect.name}, {_anova(effect)}" for effect in two_way)
+        sentences.append(f"A two-way repeated-measures ANOVA (method × texture, Greenhouse–Geisser) gave {effects}.")
+    sentences += _paired_sentences(methods, within, reference)
+    ranks, model, agree = document["friedman"], document["mixed_model"], document["reliability"]
+    if ranks["p"] is not None:
+        sentences.append(
+            f"Friedman: χ²({ranks['df']:.0f}) = {ranks['chi2']:.2f}, {_p(ranks['p'])}, Kendall's W = {ranks['w']:.2f}."
+        )
+    if model is not None:
+        terms = "; ".join(
+            f"{term['name']}, F({term['df'][0]:.0f}, {term['df'][1]:.0f}) = {term['f']:.2f}, {_p(term['p'])}"
+            for term in model["terms"]
+        )
+        sentences.append(f"Linear mixed model of all {model['n_ratings']} ratings: {terms}.")
+    if agree["icc_mean"] is not None:
+        sentences.append(f"Agreement: ICC(2,1) = {agree['icc_single']:.2f}, ICC(2,k) = {agree['icc_mean']:.2f}.")
+    best = max(overall, key=lambda row: row["mean"])
+    return [*sentences, f"The highest mean is that of {best['method']}."]
+
+
+def _paired_sentences(methods: Sequence[str], within: Sequence[Paired], reference: int | None) -> list[str]:
+    """Results of the tests within textures, by each correction; a single pair needs none."""
+    family, b = within[0].pairs, len(within)
+    many = len(family)
+    if many == 1:
+        what = f"paired t-test{'s' * (b > 1)} of {methods[family[0][0]]} and {methods[family[0][1]]}"
+    elif reference is None:
+        what = f"paired t-tests of all {many} pairs of methods"
+    else:
+        what = f"paired t-tests of the {many} other methods against {methods[reference]}"
+    where, of = ("each texture", f"of {b} textures") if b > 1 else ("the one texture", "of it")
+    sentences = []
+    for name, key in (("Bonferroni", "p_bonferroni"), ("Holm", "p_holm"))[: 1 if many == 1 else 2]:
+        results = []
+        for k, (i, j) in enumerate(family):
+            up = sum(bool(t.difference[k] > 0 and getattr(t, key)[k] < ALPHA) for t in within)
+            down = sum(bool(t.difference[k] < 0 and getattr(t, key)[k] < ALPHA) for t in within)
+            results.append(f"{methods[i]} above {methods[j]} on {up}, below on {down}")
+        corrected = f", {name}-corrected for {many}" if many > 1 else ""
+        sentences.append(f"Within {where}, {what}{corrected}: {of}, {'; '.join(results)}.")
+    return sentences
+
+
+def _numbers(test: Effect | Friedman) -> dict[str, Any]:
+    return {name: _json_value(value) for name, value in vars(test).items()}
 
 
 def _anova(effect: Effect) -> str:
@@ -295,6 +300,8 @@ def stars(p: float | None) -> str:
     return "***" if p < 0.001 else "**" if p < 0.01 else "*"
 
 
-def _or_none(value: Any) -> float | None:
-    """A number as JSON has it, None for NaN."""
+def _json_value(value: Any) -> Any:
+    """A value as JSON has it, None for NaN."""
+    if isinstance(value, str | tuple):
+        return value if isinstance(value, str) else list(value)
     return float(value) if np.isfinite(value) else None

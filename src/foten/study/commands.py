@@ -133,7 +133,7 @@ def run(
     database = output or study.with_suffix(".db")
     store = loaded.open_store(database, simulated)
     store.hold()
-    server = StudyServer(store, loaded.design, loaded.stimuli, loaded.output)
+    server = StudyServer(store, loaded)
 
     def announce(access: Access, host: str, joined: bool) -> None:
         server.link = partial(access.link, host)

@@ -1,10 +1,6 @@
-"""Orders of trials that are balanced over textures and methods.
+"""Orders of trials that are balanced over textures and methods, by Williams squares.
 
-A participant goes through all textures once with each method, in rounds: a round holds each texture once. The order of textures
-within a round is a row of a Williams square, in which each texture is at each place equally often, and behind each other one
-equally often; the methods of a texture over the rounds are a row of another. Participants take the rows in turn.
-
-Source: Williams, Australian Journal of Scientific Research A 2, 149 (1949), for the squares.
+Source: Williams, Australian Journal of Scientific Research A 2, 149 (1949).
 """
 
 from __future__ import annotations
@@ -33,9 +29,8 @@ class Trial:
 
 
 def williams(k: int) -> Rows:
-    """Rows of 0 … k − 1 balanced for place and for what comes before: k rows for an even k, else 2 k; shape (rows, k).
-
-    In each column each number occurs equally often, and so does each pair of neighbours.
+    """Rows of 0 … k − 1, shape (k, k), or (2 k, k) for an odd k, in whose columns each number occurs equally often, and so does
+    each pair of neighbours.
     """
     first = np.array([(i + 1) // 2 if i % 2 else -(i // 2) for i in range(k)])
     rows = (np.arange(k)[:, None] + first) % k
@@ -67,7 +62,11 @@ def orders(
 
 
 def _balanced(rng: np.random.Generator, n: int, textures: int, methods: int) -> list[list[int]]:
-    """Trials of each participant, as texture × methods + method."""
+    """Trials of each participant, as texture × methods + method.
+
+    A round holds each texture once, in the order of a row of a square; a texture's methods over the rounds are a row of another
+    square. Participants take the rows in turn.
+    """
     texture_rows, method_rows = williams(textures), williams(methods)
     texture_of, method_of = rng.permutation(textures), rng.permutation(methods)  # which is called what in the squares
     row_of = _rounds(rng, texture_rows, methods)
@@ -118,10 +117,8 @@ def _rounds(rng: np.random.Generator, rows: Rows, n_rounds: int) -> list[int]:
 
 
 def balance(orders: list[list[Trial]], n_textures: int, n_methods: int) -> dict[str, tuple[int, int]]:
-    """Evenness of orders, as the smallest and the largest count:
-
-    `method in round`: how often a method of a texture is in one of the rounds; `texture at place`: how often a texture is at one
-    place of a round; `neighbours`: how often a texture comes behind another within a round.
+    """Smallest and largest count of a texture's method in a round, of a texture at a place of a round, and of a texture behind
+    another one within a round.
     """
     counted = np.array([[(t.texture, t.method) for t in trials if not t.practice] for trials in orders])
     texture, method = np.moveaxis(

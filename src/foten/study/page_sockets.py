@@ -1,21 +1,6 @@
-"""Pages at the WebSocket: a participant's, which is a tablet to stroke on, a screen to answer on, or both, and the operator's.
+"""WebSockets of a study's pages: a participant's, to stroke on, to answer on, or both, and the operator's.
 
-A participant's page sends, beside events of the pen in bytes as `studio.messages` has them:
-
-    {"do": "join", "code": "KXWQA", "role": "all" | "stroke" | "answer", "rate_hz": 48000, "volume_db": 0, "newtons": 0.13,
-     "steepness": 3.32}
-    {"do": "join", "fresh": "KXWQA", …}             as a new participant, under a code that the page drew; not with an operator
-    {"do": "done", "step": "trial:5", "rating": 63, "seconds": 12.5, "underruns": 0}
-    {"do": "done", "step": "questions:end", "answers": {"remarks": "…"}}
-    {"do": "side", "side": "real" | "virtual"}
-
-What it gets names no method: trials by number, textures by name where the study file says so, and samples.
-
-The operator's page shows who is where, gets nothing of methods either, and sends
-
-    {"do": "begin"}
-    {"do": "hold" | "go", "number": 3}
-    {"do": "side", "number": 3, "side": "real" | "virtual"}
+No page gets anything of methods: trials go out by number, textures by name where the study file says so.
 """
 
 from __future__ import annotations
@@ -42,6 +27,7 @@ ELSEWHERE = 4001  # the code of a WebSocket's end, of those that are free for pr
 SIDES = ("virtual", "real")
 PARTICIPANT = Protocol(
     {
+        # A fresh code is drawn by the page of a new participant, where there is no operator.
         "join": ((), ("code", "fresh", "role", "rate_hz", "volume_db", *CALIBRATION)),
         "done": (("step",), ("rating", "seconds", "underruns", "answers")),
         "side": (("side",), ()),
@@ -68,10 +54,9 @@ class ParticipantPage(PageSocket):
     """A page of a session, which it joins by its code."""
 
     def __init__(self, server: StudyServer, socket: WebSocket) -> None:
-        super().__init__(socket, PARTICIPANT)
-        self._server = server
+        self._server, self.blocks = server, BlockQueue(socket)
+        super().__init__(socket, PARTICIPANT, self.blocks.send)
         self._session: Session | None = None
-        self.blocks = BlockQueue(socket)
         self.role, self.rate_hz, self.volume_db = "all", SOUND_RATE_HZ, 0.0
         self.calibration = PressureCalibration()
 
@@ -79,9 +64,6 @@ class ParticipantPage(PageSocket):
     def strokes(self) -> bool:
         """Whether it is stroked on."""
         return self.role != "answer"
-
-    async def run(self) -> None:
-        await self.converse(self.blocks.send())
 
     async def leave(self) -> None:
         session, self._session = self._session, None
@@ -158,11 +140,8 @@ class OperatorPage(PageSocket):
     """The operator's page."""
 
     def __init__(self, server: StudyServer, socket: WebSocket) -> None:
-        super().__init__(socket, OPERATOR)
+        super().__init__(socket, OPERATOR, self._show)
         self._server = server
-
-    async def run(self) -> None:
-        await self.converse(self._show())
 
     async def do(self, message: Mapping[str, Any]) -> None:
         server, kind = self._server, message["do"]

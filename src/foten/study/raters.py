@@ -1,10 +1,4 @@
-"""Raters from a stated model, and the power of studies with them.
-
-    rating = mean(method, texture) + rater + rater × method + rater × texture + noise, cut to the scale
-
-Its standard deviation between raters and the correlation between two ratings of one rater are parameters; a rater's opinions of
-a method and of a texture have stated shares of what is left.
-"""
+"""Raters from a stated model, and the power of studies with them."""
 
 from __future__ import annotations
 
@@ -30,7 +24,7 @@ MIN_DIFFERENCE = 8.75  # points; the smallest that the paper found significant, 
 
 @dataclass(frozen=True)
 class Raters:
-    """A model of raters.
+    """A model of raters: rating = mean(method, texture) + rater + rater × method + rater × texture + noise, cut to the scale.
 
     Args:
         means: of each method on each texture, on the scale of 0 to 100, shape (a, b).

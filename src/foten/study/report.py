@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import csv
 import html
-import io
 import json
-import math
-import statistics
-from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
+
+import numpy as np
+import pandas
 
 from foten.atomic_write import atomic_write
 from foten.reporting.figure import inline_svg, write_figure
@@ -22,12 +20,21 @@ from foten.study.rating_figures import bars, panels
 
 MAX_ROWS = 12  # of a table that people read; the rest is CSV
 CI = "95 % CI, not adjusted"
+# Keys of results.json in its tables, and their headings.
+OF_MEANS = {"method": "method", "mean": "mean", "sd": "SD", "ci95": "95 % CI of the mean, not adjusted"}
+OF_PAIRS = {"pair": "pair", "difference": "difference", "ci95": CI, "t": "t"}
+OF_PAIRS |= {"p_bonferroni": "p Bonferroni", "p_holm": "p Holm", "dz": "dz"}
+OF_RANKS = {"pair": "pair", "w": "W", "p": "p", "p_holm": "p Holm", "rank_biserial": "rank-biserial"}
+OF_VARIANCE = {"name": "effect", "f": "F", "df": "df", "epsilon": "ε", "p_corrected": "p (Greenhouse–Geisser)"}
+OF_VARIANCE |= {"partial_eta2": "η² partial", "generalised_eta2": "η² generalised", "mauchly_p": "Mauchly p"}
+OF_MIXED = {"name": "effect", "f": "F", "df": "df", "p": "p"}
 MARK = "Simulated ratings: of a model of raters, and not of people."
 FIGURES = {
     "ratings": "Mean ratings of each method on each texture",
     "textures": "Ratings of each participant, a panel for each texture",
 }
 WITHIN = "Tests within textures"
+SUMMARY = ["question", "n", "mean", "sd", "answer", "count"]  # of what participants say of themselves
 STYLE = Path(__file__).with_name("report.css")
 DICTIONARY = (  # columns of ratings.csv, meaning, unit
     ("participant", "number of the participant", ""),
@@ -60,210 +67,146 @@ def write_report(result: Result, folder: Path) -> list[Path]:
     pictures = [folder / f"{name}.{form}" for name in figures for form in ("png", "pdf")]
     for path in pictures:
         write_figure(figures[path.stem], path, dpi=150)
+    svgs = {name: inline_svg(figure, name, FIGURES[name]) for name, figure in figures.items()}
     texts = {
-        "report.html": _html(
-            result, {name: inline_svg(figure, name, FIGURES[name]) for name, figure in figures.items()}
-        ),
+        "report.html": _html(result, svgs),
         "report.md": _markdown(result),
         "results.json": json.dumps(result.document, indent=1, allow_nan=False) + "\n",
-        "ratings.csv": _csv(_long(result)),
-        "ratings-wide.csv": _csv(_wide(result)),
-        "pairs.csv": _csv(_pairs(result)),
-        "answers.csv": _csv(_answers(result)),
-        "participants.csv": _csv(_participants(result)),
-        "dictionary.csv": _csv([("column", "meaning", "unit"), *DICTIONARY]),
     }
+    for name, frame in _frames(result).items():
+        texts[name] = frame.to_csv(index=False, float_format="%.6g", lineterminator="\n")
     for name, text in texts.items():
         with atomic_write(folder / name) as part:
             part.write_text(text, encoding="utf-8", newline="")
     return [*(folder / name for name in texts), *pictures]
 
 
-def _csv(rows: Sequence[Sequence[Any]]) -> str:
-    """CSV of rows; a cell without a value is empty."""
-    out = io.StringIO()
-    csv.writer(out, lineterminator="\n").writerows([[_text(cell) for cell in row] for row in rows])
-    return out.getvalue()
+def _frames(result: Result) -> dict[str, pandas.DataFrame]:
+    """Tables of the folder by file; a cell without a value is empty.
+
+    The wide one has a row for each participant, as JASP and jamovi want repeated measures.
+    """
+    ratings, document = result.ratings, result.document
+    rows = [
+        {**row["measured"], **row, "texture": row["texture_key"], "method": row["method_key"]} for row in ratings.rows
+    ]
+    numbers = sorted({row["participant"] for row in ratings.rows})
+    names = [f"{method}.{texture}" for method in ratings.methods for texture in ratings.textures]
+    wide = pandas.DataFrame(ratings.values.reshape(len(numbers), -1), numbers, names).reset_index(names="participant")
+    if ratings.simulated:
+        wide.insert(1, "simulated", 1)
+    pairs = []
+    for texture, tests in {"": document["pairs_overall"], **document["pairs_within_textures"]}.items():
+        for test in tests:
+            first, second = test["pair"]
+            numbers_of_test = {name: value for name, value in test.items() if name != "pair"}
+            pairs.append({"texture": texture, "first": first, "second": second, **numbers_of_test})
+    marked = {
+        "pairs.csv": pandas.DataFrame(pairs),
+        "answers.csv": pandas.DataFrame(ratings.answers, columns=["participant", "question", "answer", "at"]),
+        "participants.csv": _participants(result),
+    }
+    return {
+        "ratings.csv": pandas.DataFrame(rows, columns=[name for name, *_ in DICTIONARY]).astype({"corrected": int}),
+        "ratings-wide.csv": wide,
+        "dictionary.csv": pandas.DataFrame(DICTIONARY, columns=["column", "meaning", "unit"]),
+        **{name: frame.assign(simulated=int(ratings.simulated)) for name, frame in marked.items()},
+    }
 
 
-def _text(cell: Any) -> str:
-    return "" if cell is None else f"{cell:.6g}" if isinstance(cell, float) else str(cell)
-
-
-def _long(result: Result) -> list[Sequence[Any]]:
-    columns = [name for name, _, _ in DICTIONARY]
-    rows: list[Sequence[Any]] = [columns]
-    for row in result.ratings.rows:
-        cells = {**row["measured"], **row, "texture": row["texture_key"], "method": row["method_key"]}
-        cells["corrected"] = int(row["corrected"])
-        rows.append([cells.get(name) for name in columns])
-    return rows
-
-
-def _wide(result: Result) -> list[Sequence[Any]]:
-    """A row for each participant, as JASP and jamovi want repeated measures; a missing rating is an empty cell."""
-    numbers = sorted({row["participant"] for row in result.ratings.rows})
-    names = [f"{method}.{texture}" for method in result.ratings.methods for texture in result.ratings.textures]
-    simulated = result.ratings.simulated
-    rows: list[Sequence[Any]] = [("participant", *["simulated"] * simulated, *names)]
-    for number, ratings in zip(numbers, result.ratings.values, strict=True):
-        rows.append([number, *[1] * simulated, *(None if value != value else value for value in ratings.ravel())])
-    return rows
-
-
-def _pairs(result: Result) -> list[Sequence[Any]]:
-    of = {"": result.document["pairs_overall"], **result.document["pairs_within_textures"]}
-    names = [name for name in of[""][0] if name != "pair"]
-    rows: list[Sequence[Any]] = [("texture", "first", "second", *names, "simulated")]
-    for texture, tests in of.items():
-        rows += [
-            [texture, *test["pair"], *(test[name] for name in names), int(result.ratings.simulated)] for test in tests
-        ]
-    return rows
-
-
-def _answers(result: Result) -> list[Sequence[Any]]:
-    names = ("participant", "question", "answer", "at")
-    rows: list[Sequence[Any]] = [(*names, "simulated")]
-    rows += [[*(answer[name] for name in names), int(result.ratings.simulated)] for answer in result.ratings.answers]
-    return rows
-
-
-def _participants(result: Result) -> list[Sequence[Any]]:
+def _participants(result: Result) -> pandas.DataFrame:
     """Summary of the private answers: a row for a question that has numbers, else a row for each answer."""
-    rows: list[Sequence[Any]] = [("question", "n", "mean", "sd", "answer", "count", "simulated")]
-    simulated = int(result.ratings.simulated)
-    for question, answers in _by_question(result).items():
-        if numbers := _numbers(answers):
-            sd = statistics.stdev(numbers) if len(numbers) > 1 else None
-            rows.append([question, len(answers), statistics.fmean(numbers), sd, None, None, simulated])
+    abouts = pandas.DataFrame(result.ratings.abouts, columns=["question", "answer"], dtype=str)
+    abouts["answer"] = abouts["answer"].str.split().str.join(" ")
+    rows: list[dict[str, Any]] = []
+    for question, answers in abouts[abouts["answer"] != ""].groupby("question", sort=False)["answer"]:
+        of_question, numbers = {"question": question, "n": len(answers)}, pandas.to_numeric(answers, errors="coerce")
+        if np.isfinite(numbers).all():
+            rows.append({**of_question, "mean": numbers.mean(), "sd": numbers.std()})
         else:
-            counts = Counter(answers).most_common()
-            rows += [[question, len(answers), None, None, answer, count, simulated] for answer, count in counts]
-    return rows
+            rows += [{**of_question, "answer": answer, "count": n} for answer, n in answers.value_counts().items()]
+    return pandas.DataFrame(rows, columns=SUMMARY)
 
 
 def _participants_table(result: Result) -> list[Table]:
     """The same to be read; none where nothing was asked."""
-    heads, *rows = [[_text(cell) for cell in row[:-1]] for row in _participants(result)]
+    rows = [
+        ["" if pandas.isna(cell) else f"{cell:.6g}" if isinstance(cell, float) else str(cell) for cell in row]
+        for row in _participants(result).itertuples(index=False)
+    ]
     notes = (f"The first {MAX_ROWS} of {len(rows)} rows; participants.csv has all.",) if len(rows) > MAX_ROWS else ()
-    table = replace(Table.of(heads, rows[:MAX_ROWS]), title="Participants", notes=notes)
+    table = replace(Table.of(SUMMARY, rows[:MAX_ROWS]), title="Participants", notes=notes)
     return [table.known()] if rows else []
-
-
-def _by_question(result: Result) -> dict[str, list[str]]:
-    """Answers to the private questions; a question that was passed over has none."""
-    answers: dict[str, list[str]] = {}
-    for row in result.ratings.abouts:
-        if answer := " ".join(str(row["answer"]).split()):
-            answers.setdefault(row["question"], []).append(answer)
-    return answers
-
-
-def _numbers(answers: Sequence[str]) -> list[float]:
-    """Answers as numbers; none where any is none."""
-    try:
-        numbers = [float(answer) for answer in answers]
-    except ValueError:
-        return []
-    return numbers if all(map(math.isfinite, numbers)) else []
 
 
 def _tables(result: Result) -> list[Table]:
     """Tables for people, but for those of each texture."""
     document, several = result.document, len(result.ratings.textures) > 1
     across = ", averaged across textures" if several else ""
-    columns = {"t": "t", "p_bonferroni": "p Bonferroni", "p_holm": "p Holm", "dz": "dz"}
-    by_ranks = {"w": "W", "p": "p", "p_holm": "p Holm", "rank_biserial": "rank-biserial"}
-    tables = [
-        _means(document["means"]),
-        _analyses_of_variance(document, several),
-        _tests(f"Pairs{across}", document["pairs_overall"], columns, "pairs.csv"),
-        _tests(f"Wilcoxon's signed-rank tests{across}", document["wilcoxon"], by_ranks, "results.json"),
-    ]
-    model = document["mixed_model"]
-    if model is not None:
-        rows = [(term["name"], _short(term["f"]), _df(term), _short(term["p"])) for term in model["terms"]]
-        title = f"Linear mixed model of all {model['n_ratings']} ratings"
-        tables.append(replace(Table.of(("effect", "F", "df", "p"), rows), title=title))
-    return [*_participants_table(result), *tables, *_agreement(document["reliability"])]
-
-
-def _means(means: list[dict[str, Any]]) -> Table:
-    from scipy import stats
-
-    rows = []
-    for of_method in means:
-        if of_method["texture"] is None:
-            n, mean, sd = of_method["n"], of_method["mean"], of_method["sd"]
-            half = stats.t.ppf(0.975, n - 1) * sd / n**0.5
-            rows.append((of_method["method"], f"{mean:.2f}", f"{sd:.2f}", f"{mean - half:.2f} to {mean + half:.2f}"))
-    return replace(Table.of(("method", "mean", "SD", "95 % CI of the mean, not adjusted"), rows), title="Ratings")
-
-
-def _analyses_of_variance(document: dict[str, Any], several: bool) -> Table:
-    columns = {"epsilon": "ε", "p_corrected": "p (Greenhouse–Geisser)", "partial_eta2": "η² partial"}
-    columns |= {"generalised_eta2": "η² generalised", "mauchly_p": "Mauchly p"}
     (one_way,) = document["anova_one_way"]
     effects = [{**one_way, "name": "method, averaged" if several else "method"}, *document["anova_two_way"]]
-    rows = [
-        (effect["name"], _short(effect["f"]), _df(effect), *(_short(effect[key]) for key in columns))
-        for effect in effects
+    tables = [
+        _table("Ratings", [row for row in document["means"] if row["texture"] is None], OF_MEANS),
+        _table("Analyses of variance", effects, OF_VARIANCE),
+        _tests(f"Pairs{across}", document["pairs_overall"], OF_PAIRS, "pairs.csv"),
+        _tests(f"Wilcoxon's signed-rank tests{across}", document["wilcoxon"], OF_RANKS, "results.json"),
     ]
-    return replace(Table.of(("effect", "F", "df", *columns.values()), rows), title="Analyses of variance")
-
-
-def _tests(title: str, tests: list[dict[str, Any]], columns: dict[str, str], file: str) -> Table:
-    """Tests of pairs, those of the lowest p where they are too many, in their order."""
-    shown, notes = tests, tuple[str, ...]()
-    if len(tests) > MAX_ROWS:
-        lowest = sorted(range(len(tests)), key=lambda k: 2.0 if tests[k]["p"] is None else tests[k]["p"])[:MAX_ROWS]
-        shown = [tests[k] for k in sorted(lowest)]
-        notes = (f"The {MAX_ROWS} lowest p of {len(tests)} pairs; {file} has all.",)
-    interval = ("difference", CI) if "difference" in tests[0] else ()
-    table = Table.of(("pair", *interval, *columns.values()), [_test_cells(test, columns) for test in shown])
-    return replace(table, title=title, notes=notes)
-
-
-def _test_cells(test: dict[str, Any], columns: dict[str, str]) -> list[str]:
-    cells = [" − ".join(test["pair"])]
-    if "difference" in test:
-        cells += [f"{test['difference']:.2f}", f"{_short(test['ci95_low'])} to {_short(test['ci95_high'])}"]
-    return cells + [_short(test[key]) for key in columns]
+    model, agreement = document["mixed_model"], document["reliability"]
+    if model is not None:
+        tables.append(_table(f"Linear mixed model of all {model['n_ratings']} ratings", model["terms"], OF_MIXED))
+    icc = [
+        {"of": "of one rater, ICC(2,1)", "value": agreement["icc_single"]},
+        {"of": "of the mean of all, ICC(2,k)", "value": agreement["icc_mean"]},
+    ]
+    each = [{"participant": number, "r": r} for number, r in agreement["with_others"].items()]
+    each.sort(key=lambda row: -2.0 if row["r"] is None else row["r"])
+    notes = (f"The lowest {MAX_ROWS} of {len(each)}; results.json has all.",) if len(each) > MAX_ROWS else ()
+    who = "Each participant's correlation with the others"
+    return [
+        *_participants_table(result),
+        *tables,
+        _table("Reliability", icc, {"of": "intraclass correlation", "value": "value"}),
+        _table(who, each[:MAX_ROWS], {"participant": "participant", "r": "correlation"}, notes),
+    ]
 
 
 def _within(result: Result) -> list[Table]:
     """Tests within textures: a single table, or a table for each texture where that has too many rows; none of one texture."""
     tests_of = result.document["pairs_within_textures"]
-    columns = {"p_bonferroni": "p Bonferroni", "p_holm": "p Holm", "dz": "dz"}
+    columns = {key: head for key, head in OF_PAIRS.items() if key != "t"}
     if len(tests_of) == 1:
         return []
     if sum(len(tests) for tests in tests_of.values()) > MAX_ROWS:
         return [_tests(f"Tests within {texture}", tests, columns, "pairs.csv") for texture, tests in tests_of.items()]
-    rows = [[texture, *_test_cells(test, columns)] for texture, tests in tests_of.items() for test in tests]
-    heads = ("texture", "pair", "difference", CI, *columns.values())
-    return [replace(Table.of(heads, rows), title=WITHIN)]
+    rows = [{"texture": texture, **test} for texture, tests in tests_of.items() for test in tests]
+    return [_table(WITHIN, rows, {"texture": "texture", **columns})]
 
 
-def _agreement(reliability: dict[str, Any]) -> list[Table]:
-    """Agreement of participants, and those who agree worst with the others."""
-    icc = [
-        ("of one rater, ICC(2,1)", _short(reliability["icc_single"])),
-        ("of the mean of all, ICC(2,k)", _short(reliability["icc_mean"])),
-    ]
-    correlations = reliability["with_others"].items()
-    lowest_first = sorted(correlations, key=lambda item: -2.0 if item[1] is None else item[1])
-    n = len(lowest_first)
-    notes = (f"The lowest {MAX_ROWS} of {n}; results.json has all.",) if n > MAX_ROWS else ()
-    each = Table.of(("participant", "correlation"), [(number, _short(r)) for number, r in lowest_first[:MAX_ROWS]])
-    return [
-        replace(Table.of(("intraclass correlation", "value"), icc), title="Reliability"),
-        replace(each, title="Each participant's correlation with the others", notes=notes),
-    ]
+def _tests(title: str, tests: list[dict[str, Any]], columns: dict[str, str], file: str) -> Table:
+    """Tests of pairs, those of the lowest p where they are too many, in their order."""
+    if len(tests) <= MAX_ROWS:
+        return _table(title, tests, columns)
+    lowest = sorted(range(len(tests)), key=lambda k: 2.0 if tests[k]["p"] is None else tests[k]["p"])[:MAX_ROWS]
+    note = f"The {MAX_ROWS} lowest p of {len(tests)} pairs; {file} has all."
+    return _table(title, [tests[k] for k in sorted(lowest)], columns, (note,))
 
 
-def _df(effect: dict[str, Any]) -> str:
-    return f"{effect['df'][0]:.0f}, {effect['df'][1]:.0f}"
+def _table(title: str, rows: Sequence[dict[str, Any]], columns: dict[str, str], notes: tuple[str, ...] = ()) -> Table:
+    """Table of rows, with a heading for each key."""
+    cells = [[_cell(row, key) for key in columns] for row in rows]
+    return replace(Table.of(columns.values(), cells), title=title, notes=notes)
+
+
+def _cell(row: dict[str, Any], key: str) -> str:
+    if key == "ci95":
+        return f"{_short(row['ci95_low'])} to {_short(row['ci95_high'])}"
+    if key == "pair":
+        return " − ".join(row["pair"])
+    if key in ("mean", "sd", "difference"):
+        return f"{row[key]:.2f}"  # points
+    if key == "df":
+        return ", ".join(f"{df:.0f}" for df in row["df"])
+    return row[key] if isinstance(row[key], str) else _short(row[key])
 
 
 def _short(value: float | None) -> str:

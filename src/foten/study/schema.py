@@ -1,7 +1,6 @@
-"""Schema of a study's database: one SQLite file, to which answers are only ever added.
+"""Schema of a study's database: one SQLite file, to which answers are only added. Participants are numbers.
 
-Participants are numbers. What they say of themselves, and that they agreed, lies in tables of its own, which no export reads
-beside ratings. Triggers refuse changes, and simulated ratings in a study of people or the reverse.
+What participants say of themselves lies in tables of its own, which no export reads beside ratings.
 """
 
 from __future__ import annotations

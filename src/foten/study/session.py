@@ -60,7 +60,7 @@ class Session:
 
     @property
     def step(self) -> Step:
-        """First step that is not behind the participant."""
+        """First step that is not completed."""
         return next((step for step in self.steps if step["id"] not in self.done), self.steps[-1])
 
     def _arrive(self) -> None:
@@ -70,10 +70,24 @@ class Session:
         self._log = TrialLog()
 
     def shown(self) -> Step:
-        """The step as a participant's page gets it."""
-        public = public_step(self.step, self.server.design)
-        public |= {"title": self.server.design.title, "simulated": self.server.store.simulated, "held": self.held}
-        return public | ({"side": self.side} if self.step["kind"] == "trial" else {})
+        """The step as a participant's page gets it: nothing of methods."""
+        step, design = self.step, self.server.design
+        shown: Step = {name: value for name, value in step.items() if name not in ("trial", "questions")}
+        shown |= {"title": design.title, "simulated": self.server.store.simulated, "held": self.held}
+        if step["kind"] == "questions":
+            shown["questions"] = [
+                {"key": q.key, "text": q.text, "kind": q.kind, "options": list(q.options), "required": q.required}
+                for q in step["questions"]
+            ]
+        if step["kind"] == "trial":
+            trial: Trial = step["trial"]
+            texture, rating, setup = design.textures[trial.texture], design.rating, design.setup
+            shown |= {"practice": trial.practice, "real_side": setup.real_side, "screens": setup.screens}
+            shown |= {"question": rating.question, "lowest": rating.lowest, "highest": rating.highest}
+            shown |= {"min_s": rating.min_seconds, "side": self.side}
+            if setup.show_names:
+                shown |= {"name": texture.name, "picture": f"pictures/{trial.texture}" if texture.picture else None}
+        return shown
 
     async def show(self) -> None:
         """Show the step on all pages."""
@@ -81,7 +95,7 @@ class Session:
             await page.show()
 
     async def finish(self, step_id: str, message: Mapping[str, Any]) -> None:
-        """Take the answers of a step, into the database, and go on; a step that is behind already is left as it is.
+        """Take the answers of a step, into the database, and go on; a completed step is left as it is.
 
         Raises:
             RefusedError: it is not this step's turn, or an answer is missing or wrong, or cannot be stored.
@@ -130,7 +144,7 @@ class Session:
             raise RefusedError(f"explore both surfaces for {min_s:g} s first")
 
     def _rated(self, message: Mapping[str, Any]) -> Rated:
-        log = self._log.summary([] if self.contact is None else [self.contact.statistics])
+        log = self._log.summary()
         if self.server.output is None:  # the sound runs dry in the tablet, if anywhere, and its page counts that
             log["n_underruns"] = message.get("underruns")
         page = next((page for page in self.pages if page.strokes), None)
@@ -191,7 +205,7 @@ class Session:
             await asyncio.to_thread(contact.open, server.stimuli.bytes_of[key], page.calibration, seed)
         except (OSError, ValueError) as error:
             raise RefusedError(f"nothing can be played: {error}") from error
-        self._log.block_s = player.statistics.block_ms / 1000
+        self._log.contacts.append(player.statistics)
         self.contact, self._page, self._saved_at = contact, page, time.monotonic()
 
     async def save_strokes(self) -> None:
@@ -213,7 +227,6 @@ class Session:
             self._unsaved = []
         contact, self.contact = self.contact, None
         if contact is not None:
-            self._log.ended.append(contact.statistics)
             with contextlib.suppress(OSError, ValueError, RuntimeError):
                 await asyncio.to_thread(contact.close)
 
@@ -235,7 +248,7 @@ class Session:
             texture = self.server.design.textures[step["trial"].texture]
             shown |= {"texture": texture.name, "real": texture.real, "practice": step["trial"].practice}
         if self.contact is not None:
-            live = self.contact.statistics  # how long a block takes would tell methods apart
+            live = self.contact.player.statistics  # how long a block takes would tell methods apart
             shown |= {"n_missed": live.n_missed, "n_underruns": live.n_underruns}
         return shown
 
@@ -245,32 +258,28 @@ class TrialLog:
     """A trial through all its contacts: a lost connection or a hold begins another contact."""
 
     conditions: list[tuple[float, float]] = field(default_factory=list)  # speed [mm/s], force [N] at each block's end
-    ended: list[LiveStatistics] = field(default_factory=list)  # of contacts before the present one
-    block_s: float = 0.0
+    contacts: list[LiveStatistics] = field(default_factory=list)
 
-    def summary(self, live: Sequence[LiveStatistics]) -> dict[str, Any]:
+    def summary(self) -> dict[str, Any]:
         """Seconds in contact; of them the 10th, 50th and 90th percentile of speed [mm/s] and force [N]; p99 of a block's
         rendering [ms], blocks that came late, and under-runs.
-
-        Args:
-            live: statistics of the contacts that have not ended.
         """
+        block, block_ms = Timing(), 0.0
+        for contact in self.contacts:
+            block.counts += contact.block.counts
+            block.largest_s, block_ms = max(block.largest_s, contact.block.largest_s), contact.block_ms
         in_contact = np.array([c for c in list(self.conditions) if c[1] > MIN_CONTACT_N]).reshape(-1, 2)
-        result: dict[str, Any] = {"contact_s": round(self.block_s * len(in_contact), 3)}
+        result: dict[str, Any] = {"contact_s": round(block_ms / 1000 * len(in_contact), 3)}
         for name, values in zip(("speed_mm_s", "force_n"), in_contact.T, strict=True):
             for percent in (10, 50, 90):
                 result[f"{name}_p{percent}"] = round(float(np.percentile(values, percent)), 4) if values.size else None
-        block, contacts = Timing(), [*self.ended, *live]
-        for contact in contacts:
-            block.counts += contact.block.counts
-            block.largest_s = max(block.largest_s, contact.block.largest_s)
         p99_ms = 1000 * block.percentile_s(99.0)
         return {
             **result,
             "block_p99_ms": round(p99_ms, 4) if math.isfinite(p99_ms) else None,
-            "n_missed": sum(contact.n_missed for contact in contacts),
-            "n_underruns": sum(contact.n_underruns for contact in contacts),
-            "n_contacts": len(contacts),
+            "n_missed": sum(contact.n_missed for contact in self.contacts),
+            "n_underruns": sum(contact.n_underruns for contact in self.contacts),
+            "n_contacts": len(self.contacts),
         }
 
 
@@ -296,25 +305,6 @@ def steps_of(design: Design, trials: Sequence[Trial]) -> list[Step]:
 def _questions(questions: Sequence[Question], at: str | int) -> list[Step]:
     asked = [question for question in questions if question.at == at]
     return [{"id": f"questions:{at}", "kind": "questions", "questions": asked}] if asked else []
-
-
-def public_step(step: Step, design: Design) -> Step:
-    """What a participant's page gets of a step: nothing of methods."""
-    public: Step = {name: value for name, value in step.items() if name not in ("trial", "questions")}
-    if step["kind"] == "questions":
-        public["questions"] = [
-            {"key": q.key, "text": q.text, "kind": q.kind, "options": list(q.options), "required": q.required}
-            for q in step["questions"]
-        ]
-    if step["kind"] == "trial":
-        trial: Trial = step["trial"]
-        texture, rating, setup = design.textures[trial.texture], design.rating, design.setup
-        public |= {"practice": trial.practice, "real_side": setup.real_side, "screens": setup.screens}
-        public |= {"question": rating.question, "lowest": rating.lowest, "highest": rating.highest}
-        public |= {"min_s": rating.min_seconds}
-        if setup.show_names:
-            public |= {"name": texture.name, "picture": f"pictures/{trial.texture}" if texture.picture else None}
-    return public
 
 
 def checked_answers(questions: Sequence[Question], answers: Any) -> tuple[dict[str, str], dict[str, str]]:

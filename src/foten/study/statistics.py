@@ -1,12 +1,6 @@
-"""Repeated-measures statistics of ratings: arrays in, numbers out; they know nothing of a server or a file.
+"""Repeated-measures statistics of ratings y, shape (…, n, a) or (…, n, a, b): studies, participants, methods, textures.
 
-Ratings are arrays y of shape (n, a) or (n, a, b): participants, methods, textures; none is missing but for the mixed model.
-Leading axes before those are studies.
-What cannot be computed, where every value is the same, is NaN.
-
-Sources: Greenhouse & Geisser, Psychometrika 24, 95 (1959), for ε; Mauchly, Annals of Mathematical Statistics 11, 204 (1940);
-Olejnik & Algina, Psychological Methods 8, 434 (2003), for generalised η²; Holm, Scandinavian Journal of Statistics 6, 65 (1979);
-Shrout & Fleiss, Psychological Bulletin 86, 420 (1979), for intraclass correlations.
+Ratings are complete, but for the mixed model. What cannot be computed, where every value is the same, is NaN.
 """
 
 from __future__ import annotations
@@ -48,6 +42,9 @@ def anova(y: Array) -> list[Effect]:
     """Repeated-measures analysis of variance of complete ratings, shape (…, n, a, b): both main effects and their interaction.
 
     With one texture, or ratings averaged over textures, b is 1, and there is the effect of method alone.
+
+    Sources: Greenhouse & Geisser, Psychometrika 24, 95 (1959), for ε; Olejnik & Algina, Psychological Methods 8, 434 (2003),
+    for generalised η².
     """
     n, a, b = y.shape[-3:]
     flat = y.reshape(*y.shape[:-2], a * b)
@@ -100,6 +97,8 @@ def _mauchly(covariance: Array, n: int) -> Array:
 
     R 4.2's `mauchly.test` has the number of conditions in one place of that term where the number of contrasts belongs, which
     moves p by less than a hundredth where it is above 0.03.
+
+    Source: Mauchly, Annals of Mathematical Statistics 11, 204 (1940).
     """
     from scipy import stats
 
@@ -118,7 +117,7 @@ def _mauchly(covariance: Array, n: int) -> Array:
 
 
 def holm(p: Array) -> Array:
-    """p values adjusted by Holm's method along the last axis."""
+    """p values adjusted along the last axis; Holm, Scandinavian Journal of Statistics 6, 65 (1979)."""
     m = p.shape[-1]
     order = np.argsort(p, axis=-1)
     stepped = np.maximum.accumulate(np.take_along_axis(p, order, -1) * np.arange(m, 0, -1), axis=-1)
@@ -152,23 +151,19 @@ class Paired:
 
 
 def paired_tests(y: Array, reference: int | None = None) -> Paired:
-    """Paired t-tests of conditions y (…, n, a): a family for Bonferroni and Holm.
-
-    Args:
-        y: complete ratings.
-        reference: compares all others with this condition; None for all pairs.
+    """Paired t-tests of all pairs of conditions y (…, n, a), or of a reference with each other one: a family for Bonferroni and
+    Holm.
     """
     from scipy import stats
 
     n, a = y.shape[-2:]
     family = pairs(a, reference)
-    first, second = (y[..., [pair[i] for pair in family]] for i in (0, 1))
+    first, second = np.moveaxis(y[..., family], -1, 0)
     d = first - second
     mean, sd = d.mean(-2), d.std(-2, ddof=1)
     with np.errstate(divide="ignore", invalid="ignore"):
-        t = mean / (sd / np.sqrt(n))
-        d_av = mean / ((first.std(-2, ddof=1) + second.std(-2, ddof=1)) / 2)
-        dz = mean / sd
+        dz, d_av = mean / sd, mean / ((first.std(-2, ddof=1) + second.std(-2, ddof=1)) / 2)
+        t = dz * np.sqrt(n)
     p = 2 * stats.t.sf(np.abs(t), n - 1)
     half = stats.t.ppf(0.975, n - 1) * sd / np.sqrt(n)
     bonferroni = np.minimum(len(family) * p, 1.0)
@@ -223,9 +218,9 @@ def wilcoxon_tests(y: Array, reference: int | None = None) -> SignedRank:
         if d.size == 0:
             rows.append((np.nan, 1.0, 0.0))
             continue
-        ranks = stats.rankdata(np.abs(d))
-        up, down = ranks[d > 0].sum(), ranks[d < 0].sum()
-        rows.append((min(up, down), stats.wilcoxon(d).pvalue, (up - down) / (up + down)))
+        test, total = stats.wilcoxon(d), d.size * (d.size + 1) / 2
+        up = stats.wilcoxon(d, alternative="greater").statistic
+        rows.append((test.statistic, test.pvalue, 2 * up / total - 1))
     w, p, rank_biserial = np.array(rows).T
     return SignedRank(family, w, p, holm(p), rank_biserial)
 
@@ -240,7 +235,10 @@ class Reliability:
 
 
 def reliability(y: Array) -> Reliability:
-    """Reliability of ratings y (n, conditions); NaN where a participant rated all the same."""
+    """Reliability of ratings y (n, conditions); NaN where a participant rated all the same.
+
+    Source: Shrout & Fleiss, Psychological Bulletin 86, 420 (1979).
+    """
     n, k = y.shape
     others = (y.sum(0) - y) / (n - 1)
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -259,7 +257,7 @@ def reliability(y: Array) -> Reliability:
 class MixedModel:
     """A linear mixed model of ratings, for those that are not complete."""
 
-    terms: list[tuple[str, float, int, float, float]]  # name, F, and its two degrees of freedom, p
+    terms: list[dict[str, Any]]  # name, f, its two degrees of freedom df, p
     sd: dict[str, float]  # of the random effects, and of the residual
     converged: bool
 
@@ -292,13 +290,11 @@ def mixed_model(participant: Index, method: Index, texture: Index, rating: Array
         )
         fitted = model.fit(reml=True, method=["lbfgs", "powell"])
         wald = fitted.wald_test_terms(scalar=True).table.iloc[1:]  # behind the intercept
-    terms: list[tuple[str, float, int, float, float]] = []
+    terms = []
     for (name, df), chi2, width in zip(df2.items(), wald["statistic"], wald["df_constraint"], strict=True):
         f = float(chi2) / width
-        terms.append((name, f, int(width), float(df), float(stats.f.sf(f, width, df))))
+        terms.append({"name": name, "f": f, "df": [int(width), float(df)], "p": float(stats.f.sf(f, width, df))})
     variances = {"participants": np.asarray(fitted.cov_re)[0, 0], **dict.fromkeys(random, 0.0)}
-    variances |= dict(zip(model.exog_vc.names, fitted.vcomp, strict=True))
-    sd = {
-        name: float(np.sqrt(max(0.0, variance))) for name, variance in (*variances.items(), ("residual", fitted.scale))
-    }
+    variances |= dict(zip(model.exog_vc.names, fitted.vcomp, strict=True), residual=fitted.scale)
+    sd = {name: float(np.sqrt(max(0.0, variance))) for name, variance in variances.items()}
     return MixedModel(terms, sd, bool(fitted.converged))

@@ -1,8 +1,4 @@
-"""A study's database while it is read and written.
-
-A rating that was wrong is corrected by a new row; the old row stays. `synchronous=FULL` in write-ahead logging: a commit that
-returned has reached the disk.
-"""
+"""A study's database while it is read and written. A commit that returned has reached the disk."""
 
 from __future__ import annotations
 
@@ -77,16 +73,12 @@ class Store(contextlib.AbstractContextManager["Store"]):
             newest = f"this foten knows up to {schema.VERSION}"
             raise ValueError(f"{self.path} is of version {version}, and {newest}: update foten")
         execute("PRAGMA journal_mode = WAL")
-        execute("PRAGMA synchronous = FULL")
+        execute("PRAGMA synchronous = FULL")  # of write-ahead logging: a commit waits for the disk
         execute("PRAGMA foreign_keys = ON")
         self.study = dict(execute("SELECT * FROM study").fetchone())
 
     def hold(self) -> None:
-        """Lock the study for this process, which runs it, until `close` or the process's end.
-
-        Raises:
-            OSError: another process runs it.
-        """
+        """Lock the study for this process until `close` or the process's end; OSError where another process runs it."""
         if self._lock is None:
             lock = self.path.with_name(self.path.name + ".lock").open("a+b")
             try:
@@ -133,11 +125,7 @@ class Store(contextlib.AbstractContextManager["Store"]):
         return self._execute(query, *values).fetchall()
 
     def join(self, code: str) -> int:
-        """Add a participant under a code; the number, the next that is free.
-
-        Raises:
-            ValueError: all have begun.
-        """
+        """Add a participant under a code; the next free number, or ValueError where all have begun."""
         with self._writing():
             taken = set(self.codes().values())
             number = next((n for n in self.ordered() if n not in taken), None)
@@ -164,7 +152,7 @@ class Store(contextlib.AbstractContextManager["Store"]):
         return {(row["texture"], row["method"]): Stimulus(*row) for row in self._rows("SELECT * FROM stimuli")}
 
     def done(self, participant: int) -> set[str]:
-        """Steps that a participant has behind."""
+        """Steps that a participant has completed."""
         return {str(row[0]) for row in self._rows("SELECT step FROM steps WHERE participant = ?", participant)}
 
     def take_step(

@@ -1,11 +1,4 @@
-"""The server of a study.
-
-GET  /                participants' page; its files
-GET  /pictures/N      the picture of a texture
-WS   /session         a participant's page (`page_sockets`)
-GET  /operator        the operator's page, by the key in its link
-WS   /operate         what it shows, and does (`page_sockets`)
-"""
+"""Server of a study: the participants' page, the operator's page by the key in its link, and their WebSockets."""
 
 from __future__ import annotations
 
@@ -20,20 +13,18 @@ from pathlib import Path
 from typing import Any
 
 from starlette.applications import Starlette
-from starlette.datastructures import Headers
-from starlette.requests import Request
+from starlette.requests import HTTPConnection, Request
 from starlette.responses import FileResponse, PlainTextResponse, RedirectResponse, Response
 from starlette.routing import Route, WebSocketRoute
 from starlette.types import ASGIApp
 from starlette.websockets import WebSocket
 
-from foten.studio.access import Access, Guarded, cookie_in, is_same
+from foten.studio.access import Access, Guarded, is_same
 from foten.studio.messages import RefusedError
-from foten.studio.players import OutputDevice, Player, RoundRobinRenderer
+from foten.studio.players import Player, RoundRobinRenderer
 from foten.studio.studio_server import missing, page_file, page_files
 from foten.studio.websocket import serve_page
-from foten.study.design import Design
-from foten.study.loading import Stimuli
+from foten.study.loading import Study
 from foten.study.page_sockets import OperatorPage, ParticipantPage
 from foten.study.session import Session
 from foten.study.store import Store
@@ -48,19 +39,13 @@ SHARED = ("studio.css", "pad.js", "settings.js", "stream.js")  # not the kernel,
 
 
 class StudyServer:
-    """A study that runs.
+    """A study that runs, with its database."""
 
-    Args:
-        store: its database.
-        design, stimuli: as the database has them.
-        output: plays here; None where the pages play.
-    """
-
-    def __init__(self, store: Store, design: Design, stimuli: Stimuli, output: OutputDevice | None) -> None:
-        self.store, self.design, self.stimuli, self.output = store, design, stimuli, output
+    def __init__(self, store: Store, study: Study) -> None:
+        self.store, self.design, self.stimuli, self.output = store, study.design, study.stimuli, study.output
         self.operator_key = secrets.token_urlsafe(16)
         self.gains = {key: stimulus.gain_db for key, stimulus in store.stimuli().items()}
-        self.player: Callable[[float], Player] = (output or RoundRobinRenderer()).player
+        self.player: Callable[[float], Player] = (study.output or RoundRobinRenderer()).player
         self.link: Callable[..., str]  # by which the next device comes in, as `Access.link` gives it
         self.sessions: dict[int, Session] = {}
         self.pages: set[ParticipantPage] = set()
@@ -82,7 +67,7 @@ class StudyServer:
         """Session of a new participant, under a code that the page drew: a page that asks again gets the same.
 
         Raises:
-            RefusedError: the design has no more.
+            RefusedError: the code is none, or all participants of the design have begun.
         """
         code = code or "".join(secrets.choice(LETTERS) for _ in range(CODE_LETTERS))
         if len(code) != CODE_LETTERS or not set(code) <= set(LETTERS):
@@ -137,14 +122,14 @@ class StudyServer:
             secure = request.url.scheme == "https"
             moved.set_cookie(OPERATOR_COOKIE, self.operator_key, httponly=True, samesite="lax", secure=secure)
             return moved
-        if not self._is_operator(request.headers):
+        if not self._is_operator(request):
             why = "this page is the operator's: open the link that the server printed\n"
             return PlainTextResponse(why, status_code=403)
         return FileResponse(PAGES / OPERATOR_PAGE, media_type="text/html")
 
     async def _code(self, request: Request) -> Response:
         """A code to scan, which opens a participant's page."""
-        if not self._is_operator(request.headers):
+        if not self._is_operator(request):
             return missing("this is the operator's")
         import segno
 
@@ -158,14 +143,14 @@ class StudyServer:
         segno.make(self.link(**query), error="l").save(drawn, kind="svg", scale=8, border=2)
         return Response(drawn.getvalue(), media_type="image/svg+xml")
 
-    def _is_operator(self, headers: Headers) -> bool:
-        return is_same(cookie_in(headers, OPERATOR_COOKIE) or "", self.operator_key)
+    def _is_operator(self, connection: HTTPConnection) -> bool:
+        return is_same(connection.cookies.get(OPERATOR_COOKIE, ""), self.operator_key)
 
     async def _serve_page(self, socket: WebSocket) -> None:
         await serve_page(socket, self.pages, MAX_PAGES, lambda socket: ParticipantPage(self, socket))
 
     async def _serve_operator(self, socket: WebSocket) -> None:
-        if self._is_operator(socket.headers):
+        if self._is_operator(socket):
             await serve_page(socket, self.operators, MAX_PAGES, lambda socket: OperatorPage(self, socket))
         else:
             await socket.close(1008, "this is the operator's")
