@@ -170,12 +170,6 @@ def test_above_the_range_the_level_grows_by_its_power_law_and_no_further_than_tw
     np.testing.assert_allclose(rendered(texture, speed, force), growth * inside, rtol=FLOAT32)
 
 
-def test_the_papers_network_clamps(plain_texture: Texture) -> None:
-    plain = with_card(plain_texture, extrapolation_exponents={"speed": 0.0, "force": 0.0})
-    inside = rendered(plain, *steady(50, *HIGH))
-    np.testing.assert_array_equal(rendered(plain, *steady(50, 900.0, 9.0)), inside)
-
-
 @pytest.mark.parametrize("excitation", [True, False])
 def test_any_stroke_gives_a_finite_bounded_vibration(
     texture: Texture, plain_texture: Texture, excitation: bool

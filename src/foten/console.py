@@ -23,27 +23,25 @@ Options = TypeVar("Options")
 
 
 def options_from(kind: type[Options]) -> Callable[[Callable[[Options], None]], Callable[..., None]]:
-    """Make a command of a function of one frozen dataclass, whose fields are the command's arguments and options."""
+    """Make a command of a function of one frozen dataclass: its fields are the arguments and options, `Option` a default."""
     hints = get_type_hints(kind, include_extras=True)
 
     def command_of(function: Callable[[Options], None]) -> Callable[..., None]:
         def command(**values: Any) -> None:
             function(kind(**values))
 
-        parameters = [
-            Parameter(field.name, Parameter.KEYWORD_ONLY, default=_default(field.default), annotation=hints[field.name])
-            for field in fields(kind)  # type: ignore[arg-type]
-        ]
+        parameters = []
+        for field in fields(kind):  # type: ignore[arg-type]
+            default = Parameter.empty if field.default is MISSING else field.default
+            parameters.append(
+                Parameter(field.name, Parameter.KEYWORD_ONLY, default=default, annotation=hints[field.name])
+            )
         command.__signature__ = Signature(parameters)  # type: ignore[attr-defined]
         command.__annotations__ = hints
         command.__name__, command.__doc__ = function.__name__, function.__doc__
         return command
 
     return command_of
-
-
-def _default(value: Any) -> Any:
-    return Parameter.empty if value is MISSING else value
 
 
 def folder_option(help_text: str) -> Any:
@@ -61,17 +59,9 @@ def _shown_lines(text: str) -> str:
     return "\n".join(shown(line) for line in text.split("\n"))
 
 
-def print_json(document: Any) -> None:
-    """Print a result as JSON, on stdout."""
-    print(json.dumps(document, indent=1, allow_nan=False))
-
-
 def print_result(document: Any, text: str, as_json: bool) -> None:
     """Print a result, on stdout: as JSON, or as text."""
-    if as_json:
-        print_json(document)
-    else:
-        print(_shown_lines(text))
+    print(json.dumps(document, indent=1, allow_nan=False) if as_json else _shown_lines(text))
 
 
 def check_folders(paths: list[Path]) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
 from typer import Argument, Option
 
@@ -18,17 +18,8 @@ if TYPE_CHECKING:
     from foten.models.texture_file import Texture
     from foten.runtime.renderer import Renderer
 
-SUFFIXES = {
-    ".ahap": "ahap",
-    ".haptic": "haptic",
-    ".hjif": "hjif",
-    ".json": "android",
-    ".h": "c",
-    ".onnx": "onnx",
-    ".wav": "wav",
-    ".csv": "csv",
-    ".npz": "npz",
-}
+SUFFIXES = {f".{name}": name for name in ("ahap", "haptic", "hjif", "onnx", "wav", "csv", "npz")}
+SUFFIXES |= {".json": "android", ".h": "c"}
 """The format that a name has."""
 CLIPS = ("wav", "csv", "npz", "ahap", "haptic", "hjif", "hjif-parametric", "android")
 TEXTURES = ("c", "onnx", "web", "unity")
@@ -38,27 +29,17 @@ TEXTURES = ("c", "onnx", "web", "unity")
 class ExportOptions(StrokeOptions):
     """Options of `foten export`."""
 
-    output: Annotated[Path, Option("-o", "--output", help="File to write; a folder for web and unity.")]
-    texture_files: Annotated[
-        list[Path] | None,
-        Argument(
-            metavar="[T.foten]…",
-            help="A texture file. For web as many as the page is to have, or folders of them; by default those that come "
-            "along.",
-        ),
-    ] = None
-    to: Annotated[
-        str | None,
-        Option(
-            help="A clip of one stroke: wav (driven: peak 1, 48 kHz, 16 bits; 'foten render' writes m/s²), csv, npz, "
-            "ahap (Apple), haptic (Meta), hjif or hjif-parametric (MPEG), android. The texture itself: c (a "
-            "header), onnx (its one-step network), unity (a package for it). Textures: web (the page of 'foten serve' as "
-            "files). By the output's name where that says it."
-        ),
-    ] = None
-    full_scale: Annotated[
-        float | None, Option(help="m/s² that is 1 in the clip, for clips that are to compare; by default its peak.")
-    ] = None
+    output: Path = Option(..., "-o", "--output", help="File to write; a folder for web and unity.")
+    texture_files: list[Path] | None = Argument(
+        None, metavar="[T.foten]…", help="For web any number, or folders; by default foten's."
+    )
+    to: str | None = Option(
+        None,
+        help="A clip of one stroke: wav (driven: peak 1, 48 kHz, 16 bits), csv, npz, ahap (Apple), haptic (Meta), hjif or "
+        "hjif-parametric (MPEG), android. The texture itself: c (a header), onnx (its one-step network), unity (a package). "
+        "Textures: web (the page of 'foten serve' as files). By the output's name where that says it.",
+    )
+    full_scale: float | None = Option(None, help="m/s² that is 1 in the clip; by default its peak.")
     actuator: Actuator = None
 
     def __post_init__(self) -> None:
