@@ -133,35 +133,6 @@ def test_ctrl_c_after_the_last_epoch_is_one_too_and_says_how_to_go_on(
     assert "next: foten evaluate" in capsys.readouterr().out
 
 
-@pytest.mark.parametrize(
-    ("options", "refused"),
-    [
-        (["--loss", "mae", "--delta", "1"], "delta is the threshold of the huber loss, and the loss is mae"),
-        (["--set", "excitation_width=8"], "excitation_width is of an excitation, and there is none"),
-        (["--set", "n_hidden=8"], "foten has no size 'n_hidden'"),
-    ],
-)
-def test_an_option_without_an_effect_is_refused(
-    recording: Path, tmp_path: Path, options: list[str], refused: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    out = tmp_path / "t.foten"
-    assert _status(["train", str(recording), "-o", str(out), "--model", "foten", *options]) == 2
-    assert refused in only_line(capsys)
-    assert not list(tmp_path.glob("t.*"))
-
-
-def test_ctrl_c_is_a_line_and_status_130(
-    texture: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    def interrupted(*_: object) -> None:
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr("foten.models.texture_file.read_texture", interrupted)
-    capsys.readouterr()
-    assert _status(["info", str(texture)]) == 130
-    assert only_line(capsys) == "foten: interrupted"
-
-
 def test_ctrl_c_in_the_first_epoch_leaves_the_playable_file(
     recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -177,6 +148,7 @@ def test_ctrl_c_in_the_first_epoch_leaves_the_playable_file(
     assert _status(["train", str(recording), "-o", str(out), *FAST, *TINY]) == 130
     shown = capsys.readouterr().err.splitlines()
     assert f"wrote {out}, playable without its network; it is replaced by a better one" in shown
+    assert shown[-1] == "foten: interrupted"
     assert [path.name for path in tmp_path.iterdir()] == ["p.foten"]
     sound = tmp_path / "s.wav"
     stroke = ["--speed", "100", "--force", "1", "--seconds", "0.2"]
@@ -268,6 +240,7 @@ def test_render_says_what_became_of_samples_outside_the_range(
 
 
 TRAIN = ("train", "{rec}", "-o", "{out}.foten", *FAST)
+FOTEN = (*TRAIN, "--model", "foten")
 RENDER = ("render", "{tex}", "-o", "{out}.wav", "--speed", "1", "--force", "1")
 
 
@@ -284,6 +257,9 @@ RENDER = ("render", "{tex}", "-o", "{out}.wav", "--speed", "1", "--force", "1")
         ([*TRAIN, "--resume"], "nothing to resume"),
         ([*TRAIN, "--set", "bogus=1"], "has no size 'bogus'"),
         ([*TRAIN, "--trim", "nan"], "trim_ms is nan"),
+        ([*FOTEN, "--loss", "mae", "--delta", "1"], "delta is the threshold of the huber loss, and the loss is mae"),
+        ([*FOTEN, "--set", "excitation_width=8"], "excitation_width is of an excitation, and there is none"),
+        ([*FOTEN, "--set", "n_hidden=8"], "foten has no size 'n_hidden'"),
         ([*TRAIN, "--window", "101"], "five times as long"),
         ([*TRAIN, "--window", "100000"], "window is 100000, expected 512 at most"),
         ([*TRAIN, "--window", "9" * 400], "expected 512 at most"),

@@ -57,8 +57,8 @@ def textures(recording: Recording) -> dict[str, Texture]:
         patch.setattr(calibration, "N_CALIBRATIONS", 1)
         patch.setattr(calibration, "N_RUNS", 2)
         for key in TRAINABLE:
-            short = {"epochs": 2, "batch": 64, "threads": 1, "max_order": 8, "tones": False}
-            short |= {"batch": 8} if key == "gan" else {}
+            short = {"epochs": 1, "batch": 64, "threads": 1, "max_order": 8, "tones": False}
+            short |= {"gan": {"batch": 8}, "ldhtd": {"epochs": 2}}.get(key, {})
             sizes = {"window": 42, "frame": 16, "stride": 1} if key == "gan" else SMALL
             config = TrainConfig(**(OWN_RECIPES.get(key, {}) | short))
             trained[key] = train(TrainingJob(recording, key, sizes_with(key, sizes), config, SHORT)).texture

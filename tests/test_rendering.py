@@ -56,15 +56,6 @@ def streams(texture: Texture, n: int, speed: np.ndarray, force: np.ndarray, seed
     )
 
 
-@pytest.mark.parametrize("excitation", [True, False])
-def test_step_is_render_one_by_one(texture: Texture, plain_texture: Texture, excitation: bool) -> None:
-    speed, force = stroke(80)
-    for used in (texture, plain_texture):
-        stepped = Renderer(used, seed=1, excitation=excitation)
-        out = [stepped.step(v, f) for v, f in zip(speed, force, strict=True)]
-        np.testing.assert_array_equal(out, rendered(used, speed, force, seed=1, excitation=excitation))
-
-
 @pytest.mark.parametrize(("speed", "force"), [(0.0, 1.0), (80.0, 0.0), (0.0, 0.0)])
 def test_standing_still_or_lifted_off_it_is_silent(
     texture: Texture, plain_texture: Texture, speed: float, force: float

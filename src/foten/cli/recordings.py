@@ -122,14 +122,8 @@ def import_(
     foten import Models_Denim.xml -o denim.foten: a model file of the Penn Haptic Texture Toolkit becomes a texture.
     """
     if any(file.suffix.lower() == ".xml" for file in files):
-        of_recordings = {
-            "map": mapping,
-            "unit": units,
-            "rate": rate,
-            "fill-gaps": fill_gaps,
-            "force-units": force_units,
-        }
-        for name, value in {**of_recordings, "tool": tool, "sensors": sensors}.items():
+        refused = {"map": mapping, "unit": units, "rate": rate, "fill-gaps": fill_gaps, "force-units": force_units}
+        for name, value in {**refused, "tool": tool, "sensors": sensors}.items():
             if value:
                 of_models = "an .xml holds models with units and rate"
                 raise ValueError(f"--{name} is for recordings, and {of_models}: leave it out")
