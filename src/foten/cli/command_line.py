@@ -29,7 +29,7 @@ from foten.study.commands import app as study
 
 
 class _Commands(typer.core.TyperGroup):
-    """The subcommands, Ctrl-C in which is an `Abort`: Typer would end without a word."""
+    """Subcommands that turn Ctrl-C into an `Abort`: Typer would end silently."""
 
     def invoke(self, ctx: Any) -> Any:
         try:
@@ -95,7 +95,7 @@ def main() -> None:
 
 
 def _status(arguments: list[str]) -> int:
-    """The exit status of one command; an expected failure is printed as one line."""
+    """Exit status of one command; an expected failure is printed as one line."""
     if os.environ.get("FOTEN_DEBUG"):  # the whole traceback, for developers
         return app(arguments, standalone_mode=False) or 0
     try:

@@ -1,4 +1,4 @@
-"""`foten evaluate` and `foten info`: how good a texture file is, and what it holds."""
+"""`foten evaluate` and `foten info`: quality and content of a texture file."""
 
 from __future__ import annotations
 
@@ -83,7 +83,7 @@ def info(texture_file: TextureFile, as_json: JsonOption = False) -> None:
 
 
 def _linear_model(texture: Texture) -> dict[str, str]:
-    """What `info` says of the local models, or of the lattice and the tones; nothing of a model that has none."""
+    """Rows of `info` on the local models, or on the lattice and the tones."""
     sizes, metrics = texture.card["sizes"], texture.card["metrics"]
     if texture.card["model"] == "ar":
         zeros = f", {sizes['ma']} zeros" if sizes["ma"] else ""
@@ -109,7 +109,7 @@ def _linear_model(texture: Texture) -> dict[str, str]:
 
 
 def network_summary(card: Mapping[str, Any]) -> str:
-    """What the network of a foten-plus texture is used for, in words."""
+    """Use of a foten-plus texture's network, in words."""
     sizes, metrics = card["sizes"], card["metrics"]
     if metrics.get("n_epochs") == 0:
         return "not trained: the file was written before"
@@ -126,7 +126,7 @@ def network_summary(card: Mapping[str, Any]) -> str:
 
 
 def validation_summary(card: Mapping[str, Any]) -> str:
-    """The validation errors that a card holds, in words."""
+    """Validation errors of a card, in words."""
     if card["split"] is None:
         return "none here: its models were imported"
     metrics = card["metrics"]

@@ -1,4 +1,4 @@
-"""`foten export`: a texture, or a stroke of it, in the formats of other worlds."""
+"""`foten export`: a texture, or a stroke of it, in other formats."""
 
 from __future__ import annotations
 
@@ -13,10 +13,8 @@ from foten.cli.render import Actuator, StrokeOptions, provenance, rendered_by
 from foten.console import check_folders, options_from, print_result
 
 if TYPE_CHECKING:
-    from foten.dsp import Array
     from foten.export.clip import Clip
     from foten.models.texture_file import Texture
-    from foten.runtime.renderer import Renderer
 
 SUFFIXES = {f".{name}": name for name in ("ahap", "haptic", "hjif", "onnx", "wav", "csv", "npz")}
 SUFFIXES |= {".json": "android", ".h": "c"}
@@ -84,25 +82,19 @@ def _only(files: list[Path], kind: str) -> Texture:
     return read_texture(files[0])
 
 
-def _rendered(texture: Texture, options: ExportOptions, renderer: Renderer) -> tuple[Array, dict[str, Any]]:
-    """The samples of a stroke, shape (n,), and what made them; by default 2 s at 80 mm/s and 0.8 N."""
-    stroke = options if options.has_stroke else replace(options, speed=80.0, force=0.8, seconds=2.0)
-    speed, force, source = stroke.conditions(texture)
-    unit = texture.card["units"].get("acceleration", "m/s^2")
-    return rendered_by(renderer, speed, force), {**provenance(texture, source, options.seed, False), "unit": unit}
-
-
 def _clip(texture: Texture, options: ExportOptions) -> Clip:
+    """Clip of a stroke; by default 2 s at 80 mm/s and 0.8 N."""
     from foten.export.clip import RATE_HZ, clip_of
     from foten.runtime.actuator import read_profile
     from foten.runtime.renderer import Renderer
 
     profile = None if options.actuator is None else read_profile(options.actuator)
     renderer = Renderer(texture, rate=max(RATE_HZ, texture.rate_hz), seed=options.seed, actuator=profile)
-    samples, about = _rendered(texture, options, renderer)
-    if profile is not None:
-        about["unit"] = profile.unit
-    return clip_of(samples, renderer.rate, about, options.full_scale)
+    stroke = options if options.has_stroke else replace(options, speed=80.0, force=0.8, seconds=2.0)
+    speed, force, source = stroke.conditions(texture)
+    unit = texture.card["units"].get("acceleration", "m/s^2") if profile is None else profile.unit
+    about = {**provenance(texture, source, options.seed, False), "unit": unit}
+    return clip_of(rendered_by(renderer, speed, force), renderer.rate, about, options.full_scale)
 
 
 def _write_clip(kind: str, clip: Clip, output: Path) -> tuple[dict[str, Any], str]:

@@ -1,4 +1,4 @@
-"""`foten bench` and `foten doctor`: what this machine has for rendering, and how fast it is."""
+"""`foten bench` and `foten doctor`: speed and equipment of this machine for rendering."""
 
 from __future__ import annotations
 

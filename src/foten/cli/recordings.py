@@ -1,4 +1,4 @@
-"""`foten simulate`, `foten import` and `foten inspect`: where recordings come from, and what they hold."""
+"""`foten simulate`, `foten import` and `foten inspect`: sources and content of recordings."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`foten render` and `foten play`: vibration from a texture and a hand, into a file or live."""
+"""`foten render` and `foten play`: vibration of a texture under a stroke, into a file or live."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ Channel = Annotated[int | None, Option(min=0, help="Of the sound card that is pl
 
 @dataclass(frozen=True, kw_only=True)
 class StrokeOptions:
-    """Options that say what a texture is rendered under."""
+    """Options of a stroke."""
 
     stroke: Path | None = Option(
         None,
@@ -64,7 +64,7 @@ class StrokeOptions:
 
     @property
     def has_stroke(self) -> bool:
-        """Whether there is any of them."""
+        """Whether any of them is set."""
         stroke = (self.stroke, self.units, self.recording_file, self.speed, self.force, self.seconds)
         return any(option is not None for option in stroke)
 
@@ -178,11 +178,11 @@ class PlayOptions:
 
     @property
     def into_file(self) -> bool:
-        """Whether it is written to a file, and not played live."""
+        """Whether it is written to a file."""
         return self.to.lower().endswith(".wav")
 
     def conditions(self, texture: Texture, info: NativeInfo) -> tuple[ConditionAt, str]:
-        """Speed and force from sample to sample, and where they are from."""
+        """Speed and force from sample to sample, and what the stroke is called."""
         from foten.runtime.live.play import along, circling, holding
         from foten.runtime.stroke import doubts_of
 
@@ -288,7 +288,7 @@ def _lines_of(played: Played, lead_ms: float, scale: float) -> list[str]:
 
 
 def provenance(texture: Texture, source: str, seed: int, deterministic: bool) -> dict[str, Any]:
-    """What made a rendering, as it is kept in the file that it is written to."""
+    """Origin of a rendering, for the file that it is written to."""
     from foten import __version__
 
     return {
@@ -315,7 +315,7 @@ def _stroke_from(path: Path, units: list[str] | None, rate_hz: float) -> Stroke:
 
 
 def rendered_by(renderer: Renderer, speed: Array, force: Array) -> Array:
-    """The acceleration [m/s²] under a stroke, second by second: a Ctrl-C ends it, and a long one says how far it is."""
+    """Acceleration [m/s²] under a stroke, second by second, so that Ctrl-C ends it, with progress where it takes long."""
     import numpy as np
 
     second = max(1, round(renderer.texture_rate))
@@ -329,7 +329,7 @@ def rendered_by(renderer: Renderer, speed: Array, force: Array) -> Array:
 
 
 def _report(stroke: Stroke) -> None:
-    """Say what is doubtful of a stroke, where it had to be bridged, and where the pen was taken as lifted."""
+    """Say what is doubtful, bridged or taken as lifted in a stroke."""
     for doubt in stroke.doubts:
         say(doubt)
     if stroke.gap_s:

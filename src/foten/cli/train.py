@@ -115,7 +115,7 @@ class TrainOptions:
         return recipe_of(self.model, self.recipe, seed=self.seed, **self.changes())
 
     def job(self, recording: Recording) -> TrainingJob:
-        """What is to be learned from a recording."""
+        """Training job of a recording."""
         from foten.baselines.sizes import trainable_sizes
         from foten.recording.preprocess import PreprocessConfig
         from foten.training.job import TrainingJob
@@ -196,7 +196,7 @@ def _settled(job: TrainingJob) -> dict[str, Any]:
 
 
 def _not_none(**options: Any) -> dict[str, Any]:
-    """The options that were given, by name."""
+    """Options that are set, by name."""
     return {name: value for name, value in options.items() if value is not None}
 
 
@@ -215,7 +215,7 @@ def _document(trained: Trained) -> dict[str, Any]:
 
 
 def _summary(trained: Trained) -> str:
-    """The result of a training for people, in lines."""
+    """Result of a training, in lines."""
     from foten.recording.inspection.values import counted
 
     card, trace = trained.texture.card, trained.trace
@@ -244,7 +244,7 @@ def _summary(trained: Trained) -> str:
 
 
 def _notes(recording: Recording, rate_hz: float) -> Iterator[str]:
-    """What the inspection of a recording has to say to its training."""
+    """Warnings of the inspection of a recording for its training."""
     from foten.dsp import perception
     from foten.recording.inspection import inspect_recording
     from foten.recording.inspection.values import counted

@@ -51,13 +51,6 @@ class ActuatorProfile:
         if not isinstance(self.name, str) or not isinstance(self.unit, str):
             raise ValueError("name and unit of the actuator are text")
 
-    def response(self, hertz: Array) -> NDArray[np.complex128]:
-        """Acceleration over drive at frequencies [Hz], any shape, without the delay."""
-        s, w = 2j * np.pi * np.asarray(hertz, dtype=float), 2 * np.pi * self.resonance_hz
-        if w == 0:
-            return np.full(s.shape, complex(self.gain))
-        return np.asarray(self.gain * s * s / (s * s + 2 * self.damping * w * s + w * w))
-
     def native(self) -> NativeActuator:
         """The kernel's structure of these figures."""
         return NativeActuator(self.resonance_hz, self.damping, self.gain, self.lowest_hz, self.limit)
