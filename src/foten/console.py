@@ -5,8 +5,7 @@ from __future__ import annotations
 import json
 import sys
 from collections.abc import Callable
-from dataclasses import MISSING, fields
-from inspect import Parameter, Signature
+from inspect import Signature, signature
 from pathlib import Path
 from typing import Annotated, Any, TypeVar, get_type_hints
 
@@ -30,12 +29,7 @@ def options_from(kind: type[Options]) -> Callable[[Callable[[Options], None]], C
         def command(**values: Any) -> None:
             function(kind(**values))
 
-        parameters = []
-        for field in fields(kind):  # type: ignore[arg-type]
-            default = Parameter.empty if field.default is MISSING else field.default
-            parameters.append(
-                Parameter(field.name, Parameter.KEYWORD_ONLY, default=default, annotation=hints[field.name])
-            )
+        parameters = [of.replace(annotation=hints[name]) for name, of in signature(kind).parameters.items()]
         command.__signature__ = Signature(parameters)  # type: ignore[attr-defined]
         command.__annotations__ = hints
         command.__name__, command.__doc__ = function.__name__, function.__doc__

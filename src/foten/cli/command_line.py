@@ -1,7 +1,5 @@
-"""The command line: one subcommand per stage; parse, call one function, write.
+"""Command line. Exit status: 0; 1 where a result fails a check; 2 for bad input, one line on stderr; 130 after Ctrl-C.
 
-Exit status: 0; 1 for a result that fails a check; 2 for bad input or usage, one line on stderr; 130 after
-Ctrl-C, and of a sweep after SIGTERM.
 Results go to stdout, progress to stderr. Heavy imports stay inside the subcommands.
 """
 

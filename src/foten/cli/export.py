@@ -29,7 +29,7 @@ class ExportOptions(StrokeOptions):
 
     output: Path = Option(..., "-o", "--output", help="File to write; a folder for web and unity.")
     texture_files: list[Path] | None = Argument(
-        None, metavar="[T.foten]…", help="For web any number, or folders; by default foten's."
+        None, metavar="[T.foten]…", help="A texture file; for web any number, or folders, by default foten's."
     )
     to: str | None = Option(
         None,
