@@ -24,22 +24,12 @@ if TYPE_CHECKING:
 
 SAY_EVERY_S = 5.0  # how far a long rendering is
 
-Units = Annotated[
-    list[str] | None,
-    Option(
-        "--unit",
-        help="CHANNEL=UNIT,… of --stroke, before the units in its header: time, speed, position_x, position_y, force; as "
-        "foten import has them.",
-    ),
-]
+Units = Annotated[list[str] | None, Option("--unit", help="CHANNEL=UNIT,… of --stroke, as of foten import.")]
 Speed = Annotated[float | None, Option(help="Constant speed (mm/s).")]
 Force = Annotated[float | None, Option(help="Constant force (N).")]
 Deterministic = Annotated[bool, Option("--deterministic", help="Without excitation.")]
 Actuator = Annotated[Path | None, Option(metavar="P.json", help="Profile of the actuator that is driven.")]
-Gain = Annotated[
-    float | None,
-    Option(help="Full scale (sound) or volts (daq) for 1 m/s², or for 1 of the actuator's drive; of these alone."),
-]
+Gain = Annotated[float | None, Option(help="Full scale (sound) or volts (daq) for 1 m/s², or for 1 of the drive.")]
 Device = Annotated[str | None, Option(help="Number or name of the sound card, as 'python -m sounddevice' lists them.")]
 Channel = Annotated[int | None, Option(min=0, help="Of the sound card that is played on, from 0; 0 by default.")]
 
@@ -51,8 +41,7 @@ class StrokeOptions:
     stroke: Path | None = Option(
         None,
         metavar="S.csv",
-        help="A table with the header t, speed or x and y, force or pressure (0 to 1); units in it as in t (ms), "
-        "else s, mm/s, mm, N.",
+        help="Table of t, speed or x and y, force or pressure (0 to 1); s, mm/s, mm, N by default.",
     )
     units: Units = None
     recording_file: Path | None = Option(None, "--recording", metavar="REC.h5", help="Take the hand of a recording.")

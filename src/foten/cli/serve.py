@@ -21,8 +21,7 @@ def serve(
         None, metavar="[T.foten|DIR]…", help="Files or folders; by default foten's."
     ),
     host: str = Option(
-        "127.0.0.1",
-        help="127.0.0.1 for this machine alone, 0.0.0.0 for the network, by HTTPS and a link for each device.",
+        "127.0.0.1", help="127.0.0.1 for this machine, 0.0.0.0 for the network, by HTTPS and a link for each device."
     ),
     port: int = Option(8000, min=0, max=65535, help="0 for any that is free."),
     captures: Path = Option(Path("captures"), metavar="DIR", help="Of captured surfaces; made with the first."),

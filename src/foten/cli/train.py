@@ -39,9 +39,7 @@ class TrainOptions:
     split: str = Option("regrouped", help="regrouped by speed and force, or contiguous in time.")
     split_seed: int = Option(0, min=0, help="Of the regrouped split.")
     epochs: int | None = Option(
-        None,
-        help="At most; of gan 50 steps each. Below 8, closed-loop training of foten-plus is shorter too.",
-        show_default="the recipe's",
+        None, help="At most; of gan 50 steps each. Below 8, foten-plus trains less in its closed loop."
     )
     loss: str | None = Option(None, help="huber, mse or mae; foten-plus has a likelihood.", show_default="huber")
     delta: float | None = Option(None, help="Huber threshold, scaled.", show_default="1.6")

@@ -37,11 +37,7 @@ class Stroke:
 
 
 def constant_stroke(speed: float, force: float, seconds: float, rate_hz: float) -> Stroke:
-    """Stroke at one speed [mm/s] and force [N].
-
-    Raises:
-        ValueError: something is negative, not finite, or lasts less than a sample.
-    """
+    """Stroke at one speed [mm/s] and force [N]; ValueError for what is negative, not finite or shorter than a sample."""
     for name, value in (("speed", speed), ("force", force), ("seconds", seconds)):
         if not (math.isfinite(value) and value >= 0):
             raise ValueError(f"{name} is {value}, expected a finite number, 0 or more")

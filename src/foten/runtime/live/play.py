@@ -120,11 +120,7 @@ def sink_of(where: str, rate_hz: float, gain: float, device: str | None = None, 
 def write_wav(
     renderer: Renderer, condition: ConditionAt, seconds: float, path: Path, about: Mapping[str, Any]
 ) -> tuple[NDArray[np.float32], bool]:
-    """Write a rendering as 32-bit floats with a comment, up to Ctrl-C; its samples (n,), and whether Ctrl-C ended it.
-
-    Raises:
-        ValueError: it is more than a WAV file holds.
-    """
+    """Write a rendering as 32-bit floats with a comment, up to Ctrl-C; its samples (n,), and whether Ctrl-C ended it."""
     n, second = round(seconds * renderer.rate), round(renderer.rate)
     if n > MAX_WAV_SAMPLES:
         raise ValueError(f"{seconds:.0f} s at {renderer.rate:g} Hz are more than a WAV file holds, 4 GB; play fewer")
