@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 from pathlib import Path
 
 import numpy as np
@@ -32,7 +31,9 @@ def test_filter_times_actuator_is_flat(texture: Texture, rate: float, resonance:
     wanted, drive = driven(texture, profile, rate, n)
     window = np.hanning(n)
     hertz = np.fft.rfftfreq(n, 1 / rate)
-    ratio = np.fft.rfft(drive * window) / np.fft.rfft(wanted * window) * profile.response(hertz)
+    s, w = 2j * np.pi * hertz, 2 * np.pi * resonance
+    resonator = profile.gain * s**2 / (s**2 + 2 * damping * w * s + w**2)
+    ratio = np.fft.rfft(drive * window) / np.fft.rfft(wanted * window) * resonator
     band = (hertz > 40) & (hertz < 400)
     smooth = np.abs(np.convolve(ratio[band], np.full(9, 1 / 9), mode="valid"))
     assert np.abs(20 * np.log10(smooth)).max() < 0.3
@@ -154,11 +155,6 @@ def test_a_profile_is_read_as_it_was_written(tmp_path: Path) -> None:
         path.write_text(json.dumps({**good, **change}))
         with pytest.raises(ValueError, match=message):
             read_profile(path)
-    path.write_text("{")
-    with pytest.raises(ValueError, match="not JSON"):
-        read_profile(path)
-    with pytest.raises(FileNotFoundError):
-        read_profile(tmp_path / "none.json")
 
 
 @pytest.mark.parametrize(
@@ -166,6 +162,7 @@ def test_a_profile_is_read_as_it_was_written(tmp_path: Path) -> None:
     [
         ("[" * 100_000, "nested more than"),
         ('{"format":' * 100 + "1" + "}" * 100, "nested more than"),
+        ("{", "is not JSON"),
         ("9" * 5000, "is not JSON"),
         ("\xff", "is not JSON"),
         ('{"format": "foten-actuator", "version": 1, "gain": %s}' % ("9" * 400), "gain of the actuator is"),
@@ -180,9 +177,3 @@ def test_a_hostile_profile_is_a_value_error(tmp_path: Path, text: str, message: 
     with pytest.raises(ValueError, match=message) as refusal:
         read_profile(path)
     assert len(str(refusal.value)) < 300
-
-
-def test_a_pipe_is_no_profile(tmp_path: Path) -> None:
-    os.mkfifo(tmp_path / "p.json")
-    with pytest.raises(ValueError, match="is a pipe or a device, expected a file"):
-        read_profile(tmp_path / "p.json")

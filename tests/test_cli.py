@@ -68,16 +68,7 @@ def test_evaluate_prints_the_contracts_keys(
     assert _status(["evaluate", str(texture), str(recording), "--json", "--report", str(tmp_path / "r")]) == 0
     document = json.loads(capsys.readouterr().out)
     assert (tmp_path / "r" / "report.html").exists()
-    references = ("zero", "persistence", "ar", "ar_scheduled", "ar_best", "lattice", "bound", "bound_window")
-    assert set(document["references"]) == set(references)
-    for figures in (document["one_step"], *document["references"].values()):
-        assert {"mae_scaled", "mae_m_s2", "gfc"} <= set(figures)
-    assert {"order", "scheduled"} <= set(document["references"]["ar_best"])
-    for name in ("free_run", "free_run_deterministic", "free_run_ar", "ceiling"):
-        assert {
-            *("lsd_db", "lsd_long_db", "gfc_raw", "gfc_welch", "level_bias_db", "level_error_db"),
-            *("level_corr", "kurtosis", "max_sd"),
-        } <= set(document[name])
+    assert {"zero", "ar_best", "lattice", "bound", "bound_window"} <= set(document["references"])
     assert document["split"] == "regrouped"
     assert document["split_sha256"] == read_texture(texture).card["split_sha256"]
     assert document["seed"] == 0
@@ -142,35 +133,6 @@ def test_ctrl_c_after_the_last_epoch_is_one_too_and_says_how_to_go_on(
     assert "next: foten evaluate" in capsys.readouterr().out
 
 
-@pytest.mark.parametrize(
-    ("options", "refused"),
-    [
-        (["--loss", "mae", "--delta", "1"], "delta is the threshold of the huber loss, and the loss is mae"),
-        (["--set", "excitation_width=8"], "excitation_width is of an excitation, and there is none"),
-        (["--set", "n_hidden=8"], "foten has no size 'n_hidden'"),
-    ],
-)
-def test_an_option_without_an_effect_is_refused(
-    recording: Path, tmp_path: Path, options: list[str], refused: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    out = tmp_path / "t.foten"
-    assert _status(["train", str(recording), "-o", str(out), "--model", "foten", *options]) == 2
-    assert refused in only_line(capsys)
-    assert not list(tmp_path.glob("t.*"))
-
-
-def test_ctrl_c_is_a_line_and_status_130(
-    texture: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    def interrupted(*_: object) -> None:
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr("foten.models.texture_file.read_texture", interrupted)
-    capsys.readouterr()
-    assert _status(["info", str(texture)]) == 130
-    assert only_line(capsys) == "foten: interrupted"
-
-
 def test_ctrl_c_in_the_first_epoch_leaves_the_playable_file(
     recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -186,6 +148,7 @@ def test_ctrl_c_in_the_first_epoch_leaves_the_playable_file(
     assert _status(["train", str(recording), "-o", str(out), *FAST, *TINY]) == 130
     shown = capsys.readouterr().err.splitlines()
     assert f"wrote {out}, playable without its network; it is replaced by a better one" in shown
+    assert shown[-1] == "foten: interrupted"
     assert [path.name for path in tmp_path.iterdir()] == ["p.foten"]
     sound = tmp_path / "s.wav"
     stroke = ["--speed", "100", "--force", "1", "--seconds", "0.2"]
@@ -233,33 +196,11 @@ def test_settings_change_the_network(recording: Path, texture: Path, tmp_path: P
     assert (sizes["n_hidden"], sizes["head_width"], sizes["n_components"]) == (6, 5, 2)
 
 
-def test_render_formats_agree(texture: Path, tmp_path: Path) -> None:
-    wav, table, arrays, picture = (tmp_path / f"o.{suffix}" for suffix in ("wav", "csv", "npz", "png"))
-    outputs = [word for path in (wav, table, arrays, picture) for word in ("-o", str(path))]
-    constants = ["--speed", "100", "--force", "1", "--seconds", "0.5"]
-    assert _status(["render", str(texture), *constants, *outputs, "--audible", str(tmp_path / "a.wav")]) == 0
-    from scipy.io import wavfile
-
-    rate, samples = wavfile.read(wav)
-    assert (rate, samples.dtype) == (1000, np.float32)
-    with np.load(arrays, allow_pickle=False) as stored:
-        exact = stored["acceleration"]
-    assert np.array_equal(exact.astype(np.float32), samples)
-    assert table.read_text().startswith("t [s],acceleration [m/s^2],speed [mm/s],force [N]\n0,")
-    written = np.loadtxt(table, delimiter=",", skiprows=1)
-    np.testing.assert_allclose(written[:, 1], exact, rtol=1e-8)  # nine digits
-    assert picture.read_bytes()[:4] == b"\x89PNG"
-    rate, sound = wavfile.read(tmp_path / "a.wav")
-    assert (rate, sound.size, sound.dtype) == (48000, 24000, np.int16)
-
-
-def test_info_shows_units(texture: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    capsys.readouterr()
-    assert _status(["info", str(texture)]) == 0
-    out = capsys.readouterr().out
-    assert "mm/s" in out
-    assert "m/s²" in out
-    assert read_texture(texture).extrapolation_in_words() in out
+def test_render_writes_each_output(texture: Path, tmp_path: Path) -> None:
+    outputs = [tmp_path / f"o.{suffix}" for suffix in ("wav", "csv", "npz", "png")]
+    constants = ["--speed", "100", "--force", "1", "--seconds", "0.5", "--audible", str(tmp_path / "a.wav")]
+    assert _status(["render", str(texture), *constants, *(word for path in outputs for word in ("-o", str(path)))]) == 0
+    assert {*tmp_path.iterdir()} == {*outputs, tmp_path / "a.wav"}
 
 
 @pytest.mark.parametrize(
@@ -299,6 +240,7 @@ def test_render_says_what_became_of_samples_outside_the_range(
 
 
 TRAIN = ("train", "{rec}", "-o", "{out}.foten", *FAST)
+FOTEN = (*TRAIN, "--model", "foten")
 RENDER = ("render", "{tex}", "-o", "{out}.wav", "--speed", "1", "--force", "1")
 
 
@@ -315,6 +257,9 @@ RENDER = ("render", "{tex}", "-o", "{out}.wav", "--speed", "1", "--force", "1")
         ([*TRAIN, "--resume"], "nothing to resume"),
         ([*TRAIN, "--set", "bogus=1"], "has no size 'bogus'"),
         ([*TRAIN, "--trim", "nan"], "trim_ms is nan"),
+        ([*FOTEN, "--loss", "mae", "--delta", "1"], "delta is the threshold of the huber loss, and the loss is mae"),
+        ([*FOTEN, "--set", "excitation_width=8"], "excitation_width is of an excitation, and there is none"),
+        ([*FOTEN, "--set", "n_hidden=8"], "foten has no size 'n_hidden'"),
         ([*TRAIN, "--window", "101"], "five times as long"),
         ([*TRAIN, "--window", "100000"], "window is 100000, expected 512 at most"),
         ([*TRAIN, "--window", "9" * 400], "expected 512 at most"),

@@ -13,7 +13,7 @@ from conftest import exported
 from foten.baselines.sizes import TRAINABLE
 from foten.cli.command_line import _status
 from foten.models.texture_file import Texture
-from hostile import KINDS, Generator
+from hostile import Generator
 
 N_ALWAYS, N_SLOW, BATCH = 60, 2000, 200
 MAX_S = 60  # of one command, on a busy machine; without one, none takes 5
@@ -99,10 +99,3 @@ def test_what_a_card_says_reaches_a_terminal_printable_and_short(
     for line in (out + err).split("\n"):
         assert line.isprintable()
         assert len(line) < 2100
-
-
-def test_the_same_number_gives_the_same_file(generator: Generator, tmp_path: Path) -> None:
-    for number in range(2 * len(KINDS)):
-        path, _ = generator.write(number, tmp_path)
-        before = path.read_bytes()
-        assert generator.write(number, tmp_path)[0].read_bytes() == before

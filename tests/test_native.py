@@ -612,8 +612,6 @@ def test_the_public_renderer(texture: Texture, tmp_path: Path) -> None:
     with pytest.raises(FileNotFoundError, match="no such file"):
         foten.Renderer(tmp_path / "none.foten")
     for call in (
-        lambda r: r.render(-1.0, 1.0, 5),
-        lambda r: r.render(1.0, np.nan, 5),
         lambda r: r.render(1.0, 1.0),
         lambda r: r.render(np.ones(3), 1.0, 5),
         lambda r: foten.Renderer(texture, seed=-1),

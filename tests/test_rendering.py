@@ -56,15 +56,6 @@ def streams(texture: Texture, n: int, speed: np.ndarray, force: np.ndarray, seed
     )
 
 
-@pytest.mark.parametrize("excitation", [True, False])
-def test_step_is_render_one_by_one(texture: Texture, plain_texture: Texture, excitation: bool) -> None:
-    speed, force = stroke(80)
-    for used in (texture, plain_texture):
-        stepped = Renderer(used, seed=1, excitation=excitation)
-        out = [stepped.step(v, f) for v, f in zip(speed, force, strict=True)]
-        np.testing.assert_array_equal(out, rendered(used, speed, force, seed=1, excitation=excitation))
-
-
 @pytest.mark.parametrize(("speed", "force"), [(0.0, 1.0), (80.0, 0.0), (0.0, 0.0)])
 def test_standing_still_or_lifted_off_it_is_silent(
     texture: Texture, plain_texture: Texture, speed: float, force: float
@@ -168,12 +159,6 @@ def test_above_the_range_the_level_grows_by_its_power_law_and_no_further_than_tw
     inside = rendered(texture, np.minimum(speed, HIGH[0]), np.minimum(force, HIGH[1]))
     growth = np.clip(speed / HIGH[0], 1, 2) ** 0.7 * np.clip(force / HIGH[1], 1, 2) ** 0.4
     np.testing.assert_allclose(rendered(texture, speed, force), growth * inside, rtol=FLOAT32)
-
-
-def test_the_papers_network_clamps(plain_texture: Texture) -> None:
-    plain = with_card(plain_texture, extrapolation_exponents={"speed": 0.0, "force": 0.0})
-    inside = rendered(plain, *steady(50, *HIGH))
-    np.testing.assert_array_equal(rendered(plain, *steady(50, 900.0, 9.0)), inside)
 
 
 @pytest.mark.parametrize("excitation", [True, False])

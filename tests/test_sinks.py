@@ -20,9 +20,10 @@ def signal(n: int = 1000, rate: float = 1000.0) -> np.ndarray:
     return 3.7 * np.sin(2 * np.pi * 100 * np.arange(n) / rate)
 
 
-def test_float_wav_keeps_units_and_says_so(tmp_path: Path) -> None:
-    a = signal()
-    write_rendered(tmp_path / "a.wav", a, a, a, 1000.0, ABOUT)
+def test_formats_agree_and_keep_units(tmp_path: Path) -> None:
+    a, speed, force = signal(), np.linspace(20.0, 150.0, 1000), np.linspace(0.5, 1.5, 1000)
+    for suffix in ("wav", "csv", "npz", "png"):
+        write_rendered(tmp_path / f"a.{suffix}", a, speed, force, 1000.0, ABOUT)
     rate, samples = wavfile.read(tmp_path / "a.wav")
     assert rate == 1000
     assert np.array_equal(samples, a.astype(np.float32))
@@ -30,6 +31,12 @@ def test_float_wav_keeps_units_and_says_so(tmp_path: Path) -> None:
     assert struct.unpack("<I", data[4:8])[0] == len(data) - 8
     comment = data[data.index(b"ICMT") + 8 :].split(b"\0")[0]
     assert json.loads(comment)["unit"] == "m/s^2"
+    assert (tmp_path / "a.csv").read_text().startswith("t [s],acceleration [m/s^2],speed [mm/s],force [N]\n0,")
+    written = np.loadtxt(tmp_path / "a.csv", delimiter=",", skiprows=1)
+    np.testing.assert_allclose(written[:, 1:], np.stack([a, speed, force], axis=1), rtol=1e-8, atol=1e-8)  # nine digits
+    with np.load(tmp_path / "a.npz", allow_pickle=False) as stored:
+        np.testing.assert_array_equal([stored[name] for name in ("acceleration", "speed", "force")], [a, speed, force])
+    assert (tmp_path / "a.png").read_bytes()[:4] == b"\x89PNG"
 
 
 def test_audible_sound_keeps_the_tone(tmp_path: Path) -> None:

@@ -108,12 +108,6 @@ def test_a_stroke_of_no_hand_is_refused(table: dict[str, np.ndarray], match: str
         stroke_of({"t": T, **table}, 1000.0)
 
 
-def test_constants_are_doubted_too() -> None:
-    doubt = "speed peaks at 0.08, expected mm/s up to about 350; was it given in m/s? It is taken as mm/s"
-    assert constant_stroke(0.08, 0.8, 1.0, 100.0).doubts == (doubt,)
-    assert constant_stroke(80.0, 0.0, 1.0, 100.0).doubts == ()
-
-
 def pen(t: np.ndarray, offset: float = 0.0, force: float = 1.0) -> dict[str, np.ndarray]:
     return {"t": t, "x": 80 * t + offset, "y": 0 * t, "force": np.full(t.size, force)}
 

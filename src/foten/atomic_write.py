@@ -16,12 +16,12 @@ _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 @contextmanager
 def atomic_write(path: Path) -> Iterator[Path]:
-    """Give a temporary name beside a path to write to: it takes the path's place at the end, and goes where writing fails.
+    """Temporary name beside a path, to write to: it replaces the path at the end, and is removed where writing fails.
 
     Raises:
         OSError: with the path's own name, where the system refuses: no space is left, or the folder is read-only.
     """
-    # A name of its own, so that two programs that write one path cannot mix their bytes.
+    # A new name each time: two programs that write one path cannot mix their bytes.
     part = path.with_name(f".{path.name}.{os.getpid()}-{secrets.token_hex(4)}.part")
     try:
         if path.exists() and not path.is_file():
@@ -29,7 +29,7 @@ def atomic_write(path: Path) -> Iterator[Path]:
         yield part
         part.replace(path)
     except OSError as error:
-        # A full disk names no file, and a refused folder names the temporary one, which says nothing to the user.
+        # A full disk names no file, and a refused folder names the temporary one.
         if error.filename in (str(part), part) or (error.filename is None and error.errno in _FULL):
             raise OSError(error.errno, error.strerror, str(path)) from error
         raise
@@ -45,7 +45,7 @@ def write_json(path: Path, document: Mapping[str, Any], indent: int | None = 1) 
 
 
 def reason(error: OSError) -> str:
-    """What the system refuses, in a line: the file first, and no number."""
+    """Reason of a system's refusal, in a line: the file first, without the number."""
     if error.strerror and error.filename is not None:
         return f"{error.filename}: {error.strerror[:1].lower()}{error.strerror[1:]}"
     return str(error) or type(error).__name__

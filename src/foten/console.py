@@ -5,8 +5,7 @@ from __future__ import annotations
 import json
 import sys
 from collections.abc import Callable
-from dataclasses import MISSING, fields
-from inspect import Parameter, Signature
+from inspect import Signature, signature
 from pathlib import Path
 from typing import Annotated, Any, TypeVar, get_type_hints
 
@@ -23,27 +22,20 @@ Options = TypeVar("Options")
 
 
 def options_from(kind: type[Options]) -> Callable[[Callable[[Options], None]], Callable[..., None]]:
-    """Make a command of a function of one frozen dataclass, whose fields are the command's arguments and options."""
+    """Make a command of a function of one frozen dataclass: its fields are the arguments and options, `Option` a default."""
     hints = get_type_hints(kind, include_extras=True)
 
     def command_of(function: Callable[[Options], None]) -> Callable[..., None]:
         def command(**values: Any) -> None:
             function(kind(**values))
 
-        parameters = [
-            Parameter(field.name, Parameter.KEYWORD_ONLY, default=_default(field.default), annotation=hints[field.name])
-            for field in fields(kind)  # type: ignore[arg-type]
-        ]
+        parameters = [of.replace(annotation=hints[name]) for name, of in signature(kind).parameters.items()]
         command.__signature__ = Signature(parameters)  # type: ignore[attr-defined]
         command.__annotations__ = hints
         command.__name__, command.__doc__ = function.__name__, function.__doc__
         return command
 
     return command_of
-
-
-def _default(value: Any) -> Any:
-    return Parameter.empty if value is MISSING else value
 
 
 def folder_option(help_text: str) -> Any:
@@ -61,17 +53,9 @@ def _shown_lines(text: str) -> str:
     return "\n".join(shown(line) for line in text.split("\n"))
 
 
-def print_json(document: Any) -> None:
-    """Print a result as JSON, on stdout."""
-    print(json.dumps(document, indent=1, allow_nan=False))
-
-
 def print_result(document: Any, text: str, as_json: bool) -> None:
     """Print a result, on stdout: as JSON, or as text."""
-    if as_json:
-        print_json(document)
-    else:
-        print(_shown_lines(text))
+    print(json.dumps(document, indent=1, allow_nan=False) if as_json else _shown_lines(text))
 
 
 def check_folders(paths: list[Path]) -> None:

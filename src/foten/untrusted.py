@@ -1,4 +1,4 @@
-"""What comes from outside: only regular files are opened, and JSON is refused in one sentence where it cannot be read."""
+"""Checks of what comes from outside: files, JSON, and text that is shown on a terminal."""
 
 from __future__ import annotations
 
@@ -13,12 +13,7 @@ MAX_LINE = 2000  # characters that a terminal is given at most: 25 rows of 80
 
 
 def check_regular(path: Path) -> None:
-    """Check that a path is a file that can be read to its end: a pipe or a device may never end.
-
-    Raises:
-        FileNotFoundError: there is none.
-        ValueError: it is a folder, a pipe, a device or a socket.
-    """
+    """Refuse a path that is no file (FileNotFoundError), or is a folder, a pipe or a device, which may not end (ValueError)."""
     if not path.exists():
         raise FileNotFoundError(f"no such file: {path}")
     if path.is_dir():
@@ -36,7 +31,7 @@ def parse_json(text: str | bytes) -> Any:
     try:
         value = json.loads(text)
         level = [value]
-        # What is read must be written and shown too, which needs more of the stack than reading does.
+        # Writing and showing a value needs more of the stack than reading it does.
         for _ in range(DEEPEST):
             level = [inner for outer in level for inner in _inside(outer)]
         if level:
@@ -51,7 +46,7 @@ def _inside(value: Any) -> Iterable[Any]:
 
 
 def check_numbers(value: Any, what: str) -> None:
-    """Check that each number in a parsed JSON value is one that a float64 or an int64 holds: finite, and not too large."""
+    """Refuse parsed JSON with a number that is not finite, or that neither a float64 nor an int64 holds."""
     for inner in _inside(value):
         check_numbers(inner, what)
     if isinstance(value, int | float) and not abs(value) < 2**63:
@@ -59,16 +54,16 @@ def check_numbers(value: Any, what: str) -> None:
 
 
 def printable(text: str) -> str:
-    """Text with a question mark for each character that would not be printed as itself, such as an escape or a newline."""
+    """Text with a question mark for each character that is not printable, such as an escape or a newline."""
     return "".join(mark if mark.isprintable() else "?" for mark in text)
 
 
 def shown(line: str, longest: int = MAX_LINE) -> str:
-    """Line as people may be shown it: without escapes, which a terminal would obey, and cut where it is too long."""
+    """Line for a terminal: without escapes, which it would obey, and cut where it is too long."""
     return printable(line) if len(line) <= longest else f"{printable(line[:longest])} …"
 
 
 def brief(error: Exception) -> str:
-    """What an error of a library says, on one short line: some repeat the file that they could not read."""
+    """Message of a library's error on one short line; some hold the file that they could not read."""
     text = " ".join(printable(str(error).replace("\n", " ")).split()) or type(error).__name__
     return shown(text, LONGEST_TEXT)

@@ -1,7 +1,5 @@
-"""The command line: one subcommand per stage; parse, call one function, write.
+"""Command line. Exit status: 0; 1 where a result fails a check; 2 for bad input, one line on stderr; 130 after Ctrl-C.
 
-Exit status: 0; 1 for a result that fails a check; 2 for bad input or usage, one line on stderr; 130 after
-Ctrl-C, and of a sweep after SIGTERM.
 Results go to stdout, progress to stderr. Heavy imports stay inside the subcommands.
 """
 
@@ -29,7 +27,7 @@ from foten.study.commands import app as study
 
 
 class _Commands(typer.core.TyperGroup):
-    """The subcommands, Ctrl-C in which is an `Abort`: Typer would end without a word."""
+    """Subcommands that turn Ctrl-C into an `Abort`: Typer would end silently."""
 
     def invoke(self, ctx: Any) -> Any:
         try:
@@ -95,7 +93,7 @@ def main() -> None:
 
 
 def _status(arguments: list[str]) -> int:
-    """The exit status of one command; an expected failure is printed as one line."""
+    """Exit status of one command; an expected failure is printed as one line."""
     if os.environ.get("FOTEN_DEBUG"):  # the whole traceback, for developers
         return app(arguments, standalone_mode=False) or 0
     try:

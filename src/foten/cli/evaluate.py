@@ -1,10 +1,10 @@
-"""`foten evaluate` and `foten info`: how good a texture file is, and what it holds."""
+"""`foten evaluate` and `foten info`: quality and content of a texture file."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
 from typer import Argument, Option
 
@@ -16,23 +16,12 @@ if TYPE_CHECKING:
 
 def evaluate(
     texture_file: TextureFile,
-    recording_file: Annotated[Path, Argument(metavar="REC.h5", help="The recording it was trained on, or another.")],
-    report: Annotated[Path | None, Option(metavar="DIR", help="Write DIR/report.html and DIR/evaluation.json.")] = None,
-    seed: Annotated[int, Option(min=0, max=2**32 - 1, help="Of the excitation.")] = 0,
-    trim: Annotated[
-        float | None,
-        Option(help="Of another recording, discarded at both ends (ms).", show_default="the trained one's"),
-    ] = None,
-    block: Annotated[
-        float | None, Option(help="Of another recording, what is scored as one (ms).", show_default="the trained one's")
-    ] = None,
-    listener: Annotated[
-        bool,
-        Option(
-            "--listener",
-            help="Ask networks trained for it whether they can tell the free run from the surface (a minute; needs PyTorch).",
-        ),
-    ] = False,
+    recording_file: Path = Argument(..., metavar="REC.h5", help="The recording it was trained on, or another."),
+    report: Path | None = Option(None, metavar="DIR", help="Write DIR/report.html and DIR/evaluation.json."),
+    seed: int = Option(0, min=0, max=2**32 - 1, help="Of the excitation."),
+    trim: float | None = Option(None, help="Another recording's, at both ends (ms).", show_default="the trained one's"),
+    block: float | None = Option(None, help="Another recording's unit (ms).", show_default="the trained one's"),
+    listener: bool = Option(False, "--listener", help="Train networks to tell the free run from the surface."),
     as_json: JsonOption = False,
 ) -> None:
     """Judge a texture on its test blocks: one-step and free-run, beside references and a ceiling."""
@@ -67,11 +56,10 @@ def info(texture_file: TextureFile, as_json: JsonOption = False) -> None:
     parts = {name: t for name, t in texture.tensors.items() if not name.startswith(("golden.", "warm_start"))}
     cost = texture.sizes.multiply_adds() or card["metrics"]["multiply_adds"]
     graph = parts.pop(GRAPH, None)
-    holds = (
-        f"{sum(t.size for t in parts.values()):,} numbers"
-        if graph is None
-        else f"{graph.size:,} bytes for ONNX Runtime"
-    )
+    holds = f"{sum(t.size for t in parts.values()):,} numbers"
+    if graph is not None:
+        holds = f"{graph.size:,} bytes for ONNX Runtime"
+    unit = "in relative units," if texture.unit == "relative" else texture.unit
     rows = {
         "texture": card["texture"] or "(unnamed)",
         "model": f"{card['model']}, {holds}",
@@ -82,7 +70,7 @@ def info(texture_file: TextureFile, as_json: JsonOption = False) -> None:
         "trained speed": "{:.4g} to {:.4g} mm/s".format(*(round(end, 3) for end in texture.trained_range("speed"))),
         "trained force": "{:.3g} to {:.3g} N".format(*texture.trained_range("force")),
         "above these": texture.extrapolation_in_words(),
-        "acceleration": f"{texture.scaling.sd[0]:.4g} {_unit(texture)} standard deviation",
+        "acceleration": f"{texture.scaling.sd[0]:.4g} {unit} standard deviation",
         "delay": f"{card['delay_ms']:.1f} ms, of the {card['lowpass_hz']:g} Hz low-pass of speed and force",
         "excitation": "yes" if texture.has_excitation else "no",
         "validation": validation_summary(card),
@@ -94,12 +82,8 @@ def info(texture_file: TextureFile, as_json: JsonOption = False) -> None:
     print_result({"sha256": texture.sha256(), **card}, text, as_json)
 
 
-def _unit(texture: Texture) -> str:
-    return "in relative units," if texture.unit == "relative" else texture.unit
-
-
 def _linear_model(texture: Texture) -> dict[str, str]:
-    """What `info` says of the local models, or of the lattice and the tones; nothing of a model that has none."""
+    """Rows of `info` on the local models, or on the lattice and the tones."""
     sizes, metrics = texture.card["sizes"], texture.card["metrics"]
     if texture.card["model"] == "ar":
         zeros = f", {sizes['ma']} zeros" if sizes["ma"] else ""
@@ -108,7 +92,8 @@ def _linear_model(texture: Texture) -> dict[str, str]:
         return {}
     vertices = sizes["n_speed"] * sizes["n_force"]
     over = "for all speeds and forces" if vertices == 1 else f"over {vertices} speeds and forces"
-    gain = ", gain before the filter" if sizes["gain_before_filter"] else ""
+    before_filter = ", gain before the filter"
+    gain = before_filter * sizes["gain_before_filter"]
     parts = f"the network takes in {sizes['window']} of them, and the lattice those before"
     rows = {"history": f"a prediction is made from the last {texture.window} samples: {parts}"}
     rows |= {"lattice": f"order {sizes['order']}, {over}{gain}", "tones": "none"}
@@ -116,23 +101,23 @@ def _linear_model(texture: Texture) -> dict[str, str]:
     if sizes["n_tones"]:
         length = (metrics.get("linear_model") or {}).get("wavelength_mm")
         every = f", the surface repeats every {length:.3g} mm" if length else ""
+        residual = f"for the residual a lattice of order {sizes['residual_order']}"
         rows["tones"] = (
-            f"{sizes['n_tones']} multiples{every}; for the residual a lattice of order {sizes['residual_order']}"
-            f"{', gain before the filter' if sizes['residual_gain_before_filter'] else ''}"
+            f"{sizes['n_tones']} multiples{every}; {residual}{before_filter * sizes['residual_gain_before_filter']}"
         )
     return rows
 
 
 def network_summary(card: Mapping[str, Any]) -> str:
-    """What the network of a foten-plus texture is used for, in words."""
+    """Use of a foten-plus texture's network, in words."""
     sizes, metrics = card["sizes"], card["metrics"]
     if metrics.get("n_epochs") == 0:
         return "not trained: the file was written before"
     without = metrics.get("validation_mae_scaled_lattice")
     gain = 100 * (1 - metrics["validation_mae_scaled"] / without) if without else 0.0
-    improves = (
-        f"improves one-step predictions by {gain:.1f} %" if gain >= 0.05 else "does not improve one-step predictions"
-    )
+    improves = "does not improve one-step predictions"
+    if gain >= 0.05:
+        improves = f"improves one-step predictions by {gain:.1f} %"
     if not sizes["network_in_loop"]:
         return f"{improves}; a rendering does without it, as it did not help on the validation blocks"
     if sizes["n_tones"]:
@@ -141,7 +126,7 @@ def network_summary(card: Mapping[str, Any]) -> str:
 
 
 def validation_summary(card: Mapping[str, Any]) -> str:
-    """The validation errors that a card holds, in words."""
+    """Validation errors of a card, in words."""
     if card["split"] is None:
         return "none here: its models were imported"
     metrics = card["metrics"]

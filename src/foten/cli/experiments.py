@@ -11,36 +11,20 @@ from typer import Argument, Exit, Option
 from foten.atomic_write import atomic_write
 from foten.console import JsonOption, check_folder, folder_option, print_result, say
 
-ResultsFolder = Annotated[Path, Argument(metavar="DIR", help="Results of foten sweep.")]
-MixedOption = Annotated[
-    bool, Option("--mixed", help="Take results of different code or platform too, which are refused otherwise.")
-]
+MixedOption = Annotated[bool, Option("--mixed", help="Take results of different code or platform too.")]
 
 
 def sweep(
-    experiment_file: Annotated[
-        str | None,
-        Argument(
-            metavar="FILE.toml",
-            help="Which methods learn which textures; or the name of an experiment that comes with foten, as --list shows them.",
-        ),
-    ] = None,
+    experiment_file: str | None = Argument(
+        None, metavar="FILE.toml", help="An experiment, or the name of one of foten's."
+    ),
     output: Annotated[Path | None, folder_option("Folder of the results, one file a run.")] = None,
-    workers: Annotated[
-        int | None, Option(min=1, help="Runs at a time on this machine, a thread each.", show_default="its cores")
-    ] = None,
-    address: Annotated[
-        str | None, Option(help="Of a Ray cluster; auto for the one that this machine is part of.")
-    ] = None,
-    gpus_per_run: Annotated[
-        float, Option(min=0.0, max=8.0, help="Share of a GPU that each run takes: 0.25 lets four share one.")
-    ] = 0.0,
-    recordings: Annotated[
-        Path | None,
-        Option(metavar="DIR", help="Folder of the experiment's recordings.", show_default="that of the file"),
-    ] = None,
-    dry_run: Annotated[bool, Option("--dry-run", help="List the runs and stop; needs no -o.")] = False,
-    show_list: Annotated[bool, Option("--list", help="Show the experiments that come with foten and stop.")] = False,
+    workers: int | None = Option(None, min=1, help="Runs at a time, a thread each.", show_default="its cores"),
+    address: str | None = Option(None, help="Of a Ray cluster; auto for the one that this machine is part of."),
+    gpus_per_run: float = Option(0.0, min=0.0, max=8.0, help="Share of a GPU for each run: 0.25 lets four share one."),
+    recordings: Path | None = Option(None, metavar="DIR", help="Of the recordings.", show_default="that of the file"),
+    dry_run: bool = Option(False, "--dry-run", help="List the runs and stop; needs no -o."),
+    show_list: bool = Option(False, "--list", help="Show the experiments that come with foten and stop."),
     as_json: JsonOption = False,
 ) -> None:
     """Train and judge every method of an experiment on every texture and split; goes on where it stopped.
@@ -79,29 +63,10 @@ def sweep(
 
 
 def tables(
-    results: Annotated[
-        list[Path],
-        Argument(
-            metavar="DIR|runs.csv...",
-            help="Results of foten sweep, or what this wrote of them; of several parts of one sweep.",
-        ),
-    ],
-    output: Annotated[
-        Path | None, folder_option("Write each table as .md, .csv and .tex, and every figure of every run as runs.csv.")
-    ] = None,
-    short: Annotated[
-        bool,
-        Option("--brief", help="Of runs.csv only the figures that methods are compared by, not those of references."),
-    ] = False,
-    digits: Annotated[
-        int | None,
-        Option(
-            min=1,
-            max=9,
-            help="Significant digits in runs.csv: tables that are made of it again may differ in the last.",
-            show_default="all, with which they do not",
-        ),
-    ] = None,
+    results: list[Path] = Argument(..., metavar="DIR|runs.csv...", help="Results of foten sweep, or runs.csv of it."),
+    output: Annotated[Path | None, folder_option("Write .md, .csv and .tex of each table, and runs.csv.")] = None,
+    short: bool = Option(False, "--brief", help="Only the figures in runs.csv that methods are compared by."),
+    digits: int | None = Option(None, min=1, max=9, help="Significant digits in runs.csv; by default all."),
     mixed: MixedOption = False,
     as_json: JsonOption = False,
 ) -> None:
@@ -121,26 +86,18 @@ def tables(
         runs_table(brief(records) if short else records, digits).write(output / "runs.csv")
         with atomic_write(output / "findings.md") as part:
             part.write_text("\n\n".join([f"# {title}", *sentences]) + "\n", encoding="utf-8")
-    printed = [
-        dataclasses.replace(shown[name], title="", notes=()).markdown()
-        for name in ("summary", "ratios")
-        if name in shown
-    ]
+    brief_tables = [shown[name] for name in ("summary", "ratios") if name in shown]
+    printed = [dataclasses.replace(table, title="", notes=()).markdown() for table in brief_tables]
     document = {"title": title, "tables": {name: table.cells() for name, table in shown.items()}, "findings": sentences}
     print_result(document, "\n".join([f"{title}\n", *printed, *sentences]), as_json)
 
 
 def figures(
-    results: ResultsFolder,
+    results: Annotated[Path, Argument(metavar="DIR", help="Results of foten sweep.")],
     output: Annotated[Path, folder_option("Write each figure there, .png and .pdf.")],
-    recordings: Annotated[
-        Path | None,
-        Option(
-            metavar="DIR",
-            help="Of the recordings, from which Fig. 4 is drawn.",
-            show_default="where they were when the sweep was started",
-        ),
-    ] = None,
+    recordings: Path | None = Option(
+        None, metavar="DIR", help="Recordings of Fig. 4.", show_default="where the sweep had them"
+    ),
     mixed: MixedOption = False,
     as_json: JsonOption = False,
 ) -> None:
@@ -162,11 +119,11 @@ def figures(
 
 def demo(
     output: Annotated[Path, folder_option("Folder for everything it makes.")] = Path("demo"),
-    key: Annotated[str, Option("--texture", help="Simulated texture; foten simulate --list.")] = "towel",
-    seconds: Annotated[float, Option(help="Length of the recording (s).")] = 44.0,
-    epochs: Annotated[int, Option(help="Of training.")] = 5,
-    seed: Annotated[int, Option(min=0, max=2**31, help="Of everything.")] = 0,
-    threads: Annotated[int, Option(help="Share each batch among so many cores (on a GPU there is one share).")] = 2,
+    key: str = Option("towel", "--texture", help="Simulated texture; foten simulate --list."),
+    seconds: float = Option(44.0, help="Length of the recording (s)."),
+    epochs: int = Option(5, help="Of training."),
+    seed: int = Option(0, min=0, max=2**31, help="Of everything."),
+    threads: int = Option(2, help="Share each batch among so many cores (on a GPU there is one share)."),
     as_json: JsonOption = False,
 ) -> None:
     """Go once through everything without data or hardware: simulate, train, judge, render."""

@@ -1,11 +1,11 @@
-"""`foten export`: a texture, or a stroke of it, in the formats of other worlds."""
+"""`foten export`: a texture, or a stroke of it, in other formats."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
 from typer import Argument, Option
 
@@ -13,22 +13,11 @@ from foten.cli.render import Actuator, StrokeOptions, provenance, rendered_by
 from foten.console import check_folders, options_from, print_result
 
 if TYPE_CHECKING:
-    from foten.dsp import Array
     from foten.export.clip import Clip
     from foten.models.texture_file import Texture
-    from foten.runtime.renderer import Renderer
 
-SUFFIXES = {
-    ".ahap": "ahap",
-    ".haptic": "haptic",
-    ".hjif": "hjif",
-    ".json": "android",
-    ".h": "c",
-    ".onnx": "onnx",
-    ".wav": "wav",
-    ".csv": "csv",
-    ".npz": "npz",
-}
+SUFFIXES = {f".{name}": name for name in ("ahap", "haptic", "hjif", "onnx", "wav", "csv", "npz")}
+SUFFIXES |= {".json": "android", ".h": "c"}
 """The format that a name has."""
 CLIPS = ("wav", "csv", "npz", "ahap", "haptic", "hjif", "hjif-parametric", "android")
 TEXTURES = ("c", "onnx", "web", "unity")
@@ -38,27 +27,17 @@ TEXTURES = ("c", "onnx", "web", "unity")
 class ExportOptions(StrokeOptions):
     """Options of `foten export`."""
 
-    output: Annotated[Path, Option("-o", "--output", help="File to write; a folder for web and unity.")]
-    texture_files: Annotated[
-        list[Path] | None,
-        Argument(
-            metavar="[T.foten]…",
-            help="A texture file. For web as many as the page is to have, or folders of them; by default those that come "
-            "along.",
-        ),
-    ] = None
-    to: Annotated[
-        str | None,
-        Option(
-            help="A clip of one stroke: wav (driven: peak 1, 48 kHz, 16 bits; 'foten render' writes m/s²), csv, npz, "
-            "ahap (Apple), haptic (Meta), hjif or hjif-parametric (MPEG), android. The texture itself: c (a "
-            "header), onnx (its one-step network), unity (a package for it). Textures: web (the page of 'foten serve' as "
-            "files). By the output's name where that says it."
-        ),
-    ] = None
-    full_scale: Annotated[
-        float | None, Option(help="m/s² that is 1 in the clip, for clips that are to compare; by default its peak.")
-    ] = None
+    output: Path = Option(..., "-o", "--output", help="File to write; a folder for web and unity.")
+    texture_files: list[Path] | None = Argument(
+        None, metavar="[T.foten]…", help="A texture file; for web any number, or folders, by default foten's."
+    )
+    to: str | None = Option(
+        None,
+        help="A clip of one stroke: wav (driven: peak 1, 48 kHz, 16 bits), csv, npz, ahap (Apple), haptic (Meta), hjif or "
+        "hjif-parametric (MPEG), android. The texture itself: c (a header), onnx (its one-step network), unity (a package). "
+        "Textures: web (the page of 'foten serve' as files). By the output's name where that says it.",
+    )
+    full_scale: float | None = Option(None, help="m/s² that is 1 in the clip; by default its peak.")
     actuator: Actuator = None
 
     def __post_init__(self) -> None:
@@ -103,25 +82,19 @@ def _only(files: list[Path], kind: str) -> Texture:
     return read_texture(files[0])
 
 
-def _rendered(texture: Texture, options: ExportOptions, renderer: Renderer) -> tuple[Array, dict[str, Any]]:
-    """The samples of a stroke, shape (n,), and what made them; by default 2 s at 80 mm/s and 0.8 N."""
-    stroke = options if options.has_stroke else replace(options, speed=80.0, force=0.8, seconds=2.0)
-    speed, force, source = stroke.conditions(texture)
-    unit = texture.card["units"].get("acceleration", "m/s^2")
-    return rendered_by(renderer, speed, force), {**provenance(texture, source, options.seed, False), "unit": unit}
-
-
 def _clip(texture: Texture, options: ExportOptions) -> Clip:
+    """Clip of a stroke; by default 2 s at 80 mm/s and 0.8 N."""
     from foten.export.clip import RATE_HZ, clip_of
     from foten.runtime.actuator import read_profile
     from foten.runtime.renderer import Renderer
 
     profile = None if options.actuator is None else read_profile(options.actuator)
     renderer = Renderer(texture, rate=max(RATE_HZ, texture.rate_hz), seed=options.seed, actuator=profile)
-    samples, about = _rendered(texture, options, renderer)
-    if profile is not None:
-        about["unit"] = profile.unit
-    return clip_of(samples, renderer.rate, about, options.full_scale)
+    stroke = options if options.has_stroke else replace(options, speed=80.0, force=0.8, seconds=2.0)
+    speed, force, source = stroke.conditions(texture)
+    unit = texture.card["units"].get("acceleration", "m/s^2") if profile is None else profile.unit
+    about = {**provenance(texture, source, options.seed, False), "unit": unit}
+    return clip_of(rendered_by(renderer, speed, force), renderer.rate, about, options.full_scale)
 
 
 def _write_clip(kind: str, clip: Clip, output: Path) -> tuple[dict[str, Any], str]:

@@ -1,9 +1,8 @@
-"""`foten bench` and `foten doctor`: what this machine has for rendering, and how fast it is."""
+"""`foten bench` and `foten doctor`: speed and equipment of this machine for rendering."""
 
 from __future__ import annotations
 
 from dataclasses import asdict
-from typing import Annotated
 
 from typer import Exit, Option
 
@@ -12,7 +11,7 @@ from foten.console import JsonOption, TextureFile, print_result
 
 def bench(
     texture_file: TextureFile,
-    n: Annotated[int, Option("-n", min=1000, help="Samples to time.")] = 20_000,
+    n: int = Option(20_000, "-n", min=1000, help="Samples to time."),
     as_json: JsonOption = False,
 ) -> None:
     """Time a sample of a texture in each instruction set of this processor."""
@@ -25,13 +24,7 @@ def bench(
 
 
 def doctor(
-    c_flags: Annotated[
-        bool,
-        Option(
-            "--c-flags",
-            help="Print what a C compiler needs for the installed library: cc stroke.c $(foten doctor --c-flags)",
-        ),
-    ] = False,
+    c_flags: bool = Option(False, "--c-flags", help="Print flags, for cc stroke.c $(foten doctor --c-flags)"),
     as_json: JsonOption = False,
 ) -> None:
     """Look at what this machine has for rendering, and say what is missing."""

@@ -1,7 +1,4 @@
-"""`foten simulate`, `foten import` and `foten inspect`: where recordings come from, and what they hold.
-
-`foten import` takes models that others have fitted, too.
-"""
+"""`foten simulate`, `foten import` and `foten inspect`: sources and content of recordings."""
 
 from __future__ import annotations
 
@@ -20,28 +17,15 @@ if TYPE_CHECKING:
 
 
 def simulate(
-    key: Annotated[str | None, Argument(help="Texture or linear process; --list shows them.")] = None,
-    output: Annotated[
-        Path | None, Option("-o", "--output", help="HDF5 file to write; with --capture a folder.")
-    ] = None,
-    seconds: Annotated[float, Option(help="Length (s).")] = 64.0,
-    seed: Annotated[int, Option(help="Of everything random that the next two leave out.")] = 0,
-    noise_seed: Annotated[
-        int | None, Option(help="Of surface and sensors: another one, the same stroke again.")
-    ] = None,
-    stroke_seed: Annotated[int | None, Option(help="Of the hand.")] = None,
-    accelerometer_hz: Annotated[
-        float | None,
-        Option(help="10000 over a whole number, by default 10000; for a linear process its rate, by default 1000."),
-    ] = None,
-    capture: Annotated[
-        bool,
-        Option(
-            "--capture",
-            help="Write sound.wav and pen.csv to the folder -o, as a pen and a microphone capture a texture.",
-        ),
-    ] = False,
-    show_list: Annotated[bool, Option("--list", help="Show the keys and stop.")] = False,
+    key: str | None = Argument(None, help="Texture or linear process; --list shows them."),
+    output: Path | None = Option(None, "-o", "--output", help="HDF5 file to write; with --capture a folder."),
+    seconds: float = Option(64.0, help="Length (s)."),
+    seed: int = Option(0, help="Of everything random that the next two leave out."),
+    noise_seed: int | None = Option(None, help="Of surface and sensors: another one, the same stroke again."),
+    stroke_seed: int | None = Option(None, help="Of the hand."),
+    accelerometer_hz: float | None = Option(None, help="10000 over a whole number.", show_default="10000; linear 1000"),
+    capture: bool = Option(False, "--capture", help="Write sound.wav and pen.csv to the folder -o."),
+    show_list: bool = Option(False, "--list", help="Show the keys and stop."),
     as_json: JsonOption = False,
 ) -> None:
     """Write a simulated recording with a known truth: raw sensors over a texture, or a linear process."""
@@ -49,25 +33,29 @@ def simulate(
     from foten.simulation import simulate as simulator
 
     if show_list:
-        known = {name: parameters.description for name, parameters in simulator.TEXTURES.items()}
-        known |= {name: parameters.description for name, parameters in simulator.CONTACT.items()}
-        known |= {name: process.description for name, process in simulator.LINEAR_FAMILY.items()}
+        kinds = (simulator.TEXTURES, simulator.CONTACT, simulator.LINEAR_FAMILY)
+        known = {name: made_of.description for kind in kinds for name, made_of in kind.items()}
         print_result(known, "\n".join(f"{name:18s}{description}" for name, description in known.items()), as_json)
         return
     if key is None or output is None:
         raise ValueError("expected a key and -o FILE; --list shows the keys")
-    check_folders([output])
     if capture:
+        check_folders([output])
         _simulate_capture(key, seconds, seed, output, (noise_seed, stroke_seed, accelerometer_hz), as_json)
         return
-    if output.suffix.lower() not in (".h5", ".hdf5"):
-        raise ValueError(f"a recording is written as .h5, got -o {output.name}")
+    _check_recording(output)
     recording = simulator.simulate(
         key, seconds, seed, noise_seed=noise_seed, stroke_seed=stroke_seed, accelerometer_hz=accelerometer_hz
     )
     write_recording(recording, output)
     result = {"output": str(output), "sha256": recording.sha256(), "simulation": dict(recording.simulation or {})}
     print_result(result, f"{output}: {key}, {recording.duration_s:g} s, {', '.join(recording.channels)}", as_json)
+
+
+def _check_recording(output: Path) -> None:
+    if output.suffix.lower() not in (".h5", ".hdf5"):
+        raise ValueError(f"a recording is written as .h5, got -o {output.name}")
+    check_folders([output])
 
 
 def _simulate_capture(
@@ -78,9 +66,8 @@ def _simulate_capture(
     from foten.simulation.simulated_capture import DELAY_S, DRIFT, FULL_SCALE, simulate_capture
 
     if any(option is not None for option in of_sensors):
-        raise ValueError(
-            "--noise-seed, --stroke-seed and --accelerometer-hz are for recordings: leave them out of a --capture"
-        )
+        options = "--noise-seed, --stroke-seed and --accelerometer-hz"
+        raise ValueError(f"{options} are for recordings: leave them out of a --capture")
     sound, pen = simulate_capture(key, seconds, seed).write(folder, np.random.default_rng([seed, 8]))
     what = f"{key}, {seconds:g} s of strokes between taps, full scale is {FULL_SCALE:g} m/s²"
     clock = f"the pen's clock is {1000 * DELAY_S:g} ms late and {1e6 * DRIFT:g} ppm fast"
@@ -89,69 +76,38 @@ def _simulate_capture(
 
 
 def import_(
-    files: Annotated[
-        list[Path],
-        Argument(
-            help="CSV, TSV, .xlsx, .npz, .mat (v5 to v7.3), .tdms, .wav, .h5; or one .xml of linear models.",
-            show_default=False,
-        ),
-    ],
-    output: Annotated[
-        Path,
-        Option("-o", "--output", help="The recording to write, .h5; of models a texture, .foten.", show_default=False),
-    ],
-    mapping: Annotated[
-        list[str] | None,
-        Option(
-            "--map",
-            help="CHANNEL=COLUMN,… with channels time, acceleration, speed, force, or by axis acceleration_x, position_x, "
-            "force_x and so on (z is the surface normal). A column is a header name, or a number from 0; with several files "
-            "FILE:COLUMN. time may be given once per file and serves the channels of that file with as many rows; without "
-            "FILE: it is that column of every file which has it. Default: by the header names, said on stderr.",
-        ),
-    ] = None,
-    units: Annotated[
-        list[str] | None,
-        Option(
-            "--unit",
-            help="CHANNEL=UNIT,… of the file: acceleration m/s^2, g, mg, mm/s^2, in/s^2, ft/s^2; speed mm/s, cm/s, m/s, in/s, "
-            "ft/s, mm/min, km/h; position mm, cm, m, um, in, ft; force N, mN, kN, gf, kgf, lbf, ozf; time s, ms, us, ns, min. "
-            "CHANNEL=V*FACTOR or *FACTOR multiplies, for a sensitivity: force=V*4.9 for 4.9 N per volt. "
-            "Default: what the file states, else m/s^2, mm/s, mm, N, s.",
-        ),
-    ] = None,
-    rate: Annotated[
-        list[str] | None,
-        Option(
-            "--rate",
-            help="HZ for the channels whose file states no rate and has no time column, or CHANNEL=HZ,…, which comes before "
-            "what the file states.",
-        ),
-    ] = None,
-    fill_gaps: Annotated[
-        float, Option("--fill-gaps", metavar="MS", help="Fill gaps of up to MS ms in position, speed and force.")
-    ] = 0.0,
-    force_units: Annotated[
-        bool,
-        Option(
-            "--force-units", help="Accept what no hand does, spikes for example: above 5 m/s, 1000 m/s², 500 N or 10 m."
-        ),
-    ] = False,
-    pen: Annotated[
-        Path | None,
-        Option(
-            metavar="E.csv",
-            help="Events of a pen (t, x, y, pressure) beside the sound of a microphone on it; its taps before and after the "
-            "strokes join the clocks. Without --unit acceleration=*FACTOR the texture is in relative units.",
-        ),
-    ] = None,
-    pressure: Annotated[
-        str, Option(help="a,b of force = a exp(b pressure), of --pen (N); fit it on the page of foten serve.")
-    ] = "0.13,3.32",
-    texture: Annotated[str, Option(help="What was stroked; the first file's name by default.")] = "",
-    tool: Annotated[str, Option(help="What it was stroked with.")] = "",
-    sensors: Annotated[str, Option(help="Sensors, amplifiers, ranges.")] = "",
-    notes: Annotated[str, Option(help="Anything else.")] = "",
+    files: list[Path] = Argument(..., help="CSV, TSV, .xlsx, .npz, .mat, .tdms, .wav, .h5; or one .xml of models."),
+    output: Path = Option(..., "-o", "--output", help="The recording to write, .h5; of models a texture, .foten."),
+    mapping: list[str] | None = Option(
+        None,
+        "--map",
+        help="CHANNEL=COLUMN,… with channels time, acceleration, speed, force, or by axis acceleration_x, position_x, "
+        "force_x and so on (z is the surface normal). A column is a header name, or a number from 0; with several files "
+        "FILE:COLUMN. time may be given once per file and serves the channels of that file with as many rows; without "
+        "FILE: it is that column of every file which has it. Default: by the header names, said on stderr.",
+    ),
+    units: list[str] | None = Option(
+        None,
+        "--unit",
+        help="CHANNEL=UNIT,… of the file: acceleration m/s^2, g, mg, mm/s^2, in/s^2, ft/s^2; speed mm/s, cm/s, m/s, in/s, "
+        "ft/s, mm/min, km/h; position mm, cm, m, um, in, ft; force N, mN, kN, gf, kgf, lbf, ozf; time s, ms, us, ns, min. "
+        "CHANNEL=V*FACTOR or *FACTOR multiplies, for a sensitivity: force=V*4.9 for 4.9 N per volt. "
+        "Default: what the file states, else m/s^2, mm/s, mm, N, s.",
+    ),
+    rate: list[str] | None = Option(None, help="HZ for channels without a rate or times, or CHANNEL=HZ,… of any."),
+    fill_gaps: float = Option(0.0, metavar="MS", help="Fill gaps of up to MS ms in position, speed and force."),
+    force_units: bool = Option(False, "--force-units", help="Accept spikes above 5 m/s, 1000 m/s², 500 N or 10 m."),
+    pen: Path | None = Option(
+        None,
+        metavar="E.csv",
+        help="Events of a pen (t, x, y, pressure) beside the sound of a microphone on it; its taps before and after the "
+        "strokes join the clocks. Without --unit acceleration=*FACTOR the texture is in relative units.",
+    ),
+    pressure: str = Option("0.13,3.32", help="a,b of force (N) = a exp(b pressure); foten serve fits it."),
+    texture: str = Option("", help="What was stroked; the first file's name by default."),
+    tool: str = Option("", help="What it was stroked with."),
+    sensors: str = Option("", help="Sensors, amplifiers, ranges."),
+    notes: str = Option("", help="Anything else."),
     as_json: JsonOption = False,
 ) -> None:
     """Turn files of any origin into one recording, converting units and changing nothing else.
@@ -166,31 +122,21 @@ def import_(
     foten import Models_Denim.xml -o denim.foten: a model file of the Penn Haptic Texture Toolkit becomes a texture.
     """
     if any(file.suffix.lower() == ".xml" for file in files):
-        of_recordings = {
-            "map": mapping,
-            "unit": units,
-            "rate": rate,
-            "fill-gaps": fill_gaps,
-            "force-units": force_units,
-        }
-        for name, value in {**of_recordings, "tool": tool, "sensors": sensors}.items():
+        refused = {"map": mapping, "unit": units, "rate": rate, "fill-gaps": fill_gaps, "force-units": force_units}
+        for name, value in {**refused, "tool": tool, "sensors": sensors}.items():
             if value:
-                raise ValueError(
-                    f"--{name} is for recordings, and an .xml holds models with units and rate: leave it out"
-                )
+                of_models = "an .xml holds models with units and rate"
+                raise ValueError(f"--{name} is for recordings, and {of_models}: leave it out")
         _import_models(files, output, texture, notes, as_json)
         return
     from foten.datasets.hdf5 import write_recording
     from foten.datasets.importing import import_recording
     from foten.datasets.options import ImportOptions, parse_pairs, parse_rates
 
-    if output.suffix.lower() not in (".h5", ".hdf5"):
-        raise ValueError(f"a recording is written as .h5, got -o {output.name}")
-    check_folders([output])
+    _check_recording(output)
     rate_hz, rates_hz = parse_rates(rate or [])
-    units_of = dict(parse_pairs(units or [], "--unit"))
-    pairs = tuple(parse_pairs(mapping or [], "--map"))
-    options = ImportOptions(pairs, units_of, rate_hz, rates_hz, fill_gaps, force_units)
+    pairs, units_of = parse_pairs(mapping or [], "--map"), dict(parse_pairs(units or [], "--unit"))
+    options = ImportOptions(tuple(pairs), units_of, rate_hz, rates_hz, fill_gaps, force_units)
     if pen is None:
         imported, decisions = import_recording(files, options)
     else:
@@ -221,7 +167,7 @@ def import_(
 
 
 def _named(file: Path) -> str:
-    """What a file is of by its name; of a `sound.wav`, as a page keeps it, by its folder's."""
+    """Texture of a file by its name; of a `sound.wav` by its folder's."""
     folder = file.resolve().parent.name
     return folder if file.stem == "sound" and folder else file.stem
 
@@ -252,9 +198,8 @@ def _import_models(files: list[Path], output: Path, texture: str, notes: str, as
     if output.suffix != ".foten":
         raise ValueError(f"models are written as a texture file, .foten, got -o {output.name}")
     check_folders([output])
-    models = read_models(files[0])
     digest = hashlib.sha256(files[0].read_bytes()).hexdigest()
-    imported, decisions = imported_texture(models, digest, texture, notes=notes)
+    imported, decisions = imported_texture(read_models(files[0]), digest, texture, notes=notes)
     for decision in decisions:
         say(decision)
     write_texture(imported, output)
@@ -274,7 +219,7 @@ def _import_models(files: list[Path], output: Path, texture: str, notes: str, as
 def inspect(
     recording_file: RecordingFile,
     output: Annotated[Path | None, folder_option("Write inspect.json, overview.png, coverage.png, psd.png.")] = None,
-    strict: Annotated[bool, Option("--strict", help="Exit 1 where there is a problem.")] = False,
+    strict: bool = Option(False, "--strict", help="Exit 1 where there is a problem."),
     as_json: JsonOption = False,
 ) -> None:
     """Say what a recording holds and what is wrong with it: units, coverage, clipping, gaps, order."""

@@ -1,9 +1,10 @@
-"""`foten render` and `foten play`: vibration from a texture and a hand, into a file or live."""
+"""`foten render` and `foten play`: vibration of a texture under a stroke, into a file or live."""
 
 from __future__ import annotations
 
 import os
 import time
+from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from math import inf
 from pathlib import Path
@@ -11,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from typer import Argument, Exit, Option
 
-from foten.console import JsonOption, TextureFile, check_folders, options_from, print_json, say
+from foten.console import JsonOption, TextureFile, check_folders, options_from, print_result, say
 
 if TYPE_CHECKING:
     from foten.dsp import Array
@@ -23,51 +24,36 @@ if TYPE_CHECKING:
 
 SAY_EVERY_S = 5.0  # how far a long rendering is
 
-Units = Annotated[
-    list[str] | None,
-    Option(
-        "--unit",
-        help="CHANNEL=UNIT,… of --stroke, before the units in its header: time, speed, position_x, position_y, force; as "
-        "foten import has them.",
-    ),
-]
+Units = Annotated[list[str] | None, Option("--unit", help="CHANNEL=UNIT,… of --stroke, as of foten import.")]
 Speed = Annotated[float | None, Option(help="Constant speed (mm/s).")]
 Force = Annotated[float | None, Option(help="Constant force (N).")]
 Deterministic = Annotated[bool, Option("--deterministic", help="Without excitation.")]
 Actuator = Annotated[Path | None, Option(metavar="P.json", help="Profile of the actuator that is driven.")]
-Gain = Annotated[
-    float | None,
-    Option(help="Full scale (sound) or volts (daq) for 1 m/s², or for 1 of the actuator's drive; of these alone."),
-]
+Gain = Annotated[float | None, Option(help="Full scale (sound) or volts (daq) for 1 m/s², or for 1 of the drive.")]
 Device = Annotated[str | None, Option(help="Number or name of the sound card, as 'python -m sounddevice' lists them.")]
 Channel = Annotated[int | None, Option(min=0, help="Of the sound card that is played on, from 0; 0 by default.")]
 
 
 @dataclass(frozen=True, kw_only=True)
 class StrokeOptions:
-    """Options that say what a texture is rendered under."""
+    """Options of a stroke."""
 
-    stroke: Annotated[
-        Path | None,
-        Option(
-            metavar="S.csv",
-            help="A table with the header t, speed or x and y, force or pressure (0 to 1); units in the header, t (ms) for "
-            "example, else s, mm/s, mm, N.",
-        ),
-    ] = None
+    stroke: Path | None = Option(
+        None,
+        metavar="S.csv",
+        help="Table of t, speed or x and y, force or pressure (0 to 1); s, mm/s, mm, N by default.",
+    )
     units: Units = None
-    recording_file: Annotated[
-        Path | None, Option("--recording", metavar="REC.h5", help="Take the hand of a recording.")
-    ] = None
+    recording_file: Path | None = Option(None, "--recording", metavar="REC.h5", help="Take the hand of a recording.")
     speed: Speed = None
     force: Force = None
-    seconds: Annotated[float | None, Option(help="How long, with --speed and --force (s).")] = None
-    seed: Annotated[int, Option(min=0, max=2**32 - 1, help="Of the excitation.")] = 0
+    seconds: float | None = Option(None, help="How long, with --speed and --force (s).")
+    seed: int = Option(0, min=0, max=2**32 - 1, help="Of the excitation.")
     as_json: JsonOption = False
 
     @property
     def has_stroke(self) -> bool:
-        """Whether there is any of them."""
+        """Whether any of them is set."""
         stroke = (self.stroke, self.units, self.recording_file, self.speed, self.force, self.seconds)
         return any(option is not None for option in stroke)
 
@@ -101,8 +87,8 @@ class RenderOptions(StrokeOptions):
     """Options of `foten render`."""
 
     texture_file: TextureFile
-    output: Annotated[list[Path], Option("-o", "--output", help=".wav (float, m/s²), .csv, .npz or .png; repeatable.")]
-    audible: Annotated[Path | None, Option(metavar="FILE.wav", help="Also as sound, 48 kHz, 16 bits.")] = None
+    output: list[Path] = Option(..., "-o", "--output", help=".wav (float, m/s²), .csv, .npz or .png; repeatable.")
+    audible: Path | None = Option(None, metavar="FILE.wav", help="Also as sound, 48 kHz, 16 bits.")
     deterministic: Deterministic = False
 
 
@@ -132,20 +118,16 @@ def render(options: RenderOptions) -> None:
     acceleration = rendered_by(renderer, speed, force)
     for path in output:
         sinks.write_rendered(path, acceleration, speed, force, rate, about)
-    statistics = renderer.counted()
+    counts = renderer.counted()
     gain = sinks.write_audible(audible, acceleration, rate) if audible is not None else None
-    rms, peak = float((acceleration**2).mean() ** 0.5), float(abs(acceleration).max())
-    if options.as_json:
-        levels = {"rms_m_s2": rms, "peak_m_s2": peak, "audible_gain": gain}
-        print_json({"outputs": [str(path) for path in output], **levels, **statistics})
-        return
-    print(
-        f"{acceleration.size / rate:g} s at {rate:g} Hz, {rms:.3g} {texture.unit} rms, {peak:.3g} {texture.unit} peak"
-    )
-    print(f"wrote {', '.join(str(path) for path in output)}")
+    rms, peak, unit = float((acceleration**2).mean() ** 0.5), float(abs(acceleration).max()), texture.unit
+    lines = [f"{acceleration.size / rate:g} s at {rate:g} Hz, {rms:.3g} {unit} rms, {peak:.3g} {unit} peak"]
+    lines.append(f"wrote {', '.join(str(path) for path in output)}")
     if gain is not None:
-        print(f"wrote {audible}, where 1 {texture.unit} is {gain:.3g} of full scale")
-    print_outside_range(statistics, texture)
+        lines.append(f"wrote {audible}, where 1 {unit} is {gain:.3g} of full scale")
+    levels = {"rms_m_s2": rms, "peak_m_s2": peak, "audible_gain": gain}
+    document = {"outputs": [str(path) for path in output], **levels, **counts}
+    _print_rendered(document, lines, counts, texture, options.as_json)
     if not texture.has_excitation and not options.deterministic:
         say(f"{texture.card['model']} carries no excitation, so the loop is deterministic and may fall silent")
 
@@ -154,29 +136,20 @@ def render(options: RenderOptions) -> None:
 class PlayOptions:
     """Options of `foten play`."""
 
-    texture_file: Annotated[
-        Path | None, Argument(metavar="T.foten", help="A texture file; by default one that comes with foten.")
-    ] = None
-    to: Annotated[str, Option(help="sound, null, FILE.wav, daq:Dev1/ao0, udp:HOST:PORT or osc:HOST:PORT.")] = "sound"
-    stroke: Annotated[
-        Path | None,
-        Option(metavar="S.csv", help="As of 'foten render', over and over, without a pause; by default a circle."),
-    ] = None
+    texture_file: Path | None = Argument(None, metavar="T.foten", help="By default one that comes with foten.")
+    to: str = Option("sound", help="sound, null, FILE.wav, daq:Dev1/ao0, udp:HOST:PORT or osc:HOST:PORT.")
+    stroke: Path | None = Option(None, metavar="S.csv", help="As of 'foten render', over and over; else a circle.")
     units: Units = None
     speed: Speed = None
     force: Force = None
-    seconds: Annotated[
-        float | None, Option(min=0.0, help="How long (s); by default until Ctrl-C, and 10 s into a file.")
-    ] = None
-    rate: Annotated[float | None, Option(help="Of the output (Hz); by default 48000 for sound, else 8000 or more.")] = (
-        None
-    )
+    seconds: float | None = Option(None, min=0.0, help="How long (s); by default until Ctrl-C, and 10 s into a file.")
+    rate: float | None = Option(None, help="Of the output (Hz); by default 48000 for sound, else 8000 or more.")
     actuator: Actuator = None
     gain: Gain = None
     device: Device = None
     channel: Channel = None
-    lead_ms: Annotated[float | None, Option(help="Rendered ahead of what is heard (ms); 10 by default.")] = None
-    seed: Annotated[int, Option(min=0, max=2**64 - 1, help="Of the excitation.")] = 0
+    lead_ms: float | None = Option(None, help="Rendered ahead of what is heard (ms); 10 by default.")
+    seed: int = Option(0, min=0, max=2**64 - 1, help="Of the excitation.")
     deterministic: Deterministic = False
     as_json: JsonOption = False
 
@@ -194,11 +167,11 @@ class PlayOptions:
 
     @property
     def into_file(self) -> bool:
-        """Whether it is written to a file, and not played live."""
+        """Whether it is written to a file."""
         return self.to.lower().endswith(".wav")
 
     def conditions(self, texture: Texture, info: NativeInfo) -> tuple[ConditionAt, str]:
-        """Speed and force from sample to sample, and where they are from."""
+        """Speed and force from sample to sample, and what the stroke is called."""
         from foten.runtime.live.play import along, circling, holding
         from foten.runtime.stroke import doubts_of
 
@@ -245,10 +218,8 @@ def play(options: PlayOptions) -> None:
 
     lead_ms = LEAD_MS if options.lead_ms is None else options.lead_ms
     played = play_live(renderer, sink, conditions, seconds, lead_ms, on_start)
-    if options.as_json:
-        print_json({**_document_of(played), "gain": scale, **played.counted})
-    else:
-        _print_played(played, texture, lead_ms, scale)
+    document = {**_document_of(played), "gain": scale, **played.counted}
+    _print_rendered(document, _lines_of(played, lead_ms, scale), played.counted, texture, options.as_json)
     if played.interrupted:
         raise Exit(130)
 
@@ -258,64 +229,55 @@ def _write_played(
 ) -> None:
     from foten.runtime.live.play import write_wav
 
-    path = Path(options.to)
+    path, seconds = Path(options.to), 10.0 if options.seconds is None else options.seconds
     check_folders([path])
-    samples, interrupted = write_wav(
-        renderer, conditions, 10.0 if options.seconds is None else options.seconds, path, about
-    )
-    counted = renderer.counted()
-    if options.as_json:
-        print_json({"output": str(path), "n_samples": samples.size, "interrupted": interrupted, **counted})
-    else:
-        print(f"wrote {path}, {samples.size / renderer.rate:g} s at {renderer.rate:g} Hz")
-        print_outside_range(counted, texture)
+    samples, interrupted = write_wav(renderer, conditions, seconds, path, about)
+    counts = renderer.counted()
+    document = {"output": str(path), "n_samples": samples.size, "interrupted": interrupted, **counts}
+    line = f"wrote {path}, {samples.size / renderer.rate:g} s at {renderer.rate:g} Hz"
+    _print_rendered(document, [line], counts, texture, options.as_json)
     if interrupted:
         raise Exit(130)
 
 
 def _document_of(played: Played) -> dict[str, Any]:
     """What was played, for programs."""
-    statistics = played.statistics
+    statistics, of_run = vars(played.statistics), vars(played)
+    block, min_ms = played.statistics.block, played.statistics.min_ms
     percentiles = (("50", 50), ("99", 99), ("999", 99.9))
     return {
-        "n_samples": statistics.n_samples,
-        "block_ms": statistics.block_ms,
-        **{f"block_p{name}_ms": 1000 * statistics.block.percentile_s(percent) for name, percent in percentiles},
-        "block_largest_ms": 1000 * statistics.block.largest_s,
-        "n_missed": statistics.n_missed,
-        "n_underruns": statistics.n_underruns,
-        "n_lacking": statistics.n_lacking,
-        "ring_min_ms": statistics.min_ms if statistics.min_ms < inf else None,
-        **{name: value for name, value in vars(played).items() if name not in ("statistics", "counted")},
+        **{name: value for name, value in statistics.items() if name not in ("block", "min_ms")},
+        **{f"block_p{name}_ms": 1000 * block.percentile_s(percent) for name, percent in percentiles},
+        "block_largest_ms": 1000 * block.largest_s,
+        "ring_min_ms": min_ms if min_ms < inf else None,
+        **{name: value for name, value in of_run.items() if name not in ("statistics", "counted")},
     }
 
 
-def _print_played(played: Played, texture: Texture, lead_ms: float, scale: float) -> None:
+def _lines_of(played: Played, lead_ms: float, scale: float) -> list[str]:
     """What was played, for people, and what to do where something went wrong."""
     from foten.recording.inspection.values import counted
 
     statistics = played.statistics
-    print(statistics.line())
     delays = ", ".join(f"{ms:.1f} ms {name}" for name, ms in played.delays_ms.items())
-    print(f"delay from stroke to output: {delays}")
-    print_outside_range(played.counted, texture)
+    lines = [statistics.line(), f"delay from stroke to output: {delays}"]
     if n := played.counted["n_limited"]:
-        print(f"the actuator's limit bent {counted(n, 'sample')}")
+        lines.append(f"the actuator's limit bent {counted(n, 'sample')}")
     if n := statistics.n_underruns:
         silence = f"{counted(statistics.n_lacking, 'sample')} of silence"
-        print(f"the ring ran empty {counted(n, 'time')}, {silence}; a longer --lead-ms than {lead_ms:g} helps")
+        lines.append(f"the ring ran empty {counted(n, 'time')}, {silence}; a longer --lead-ms than {lead_ms:g} helps")
     if n := played.n_device_underruns:
         busy = "this machine is busy with something else"
-        print(f"the sound card got its samples too late {counted(n, 'time')}, whatever the ring held: {busy}")
+        lines.append(f"the sound card got its samples too late {counted(n, 'time')}, whatever the ring held: {busy}")
     if n := played.n_late:
-        print(f"this machine stood still for {counted(n, 'block')} of the sink, which were not made up for")
+        lines.append(f"this machine stood still for {counted(n, 'block')} of the sink, which were not made up for")
     if n := played.n_cut:
-        cut = f"cut beyond full scale: {counted(n, 'sample')}"
-        print(f"{cut}; a smaller --gain than {scale:.3g} keeps them")
+        lines.append(f"cut beyond full scale: {counted(n, 'sample')}; a smaller --gain than {scale:.3g} keeps them")
+    return lines
 
 
 def provenance(texture: Texture, source: str, seed: int, deterministic: bool) -> dict[str, Any]:
-    """What made a rendering, as it is kept in the file that it is written to."""
+    """Origin of a rendering, for the file that it is written to."""
     from foten import __version__
 
     return {
@@ -342,7 +304,7 @@ def _stroke_from(path: Path, units: list[str] | None, rate_hz: float) -> Stroke:
 
 
 def rendered_by(renderer: Renderer, speed: Array, force: Array) -> Array:
-    """The acceleration [m/s²] under a stroke, second by second: a Ctrl-C ends it, and a long one says how far it is."""
+    """Acceleration [m/s²] under a stroke, second by second, so that Ctrl-C ends it, with progress where it takes long."""
     import numpy as np
 
     second = max(1, round(renderer.texture_rate))
@@ -356,7 +318,7 @@ def rendered_by(renderer: Renderer, speed: Array, force: Array) -> Array:
 
 
 def _report(stroke: Stroke) -> None:
-    """Say what is doubtful of a stroke, where it had to be bridged, and where the pen was taken as lifted."""
+    """Say what is doubtful, bridged or taken as lifted in a stroke."""
     for doubt in stroke.doubts:
         say(doubt)
     if stroke.gap_s:
@@ -365,28 +327,34 @@ def _report(stroke: Stroke) -> None:
         say(f"the pen was taken as lifted in holes or jumps of the stroke, {stroke.n_lifted} in all: silence there")
 
 
-def print_outside_range(statistics: dict[str, int], texture: Texture) -> None:
-    """Print how much of a rendering lay outside of what was recorded, and what was done there; nothing where none did."""
-    from foten.models.conditions import FADE_FORCE, FADE_SPEED
+def _print_rendered(
+    document: dict[str, Any], lines: list[str], counts: dict[str, int], texture: Texture, as_json: bool
+) -> None:
+    """Print a result, with how much of it lay outside of the recorded range, and say what the kernel found wrong."""
     from foten.recording.inspection.values import counted
 
-    share = {name: f"{100 * count / statistics['n']:.1f} %" for name, count in statistics.items()}
+    print_result(document, "\n".join([*lines, *_outside_range(counts, texture)]), as_json)
+    if n := counts["n_saturated"]:
+        say(f"the saturator cut {counted(n, 'sample')}: the loop ran away there")
+    if n := counts["n_refused"]:
+        say(f"the hand was negative or no number {counted(n, 'time')}, taken as 0 or as it was before")
+    if n := counts["n_lost"]:
+        say(f"silence in place of {counted(n, 'sample')} without a number; is the file foten's own?")
+
+
+def _outside_range(counts: dict[str, int], texture: Texture) -> Iterator[str]:
+    """How much of a rendering lay outside of the recorded range, and what was done there."""
+    from foten.models.conditions import FADE_FORCE, FADE_SPEED
+
+    share = {name: f"{100 * count / counts['n']:.1f} %" for name, count in counts.items() if count}
     for name, unit in (("speed", "mm/s"), ("force", "N")):
-        if statistics[f"n_{name}_beyond"]:
+        if of_time := share.get(f"n_{name}_beyond"):
             high, power = texture.trained_range(name)[1], texture.extrapolation_exponent(name)
             grown = f"the level grew with {name}^{power:.2g} there" if power else "the level was held there"
-            print(f"{name} was above the trained {high:.4g} {unit} for {share[f'n_{name}_beyond']}; {grown}")
-        if statistics[f"n_{name}_clamped"]:
-            print(f"{name} was above twice that for {share[f'n_{name}_clamped']}, and taken as twice that")
-    if statistics["n_below"]:
+            yield f"{name} was above the trained {high:.4g} {unit} for {of_time}; {grown}"
+        if of_time := share.get(f"n_{name}_clamped"):
+            yield f"{name} was above twice that for {of_time}, and taken as twice that"
+    if of_time := share.get("n_below"):
         slow = max(texture.trained_range("speed")[0], FADE_SPEED)
         light = max(texture.trained_range("force")[0], FADE_FORCE)
-        below = f"speed was below {slow:.4g} mm/s or force below {light:.3g} N"
-        print(f"{below} for {share['n_below']}; the vibration fades there")
-    if statistics["n_saturated"]:
-        say(f"the saturator cut {counted(statistics['n_saturated'], 'sample')}: the loop ran away there")
-    if statistics["n_refused"]:
-        times = counted(statistics["n_refused"], "time")
-        say(f"the hand was negative or no number {times}, taken as 0 or as it was before")
-    if statistics["n_lost"]:
-        say(f"silence in place of {counted(statistics['n_lost'], 'sample')} without a number; is the file foten's own?")
+        yield f"speed was below {slow:.4g} mm/s or force below {light:.3g} N for {of_time}; the vibration fades there"

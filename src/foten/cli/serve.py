@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
 from typer import Argument, Option
 
@@ -17,33 +17,20 @@ if TYPE_CHECKING:
 
 
 def serve(
-    textures: Annotated[
-        list[Path] | None,
-        Argument(metavar="[T.foten|DIR]…", help="Texture files, or folders of them; by default those that come along."),
-    ] = None,
-    host: Annotated[
-        str,
-        Option(
-            help="Address to listen at: 127.0.0.1 for this machine alone, 0.0.0.0 for the network, by HTTPS and a token. Each "
-            "link lets one device in; the next is printed then."
-        ),
-    ] = "127.0.0.1",
-    port: Annotated[int, Option(min=0, max=65535, help="0 for any that is free.")] = 8000,
-    captures: Annotated[
-        Path,
-        Option(metavar="DIR", help="Where captured surfaces are kept, and shown from again; made when there is one."),
-    ] = Path("captures"),
-    to: Annotated[
-        str,
-        Option(
-            help="What 'by the server, played there' plays through: sound, daq:Dev1/ao0, udp:HOST:PORT, osc:HOST:PORT or null."
-        ),
-    ] = "sound",
+    textures: list[Path] | None = Argument(
+        None, metavar="[T.foten|DIR]…", help="Files or folders; by default foten's."
+    ),
+    host: str = Option(
+        "127.0.0.1", help="127.0.0.1 for this machine, 0.0.0.0 for the network, by HTTPS and a link for each device."
+    ),
+    port: int = Option(8000, min=0, max=65535, help="0 for any that is free."),
+    captures: Path = Option(Path("captures"), metavar="DIR", help="Of captured surfaces; made with the first."),
+    to: str = Option("sound", help="The server plays to sound, daq:Dev1/ao0, udp:HOST:PORT, osc:HOST:PORT or null."),
     actuator: Actuator = None,
     gain: Gain = None,
     device: Device = None,
     channel: Channel = None,
-    open_page: Annotated[bool, Option("--open/--no-open", help="Open the page in this machine's browser.")] = True,
+    open_page: bool = Option(True, "--open/--no-open", help="Open the page in this machine's browser."),
 ) -> None:
     """Open a page to stroke textures on, with a mouse, a finger or a pen, and to capture surfaces of one's own. Ctrl-C ends it.
 

@@ -6,7 +6,7 @@ import json
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
 from typer import Exit, Option
 
@@ -24,78 +24,47 @@ class TrainOptions:
     """Options of `foten train`; None is the recipe's, or the model's."""
 
     recording_file: RecordingFile
-    output: Annotated[Path, Option("-o", "--output", metavar="T.foten", help="The texture file to write.")]
-    model: Annotated[
-        str,
-        Option(
-            help="foten-plus (ours), foten (the paper's); its variants ten, ten-mfcc, ten-wavelet, foten-d; the systems it is "
-            "compared with, re-implemented: ar (piecewise AR), fnn, dstn, hapinf, ldhtd, dftnet, gan."
-        ),
-    ] = "foten-plus"
-    recipe: Annotated[str, Option(help="default (ours) or paper (Adam 1e-3, batch 16, 100 epochs).")] = "default"
-    rate: Annotated[
-        float | None, Option(help="Of the model (Hz); the acceleration's own at most.", show_default="1000")
-    ] = None
-    trim: Annotated[float | None, Option(help="Discarded at both ends (ms).", show_default="2000")] = None
-    block: Annotated[float | None, Option(help="Unit of the split (ms).", show_default="2000")] = None
-    window: Annotated[
-        int | None,
-        Option(
-            help="m, samples that a prediction sees.",
-            show_default="20; ten 25, ten-mfcc and ten-wavelet 30, dstn 40, fnn 144",
-        ),
-    ] = None
-    seed: Annotated[int, Option(min=0, max=2**32 - 1, help="Of initial weights, order and dropout.")] = 0
-    split: Annotated[str, Option(help="regrouped by speed and force, or contiguous in time.")] = "regrouped"
-    split_seed: Annotated[int, Option(min=0, help="Of the regrouped split.")] = 0
-    epochs: Annotated[
-        int | None,
-        Option(
-            help="At most; the recipe's by default. Below 8, closed-loop training of foten-plus is shorter too."
-            " (Of gan, of 50 steps each.)"
-        ),
-    ] = None
-    loss: Annotated[
-        str | None, Option(help="huber, mse or mae; foten-plus has a likelihood.", show_default="huber")
-    ] = None
-    delta: Annotated[float | None, Option(help="Huber threshold, scaled.", show_default="1.6")] = None
-    batch: Annotated[int | None, Option(help="Windows a step, of foten-plus chunks; the recipe's by default.")] = None
-    learning_rate: Annotated[float | None, Option(help="Highest; the recipe's by default.")] = None
-    dropout: Annotated[float | None, Option(help="Share of hidden values.", show_default="0; paper 0.2")] = None
-    excitation: Annotated[
-        bool,
-        Option(
-            "--excitation",
-            help="Give a network a random part, as foten-plus always has one: Gaussian noise, without which its free run falls "
-            "silent.",
-        ),
-    ] = False
-    settings: Annotated[
-        list[str] | None,
-        Option(
-            "--set",
-            metavar="SIZE=VALUE",
-            help="Another size or reading of the network; repeatable. foten-plus: n_hidden, head_width, n_components; foten: "
-            "d_model, n_heads, n_layers, d_feedforward, head=[256,64], "
-            "spectral_width (1 is the literal reading), pre_norm=false, bins=half.",
-        ),
-    ] = None
-    zero_phase: Annotated[bool, Option("--zero-phase", help="Filter forwards and backwards, as the paper offline.")] = (
-        False
+    output: Path = Option(..., "-o", "--output", metavar="T.foten", help="The texture file to write.")
+    model: str = Option(
+        "foten-plus",
+        help="foten-plus (ours), foten (the paper's); its variants ten, ten-mfcc, ten-wavelet, foten-d; re-implemented "
+        "systems: ar (piecewise AR), fnn, dstn, hapinf, ldhtd, dftnet, gan.",
     )
-    force_units: Annotated[
-        bool, Option("--force-units", help="Accept what no hand does: above 5 m/s, 1000 m/s² or 500 N.")
-    ] = False
-    resume: Annotated[bool, Option("--resume", help="Go on from the run folder's checkpoint.")] = False
-    run_folder: Annotated[
-        Path | None, Option("--run", metavar="DIR", help="Log, curves, split, checkpoint.", show_default="T.run")
-    ] = None
-    texture: Annotated[str, Option(help="Name in the card; the recording's by default.")] = ""
-    licence: Annotated[str, Option(help="Licence of the texture, for the card.")] = ""
-    threads: Annotated[
-        int | None,
-        Option(help="Share each batch among so many cores (on a GPU there is one share).", show_default="2; paper 1"),
-    ] = None
+    recipe: str = Option("default", help="default (ours) or paper (Adam 1e-3, batch 16, 100 epochs).")
+    rate: float | None = Option(None, help="Of the model (Hz); the acceleration's own at most.", show_default="1000")
+    trim: float | None = Option(None, help="Discarded at both ends (ms).", show_default="2000")
+    block: float | None = Option(None, help="Unit of the split (ms).", show_default="2000")
+    window: int | None = Option(None, help="Samples of history.", show_default="20; ten 25, ten-* 30, dstn 40, fnn 144")
+    seed: int = Option(0, min=0, max=2**32 - 1, help="Of initial weights, order and dropout.")
+    split: str = Option("regrouped", help="regrouped by speed and force, or contiguous in time.")
+    split_seed: int = Option(0, min=0, help="Of the regrouped split.")
+    epochs: int | None = Option(
+        None, help="At most; of gan 50 steps each. Below 8, foten-plus trains less in its closed loop."
+    )
+    loss: str | None = Option(None, help="huber, mse or mae; foten-plus has a likelihood.", show_default="huber")
+    delta: float | None = Option(None, help="Huber threshold, scaled.", show_default="1.6")
+    batch: int | None = Option(None, help="Windows a step, of foten-plus chunks; the recipe's by default.")
+    learning_rate: float | None = Option(None, help="Highest; the recipe's by default.")
+    dropout: float | None = Option(None, help="Share of hidden values.", show_default="0; paper 0.2")
+    excitation: bool = Option(
+        False, "--excitation", help="Add a random part, without which a network's free run falls silent."
+    )
+    settings: list[str] | None = Option(
+        None,
+        "--set",
+        metavar="SIZE=VALUE",
+        help="Another size or reading of the network; repeatable. foten-plus: n_hidden, head_width, n_components; foten: "
+        "d_model, n_heads, n_layers, d_feedforward, head=[256,64], spectral_width (1 as printed), pre_norm=false, bins=half.",
+    )
+    zero_phase: bool = Option(False, "--zero-phase", help="Filter forwards and backwards, as the paper offline.")
+    force_units: bool = Option(False, "--force-units", help="Accept speeds above 5 m/s, 1000 m/s² and 500 N.")
+    resume: bool = Option(False, "--resume", help="Go on from the run folder's checkpoint.")
+    run_folder: Path | None = Option(
+        None, "--run", metavar="DIR", help="Of log, curves and checkpoint.", show_default="T.run"
+    )
+    texture: str = Option("", help="Name in the card; the recording's by default.")
+    licence: str = Option("", help="Licence of the texture, for the card.")
+    threads: int | None = Option(None, help="Cores that share a batch; a GPU takes it all.", show_default="2; paper 1")
     as_json: JsonOption = False
 
     def __post_init__(self) -> None:
@@ -116,9 +85,8 @@ class TrainOptions:
             name = next(iter(of_networks)).replace("_", "-")
             raise ValueError(f"--{name} is for networks, and --model ar is none: leave it out")
         if self.excitation and self.of_spectra:
-            raise ValueError(
-                f"--excitation is for models that predict samples, and {self.model} is made of noise: leave it out"
-            )
+            of_noise = f"{self.model} is made of noise"
+            raise ValueError(f"--excitation is for models that predict samples, and {of_noise}: leave it out")
         check_used(self.model, self.changes(), self.config().loss)
 
     @property
@@ -145,7 +113,7 @@ class TrainOptions:
         return recipe_of(self.model, self.recipe, seed=self.seed, **self.changes())
 
     def job(self, recording: Recording) -> TrainingJob:
-        """What is to be learned from a recording."""
+        """Training job of a recording."""
         from foten.baselines.sizes import trainable_sizes
         from foten.recording.preprocess import PreprocessConfig
         from foten.training.job import TrainingJob
@@ -158,20 +126,11 @@ class TrainOptions:
         sizes |= {"excitation": True} if self.excitation else {}
         trained_sizes = trainable_sizes(self.model, sizes)
         if "excitation_width" in sizes and not trained_sizes.excited:
-            raise ValueError(
-                "excitation_width is of an excitation, and there is none: leave it out, or add --excitation"
-            )
-        return TrainingJob(
-            recording,
-            self.model,
-            trained_sizes,
-            self.config(),
-            preprocess,
-            self.split,
-            self.split_seed,
-            self.texture or recording.texture,
-            self.licence,
-        )
+            none = "excitation_width is of an excitation, and there is none"
+            raise ValueError(f"{none}: leave it out, or add --excitation")
+        texture, config = self.texture or recording.texture, self.config()
+        of_split = self.split, self.split_seed
+        return TrainingJob(recording, self.model, trained_sizes, config, preprocess, *of_split, texture, self.licence)
 
 
 @options_from(TrainOptions)
@@ -222,7 +181,7 @@ def train(options: TrainOptions) -> None:
 
 
 def _settled(job: TrainingJob) -> dict[str, Any]:
-    """What two runs have to have in common for one to go on with the other's checkpoint."""
+    """Settings that a checkpoint's run and the one that resumes it share."""
     return {
         "model": job.model,
         "train": asdict(job.config),
@@ -235,12 +194,11 @@ def _settled(job: TrainingJob) -> dict[str, Any]:
 
 
 def _not_none(**options: Any) -> dict[str, Any]:
-    """The options that were given, by name."""
+    """Options that are set, by name."""
     return {name: value for name, value in options.items() if value is not None}
 
 
 def _document(trained: Trained) -> dict[str, Any]:
-    """The result of a training for programs."""
     texture, trace = trained.texture, trained.trace
     return {
         "sha256": texture.sha256(),
@@ -255,7 +213,7 @@ def _document(trained: Trained) -> dict[str, Any]:
 
 
 def _summary(trained: Trained) -> str:
-    """The result of a training for people, in lines."""
+    """Result of a training, in lines."""
     from foten.recording.inspection.values import counted
 
     card, trace = trained.texture.card, trained.trace
@@ -284,7 +242,7 @@ def _summary(trained: Trained) -> str:
 
 
 def _notes(recording: Recording, rate_hz: float) -> Iterator[str]:
-    """What the inspection of a recording has to say to its training."""
+    """Warnings of the inspection of a recording for its training."""
     from foten.dsp import perception
     from foten.recording.inspection import inspect_recording
     from foten.recording.inspection.values import counted
@@ -294,14 +252,12 @@ def _notes(recording: Recording, rate_hz: float) -> Iterator[str]:
     if problems:
         yield f"foten inspect finds {counted(len(problems), 'problem')} in the recording, the first: {problems[0].text}"
     if shares and rate_hz < perception.smallest_rate(shares):
-        yield (
-            f"of what can be felt of it, {perception.in_words(shares)}: "
-            f"--rate {perception.smallest_rate(shares):g} would hold more of it"
-        )
+        more = f"--rate {perception.smallest_rate(shares):g} would hold more of it"
+        yield f"of what can be felt of it, {perception.in_words(shares)}: {more}"
 
 
 def _settings(pairs: list[str]) -> dict[str, Any]:
-    """SIZE=VALUE pairs as a mapping, values read as JSON where they are, else as words."""
+    """Mapping of SIZE=VALUE pairs; a value that is no JSON is a word."""
     sizes: dict[str, Any] = {}
     for pair in pairs:
         name, equals, value = pair.partition("=")

@@ -1,4 +1,4 @@
-"""An actuator out: what has to drive it so that the stylus moves as was rendered."""
+"""Actuator profiles: the drive that moves a stylus as rendered, and their identification from a sweep."""
 
 from __future__ import annotations
 
@@ -17,15 +17,13 @@ from foten.untrusted import check_regular, parse_json
 
 FORMAT, VERSION = "foten-actuator", 1
 MAX_FIGURE = 1e9  # of any unit: no actuator has more
-_NEAR_S = 0.02  # of the delay at which drive and acceleration are most alike, within which the best is looked for
-_MAX_RESIDUAL = 0.15  # share of the acceleration's power: what leaves more was no such sweep
+_NEAR_S = 0.02  # search range around the delay of the largest cross-correlation
+_MAX_RESIDUAL = 0.15  # share of the acceleration's power, above which it is no answer to the sweep
 
 
 @dataclass(frozen=True)
 class ActuatorProfile:
-    """A voice coil on its stylus: acceleration / drive = gain s² / (s² + 2 ζ ω s + ω²).
-
-    It belongs to an actuator, a stylus and a grip, not to a texture, and lies in a small JSON file of its own.
+    """Voice coil on its stylus: acceleration / drive = gain s² / (s² + 2 ζ ω s + ω²).
 
     Source: McMahan & Kuchenbecker, Haptics Symposium 2014, for the principle; the model is a mass on a spring in a housing.
     """
@@ -43,7 +41,7 @@ class ActuatorProfile:
         for name, value in asdict(self).items():
             if name in ("name", "unit"):
                 continue
-            # The comparison holds for integers of any number of digits, and for NaN it does not.
+            # True for integers of any number of digits, false for NaN.
             if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) < MAX_FIGURE:
                 raise ValueError(f"{name} of the actuator is {value!r:.30}, expected a number below {MAX_FIGURE:g}")
             if name != "gain" and value < 0:
@@ -52,13 +50,6 @@ class ActuatorProfile:
             raise ValueError("gain of the actuator is 0, expected m/s² for one unit of drive")
         if not isinstance(self.name, str) or not isinstance(self.unit, str):
             raise ValueError("name and unit of the actuator are text")
-
-    def response(self, hertz: Array) -> NDArray[np.complex128]:
-        """Acceleration over drive at frequencies [Hz], any shape, without the delay."""
-        s, w = 2j * np.pi * np.asarray(hertz, dtype=float), 2 * np.pi * self.resonance_hz
-        if w == 0:
-            return np.full(s.shape, complex(self.gain))
-        return np.asarray(self.gain * s * s / (s * s + 2 * self.damping * w * s + w * w))
 
     def native(self) -> NativeActuator:
         """The kernel's structure of these figures."""
@@ -94,15 +85,12 @@ def read_profile(path: Path) -> ActuatorProfile:
 def sweep(
     seconds: float, rate_hz: float, low_hz: float = 20.0, high_hz: float = 500.0, amplitude: float = 1.0
 ) -> Array:
-    """Drive that runs through the frequencies once, each octave as long as the others, and fades in and out.
-
-    Shape (seconds · rate_hz,). Play it, record the stylus's acceleration beside it, and give both to `identify`.
-    """
+    """Exponential sine sweep, shape (seconds · rate_hz,), to drive an actuator for `identify`; it fades in and out."""
     if not 0 < seconds < math.inf or not 0 < rate_hz < math.inf:
         raise ValueError(f"the sweep lasts {seconds} s at {rate_hz} Hz, expected positive numbers")
     if not 0 < low_hz < high_hz < rate_hz / 2:
-        expected = f"expected to lie between 0 and {rate_hz / 2:g} Hz"
-        raise ValueError(f"the sweep runs from {low_hz:g} to {high_hz:g} Hz, {expected}")
+        band = f"{low_hz:g} to {high_hz:g} Hz"
+        raise ValueError(f"the sweep runs from {band}, expected to lie between 0 and {rate_hz / 2:g} Hz")
     t = np.arange(round(seconds * rate_hz)) / rate_hz
     slope = math.log(high_hz / low_hz) / seconds
     out = amplitude * np.sin(2 * np.pi * low_hz / slope * np.expm1(slope * t))
@@ -123,32 +111,30 @@ def identify(
     unit: str = "V",
     limit: float = 0.0,
 ) -> tuple[ActuatorProfile, float]:
-    """Fit a profile to a measured sweep; with it the share of the acceleration's power in the band that it does not explain.
+    """Profile of least squared error over the band of a measured sweep, and the residual share of the acceleration's power.
 
-    Gain, resonance, damping and delay are those of least squared error over the frequencies. A share above a few
-    hundredths says that the actuator is not such a resonator, or was driven too hard.
+    A share above a few hundredths says that the actuator is not such a resonator, or was driven too hard.
 
     Args:
-        drive, acceleration: what was played, and the stylus's beside it [m/s²], shape (n,); one may begin before the other.
-        low_hz, high_hz: that the sweep ran through.
-        name, unit, limit: as the profile is to have them; the limit is what amplifier and coil bear, and can't be measured.
+        drive, acceleration: what was played, and the stylus's [m/s²], shape (n,); one may begin before the other.
+        low_hz, high_hz: band of the sweep.
+        name, unit, limit: of the profile; the limit is what amplifier and coil bear.
 
     Raises:
-        ValueError: what was recorded cannot be, or is not the answer to that drive.
+        ValueError: the arrays cannot be a measurement, or the acceleration is not the answer to that drive.
     """
     drive, acceleration = (np.asarray(signal, dtype=np.float64) for signal in (drive, acceleration))
     if drive.shape != acceleration.shape or drive.ndim != 1 or drive.size < 64:
         shapes = f"drive has shape {drive.shape} and acceleration {acceleration.shape}"
         raise ValueError(f"{shapes}, expected (n,) both, 64 samples or more")
-    if not (np.isfinite(drive).all() and np.isfinite(acceleration).all()):
+    if not np.isfinite([drive, acceleration]).all():
         raise ValueError("the drive or the acceleration holds NaN or infinity; were samples lost?")
     n = 2 * drive.size  # room for what rings on behind the end
     x, y = np.fft.rfft(drive, n), np.fft.rfft(acceleration, n)
     hertz = np.fft.rfftfreq(n, 1 / rate_hz)
     used = (hertz >= low_hz) & (hertz <= high_hz)
     if not used.any() or not np.abs(x[used]).max() > 0 or not np.abs(y[used]).max() > 0:
-        nothing = f"nothing was driven or measured between {low_hz:g} and {high_hz:g} Hz"
-        raise ValueError(f"{nothing}; is the recording silent?")
+        raise ValueError(f"nothing was driven or measured from {low_hz:g} to {high_hz:g} Hz; is the recording silent?")
     lag = int(np.abs(np.fft.irfft(np.where(used, y * np.conj(x), 0.0), n)).argmax())
     near = (lag if lag < n // 2 else lag - n) / rate_hz
     x, y, s = x[used], y[used], np.asarray(2j * np.pi * hertz[used], dtype=np.complex128)
@@ -161,10 +147,8 @@ def identify(
         delay = float(delays[best])
         delays = delay + (delays[1] - delays[0]) / 4 * np.arange(-4, 5)
     if residual > _MAX_RESIDUAL:
-        raise ValueError(
-            f"no resonator explains more than {100 * (1 - residual):.0f} % of what was recorded, expected the answer to that "
-            "drive, louder than the noise; are both at the same rate?"
-        )
+        explained = f"no resonator explains more than {100 * (1 - residual):.0f} % of what was recorded"
+        raise ValueError(f"{explained}, expected the drive's answer above the noise; are both at the same rate?")
     delay_ms = max(0.0, 1000 * delay)
     return ActuatorProfile(name, w / (2 * np.pi), damping, gain, unit, limit, delay_ms=delay_ms), residual
 

@@ -1,4 +1,4 @@
-"""How long a sample takes on this machine, and how many contacts a core holds."""
+"""Time of a rendered sample on this machine, and contacts that a core holds."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ if isa() == name:  # else this processor has it not, and another one stands in
 
 @dataclass(frozen=True)
 class StepTimes:
-    """Times of a sample of the texture's own rate [µs], one by one, under a hand that moves."""
+    """Times of single samples of the texture's own rate [µs], under a hand that moves."""
 
     isa: str  # the instruction set; "onnxruntime" where that runs the model
     rate_hz: float  # of the texture
@@ -47,7 +47,7 @@ class StepTimes:
 
 
 def time_steps(path: Path, n: int) -> StepTimes:
-    """Time n samples of a texture file, here and now, in this process's instruction set."""
+    """Time n samples of a texture file in this process's instruction set."""
     texture = NativeTexture(path.read_bytes())
     state = NativeState(texture)
     out = np.empty(1, dtype=np.float32)
@@ -74,7 +74,7 @@ def time_all(path: Path, n: int) -> list[StepTimes]:
         OSError: one of the processes came to an end.
     """
     if NativeTexture(path.read_bytes()).info.asks_predictor:
-        # ONNX Runtime takes the instructions that it likes, whatever the kernel around it does.
+        # ONNX Runtime chooses its own instructions.
         return [replace(time_steps(path, n), isa="onnxruntime")]
     times = []
     for name in INSTRUCTION_SETS:
@@ -93,7 +93,7 @@ def time_all(path: Path, n: int) -> list[StepTimes]:
 
 
 def reason(done: subprocess.CompletedProcess[str]) -> str:
-    """Line that says why a program in Python ended: what it raised, without the name of that, or the signal that ended it."""
+    """Reason why a program in Python ended, in one line: the message of its exception, or the signal."""
     if done.returncode < 0:
         return f"ended by a signal, {signal.strsignal(-done.returncode)}"
     *_, last = ["", *done.stderr.strip().splitlines()]
@@ -101,7 +101,7 @@ def reason(done: subprocess.CompletedProcess[str]) -> str:
 
 
 def as_table(times: list[StepTimes]) -> str:
-    """Times as text for people."""
+    """Table of times, as text."""
     lines = [f"{'':12s}{'p50':>9s}{'p99':>9s}{'p99.9':>9s}{'max':>10s}   contacts a core"]
     for step in times:
         figures = "".join(f"{getattr(step, name):9.2f}" for name in ("p50_us", "p99_us", "p999_us"))

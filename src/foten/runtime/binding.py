@@ -28,7 +28,7 @@ class Info(Structure):
 
 
 class _Counts(Structure):
-    """What was counted, shown by name."""
+    """Counts, shown by name."""
 
     def __repr__(self) -> str:
         counts = ", ".join(f"{name}={getattr(self, name)}" for name, *_ in self._fields_)
@@ -36,16 +36,14 @@ class _Counts(Structure):
 
 
 class NativeStatistics(_Counts):
-    """What a state has counted: foten_stats."""
+    """Counts of a state: foten_stats."""
 
-    _names = (
-        "n n_speed_beyond n_force_beyond n_speed_clamped n_force_clamped n_below n_saturated n_refused n_limited n_lost"
-    )
-    _fields_ = [(name, c_uint64) for name in _names.split()]
+    _outside = "n_speed_beyond n_force_beyond n_speed_clamped n_force_clamped n_below"
+    _fields_ = [(name, c_uint64) for name in f"n {_outside} n_saturated n_refused n_limited n_lost".split()]
 
 
 class NativeStylusStatistics(_Counts):
-    """What a stylus has counted: foten_stylus_stats."""
+    """Counts of a stylus: foten_stylus_stats."""
 
     _fields_ = [(name, c_uint64) for name in ("n", "n_refused", "n_late", "n_dropped", "n_clipped", "n_jumps")]
 
@@ -109,11 +107,7 @@ _SIGNATURES = {
 
 @cache
 def library() -> ctypes.CDLL:
-    """Library that was built with this package.
-
-    Raises:
-        OSError: there is none, or it does not load.
-    """
+    """Library that was built with this package, or OSError where there is none that loads."""
     path = kernel_file(*LIBRARIES)
     kernel = ctypes.CDLL(str(path))
     if not hasattr(kernel, "foten_abi") or kernel.foten_abi() != ABI:
@@ -127,7 +121,7 @@ def library() -> ctypes.CDLL:
 
 def kernel_file(*names: str) -> Path:
     """Path of the first of some files that lies in a kernel folder of the package."""
-    # An editable install has the library in another folder than the sources; a package's path knows both.
+    # An editable install has the library in another folder than the sources: the package's path has both.
     import foten.runtime
 
     for name in names:
@@ -139,11 +133,7 @@ def kernel_file(*names: str) -> Path:
 
 
 def c_flags() -> str:
-    """Options of a C compiler for a program with the installed library: where header and library are.
-
-    Raises:
-        OSError: they are not installed.
-    """
+    """Options of a C compiler for a program with the installed library, or OSError where there is none."""
     header, library = kernel_file("foten.h").parent, kernel_file(*LIBRARIES).parent
     return f"-I{header} -L{library} -Wl,-rpath,{library} -lfoten -lm"
 

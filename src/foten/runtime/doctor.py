@@ -21,15 +21,15 @@ from foten.runtime.renderer import EXAMPLE
 
 @dataclass(frozen=True)
 class Check:
-    """One thing that was looked at."""
+    """Result of one check."""
 
     name: str
     result: str
-    fine: bool | None = None  # whether rendering can do with it; None where it is only information
+    fine: bool | None = None  # whether rendering can do with it; None for information
 
 
 def checks() -> list[Check]:
-    """Results, in the order of what a user needs."""
+    """Results, what rendering needs first."""
     python = f"{platform.python_version()} on {platform.system()} {platform.machine()}, NumPy {np.__version__}"
     daq = _package("NI-DAQ", "nidaqmx", "nidaqmx", "package nidaqmx is not installed: pip install 'foten[daq]'")
     without = "PyTorch is not installed, and rendering does not need it: pip install 'foten[train]' to train"
@@ -46,7 +46,7 @@ def _kernel() -> Check:
 
 
 def _start_up() -> list[Check]:
-    """Time to import and to the first sample in a fresh process, beside `import numpy` in one; the least of five in turn."""
+    """Times to import and to the first sample in a fresh process, beside `import numpy` in one; the shortest of five."""
     programs = {
         "import numpy": "import numpy",
         "import foten": "import foten; foten.Renderer",
@@ -68,7 +68,7 @@ def _start_up() -> list[Check]:
 
 
 def _clock() -> Check:
-    """How late a thread is that asks to be woken every 2 ms."""
+    """Lateness of a thread that asks to be woken every 2 ms."""
     late = []
     due = time.perf_counter()
     for _ in range(250):
@@ -84,13 +84,12 @@ def _clock() -> Check:
 def _sound() -> Check:
     try:
         devices = [device["name"] for device in sound_library().query_devices() if device["max_output_channels"] > 0]
-    except Exception as error:  # PortAudio's own too: whatever it is, it is told and the rest is looked at
+    except Exception as error:  # PortAudio's own too
         return Check("sound", str(error))
     return Check("sound", ", ".join(devices) if devices else "PortAudio is here, and no device to play on")
 
 
 def _package(name: str, package: str, title: str, missing: str) -> Check:
-    """Version of a package that may be here, or a line that says what to do where it is not."""
     if importlib.util.find_spec(package) is None:
         return Check(name, missing)
     return Check(name, f"{title} {importlib.metadata.version(package)}")

@@ -1,4 +1,4 @@
-"""Many streams of a texture at once, over all cores: its loop by itself, and one step ahead along recordings."""
+"""Many streams of a texture over all cores: closed loops, and one-step predictions of recordings."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ from foten.runtime.native import NativeState, NativeTexture, PredictionPart
 
 
 def on_all_cores(work: Callable[[int], None], n: int) -> None:
-    """Call a function with 0 … n − 1, shared out over the cores; the kernel's calls release the interpreter's lock."""
+    """Call a function with 0 … n − 1 over the cores; the kernel's calls release the interpreter's lock."""
     with ThreadPoolExecutor(min(n, os.cpu_count() or 1) or 1) as pool:
-        list(pool.map(work, range(n)))  # which raises what a call raised
+        list(pool.map(work, range(n)))  # raises what a call raised
 
 
 def run_loops(
     texture: NativeTexture, windows: Array, condition: Array, noise: Array | None, limit: float = np.inf
 ) -> Array:
-    """Render n samples of each stream of a texture's loop by itself, shape (s, n), without fade and growth; all scaled.
+    """Render n samples of each stream of a texture's closed loop, shape (s, n), without fade and growth; all scaled.
 
     Args:
         windows: that the streams go on from, shape (s, window, 3).
@@ -50,15 +50,12 @@ def run_loops(
 
 
 class Prediction(NamedTuple):
-    """What is expected of samples, and how likely they were; scaled, of one shape.
-
-    All but the sample are 0 where they are not known: a rendering predicts from something else, or has no random part.
-    """
+    """Predicted samples and their likelihood, scaled, of one shape; all but the sample are 0 where there is no random part."""
 
     sample: Array
-    scale: Array  # standard deviation of what is random
-    standardised: Array  # what came, as standard normal numbers, if the distribution is right
-    nll: Array  # negative log-likelihood of what came [nat, scaled]
+    scale: Array  # standard deviation of the random part
+    standardised: Array  # recorded samples as standard normal numbers, if the distribution is right
+    nll: Array  # negative log-likelihood of the recorded samples [nat, scaled]
 
 
 def predict_blocks(texture: NativeTexture, blocks: Array, part: PredictionPart = "model") -> Prediction:

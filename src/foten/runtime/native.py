@@ -1,4 +1,4 @@
-"""The kernel in C, bound with ctypes: the very library that a C, C++ or Unity program loads. See `native/include/foten.h`."""
+"""The kernel in C, as C, C++ and Unity programs load it: textures and streaming states. See `native/include/foten.h`."""
 
 from __future__ import annotations
 
@@ -21,23 +21,23 @@ PredictionPart = Literal["model", "linear", "rendering"]
 
 @dataclass(frozen=True)
 class NativeInfo:
-    """What a texture file says of itself."""
+    """Entries of a texture file's card that rendering uses."""
 
     model: str
     texture: str
     rate_hz: float  # its own
-    window: int  # samples that a prediction is given
+    window: int  # samples of history of a prediction
     has_excitation: bool
-    trained_speed: tuple[float, float]  # lowest and highest that it was recorded at [mm/s]
-    trained_force: tuple[float, float]  # likewise [N]
+    trained_speed: tuple[float, float]  # lowest and highest recorded [mm/s]
+    trained_force: tuple[float, float]  # lowest and highest recorded [N]
     acceleration_sd: float  # of the recording [m/s²]
-    lowpass_hz: float  # that the speed and force of the recording went through
+    lowpass_hz: float  # of the recording's speed and force
     state_bytes: int  # of a state at the texture's own rate
-    asks_predictor: bool  # whether ONNX Runtime is asked for each sample, and the kernel has no code for the model
+    asks_predictor: bool  # whether ONNX Runtime makes each sample
 
 
 class NativeTexture:
-    """A texture file made ready for the kernel, or ValueError with what is wrong in it; any number of states may share it."""
+    """Texture file loaded by the kernel, for any number of states; ValueError says what is wrong in it."""
 
     def __init__(self, data: bytes) -> None:
         self.pointer, why = c_void_p(), ctypes.create_string_buffer(512)
@@ -45,14 +45,13 @@ class NativeTexture:
         self._failed: list[BaseException] = []
         status = library().foten_model_load(data, len(data), *ends)
         if status == binding.NO_PREDICTOR:
-            self._callback = _onnx_callback(data, self._failed)  # as long as the texture is
+            self._callback = _onnx_callback(data, self._failed)  # which has to live as long as the texture
             status = library().foten_model_load_with(data, len(data), self._callback, None, *ends)
             self.raise_failed()
         if status != 0:
             raise (MemoryError if status == binding.NO_MEMORY else ValueError)(why.value.decode(errors="replace"))
         info = library().foten_model_info(self.pointer)
         fields = {name: getattr(info, name) for name, *_ in binding.Info._fields_}
-        # Copied: the texts live as long as the texture does.
         fields |= {name: fields[name].decode(errors="replace") for name in ("model", "texture")}
         fields |= {name: tuple(fields[name]) for name in ("trained_speed", "trained_force")}
         fields |= {name: bool(fields[name]) for name in ("has_excitation", "asks_predictor")}
@@ -60,13 +59,13 @@ class NativeTexture:
         freed_with(self, library().foten_model_free, self.pointer)
 
     def raise_failed(self) -> None:
-        """Raise what went wrong while the kernel asked Python for a sample: an interrupt, or an error of the runtime."""
+        """Raise an interrupt, or an error of ONNX Runtime, that came while the kernel asked for a sample."""
         if self._failed:
             raise self._failed.pop()
 
 
 class NativeState:
-    """One hand on a texture. Its calls release the interpreter's lock; each state belongs to one thread at a time.
+    """One contact with a texture, for one thread at a time; its calls release the interpreter's lock.
 
     The options are those of `Renderer`; the rate is from a twentieth of the texture's to 400 times it.
     """
@@ -86,7 +85,7 @@ class NativeState:
         if not low <= rate <= high:
             raise ValueError(f"the rate is {rate_hz} Hz, expected {low:g} to {high:g} Hz for this texture")
         options = binding.Options(rate, seed, stream, not excitation, smooth)
-        self._texture = texture  # the state needs it as long as it lives
+        self._texture = texture  # which has to live as long as the state
         self.pointer = c_void_p(library().foten_state_new(texture.pointer, byref(options)))
         if not self.pointer:
             raise MemoryError("no memory for another hand on the texture")
@@ -120,7 +119,7 @@ class NativeState:
             raise ValueError(f"{why}; render at 8000 Hz?")
 
     def reset(self, seed: int) -> None:
-        """Begin again with a seed, as if the first hand had been there for long."""
+        """Begin again with a seed, as if the first condition had been there for long."""
         library().foten_reset(self.pointer, seed)
 
     def start(self, *window: NDArray[np.floating]) -> None:
@@ -141,15 +140,11 @@ class NativeState:
             raise ValueError("the samples hold NaN or infinity, or are fewer than a window")
 
     def set_condition(self, speed: float, force: float) -> None:
-        """Set where the hand is [mm/s, N], from any thread; what is negative is 0, what is not finite left out; both count."""
+        """Set the condition [mm/s, N] from any thread: a negative one is 0, one that is not finite left out; both count."""
         library().foten_set_condition(self.pointer, speed, force)
 
     def render(self, out: NDArray[np.float32], stylus: c_void_p | None = None) -> None:
-        """Fill an array with acceleration [m/s²] at the state's rate, under the hand last set, or the kernel's stylus.
-
-        Raises:
-            ValueError: a speed or force is negative, NaN or infinite; neither arrays nor n were given, or both.
-        """
+        """Fill an array with acceleration [m/s²] at the state's rate, under the condition last set, or the kernel's stylus."""
         if out.dtype != np.float32 or not out.flags.c_contiguous or not out.flags.writeable:
             raise ValueError(f"the array is {out.dtype}, expected float32 without gaps, to be written to")
         if stylus is None:
@@ -170,15 +165,14 @@ class NativeState:
 
 
 def freed_with(owner: object, free: Callable[[c_void_p], None], pointer: c_void_p) -> None:
-    """Free what the kernel made when its owner goes, but not as the interpreter ends: a thread may be rendering still."""
+    """Free a kernel's object with its owner, but not as the interpreter ends: a thread may be rendering still."""
     weakref.finalize(owner, free, pointer).atexit = False
 
 
 def _onnx_callback(data: bytes, failed: list[BaseException]) -> ctypes._FuncPointer:
     """Function that gives the kernel the sample after a window, for a model that it has no code for.
 
-    An exception cannot pass through the kernel: it is put aside, the kernel is answered at once from then on, and whoever
-    called it raises it. That includes Ctrl-C, which Python delivers in here.
+    An exception cannot pass through the kernel: it is kept for the kernel's caller. So is Ctrl-C, which Python delivers here.
     """
     from foten.models.texture_file import texture_from_bytes
     from foten.runtime.onnx_predictor import OnnxPredictor
@@ -192,7 +186,7 @@ def _onnx_callback(data: bytes, failed: list[BaseException]) -> ctypes._FuncPoin
             return math.nan
         try:
             return predictor.next_sample(np.ctypeslib.as_array(window, shape))
-        except BaseException as error:  # which would be printed and lost
+        except BaseException as error:  # ctypes would print and drop it
             failed.append(error)
             return math.nan
 

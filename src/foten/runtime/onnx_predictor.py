@@ -1,4 +1,4 @@
-"""Networks as graphs, run by ONNX Runtime: what the kernel has no code for."""
+"""Networks that the kernel has no code for, as graphs in ONNX Runtime."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from foten.models.texture_file import Texture
 from foten.models.window_model import NoiseModel, WindowModel
 
 INPUT, NOISE, OUTPUT = "windows", "noise", "next"
-# What our networks are made of. A file is not trusted: nothing that repeats, branches, reads other files or is somebody's own.
+# Of our networks. A file is not trusted: no operator that loops, branches, reads files or is defined elsewhere.
 _OPERATORS = re.compile(
     "Add|And|Atan|Cast|Clip|Concat|Constant|ConstantOfShape|Conv|Cos|Div|Einsum|Equal|Exp|Flatten|Gather|Gemm|Greater|Identity|LSTM|"
     "LayerNormalization|Less|Log|MatMul|Mul|Pow|ReduceMean|ReduceSum|Relu|Reshape|Shape|Sigmoid|Sin|Slice|Softmax|Sqrt|Squeeze|"
@@ -27,9 +27,9 @@ _OPERATORS = re.compile(
 
 
 class OnnxPredictor:
-    """A network in ONNX Runtime, on one thread, in float32: windows (b, m, 3) → (b,).
+    """Network in ONNX Runtime, on one thread, in float32: windows (b, m, 3) → (b,).
 
-    A graph takes acceleration, speed and force; or, where its input is `NOISE`, noise in the place of acceleration.
+    A graph takes acceleration, speed and force, or, where its input is `NOISE`, noise in place of acceleration.
 
     Raises:
         ValueError: onnxruntime is not installed, or the graph is damaged or another one.
@@ -56,12 +56,12 @@ class OnnxPredictor:
         return str(self._input) == NOISE
 
     def predict(self, windows: Array) -> Array:
-        """The next samples: windows (b, m, 3) of what the graph takes → (b,) scaled."""
+        """Next samples, scaled, (b,), of windows (b, m, 3) of what the graph takes."""
         (following,) = self._session.run([OUTPUT], {self._input: windows.astype(np.float32)})
         return np.asarray(following, dtype=np.float64)
 
     def next_sample(self, window: NDArray[np.float32]) -> float:
-        """The next sample, scaled, of a window (1, m, 4) as the kernel has it: acceleration, speed, force, noise."""
+        """Next sample, scaled, of the kernel's window (1, m, 4): acceleration, speed, force, noise."""
         return float(self._session.run([OUTPUT], {self._input: window[:, :, self._columns]})[0][0])
 
 
@@ -82,7 +82,7 @@ def _session(graph: bytes) -> Any:
         raise ValueError(f"the texture's graph has a foreign {what}, and is not run: none of foten's networks has it")
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = options.inter_op_num_threads = 1
-    options.log_severity_level = 4  # what is wrong is said by the error
+    options.log_severity_level = 4  # the error says what is wrong
     options.add_session_config_entry("session.intra_op.allow_spinning", "0")
     try:
         return onnxruntime.InferenceSession(graph, options, providers=["CPUExecutionProvider"])

@@ -1,4 +1,4 @@
-"""A texture in an app: one stroke, any output rate, in real time."""
+"""A texture under one stroke, at any output rate, in real time."""
 
 from __future__ import annotations
 
@@ -14,13 +14,12 @@ from foten.runtime.binding import NativeStatistics
 from foten.runtime.native import NativeState, NativeTexture
 from foten.untrusted import check_regular
 
-# A texture that comes with the package, so that there is something to play before anything was recorded: a woven steel mesh,
-# learned with the default recipe from `foten simulate steel-mesh-1`, no recording of anyone's.
+# Comes with the package: a woven steel mesh, learned with the default recipe from `foten simulate steel-mesh-1`.
 EXAMPLE = Path(__file__).parents[1] / "textures" / "steel-mesh-1.foten"
 
 
 class Renderer:
-    """A texture under one stroke: speed and force in, acceleration out.
+    """Texture under one stroke: speed and force in, acceleration out.
 
         renderer = foten.Renderer("denim.foten", rate=48_000, seed=0)
         block = renderer.render(speed_mm_s=80.0, force_n=0.8, n=480)
@@ -36,13 +35,12 @@ class Renderer:
         stream: of the noise; two contacts with one texture need different ones to be independent.
         excitation: False runs the deterministic loop.
         actuator: renders its drive; None renders acceleration.
-        smooth: low-pass constant conditions at 20 Hz, as the recordings were, which delays them by 11 ms; for conditions that
-            come in steps, as of a game at 60 Hz. Arrays are taken as they are.
+        smooth: low-pass constant conditions at 20 Hz, as the recordings were, which delays them by 11 ms; for conditions in
+            steps, as of a game at 60 Hz. Arrays are taken as they are.
 
     Raises:
         FileNotFoundError: there is no such file.
-        ValueError: the file is not a texture file, is damaged, or does not pass its own proof here; a rate or seed is out of
-            range.
+        ValueError: the file is no texture file, is damaged, or fails its own proof; a rate or seed is out of range.
     """
 
     def __init__(
@@ -55,9 +53,8 @@ class Renderer:
         actuator: ActuatorProfile | None = None,
         smooth: bool = False,
     ) -> None:
-        for name, value in (("seed", seed), ("stream", stream)):
-            if not 0 <= value < 2**64:
-                raise ValueError(f"{name} is {value}, expected 0 to 2⁶⁴ − 1")
+        _check_uint64("seed", seed)
+        _check_uint64("stream", stream)
         self.native_texture = _native(texture)
         self.native_state = NativeState(self.native_texture, rate, seed, stream, excitation, smooth)
         if actuator is not None:
@@ -87,9 +84,8 @@ class Renderer:
 
     def reset(self, seed: int | None = None) -> None:
         """Begin again, with the same seed or another one."""
-        if seed is not None and not 0 <= seed < 2**64:
-            raise ValueError(f"seed is {seed}, expected 0 to 2⁶⁴ − 1")
         self.seed = self.seed if seed is None else seed
+        _check_uint64("seed", self.seed)
         self.native_state.reset(self.seed)
 
     def render_into(self, out: NDArray[np.float32], speed_mm_s: float, force_n: float) -> None:
@@ -124,8 +120,13 @@ class Renderer:
             self.render_into(out, float(speed), float(force))
             return out
         if n is not None:
-            raise ValueError("n was given beside arrays, which say themselves how long the stroke is")
+            raise ValueError("n was given beside arrays, which have their own length")
         return self.native_state.render_stroke(*np.broadcast_arrays(speed, force))
+
+
+def _check_uint64(name: str, value: int) -> None:
+    if not 0 <= value < 2**64:
+        raise ValueError(f"{name} is {value}, expected 0 to 2⁶⁴ − 1")
 
 
 def _native(texture: str | PathLike[str] | bytes | Texture) -> NativeTexture:

@@ -22,13 +22,13 @@ LONG_S, SLOW_STEP_S = 60.0, 0.5  # a stroke as long as that, in steps as long as
 
 @dataclass(frozen=True)
 class Stroke:
-    """A hand at a rate, as it was given: not yet low-passed."""
+    """Velocity and force at a rate, not yet low-passed."""
 
-    velocity: Array  # velocity of each axis [mm/s], shape (n_axes, n); one axis where only the speed is known
+    velocity: Array  # of each axis [mm/s], shape (n_axes, n); one axis where only the speed is known
     force: Array  # [N], shape (n,)
     rate_hz: float
-    gap_s: float = 0.0  # the longest hole between given samples that was bridged, of ten times the usual step; else 0
-    n_lifted: int = 0  # holes and jumps between positions that were taken as lifting the pen
+    gap_s: float = 0.0  # longest hole of ten times the usual step that was interpolated; else 0
+    n_lifted: int = 0  # holes and jumps between positions taken as lifting the pen
     doubts: tuple[str, ...] = ()  # sentences on units that were perhaps not meant
 
     def conditioned(self, lowpass_hz: float) -> tuple[Array, Array]:
@@ -37,11 +37,7 @@ class Stroke:
 
 
 def constant_stroke(speed: float, force: float, seconds: float, rate_hz: float) -> Stroke:
-    """Stroke at one speed [mm/s] and force [N].
-
-    Raises:
-        ValueError: something is negative, not finite, or lasts less than a sample.
-    """
+    """Stroke at one speed [mm/s] and force [N]; ValueError for what is negative, not finite or shorter than a sample."""
     for name, value in (("speed", speed), ("force", force), ("seconds", seconds)):
         if not (math.isfinite(value) and value >= 0):
             raise ValueError(f"{name} is {value}, expected a finite number, 0 or more")
@@ -55,26 +51,26 @@ def constant_stroke(speed: float, force: float, seconds: float, rate_hz: float) 
 
 
 def recorded_stroke(recording: Recording, rate_hz: float) -> Stroke:
-    """Stroke of a whole recording at a model's rate; an acceleration is not needed."""
+    """Stroke of a recording at a model's rate; it needs no acceleration."""
     velocities, force = velocity_and_force(recording, rate_hz)
     return Stroke(velocities, np.maximum(force, 0.0), rate_hz)
 
 
 def tabled_stroke(columns: Mapping[str, Array], rate_hz: float) -> Stroke:
-    """Stroke in columns at a model's rate: as many samples as it lasts × rate, rounded.
+    """Stroke in columns at a model's rate, interpolated linearly.
 
-    Values between rows are interpolated linearly, as positions of a recording are. Where positions are given, the
-    pen is lifted in holes of ten times the usual step, since tablets tell nothing of a pen in the air, and where it jumps
-    faster than 5 m/s from or to a row without force: no force, no movement.
+    Of positions, the pen is lifted, without force and movement, in holes of ten times the usual step, since tablets do not
+    report a pen in the air, and where it jumps faster than 5 m/s from or to a row without force.
 
     Args:
         columns: `time` [s], which increases, `speed` [mm/s] or `position_x` and `position_y` [mm], and `force` [N] or
             `pressure` [0 … 1]; two finite numbers or more each, shape (n,).
 
     Raises:
-        ValueError: it lasts too long or too short, or a value is one of no hand.
+        ValueError: it lasts too long or too short, or a value is impossible.
     """
     times = columns["time"] - columns["time"][0]
+    lasts = f"the stroke lasts {times[-1]:g} s"
     if "force" in columns:
         force = columns["force"]
     else:
@@ -85,12 +81,10 @@ def tabled_stroke(columns: Mapping[str, Array], rate_hz: float) -> Stroke:
     if force.min() < 0 or ("speed" in columns and columns["speed"].min() < 0):
         raise ValueError("speed and force of a stroke are magnitudes, found one below zero")
     if times[-1] > MAX_STROKE_S:
-        raise ValueError(
-            f"the stroke lasts {times[-1]:g} s in {times.size} rows, expected at most an hour; is t in ms?"
-        )
+        raise ValueError(f"{lasts} in {times.size} rows, expected at most an hour; is t in ms?")
     doubts = [doubt for name in ("speed", "force") if name in columns for doubt in doubts_of(name, columns[name].max())]
     if times[-1] >= LONG_S and np.median(np.diff(times)) >= SLOW_STEP_S:
-        doubts.append(f"the stroke lasts {times[-1]:g} s in {times.size} rows; is t in ms? It is taken as s")
+        doubts.append(f"{lasts} in {times.size} rows; is t in ms? It is taken as s")
     n_lifted = 0
     if "speed" not in columns:
         positions = np.stack([columns["position_x"], columns["position_y"]])
@@ -98,7 +92,7 @@ def tabled_stroke(columns: Mapping[str, Array], rate_hz: float) -> Stroke:
         times, positions, force, n_lifted = _lifted(times, positions, force)
     n = round(times[-1] * rate_hz)
     if n < 1:
-        raise ValueError(f"the stroke lasts {times[-1]:g} s, less than one sample at {rate_hz:g} Hz; is t in seconds?")
+        raise ValueError(f"{lasts}, less than one sample at {rate_hz:g} Hz; is t in seconds?")
     if "speed" in columns:
         velocities = at_rate(columns["speed"], times, rate_hz, n)[None]
     else:
@@ -113,22 +107,18 @@ def tabled_stroke(columns: Mapping[str, Array], rate_hz: float) -> Stroke:
 
 
 def doubts_of(kind: str, largest: float) -> list[str]:
-    """Sentences where the largest speed [mm/s], force [N] or movement [mm] is that of another unit; 0 is none."""
+    """Sentences on the unit of the largest speed [mm/s], force [N] or movement [mm], where another one is likely."""
     doubt = unit_doubt(kind, largest) if largest > 0 else ""
     return [f"{kind} {doubt} It is taken as {UNITS.get(kind, 'mm')}"] if doubt else []
 
 
 def _holes(times: Array) -> NDArray[np.int64]:
-    """Rows after which there is a hole in the times."""
     steps = np.diff(times)
     return np.flatnonzero(steps > 10 * np.median(steps))
 
 
 def _lifted(times: Array, positions: Array, force: Array) -> tuple[Array, Array, Array, int]:
-    """Times, positions (2, n) and force with the pen in the air in holes and jumps, and how many there are.
-
-    Movement in the air is taken out of all positions after it, so that no speed comes of it.
-    """
+    """Times, positions (2, n) and force with the pen lifted in holes and jumps, without their movement, and how many."""
     steps, moves, holes = np.diff(times), np.diff(positions, axis=1), _holes(times)
     airborne = np.minimum(force[:-1], force[1:]) <= 0
     jumps = np.flatnonzero(airborne & (np.hypot(*moves) > LIMITS["speed"] * steps))

@@ -1,4 +1,4 @@
-"""A pen in: positions and pressures at whatever times a tablet tells them, into the hand that a texture is rendered under."""
+"""Pen events to conditions: positions and pressures at a tablet's irregular times, to speed and force."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from foten.runtime.binding import NativeStylusStatistics, StylusOptions, library
 from foten.runtime.native import freed_with
 from foten.runtime.renderer import Renderer
 
-_FLAT = 1e-300  # steepness of a force that no pressure changes: of 0 the kernel makes the paper's
+_FLAT = 1e-300  # steepness of a constant force: for 0 the kernel takes the paper's
 
 
 @dataclass(frozen=True)
@@ -38,13 +38,10 @@ class PressureCalibration:
 
 
 def fit_pressure(pressure: Array, force: Array) -> PressureCalibration:
-    """Fit the curve of least mean square error of force to pairs of pressure and force.
-
-    Press the pen on a scale at a few pressures over the whole range, and write down what each of them reads. It needs SciPy, of
-    the extra `data`.
+    """Fit the curve of least mean square error of force to pairs measured on a scale; it needs SciPy, of the extra `data`.
 
     Args:
-        pressure: 0 … 1, above 0 where the pen touches, shape (n,); pairs at 0 say nothing and are left out.
+        pressure: 0 … 1, shape (n,); pairs at 0 are left out.
         force: [N], shape (n,).
 
     Raises:
@@ -64,24 +61,22 @@ def fit_pressure(pressure: Array, force: Array) -> PressureCalibration:
     if p.size < 3 or np.ptp(p) < 0.1:
         pairs = f"{p.size} pairs over {np.ptp(p) if p.size else 0:.2g} of pressure"
         raise ValueError(f"{pairs}, expected three or more, over 0.1 or more")
-    start = np.polyfit(p, np.log(f), 1)  # the fit of logarithms, which overrates light forces
+    start = np.polyfit(p, np.log(f), 1)  # fits logarithms, which overrates light forces
     (b, log_a), _ = curve_fit(lambda p, b, log_a: np.exp(b * p + log_a), p, f, start, ftol=1e-12, xtol=1e-12)
     return PressureCalibration(float(np.exp(log_a)), float(b))
 
 
 class Stylus:
-    """A pen on a texture: events from one thread, rendered from another.
+    """Pen on a texture: events from one thread, rendered from another.
 
         stylus = Stylus(renderer)
         stylus.push(x_mm, y_mm, pressure, t_s)   # as they come from the tablet
         block = stylus.render(480)
 
-    An event counts from the next block on: render in blocks of 20 ms or less. Positions in whole pixels make an audible grain:
-    give fractions where the device has them.
+    An event counts from the next block on: render in blocks of 20 ms or less. Positions in whole pixels make an audible grain.
 
     Events that are not finite, late, doubled, out of order or a jump are counted (`stats`) and left out. Beside the 20 Hz
-    low-pass, which recordings pass too, speed is 2 to 5 ms late and force 3 to 10 ms, at 240 to 60 events a second that
-    arrive at once.
+    low-pass speed is 2 to 5 ms late and force 3 to 10 ms, at 240 to 60 events a second that arrive at once.
     """
 
     def __init__(self, renderer: Renderer, calibration: PressureCalibration | None = None) -> None:
@@ -96,11 +91,11 @@ class Stylus:
 
     def push(self, x_mm: float, y_mm: float, pressure: float, t_s: float) -> None:
         """Take in an event: position [mm], pressure 0 … 1 (0 is lifted), the device's time [s]; from any thread."""
-        with self._pushing:  # the kernel's queue is for one thread at a time
+        with self._pushing:  # the kernel's queue takes one thread at a time
             library().foten_stylus_push(self._pointer, x_mm, y_mm, pressure, t_s)
 
     def next_condition(self) -> tuple[float, float]:
-        """Move on by a sample of the texture's own rate: its speed [mm/s] and force [N]."""
+        """Speed [mm/s] and force [N] of the next sample of the texture's own rate."""
         speed, force = c_float(), c_float()
         library().foten_stylus_next(self._pointer, byref(speed), byref(force))
         return speed.value, force.value

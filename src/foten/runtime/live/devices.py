@@ -20,15 +20,15 @@ _DAQ_LIMIT_V = 10.0
 
 
 class SoundSink:
-    """The sound card, or an amplifier on it that drives an actuator.
-
-    `n_device_underruns` counts what the card itself found missing. Where PortAudio or the device is missing, OSError says in one
-    line what to do.
+    """Sound card, or an amplifier on it that drives an actuator; `n_device_underruns` counts what the card itself missed.
 
     Args:
-        gain: full scale for one of what is rendered; what goes beyond full scale is cut, and counted in `n_cut`.
+        gain: full scale for 1 of what is rendered; what goes beyond full scale is cut, and counted in `n_cut`.
         device: its name, or its number as an int, as `python -m sounddevice` lists them; None for the usual one.
         channel: that is played on, from 0; those before it are silent.
+
+    Raises:
+        OSError: PortAudio or the device is missing.
     """
 
     def __init__(
@@ -95,7 +95,7 @@ class SoundSink:
 
 
 def sound_library() -> Any:
-    """The package sounddevice, or raise OSError with what to do where it or PortAudio is missing."""
+    """Package sounddevice; OSError says what to install where it or PortAudio is missing."""
     try:
         import sounddevice
     except ImportError as error:
@@ -109,9 +109,7 @@ def sound_library() -> Any:
 
 
 class DaqSink:
-    """An analogue output of an NI-DAQ, clocked by its hardware from a buffer that is refilled as it empties.
-
-    What goes beyond ±10 V is cut, and counted in `n_cut`.
+    """Analogue output of an NI-DAQ, clocked by its hardware; what goes beyond ±10 V is cut, and counted in `n_cut`.
 
     Args:
         channel: as "Dev1/ao0".
@@ -148,15 +146,15 @@ class DaqSink:
         continuous = constants.AcquisitionType.CONTINUOUS
         task.timing.cfg_samp_clk_timing(rate=self.rate_hz, sample_mode=continuous, samps_per_chan=self.n_at_once)
         task.out_stream.output_buf_size = self.n_at_once
-        # Else the board takes from the buffer what its own memory holds, and plays that much later. Not all know how.
+        # Else the board plays later by what its own memory holds. Not all know this setting.
         with suppress(self._library.errors.Error):
             task.ao_channels.all.ao_data_xfer_req_cond = constants.OutputDataTransferCondition.ON_BOARD_MEMORY_EMPTY
-        # Without this a late block would be the last one once more.
+        # Else a late block repeats the last one.
         task.out_stream.regen_mode = constants.RegenerationMode.DONT_ALLOW_REGENERATION
         self._writer = self._library.stream_writers.AnalogSingleChannelWriter(task.out_stream, auto_start=False)
 
     def start(self, read: Read) -> None:
-        """Fill the buffer and start the clock; raises what filling it died of, or OSError where the device refuses."""
+        """Fill the buffer and start the clock; raises what rendering raised, or OSError where the device refuses."""
 
         def refill(*_: Any) -> int:
             try:
@@ -184,10 +182,7 @@ class DaqSink:
             self._task.start()
 
     def stop(self) -> None:
-        """Fade out, stop the clock, set the output to 0 V, and give the device back.
-
-        An output keeps the last voltage that it was told, which would heat a coil.
-        """
+        """Fade out, stop the clock, set the output to 0 V and close the device: its last voltage would heat a coil."""
         if self._stopped:
             return
         self._stopped = True

@@ -17,30 +17,25 @@ from numpy.typing import NDArray
 Samples = NDArray[np.float32]
 Read = Callable[[Samples], None]
 
-BLOCK_MS = 2.0  # rendered at once: a hand is looked at in every sample of the texture's rate, but set between blocks
-LEAD_MS = 10.0  # rendered ahead of what is played: what the hand waits, and what a busy machine may take
-# In which what is played falls to silence where the ring runs empty, and rises again: half of the lead, half a period of 100 Hz;
-# a step, which has all frequencies, is a click.
-FADE_MS = 5.0
-# How long another thread of Python keeps its lock while one renders live; 5 ms are usual, and too long.
-SWITCH_S = 0.0005
+BLOCK_MS = 2.0  # rendered at once: a condition is set between blocks
+LEAD_MS = 10.0  # rendered ahead of what is played: the delay, and how long a busy machine may pause
+FADE_MS = 5.0  # to silence where the ring runs empty, half a period of 100 Hz: a step would click
+SWITCH_S = 0.0005  # that another thread keeps Python's lock while one renders live; Python's own 5 ms are too long
 _BINS = np.concatenate([[0.0], np.geomspace(1e-7, 1.0, 701)])  # s; 2.3 % apart
 
 
 class Ring:
-    """A ring of float32 samples, one writer, one reader; neither waits.
-
-    The counters only grow, each is written by one thread alone, and a sample is in place before its counter says so: no lock.
+    """Ring of float32 samples, without a lock: each counter is written by one thread, after its samples are in place.
 
     Args:
         size: samples that it holds.
-        n_fade: samples that the last one takes to fall to silence where there are no more, and new ones to rise.
+        n_fade: samples of a fade to silence where there are no more, and of the rise of new ones.
     """
 
     def __init__(self, size: int, n_fade: int) -> None:
         self._samples = np.zeros(size, dtype=np.float32)
         self._n_written = self._n_read = 0
-        # The reader's own: a gain in n_fade + 1 steps from silence, the step that it is at, and what it falls from.
+        # The reader's own: gains of a rise, the step that it is at, and the sample that a fade begins from.
         self._gains = (0.5 - 0.5 * np.cos(np.pi * np.arange(n_fade + 1) / n_fade)).astype(np.float32)
         self._step, self._last = n_fade, np.float32(0.0)
 
@@ -60,7 +55,7 @@ class Ring:
         return n
 
     def read_into(self, out: Samples) -> int:
-        """Fill an array with what waits, behind it a fade to silence, and return how many samples were there."""
+        """Fill an array with waiting samples and then a fade to silence, and return how many were waiting."""
         size = self._samples.size
         n, at = min(out.size, self.level), self._n_read % size
         first = min(n, size - at)
@@ -71,7 +66,7 @@ class Ring:
         return n
 
     def _fade(self, out: Samples, n: int) -> None:
-        """Let the first n samples rise where they come after silence, and the rest fall to it from the last of them."""
+        """Let the first n samples rise after silence, and the others fall to it from the last of them."""
         if n:
             self._last = out[n - 1]
             rising = min(n, self._gains.size - 1 - self._step)
@@ -86,18 +81,18 @@ class Ring:
 
 @dataclass
 class Timing:
-    """How long something took, in 700 bins from 0.1 µs to 1 s: percentiles within 2.3 %, the largest as it was."""
+    """Histogram of durations in 700 bins from 0.1 µs to 1 s: percentiles within 2.3 %, the largest exactly."""
 
     counts: NDArray[np.int64] = field(default_factory=lambda: np.zeros(_BINS.size, dtype=np.int64))
     largest_s: float = 0.0
 
     def add(self, seconds: float) -> None:
-        """Count one that took so long."""
+        """Count a duration."""
         self.counts[np.searchsorted(_BINS, seconds) - 1 if seconds > 0 else 0] += 1
         self.largest_s = max(self.largest_s, seconds)
 
     def percentile_s(self, percent: float) -> float:
-        """Longest time of that share [s], the upper end of its bin; NaN where nothing was counted."""
+        """Percentile [s], the upper end of its bin; NaN where nothing was counted."""
         total = int(self.counts.sum())
         if total == 0:
             return float("nan")
@@ -107,10 +102,10 @@ class Timing:
 
 @dataclass
 class LiveStatistics:
-    """What a rendering in real time did."""
+    """Counts and times of a rendering in real time."""
 
-    block: Timing = field(default_factory=Timing)  # how long a block took to render
-    block_ms: float = 0.0  # how long it plays
+    block: Timing = field(default_factory=Timing)  # rendering of a block
+    block_ms: float = 0.0  # that a block plays
     n_samples: int = 0  # rendered
     n_missed: int = 0  # blocks that took longer to render than to play
     n_underruns: int = 0  # times that the sink asked for more than there was
@@ -128,31 +123,31 @@ class LiveStatistics:
 
 
 class Sink(Protocol):
-    """Where samples go. It takes them from `read` in a thread or a callback of its own, at its own pace."""
+    """Destination that takes samples from `read` in a thread or a callback of its own, at its own pace."""
 
     rate_hz: float  # at which it takes them
     n_at_once: int  # samples that it takes at most at once
-    failed: BaseException | None  # what it died of, or what it plays died of, which `Live` sets
+    failed: BaseException | None  # error that ended it, or the rendering, which `Live` sets
 
     def start(self, read: Read) -> None:
         """Begin to take samples: `read` fills an array, and does not wait."""
 
     def stop(self) -> None:
-        """End, and give back what it holds; a second time nothing happens."""
+        """End, and close what it holds; a second call does nothing."""
 
 
 class Live:
-    """A texture rendered ahead by a thread and played by a sink.
+    """Thread that renders a texture ahead, for a sink to play.
 
         with Live(stylus.render_into, SoundSink(gain=0.02)) as live:
             ...
         print(live.statistics.line())
 
-    While one runs, Python's threads switch ten times as often as usual. A call that keeps Python's lock for longer than the
-    lead still makes a gap: `n_underruns` counts them.
+    While one runs, Python's threads switch ten times as often. A call that keeps Python's lock for longer than the lead makes a
+    gap, which `n_underruns` counts.
 
     Args:
-        render: fills an array with the next samples, in this class's thread; it should not keep Python's lock for long.
+        render: fills an array with the next samples, in this class's thread.
         block_ms: rendered at once.
         lead_ms: rendered ahead, or what the sink takes at once where that is more.
     """
@@ -178,7 +173,7 @@ class Live:
 
     @property
     def running(self) -> bool:
-        """Whether it plays: neither before the start, nor after a stop, nor once rendering or sink have failed."""
+        """Whether it plays: started, not stopped, and neither rendering nor sink has failed."""
         return self._thread.is_alive() and self._failed is None and self._sink.failed is None
 
     @property
@@ -187,7 +182,7 @@ class Live:
         return 1000 * self._lead / self._sink.rate_hz
 
     def start(self) -> None:
-        """Fill the ring, then let the sink play; raises what the sink does where it refuses."""
+        """Fill the ring, then let the sink play; raises what the sink raises."""
         global _usual_s
         if not _playing:
             _usual_s = sys.getswitchinterval()
@@ -204,10 +199,9 @@ class Live:
             raise
 
     def stop(self) -> None:
-        """End the sink, then the thread, and raise what either of them died of; a second time nothing happens."""
+        """End the sink, then the thread, and raise the error of either; a second call does nothing."""
         self._close()
-        failed = self._failed or self._sink.failed
-        if failed is not None:
+        if failed := self._failed or self._sink.failed:
             raise failed
 
     def _close(self) -> None:
@@ -257,11 +251,11 @@ class Live:
 
 
 _playing: weakref.WeakSet[Live] = weakref.WeakSet()
-_usual_s = sys.getswitchinterval()  # before the first of them began
+_usual_s = sys.getswitchinterval()  # before the first began
 
 
 @atexit.register
 def _end_all() -> None:
-    """End what still plays as the interpreter ends, before what it renders from is gone."""
+    """End what still plays as the interpreter ends, before what it renders from is freed."""
     for live in list(_playing):
         live._close()

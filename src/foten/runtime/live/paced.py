@@ -14,11 +14,10 @@ from foten.runtime.live.live import Read, Samples
 PACKET_MS = 4.0
 
 
-class Paced:
-    """A sink that takes a block every so often, in a thread of its own; what it does with it is a subclass's.
+class NullSink:
+    """Sink that plays nowhere: it takes a block every `PACKET_MS` in a thread of its own, for which subclasses have `take`.
 
-    After a machine has stood still it goes on at its pace: what it did not take meanwhile it does not take at once, which would
-    empty the ring; `n_late` counts such blocks.
+    Blocks that a stalled machine missed are left out, as taking them at once would empty the ring; `n_late` counts them.
     """
 
     def __init__(self, rate_hz: float) -> None:
@@ -63,14 +62,8 @@ class Paced:
             self.failed = error
 
 
-class NullSink(Paced):
-    """Plays nowhere, at the pace of a real one: for trials and for measuring."""
-
-
-class UdpSink(Paced):
-    """Packets to another program, all little-endian: b"FOT1", the count of packets before, the rate
-    [Hz, float32], the samples in it; then they.
-    """
+class UdpSink(NullSink):
+    """Packets to another program, little-endian: b"FOT1", packets before, rate [Hz, float32], number of samples, samples."""
 
     def __init__(self, host: str, port: int, rate_hz: float) -> None:
         super().__init__(rate_hz)
@@ -97,7 +90,7 @@ class UdpSink(Paced):
 
 
 class OscSink(UdpSink):
-    """OSC messages to "/foten": the count of messages before, the rate [Hz] and a blob of little-endian float32.
+    """OSC messages to "/foten": messages before, rate [Hz] and a blob of little-endian float32.
 
     Source: Open Sound Control 1.0; types `ifb`, big-endian, padded to four bytes.
     """

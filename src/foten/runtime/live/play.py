@@ -25,8 +25,7 @@ from foten.runtime.stroke import Stroke
 
 LOUDNESS = 0.1  # of full scale, of a sound's standard deviation, where no gain is given
 CIRCLES_A_SECOND = 0.5
-# Of what is sent to a device that keeps to any rate: images and steps of the texture's own would be felt.
-MIN_RATE_HZ = 8000.0
+MIN_RATE_HZ = 8000.0  # sent to a device that takes any rate: a lower one leaves images and steps that can be felt
 MAX_WAV_SAMPLES = 2**30 - 1024
 
 ConditionAt = Callable[[NDArray[np.int64]], tuple[Array, Array]]
@@ -35,14 +34,14 @@ ConditionAt = Callable[[NDArray[np.int64]], tuple[Array, Array]]
 
 @dataclass(frozen=True)
 class Played:
-    """What playing came to."""
+    """Result of playing."""
 
     statistics: LiveStatistics  # of the rendering and its ring
-    delays_ms: dict[str, float]  # what lies between hand and skin, by name
+    delays_ms: dict[str, float]  # from stroke to output, by name
     counted: dict[str, int]  # by the kernel
     n_cut: int  # samples beyond what the sink takes
     n_device_underruns: int  # times that a sound card itself missed samples
-    n_late: int  # blocks that a sink which keeps its own time left out after the machine stood still
+    n_late: int  # blocks that a paced sink left out after the machine stalled
     interrupted: bool  # by Ctrl-C
 
 
@@ -65,9 +64,7 @@ def holding(speed: float, force: float) -> ConditionAt:
 
 
 def along(stroke: Stroke, lowpass_hz: float) -> ConditionAt:
-    """Conditions of a stroke, over and over: once as `Stroke.conditioned` has it, then again, as if the hand had gone over
-    from the end to the beginning at once. The low-pass rounds that step as it does those within.
-    """
+    """Conditions of a stroke, over and over; the low-pass of rendering rounds the step from its end to its beginning."""
     n = stroke.force.size
     speed, force = condition(np.tile(stroke.velocity, 2), np.tile(stroke.force, 2), stroke.rate_hz, lowpass_hz)
 
@@ -79,9 +76,9 @@ def along(stroke: Stroke, lowpass_hz: float) -> ConditionAt:
 
 
 def rendering(renderer: Renderer, condition: ConditionAt) -> Read:
-    """Function that fills an array, shape (n,), with the next samples under conditions, the same in blocks of any size."""
+    """Function that fills an array (n,) with the next samples, the same in blocks of any size."""
     state, ratio = renderer.native_state, renderer.texture_rate / renderer.rate
-    waiting = np.zeros(0, dtype=np.float32)  # of one of the texture's own samples, for which the last array had no room
+    waiting = np.zeros(0, dtype=np.float32)  # samples that the last array had no room for
     n = 0
 
     def render(out: Samples) -> None:
@@ -100,7 +97,7 @@ def sink_of(where: str, rate_hz: float, gain: float, device: str | None = None, 
     """Sink that a text names: sound, null, daq:Dev1/ao0, udp:HOST:PORT or osc:HOST:PORT.
 
     Raises:
-        ValueError: it names none, or one without devices and channels of which some were given.
+        ValueError: it names none, or a device or channel of a sink that has none.
         OSError: the device, its library or the host is missing.
     """
     if where != "sound" and (device is not None or channel is not None):
@@ -117,18 +114,13 @@ def sink_of(where: str, rate_hz: float, gain: float, device: str | None = None, 
         host, _, port = target.rpartition(":")
         if host and port.isdecimal() and 0 < int(port) < 65536:
             return (UdpSink if kind == "udp" else OscSink)(host, int(port), rate_hz)
-    known = "sound, null, daq:Dev1/ao0, udp:HOST:PORT or osc:HOST:PORT"
-    raise ValueError(f"cannot play to {where!r}, expected {known}")
+    raise ValueError(f"cannot play to {where!r}, expected sound, null, daq:Dev1/ao0, udp:HOST:PORT or osc:HOST:PORT")
 
 
 def write_wav(
     renderer: Renderer, condition: ConditionAt, seconds: float, path: Path, about: Mapping[str, Any]
 ) -> tuple[NDArray[np.float32], bool]:
-    """Write what a hand plays, as 32-bit floats with a comment, up to Ctrl-C, and return it, and whether that ended it.
-
-    Raises:
-        ValueError: it is more than a WAV file holds.
-    """
+    """Write a rendering as 32-bit floats with a comment, up to Ctrl-C; its samples (n,), and whether Ctrl-C ended it."""
     n, second = round(seconds * renderer.rate), round(renderer.rate)
     if n > MAX_WAV_SAMPLES:
         raise ValueError(f"{seconds:.0f} s at {renderer.rate:g} Hz are more than a WAV file holds, 4 GB; play fewer")
@@ -144,7 +136,7 @@ def write_wav(
 
 
 def rate_for(where: str, requested: float | None, texture_rate: float) -> float:
-    """Rate to play at [Hz]: the one that is asked for, 48 kHz for sound, else the texture's own times a whole number."""
+    """Rate to play at [Hz]: the requested one, 48 kHz for sound, else a multiple of the texture's own."""
     if requested is not None:
         return requested
     return SOUND_RATE_HZ if where == "sound" else texture_rate * max(1, math.ceil(MIN_RATE_HZ / texture_rate))
@@ -158,7 +150,7 @@ def play(
     lead_ms: float,
     on_start: Callable[[], None],
 ) -> Played:
-    """Play a hand for a while, or until Ctrl-C, and return what it came to; `on_start` is called once it plays."""
+    """Play for so many seconds, or until Ctrl-C; `on_start` is called once it plays."""
     interrupted = False
     live = Live(rendering(renderer, condition), sink, lead_ms=lead_ms)
     begin = time.monotonic()
@@ -183,10 +175,10 @@ def play(
 
 
 def gain_for(profile: ActuatorProfile | None, requested: float | None, sd: float, where: str) -> float:
-    """Gain of a sink: what is asked for; else what is safe to assume.
+    """Gain of a sink: the requested one; else 1 where the unit is the sink's, or a usual loudness for acceleration as sound.
 
-    An actuator's drive in V goes to a DAQ as it is, one in full scale to a sound card; acceleration goes to a sound card at a
-    usual loudness, and to whatever takes numbers as it is. A unit that is not the sink's raises ValueError.
+    Raises:
+        ValueError: a gain for a sink that takes numbers as they are, or a unit that is not the sink's.
     """
     if requested is not None:
         if where != "sound" and not where.startswith("daq:"):

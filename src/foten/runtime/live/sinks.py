@@ -32,10 +32,7 @@ SPECTROGRAM_DB = 60.0  # its range below the loudest
 def write_rendered(
     path: Path, acceleration: Array, speed: Array, force: Array, rate_hz: float, about: Mapping[str, Any]
 ) -> None:
-    """Write a rendered stroke [m/s², mm/s, N], shapes (n,), in the format of the suffix: .wav (float32), .csv, .npz or .png.
-
-    What made it (`about`: texture, seed, stroke) is kept in the file where its format has room.
-    """
+    """Write a rendered stroke [m/s², mm/s, N], shapes (n,), and what made it, as .wav (float32), .csv, .npz or .png."""
     check_suffix(path)
     with atomic_write(path) as part:
         match path.suffix.lower():
@@ -45,11 +42,10 @@ def write_rendered(
                 rows = np.stack([np.arange(acceleration.size) / rate_hz, acceleration, speed, force], axis=1)
                 np.savetxt(part, rows, "%.9g", ",", header=HEADER, comments="")
             case ".npz":
+                of_stroke: dict[str, Any] = {"acceleration": acceleration, "speed": speed, "force": force}
+                text = np.array(json.dumps(dict(about), sort_keys=True))
                 with part.open("wb") as file:
-                    rate, text = np.array(rate_hz), np.array(json.dumps(dict(about), sort_keys=True))
-                    np.savez_compressed(
-                        file, acceleration=acceleration, speed=speed, force=force, rate_hz=rate, about=text
-                    )
+                    np.savez_compressed(file, **of_stroke, rate_hz=np.array(rate_hz), about=text)
             case ".png":
                 figure = picture(acceleration, speed, force, rate_hz, about)
                 figure.savefig(part, format="png", dpi=120, metadata={"Software": None})
@@ -62,10 +58,7 @@ def check_suffix(path: Path) -> None:
 
 
 def write_audible(path: Path, acceleration: Array, rate_hz: float) -> float:
-    """Write the vibration as sound, 48 kHz and 16 bits, its peak at 0.7 of full scale, and return the gain [full scale per m/s²].
-
-    Sounds of two textures compare only at the same gain.
-    """
+    """Write the vibration as sound, 48 kHz and 16 bits, its peak at 0.7 of full scale; the gain [full scale per m/s²]."""
     sound = interpolate(acceleration, audible_factor(rate_hz))
     peak = float(np.abs(sound).max(initial=0.0))
     gain = AUDIBLE_PEAK / peak if peak > 0 else 1.0
@@ -124,7 +117,7 @@ def picture(acceleration: Array, speed: Array, force: Array, rate_hz: float, abo
     if acceleration.size >= 64:
         n = min(max(32, round(SPECTROGRAM_S * rate_hz)), acceleration.size // 4)
         hop = max(1, n // 8)
-        # Mirrored at both ends: a frame is drawn around every sample.
+        # Mirrored at both ends, so that a frame lies around every sample.
         padded = np.pad(acceleration, (n // 2, n // 2 + hop), mode="reflect")
         frames = np.lib.stride_tricks.sliding_window_view(padded, n)[: acceleration.size + hop : hop]
         power = np.abs(np.fft.rfft(frames * np.hanning(n), axis=1)) ** 2
