@@ -1,4 +1,4 @@
-"""What every model keeps: a tiny trace makes a file that loads without PyTorch, is judged, renders, and refuses what is bad."""
+"""Promises of every model: a file trained on a tiny trace loads without PyTorch, is judged, and renders."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from foten.datasets.hdf5 import write_recording
 from foten.evaluate.evaluate import evaluate
 from foten.evaluate.report.tables import to_text
 from foten.models.definitions import render
-from foten.models.texture_file import CLOSED_LOOP_TOLERANCE, Texture, texture_from_bytes, write_texture
+from foten.models.texture_file import CLOSED_LOOP_TOLERANCE, Texture, write_texture
 from foten.recording.preprocess import PreprocessConfig
 from foten.recording.recording import Recording
 from foten.runtime.bench import INSTRUCTION_SETS, time_all
@@ -140,16 +140,6 @@ def test_blocks_of_any_size_give_the_same_bytes(textures: dict[str, Texture], ke
     np.testing.assert_array_equal(np.concatenate(blocks), expected)
     at_once.reset()
     np.testing.assert_array_equal(at_once.render(speed_mm_s=70.0, force_n=1.0, n=300), expected)
-
-
-@pytest.mark.parametrize("key", TRAINABLE)
-def test_what_is_bad_is_refused(textures: dict[str, Texture], key: str) -> None:
-    data = textures[key].to_bytes()
-    for damaged in (data[: len(data) // 2], data[:8] + b"{" + data[9:100]):
-        with pytest.raises(ValueError, match=r"truncated|not a texture file|damaged|not JSON"):
-            NativeTexture(damaged)
-        with pytest.raises(ValueError, match=r"truncated|not a texture file|damaged|not JSON"):
-            texture_from_bytes(damaged)
 
 
 @pytest.mark.parametrize("key", BASELINES)
