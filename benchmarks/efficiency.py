@@ -31,7 +31,8 @@ from foten.baselines.dftnet import Dftnet
 from foten.baselines.fit import log_spectra
 from foten.baselines.gan import STEPS, Gan, fit_adversarial
 from foten.baselines.graph import build, graph_of
-from foten.baselines.sizes import TRAINABLE, BaselineSizes, NoiseModelSizes
+from foten.baselines.sizes import TRAINABLE, NoiseModelSizes
+from foten.models.registry import GraphSizes
 from foten.models.texture_file import Texture
 from foten.recording.preprocess import PreprocessConfig, preprocess
 from foten.recording.recording import Recording
@@ -132,7 +133,7 @@ def measure(arguments: argparse.Namespace) -> dict[str, Any]:
     for model in arguments.models:
         sizes = TRAINABLE[model]()
         texture = (
-            None if isinstance(sizes, BaselineSizes | NoiseModelSizes) else untrained(model, recording, blocks, config)
+            None if isinstance(sizes, GraphSizes | NoiseModelSizes) else untrained(model, recording, blocks, config)
         )
         models[model] = {
             "window": sizes.window,

@@ -11,11 +11,12 @@ import numpy as np
 import pytest
 import torch
 
-from foten.baselines.sizes import TRAINABLE, BaselineSizes, NoiseModelSizes
+from foten.baselines.sizes import TRAINABLE, NoiseModelSizes
 from foten.models.excitation import Excitation, Scale
 from foten.models.foten_plus.sizes import FotenPlusSizes
 from foten.models.model_sizes import ModelSizes
 from foten.models.piecewise_ar.sizes import PiecewiseArSizes
+from foten.models.registry import GraphSizes
 from foten.models.texture_file import Texture
 from foten.recording.preprocess import PreprocessConfig
 from foten.recording.scaling import Scaling
@@ -125,7 +126,7 @@ def untrained_tensors(model: str, sizes: ModelSizes, network: Any, seed: int = 0
     from foten.training.texture_builder import tensors_of
 
     tensors: dict[str, np.ndarray] = {}
-    if isinstance(sizes, BaselineSizes | NoiseModelSizes):
+    if isinstance(sizes, GraphSizes | NoiseModelSizes):
         tensors = packed(network, sizes).tensors
     else:
         tensors = tensors_of(network, "network." if model == "foten-plus" else "")
@@ -208,14 +209,14 @@ def exported(
     windows = rng.standard_normal((32, sizes.history, 3))
     warm_start = 0.5 * rng.standard_normal((sizes.history, 3))
     in_file, definition, metrics = sizes, model_of, CARD["metrics"]
-    if isinstance(sizes, BaselineSizes | NoiseModelSizes):
+    if isinstance(sizes, GraphSizes | NoiseModelSizes):
         graph = packed(network, sizes)
         in_file, definition, metrics = graph.sizes, graph.definition, {**metrics, **graph.metrics}
     card = {**CARD, "metrics": metrics, **card}
     return proved(model, in_file, all_tensors, SCALING, windows, warm_start, card, definition).texture
 
 
-def packed(network: Any, sizes: BaselineSizes | NoiseModelSizes) -> Packed:
+def packed(network: Any, sizes: GraphSizes | NoiseModelSizes) -> Packed:
     """A baseline's network as its texture file holds it."""
     from foten.baselines.fit import noise_graph, one_step_graph
 

@@ -70,7 +70,7 @@ def test_cepstrum_follows_the_level_in_its_first_coefficient_alone() -> None:
 def test_wavelets_keep_what_is_smooth_out_of_the_details() -> None:
     """Two vanishing moments: a straight line has no details but at the mirrored beginning; energy inside is kept."""
     transform = wavelet_transform(64, 3)
-    assert transform.shape[1] == WaveletBranch(TenWaveletSizes(window=64)).transform.shape[1]
+    assert transform.shape[1] == WaveletBranch(TenWaveletSizes(window=64)).n_out
     line = np.linspace(-1, 2, 64)
     details = line @ transform[:, :32]
     assert np.abs(details[:-2]).max() < 1e-12

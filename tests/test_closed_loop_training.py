@@ -205,18 +205,6 @@ def test_a_short_training_is_short_in_its_closed_loop_too(
 
 
 @without_tones
-def test_interrupted_what_is_best_so_far_is_kept(surface: Surface, monkeypatch: pytest.MonkeyPatch) -> None:
-    def on_stage(stage: str) -> None:
-        if "50 %" in stage:
-            raise KeyboardInterrupt
-
-    network, progress = fitted(surface, 2e-2, monkeypatch, on_stage=on_stage)
-    assert progress.interrupted
-    assert [line.epoch for line in progress.epochs] == [0, 1]
-    assert not equal(network, surface.network)
-
-
-@without_tones
 @pytest.mark.parametrize(("rate_hz", "block", "n"), [(1e3, 1000, 512), (1e3, 500, None), (1e4, 8000, None)])
 def test_blocks_too_short_or_too_fine_are_not_rolled_out(
     surface: Surface, rate_hz: float, block: int, n: int | None

@@ -1,4 +1,4 @@
-"""What every model keeps: a tiny trace makes a file that loads without PyTorch, is judged, renders, and refuses what is bad."""
+"""Promises of every model: a file trained on a tiny trace loads without PyTorch, is judged, and renders."""
 
 from __future__ import annotations
 

@@ -78,12 +78,28 @@ def test_a_draft_goes_on_from_its_warm_start_and_is_proved_on_validation_windows
         assert np.abs(validation - one).max(axis=(1, 2)).min() < 1e-6
     assert not golden[-2].any()
     # The deterministic loop that the file proves begins at the warm start.
-    steady = np.repeat(texture.tensors["golden.condition"][None].astype(float), 1, axis=0)
-    path = np.maximum(steady[..., :1] * blocks.scaling.sd[1] + blocks.scaling.mean[1], 0.0)
+    np.testing.assert_allclose(closed_loop(texture), texture.tensors["golden.closed_loop"], atol=1e-4)
+
+
+def closed_loop(texture: Texture, start: np.ndarray | None = None, condition: np.ndarray | None = None) -> np.ndarray:
+    """The kernel's deterministic loop, by default from the warm start under the golden condition."""
+    start, condition = (
+        texture.tensors[name].astype(float) if value is None else value
+        for name, value in (("warm_start", start), ("golden.condition", condition))
+    )
+    path = np.maximum(condition[:, :1] * texture.scaling.sd[1] + texture.scaling.mean[1], 0.0)
     kernel = NativeTexture(texture.to_bytes())
-    start = texture.tensors["warm_start"][None].astype(float)
-    rendered = run_loops(kernel, start, np.concatenate([steady, path], axis=2), None)
-    np.testing.assert_allclose(rendered[0], texture.tensors["golden.closed_loop"], atol=1e-4)
+    return run_loops(kernel, start[None], np.concatenate([condition, path], axis=1)[None], None)[0]
+
+
+@pytest.fixture(scope="module")
+def chaotic() -> Texture:
+    """A network that amplifies in its closed loop, which begins at the first golden window."""
+    sizes, rng = sizes_with("foten", SMALL), np.random.default_rng(0)
+    tensors = untrained_tensors("foten", sizes, untrained("foten", sizes))
+    golden = rng.standard_normal((8, sizes.window, 3))
+    tensors["head_3.weight"] = 20 * tensors["head_3.weight"]
+    return proved("foten", sizes, tensors, SCALING, golden, golden[0], CARD).texture
 
 
 def test_what_the_kernel_does_not_reproduce_is_refused() -> None:
@@ -105,20 +121,11 @@ def test_what_the_kernel_does_not_reproduce_is_refused() -> None:
         proved("foten", sizes, tensors, SCALING, golden, golden[0], CARD, definition=Wrong)
 
 
-def test_a_chaotic_loop_is_held_to_as_much_as_it_amplifies() -> None:
-    """A network in its closed loop may amplify what float32 rounds a millionfold within 64 steps; its first steps say enough."""
-    sizes, rng = sizes_with("foten", SMALL), np.random.default_rng(0)
-    tensors = untrained_tensors("foten", sizes, untrained("foten", sizes))
-    golden = rng.standard_normal((8, sizes.window, 3))
-    tensors["head_3.weight"] = 20 * tensors["head_3.weight"]
-    texture = proved("foten", sizes, tensors, SCALING, golden, golden[0], CARD).texture
-    steps = texture.tensors["golden.closed_loop"]
-    windows, condition = golden[:1] + 1e-7, texture.tensors["golden.condition"].astype(float)
-    path = np.maximum(condition[:, :1] * SCALING.sd[1] + SCALING.mean[1], 0.0)
-    other = run_loops(
-        NativeTexture(texture.to_bytes()), windows, np.concatenate([condition, path], axis=1)[None], None
-    )[0]
-    assert np.abs(other - steps).max() > 1  # chaotic it is
+def test_a_chaotic_loop_is_held_to_as_much_as_it_amplifies(chaotic: Texture) -> None:
+    """A closed loop may amplify float32 rounding a millionfold within 64 steps; its first steps are the proof."""
+    texture, steps = chaotic, chaotic.tensors["golden.closed_loop"]
+    nearby = closed_loop(texture, texture.tensors["warm_start"].astype(float) + 1e-7)
+    assert np.abs(nearby - steps).max() > 1
     for i, off in ((0, 3e-4), (2, 3e-3)):
         wrong = steps.copy()
         wrong[i] += off
@@ -127,27 +134,14 @@ def test_a_chaotic_loop_is_held_to_as_much_as_it_amplifies() -> None:
 
 
 @pytest.mark.parametrize("way", [-1.0, 1.0])
-def test_a_loop_may_end_where_a_start_that_is_a_little_off_does(way: float) -> None:
-    """A phase that wraps between the kernel's rounding and the reference's moved a loop at once, by as much as a start that is
-    10⁻⁵ off did and what float32 rounds besides: a trained network failed its own proof by 6 parts in 100,000.
-    """
-    sizes, rng = sizes_with("foten", SMALL), np.random.default_rng(0)
-    tensors = untrained_tensors("foten", sizes, untrained("foten", sizes))
-    golden = rng.standard_normal((8, sizes.window, 3))
-    tensors["head_3.weight"] = 20 * tensors["head_3.weight"]
-    texture = proved("foten", sizes, tensors, SCALING, golden, golden[0], CARD).texture
-    native, condition = NativeTexture(texture.to_bytes()), texture.tensors["golden.condition"].astype(float)
+def test_a_loop_may_end_where_a_start_that_is_a_little_off_does(chaotic: Texture, way: float) -> None:
+    """A phase that wraps in the kernel's rounding and not in the reference's moves a loop as a start 10⁻⁵ off does."""
+    texture, condition = chaotic, chaotic.tensors["golden.condition"].astype(float)
     i, step = np.arange(texture.tensors["warm_start"].size), np.arange(len(condition))
     off = way * ONE_STEP_TOLERANCE
     start = texture.tensors["warm_start"].astype(float) + off * np.where(i % 2, 1, -1).reshape(-1, 3)
     moved = condition + off * np.stack([np.where(step & 1, 1, -1), np.where(step & 2, 1, -1)], axis=1)
-
-    def loop(window: np.ndarray, speed_force: np.ndarray) -> np.ndarray:
-        path = np.maximum(speed_force[:, :1] * SCALING.sd[1] + SCALING.mean[1], 0.0)
-        return run_loops(native, window[None], np.concatenate([speed_force, path], axis=1)[None], None)[0]
-
-    reference = loop(texture.tensors["warm_start"].astype(float), condition)
-    there = loop(start, moved)
+    reference, there = closed_loop(texture), closed_loop(texture, start, moved)
     rounded = there + 0.5 * CLOSED_LOOP_TOLERANCE * np.sign(there - reference)
     NativeTexture(Texture(texture.card, {**texture.tensors, "golden.closed_loop": rounded}).to_bytes())
 

@@ -147,10 +147,7 @@ def test_with_the_network_in_the_loop_the_level_is_calibrated_from_one(fitted: F
 def test_the_level_is_calibrated_only_where_closed_loop_training_gained_nothing(
     fitted: Fitted, monkeypatch: pytest.MonkeyPatch, after: float | None, interrupted: bool
 ) -> None:
-    """Calibrated once more, ribbed plastic was told apart in 0.91 and not 0.87; blocks may be too short for it (None).
-
-    A sweep would take an interrupted training for done, unless its progress says so.
-    """
+    """Blocks may be too short for it (None). An interruption is in the progress: a sweep would take the training for done."""
     progress = Progress([Epoch(0, np.nan, 1.0, 1.0, 1.0, True)], after or 1.0, interrupted=interrupted, notes=["full"])
     monkeypatch.setattr(foten_plus, "excerpts_of", lambda *_: after and object())
     monkeypatch.setattr(foten_plus, "fit_closed_loop", lambda *_: progress)

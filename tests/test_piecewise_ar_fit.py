@@ -126,28 +126,23 @@ def test_models_in_one_place_are_one(recording: Recording) -> None:
     assert np.diff(models.lsf, axis=1).min() >= 0.99 * MIN_GAP_RAD
 
 
-def test_a_hand_that_hardly_moves_is_refused() -> None:
-    rng = np.random.default_rng(0)
-    channels = {
-        name: Channel(level + 0.01 * rng.standard_normal(20_000), 1000.0)
-        for name, level in (("acceleration", 0.0), ("speed", 2.0), ("force", 1.0))
-    }
-    with pytest.raises(ValueError, match="hold 0 pieces of 100 samples or more above 5 mm"):
-        learned(Recording(channels, texture="still"))
-
-
 @pytest.mark.parametrize(
-    ("force", "block_ms", "message"),
-    [(0.0, 1000, "hold 0 pieces"), (1.0, 20, "a block of 20 samples is too short for filters of order 20")],
+    ("channel", "level", "block_ms", "message"),
+    [
+        ("speed", 2.0, 1000, "hold 0 pieces of 100 samples or more above 5 mm"),
+        ("force", 0.0, 1000, "hold 0 pieces"),
+        ("force", 1.0, 20, "a block of 20 samples is too short for filters of order 20"),
+    ],
 )
-def test_what_cannot_be_fitted_is_one_line(force: float, block_ms: float, message: str) -> None:
-    noise = moving(np.random.default_rng(0).standard_normal(12_000))
-    channels = {**noise.channels, "force": Channel(np.full(12_000, force), 1000.0)}
+def test_what_cannot_be_fitted_is_one_line(channel: str, level: float, block_ms: float, message: str) -> None:
+    rng = np.random.default_rng(0)
+    noise = moving(rng.standard_normal(12_000))
+    channels = {**noise.channels, channel: Channel(level + 0.01 * np.abs(rng.standard_normal(12_000)), 1000.0)}
     with pytest.raises(ValueError, match=message):
         learned(Recording(channels), PreprocessConfig(trim_ms=0, block_ms=block_ms))
 
 
-def test_the_command_makes_a_file_that_everything_takes(
+def test_the_command_reports_the_orders_and_the_models(
     recording: Recording, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     record, file = tmp_path / "r.h5", tmp_path / "t.foten"
@@ -160,13 +155,7 @@ def test_the_command_makes_a_file_that_everything_takes(
     assert document["sha256"] == read_texture(file).sha256()
     assert document["validation_mae_scaled_by_order"]["20"] > 0
     assert _status(["info", str(file)]) == 0
-    output = capsys.readouterr().out
-    assert "models" in output
-    assert f"of order {read_texture(file).card['sizes']['order']}" in output
-    sound = tmp_path / "s.wav"
-    assert _status(["render", str(file), "--speed", "80", "--force", "0.8", "--seconds", "1", "-o", str(sound)]) == 0
-    assert sound.stat().st_size > 1000
-    assert NativeTexture(file.read_bytes()).info.model == "ar"
+    assert f"of order {read_texture(file).card['sizes']['order']}" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(

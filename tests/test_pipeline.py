@@ -121,7 +121,7 @@ def test_a_training_interrupted_before_its_first_epoch_has_given_a_playable_text
     def interrupted(*_: object) -> tuple[float, float]:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(innovation, "validated", interrupted)
+    monkeypatch.setattr(innovation, "scored", interrupted)
     playable: list[Texture] = []
     with pytest.raises(KeyboardInterrupt):
         train(job_of(recording), Monitor(on_playable=playable.append))

@@ -13,7 +13,7 @@ from foten.training.dropout import Dropout
 
 
 class Spectrum(nn.Module):
-    """Past speeds and forces → the log magnitudes of a frame around now: a perceptron of three hidden layers."""
+    """Perceptron of three hidden layers from past speeds and forces to the log magnitudes of a frame around now."""
 
     def __init__(self, sizes: DftnetSizes) -> None:
         super().__init__()
@@ -33,11 +33,10 @@ class Spectrum(nn.Module):
 
 
 class Dftnet(nn.Module):
-    """Speeds and forces of the last frame give the spectrum of one around now, and that filters noise.
+    """Noise filtered by the spectrum that the speeds and forces of the last frame give.
 
-    Source: the abstract of [14]: magnitudes of the next short window from a history of speed and force, and phases found
-    for them; sizes and the logarithm are our choice, and the picture of the surface is left out, since a texture here is one
-    surface: our re-implementation. Phases: `NoiseFilter`. Its own retrieval of phases waits for frames to come; this does not.
+    Source: the abstract of [14], our re-implementation. Differs from it: no image of the surface, since a texture is one surface;
+    sizes and the logarithm are our choice; and `NoiseFilter` in place of a retrieval of phases, which waits for later frames.
     """
 
     def __init__(self, sizes: DftnetSizes) -> None:

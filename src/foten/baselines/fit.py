@@ -1,4 +1,4 @@
-"""The baselines fitted to a recording: one step ahead, to spectra, by a teacher, or against a discriminator."""
+"""Fit of the baselines: one step ahead, to spectra, by a teacher, or against a discriminator."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from torch import nn
 from foten.baselines.gan import fit_adversarial
 from foten.baselines.graph import build, graph_of, in_float64, multiply_adds
 from foten.baselines.noise_filter import log_magnitudes
-from foten.baselines.sizes import BaselineSizes, HapinfSizes, NoiseModelSizes
+from foten.baselines.sizes import HapinfSizes, NoiseModelSizes
 from foten.models.excitation import Excitation
 from foten.models.model_sizes import ModelSizes
-from foten.models.registry import GRAPH
+from foten.models.registry import GRAPH, GraphSizes
 from foten.models.stream import Model
 from foten.models.window_model import NoiseModel, WindowModel
 from foten.runtime.onnx_predictor import INPUT, NOISE
@@ -33,7 +33,7 @@ def fit(job: TrainingJob, monitor: Monitor) -> Trained:
     """A texture of a baseline learned from a recording.
 
     Raises:
-        ImportError: ONNX or ONNX Runtime is not installed: that is said before training, not after.
+        ImportError: before training, where ONNX or ONNX Runtime is not installed.
     """
     import onnx  # noqa: F401
     import onnxruntime  # noqa: F401
@@ -59,19 +59,19 @@ def fit(job: TrainingJob, monitor: Monitor) -> Trained:
 
 
 def one_step_graph(network: nn.Module, sizes: ModelSizes) -> Packed:
-    """A one-step network as the graph of a texture file, which the network in float64 proves."""
-    assert isinstance(sizes, BaselineSizes)
-    in_double = in_float64(network)
+    """A one-step network as the graph of a texture file; the network in float64 is its definition."""
+    assert isinstance(sizes, GraphSizes)
+    in_double, in_card = in_float64(network), GraphSizes(sizes.window, sizes.excitation, sizes.excitation_width)
 
     def definition(in_file: ModelSizes, tensors: Tensors) -> Model:
         return WindowModel(in_double, in_file.window, Excitation.of(tensors) if in_file.excited else None)
 
     graph, cost = graph_of(network, sizes.window, name=INPUT), multiply_adds(network, sizes.window)
-    return Packed(sizes.in_file(), {GRAPH: graph}, definition, {"multiply_adds": cost})
+    return Packed(in_card, {GRAPH: graph}, definition, {"multiply_adds": cost})
 
 
 def noise_graph(network: nn.Module, sizes: ModelSizes, spectrum_error_nat: float) -> Packed:
-    """A network that makes samples from noise as the graph of a texture file; with the error of its mean log spectra [nat]."""
+    """A filter of noise as the graph of a texture file, with the error of its mean log spectra [nat]."""
     assert isinstance(sizes, NoiseModelSizes)
     in_double = in_float64(network)
 
@@ -81,29 +81,26 @@ def noise_graph(network: nn.Module, sizes: ModelSizes, spectrum_error_nat: float
     error_db = 20 / math.log(10) * spectrum_error_nat
     metrics: dict[str, Any] = {"validation_mae_scaled": None, "validation_spectrum_db": error_db}
     metrics["multiply_adds"] = multiply_adds(network, sizes.window)
-    return Packed(sizes.in_file(), {GRAPH: graph_of(network, sizes.window, name=NOISE)}, definition, metrics)
+    graph = graph_of(network, sizes.window, name=NOISE)
+    return Packed(GraphSizes(sizes.window), {GRAPH: graph}, definition, metrics)
 
 
 def distilled(windows: TrainingWindows, m: int, config: TrainConfig, monitor: Monitor) -> TrainingWindows:
-    """Windows whose targets in training lie half-way to what a teacher predicts, those of validation as they were.
+    """Windows whose training targets are the means of the recording and a teacher's predictions.
 
-    The mean of the squared errors against the recording and against the teacher, 0.5 (y − s)² + 0.5 (t − s)², differs from the
-    squared error against their mean by what s has no part in.
+    0.5 (y − s)² + 0.5 (t − s)² differs from the squared error against that mean by a constant.
     """
     monitor.on_stage("training the teacher, hapinf")
     teacher = build("hapinf", HapinfSizes(window=m, n_start=min(10, m))).to(pick_device())
     if fit_windows(teacher, windows, config, Monitor()).interrupted:
-        raise KeyboardInterrupt  # of a half-distilled student nothing is kept
+        raise KeyboardInterrupt
     target = windows.samples[:, 0].copy()
     target[windows.train] = 0.5 * (target[windows.train] + predict(teacher, windows, windows.train))
     return replace(windows, target=target)
 
 
 def log_spectra(windows: TrainingWindows, blocks: ScaledBlocks) -> TrainingWindows:
-    """Windows whose targets are the log magnitudes of frames around every fourth sample or so, (n, m // 2 + 1), float32.
-
-    A window ends before the middle of its frame.
-    """
+    """Windows that end before the middle of a frame, whose log magnitudes are the target, (n, m // 2 + 1), float32."""
     m, block = windows.window, blocks.trace.block
     acceleration = torch.from_numpy(blocks.samples[..., 0]).float()
     target = np.zeros((len(windows.samples), m // 2 + 1), dtype=np.float32)

@@ -16,9 +16,9 @@ SPACING = (8, 4, 2, 1)  # samples between the lags of each band, lowest first
 
 
 class Fnn(nn.Module):
-    """Each band's next sample from lags of that band, speed and force; the sum of all is the next sample of the vibration.
+    """The sum of four bands' next samples, each from lags of its band, speed and force.
 
-    Causal low-passes and what they leave split the vibration into bands that add up to it, without delay.
+    Causal low-passes and their residuals split the vibration into bands that add up to it, without delay.
 
     Source: Shin, Osgouei, Kim and Choi, World Haptics 2015, of which only the abstract was available: our re-implementation. All
     bands are trained at once on the error of their sum.
@@ -42,10 +42,7 @@ class Fnn(nn.Module):
 
 
 def lagged_bands(m: int, n_lags: int) -> Array:
-    """What a window of m samples is multiplied with to give the bands at their lags, shape (4, n_lags, m).
-
-    Lag 1 of each band is the window's last sample; of the filters' responses as much is kept as the window holds.
-    """
+    """Matrices from a window of m samples to the bands at their lags, shape (4, n_lags, m); lag 1 is the last sample."""
     impulse = np.eye(1, m)[0]
     low = [Biquads(butterworth("lowpass", edge, 1.0)).process(impulse) for edge in EDGES]
     responses = np.diff([np.zeros(m), *low, impulse], axis=0)

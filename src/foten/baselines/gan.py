@@ -1,4 +1,4 @@
-"""A generator of spectra and what judges it [34], made causal so that it renders sample by sample."""
+"""A generator of spectra and its discriminator [34], causal so that it renders sample by sample."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from foten.baselines.noise_filter import NoiseFilter, log_magnitudes
 from foten.baselines.sizes import GanSizes
 from foten.training.config import TrainConfig
 from foten.training.job import ScaledBlocks
-from foten.training.loop import Loop, Monitor, Progress, Stateful, epoch_seed, run_loop
+from foten.training.loop import Loop, Monitor, Progress, epoch_seed, run_loop
 
 LATENTS = 5  # numbers of noise that a frame is made from
 FRAMES = 56  # of a spectrogram; Table III
@@ -26,14 +26,12 @@ _N_DRAWS = 4  # draws of noise for each validation spectrogram
 
 
 class Gan(nn.Module):
-    """Noise, speed and force of 27 frames give the spectrum of the last, and that filters noise.
+    """Noise filtered by the spectrum that three convolutions make of the noise, speed and force of 27 frames.
 
-    Three layers of convolutions over frames, each of three frames. Latents of a frame are its noise under a Hann window and its
-    first two cosines and sines, which change little from one sample to the next.
+    Latents of a frame are its noise under a Hann window and its first two cosines and sines.
 
-    Source: a generator of spectrograms for speed and force that a discriminator judges, as Ujitoko & Ban (EuroHaptics 2018);
-    the paper names [34] without a list of references, so whose it compared with is not known. Our re-implementation; causal,
-    where theirs makes half a second at once, and without a search for phases (`NoiseFilter`).
+    Source: Ujitoko & Ban (EuroHaptics 2018), our re-implementation; the paper names [34] without a list of references. Differs
+    from it: causal, where theirs makes half a second at once, and without a search for phases (`NoiseFilter`).
     """
 
     def __init__(self, sizes: GanSizes) -> None:
@@ -65,10 +63,7 @@ class Gan(nn.Module):
         return self.out(features).transpose(1, 2)
 
     def played(self, windows: Tensor) -> Tensor:
-        """Samples as they are rendered, but for a spectrum that stands still for a stride: (b, n, 3) → (b, k · stride).
-
-        The first follows m samples, and the last of n are followed by none.
-        """
+        """Samples after the first m, with one spectrum for each stride: (b, n, 3) → (b, k · stride)."""
         logs = self.spectra(windows[:, : windows.shape[1] - self.stride])
         noise = windows[:, 26 * self.stride :, 0].unfold(1, self.frame, 1)[:, : logs.shape[1] * self.stride]
         return self.filter(noise, logs.repeat_interleave(self.stride, dim=1))
@@ -81,7 +76,7 @@ class Gan(nn.Module):
 
 
 class Discriminator(nn.Module):
-    """Tells recorded spectrograms from made ones, beside the speed and force of each frame: convolutions in both directions."""
+    """Convolutions over frames and bins that tell recorded spectrograms from generated ones, given speed and force."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -90,7 +85,7 @@ class Discriminator(nn.Module):
         self.out = spectral_norm(nn.Linear(widths[-1], 1))
 
     def forward(self, spectrogram: Tensor, condition: Tensor) -> Tensor:
-        """How recorded it looks, above 0 or below: (b, frames, bins) standardised, (b, frames, 2) scaled → (b,)."""
+        """Score, positive for recorded: (b, frames, bins) standardised, (b, frames, 2) scaled → (b,)."""
         condition = condition.transpose(1, 2)[..., None].expand(-1, -1, -1, spectrogram.shape[2])
         features = torch.cat([spectrogram[:, None], condition], dim=1)
         for layer in self.layers:
@@ -99,7 +94,7 @@ class Discriminator(nn.Module):
 
 
 class _Crops:
-    """Recorded spectrograms of some blocks, and the speed and force that the same length of noise goes with."""
+    """Recorded spectrograms of some blocks, and noise with their speed and force."""
 
     def __init__(self, network: Gan, m: int, of: ScaledBlocks, blocks: tuple[int, ...]) -> None:
         frame, stride, block = network.frame, network.stride, of.trace.block
@@ -142,11 +137,10 @@ def rendered_spectra(network: nn.Module, windows: Tensor, n_frames: int) -> Tens
 
 
 def fit_adversarial(network: Gan, m: int, blocks: ScaledBlocks, config: TrainConfig, monitor: Monitor) -> Progress:
-    """Train a generator in place, on the CPU, and leave it at its lowest validation loss.
+    """Train a generator in place, on the CPU; see `run_loop`.
 
-    The discriminator is given spectrograms of what is rendered, and the speed and force of their frames (hinge loss). The loss of
-    the generator adds the difference of means over frames from the recorded spectrogram under the same speed and force. Losses of
-    the log are such differences of log magnitudes [nat], and so is `validation_mae`.
+    The loss of the discriminator is the hinge loss. That of the generator adds the difference of mean log magnitudes from the
+    recorded spectrogram under the same speed and force [nat], which is also the loss and `validation_mae` of the log.
     """
     train, validation = (_Crops(network, m, blocks, some) for some in (blocks.split.train, blocks.split.validation))
     discriminator = Discriminator()
@@ -190,5 +184,5 @@ def fit_adversarial(network: Gan, m: int, blocks: ScaledBlocks, config: TrainCon
             spectrum_error = float((means[0] - means[1]).abs().mean())
         return spectrum_error, spectrum_error
 
-    parts: dict[str, Stateful] = {"discriminator": discriminator, "adam": adam}
+    parts = {"discriminator": discriminator, "adam": adam}
     return run_loop(Loop("generator", network, STEPS, step, validate, parts), config, monitor)

@@ -1,4 +1,4 @@
-"""Networks of PyTorch by their model's key, as ONNX graphs; what a graph costs."""
+"""Networks in PyTorch by model, as ONNX graphs, with their cost."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from foten.baselines.fnn import Fnn
 from foten.baselines.gan import Gan
 from foten.baselines.hapinf import Hapinf
 from foten.baselines.ldhtd import Ldhtd
-from foten.baselines.ten_variants import FotenD, TenMfcc, TenWavelet
+from foten.baselines.ten_variants import FotenD, MfccBranch, WaveletBranch
 from foten.dsp import Array
 from foten.models.foten.network import Foten
 from foten.models.foten_plus.network import InnovationNetwork, NextInnovation
@@ -34,8 +34,8 @@ NETWORKS: dict[str, Callable[[Any], nn.Module]] = {
     "foten-plus": InnovationNetwork,
     "foten": Foten,
     "ten": Foten,
-    "ten-mfcc": TenMfcc,
-    "ten-wavelet": TenWavelet,
+    "ten-mfcc": lambda sizes: Foten(sizes, MfccBranch(sizes)),
+    "ten-wavelet": lambda sizes: Foten(sizes, WaveletBranch(sizes)),
     "foten-d": FotenD,
     "fnn": Fnn,
     "dstn": Dstn,
@@ -87,7 +87,7 @@ def graph_of(network: nn.Module, m: int, n_channels: int = 3, name: str = INPUT)
     file = io.BytesIO()
     network = copy.deepcopy(network).cpu().float().eval()
     with warnings.catch_warnings():
-        # The exporter by tracing: the other takes fifteen seconds for what this does in half a one, and needs two packages more.
+        # The exporter by tracing is 30 times as fast as the other, and needs two packages less.
         warnings.simplefilter("ignore")
         torch.onnx.export(
             network,
@@ -103,8 +103,8 @@ def graph_of(network: nn.Module, m: int, n_channels: int = 3, name: str = INPUT)
 
 
 def multiply_adds(network: nn.Module, m: int) -> int:
-    """What a forward pass costs in multiplications and additions in pairs."""
-    # Without oneDNN, whose recurrent layers are one operation that nobody counts; and without what it says of other processors.
+    """Cost of a forward pass in pairs of multiplications and additions."""
+    # Without oneDNN, whose recurrent layers are one operation that is not counted, and without its warnings.
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         with torch.no_grad(), torch.backends.mkldnn.flags(enabled=False), FlopCounterMode(display=False) as counter:

@@ -12,7 +12,7 @@ from foten.training.dropout import Dropout
 
 
 class Hapinf(nn.Module):
-    """Tokens of acceleration, speed and force are encoded; a decoder begins with the last of them and asks for the next sample.
+    """Encoder of acceleration, speed and force, and a decoder of the last tokens and a placeholder for the next sample.
 
     Source: Informer (Zhou et al., AAAI 2021), without its sparse attention, which has no use in a window of 20 samples. No source
     of HapInf [20] itself was available: our re-implementation.
@@ -38,7 +38,7 @@ class Hapinf(nn.Module):
         memory = self.dropout(self.embedding(windows) + positions[:m])
         for layer in self.encoder:
             memory = layer(memory)
-        # A placeholder of the last known speed and force, and no acceleration.
+        # The placeholder has the last known speed and force, and no acceleration.
         placeholder = torch.cat([torch.zeros_like(windows[:, -1:, :1]), windows[:, -1:, 1:]], dim=2)
         decoded = torch.cat([windows[:, m - self.sizes.n_start :], placeholder], dim=1)
         tokens = self.dropout(self.embedding(decoded) + positions[m - self.sizes.n_start :])

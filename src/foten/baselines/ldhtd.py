@@ -12,7 +12,7 @@ from foten.training.dropout import Dropout
 
 
 class Ldhtd(nn.Module):
-    """Speed and force go through an LSTM; tokens of the acceleration attend to it, and the last gives the next sample.
+    """LSTM over speed and force, to which tokens of the acceleration attend; the last gives the next sample.
 
     Source: the paper's account of [20], "LSTM-based encoder for action inputs" and "lightweight Transformer-based decoder";
     sizes are our choice: our re-implementation. The code that its authors published is another system.

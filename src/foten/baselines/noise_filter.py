@@ -1,4 +1,4 @@
-"""White noise through a spectrum: how a model that predicts spectra alone makes samples."""
+"""White noise through a spectrum, which makes samples of a model that predicts spectra alone."""
 
 from __future__ import annotations
 
@@ -17,11 +17,10 @@ def log_magnitudes(frames: Tensor) -> Tensor:
 
 
 class NoiseFilter(nn.Module):
-    """Noise through the filter whose output has, on the mean, the log magnitudes that are asked for under a Hann window.
+    """Symmetric filter of n taps, whose output has given mean log magnitudes under a Hann window.
 
-    The magnitudes of Gaussian noise under a window scatter: the mean of their logarithms lies γ/2 below that of their mean square
-    (γ is Euler's constant), at zero and at half of the rate, where there is no imaginary part, (γ + log 2)/2. That is added here.
-    The filter has as many taps as the frame has samples, and no phase.
+    The mean log magnitude of Gaussian noise lies γ/2 below the log of its root mean square (γ is Euler's constant), and
+    (γ + log 2)/2 in the two real bins. That is added here.
     """
 
     def __init__(self, n: int) -> None:

@@ -1,6 +1,6 @@
-"""The networks that ONNX Runtime runs: variants of the paper's (Table II), and the systems it is compared with (Tables I, III).
+"""Networks that ONNX Runtime runs: variants of the paper's (Table II), and systems compared with it (Tables I, III).
 
-What a source does not state is our choice.
+Sizes that a source does not state are our choice.
 """
 
 from __future__ import annotations
@@ -15,16 +15,7 @@ from foten.models.registry import MAX_GRAPH_WINDOW, MODELS, GraphSizes, checked_
 
 
 @dataclass(frozen=True)
-class BaselineSizes(GraphSizes):
-    """The sizes of a network whose file holds a graph: of these the card's sizes are those of `GraphSizes`."""
-
-    def in_file(self) -> GraphSizes:
-        """What a texture file says of them."""
-        return GraphSizes(self.window, self.excitation, self.excitation_width)
-
-
-@dataclass(frozen=True)
-class TenMfccSizes(TransformerSizes, BaselineSizes):
+class TenMfccSizes(TransformerSizes, GraphSizes):
     """TEN with cepstral coefficients of the window in place of the Fourier branch, Table II: our reading of "TEN-MFCC"."""
 
     window: int = 30  # m, samples; Table II
@@ -39,7 +30,7 @@ class TenMfccSizes(TransformerSizes, BaselineSizes):
 
 
 @dataclass(frozen=True)
-class TenWaveletSizes(TransformerSizes, BaselineSizes):
+class TenWaveletSizes(TransformerSizes, GraphSizes):
     """TEN with wavelet coefficients of the window in place of the Fourier branch, Table II: our reading of "TEN-Wavelet"."""
 
     window: int = 30  # m, samples; Table II
@@ -48,21 +39,16 @@ class TenWaveletSizes(TransformerSizes, BaselineSizes):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        n = self.n_levels
-        if self.window < 2 ** (n + 1):
-            raise ValueError(f"window is {self.window}, expected 2^{n + 1} or more for {n} levels")
+        _check_window(self.window, 2 ** (self.n_levels + 1), f"{self.n_levels} levels")
 
 
 @dataclass(frozen=True)
-class FotenDSizes(SpectralSizes, BaselineSizes):
-    """FoTEN with a decoder layer of one query token in place of the last token, FoTEN-D in Table II: our reading.
-
-    The query attends to all temporal tokens and to the single one of the spectral branch.
-    """
+class FotenDSizes(SpectralSizes, GraphSizes):
+    """FoTEN with a decoder layer of one query token in place of the last token, Table II: our reading of "FoTEN-D"."""
 
 
 @dataclass(frozen=True)
-class FnnSizes(BaselineSizes):
+class FnnSizes(GraphSizes):
     """Band by band [13]: a small network for each of four bands."""
 
     window: int = 144  # the longest lag, and the filters' memory before it
@@ -72,15 +58,11 @@ class FnnSizes(BaselineSizes):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        shortest = 8 * self.n_lags + 16
-        if self.window < shortest:
-            raise ValueError(
-                f"window is {self.window}, expected {shortest} or more for {self.n_lags} lags of 8 samples"
-            )
+        _check_window(self.window, 8 * self.n_lags + 16, f"{self.n_lags} lags of 8 samples")
 
 
 @dataclass(frozen=True)
-class DstnSizes(BaselineSizes):
+class DstnSizes(GraphSizes):
     """Deep spatio-temporal network [15]: convolutions, attention over channels and time, and recurrent layers."""
 
     window: int = 40  # m, samples; Table III
@@ -91,7 +73,7 @@ class DstnSizes(BaselineSizes):
 
 
 @dataclass(frozen=True)
-class HapinfSizes(BaselineSizes):
+class HapinfSizes(GraphSizes):
     """Encoder and decoder after Informer, the teacher of [20]; no source of it was available."""
 
     window: int = 20  # m, samples
@@ -109,7 +91,7 @@ class HapinfSizes(BaselineSizes):
 
 
 @dataclass(frozen=True)
-class LdhtdSizes(BaselineSizes):
+class LdhtdSizes(GraphSizes):
     """Recurrent encoder of speed and force, attending decoder of acceleration [20], distilled from `hapinf`."""
 
     window: int = 20  # m, samples; Table III
@@ -126,18 +108,14 @@ class LdhtdSizes(BaselineSizes):
 
 @dataclass(frozen=True)
 class NoiseModelSizes(ModelSizes):
-    """A model of spectra, whose samples are filtered noise: its graph takes noise in the place of acceleration."""
+    """Sizes of a model of spectra, whose graph filters noise and takes it in place of the acceleration."""
 
     max_window: ClassVar[int] = MAX_GRAPH_WINDOW
-
-    def in_file(self) -> GraphSizes:
-        """What a texture file says of them."""
-        return GraphSizes(self.window)
 
 
 @dataclass(frozen=True)
 class DftnetSizes(NoiseModelSizes):
-    """Spectra of short frames from past speed and force [14], given back as filtered noise."""
+    """Spectra of short frames from past speed and force, played as filtered noise [14]."""
 
     window: int = 100  # samples of a frame, and of the condition before it
     n_conditions: int = 10  # speeds and forces of these that it is given
@@ -147,14 +125,12 @@ class DftnetSizes(NoiseModelSizes):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        n, shortest = self.n_conditions, max(8, self.n_conditions)
-        if self.window < shortest:
-            raise ValueError(f"window is {self.window}, expected {shortest} or more for {n} conditions")
+        _check_window(self.window, max(8, self.n_conditions), f"{self.n_conditions} conditions")
 
 
 @dataclass(frozen=True)
 class GanSizes(NoiseModelSizes):
-    """A generator of spectra from noise, speed and force [34], given back as filtered noise."""
+    """A generator of spectra from noise, speed and force, played as filtered noise [34]."""
 
     window: int = 272  # samples: 27 frames, the receptive field of three layers
     frame: int = 64  # samples
@@ -173,7 +149,12 @@ class GanSizes(NoiseModelSizes):
             raise ValueError(f"window is {self.window}, expected {n}: {frames}")
 
 
-BASELINES: dict[str, type[BaselineSizes] | type[NoiseModelSizes]] = {
+def _check_window(window: int, minimum: int, purpose: str) -> None:
+    if window < minimum:
+        raise ValueError(f"window is {window}, expected {minimum} or more for {purpose}")
+
+
+BASELINES: dict[str, type[GraphSizes] | type[NoiseModelSizes]] = {
     "ten-mfcc": TenMfccSizes,
     "ten-wavelet": TenWaveletSizes,
     "foten-d": FotenDSizes,

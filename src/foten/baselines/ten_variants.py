@@ -25,7 +25,7 @@ class MfccBranch(nn.Module):
 
     def __init__(self, sizes: TenMfccSizes) -> None:
         super().__init__()
-        m = sizes.window
+        m, self.n_out = sizes.window, sizes.n_coefficients
         n_bins = m // 2 + 1
         real, imaginary = (matrix[:, :n_bins] for matrix in dft_matrices(m))
         hann = 0.5 - 0.5 * np.cos(2 * np.pi * (np.arange(m) + 0.5) / m)
@@ -57,6 +57,7 @@ class WaveletBranch(nn.Module):
         super().__init__()
         transform = torch.from_numpy(wavelet_transform(sizes.window, sizes.n_levels))
         self.register_buffer("transform", transform, persistent=False)
+        self.n_out = transform.shape[1]
 
     def forward(self, acceleration: Tensor) -> Tensor:
         """The coefficients: (b, m) scaled → (b, k)."""
@@ -99,23 +100,8 @@ def wavelet_transform(m: int, n_levels: int) -> Array:
     return np.concatenate([*details, smooth], axis=1)
 
 
-class TenMfcc(Foten):
-    """TEN with cepstral coefficients of the window in place of a_spec."""
-
-    def __init__(self, sizes: TenMfccSizes) -> None:
-        super().__init__(sizes, MfccBranch(sizes), sizes.n_coefficients)
-
-
-class TenWavelet(Foten):
-    """TEN with wavelet coefficients of the window in place of a_spec."""
-
-    def __init__(self, sizes: TenWaveletSizes) -> None:
-        branch = WaveletBranch(sizes)
-        super().__init__(sizes, branch, branch.transform.shape[1])
-
-
 class FotenD(Foten):
-    """FoTEN with a decoder layer, in which one learned query attends to all temporal tokens and to the single spectral one."""
+    """FoTEN with a decoder layer of one learned query, which attends to all temporal tokens and the spectral one."""
 
     def __init__(self, sizes: FotenDSizes) -> None:
         super().__init__(sizes)
@@ -125,7 +111,7 @@ class FotenD(Foten):
         self.query = nn.Parameter(0.02 * torch.randn(1, 1, d))
 
     def tokens(self, windows: Tensor) -> Tensor:
-        """What the query makes of all tokens, and the spectral one: (b, m, 3) scaled → (b, 2, d_model)."""
+        """The decoded query and the spectral token: (b, m, 3) scaled → (b, 2, d_model)."""
         (spectral,) = self.spectral_tokens(windows)
         memory = torch.cat([self.temporal(windows[:, :, :1], last_only=False), spectral], dim=1)
         query = self.query + torch.zeros_like(memory[:, :1])  # a length would be a constant of the exported graph

@@ -1,4 +1,4 @@
-"""Where a rendering fades and how far it grows: speed and force beyond what was recorded."""
+"""Limits of speed and force at which a rendering fades, or stops growing."""
 
 FADE_SPEED = 5.0  # mm/s; a texture fades below this, or below its trained range where that ends higher
 FADE_FORCE = 0.1  # N

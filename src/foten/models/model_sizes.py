@@ -1,4 +1,4 @@
-"""What every model says of its sizes, whichever framework trains it and whichever engine runs it."""
+"""Sizes of models, whichever framework trains them and whichever engine runs them."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class ModelSizes:
 
     @property
     def history(self) -> int:
-        """How many samples a prediction is given."""
+        """Samples that a prediction is given."""
         return self.window
 
     @property
@@ -53,7 +53,7 @@ class ModelSizes:
 
 
 def check_count(name: str, value: object, minimum: int, maximum: int = MAX_COUNT) -> None:
-    """Refuse what is no whole number from `minimum` to `maximum`, by default the largest of any model."""
+    """Refuse all but whole numbers from `minimum` to `maximum`, by default the largest of any model."""
     if type(value) is not int or value < minimum:
         raise ValueError(f"{name} is {shortened(value)}, expected a whole number, {minimum} or more")
     if value > maximum:

@@ -1,4 +1,4 @@
-"""The models that the kernel runs, by the key that names each on the command line and in a card; and the sizes of any file."""
+"""Models that the kernel runs, by the key that names each on the command line and in a card; sizes of any file."""
 
 from __future__ import annotations
 
@@ -18,12 +18,11 @@ MAX_GRAPH_WINDOW = 4096  # samples
 
 @dataclass(frozen=True)
 class GraphSizes(WithExcitation):
-    """What a texture file says of a graph's sizes; what the graph is made of is its own."""
+    """Sizes of a network whose file holds a graph; a card states no others."""
 
     max_window: ClassVar[int] = MAX_GRAPH_WINDOW
 
     def tensor_shapes(self) -> Shapes:
-        """The graph, and the excitation where there is one."""
         return {GRAPH: (None,), **super().tensor_shapes()}
 
 

@@ -1,4 +1,4 @@
-"""What the definition of a model is made of and offers: tensors by name, streams, their closed loop (Sec. V); all scaled."""
+"""Parts that the definitions of models share: tensors by name, streams, their closed loop (Sec. V); all scaled."""
 
 from __future__ import annotations
 
@@ -15,14 +15,11 @@ if TYPE_CHECKING:
 
 
 class Weights(dict[str, Array]):
-    """The tensors of a texture file under one prefix, in float64, and the two maps that every network has of them."""
+    """Tensors of a texture file under one prefix, in float64, and the two maps that every network has of them."""
 
     def __init__(self, tensors: Mapping[str, NDArray[Any]], prefix: str) -> None:
         under = {name.removeprefix(prefix): tensor for name, tensor in tensors.items() if name.startswith(prefix)}
         super().__init__({name: np.asarray(tensor, dtype=np.float64) for name, tensor in under.items()})
-
-    def __missing__(self, name: str) -> Array:
-        raise ValueError(f"the texture file has no tensor {name!r}")
 
     def linear(self, name: str, values: Array) -> Array:
         weight, bias = self[f"{name}.weight"], self[f"{name}.bias"]
@@ -62,7 +59,7 @@ class Prediction(NamedTuple):
         return self.sample + self.scale * (drawn - expected)
 
     def faded(self, noise: Array | None, fade: Array | float) -> tuple[Array, Array]:
-        """What leaves with a fade near rest, and what the stream goes on from, (s,) each; of noise or None."""
+        """The output with a fade near rest, and the sample that the stream goes on from, (s,) each; of noise or None."""
         sample = self.sample if noise is None else self.excited(noise)
         if self.linear is None:
             return fade * sample, sample
@@ -76,10 +73,7 @@ def limit_of(innovation_limit: tuple[float, float], scale: Array) -> Array:
 
 
 class Stream(Protocol):
-    """Independent streams of one model, s of them.
-
-    A condition is speed and force, scaled, and the speed that tones go by [mm/s].
-    """
+    """s independent streams of a model; a condition is speed and force, scaled, and the speed of tones [mm/s]."""
 
     @property
     def bounded(self) -> bool:
@@ -87,7 +81,7 @@ class Stream(Protocol):
 
     @property
     def n_initial(self) -> int:
-        """How many numbers of noise a stream takes to `begin`."""
+        """Numbers of noise that a stream takes to `begin`."""
 
     def begin(self, condition: Array, noise: Array, fade: float = 1.0) -> None:
         """Take a state as after a long time under one condition (s, 3), of standard normal numbers (s, n_initial)."""

@@ -1,18 +1,6 @@
-"""The texture file: one safetensors file that holds all that rendering needs, and the proof that it is rendered right.
+"""The texture file: a safetensors file of tensors, a card, and golden samples (docs/texture-file.md).
 
-Header metadata: ``{"foten": "<card as JSON>"}``. Never pickle. Beside the network's tensors it holds
-
-=====================  ============  =======================================================================
-``warm_start``         (m, 3)        scaled window that the closed loop starts from
-``golden.windows``     (k, m, 3)     scaled windows
-``golden.one_step``    (k,)          what the definition predicted from them, in float64
-``golden.sigma``       (k,)          by how much a unit of excitation moves the next sample (where there is one)
-``golden.condition``   (64, 2)       scaled speed and force of a closed loop from ``warm_start``
-``golden.closed_loop`` (64,)         its scaled output in float64, with excitation of seed 0 (where there is one)
-``graph``              (k,)          bytes of a network that the kernel has no code for, in place of its tensors
-=====================  ============  =======================================================================
-
-What renders and cannot reproduce them within `ONE_STEP_TOLERANCE` and `CLOSED_LOOP_TOLERANCE` refuses the file.
+A runtime that does not reproduce these within `ONE_STEP_TOLERANCE` and `CLOSED_LOOP_TOLERANCE` refuses the file.
 """
 
 from __future__ import annotations
@@ -53,7 +41,7 @@ _CARD: Mapping[type | tuple[type, ...], str] = {
     dict: "sizes units scaling trained_range extrapolation_exponents warm_start preprocess training metrics",
     (dict, type(None)): "split",
 }
-"""What a card must hold, by JSON type; a texture that was not trained here has no split."""
+"""Keys of a card by JSON type; a texture that was not trained here has no split."""
 _VALIDATED = ("validation_mae_scaled", "validation_spectrum_db")  # of which a trained model has one
 
 
@@ -110,7 +98,7 @@ class Texture:
         return float(self.card["extrapolation_exponents"][channel])
 
     def extrapolation_in_words(self) -> str:
-        """How the level goes on above the trained range: where it grows, and where and why it is held."""
+        """Sentence on the level above the trained range: where it grows, and where and why it is held."""
         powers, model = {name: self.extrapolation_exponent(name) for name in ("speed", "force")}, self.card["model"]
         grows = " and ".join(f"{name}^{power:.2g}" for name, power in powers.items() if power)
         held = " and ".join(name for name, power in powers.items() if not power)
@@ -131,7 +119,6 @@ class Texture:
         return bytes(save(tensors, metadata={"foten": card}))
 
     def sha256(self) -> str:
-        """The digest of the file's bytes."""
         return hashlib.sha256(self.to_bytes()).hexdigest()
 
 
@@ -189,7 +176,7 @@ def texture_from_bytes(data: bytes) -> Texture:
 
 
 def check_card(card: Any) -> None:
-    """Refuse what is no complete and consistent card."""
+    """Refuse a card that is incomplete or inconsistent."""
     if not isinstance(card, Mapping):
         raise ValueError("the card is not a JSON object")
     version = card.get("format_version")
@@ -287,11 +274,8 @@ def _check_tensors(texture: Texture) -> None:
         )
     for name, shape in shapes.items():
         actual = texture.tensors[name].shape if name in texture.tensors else None
-        if (
-            actual is None
-            or len(actual) != len(shape)
-            or any(n not in (None, k) for n, k in zip(shape, actual, strict=True))
-        ):
+        known = actual or ()
+        if len(known) != len(shape) or any(n not in (None, k) for n, k in zip(shape, known, strict=True)):
             raise ValueError(f"tensor {name!r} has shape {actual}, expected {shape}")
     unknown = set(texture.tensors) - set(shapes)
     if unknown:

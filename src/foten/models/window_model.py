@@ -1,4 +1,4 @@
-"""Models that predict from the last m samples alone: networks, with an excitation or without, or of noise."""
+"""Models that predict from the last m samples alone: one-step networks, and filters of noise."""
 
 from __future__ import annotations
 
@@ -24,11 +24,9 @@ class WindowModel:
     excitation: Excitation | None = None
 
     def predict(self, windows: Array) -> Array:
-        """The next samples: windows (b, m, 3) scaled → (b,) scaled."""
         return self.network(windows)
 
     def start(self, windows: Array) -> Stream:
-        """Streams that go on from scaled windows, shape (s, m, 3)."""
         return WindowStream(self, windows.copy())
 
 
@@ -54,14 +52,12 @@ class WindowStream:
             self.push(np.clip(self.predict().excited(z), -MAX_INITIAL, MAX_INITIAL), condition, z)
 
     def predict(self) -> Prediction:
-        """The prediction from the windows."""
         sample = self.model.predict(self.windows)
         if self.model.excitation is None:
             return Prediction(sample)
         return self.model.excitation.added_to(sample, 1.0, self.windows[:, -1, 1:])
 
     def push(self, sample: Array, condition: Array, noise: Array | None) -> None:
-        """Move the windows on by a sample."""
         self.windows[:, :-1] = self.windows[:, 1:]
         self.windows[:, -1, 0] = sample
         self.windows[:, -1, 1:] = condition[:, :2]
@@ -72,11 +68,10 @@ class NoiseModel(WindowModel):
     """A network that makes samples from noise: windows (b, m, 3) of noise, speed and force, scaled → (b,) scaled."""
 
     def predict(self, windows: Array) -> Array:
-        """The samples without chance: of recorded windows (b, m, 3) scaled the noise is not known → (b,)."""
+        """Samples without noise, which is not known of recorded windows: (b, m, 3) scaled → (b,)."""
         return self.network(windows * [0.0, 1.0, 1.0])
 
     def start(self, windows: Array) -> Stream:
-        """Streams that go on from scaled windows, shape (s, m, 3)."""
         return NoiseStream(self, windows * [0.0, 1.0, 1.0])
 
 
@@ -87,7 +82,6 @@ class NoiseStream(WindowStream):
 
     @property
     def n_initial(self) -> int:
-        """A number for each sample of a window."""
         return self.windows.shape[1]
 
     def begin(self, condition: Array, noise: Array, fade: float = 1.0) -> None:
@@ -95,7 +89,6 @@ class NoiseStream(WindowStream):
         self.windows[..., 0] = noise
 
     def predict(self) -> Prediction:
-        """The next samples; what is random in them is in the noise before."""
         return Prediction(self.model.network(self.windows))
 
     def push(self, sample: Array, condition: Array, noise: Array | None) -> None:

@@ -1,1 +1,1 @@
-"""What every fit uses: one loop, optimiser, blocks, calibration, texture builder, jobs; in PyTorch."""
+"""Parts that every fit shares: loop, optimiser, blocks, calibration, texture builder, jobs; in PyTorch."""

@@ -1,4 +1,4 @@
-"""Scales over speed and force, and the random part: σ by likelihood, its level in the model's own closed loop."""
+"""Fit of scales over speed and force by likelihood, and calibration of σ in the model's own closed loop."""
 
 from __future__ import annotations
 
@@ -39,12 +39,11 @@ UNSCORED_SHARE = 0.2  # of a block, its beginning, that no level or spectrum is 
 def fit_scale(width: int, condition: Array, residual: Array, n_train: int, scaling: Scaling, seed: int) -> Scale:
     """The scale of a vibration or of residuals over speed and force, by Gaussian maximum likelihood.
 
-    The shape of log σ is fitted on the training samples. How much of it is taken, from none to all, is chosen by the likelihood
-    of the validation samples: in two seconds the differences between blocks are mostly chance.
+    The shape of log σ is fitted on the training samples, and the share of it that is taken is chosen on the validation samples.
 
     Args:
-        condition: speed and force that go with each residual, scaled, the training, then the validation samples, (n, 2).
-        residual: of which the scale is, (n,).
+        condition: speed and force of each residual, scaled, the training, then the validation samples, (n, 2).
+        residual: shape (n,).
         n_train: number of training samples.
     """
     squared = np.square(residual) + 1e-12
@@ -86,7 +85,6 @@ def _initial(width: int, scaling: Scaling, log_sigma: float, rng: np.random.Gene
 
 
 def _as_in_file(scale: Scale) -> Scale:
-    """The same, rounded to float32."""
     return Scale.of(scale.tensors(""), "")
 
 
@@ -130,7 +128,7 @@ def _minimised(start: Scale, features: Array, terms: Array, squared: Array) -> S
 
 @dataclass(frozen=True)
 class Residuals:
-    """What predictions leave of the training, then of the validation samples; arrays of n samples."""
+    """Residuals of predictions of the training, then of the validation samples; arrays of n samples."""
 
     condition: Array  # speed and force that a prediction knows, scaled, (n, 2)
     innovation: Array
@@ -161,7 +159,7 @@ class ClosedLoop:
 
     @property
     def first_scored(self) -> int:
-        """The first sample of a block that level and spectrum are taken of: also after the history."""
+        """The first sample of a block, after the history, that level and spectrum are taken of."""
         return max(self.history, round(UNSCORED_SHARE * self.blocks.trace.block))
 
     def free_runs(
@@ -195,13 +193,11 @@ class Calibrated:
     excitation: Excitation
     free_run: FreeRunErrors
     acceleration_nll: float | None  # where a rendering does not fade; None where it always does
-    level_errors_db: list[float] = field(
-        default_factory=list
-    )  # by how much the loop was too loud before each adjustment
+    # By how much the loop was too loud before each adjustment.
+    level_errors_db: list[float] = field(default_factory=list)
     innovation_nll: float = math.nan  # before the level was calibrated
 
     def metrics(self) -> dict[str, Any]:
-        """What the card says of it."""
         return {
             "validation_nll": self.acceleration_nll,
             "validation_lsd_db": self.free_run.lsd_db,
@@ -239,11 +235,10 @@ def calibrate_network_gain(
     acceleration_nll: float | None,
     level: bool,
 ) -> Calibrated:
-    """What scales a network's innovations in the closed loop, σ near 1, and bounds them.
+    """Scale of a network's innovations in the closed loop, σ near 1, and their bound.
 
     Args:
         innovation_limit: in units of σ and in scaled acceleration.
-        acceleration_nll: as `Calibrated` has it, the network's.
         level: False leaves σ at 1: the network has learned its level in the closed loop.
     """
     excitation, errors = Excitation(constant_scale(width, loop.blocks.scaling), innovation_limit), list[float]()
@@ -255,11 +250,9 @@ def calibrate_network_gain(
 def calibrate_level(loop: ClosedLoop, excitation: Excitation, seed: int) -> tuple[Excitation, list[float]]:
     """Adjust σ until the closed loop is as loud as the recording, at every speed and force.
 
-    A likelihood measures the error of one step. In the closed loop small errors of a resonance, or a correction that feeds on
-    itself, change the level by a dB. So the loop runs under the speed and force of the training and validation blocks, and log σ
-    is adjusted `N_CALIBRATIONS` times. Its terms in log speed and log force are changed by a ridge regression of the level errors
-    of frames on the derivatives of their levels by each term; its constant by the level error of the whole, as far as that is
-    beyond chance. σ stays within its range over the training blocks.
+    The loop runs under the speed and force of the training and validation blocks, and log σ is adjusted `N_CALIBRATIONS` times.
+    Its terms in log speed and log force follow a ridge regression of the level errors of frames on the derivatives of their
+    levels by each term; its constant follows the level error of all frames, as far as that is beyond chance.
 
     Returns:
         The excitation, and by how much the loop was louder than the recording before each adjustment [dB].
@@ -289,8 +282,7 @@ def calibrate_level(loop: ClosedLoop, excitation: Excitation, seed: int) -> tupl
         slopes = np.stack([frame_means(weighted[..., k], rate).ravel() for k in range(6)], axis=1) / total
         ridge = RIDGE * len(error) * np.diag([0.0, 1.0, 1.0, 1.0, 1.0, 1.0])
         step = -np.linalg.solve(slopes.T @ slopes + ridge, slopes.T @ error)
-        # The constant follows the power of all frames, as far as it is beyond chance: two seconds give it to a dB only, and a
-        # free run of real copper calibrated on that was 2 to 9 % further from the recording.
+        # The constant follows the power of all frames, as far as it is beyond chance: two seconds give it to a dB only.
         loud = 10 ** (level.ravel() / 10)
         slope = (loud[:, None] * slopes).sum(axis=0) / loud.sum()
         step[0] = -(_beyond_chance(louder, standard_error) + float(slope[1:] @ step[1:])) / slope[0]
@@ -306,7 +298,7 @@ def _adjusted(sigma: Scale, step: NDArray[np.floating], within: Array) -> Scale:
 
 
 def _filtered(power: Array, response: Array | None) -> Array:
-    """Power that leaves a filter, for that which enters it at each sample, (n_blocks, n, any)."""
+    """Power after a filter, from the power before it at each sample, (n_blocks, n, any)."""
     if response is None:
         return power
     n = power.shape[1]
@@ -315,7 +307,7 @@ def _filtered(power: Array, response: Array | None) -> Array:
 
 
 def _jackknifed(parts: Array, figure: Callable[..., Array]) -> tuple[float, float]:
-    """A figure of sums over blocks, of which each block has the parts (k, n), and its jackknifed standard error."""
+    """A figure of sums over blocks of their parts (k, n), and its jackknifed standard error."""
     total, n = parts.sum(axis=1, keepdims=True), parts.shape[1]
     without = figure(*(total - parts))
     return figure(*total).item(), float(np.sqrt((n - 1) / n * np.square(without - without.mean()).sum()))

@@ -1,4 +1,4 @@
-"""How a network is trained: the paper's recipe and ours."""
+"""Settings of a training: the paper's recipe and ours."""
 
 from __future__ import annotations
 
@@ -65,7 +65,6 @@ RECIPES: dict[str, TrainConfig] = {
     "paper": TrainConfig(
         recipe="paper",
         epochs=100,
-        patience=10,
         trial_epochs=101,
         batch=16,
         optimiser="adamw",
@@ -85,7 +84,7 @@ There dense layers begin with Glorot's uniform weights and zero biases, here wit
 """
 
 OWN_RECIPES: dict[str, dict[str, Any]] = {
-    # Epochs of 100 steps, of chunks; what is left to learn of a linear process ends them by patience.
+    # Epochs are of 100 steps.
     "foten-plus": {
         **{"optimiser": "adamw", "learning_rate": 4e-3, "weight_decay": 0.1, "batch": 64},
         **{"patience": 4, "trial_epochs": 10_000},
@@ -96,7 +95,7 @@ OWN_RECIPES: dict[str, dict[str, Any]] = {
     # Its epochs are of 50 steps, not of all windows.
     "gan": {"epochs": 60, "patience": 60, "batch": 64, "learning_rate": 2e-4},
 }
-"""What a model changes of a recipe: losses of Sec. VI-d for TEN's variants, and for the others, where nothing is stated, ours."""
+"""Settings of a recipe that a model changes: losses of Sec. VI-d for TEN's variants, ours for the others."""
 UNUSED: dict[str, tuple[str, ...]] = {
     "foten-plus": ("loss", "delta", "dropout", "matrix_learning_rate", "trial_epochs", "min_gain"),
     "gan": (
@@ -104,16 +103,16 @@ UNUSED: dict[str, tuple[str, ...]] = {
         *("optimiser", "matrix_learning_rate", "trial_epochs", "min_gain"),
     ),
 }
-"""Settings that are nothing to a model: foten-plus has a likelihood for a loss, the GAN what judges it."""
+"""Settings that a model does not use: the loss of foten-plus is a likelihood, that of the GAN its discriminator."""
 
 
 def recipe_of(model: str, recipe: str = "default", **changed: Any) -> TrainConfig:
-    """A recipe with what a model changes of it, and what somebody asks for."""
+    """A recipe with a model's own settings, and those that are changed."""
     return replace(RECIPES[recipe], **(OWN_RECIPES.get(model, {}) | changed))
 
 
 def check_used(model: str, given: Iterable[str], loss: str = "huber") -> None:
-    """Refuse settings that somebody gave and that mean nothing to a model, or beside its loss."""
+    """Refuse settings that a model, or its loss, does not use."""
     for name in given:
         option = name.replace("_", "-")
         if name in UNUSED.get(model, ()):

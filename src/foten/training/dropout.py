@@ -14,7 +14,7 @@ _THREAD = threading.local()
 
 @contextmanager
 def masks_from(source: Callable[[torch.Size, torch.device, float], Tensor]) -> Iterator[None]:
-    """Take this thread's masks from a source in place of `mask`, in the order in which the network asks for them."""
+    """Take this thread's masks from a source in place of `mask`."""
     _THREAD.source = source
     try:
         yield
@@ -23,10 +23,7 @@ def masks_from(source: Callable[[torch.Size, torch.device, float], Tensor]) -> I
 
 
 def mask(shape: torch.Size, device: torch.device, p: float, generator: torch.Generator | None = None) -> Tensor:
-    """What values of a shape are multiplied by: 0 for a share p of them, and 1 ÷ (1 − p) for the others.
-
-    Four from each 64 random bits: six times as fast as `bernoulli_`.
-    """
+    """Factors of dropout: 0 for a share p, 1 ÷ (1 − p) for the others; four from 64 random bits, for speed."""
     n = shape.numel()
     bits = torch.empty((n + 3) // 4, dtype=torch.int64, device=device)
     bits.random_(-(2**63), None, generator=generator)
@@ -46,14 +43,13 @@ class Dropout(nn.Module):
         self.p = 0.0
 
     def forward(self, values: Tensor) -> Tensor:
-        """The values with some of them zero: any shape → the same."""
         if not self.training or self.p == 0:
             return values
         return values * getattr(_THREAD, "source", mask)(values.shape, values.device, self.p)
 
 
 def set_dropout(network: nn.Module, p: float) -> None:
-    """Let a network drop a share p of its hidden values in training; none until then."""
+    """Set the share p of its hidden values that a network drops in training, 0 before."""
     for module in network.modules():
         if isinstance(module, Dropout):
             module.p = p

@@ -1,4 +1,4 @@
-"""What is to be learned from what: the job, and its recording in scaled blocks; and what a training gives."""
+"""Training job, its recording in scaled blocks, and the result of a training."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from foten.training.loop import Progress
 
 @dataclass(frozen=True)
 class ScaledBlocks:
-    """What every stage of training is given."""
+    """A recording, split in blocks and scaled."""
 
     trace: Trace
     split: Split
@@ -49,7 +49,7 @@ class ScaledBlocks:
 
     @property
     def saturation(self) -> float:
-        """What samples are cut to, for safety only: well beyond what was recorded, in standard deviations."""
+        """Limit that samples are cut to for safety, well beyond the recording, in standard deviations."""
         return max(12.0, 1.5 * self.peak_sd)
 
     def training_blocks(self) -> Array:
@@ -57,20 +57,17 @@ class ScaledBlocks:
         return self.trace.stacked().reshape(self.samples.shape)[list(self.split.train)]
 
     def moving(self) -> NDArray[np.bool_]:
-        """Where a rendering does not fade, shape (n_blocks, block)."""
+        """True where a rendering does not fade, shape (n_blocks, block)."""
         moving = (self.trace.speed >= FADE_SPEED) & (self.trace.force >= FADE_FORCE)
         return moving.reshape(self.samples.shape[:2])
 
     def targets(self, m: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """The indices of the training and the validation samples that m samples of their block lie before."""
+        """Indices of the training and the validation samples that have m samples of their block before them."""
         block = self.trace.block
         return targets(self.split.train, block, m), targets(self.split.validation, block, m)
 
     def condition_before(self) -> tuple[Array, Array, Array]:
-        """The condition of the sample before, which a prediction knows; of a block's first, its own.
-
-        Speed [mm/s] and force [N], (n_blocks, block) each, and both scaled, one sample after the other, (n, 2).
-        """
+        """Speed [mm/s] and force [N] of the sample before, (n_blocks, block), and scaled, (n, 2); a block's first has its own."""
         channels = self.trace.blocks(self.trace.speed), self.trace.blocks(self.trace.force), self.samples[..., 1:]
         speed, force, scaled = (np.concatenate([channel[:, :1], channel[:, :-1]], axis=1) for channel in channels)
         return speed, force, scaled.reshape(-1, 2)
@@ -90,7 +87,7 @@ def scaled_blocks(trace: Trace, split: Split) -> ScaledBlocks:
 
 @dataclass(frozen=True)
 class TrainingJob:
-    """A recording, a model, and how the one is learned by the other."""
+    """A recording, a model, and the configuration of its training."""
 
     recording: Recording
     model: str  # key of a model or a baseline
@@ -112,7 +109,7 @@ class TrainingJob:
         return scaled_blocks(trace, split_blocks(trace, self.split_method, self.split_seed))
 
     def card(self, blocks: ScaledBlocks, device: str) -> dict[str, Any]:
-        """The card but for what the model makes of it; no growth beyond the trained range."""
+        """The card's entries of recording and configuration; no growth beyond the trained range."""
         recording, trace, split = self.recording, blocks.trace, blocks.split
         low, high = (end(blocks.training_blocks(), axis=(0, 1)).tolist() for end in (np.min, np.max))
         unused = UNUSED.get(self.model, ())
@@ -144,7 +141,7 @@ def versions() -> dict[str, str]:
 
 @dataclass(frozen=True)
 class Trained:
-    """A trained texture and how it came about."""
+    """A trained texture and the log of its training."""
 
     texture: Texture
     trace: Trace

@@ -1,4 +1,4 @@
-"""The one training loop: optimiser, gradients that threads share, averaging, the best weights, early stop, checkpoints."""
+"""The training loop: optimiser, gradients shared by threads, averaging, best weights, early stop, checkpoints."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import torch
 from torch import Tensor, nn
@@ -59,11 +59,9 @@ class Optimiser:
                 matrix.sub_(direction, alpha=config.matrix_learning_rate * rate * tall)
 
     def state_dict(self) -> dict[str, Any]:
-        """What a checkpoint keeps."""
         return {"adam": self._adam.state_dict(), "momentum": self._momentum}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Go on from a checkpoint."""
         self._adam.load_state_dict(state["adam"])
         for name, momentum in state["momentum"].items():
             self._momentum[name].copy_(momentum)
@@ -71,10 +69,9 @@ class Optimiser:
 
 @torch.no_grad()
 def orthogonalised(matrices: Sequence[Tensor]) -> list[Tensor]:
-    """The orthogonal factors of matrices, roughly: (…, a, b) each → singular values of 0.7 to 1.2.
+    """Approximate orthogonal factors of matrices: (…, a, b) each → singular values of 0.7 to 1.2.
 
-    A quintic in odd powers, five times over, which is Newton and Schulz's iteration with a steeper start. Matrices of one shape
-    are one batched product.
+    Five steps of Newton and Schulz's iteration in its quintic form; matrices of one shape are batched.
     """
     a, b, c = 3.4445, -4.7750, 2.0315  # pushes singular values towards 1
     wide = [x.mT if x.shape[-2] > x.shape[-1] else x for x in matrices]
@@ -110,7 +107,7 @@ class Epoch:
 
 @dataclass
 class Progress:
-    """Log of a loop, its best weights, and what a run needs to go on where it stopped."""
+    """Log of a loop, its best weights, and its notes."""
 
     epochs: list[Epoch] = field(default_factory=list)
     best_loss: float = math.inf
@@ -124,7 +121,7 @@ class Progress:
         return next(line for line in reversed(self.epochs) if line.best)
 
     def include(self, later: Progress) -> None:
-        """Take over that a later loop of the same training was interrupted, and its notes that are new."""
+        """Take over the interruption and the new notes of a later loop of the same training."""
         self.interrupted |= later.interrupted
         self.notes += [note for note in later.notes if note not in self.notes]
 
@@ -137,17 +134,9 @@ class Progress:
         self.epochs.append(Epoch(epoch, train_loss, loss, error, seconds, best))
 
 
-class Stateful(Protocol):
-    """What a checkpoint keeps: a network, an optimiser."""
-
-    def state_dict(self) -> dict[str, Any]: ...
-
-    def load_state_dict(self, state: dict[str, Any], /) -> Any: ...
-
-
 @dataclass(frozen=True)
 class Loop:
-    """What a loop trains, and by which steps."""
+    """Network of a loop, and its steps."""
 
     name: str  # in a checkpoint
     network: nn.Module  # trained in place, left at its lowest validation loss
@@ -155,14 +144,14 @@ class Loop:
     step: Callable[[int, int], Tensor]  # moves the weights at epoch 1, 2, … and step 0, 1, …, and gives the loss
     # Validation loss, and the error of the log (`Epoch.validation_mae`).
     validate: Callable[[nn.Module], tuple[float, float]]
-    parts: Mapping[str, Stateful]  # of a checkpoint, beside the network
+    parts: Mapping[str, Any]  # of a checkpoint, beside the network: what has a `state_dict`
     # Decay of the exponential moving average of the weights, which is what is validated and kept; 0 for none.
     averaging: float = 0.0
 
 
 @dataclass(frozen=True)
 class Monitor:
-    """Who is told of a training while it runs, and where its state is kept."""
+    """Callbacks of a training while it runs, and its checkpoint."""
 
     on_stage: Callable[[str], None] = lambda stage: None
     on_epoch: Callable[[Epoch], None] = lambda epoch: None
@@ -170,19 +159,14 @@ class Monitor:
     checkpoint: Checkpoint | None = None  # to go on from, and written after each epoch
 
 
-def run_loop(
-    loop: Loop, config: TrainConfig, monitor: Monitor, on_epoch: Callable[[Epoch], None] | None = None
-) -> Progress:
+def run_loop(loop: Loop, config: TrainConfig, monitor: Monitor) -> Progress:
     """Epochs until there are enough, none gains, or Ctrl-C; the network is left at its best, epoch 0 included.
-
-    Args:
-        on_epoch: in place of the monitor's.
 
     Raises:
         ValueError: a loss is not finite, or the checkpoint is another run's.
         KeyboardInterrupt: before anything was validated.
     """
-    network, on_epoch = loop.network, on_epoch or monitor.on_epoch
+    network, on_epoch = loop.network, monitor.on_epoch
     averaged = copy.deepcopy(network) if loop.averaging else network
     parts = {"network": network, **({"averaged": averaged} if loop.averaging else {}), **loop.parts}
     progress = Progress() if monitor.checkpoint is None else monitor.checkpoint.load(loop.name, parts)
@@ -229,11 +213,7 @@ def run_loop(
 
 
 def should_continue(progress: Progress, config: TrainConfig) -> bool:
-    """Whether another epoch may gain anything; where none has, the progress says so in a note.
-
-    None does where the last `patience` epochs brought no better loss, or where the first `trial_epochs` lowered the error by less
-    than `min_gain`.
-    """
+    """False after `patience` epochs without a better loss, or, with a note, where `trial_epochs` gained less than `min_gain`."""
     epoch, first = progress.epochs[-1].epoch, progress.epochs[0].validation_mae
     if epoch - progress.best.epoch >= config.patience:
         return False
@@ -319,7 +299,7 @@ def pick_device() -> torch.device:
 
 
 class Checkpoint:
-    """State of a training, written after each epoch: of one loop, or of several in turn by their names.
+    """State of a training, written after each epoch: of one loop, or of several by name.
 
     Raises:
         ValueError: there is one to go on from, and it is damaged or was written under another configuration.
@@ -339,7 +319,7 @@ class Checkpoint:
             raise ValueError(f"{path.name} was written by a run with other settings; resume with the same ones")
         self._loops = dict(content["loops"])
 
-    def load(self, name: str, parts: Mapping[str, Stateful]) -> Progress:
+    def load(self, name: str, parts: Mapping[str, Any]) -> Progress:
         """Log of a loop, every part put into its state; an empty one where the loop had not begun."""
         if name not in self._loops:
             return Progress()
@@ -350,11 +330,8 @@ class Checkpoint:
             part.load_state_dict(state["parts"][key])
         return Progress([Epoch(**line) for line in state["epochs"]], state["best_loss"], state["best_state"])
 
-    def save(self, name: str, parts: Mapping[str, Stateful], progress: Progress) -> None:
-        """Write the state of every part of a loop, and its log, beside those of the loops before it.
-
-        A full disk gives one note: the training is worth more.
-        """
+    def save(self, name: str, parts: Mapping[str, Any], progress: Progress) -> None:
+        """Write the state and log of a loop beside those of the loops before it; a full disk gives one note."""
         self._loops[name] = {
             "parts": {key: part.state_dict() for key, part in parts.items()},
             "epochs": [asdict(epoch) for epoch in progress.epochs],

@@ -1,4 +1,4 @@
-"""Recording to texture, whatever the model: the whole left side of the flow."""
+"""Recording to texture, for every model."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ FITS: Mapping[str, str] = {
     "ar": "foten.models.piecewise_ar.fit",
     **dict.fromkeys(BASELINES, "foten.baselines.fit"),
 }
-"""Module of each model's `fit(job, monitor) -> Trained`; imported when asked, so that a result depends on its own model alone."""
+"""Module of each model's `fit(job, monitor) -> Trained`, imported on demand: a result depends on its own model alone."""
 
 
 def train(job: TrainingJob, monitor: Monitor | None = None) -> Trained:
@@ -30,18 +30,13 @@ def train(job: TrainingJob, monitor: Monitor | None = None) -> Trained:
         ValueError: the recording does not fit the configuration; the message names the option.
     """
     with reproducible():
-        trained: Trained = import_module(FITS[job.model]).fit(job, monitor or Monitor())
-        return trained
+        return import_module(FITS[job.model]).fit(job, monitor or Monitor())
 
 
 @contextmanager
 def reproducible() -> Iterator[None]:
-    """Fix the algorithms, so that one seed gives one network, and PyTorch's own threads to one, until the end of the block.
-
-    The matrices are too small to share among threads: two gained 15 % on two idle cores, and lost a factor of ten when
-    another program kept one of them busy. `shared_gradients` shares out the batch instead.
-    """
-    os.environ.setdefault("CUBLAS_WORKSPACE_CONFIG", ":4096:8")  # else sums on a GPU come in any order
+    """Deterministic algorithms, and one thread for PyTorch's own operations; `shared_gradients` shares out the batch."""
+    os.environ.setdefault("CUBLAS_WORKSPACE_CONFIG", ":4096:8")  # a fixed order of sums on a GPU
     n_threads, deterministic = torch.get_num_threads(), torch.are_deterministic_algorithms_enabled()
     torch.set_num_threads(1)
     # On the CPU one thread adds up in one order anyway, and the call takes a second, for it loads a compiler.

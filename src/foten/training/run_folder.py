@@ -19,10 +19,9 @@ from foten.training.loop import Epoch
 
 
 class RunFolder:
-    """Everything about one training but its result: configuration, log, curves, split, checkpoint.
+    """Folder of ``config.json``, ``log.csv`` and, at the end, ``split.json`` and ``curves.png``; ``checkpoint.pt`` until then.
 
-    ``config.json``, ``log.csv`` and, at the end, ``split.json`` and ``curves.png``; ``checkpoint.pt`` while it runs. What cannot
-    be written after the first line of the log is said in a note: the training is worth more.
+    A failure to write after the first line of the log gives a note, and the training goes on.
     """
 
     def __init__(self, path: Path, on_note: Callable[[str], None] = lambda text: None) -> None:
@@ -65,7 +64,7 @@ class RunFolder:
             self._noted = True
 
     def close(self, trained: Trained) -> None:
-        """Write log, split and curves, as far as the disk takes them; the checkpoint goes unless the run was interrupted."""
+        """Write log, split and curves where the disk allows; delete the checkpoint unless the run was interrupted."""
         try:
             _write_log(self.path / "log.csv", trained.progress.epochs)
             trained.split.save(self.path / "split.json")
@@ -131,17 +130,14 @@ class TrainingDisplay:
             self._bar.stop()
 
     def note(self, text: str) -> None:
-        """Print a line that stays."""
         self._console.print(text, highlight=False, soft_wrap=True)
 
     def stage(self, name: str) -> None:
-        """Say what is being done beside epochs."""
         self._bar.update(self._task, description=name)
         if not self._console.is_terminal:
             self.note(f"{name} …")
 
     def show(self, line: Epoch) -> None:
-        """Show one more epoch."""
         train = "        " if math.isnan(line.train_loss) else f"{line.train_loss:.6f}"
         error = f"error {line.validation_mae:.4f} {self._unit}"
         shown = f"{error}, best" if line.best else error

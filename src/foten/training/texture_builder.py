@@ -1,4 +1,4 @@
-"""Tensors to a texture, its golden samples made by the definition, proved in the kernel that renders it."""
+"""Textures of tensors, whose golden samples the definition makes and the kernel replays."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ WARM_START_RINGS_MS = 20.0  # the end of a window, which rings on into what come
 
 @dataclass(frozen=True)
 class ProvedTexture:
-    """A texture, and what renders it: that its file was accepted there is the proof."""
+    """A texture, and the kernel that accepted its file."""
 
     texture: Texture
     kernel: NativeTexture
@@ -41,7 +41,7 @@ class ProvedTexture:
 
 @dataclass(frozen=True)
 class TextureBuilder:
-    """All of a texture but its sizes, tensors and metrics."""
+    """Everything of a texture but sizes, tensors and metrics."""
 
     model: str
     blocks: ScaledBlocks
@@ -49,7 +49,7 @@ class TextureBuilder:
     definition: MakeModel = model_of
 
     def kernel(self, sizes: ModelSizes, tensors: Tensors, excitation: Excitation) -> NativeTexture:
-        """What renders a texture with an excitation that is being fitted."""
+        """The kernel of a texture with an excitation that is being fitted."""
         metrics = {"validation_mae_scaled": 0.0}
         return self.texture(sizes, {**tensors, **excitation.tensors()}, metrics, MIN_GOLDEN).kernel
 
@@ -127,10 +127,10 @@ def with_golden(
 
 
 def pick_warm_start(blocks: ScaledBlocks, m: int) -> tuple[Array, dict[str, Any]]:
-    """A recorded training window near 45 mm/s and 0.8 N that is neither loud nor soft, scaled, (m, 3), and its condition.
+    """A recorded training window near 45 mm/s and 0.8 N, scaled, (m, 3), and its condition.
 
-    Of the hundredth of the training windows that is nearest, in units of the training standard deviations, it is the one whose
-    last 20 ms have the median power: those ring on. What is rendered without excitation goes on from it.
+    Of the nearest hundredth of the training windows, in training standard deviations, the one whose last 20 ms have the median
+    power.
 
     Source: Sec. V-a. Differs from the paper: it synthesises the window without saying from what; ours is recorded.
     """
@@ -147,7 +147,7 @@ def pick_warm_start(blocks: ScaledBlocks, m: int) -> tuple[Array, dict[str, Any]
 
 
 def warm_start_entry(recorded: Array) -> dict[str, dict[str, float]]:
-    """What the card says of a warm start under a speed [mm/s] and a force [N], (2,)."""
+    """The card's entry of a warm start under a speed [mm/s] and a force [N], (2,)."""
     channels = ("speed", "force")
     return {
         "asked": dict(zip(channels, WARM_START, strict=True)),

@@ -1,13 +1,6 @@
 """A captured folder to a texture, in a process of its own: `python -m foten.training.train_capture FOLDER`.
 
-What it does is said on stdout, a JSON object a line:
-
-    {"joined": {"delay_ms": 81.2, "drift_ppm": 48.0, "n_taps": 6, "residual_ms": 0.9, "text": "6 taps join …"}}
-    {"notes": ["…"]}                       what is to be known of the recording
-    {"stage": "fitting level and lattice", "share": 0.17}
-    {"playable": "denim.foten"}            there is a texture, and a better one may follow
-    {"done": "denim.foten", "network_in_loop": true}
-    {"refused": "…"}                       why none will
+It writes a JSON object a line to stdout: `joined`, `notes`, `stage` with `share`, `playable`, `done` or `refused`.
 """
 
 from __future__ import annotations
@@ -48,7 +41,7 @@ PLAYABLE_SHARE, FITTED_SHARE = 0.4, 0.9  # of all the work, by and large
 
 
 def main() -> None:
-    """Train from the folder that is named; end with 2 where that cannot be."""
+    """Train from the folder of the command line; exit with 2 where it is refused."""
     if hasattr(os, "nice"):
         os.nice(NICENESS)
     try:
@@ -86,7 +79,7 @@ def train_captured(folder: Path) -> None:
 
 
 def train_recording(recording: Recording, carried: Mapping[float, float], output: Path) -> None:
-    """Train a texture from a recording, by the shares that each rate carries of it (`perception.carried`)."""
+    """Train a texture at the rate that carries the recording, by the share that each rate does (`perception.carried`)."""
     rate_hz = min(HIGHEST_HZ, smallest_rate(carried)) if carried else PreprocessConfig().rate_hz
     usable_ms = 1000 * recording.duration_s
     block_ms = next((ms for ms in SHORT_BLOCKS_MS if usable_ms >= ENOUGH_BLOCKS * ms), SHORT_BLOCKS_MS[-1])

@@ -1,8 +1,6 @@
-"""Training's library in C, bound with ctypes: a recurrent unit over chunks, and closed-loop roll-outs. `native/training`.
+"""Training's library in C (`native/training`): a recurrent unit over chunks, and closed-loop roll-outs.
 
-Both are loops of small matrices over hundreds of samples, which PyTorch runs one small operation at a time. A step of likelihood,
-its head included, takes 0.4 of the time that it takes there (`benchmarks/random_part.py`); a roll-out in NumPy took four times
-as long.
+A step of likelihood takes 0.4 of PyTorch's time (`benchmarks/random_part.py`).
 """
 
 from __future__ import annotations
@@ -11,7 +9,7 @@ from collections.abc import Callable, Mapping
 from ctypes import CDLL, Structure, byref, c_double, c_float, c_int, c_void_p
 from dataclasses import dataclass, replace
 from functools import cache
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 import torch
@@ -38,8 +36,7 @@ WEIGHT_NAMES = (
 _ARRAY, _DOUBLES = c_void_p, ("phase_increment", "phase")
 _MIN_DENSITY = 1e-12
 # Bound of what later samples add to a sample's gradient in one stream, times the root mean square of the gradients by single
-# samples. Where the closed loop is chaotic, as that of rubber that squeals, gradients grow without end on the way back, and a few
-# streams of 64 would drown all others. Of 0.3, 1, 3 and 10 the validation loss was lowest with 1 or 3.
+# samples: where the closed loop is chaotic they grow without bound on the way back, and a few streams would outweigh all others.
 MAX_ADJOINT = 3.0
 
 
@@ -78,7 +75,7 @@ class RolloutGradients(Structure):
 
 
 def structure_of(kind: type[Structure], **values: Any) -> Any:
-    """A structure of numbers and arrays, which it keeps alive."""
+    """A C structure of numbers and arrays, which it keeps alive."""
     structure: Any = kind()
     structure.arrays = {name: value for name, value in values.items() if isinstance(value, np.ndarray)}
     for name, value in values.items():
@@ -93,33 +90,24 @@ def _at(array: NDArray[Any], name: str = "") -> int:
 
 
 def run_in_c(name: str, *arguments: Any) -> None:
-    """Run a function of the instruction set that is used here.
-
-    Raises:
-        MemoryError: there is too little.
-    """
+    """Run a function of the library, in this processor's instruction set; a MemoryError where there is too little."""
     if _function(name)(*arguments):
         raise MemoryError(f"{name}: no memory for the scratch of a batch")
 
 
 @cache
 def training_library() -> CDLL:
-    """Training's library, as it was built with this package.
-
-    Raises:
-        OSError: there is none, or it does not load.
-    """
+    """Training's library, as it was built with this package; an OSError where there is none, or it does not load."""
     return CDLL(str(kernel_file(*LIBRARIES)))
 
 
 @cache
 def _function(name: str) -> Callable[..., int]:
-    function: Callable[..., int] = getattr(training_library(), f"{name}_{isa()}")
-    return function
+    return getattr(training_library(), f"{name}_{isa()}")
 
 
 def padded(n: int) -> int:
-    """How many numbers a row of n lies in."""
+    """Length of a row of n numbers, padded."""
     return -(-n // PADDED) * PADDED
 
 
@@ -149,8 +137,8 @@ def recurrent_gradients(
 ) -> tuple[Floats, Floats, Floats, Floats]:
     """Gradients by the weights and biases that `recurrent_weights` pads, without the padding.
 
-    From those by what goes into the gates, (n, s, 3 padded h), and by what the reset multiplies, (n, s, padded h), and from the
-    inputs and hidden states of each sample, (n · s, …).
+    From those by the gates' inputs, (n, s, 3 padded h), and by what the reset multiplies, (n, s, padded h), and from the inputs
+    and hidden states of each sample, (n · s, …).
     """
     gates, candidate = (gradient.reshape(len(inputs), -1) for gradient in (grad_gates, grad_preactivation))
     n_reset_update = 2 * candidate.shape[1]
@@ -167,15 +155,13 @@ def recurrent_gradients(
 
 
 def hidden_states(unit: nn.GRU, inputs: Tensor) -> Tensor:
-    """What a unit's hidden states are after each sample, from zeros: (b, n, n_inputs) → (b, n, h), with a gradient.
+    """Hidden states after each sample, from zeros: (b, n, n_inputs) → (b, n, h), with a gradient by the weights.
 
-    Of its weights, not of the inputs. On another device than the CPU, and in another precision, it is PyTorch's.
+    On another device than the CPU, in another precision, and with a gradient by the inputs, it is PyTorch's.
     """
     if inputs.device.type != "cpu" or inputs.dtype != torch.float32 or inputs.requires_grad:
-        out: Tensor = unit(inputs)[0]
-        return out
-    out = _Hidden.apply(inputs, *(getattr(unit, f"{name}_l0") for name in RECURRENT_NAMES))
-    return out
+        return unit(inputs)[0]
+    return _Hidden.apply(inputs, *(getattr(unit, f"{name}_l0") for name in RECURRENT_NAMES))
 
 
 class _Hidden(torch.autograd.Function):
@@ -216,7 +202,7 @@ class _Hidden(torch.autograd.Function):
 
 @dataclass(frozen=True)
 class RolloutInputs:
-    """What does not depend on the network in s roll-outs of n samples: arrays are known from sample to sample."""
+    """Inputs of s roll-outs of n samples that do not depend on the network."""
 
     reflections: Floats  # k of each sample's lattice, (s, n, p)
     level: Floats  # ℓ of each sample, (s, n)
@@ -230,7 +216,7 @@ class RolloutInputs:
 
 @dataclass(frozen=True)
 class RolloutState:
-    """Where roll-outs begin, s of them."""
+    """Initial states of s roll-outs."""
 
     states: Floats  # of the lattice, (s, p)
     hidden: Floats  # of the network, (s, n_hidden)
@@ -238,10 +224,7 @@ class RolloutState:
     phase: Array | None = None  # of tones at the first sample [rad], (s,)
 
 
-Streams = TypeVar("Streams", bound="RolloutInputs | RolloutState")
-
-
-def repeated(streams: Streams, times: int) -> Streams:
+def repeated(streams: Any, times: int) -> Any:
     """The same streams several times, one after another."""
     arrays = {name: value for name, value in vars(streams).items() if isinstance(value, np.ndarray)}
     several: dict[str, Any] = {name: np.tile(array, (times, *[1] * (array.ndim - 1))) for name, array in arrays.items()}
@@ -251,12 +234,11 @@ def repeated(streams: Streams, times: int) -> Streams:
 class Rollout:
     """s streams of n samples in the closed loop of `models.foten_plus.definition`, each of which the network has drawn.
 
-    `residual` is what the lattice plays, (s, n), in scaled acceleration; `phase` that of the tones at each sample [rad], (s, n);
+    `residual` is the lattice's output, (s, n), in scaled acceleration; `phase` that of the tones at each sample [rad], (s, n);
     `innovation` what was drawn, (n, s).
 
-    With the numbers of chance held, every sample is a smooth function of the weights, and its derivative goes back through
-    network, lattice and draws to all that came before. Of a draw e from a density p with distribution function F, held at one
-    probability, it is ∂e/∂θ = −(∂F/∂θ) / p(e). Speed, force and the phase of tones have no gradient.
+    At fixed random numbers every sample is a smooth function of the weights. A draw e from a density p with distribution
+    function F, at fixed probability, has ∂e/∂θ = −(∂F/∂θ) / p(e). Speed, force and the phase of tones have no gradient.
 
     Source: Figurnov, Mohamed & Mnih, "Implicit reparameterization gradients" (NeurIPS 2018), for ∂e/∂θ; the rest ours.
     """
@@ -310,13 +292,7 @@ class Rollout:
         self.phase = phase.T
 
     def gradients(self, grad_residual: Floats, max_adjoint: float = MAX_ADJOINT) -> dict[str, Floats]:
-        """The gradient of a loss by each of the weights, from that by the residual (s, n).
-
-        Once, since what a step made is overwritten on the way back.
-
-        Args:
-            max_adjoint: as `MAX_ADJOINT`.
-        """
+        """The gradient of a loss by each of the weights, from that by the residual (s, n); callable once."""
         assert self._run is not None
         run, self._run = self._run, None
         arrays = run.arrays

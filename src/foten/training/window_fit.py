@@ -1,4 +1,4 @@
-"""Networks fitted to windows: what each sees, on its device, and its loop; with an excitation, made a texture."""
+"""Fit of networks to windows, and the texture of one, with an excitation or without."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ from foten.training.texture_builder import MakeModel, Tensors, TextureBuilder, m
 
 @dataclass(frozen=True)
 class TrainingWindows:
-    """What a network is fitted to."""
+    """Samples, and the indices of those to predict from windows before them."""
 
     samples: NDArray[np.float64]  # scaled acceleration, speed, force, shape (n, 3), and what else a network sees
     train: NDArray[np.int64]  # indices to predict
@@ -79,7 +79,7 @@ def loss_of(config: TrainConfig) -> Callable[[Tensor, Tensor], Tensor]:
 
 
 def fit_windows(network: nn.Module, data: TrainingWindows, config: TrainConfig, monitor: Monitor) -> Progress:
-    """Train a network in place, windows (b, m, 3) → (b,) or (b, k), and leave it at its best validation loss; see `run_loop`."""
+    """Train a network in place, windows (b, m, 3) → (b,) or (b, k); see `run_loop`."""
     on_device = DeviceWindows(data, network)
     set_dropout(network, config.dropout)
     n_threads = config.threads if on_device.device.type == "cpu" else 1
@@ -190,7 +190,6 @@ def one_step_texture(
 
 
 def _unit_power(condition: Array) -> tuple[Array, Array]:
-    """Of a linear filter; a network's is not known."""
     return np.ones(len(condition)), np.zeros(len(condition))
 
 

@@ -58,7 +58,7 @@ class Network:
         return (self._w.linear(f"spectral.{name}_out", tokens) if lifted else tokens)[..., 0]
 
     def _encoder(self, name: str, tokens: Array) -> Array:
-        """What an encoder layer makes of tokens (b, n, width), Eq. 3 to 5."""
+        """Encoder layer: tokens (b, n, width) → (b, n, width), Eq. 3 to 5."""
         w, before = self._w, self._sizes.pre_norm
         normed = w.norm(f"{name}.norm_1", tokens) if before else tokens
         hidden = tokens + self._attention(name, normed)

@@ -38,6 +38,8 @@ class TemporalBranch(nn.Module):
 class SpectralBranch(nn.Module):
     """Magnitude and phase through an encoder layer each, and back to time (Eq. 6–9)."""
 
+    n_out = 1
+
     def __init__(self, sizes: SpectralSizes) -> None:
         super().__init__()
         m, width = sizes.window, sizes.spectral_width
@@ -73,7 +75,7 @@ class SpectralBranch(nn.Module):
 
 
 def _angle(real: Tensor, imaginary: Tensor) -> Tensor:
-    """The angle, π of what is real and negative, 0 of nothing."""
+    """The angle; π of negative real bins, 0 of zero."""
     if not torch.onnx.is_in_onnx_export():
         return torch.atan2(imaginary, real)
     # The exporter's stand-in divides by zero, and gives −π where nothing is imaginary.
@@ -85,24 +87,23 @@ def _angle(real: Tensor, imaginary: Tensor) -> Tensor:
 class Foten(nn.Module):
     """FoTEN: both branches, fused with speed and force at the last token, and a dense head (Eq. 10, 11).
 
-    Of sizes without a Fourier branch it is TEN, the same without it. Other rows of Table II give another branch in its place:
-    acceleration (b, m) → (b, branch_width).
+    Without a Fourier branch it is TEN. Other rows of Table II give another branch: acceleration (b, m) → (b, branch.n_out).
     """
 
-    def __init__(self, sizes: TransformerSizes, branch: nn.Module | None = None, branch_width: int = 1) -> None:
+    def __init__(self, sizes: TransformerSizes, branch: nn.Module | None = None) -> None:
         super().__init__()
         self.sizes = sizes
         d, (first, second) = sizes.d_model, sizes.head
         self.temporal = TemporalBranch(sizes)
         self.spectral = SpectralBranch(sizes) if branch is None and isinstance(sizes, SpectralSizes) else branch
-        self.spectral_embedding = None if self.spectral is None else nn.Linear(branch_width, d)
+        self.spectral_embedding = None if self.spectral is None else nn.Linear(self.spectral.n_out, d)
         self.head_1 = nn.Linear(sizes.n_features + 2, first)
         self.head_2 = nn.Linear(first, second)
         self.head_3 = nn.Linear(second, 1)
         self.dropout = Dropout()
 
     def tokens(self, windows: Tensor) -> Tensor:
-        """What the head is given of the branches: (b, m, 3) scaled → (b, n_branches, d_model)."""
+        """Tokens of the branches for the head: (b, m, 3) scaled → (b, n_branches, d_model)."""
         return torch.cat([self.temporal(windows[:, :, :1]), *self.spectral_tokens(windows)], dim=1)
 
     def spectral_tokens(self, windows: Tensor) -> list[Tensor]:

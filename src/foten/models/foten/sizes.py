@@ -36,11 +36,10 @@ class TransformerSizes(ModelSizes):
 
     @property
     def n_features(self) -> int:
-        """How many numbers the branches give the head."""
+        """Numbers that the branches give the head."""
         return self.n_branches * self.d_model
 
     def network_shapes(self) -> Shapes:
-        """The tensors of the temporal branch and the head."""
         d, (first, second) = self.d_model, self.head
         shapes = linear_shapes("temporal.embedding", d, 1)
         for layer in range(self.n_layers):
@@ -51,10 +50,7 @@ class TransformerSizes(ModelSizes):
         return shapes | linear_shapes("head_2", second, first) | linear_shapes("head_3", 1, second)
 
     def network_cost(self) -> int:
-        """The multiply-adds of a step of the network.
-
-        Of the last temporal layer one query counts: the others change nothing.
-        """
+        """Multiply-adds of a step; of the last temporal layer one query counts."""
         m, d, (first, second) = self.window, self.d_model, self.head
         temporal = m * d + encoder_cost(m, 1, d, self.d_feedforward)
         temporal += (self.n_layers - 1) * encoder_cost(m, m, d, self.d_feedforward)
@@ -66,11 +62,9 @@ class TenSizes(TransformerSizes, WithExcitation):
     """TEN, Table II."""
 
     def tensor_shapes(self) -> Shapes:
-        """The network's, and those of the excitation where there is one."""
         return self.network_shapes() | WithExcitation.tensor_shapes(self)
 
     def multiply_adds(self) -> int:
-        """The cost of the network, and of the excitation where there is one."""
         return self.network_cost() + self.excitation * (scale_cost(self.excitation_width) + 5)
 
 
@@ -96,11 +90,10 @@ class SpectralSizes(TransformerSizes):
 
     @property
     def n_bins(self) -> int:
-        """How many bins the spectral branch is given."""
+        """Bins of the spectral branch."""
         return self.window if self.bins == "all" else self.window // 2 + 1
 
     def network_shapes(self) -> Shapes:
-        """The tensors of both branches and the head."""
         width, shapes = self.spectral_width, super().network_shapes()
         shapes |= linear_shapes("spectral_embedding", self.d_model, 1)
         for name in ("magnitude", "phase"):
@@ -111,10 +104,7 @@ class SpectralSizes(TransformerSizes):
         return shapes
 
     def network_cost(self) -> int:
-        """The multiply-adds of a step of the network.
-
-        Of the magnitudes those up to half of the rate count, whose mirror images are equal, and of Eq. 9 the last sample.
-        """
+        """Multiply-adds of a step; magnitudes count up to half of the rate, and of Eq. 9 the last sample."""
         m, width, n_magnitudes = self.window, self.spectral_width, self.window // 2 + 1
         spectral = 2 * m * n_magnitudes + 2 * self.n_bins + self.d_model
         for n_tokens in (n_magnitudes, self.n_bins):
@@ -129,7 +119,6 @@ class FotenSizes(SpectralSizes, TenSizes):
 
 
 def encoder_shapes(name: str, width: int, d_feedforward: int) -> Shapes:
-    """The tensors of an encoder layer."""
     shapes = linear_shapes(f"{name}.attention_in", 3 * width, width)
     shapes |= linear_shapes(f"{name}.attention_out", width, width)
     shapes |= linear_shapes(f"{name}.feedforward_in", d_feedforward, width)

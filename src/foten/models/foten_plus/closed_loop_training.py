@@ -1,8 +1,4 @@
-"""An innovation network trained in its own closed loop, after it was fitted by likelihood: excerpts, roll-outs, their loss.
-
-A likelihood is of what follows recorded samples. A rendering goes on from what it drew itself, and small errors of single steps
-become another texture.
-"""
+"""Training of an innovation network in its own closed loop, after its fit by likelihood: excerpts, roll-outs, loss."""
 
 from __future__ import annotations
 
@@ -66,7 +62,7 @@ def _responses(n: int, rate_hz: float) -> Tensor:
 
 
 def energies(signals: Tensor, rate_hz: float) -> Tensor:
-    """What `dsp.bands.band_energies` does, but for what rings on: signals (…, n) → (…, N_BANDS, n_frames)."""
+    """`dsp.bands.band_energies`, without the ringing after the end: signals (…, n) → (…, N_BANDS, n_frames)."""
     n, frame = signals.shape[-1], round(BAND_FRAME_MS * rate_hz / 1000)
     length = n + round(0.25 * rate_hz)  # in which the lowest band rings out, and does not come round
     spectra = torch.fft.rfft(signals, length)[..., None, :] * _responses(length, rate_hz)
@@ -75,19 +71,17 @@ def energies(signals: Tensor, rate_hz: float) -> Tensor:
 
 
 class EnvelopeEnergyDistance:
-    """A loss of renderings against what was recorded, in units of how much recorded excerpts vary.
+    """Energy distance of statistics of renderings from those of the recording, in units of their standard deviations.
 
-    Half a second is described by log energies in the bands and frames of `dsp.bands`: of each band the mean, the deviation, the
-    skewness and the autocorrelation over 8 to 96 ms; of each pair the correlation, and which of the two leads. A likelihood of
-    single samples hardly depends on these.
+    The statistics are of log energies in the bands and frames of `dsp.bands`: of each band mean, deviation, skewness and
+    autocorrelation over 8 to 96 ms; of each pair the correlation, and which of the two leads.
 
     With y recorded and x, x' two renderings under its speed and force, the energy distance
 
         E |x − y| − ½ E |x − x'|
 
-    is smallest where x is distributed as y is, and for no other distribution. It is taken of each statistic by itself (the
-    continuous ranked probability score), and of short stretches of all bands at once. Frames at rest do not count: a rendering is
-    silent there by rule, and a sensor is not.
+    is smallest where x is distributed as y, and for no other distribution. It is taken of each statistic by itself (the
+    continuous ranked probability score), and of short stretches of all bands. Frames at rest do not count.
 
     Source: McDermott & Simoncelli, "Sound texture perception via statistics of the auditory periphery" (Neuron 2011), for the
     statistics; Gneiting & Raftery, "Strictly proper scoring rules" (JASA 2007), for the score.
@@ -104,11 +98,7 @@ class EnvelopeEnergyDistance:
         self._unit = self._statistics(known, counted).std(dim=0).clamp_min(1e-6)
 
     def __call__(self, drawn: Tensor, recorded: Tensor, prefix: Tensor, moving: Tensor) -> Tensor:
-        """The loss of two renderings each (2, k, n) of excerpts (k, n), both after what was recorded before (k, m).
-
-        Args:
-            moving: the frames of the excerpts that are of a stroke, (k, f).
-        """
+        """Loss of two renderings (2, k, n) of excerpts (k, n) after a prefix (k, m); frames (k, f) that move count."""
         n_before = prefix.shape[-1] // round(BAND_FRAME_MS * self._rate_hz / 1000)
         first, second, truth = (
             energies(torch.cat([prefix, signal], dim=-1), self._rate_hz)[..., n_before:]
@@ -120,10 +110,7 @@ class EnvelopeEnergyDistance:
         return loss + STRETCH_WEIGHT * torch.stack([_energy_distance(*stretch) for stretch in stretches]).mean()
 
     def _statistics(self, energy: Tensor, moving: Tensor) -> Tensor:
-        """What describes excerpts (k, N_BANDS, f) whose frames move or rest (k, f): (k, n_statistics).
-
-        All zero where an excerpt is too short.
-        """
+        """(k, N_BANDS, f), of which frames (k, f) count → (k, n_statistics), zero where fewer than `MIN_FRAMES` do."""
         counts = moving[:, None].float()
         logs = counts * (torch.log(energy + self._floor) - self._mean) / self._sd
         n = counts.sum(dim=-1).clamp_min(1)
@@ -150,10 +137,7 @@ class EnvelopeEnergyDistance:
         return torch.cat([mean, sd, *autocorrelation, skewness, *of_pairs], dim=-1) * (n >= MIN_FRAMES)
 
     def _stretches(self, energy: Tensor, moving: Tensor) -> list[Tensor]:
-        """Log energies of all bands over two stretches in a row, for stretches of several lengths: (k, any, 2 N_BANDS).
-
-        Zero where all of a stretch is at rest.
-        """
+        """Log energies over two stretches in a row, by length: (k, any, 2 N_BANDS), zero for stretches at rest."""
         parts = []
         counts = moving[:, None].float()
         for length in POOLED:
@@ -181,7 +165,7 @@ def _energy_distance(first: Tensor, second: Tensor, recorded: Tensor) -> Tensor:
 
 @dataclass(frozen=True)
 class Excerpts:
-    """Where a network is rolled out: stretches of the recording, each with the recording before it."""
+    """Stretches of the recording in which a network is rolled out, each with the recording before it."""
 
     blocks: ScaledBlocks
     model: LinearModel
@@ -191,7 +175,7 @@ class Excerpts:
 
     @property
     def n_before(self) -> int:
-        """How many samples of the recording come before an excerpt: whole frames."""
+        """Samples of the recording before an excerpt: whole frames."""
         frame = round(BAND_FRAME_MS * self.blocks.trace.rate_hz / 1000)
         return round(PREFIX_S * self.blocks.trace.rate_hz / frame) * frame
 
@@ -213,7 +197,7 @@ class Excerpts:
         return around[:, self.n_before :], around[:, : self.n_before]
 
     def moving(self, block: NDArray[np.int64], start: NDArray[np.int64]) -> NDArray[np.bool_]:
-        """In which frames of excerpts a rendering does not fade, (k, n_frames)."""
+        """Frames of excerpts where a rendering does not fade, (k, n_frames)."""
         samples = self.blocks.moving()[block[:, None], start[:, None] + np.arange(self.n)]
         return np.asarray(framed(samples, BAND_FRAME_MS, self.blocks.trace.rate_hz).all(axis=-1))
 
@@ -272,7 +256,7 @@ class Excerpts:
 def excerpts_of(
     blocks: ScaledBlocks, model: LinearModel, data: Innovations, innovation_limit: float
 ) -> Excerpts | None:
-    """Where a network can be rolled out, or None where blocks are too short, or half a second is too many samples."""
+    """Excerpts of a recording; None where blocks are too short, or half a second is too many samples."""
     rate, block = blocks.trace.rate_hz, blocks.trace.block
     excerpts = Excerpts(blocks, model, data, 0, innovation_limit)
     n = min(round(EXCERPT_S * rate), block - excerpts.min_start - 2)
@@ -282,12 +266,10 @@ def excerpts_of(
 def fit_closed_loop(
     network: InnovationNetwork, excerpts: Excerpts, warm_up: int, config: TrainConfig, monitor: Monitor
 ) -> Progress:
-    """Train a network in place in its own closed loop, and leave it at its lowest validation loss; see `run_loop`.
+    """Train a network in place in its own closed loop; see `run_loop`.
 
-    The loss is the envelope energy distance of two roll-outs of each excerpt, and a share of the nll, which the log leaves out.
-
-    Args:
-        warm_up: samples of a chunk that the nll does not count.
+    The loss is the envelope energy distance of two roll-outs of each excerpt, and a share of the nll, which the log leaves out
+    and which does not count the `warm_up` samples of a chunk.
     """
     recipe = replace(
         config, **RECIPE, epochs=min(N_EPOCHS, config.epochs), patience=N_EPOCHS, trial_epochs=N_EPOCHS + 1
@@ -314,10 +296,8 @@ def fit_closed_loop(
 
     def validate(averaged: InnovationNetwork) -> tuple[float, float]:
         validation = np.random.default_rng(config.seed + 1)  # the same excerpts and noise each time
-        draws = [
-            _loss(envelope_distance, excerpts, averaged, split.validation, validation) for _ in range(N_VALIDATIONS)
-        ]
-        mean = float(np.mean([float(loss.detach()) for loss, _, _ in draws]))
+        arguments = envelope_distance, excerpts, averaged, split.validation, validation
+        mean = float(np.mean([float(_loss(*arguments)[0].detach()) for _ in range(N_VALIDATIONS)]))
         return mean, mean
 
     def on_epoch(line: Epoch) -> None:
@@ -326,7 +306,7 @@ def fit_closed_loop(
     optimiser = Optimiser(dict(network.named_parameters()), recipe)
     step = gradient_step(network, optimiser, gradients, recipe.clip_norm, schedule(recipe, N_STEPS))
     loop = Loop("closed loop", network, N_STEPS, step, validate, {"optimiser": optimiser}, AVERAGING)
-    return run_loop(loop, recipe, monitor, on_epoch)
+    return run_loop(loop, recipe, replace(monitor, on_epoch=on_epoch))
 
 
 def _loss(
@@ -336,7 +316,7 @@ def _loss(
     numbers: tuple[int, ...],
     rng: np.random.Generator,
 ) -> tuple[Tensor, Tensor, Rollout]:
-    """Loss of two roll-outs of each of some excerpts, the drawn vibration (2k, n), by which it has a gradient, the roll-outs."""
+    """Loss of two roll-outs of drawn excerpts, the vibration (2k, n) that it has a gradient by, and the roll-outs."""
     block, start = excerpts.draw(numbers, N_EXCERPTS, rng)
     run, vibration = excerpts.rollout(network, block, start, rng, 2)
     drawn = torch.from_numpy(vibration.astype(np.float32)).requires_grad_()

@@ -80,7 +80,7 @@ def innovation_inputs(innovation: Array, sample: Array, logs: Array) -> Array:
 
 
 def phase_inputs(phase: Array) -> Array:
-    """What a network is given of the phase of the next sample [rad]: cosine and sine, and of twice it: (…,) → (…, 4)."""
+    """Cosine and sine of the phase of the next sample [rad], and of twice it: (…,) → (…, 4)."""
     return np.stack([np.cos(phase), np.sin(phase), np.cos(2 * phase), np.sin(2 * phase)], axis=-1)
 
 
@@ -92,9 +92,8 @@ class NetworkDefinition:
         u = (asinh e, asinh 3|e| − 1, x/2, log v/v̄, log f/f̄ [, cos φ, sin φ, cos 2φ, sin 2φ])      h ← GRU(u, h)
         (log w, μ, log s) = W₂ tanh(W₁ [h, u] + b₁) + b₂           p(e) = Σ w_k N(e; μ_k, s_k),  log s = L tanh(· / L)
 
-    φ, where there are tones, is the phase of the next sample. The mean is what of the next innovation can be predicted. In a
-    rendering the innovation is the mixture's quantile at Φ(z), z one Gaussian number: it moves smoothly with the weights, the
-    state and the number.
+    φ, where there are tones, is the phase of the next sample. The prediction is the mean. In a rendering the innovation is the
+    mixture's quantile at Φ(z), z one Gaussian number: a smooth function of weights, state and number.
 
     Source: ours; the unit is that of Cho et al., "Learning phrase representations using RNN encoder–decoder" (2014), with the
     reset gate after the product.
@@ -137,7 +136,7 @@ class Lattice:
         return self._table.at(*self.level.physical(condition).T).T
 
     def gains(self, level: Array) -> tuple[Array, Array]:
-        """What multiplies the innovation before the filter, and what multiplies the sample after it."""
+        """Gains of the innovation before the filter, and of the sample after it."""
         ones = np.ones_like(level)
         return (level, ones) if self.gain_before_filter else (ones, level)
 
@@ -148,7 +147,7 @@ def lattice_tensors(prefix: str, level: Scale, table: SpeedForceTable) -> dict[s
 
 
 def table_tensors(prefix: str, table: SpeedForceTable, values: str) -> dict[str, NDArray[np.float32]]:
-    """The tensors of a table, whose values have a name."""
+    """Tensors of a table, whose values go by a name."""
     tensors = {"speed_knots": table.speed_knots, "force_knots": table.force_knots, values: table.values}
     return {f"{prefix}{name}": tensor.astype(np.float32) for name, tensor in tensors.items()}
 
@@ -163,7 +162,7 @@ class Tones:
         self._increment, self.period_jitter, self.phase_leak = (float(value) for value in w["phase_params"])
 
     def phase_increment(self, condition: Array) -> Array:
-        """By how much the path moves the phase in a sample [rad]: (…, 3) → (…)."""
+        """Phase that the path adds in a sample [rad]: (…, 3) → (…)."""
         return self._increment * condition[..., 2]
 
     def coefficients(self, condition: Array) -> Array:
@@ -188,7 +187,7 @@ class FotenPlus:
             self.tones = Tones(tensors, self.lattice.level)
 
     def predict(self, windows: Array) -> Array:
-        """The next samples: windows (b, m, 3) scaled → (b,) scaled, by the lattice and the network."""
+        """Next samples by the lattice and the network: windows (b, m, 3) scaled → (b,) scaled."""
         return self._analysed(windows, self.lattice, self.network, calibrated=False).predict().sample
 
     def start(self, windows: Array) -> FotenPlusStream:
@@ -242,7 +241,7 @@ class FotenPlus:
 class FotenPlusStream:
     """Streams of foten-plus: of a lattice, with a network or without, and of tones or none.
 
-    Where they are not `calibrated`, σ does not scale what the network draws: as in a recording, which it was trained on.
+    Unless `calibrated`, σ does not scale what the network draws: as in the recording that it was trained on.
     """
 
     bounded: ClassVar[bool] = True
@@ -266,14 +265,13 @@ class FotenPlusStream:
         self.inputs = self._inputs(np.zeros(s), np.zeros(s))  # of the last sample
 
     def set_condition(self, condition: Array) -> None:
-        """Make ready for the sample after one under a condition (s, 3)."""
+        """Set what the next sample is predicted under: the condition (s, 3) of the last."""
         self.condition = condition  # speed and force, scaled, and the speed that tones go by [mm/s]
         self.level = self.lattice.level(condition[:, :2])
         self.logs = self.lattice.level.logarithms(condition[:, :2])
         self.reflections = self.lattice.reflections(condition[:, :2])
 
     def _inputs(self, innovation: Array, x: Array) -> Array:
-        """What the network is given of a sample: its innovation and x, (s,) each, and the phase of the next."""
         inputs = innovation_inputs(innovation, x, self.logs)
         return inputs if self.tones is None else np.concatenate([inputs, phase_inputs(self.phase)], axis=1)
 
@@ -289,10 +287,10 @@ class FotenPlusStream:
         return len(self.states) + (2 if self.tones else 0) + warm_up
 
     def begin(self, condition: Array, noise: Array, fade: float = 1.0) -> None:
-        """Draw the states and where in its period a surface is touched; run the network for its window.
+        """Draw the states and the phase of the tones; run the network for its window.
 
-        Under a constant condition the states of a normalised lattice are uncorrelated and as large as what enters it, each a sum
-        of many innovations. So Gaussian numbers of that size are a stream that was always there, but for the leak.
+        Under a constant condition the states of a normalised lattice are uncorrelated and as large as what enters it. So Gaussian
+        states of that size are stationary, but for the leak.
 
         Differs from the paper: its recorded window rings on alike in every first stroke.
         """
@@ -313,7 +311,6 @@ class FotenPlusStream:
             self.push(self.predict().faded(z, fade)[1], condition, z)
 
     def predict(self) -> Prediction:
-        """What lattice, tones and network predict, with the excitation."""
         x, cosines = predict(self.states, self.reflections)
         innovation_gain, known = cosines * self.level, self.condition[:, :2]
         sample = x * self.lattice.gains(self.level)[1] + self.tone
@@ -328,12 +325,11 @@ class FotenPlusStream:
         return self._fading(Prediction(expected, scale, bounds, mixture), sample)
 
     def _fading(self, prediction: Prediction, linear: Array) -> Prediction:
-        """A prediction that says what of it fades near rest, from its sample without innovation (s,)."""
         before = self.lattice.gain_before_filter
         return prediction._replace(linear=linear - self.tone, tone=self.tone) if before else prediction
 
     def analyse(self, sample: Array) -> Array:
-        """Take a sample (s,) of what the lattice is of through it, and return its innovation."""
+        """Innovation of a sample (s,), which the states of the lattice take in."""
         before, after = self.lattice.gains(self.level)
         self.states, e = push(self.states, self.reflections, sample / after)
         return e / before
@@ -348,8 +344,8 @@ class FotenPlusStream:
     def push(self, sample: Array, condition: Array, noise: Array | None) -> None:
         """Take in the next samples; the noise in them is known from their innovations.
 
-        The phase of tones jitters with the innovation, and loses a share of all that it is away from that without jitter, full
-        turns included: so two streams under the same noise meet, and a rendering forgets where it started.
+        The phase of tones jitters with the innovation, and leaks towards that without jitter, full turns included: two streams
+        under the same noise converge.
         """
         before, tones, sigma = self.condition, self.tones, self.model.excitation.sigma(self.condition[:, :2])
         level = self.level * sigma

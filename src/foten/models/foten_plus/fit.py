@@ -1,4 +1,4 @@
-"""foten-plus fitted to a recording: level → lattice → tones → excitation → likelihood → closed loop → calibrate → prove."""
+"""Fit of foten-plus: level → lattice → tones → excitation → likelihood → closed loop → calibrate → prove."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ MAX_EXPONENT = 1.5  # of speed or force, that the level grows with above the tra
 
 @dataclass(frozen=True)
 class Run:
-    """What every stage after the linear model is given."""
+    """Arguments of every stage after the linear model."""
 
     builder: TextureBuilder
     config: TrainConfig
@@ -82,7 +82,7 @@ class FittedNetwork:
 
 
 def fit(job: TrainingJob, monitor: Monitor) -> Trained:
-    """A texture learned from a recording; it is playable, by its linear model alone, before its networks are fitted."""
+    """Texture learned from a recording; its linear model is playable before its networks are fitted."""
     sizes, config = job.sizes, job.config
     assert isinstance(sizes, FotenPlusSizes)
     blocks = checked_blocks(job, sizes.window)
@@ -109,7 +109,7 @@ def fit(job: TrainingJob, monitor: Monitor) -> Trained:
 
 
 def checked_blocks(job: TrainingJob, window: int) -> ScaledBlocks:
-    """The recording in blocks that are long enough for windows, and for a frame to calibrate the level on."""
+    """The recording in blocks; ValueError where they are too short for windows, or for a frame to calibrate on."""
     blocks = job.blocks()
     check_block(blocks, window)
     rate, block = blocks.trace.rate_hz, blocks.trace.block
@@ -124,7 +124,7 @@ def checked_blocks(job: TrainingJob, window: int) -> ScaledBlocks:
 
 
 def texture_builder(job: TrainingJob, blocks: ScaledBlocks) -> TextureBuilder:
-    """What a texture of the recording has, whatever it is rendered by."""
+    """Builder of textures of the recording."""
     card = job.card(blocks, pick_device().type)
     return TextureBuilder(job.model, blocks, {**card, "extrapolation_exponents": extrapolation_exponents(blocks)})
 
@@ -132,7 +132,7 @@ def texture_builder(job: TrainingJob, blocks: ScaledBlocks) -> TextureBuilder:
 def best_linear_model(
     linear: LinearModel, tonal: LinearModel | None, network: InnovationNetwork, run: Run
 ) -> tuple[Candidate, dict[str, Any]]:
-    """The linear model, with tones or without, whose free run has less error with an excitation; and what was tried."""
+    """The linear model, with tones or without, that `best_candidate` chooses once excited; and what was tried."""
     candidates = []
     for model in [linear, *([] if tonal is None else [tonal])]:
         _, e, gain = model.innovations(run.blocks, residual=True)
@@ -146,10 +146,7 @@ def best_linear_model(
 
 
 def best_candidate(candidates: Sequence[Candidate]) -> tuple[Candidate, dict[str, Any]]:
-    """The candidate with the least product of log-spectral distance and level error of the free run; and what was tried.
-
-    Tones that change the spectrum are none of the surface's, whatever the level.
-    """
+    """The candidate of the least log-spectral distance × level error within `MAX_TONE_DISTORTION`; and what was tried."""
 
     def report(candidate: Candidate) -> dict[str, Any]:
         return {**candidate.model.report, "free_run": candidate.random_part.free_run._asdict()}
@@ -171,9 +168,9 @@ def fit_network(network: InnovationNetwork, excited: Candidate, run: Run) -> Fit
 def fit_rendering_network(
     network: FittedNetwork, excited: Candidate, linear: LinearModel, tonal: LinearModel | None, run: Run
 ) -> FittedNetwork:
-    """The network that a rendering may draw from: the one that predicts, or one that is given the phase of the surface.
+    """The network that a rendering may draw from.
 
-    Where the rendering has tones, that of what they leave; else the one with the phase where it is likelier.
+    With tones, one of their residual that is given their phase; else the more likely of one with the phase and `network`.
     """
     if tonal is None or network.progress.interrupted:
         return network
@@ -193,7 +190,7 @@ def fit_rendering_network(
 def calibrated_network(
     fitted: FittedNetwork, excited: Candidate, network: InnovationNetwork, run: Run
 ) -> Candidate | None:
-    """The rendering that draws from a network, trained in its closed loop and calibrated; None where noise is as likely."""
+    """Candidate that draws from a network, trained in its closed loop and calibrated; None where noise is as likely."""
     gain_nat = excited.random_part.innovation_nll - fitted.innovation_nll
     if not fitted.progress.best.epoch or gain_nat < MIN_GAIN_NAT:
         return None
@@ -221,7 +218,7 @@ def texture_of(
     report: dict[str, Any],
     run: Run,
 ) -> Texture:
-    """The proved texture of the last candidate, the first being its linear model alone; before a network is fitted None."""
+    """Proved texture of the last candidate; the first is its linear model alone; `fitted` is None before the networks are."""
     excited, chosen = candidates[0].model, candidates[-1]
     _, e, gain = excited.innovations(run.blocks)
     first = excited.n_unknown + 1 + excited.sizes.window

@@ -27,22 +27,13 @@ from foten.training.job import ScaledBlocks
 from foten.training.texture_builder import Tensors
 
 ORDERS = (10, 20, 40, 80, 160, 240)  # tried, as far as a block allows
-# Longer orders take three times as long. They are tried of the best kinds alone, where the error falls by this share from the
-# order before up to this one: it fell by 1.1 % or more where 240 were best, by 0.6 % elsewhere.
+# Longer orders are tried of the best kinds alone, and where the last step up to SHORT_ORDER lowers the error by MIN_FALL: by
+# 1.1 % or more where 240 was best, by 0.6 % elsewhere (simulated textures).
 SHORT_ORDER, MIN_FALL = 80, 0.008
 MAX_ORDER_SHARE = 8  # the longest order that is tried is a block divided by this
 N_SPEED, N_FORCE = 12, 3  # knots
-CORRELATION = (
-    0.5  # length over which the prior correlates reflections, as a share of the range of speed and of log force
-)
-SCALES = (
-    0.0,
-    0.01,
-    0.03,
-    0.1,
-    0.3,
-    1.0,
-)  # prior standard deviations of a reflection over speed and force, that are tried
+CORRELATION = 0.5  # length of the prior's correlation, as a share of the range of speed and of log force
+SCALES = (0.0, 0.01, 0.03, 0.1, 0.3, 1.0)  # prior standard deviations of a reflection, tried over speed and force
 N_FOLDS = 8  # of the cross-validation over training and validation blocks, at most one for each block
 N_FOLDS_OF_MANY, MANY_BLOCKS = 4, 16  # folds where there are more blocks than that
 LEVEL_SAMPLES = 241  # samples that a level is averaged over for the gain before the filter
@@ -53,7 +44,7 @@ _AT_ONCE = 8_000_000  # reflection coefficients held in memory
 
 @dataclass(frozen=True)
 class LatticeData:
-    """What a lattice is fitted to: the training blocks of arrays of shape (n_blocks, block)."""
+    """Arrays (n_blocks, block), to whose training blocks a lattice is fitted."""
 
     x: Array  # what the lattice is of: acceleration over its level, or acceleration
     gain: Array  # what an x of 1 is in the acceleration that is scored
@@ -66,8 +57,8 @@ class LatticeData:
     def with_gain_before_filter(self) -> LatticeData:
         """The same for a lattice of the acceleration itself.
 
-        Weighted by 1/level², its mean over `LEVEL_SAMPLES`: unweighted, soft strokes would count nothing, and weights that
-        change within the memory bias Burg's method towards too long a ringing.
+        Errors are weighted by 1/level², the level² averaged over `LEVEL_SAMPLES`: weights that change within the memory bias
+        Burg's method towards longer ringing.
         """
         weight = 1 / uniform_filter1d(np.square(self.gain), LEVEL_SAMPLES, axis=1)
         return replace(self, x=self.x * self.gain, gain=np.ones_like(self.gain), weight=weight)
@@ -75,7 +66,7 @@ class LatticeData:
 
 @dataclass(frozen=True)
 class FittedReflections:
-    """A table of reflection coefficients; whether of the acceleration, or of the acceleration over its level; what was tried."""
+    """Table of reflection coefficients, where the gain enters, and the errors of all that was tried."""
 
     table: SpeedForceTable
     gain_before_filter: bool
@@ -83,11 +74,10 @@ class FittedReflections:
 
 
 def fit_lattice(data: LatticeData, max_order: int, tables: bool = True, both_gains: bool = True) -> FittedReflections:
-    """The lattice of the training blocks whose kind predicts best, in absolute one-step error.
+    """The lattice of the training blocks whose kind has the least absolute one-step error.
 
-    Tried: the `ORDERS` up to `max_order`, with one set of reflections for all speeds and forces and, unless `tables` is
-    False, with a table of them; of the acceleration over its level and, unless `both_gains` is False, of the acceleration itself.
-    The kind is chosen by cross-validation over training and validation blocks: two validation blocks of 200 ms are too few.
+    Tried are the `ORDERS` up to `max_order`, with one set of reflections and, where `tables`, with a table of them, the gain
+    after the filter and, where `both_gains`, before it. Training and validation blocks are cross-validated.
 
     Differs from the paper: it has no linear part.
     """
@@ -99,7 +89,6 @@ def fit_lattice(data: LatticeData, max_order: int, tables: bool = True, both_gai
     kinds = list(product(sizes, gains))
 
     def errors_of(among: list[tuple[tuple[int, int], bool]], longest: int) -> list[list[float]]:
-        """The errors of some kinds, of each by order."""
         shorter = [order for order in orders if order <= longest]
 
         def of_fold(knots: tuple[int, int], fold: LatticeData) -> list[float]:
@@ -136,10 +125,7 @@ def _folds(data: LatticeData) -> list[LatticeData]:
 
 
 def validation_errors(reflections: SpeedForceTable, data: LatticeData, orders: Sequence[int]) -> list[float]:
-    """The mean absolute one-step errors of the first sections alone, by their number, on the validation blocks [scaled].
-
-    The first samples of each block are left out, as many as the longest of these orders for all alike.
-    """
+    """Mean absolute one-step errors [scaled] by order, on the validation blocks without their first `orders[-1]` samples."""
     scored = slice(min(orders[-1], data.x.shape[1] // 2), None)
     error = np.zeros(len(orders))
     for block in data.validation:  # one by one: reflections of a minute at 10 kHz would take gigabytes
@@ -155,12 +141,11 @@ def validation_errors(reflections: SpeedForceTable, data: LatticeData, orders: S
 
 
 def fit_lattice_of(data: LatticeData, order: int, n_speed: int, n_force: int) -> SpeedForceTable:
-    """The reflections that make forward and backward errors of each section least, over the training blocks.
+    """Reflections of the least forward and backward errors of each section, over the training blocks.
 
-    Section i minimises Σ w ((f_{i−1} + k b)² + (b + k f_{i−1})²) over k at the knots: Burg's method, a least-squares
-    problem in as many unknowns as there are knots. What the knots differ by has a Gaussian prior in three parts,
-    over speed, over force and over both, exponentially correlated, whose standard deviations are those of the greatest
-    evidence. So a section that speed and force do not change stays one number.
+    Section i minimises Σ w ((f_{i−1} + k b)² + (b + k f_{i−1})²) over k at the knots: Burg's method. Differences of knots
+    have a Gaussian prior in three parts, over speed, over force and over both, exponentially correlated, whose standard
+    deviations maximise the evidence.
 
     Source: Burg's criterion; the time-varying extension after Grenier, IEEE Trans. ASSP 31 (1983); the prior is ours.
     """
@@ -192,10 +177,7 @@ def fit_lattice_of(data: LatticeData, order: int, n_speed: int, n_force: int) ->
 
 @dataclass(frozen=True)
 class KnotWeights:
-    """Weights of a table's k knots at n samples, and products of each pair of knots i ≤ j, in row i·k + j: (k, n) and (k², n).
-
-    Sparse: at a sample four knots have a weight, and ten pairs a product.
-    """
+    """Weights of a table's k knots at n samples, (k, n), and products of knots i ≤ j in row i·k + j, (k², n); sparse."""
 
     by_knot: sparse.csc_array
     by_pair: sparse.csc_array
@@ -225,10 +207,10 @@ def _pairs(weights: sparse.csr_array) -> sparse.csr_array:
 
 
 def _share_beyond_chance(x: Array, weight: Array, order: int) -> Array:
-    """The share of each section's common reflection that is kept, shape (order,).
+    """Factor that shrinks each section's common reflection, shape (order,).
 
-    Reflections of far sections are mostly chance, and unshrunk draw ripples into the spectrum of a free run. The share is
-    Wiener's, τ²/(τ² + v), with v the variance between blocks and τ² what the squares of the neighbours have above it.
+    Wiener's τ²/(τ² + v): v is the variance between blocks, τ² the excess of the neighbours' squares over it. Unshrunk, far
+    sections draw ripples into the spectrum of a free run.
     """
     common, spread = np.zeros(order), np.zeros(order)
     f = b = x
@@ -302,7 +284,7 @@ class LinearModel:
 
     @property
     def n_unknown(self) -> int:
-        """How many samples of a block come before the first whose innovation is known well."""
+        """Samples of a block before the first whose innovation is known well."""
         return self.sizes.history - self.sizes.window
 
     @property
@@ -354,10 +336,7 @@ class LinearModel:
         return innovation, 0.5 * np.square(coefficients).sum(axis=1)
 
     def response(self, n: int) -> Array | None:
-        """Squares of the first n samples of the impulse response, that of the mean reflection coefficients.
-
-        None with the gain after the filter, where a change of level shows at once.
-        """
+        """Squares of the impulse response (n,) of the mean reflections; None with the gain after the filter."""
         prefix, before = self._excited
         if not before:
             return None
@@ -389,12 +368,12 @@ def fit_linear_model(level: Scale, data: LatticeData, sizes: FotenPlusSizes, con
 
 
 def fitted_lattice(data: LatticeData, config: TrainConfig) -> FittedReflections:
-    """The lattice of levelled data, of the kinds that a configuration tries."""
+    """Lattice of levelled data, of the kinds that a configuration allows."""
     max_order = max(1, min(data.x.shape[1] // MAX_ORDER_SHARE, config.max_order))
     return fit_lattice(data, max_order, config.table, config.gain_before_filter)
 
 
 def counts_of(table: SpeedForceTable, *names: str) -> dict[str, Any]:
-    """How many values a knot has, and how many knots there are over speed and over force."""
+    """Numbers of values at a knot, and of knots over speed and over force, by the names of sizes."""
     counts = table.values.shape[1], len(table.speed_knots), len(table.force_knots)
     return dict(zip(names, counts, strict=True))

@@ -1,4 +1,4 @@
-"""The innovation network: how the next innovation is distributed; fitted by likelihood on recorded innovations."""
+"""The innovation network, which gives the distribution of the next innovation, and its fit by likelihood."""
 
 from __future__ import annotations
 
@@ -31,18 +31,13 @@ from foten.training.training_kernel import hidden_states
 
 N_STEPS = 100  # of an epoch
 CHUNK = 128  # samples of a chunk that count, after those that the network takes in first
-# Chunks are drawn by 1 / (speed + this) [mm/s], since slow strokes are a small part of a recording: on simulated plain cloth a
-# listener's area was 0.69 with it and 0.77 without.
-SLOWNESS = 25.0
+SLOWNESS = 25.0  # mm/s; chunks are drawn by 1 / (speed + this), since slow strokes are a small part of a recording
 AVERAGING = 0.99  # of the weights, from step to step
 MAX_MIRRORED_ASYMMETRY = 4.0  # standard errors of the innovations' asymmetry, up to which their signs mean nothing
 
 
 class InnovationNetwork(nn.Module):
-    """A mixture of Gaussians for the next innovation, from a gated recurrent unit: `definition.NetworkDefinition`.
-
-    Before training its means are zero: what it predicts is what the lattice does.
-    """
+    """A mixture of Gaussians for the next innovation (`definition.NetworkDefinition`); before training its means are zero."""
 
     def __init__(self, sizes: FotenPlusSizes, n_inputs: int = N_INPUTS) -> None:
         super().__init__()
@@ -67,11 +62,6 @@ class InnovationNetwork(nn.Module):
         logit, mean, log_scale = out.split(self.n_components, dim=-1)
         return torch.log_softmax(logit, dim=-1), mean, LOG_SCALE_LIMIT * torch.tanh(log_scale / LOG_SCALE_LIMIT)
 
-    def expected(self, inputs: Tensor) -> Tensor:
-        """The mean of the next innovation after each sample: (b, n, n_inputs) → (b, n)."""
-        log_weight, mean, _ = self(inputs)
-        return (log_weight.exp() * mean).sum(dim=-1)
-
 
 class NextInnovation(nn.Module):
     """The same for one sample after a window: u (b, m, 5) → (b, 3k), log w, μ and log s in turn."""
@@ -95,7 +85,7 @@ def negative_log_likelihood(mixture: tuple[Tensor, Tensor, Tensor], innovation: 
 
 @dataclass(frozen=True)
 class Innovations:
-    """What a network is fitted to: arrays of (n_blocks, block)."""
+    """Innovations that a network is fitted to: arrays of (n_blocks, block)."""
 
     inputs: Array  # u of each sample, (n_blocks, block, 5), with the phase of tones 9: `definition.NetworkDefinition`
     innovation: Array  # of each sample, which is to be predicted from the inputs before it
@@ -111,7 +101,7 @@ class Innovations:
 
 
 def innovations_of(model: LinearModel, blocks: ScaledBlocks, n_unknown: int, residual: bool = False) -> Innovations:
-    """What a network is fitted to: the innovations of a linear model, or of the residual of its tones, with their phase."""
+    """Innovations of a linear model, or of the residual of its tones with their phase, for a network to be fitted to."""
     x, e, gain = model.innovations(blocks, residual)
     level = model.excited_lattice.level if residual else model.level
     logs = level.logarithms(blocks.samples[..., 1:].reshape(-1, 2))
@@ -126,10 +116,7 @@ def innovations_of(model: LinearModel, blocks: ScaledBlocks, n_unknown: int, res
 
 
 def asymmetry(innovation: Array) -> float:
-    """By how many standard errors innovations (n_blocks, n) are not like their mirror image.
-
-    The larger of two figures: the mean of e √|e|, and of e[n] |e[n−1]|; their standard errors are those between blocks.
-    """
+    """Asymmetry of innovations (n_blocks, n) in standard errors between blocks: mean of e √|e| or e[n] |e[n−1]|."""
     skew = (np.sign(innovation) * np.abs(innovation) ** 1.5).mean(axis=1)
     figures = np.stack([skew, (innovation[:, 1:] * np.abs(innovation[:, :-1])).mean(axis=1)])
     if figures.shape[1] < 3:
@@ -139,7 +126,7 @@ def asymmetry(innovation: Array) -> float:
 
 
 class Chunks:
-    """Where chunks of some blocks begin, drawn for training."""
+    """Chunks of some blocks, drawn for training."""
 
     def __init__(self, data: Innovations, numbers: tuple[int, ...], warm_up: int) -> None:
         speed = data.speed[list(numbers), data.n_unknown + 1 :]
@@ -159,7 +146,7 @@ class Chunks:
 
 
 class Batches:
-    """Chunks of what a network is fitted to, on a device."""
+    """Batches of chunks of innovations, on a device."""
 
     def __init__(
         self, data: Innovations, blocks: ScaledBlocks, warm_up: int, config: TrainConfig, device: torch.device
@@ -191,7 +178,7 @@ def fit_innovation_network(
     monitor: Monitor,
     name: str = "network",
 ) -> Progress:
-    """Train a network in place by likelihood, and leave it, averaged over some hundred steps, at its best; see `run_loop`."""
+    """Train a network in place by likelihood; its weights are averaged over some hundred steps. See `run_loop`."""
     device = next(network.parameters()).device
     batches = Batches(data, blocks, warm_up, config, device)
     n_threads = config.threads if device.type == "cpu" else 1
@@ -212,7 +199,8 @@ def fit_innovation_network(
         return shared_gradients(network, pool, loss_of_share, n_shares)
 
     def validate(averaged: InnovationNetwork) -> tuple[float, float]:
-        return validated(averaged, data, batches.tensors, blocks.split.validation, warm_up)
+        nll, error, gain = scored(averaged, data, batches.tensors, blocks.split.validation, warm_up)
+        return float(nll.mean()), float((error * gain).mean())
 
     with ThreadPoolExecutor(n_threads) as pool:
         step = gradient_step(network, optimiser, gradients, config.clip_norm, schedule(config, N_STEPS))
@@ -221,20 +209,8 @@ def fit_innovation_network(
 
 
 def mixtures(network: InnovationNetwork, inputs: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """What a network says after each sample, as the network itself, in less time: (b, n, n_inputs) → (b, n, k) each."""
+    """`InnovationNetwork.forward` by the training kernel: (b, n, n_inputs) → (b, n, k) each."""
     return network.mixture(hidden_states(network.recurrent, inputs), inputs)
-
-
-def validated(
-    network: InnovationNetwork,
-    data: Innovations,
-    tensors: tuple[Tensor, Tensor],
-    numbers: tuple[int, ...],
-    warm_up: int,
-) -> tuple[float, float]:
-    """Mean negative log-likelihood of innovations [nat] and the error in scaled acceleration, over blocks."""
-    nll, error, gain = scored(network, data, tensors, numbers, warm_up)
-    return float(nll.mean()), float((error * gain).mean())
 
 
 def scored(
@@ -244,10 +220,7 @@ def scored(
     numbers: tuple[int, ...],
     warm_up: int,
 ) -> tuple[Array, Array, Array]:
-    """Of the samples of some blocks, from `n_unknown` + 1 + `warm_up` on, (k, n) each.
-
-    Negative log-likelihoods [nat] and absolute errors, of innovations; and what an innovation of 1 is in acceleration, scaled.
-    """
+    """Nll [nat], absolute error and gain of the innovations of blocks from `n_unknown` + 1 + `warm_up` on, (k, n) each."""
     inputs, target = (part[list(numbers)] for part in tensors)
     with torch.no_grad():
         mixture = mixtures(network, inputs)

@@ -19,8 +19,7 @@ A rendering draws from a network of its own (`rendering_network.`), which begins
 A surface that repeats is rendered by tones of the path (`dsp.tones`), a lattice of the residual's own, and a network that is
 given the phase of the tones as well. Its next sample is predicted as above.
 
-Source: ours. Differs from the paper: its network (Sec. IV) is `foten`; as a correction of the lattice it gained 6 % of the
-one-step error on simulated styrofoam, this one, of a quarter of the weights, 12 %.
+Source: ours. Differs from the paper: its network (Sec. IV) is `foten`.
 """
 
 from __future__ import annotations
@@ -38,9 +37,9 @@ LOG_SCALE_LIMIT = 6.0  # of log s, in size
 
 @dataclass(frozen=True)
 class FotenPlusSizes(ModelSizes):
-    """The sizes of foten-plus; those of lattices and tones are chosen in training."""
+    """Sizes of foten-plus; those of lattices and tones are chosen in training."""
 
-    window: int = 40  # samples that the network takes in before it is asked
+    window: int = 40  # samples that the network takes in before it predicts
     n_hidden: int = 48  # of its recurrent layer
     head_width: int = 48  # of the layer that makes a distribution of it
     n_components: int = 4  # of that distribution
@@ -61,11 +60,10 @@ class FotenPlusSizes(ModelSizes):
 
     @property
     def history(self) -> int:
-        """How many samples a prediction is given: what the network takes in, the lattice's order before it, and one."""
+        """Samples before a prediction: the network's window, the lattice's order before it, and one."""
         return self.window + max(self.order, self.residual_order) + 1
 
     def tensor_shapes(self) -> Shapes:
-        """The tensors of networks, lattices, tones and excitation."""
         width = self.excitation_width
         shapes = self.network_shapes("network", N_INPUTS)
         if self.network_in_loop:
@@ -81,11 +79,10 @@ class FotenPlusSizes(ModelSizes):
 
     @property
     def n_rendering_inputs(self) -> int:
-        """How many numbers the network of a rendering is given of a sample."""
+        """Inputs of the network of a rendering, of a sample."""
         return N_INPUTS + (N_PHASE_INPUTS if self.n_tones else 0)
 
     def network_shapes(self, name: str, n_inputs: int) -> Shapes:
-        """The tensors of an innovation network."""
         h, width = self.n_hidden, self.head_width
         recurrent = {"weight_ih": (3 * h, n_inputs), "weight_hh": (3 * h, h), "bias_ih": (3 * h,), "bias_hh": (3 * h,)}
         shapes: Shapes = {f"{name}.recurrent.{part}_l0": shape for part, shape in recurrent.items()}
@@ -98,18 +95,16 @@ class FotenPlusSizes(ModelSizes):
         return (3 * self.n_hidden + self.head_width) * n_read + 3 * self.n_components * self.head_width
 
     def multiply_adds(self) -> int:
-        """What a rendered sample costs: predicted and taken in, four knots mixed for each coefficient."""
+        """Cost of predicting a sample and taking it in; four knots are mixed for each coefficient."""
         order = self.residual_order if self.n_tones else self.order
         linear = 10 * order + 12 * self.n_tones + (2 + (self.n_tones > 0)) * scale_cost(self.excitation_width)
         return linear + self.network_in_loop * self.network_cost()
 
 
 def lattice_shapes(name: str, n_speed: int, n_force: int, order: int, width: int) -> Shapes:
-    """The tensors of a lattice and its level."""
     return table_shapes(name, n_speed, n_force, "reflections", order) | scale_shapes(f"{name}.level", width)
 
 
 def table_shapes(name: str, n_speed: int, n_force: int, values: str, k: int) -> Shapes:
-    """The tensors of a table of k numbers over speed and force."""
     knots: Shapes = {f"{name}.speed_knots": (n_speed,), f"{name}.force_knots": (n_force,)}
     return knots | {f"{name}.{values}": (n_speed * n_force, k)}

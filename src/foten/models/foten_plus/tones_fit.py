@@ -1,4 +1,4 @@
-"""The tones of a periodic surface: is there a wavelength, where on it was the tool, and how loud is each multiple."""
+"""Tones of a periodic surface: its wavelength, the tool's phase on it, and the amplitude of each multiple."""
 
 from __future__ import annotations
 
@@ -49,9 +49,8 @@ USABLE_BAND = 0.45  # of the rate, that tones keep to
 def wavelength(data: LatticeData, rate_hz: float) -> float | None:
     """The length that a surface repeats itself after [mm], or None where none stands out.
 
-    The vibration over its level is cut into stretches of some millimetres of path. The power of each is taken at spatial
-    frequencies: its mean over stretches, against the median of its surroundings. What stands out as much over time is a hum or a
-    resonance: at a steady speed the two are the same.
+    The power spectra of stretches of path are averaged over spatial frequencies and compared with their running median. A tone
+    that stands out as much over time is a hum or a resonance, and is not treated as spatial.
     """
     path = np.cumsum(data.speed, axis=1) / rate_hz
     for span in (15.0, 5.0):
@@ -85,7 +84,7 @@ def wavelength(data: LatticeData, rate_hz: float) -> float | None:
     ratio[~np.array([False, *(rises[:-1] & ~rises[1:]), False])] = 0.0
     peak = int(np.argmax(ratio))
     # The largest of so many bins of noise, over their mean, exceeds this once in twenty recordings: a mean over half-overlapping
-    # windowed stretches has about 1.2 degrees of freedom for each. A fixed threshold gave leather tones in three splits of five.
+    # windowed stretches has about 1.2 degrees of freedom for each.
     half_freedom = 0.6 * len(stretches)
     largest_by_chance = float(gammainccinv(half_freedom, 0.05 / len(cycles)) / half_freedom)
     enough = max(MIN_PEAK_RATIO, MIN_CHANCE_RATIO * largest_by_chance)
@@ -110,14 +109,14 @@ def _stretches(path: Array, span: float) -> Iterator[slice]:
 
 
 def n_multiples(wavelength_mm: float, speed: Array, rate_hz: float) -> int:
-    """How many multiples the rate holds at the median speed [mm/s], at least one."""
+    """Multiples that the rate holds at the median speed [mm/s], at least one."""
     fundamental_hz = float(np.median(speed)) / wavelength_mm
     return int(np.clip(USABLE_BAND * rate_hz / max(fundamental_hz, 1e-9), 1, MAX_TONES))
 
 
 @dataclass(frozen=True)
 class FittedTones:
-    """What was fitted to a recording."""
+    """Tones fitted to a recording."""
 
     wavelength_mm: float  # as the phase says, finer than a spectrum does
     table: SpeedForceTable  # coefficients over speed and force, in units of the vibration's level
@@ -129,9 +128,8 @@ class FittedTones:
 def fit_tones(data: LatticeData, wavelength_mm: float, rate_hz: float) -> FittedTones:
     """The tones of a surface that seems to repeat.
 
-    In turn, least squares for the coefficients given the phases, and a Gauss–Newton step for the phases given the coefficients;
-    a phase deviates from the path evenly over about a wavelength. Errors are whitened: the tool's resonance would else drown the
-    high multiples, which know the phase best.
+    In turn, least squares for the coefficients given the phases, and a Gauss–Newton step for the phases given the coefficients,
+    smoothed over about a wavelength. Errors are whitened, so that the tool's resonance does not outweigh the high multiples.
     """
     chosen = list(data.train)
     speed, force = data.speed[chosen], data.force[chosen]
@@ -163,10 +161,10 @@ def fit_tones(data: LatticeData, wavelength_mm: float, rate_hz: float) -> Fitted
 
 
 def _period_jitter(path: Array, deviation: Array, speed: Array, wavelength_mm: float) -> float:
-    """The standard deviation of a period's length, as a share of it, from how the phase's variance grows on the path.
+    """The standard deviation of a period's length, as a share of it, from the growth of the phase's variance on the path.
 
-    From 4 to 12 wavelengths: the error of a single phase is the same at both distances and drops out. Only the quarter of places
-    with the least change of speed is compared, since the tool turns the phase as speed changes.
+    From 4 to 12 wavelengths, so that the error of a single phase drops out; over the quarter of places with the least change of
+    speed, since the tool's response turns the phase with speed.
     """
 
     def variance(n_wavelengths: int) -> float:
@@ -184,7 +182,7 @@ def _period_jitter(path: Array, deviation: Array, speed: Array, wavelength_mm: f
 
 
 def _demodulated(x: Array, path: Array, wavelength_mm: float) -> Array:
-    """The phase of the fundamental at every sample: the path's, and what is left once it is taken out, smoothed."""
+    """The phase of the fundamental at every sample: that of the path plus the smoothed residual phase."""
     carrier = 2 * np.pi * path / wavelength_mm
     carried = x * np.exp(-1j * carrier) * np.diff(path, axis=1, prepend=0.0)
     real, imaginary = (_smoothed(path, part, wavelength_mm, 1.0) for part in (carried.real, carried.imag))
@@ -211,10 +209,10 @@ def _coefficients(data: LatticeData, table: SpeedForceTable) -> Array:
 def _fitted(
     data: LatticeData, table: SpeedForceTable, phase: Array, whitener: Array, fastest: float, near: KnotWeights
 ) -> SpeedForceTable:
-    """The coefficients that leave the least whitened error, with a penalty of differences between neighbouring knots.
+    """The coefficients of the least whitened error, with a penalty of differences between neighbouring knots.
 
-    The weights of knots change little within the whitener's length, so waves are whitened first and weighted then. Where speed
-    times multiple exceeds `fastest` [mm/s] coefficients are zero: the rate does not hold that frequency.
+    Waves are whitened first and weighted then, since weights change little within the whitener's length. Coefficients are zero
+    where speed times multiple exceeds `fastest` [mm/s].
     """
     n_knots, n_columns = table.values.shape
     chosen = list(data.train)
@@ -249,7 +247,7 @@ def _fitted(
 def fit_tonal_model(
     linear: LinearModel, data: LatticeData, blocks: ScaledBlocks, config: TrainConfig
 ) -> LinearModel | None:
-    """The same with tones of the path, and a lattice of what they leave; None where no wavelength stands out."""
+    """The linear model with tones, and a lattice of their residual; None where no wavelength stands out."""
     rate = blocks.trace.rate_hz
     length = wavelength(data, rate) if config.tones else None
     if length is None:
@@ -274,10 +272,7 @@ def fit_tonal_model(
 
 
 def silent_tones(linear: LinearModel, tonal: LinearModel) -> LinearModel:
-    """The model without tones, with tones of amplitude zero: its network is given their phase.
-
-    For a surface whose periods differ too much for tones of one amplitude, but whose phase is known all the same.
-    """
+    """The model without tones, with tones of amplitude zero, whose phase its network is given."""
     lattice = {name: tensor for name, tensor in linear.tensors.items() if name.startswith("lattice.")}
     residual = {name.replace("lattice", "residual", 1): tensor for name, tensor in lattice.items()}
     speed, force = (linear.tensors[f"lattice.{name}"][:1] for name in ("speed_knots", "force_knots"))

@@ -45,10 +45,7 @@ class PiecewiseAr:
         self._table = np.concatenate([w["lsf"], zeros, before[:, None] ** 2], axis=1)
 
     def mixed(self, condition: Array) -> tuple[Array, Array, Array]:
-        """Reflection coefficients (p, b), b₁ … b_q (q, b) and the scaled gain before the lattice (b,).
-
-        Of the model under a speed and force, scaled (b, 2).
-        """
+        """Under (b, 2) scaled: reflection coefficients (p, b), b₁ … b_q (q, b), scaled gain before the lattice (b,)."""
         physical = np.maximum(condition * self._sd + self._mean, 0.0)
         chosen, weights = self._mesh.at(*physical.T)
         mixed = (self._table[chosen] * weights[:, :, None]).sum(axis=1)
@@ -57,14 +54,13 @@ class PiecewiseAr:
         return reflections_of(polynomial_of(mixed[:, :p])).T, zeros, np.sqrt(mixed[:, -1])
 
     def start(self, windows: Array) -> PiecewiseArStream:
-        """Streams that go on from scaled windows, shape (s, m, 3); innovations are inferred once p samples are known."""
+        """Streams that go on from scaled windows (s, m, 3); innovations are inferred once p samples are known."""
         stream = PiecewiseArStream(self, windows[:, 0, 1:])
         for n in range(1, windows.shape[1]):
             stream.infer(windows[:, n, 0], windows[:, n, 1:], known=n > self.sizes.order)
         return stream
 
     def predict(self, windows: Array) -> Array:
-        """The next samples: windows (b, m, 3) scaled → (b,) scaled."""
         return self.start(windows).predict().sample
 
 
@@ -98,17 +94,15 @@ class PiecewiseArStream:
             self.push(self.predict().excited(z), condition, z)
 
     def predict(self) -> Prediction:
-        """What lattice and past innovations predict."""
         sample, cosines = predict(self.states, self.reflections)
         scale = self._gain * cosines
         return Prediction(sample + scale * (self._zeros * self._past).sum(axis=0), scale)
 
     def push(self, sample: Array, condition: Array, noise: Array | None) -> None:
-        """Take in the next samples; their innovations are those of the noise."""
         self._take_in(sample, condition, 0 * sample if noise is None else noise)
 
     def infer(self, sample: Array, condition: Array, known: bool) -> None:
-        """Take in recorded samples (s,) and the innovations that they tell of, where all samples before are known."""
+        """Take in recorded samples (s,) and their innovations, where all samples before are known."""
         expected = self.predict()
         assert expected.scale is not None
         residual = known * (sample - expected.sample)

@@ -133,7 +133,7 @@ def _pieces(blocks: ScaledBlocks) -> Iterator[Array]:
 
 
 def _merged(points: Array, scale: Array) -> NDArray[np.int64]:
-    """Which model each piece belongs to: one that begins near enough, or one of its own."""
+    """The number of each piece's model: the nearest within `MERGE_DISTANCE`, or a new one."""
     seeds: list[Array] = []
     numbers = []
     for point in points / scale:

@@ -1,4 +1,4 @@
-"""Local linear models, ours and those of a model file, to a texture file, proved at every one of them before it is written."""
+"""Local linear models, fitted or of a model file, as a texture that is proved at each of them."""
 
 from __future__ import annotations
 
@@ -122,7 +122,7 @@ def _played(b_a: tuple[Array, Array], n: int, stream: int) -> Array:
 
 
 def _after(b_a: tuple[Array, Array], samples: Array, noise: Array) -> Array:
-    """What follows samples under noise; their first is not looked at, and before them was rest."""
+    """The samples that follow others under noise, after rest; the first of these is not used."""
     b, a = b_a
     if b[0] == 0:
         return np.zeros(noise.size)
@@ -134,15 +134,14 @@ def _after(b_a: tuple[Array, Array], samples: Array, noise: Array) -> Array:
 
 
 def imported_texture(models: HattModels, digest: str, name: str = "", notes: str = "") -> tuple[Texture, list[str]]:
-    """Models of a file as a texture, and what was decided on the way.
+    """Models of a file as a texture, and notes of what was changed.
 
-    A pole that would ring for seconds, or grow, is pulled in, with the others of its model. Zeros outside the unit circle are
-    reflected into it, which leaves the spectrum as it was. The recording behind the file is not known: there is no split.
+    Poles beyond `MAX_POLE` are pulled in, with the others of their model. Zeros outside the unit circle are reflected into it,
+    which leaves the spectrum as it was. The recording behind the file is not known: there is no split.
 
     Args:
         digest: SHA-256 of the file.
         name: of the texture; the material's by default.
-        notes: for the card, after where the models came from.
     """
     n, p, q = len(models.points), models.ar.shape[1] - 1, models.ma.shape[1] - 1
     for what, order in (("AR", p), ("MA", q)):

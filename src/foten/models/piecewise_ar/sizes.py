@@ -28,7 +28,6 @@ class PiecewiseArSizes(ModelSizes):
         check_count("window", self.window, self.order + 1)
 
     def tensor_shapes(self) -> Shapes:
-        """The tensors of the models and of the mesh between them."""
         n = self.n_models
         shapes: Shapes = {"points": (n, 2), "lsf": (n, self.order), "variance": (n,)}
         if self.ma:
@@ -37,9 +36,6 @@ class PiecewiseArSizes(ModelSizes):
         return {f"piecewise_ar.{name}": shape for name, shape in shapes.items()}
 
     def multiply_adds(self) -> int:
-        """What a sample costs: mixed, multiplied out, stepped down to reflection coefficients, and run.
-
-        Under a condition that stands still a sample costs the last alone.
-        """
+        """The cost of mixing, multiplying out, stepping down to reflection coefficients, and running."""
         p, q = self.order, self.ma
         return 3 * (p + q + 2) + 2 * p * p + q * q + 10 * p + q
