@@ -19,7 +19,7 @@ from foten.baselines.sizes import BASELINES, TRAINABLE, NoiseModelSizes
 from foten.cli.command_line import _status
 from foten.datasets.hdf5 import write_recording
 from foten.evaluate.evaluate import evaluate
-from foten.evaluate.report.tables import to_text
+from foten.evaluate.report.rows import to_text
 from foten.models.render_definition import render
 from foten.models.texture_file import CLOSED_LOOP_TOLERANCE, Texture, texture_from_bytes, write_texture
 from foten.recording.preprocess import PreprocessConfig

@@ -66,7 +66,12 @@ def test_a_run_depends_on_its_measures_and_not_on_others() -> None:
         "kernel/libfoten_training",
     ]
     others = {"foten.experiments.stability", "foten.evaluate.listener_network"}
-    others |= {"foten.experiments.sweep", "foten.experiments.tables", "foten.reporting.table", "foten.study.store"}
+    others |= {
+        "foten.experiments.sweep",
+        "foten.experiments.method_tables",
+        "foten.reporting.table",
+        "foten.study.store",
+    }
     assert not others & set(sources)
     assert set(sources_of("foten", ("stability",))) - set(sources) == {
         "foten.baselines.graph_model",
@@ -98,7 +103,7 @@ def test_a_source_within_the_closure_changes_the_digest_and_one_outside_does_not
         return provenance_of(run, "0" * 64)
 
     before = provenance()
-    changed.add(ROOT / "experiments" / "tables.py")
+    changed.add(ROOT / "experiments" / "method_tables.py")
     assert provenance() == before
     changed.add(ROOT / "dsp" / "filters.py")
     after = provenance()

@@ -12,10 +12,10 @@ import pytest
 from foten.evaluate.evaluate import FREE_RUN_KEYS, Judgement, evaluate
 from foten.evaluate.free_run import free_run, scored
 from foten.evaluate.one_step import fit_linear, one_step
-from foten.evaluate.report import figures, signals
+from foten.evaluate.report import plots, signals
 from foten.evaluate.report.page import page, write_report
+from foten.evaluate.report.rows import REFERENCES, to_text
 from foten.evaluate.report.signals import AUDIO_HZ, sounds
-from foten.evaluate.report.tables import REFERENCES, to_text
 from foten.evaluate.report.verdict import cautions, reason, verdict
 from foten.models.texture_file import Texture
 from foten.recording.scaling import fit_scaling
@@ -309,12 +309,12 @@ def test_the_figures_draw_what_was_scored(judged):
         ratio = 10 * np.log10(pooled["recorded"] / np.maximum(pooled[name], floor))
         assert np.sqrt(np.square(ratio).mean()) == pytest.approx(judged.document[name]["lsd_long_db"])
         assert signals.level_errors(judged, name).mean() == pytest.approx(judged.document[name]["level_bias_db"])
-    axes = figures.bands(judged).axes[0]
+    axes = plots.bands(judged).axes[0]
     known = [
         e for n in ("free_run", "free_run_ar", "ceiling") for e in judged.document[n]["band_errors_db"] if e is not None
     ]
     assert [bar.get_height() for bar in axes.patches] == pytest.approx(known)
-    (line, _), *_ = (axes.lines for axes in figures.waveform(judged).axes)
+    (line, _), *_ = (axes.lines for axes in plots.waveform(judged).axes)
     block = judged.blocks[signals.typical_block(judged)]
     np.testing.assert_array_equal(line.get_ydata(), judged.trace.acceleration[2000 * block + 400 :][:400])
 
@@ -322,7 +322,7 @@ def test_the_figures_draw_what_was_scored(judged):
 def test_figures_of_a_fast_texture_reach_half_its_rate():
     """What is above 1 kHz is drawn beside what is scored, and the axes say which is which."""
     judged = _judgement(rate_hz=10_000.0)
-    (axes,) = figures.spectrum(judged).axes
+    (axes,) = plots.spectrum(judged).axes
     assert axes.get_xlim() == (20, 5000)
     assert "up to half the rate; scored from 20 to 1000 Hz" in axes.get_xlabel()
     frequencies, _ = signals.densities(judged, unscored=True)
@@ -331,7 +331,7 @@ def test_figures_of_a_fast_texture_reach_half_its_rate():
 
 def test_spectrograms_share_a_scale_and_show_a_tone_where_it_is(judged):
     tone = np.sin(2 * np.pi * 200.0 * np.arange(2000) / 1000.0)
-    figure = figures.over_time(replace(judged, synthesized={"free_run": np.tile(tone, (1, len(TEST), 1))}))
+    figure = plots.over_time(replace(judged, synthesized={"free_run": np.tile(tone, (1, len(TEST), 1))}))
     recorded, synthesized = (axes.images[0] for axes in figure.axes[:2])
     assert recorded.get_clim() == synthesized.get_clim()
     cells = np.asarray(synthesized.get_array())
