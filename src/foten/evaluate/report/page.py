@@ -29,8 +29,7 @@ _MARKS = {"good": "✓", "even": "≈", "bad": "✗", "unknown": "–"}
 def write_report(judgement: Judgement, texture: Texture, directory: Path) -> Path:
     """Write `report.html` and `evaluation.json` into a directory, made where there is none, and return the path of the former.
 
-    Figures, sound and style are inside the page. It loads nothing from a network and has no scripts. The same judgement gives
-    the same bytes.
+    The page loads nothing and has no scripts. The same judgement gives the same bytes.
     """
     directory.mkdir(parents=True, exist_ok=True)
     document = json.dumps({"foten": __version__, **judgement.document}, indent=1, allow_nan=False)
@@ -41,7 +40,7 @@ def write_report(judgement: Judgement, texture: Texture, directory: Path) -> Pat
 
 
 def page(judgement: Judgement, texture: Texture) -> str:
-    """Report as HTML."""
+    """HTML of the report."""
     document = judgement.document
     name = shown(document["texture"], LONGEST_TEXT) or "unnamed texture"
     sections = [
