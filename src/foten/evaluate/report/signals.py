@@ -72,7 +72,7 @@ def level_errors(judgement: Judgement, name: str) -> Array:
 
 
 def densities(judgement: Judgement, unscored: bool = False) -> tuple[Array, dict[str, Array]]:
-    """Scored frequencies [Hz], with `unscored` up to half the rate, and each run's density [(m/s²)²/Hz] pooled over all blocks."""
+    """Scored frequencies [Hz], with `unscored` up to half the rate, and pooled densities of each run [(m/s²)²/Hz]."""
     rate_hz, n_segment = judgement.trace.rate_hz, segment_length(judgement.trace.block)
     spectra = {name: welch(run, rate_hz, n_segment) for name, run in scored_runs(judgement).items()}
     frequencies, _ = spectra["recorded"]
