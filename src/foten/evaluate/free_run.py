@@ -172,10 +172,9 @@ def free_run(recorded: Array, synthesized: Array, rate_hz: float, sd: float, n_h
         }
 
     return {
-        **figures(np.arange(len(recorded))),
+        **metrics.with_intervals(figures, len(recorded)),
         "max_sd": float(worst.max()),
         "kurtosis_recorded": metrics.kurtosis(metrics.moments(recorded).mean(axis=1)),
-        "intervals": metrics.intervals(figures, len(recorded)),
     }
 
 

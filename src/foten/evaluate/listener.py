@@ -111,14 +111,13 @@ def vibrations(first: Trace, second: Trace, waveform: bool) -> tuple[Vibration, 
     moving = [((lowest[:, 0] >= FADE_SPEED) & (lowest[:, 1] >= FADE_FORCE)) for _, lowest in conditions]
     starts = [_starts(*moves.shape) for moves in moving]
     logs = [np.log(energy + floor + np.finfo(float).tiny) for energy in energies]
-    of_bands = _standardisation(logs, moving, starts)
+    bands = _standardised(logs, moving, starts)
     speed_forces = [np.log(mean + SOFTENING) for mean, _ in conditions]
-    of_speed_force = _standardisation(speed_forces, [np.ones_like(moves) for moves in moving], starts)
+    speed_forces = _standardised(speed_forces, [np.ones_like(moves) for moves in moving], starts)
     scale = float(np.sqrt(np.mean([np.square(stroke.acceleration).mean() for stroke in both]))) or 1.0
     shown_vibrations = []
-    for stroke, log, speed_force, moves, (train, test) in zip(both, logs, speed_forces, moving, starts, strict=True):
-        shown = np.where(moves[:, None], _standardised(log, of_bands), 0.0)
-        frames = np.concatenate([shown, _standardised(speed_force, of_speed_force)], axis=1)
+    for stroke, band, speed_force, moves, (train, test) in zip(both, bands, speed_forces, moving, starts, strict=True):
+        frames = np.concatenate([np.where(moves[:, None], band, 0.0), speed_force], axis=1)
         samples = None
         if waveform:
             cut = framed(stroke.blocks(stroke.acceleration), BAND_FRAME_MS, stroke.rate_hz)
@@ -146,10 +145,10 @@ def _starts(n_pieces: int, n_frames: int) -> tuple[NDArray[np.int64], NDArray[np
     return train, later[(later % n_frames) % HOP == 0]
 
 
-def _standardisation(
+def _standardised(
     channels: list[Array], counted: list[NDArray[np.bool_]], starts: list[tuple[NDArray[np.int64], Any]]
-) -> tuple[Array, Array]:
-    """Mean and standard deviation of each channel over the counted frames that are learned from."""
+) -> list[Array]:
+    """Channels (n_pieces, channels, frames) of both, standardised over the counted frames that are learned from."""
     known = []
     for channel, counts, (train, _) in zip(channels, counted, starts, strict=True):
         until = train[-1] + 1
@@ -157,14 +156,10 @@ def _standardisation(
     joined = np.concatenate(known, axis=1)
     if not joined.shape[1]:
         raise ValueError("the hand is at rest where a listener is to learn, expected strokes")
-    return joined.mean(axis=1), np.maximum(joined.std(axis=1), SD_FLOOR)
+    mean, sd = joined.mean(axis=1)[:, None], np.maximum(joined.std(axis=1), SD_FLOOR)[:, None]
+    return [(channel - mean) / sd for channel in channels]
 
 
 def _joined(channels: Array) -> Array:
     """Pieces one after the other: (n_pieces, channels, frames) → (channels, n_pieces·frames)."""
     return np.moveaxis(channels, 1, 0).reshape(channels.shape[1], -1)
-
-
-def _standardised(channels: Array, by: tuple[Array, Array]) -> Array:
-    mean, sd = by
-    return np.asarray((channels - mean[:, None]) / sd[:, None])

@@ -91,27 +91,27 @@ def band_correlations(energies: Array) -> Array:
     return np.asarray(correlations[np.triu_indices(len(envelopes), 1)])
 
 
-def intervals(figures: Callable[[NDArray[np.int64]], Mapping[str, Any]], n_blocks: int) -> dict[str, list[float]]:
-    """95 % confidence intervals of figures over blocks, [low, high] each: Student's t with the jackknife's standard error.
+def with_intervals(figures: Callable[[NDArray[np.int64]], Mapping[str, Any]], n_blocks: int) -> dict[str, Any]:
+    """Figures of all blocks, and `intervals`: 95 % confidence, [low, high] each, by Student's t and the jackknife.
 
-    Empty with fewer than 4 blocks. Resampling blocks with replacement would cover the mean of 4 normal blocks in 80 %.
+    No intervals with fewer than 4 blocks. Resampling blocks with replacement would cover the mean of 4 normal blocks in 80 %.
 
     Args:
         figures: block numbers → figures; those that are a number have an interval.
 
     Source: Efron & Stein (1981), the standard error.
     """
+    all_blocks, bounds = np.arange(n_blocks), dict[str, list[float]]()
+    of_all = figures(all_blocks)
     if n_blocks < 4:
-        return {}
+        return {**of_all, "intervals": bounds}
     from scipy.special import stdtrit
 
-    all_blocks = np.arange(n_blocks)
     left_out = [figures(np.delete(all_blocks, i)) for i in all_blocks]
     t = float(stdtrit(n_blocks - 1, 0.975))
-    bounds = {}
-    for name, figure in figures(all_blocks).items():
+    for name, figure in of_all.items():
         others = [without[name] for without in left_out]
         if isinstance(figure, float) and None not in others:
             error = t * float(np.sqrt((n_blocks - 1) * np.var(others)))
             bounds[name] = [figure - error, figure + error]
-    return bounds
+    return {**of_all, "intervals": bounds}

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from foten.dsp import Array
 from foten.dsp.ar import MAX_POLE, solved, stabilised
-from foten.evaluate.metrics import goodness_of_fit, intervals
+from foten.evaluate.metrics import goodness_of_fit, with_intervals
 from foten.recording.windows import stretches, targets
 from foten.runtime.loops import Prediction, predict_blocks
 from foten.runtime.native import NativeTexture, PredictionPart
@@ -43,7 +43,7 @@ def one_step(recorded: Array, predicted: Array, sd: float, linear: Array | None 
         ratio = {"mae_to_ar": mae / float(beside[index].mean())} if beside.all() else {}
         return {"mae_scaled": mae, "mae_m_s2": mae * sd, "gfc": float(fit[index].mean()), **ratio}
 
-    return {**figures(np.arange(len(error))), "intervals": intervals(figures, len(error))}
+    return with_intervals(figures, len(error))
 
 
 def predict(texture: NativeTexture, samples: Array, n: NDArray[np.int64], part: PredictionPart = "model") -> Prediction:
@@ -85,7 +85,7 @@ def excitation_scores(
             "standardised_sd": float(np.sqrt(np.square(size).mean())),
         }
 
-    return {**figures(np.arange(len(n))), "intervals": intervals(figures, len(n))}
+    return with_intervals(figures, len(n))
 
 
 @dataclass(frozen=True)

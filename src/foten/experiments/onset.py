@@ -80,15 +80,12 @@ def onset(texture: Texture, n_strokes: int = N_STROKES, n_streams: int = N_STREA
     speed, force = (np.repeat(values, streams)[:, None] * first for values in (speeds, forces))
     at_once, _ = render_strokes(kernel, seed + 1, speed, force)
     loud_samples = np.abs(at_once.reshape(n_strokes, streams, -1)) > limits[:, None, None]
-    begin = [away(round(start * rate / 1000)) for start in STARTS_MS]
+    begin = {f"{start:g}_ms": away(round(start * rate / 1000)) for start in STARTS_MS}
     later = [away(round(SETTLED_S * rate) + k * window) for k in range(10)]
-
-    def by_start(which: int) -> dict[str, float]:
-        return {f"{start:g}_ms": figures[which] for start, figures in zip(STARTS_MS, begin, strict=True)}
-
+    levels, spectra = ({start: figures[k] for start, figures in begin.items()} for k in (0, 1))
     return {
-        "level_db": {**by_start(0), "settled": max(abs(level) for level, _ in later)},
-        "spectrum_db": {**by_start(1), "settled": max(spectrum for _, spectrum in later)},
+        "level_db": {**levels, "settled": max(abs(level) for level, _ in later)},
+        "spectrum_db": {**spectra, "settled": max(spectrum for _, spectrum in later)},
         "click_share": float(loud_samples.mean()),
         "settled_share": float(usual.mean()),
         "click_standard_error": float((loud_samples.mean(axis=(1, 2)) - usual).std(ddof=1) / np.sqrt(n_strokes)),

@@ -33,7 +33,8 @@ def stability(texture: Texture, minutes: float = MINUTES, n_attack: int = N_ATTA
     Returns:
         `max_sd`, `n_saturated`, `n_samples`: of the strokes; `recorded_max_sd`; and those of `attack`.
     """
-    speed, force = strokes(texture.rate_hz, minutes * 60 / N_STROKES, N_STROKES)
+    paths = [stroking(minutes * 60 / N_STROKES, 10_000 + seed, texture.rate_hz) for seed in range(N_STROKES)]
+    speed, force = np.stack([path.speed for path in paths]), np.stack([path.force for path in paths])
     half = N_STROKES // 2
     speed[half:] = into(speed[half:], *texture.trained_range("speed"))
     force[half:] = into(force[half:], *texture.trained_range("force"))
@@ -45,12 +46,6 @@ def stability(texture: Texture, minutes: float = MINUTES, n_attack: int = N_ATTA
         "n_saturated": n_saturated,
         **attack(texture, n_attack),
     }
-
-
-def strokes(rate_hz: float, seconds: float, n_streams: int) -> tuple[Array, Array]:
-    """Speed [mm/s] and force [N] of independent strokes, shapes (n_streams, n)."""
-    paths = [stroking(seconds, 10_000 + seed, rate_hz) for seed in range(n_streams)]
-    return np.stack([path.speed for path in paths]), np.stack([path.force for path in paths])
 
 
 def into(values: Array, low: float, high: float) -> Array:
