@@ -236,7 +236,7 @@ def test_both_players_have_one_gain(judged, rate_hz):
 
 def test_a_tone_sounds_at_its_own_pitch(judged, written):
     assert written.count('src="data:audio/wav;base64,') == 2
-    tone = np.sin(2 * np.pi * 130.0 * np.arange(2000) / 1000.0)
+    tone = np.sin(2 * np.pi * 130.0 * np.arange(BLOCK) / 1000.0)
     _, sound, _ = sounds(replace(judged, synthesized={"free_run": np.tile(tone, (1, len(TEST), 1))}), "free_run")
     samples = np.frombuffer(sound[44:], dtype="<i2")[: AUDIO_HZ * 8 // 10]
     peak = np.abs(np.fft.rfft(samples)).argmax() * AUDIO_HZ / len(samples)
@@ -265,10 +265,10 @@ def test_the_figures_draw_what_was_scored(judged):
         assert np.sqrt(np.square(ratio).mean()) == pytest.approx(judged.document[name]["lsd_long_db"])
         assert signals.level_errors(judged, name).mean() == pytest.approx(judged.document[name]["level_bias_db"])
     axes = plots.bands(judged).axes[0]
-    known = [
-        e for n in ("free_run", "free_run_ar", "ceiling") for e in judged.document[n]["band_errors_db"] if e is not None
+    errors = [
+        error for name in ("free_run", "free_run_ar", "ceiling") for error in judged.document[name]["band_errors_db"]
     ]
-    assert [bar.get_height() for bar in axes.patches] == pytest.approx(known)
+    assert [bar.get_height() for bar in axes.patches] == pytest.approx(errors)
     (line, _), *_ = (axes.lines for axes in plots.waveform(judged).axes)
     block = judged.blocks[signals.typical_block(judged)]
     np.testing.assert_array_equal(line.get_ydata(), judged.trace.acceleration[2000 * block + 400 :][:400])
@@ -470,9 +470,8 @@ def test_the_listener_is_a_finding_beside_its_control(judged, found, control, to
 
 def test_a_listener_that_could_not_be_asked_says_why(judged):
     reasons = judged.document["reasons"] | {"listener": "12 s to listen to, expected at least 40"}
-    (finding,) = [
-        one for one in verdict(judged.document | {"listener": None, "reasons": reasons}) if one.title == "Listener"
-    ]
-    assert finding.tone == "unknown"
+    document = judged.document | {"listener": None, "reasons": reasons}
+    *_, finding = verdict(document)
+    assert (finding.title, finding.tone) == ("Listener", "unknown")
     assert "12 s to listen to" in finding.sentence
-    assert "Listener, not computed" in to_text(judged.document | {"listener": None, "reasons": reasons})
+    assert "Listener, not computed" in to_text(document)
