@@ -398,9 +398,9 @@ MUTANTS = (
         ("the first fifth of a block is scored", "SETTLING", "Constant", "0.0"),
         (
             "the free run starts from another block",
-            "synthesize.render",
+            "render_strokes.render",
             "Call start",
-            "it.func(it.args[0].value[1 : m + 1], it.args[1], it.args[2])",
+            "it.func(*(np.roll(window[stroke], 1) for window in windows))",
         ),
         ("a linear predictor's free run forgets its constant", "synthesize_linear", "BinOp Add 0", "it.right"),
     ),

@@ -18,7 +18,7 @@ from foten.baselines.sizes import BASELINES, TRAINABLE, NoiseModelSizes
 from foten.cli.command_line import _status
 from foten.datasets.hdf5 import write_recording
 from foten.evaluate.evaluate import evaluate
-from foten.evaluate.report.tables import to_text
+from foten.evaluate.report.rows import to_text
 from foten.models.definitions import render
 from foten.models.texture_file import CLOSED_LOOP_TOLERANCE, Texture, write_texture
 from foten.recording.preprocess import PreprocessConfig

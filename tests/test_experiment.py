@@ -109,7 +109,7 @@ def test_recordings_are_where_it_is_said(tmp_path: Path) -> None:
         ('name = "excited"', 'name = "FNN [13]"', "two methods have the same name"),
         ('"fnn", name = "e', '"fn", name = "e', "unknown model 'fn'"),
         ("excitation = true", "excited = true", "method 'excited': fnn has no size 'excited'"),
-        ("epochs = 1", "epoch = 1", "unknown key 'epoch' in [train], expected 'epochs'?"),
+        ("epochs = 1", "epoch = 1", "unknown key 'epoch' in 'train' of the file, expected 'epochs'?"),
         ("epochs = 1", "epochs = -1", "epochs is -1, expected 0 or more"),
         (
             "[train]",

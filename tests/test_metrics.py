@@ -8,7 +8,7 @@ from scipy.stats import ttest_1samp
 
 from foten.dsp import distance, level
 from foten.evaluate import metrics
-from foten.evaluate.metrics import intervals
+from foten.evaluate.metrics import with_intervals
 
 RATE_HZ = 1000.0
 Draw = Callable[[np.random.Generator, int], np.ndarray]
@@ -121,11 +121,11 @@ def test_a_band_that_is_louder_shows_in_its_band_alone() -> None:
     edges = metrics.band_edges(RATE_HZ)
     p = np.ones(frequencies.size)
     q = np.where((frequencies >= edges[4]) & (frequencies < edges[5]), 4.0, 1.0)
-    errors = metrics.band_errors(p, q, frequencies, metrics.band_edges(RATE_HZ))
+    errors = metrics.band_errors(p, q, frequencies, edges)
     expected = [0.0] * 9
     expected[4] = 10 * math.log10(4)
     np.testing.assert_allclose(np.array(errors, dtype=float), expected, atol=1e-9)  # rounding
-    silent = metrics.band_errors(p, 0 * p, frequencies, metrics.band_edges(RATE_HZ))
+    silent = metrics.band_errors(p, 0 * p, frequencies, edges)
     np.testing.assert_allclose(np.array(silent, dtype=float), -120.0, atol=1e-9)
 
 
@@ -162,7 +162,9 @@ def test_the_interval_of_a_mean_is_students() -> None:
     """Oracle: SciPy's t-test."""
     values = np.random.default_rng(0).standard_normal(7)
     expected = ttest_1samp(values, 0.0).confidence_interval(0.95)
-    assert intervals(mean_of(values), 7)["mean"] == pytest.approx([expected.low, expected.high], rel=1e-12)
+    assert with_intervals(mean_of(values), 7)["intervals"]["mean"] == pytest.approx(
+        [expected.low, expected.high], rel=1e-12
+    )
 
 
 @pytest.mark.parametrize("n_blocks", [4, 6, 11])
@@ -179,18 +181,15 @@ def test_it_covers_the_truth_as_often_as_it_says(draw: Draw, mean: float, least:
     rng, n_draws = np.random.default_rng(n_blocks), 4000
     covered = 0
     for _ in range(n_draws):
-        low, high = intervals(mean_of(draw(rng, n_blocks)), n_blocks)["mean"]
+        low, high = with_intervals(mean_of(draw(rng, n_blocks)), n_blocks)["intervals"]["mean"]
         covered += low <= mean <= high
     assert least <= covered / n_draws <= 0.96  # a share of 4000 is known to 0.0034
 
 
-@pytest.mark.parametrize("n_blocks", [0, 1, 3])
-def test_few_blocks_have_no_interval(n_blocks: int) -> None:
-    assert intervals(mean_of(np.ones(n_blocks)), n_blocks) == {}
+def test_few_blocks_and_what_is_no_number_have_no_interval() -> None:
+    assert [with_intervals(mean_of(np.ones(n)), n)["intervals"] for n in (1, 2, 3)] == [{}] * 3
 
-
-def test_what_is_no_number_has_no_interval() -> None:
     def figures(index: np.ndarray) -> dict[str, Any]:
         return {"unknown": None, "bands": [1.0], "sometimes": 1.0 if 2 in index else None, "constant": 4.0}
 
-    assert intervals(figures, 5) == {"constant": [4.0, 4.0]}
+    assert with_intervals(figures, 5)["intervals"] == {"constant": [4.0, 4.0]}

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ast
 import copy
 import json
 from pathlib import Path
@@ -16,7 +15,7 @@ from foten.baselines.sizes import TRAINABLE
 from foten.cli.command_line import _status
 from foten.experiments import sweep as sweeping
 from foten.experiments.experiment import read_experiment
-from foten.experiments.provenance import KERNEL, Provenance, closure, imported, platform_here, provenance_of, sources_of
+from foten.experiments.provenance import KERNEL, Provenance, closure, platform_here, provenance_of, sources_of
 from foten.experiments.results import check_alike, joined, read_records, read_results, records_of, runs_table
 from foten.experiments.sweep import lacking, planned
 
@@ -26,11 +25,12 @@ PACKAGE = {
     "run": "from package.dispatch import fit\n",
     "dispatch": "from package import filters\ndef fit(model):\n    if model == 'a':\n        import package.models.a\n"
     "    else:\n        import package.models.b\n",
-    "filters": "import typing\nif typing.TYPE_CHECKING:\n    import package.drawing\ndef resample():\n    import package.rates\n",
+    "filters": "import typing\nif typing.TYPE_CHECKING:\n    import package.drawing\nelse:\n    import package.values\n"
+    "def resample():\n    import package.rates\n",
     "models/__init__": "",
     "models/a": "import package.lattice\n",
     "models/b": "import package.network\n",
-    **dict.fromkeys(("drawing", "rates", "lattice", "network"), "SIZE = 1\n"),
+    **dict.fromkeys(("drawing", "values", "rates", "lattice", "network"), "SIZE = 1\n"),
 }
 
 
@@ -46,7 +46,7 @@ def root(tmp_path: Path) -> Path:
 
 def test_a_closure_has_what_a_run_imports_and_no_other_model(root: Path) -> None:
     modules = closure(["package.run", "package.models.a"], root, others={"package.models.b"})
-    names = ("", ".run", ".dispatch", ".filters", ".rates", ".models", ".models.a", ".lattice")
+    names = ("", ".run", ".dispatch", ".filters", ".values", ".rates", ".models", ".models.a", ".lattice")
     assert set(modules) == {f"package{name}" for name in names}  # not what type checkers alone see
     both = closure(["package.run"], root)
     assert {"package.models.a", "package.models.b", "package.network"} <= set(both)
@@ -66,7 +66,12 @@ def test_a_run_depends_on_its_measures_and_not_on_others() -> None:
         "kernel/libfoten_training",
     ]
     others = {"foten.experiments.stability", "foten.evaluate.listener_network"}
-    others |= {"foten.experiments.sweep", "foten.experiments.tables", "foten.reporting.table", "foten.study.store"}
+    others |= {
+        "foten.experiments.sweep",
+        "foten.experiments.method_tables",
+        "foten.reporting.table",
+        "foten.study.store",
+    }
     assert not others & set(sources)
     assert set(sources_of("foten", ("stability",))) - set(sources) == {"foten.experiments.stability"}
     assert "foten.evaluate.listener_network" in sources_of("foten", ("listener",))
@@ -95,19 +100,13 @@ def test_a_source_within_the_closure_changes_the_digest_and_one_outside_does_not
         return provenance_of(run, "0" * 64)
 
     before = provenance()
-    changed.add(ROOT / "experiments" / "tables.py")
+    changed.add(ROOT / "experiments" / "method_tables.py")
     assert provenance() == before
     changed.add(ROOT / "dsp" / "filters.py")
     after = provenance()
     assert (after.code != before.code, after.name) == (True, before.name)
     assert after.differences(before.to_json()) == ["code (foten.dsp.filters)"]
     sources_of.cache_clear()
-
-
-def test_the_reader_of_imports_sees_those_of_functions_and_of_neither_branch_for_type_checkers() -> None:
-    code = "import a.b\nfrom c import d\ndef f():\n    import e\nif TYPE_CHECKING:\n    import g\nelse:\n    import h\n"
-    assert set(imported(ast.parse(code))) == {"a.b", "c", "c.d", "e", "h"}
-    assert set(imported(ast.parse(code), within_functions=False)) == {"a.b", "c", "c.d", "h"}
 
 
 @pytest.fixture(scope="module")

@@ -30,17 +30,6 @@ def test_a_known_process_and_its_noise_are_recovered() -> None:
     assert fitted.noise_sd == pytest.approx(0.5, rel=4 / np.sqrt(2 * len(samples)))
 
 
-def test_other_blocks_have_no_say_and_none_is_straddled() -> None:
-    samples = process(resonance(120.0, 0.95, 5), 10)
-    spoilt = samples.copy()
-    spoilt.reshape(10, BLOCK, 3)[[1, 4]] = 1e3
-    train = (0, 2, 3, 5)
-    first, second = (fit_linear(s, train, BLOCK, 20) for s in (samples, spoilt))
-    assert first is not None
-    assert second is not None
-    np.testing.assert_array_equal(first.coefficients, second.coefficients)
-
-
 def scheduled_process(n_blocks: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
     """Samples whose taps are affine in the speed and force of the sample before, and those coefficients."""
     rng = np.random.default_rng(seed)

@@ -3,117 +3,76 @@
 import copy
 import json
 import re
-from dataclasses import replace
+from dataclasses import asdict, replace
+from functools import cache
 from html.parser import HTMLParser
 
 import numpy as np
 import pytest
 
-from foten.evaluate.evaluate import FREE_RUN_KEYS, Judgement, evaluate
-from foten.evaluate.free_run import free_run, scored
-from foten.evaluate.one_step import fit_linear, one_step
-from foten.evaluate.report import figures, signals
+from conftest import SMALL, exported
+from foten.evaluate.evaluate import FREE_RUN_KEYS, SimulatorReference, evaluate
+from foten.evaluate.free_run import scored
+from foten.evaluate.one_step import one_step
+from foten.evaluate.report import plots, signals
 from foten.evaluate.report.page import page, write_report
+from foten.evaluate.report.rows import REFERENCES, to_text
 from foten.evaluate.report.signals import AUDIO_HZ, sounds
-from foten.evaluate.report.tables import REFERENCES, to_text
-from foten.evaluate.report.verdict import cautions, reason, verdict
+from foten.evaluate.report.verdict import cautions, verdict
+from foten.models.foten.sizes import FotenSizes
 from foten.models.texture_file import Texture
-from foten.recording.scaling import fit_scaling
+from foten.recording.preprocess import PreprocessConfig, preprocess
+from foten.recording.recording import Channel, Recording
+from foten.recording.split import Split
 from foten.recording.trace import Trace
-from foten.recording.windows import targets
 from foten.simulation.simulate import simulate
 
-N_BLOCKS, TRAIN, TEST = 8, (0, 1, 2, 5), (3, 4, 6, 7)
+N_BLOCKS, BLOCK, TRAIN, TEST = 8, 2000, (0, 1, 2, 5), (3, 4, 6, 7)
 ONE_STEP = ("mae_scaled", "mae_m_s2", "gfc")
 RUNS = ("free_run", "free_run_deterministic", "free_run_ar", "ceiling")
 
 
-def _vibration(rng, *shape):
-    white = rng.standard_normal((*shape[:-1], shape[-1] + 7))
-    return np.lib.stride_tricks.sliding_window_view(white, 8, axis=-1).mean(axis=-1) * 2
-
-
-def _judgement(rate_hz=1000.0, block=2000):
-    rng = np.random.default_rng(0)
-    n = N_BLOCKS * block
+def _recording(rng, rate_hz):
+    n = round((N_BLOCKS + 0.5) * BLOCK)
     t = np.arange(n) / rate_hz
     speed, force = 120 + 60 * np.sin(5 * t), 1 + 0.4 * np.sin(3 * t)
-    trace = Trace(_vibration(rng, n) * speed / 120, speed, force, rate_hz, block, "ab" * 32)
-    scaling = fit_scaling(trace, TRAIN)
-    samples = scaling.scale(trace.stacked())
-    synthesized = {
-        "free_run": 1.3 * _vibration(rng, 3, 4, block),
-        "free_run_deterministic": np.zeros((1, 4, block)),
-        "free_run_ar": _vibration(rng, 3, 4, block),
-        "ceiling": _vibration(rng, 2, 4, block),
-    }
-    recorded = trace.blocks(trace.acceleration)[list(TEST)]
-    free = {name: free_run(recorded, signal, rate_hz, scaling.sd[0]) for name, signal in synthesized.items()}
-    n = targets(TEST, block, 160).reshape(len(TEST), -1)
-    ar = fit_linear(samples, TRAIN, block, 20).predict(samples, n)
-    scores = {
-        name: one_step(samples[n, 0], predicted, scaling.sd[0], ar)
-        for name, predicted in {
-            "own": fit_linear(samples, TRAIN, block, 40).predict(samples, n),
-            "ar": ar,
-            "ar_best": ar,
-            "persistence": samples[n - 1, 0],
-            "zero": np.zeros(n.shape),
-        }.items()
-    }
-    own = scores.pop("own")
-    references = {name: dict.fromkeys(ONE_STEP) for name in REFERENCES} | scores
-    references["ar_best"].update(order=20, scheduled=False)
-    references["bound"] = {"mae_scaled": 0.1, "mae_m_s2": 0.1 * scaling.sd[0], "gfc": None}
-    document = {
-        "texture": "denim",
-        "model": "foten-plus",
-        "rate_hz": rate_hz,
-        "split": "regrouped",
-        "split_sha256": "cd" * 32,
-        "seed": 7,
-        "n_blocks": 4,
-        "block": block,
-        "first_scored": 160,
-        "sd_m_s2": scaling.sd[0],
-        "unit": "m/s²",
-        "one_step": own,
-        "references": references,
-        **free,
-        "reasons": {
-            "references.lattice": "foten has no linear part",
-            "references.ar_scheduled": "fewer than two training windows for each coefficient",
-            "references.bound_window": "known for simulated textures alone",
-            "free_run": "it carries no excitation",
-            "free_run_ar": "no training blocks",
-            "ceiling": "a foreign recording",
-            "free_run_deterministic.level_corr": "the level does not vary",
+    vibration = np.convolve(rng.standard_normal(n + 7), np.ones(8) / 4, "valid") * speed / 120
+    channels = {"acceleration": vibration, "speed": speed, "force": force}
+    return Recording({name: Channel(samples, rate_hz) for name, samples in channels.items()})
+
+
+@cache
+def _judged(rate_hz=1000.0):
+    """An untrained texture and its judgement, with two realisations for a ceiling and a bound of 0.1 sd."""
+    rng = np.random.default_rng(0)
+    recording, *others = (_recording(rng, rate_hz) for _ in range(3))
+    config = PreprocessConfig(rate_hz=rate_hz, trim_ms=0, block_ms=1000 * BLOCK / rate_hz)
+    texture = exported(
+        *("foten", FotenSizes(**SMALL, excitation=True)),
+        **{
+            "texture": "denim",
+            "rate_hz": rate_hz,
+            "preprocess": asdict(config),
+            "recording_sha256": recording.sha256(),
         },
-        "texture_sha256": "ef" * 32,
-        "recording_sha256": trace.recording_sha256,
-        "validation": {"mae_scaled": 0.5, "mae_scaled_lattice": None},
-    }
-    document["ceiling"]["of"] = "2 further realisations of the same stroke"
-    return Judgement(document, trace, TEST, synthesized)
+        split=asdict(Split(TRAIN, (), TEST, N_BLOCKS, BLOCK, "regrouped", 0)),
+    )
+    bound = np.full(N_BLOCKS * BLOCK, 0.1 * texture.scaling.sd[0])
+    known = SimulatorReference([preprocess(other, config) for other in others], bound=bound)
+    judgement = evaluate(texture, recording, known, seed=7)
+    judgement.document["free_run_deterministic"]["level_corr"] = None
+    judgement.document["reasons"]["free_run_deterministic.level_corr"] = "the level does not vary"
+    return texture, judgement
 
 
 def _texture(**card):
-    fields = {
-        "model": "foten-plus",
-        "extrapolation_exponents": {"speed": 0.0, "force": 0.4},
-        "tool": "steel ball",
-        "sensors": "",
-        "notes": "",
-        "licence": "",
-        "trained_range": {"speed": [60.0, 180.0], "force": [0.6, 1.4]},
-        "split": {"train": list(TRAIN)},
-    }
-    return Texture(card=fields | card, tensors={})
+    texture, _ = _judged()
+    return replace(texture, card={**texture.card, **card})
 
 
 @pytest.fixture(scope="module")
 def judged():
-    return _judgement()
+    return _judged()[1]
 
 
 @pytest.fixture(scope="module")
@@ -219,16 +178,13 @@ def test_a_terminal_shows_no_key_and_gathers_what_is_missing(judged):
     text = to_text(judged.document)
     assert not re.search(r"\w_\w|references\.", text)
     assert text.splitlines()[-2:] == [
-        "One step, not computed: the model without its network (foten has no linear part); AR(20) following speed and force "
-        "(fewer than two training windows for each coefficient); bound GFC (a bound on the error says nothing of the spectrum); "
-        "bound of a window (known for simulated textures alone).",
+        "One step, not computed: the model without its network (foten has no linear part); best AR (fewer than two training "
+        "windows for each coefficient); bound GFC (a bound on the error says nothing of the spectrum); bound of a window "
+        "(known for simulated textures of the linear family alone).",
         "Free run, not computed: level correlation without excitation (the level does not vary).",
     ]
     text = to_text(_without(judged, "free_run_ar", "ceiling").document)
-    assert text.endswith(
-        "Free run, not computed: AR(20) (no training blocks); ceiling (a foreign recording); "
-        "level correlation without excitation (the level does not vary)."
-    )
+    assert text.endswith("AR(20), ceiling (left out); level correlation without excitation (the level does not vary).")
 
 
 def test_what_is_unknown_is_a_dash_with_its_reason(judged, written):
@@ -236,14 +192,13 @@ def test_what_is_unknown_is_a_dash_with_its_reason(judged, written):
     words = "".join(_Page(written).words)
     expected = {
         "references.lattice": (0, "foten has no linear part"),
-        "references.ar_scheduled": (0, "fewer than two training windows for each coefficient"),
+        "references.ar_best": (0, "fewer than two training windows for each coefficient"),
         "references.bound": (3, "a bound on the error says nothing of the spectrum"),
         "free_run.level_corr": (2, "the level does not vary"),
     }
     for row, (column, why) in expected.items():
         assert rows[row][column]["why"] == why
         assert words.count(why) >= 1  # as a footnote too: paper has no tooltips
-    assert reason(judged.document, "free_run.lsd_db", "free_run") == "it carries no excitation"
 
 
 def test_names_and_notes_cannot_break_the_page(judged):
@@ -281,7 +236,7 @@ def test_both_players_have_one_gain(judged, rate_hz):
 
 def test_a_tone_sounds_at_its_own_pitch(judged, written):
     assert written.count('src="data:audio/wav;base64,') == 2
-    tone = np.sin(2 * np.pi * 130.0 * np.arange(2000) / 1000.0)
+    tone = np.sin(2 * np.pi * 130.0 * np.arange(BLOCK) / 1000.0)
     _, sound, _ = sounds(replace(judged, synthesized={"free_run": np.tile(tone, (1, len(TEST), 1))}), "free_run")
     samples = np.frombuffer(sound[44:], dtype="<i2")[: AUDIO_HZ * 8 // 10]
     peak = np.abs(np.fft.rfft(samples)).argmax() * AUDIO_HZ / len(samples)
@@ -309,20 +264,20 @@ def test_the_figures_draw_what_was_scored(judged):
         ratio = 10 * np.log10(pooled["recorded"] / np.maximum(pooled[name], floor))
         assert np.sqrt(np.square(ratio).mean()) == pytest.approx(judged.document[name]["lsd_long_db"])
         assert signals.level_errors(judged, name).mean() == pytest.approx(judged.document[name]["level_bias_db"])
-    axes = figures.bands(judged).axes[0]
-    known = [
-        e for n in ("free_run", "free_run_ar", "ceiling") for e in judged.document[n]["band_errors_db"] if e is not None
+    axes = plots.bands(judged).axes[0]
+    errors = [
+        error for name in ("free_run", "free_run_ar", "ceiling") for error in judged.document[name]["band_errors_db"]
     ]
-    assert [bar.get_height() for bar in axes.patches] == pytest.approx(known)
-    (line, _), *_ = (axes.lines for axes in figures.waveform(judged).axes)
+    assert [bar.get_height() for bar in axes.patches] == pytest.approx(errors)
+    (line, _), *_ = (axes.lines for axes in plots.waveform(judged).axes)
     block = judged.blocks[signals.typical_block(judged)]
     np.testing.assert_array_equal(line.get_ydata(), judged.trace.acceleration[2000 * block + 400 :][:400])
 
 
 def test_figures_of_a_fast_texture_reach_half_its_rate():
     """What is above 1 kHz is drawn beside what is scored, and the axes say which is which."""
-    judged = _judgement(rate_hz=10_000.0)
-    (axes,) = figures.spectrum(judged).axes
+    _, judged = _judged(10_000.0)
+    (axes,) = plots.spectrum(judged).axes
     assert axes.get_xlim() == (20, 5000)
     assert "up to half the rate; scored from 20 to 1000 Hz" in axes.get_xlabel()
     frequencies, _ = signals.densities(judged, unscored=True)
@@ -331,7 +286,7 @@ def test_figures_of_a_fast_texture_reach_half_its_rate():
 
 def test_spectrograms_share_a_scale_and_show_a_tone_where_it_is(judged):
     tone = np.sin(2 * np.pi * 200.0 * np.arange(2000) / 1000.0)
-    figure = figures.over_time(replace(judged, synthesized={"free_run": np.tile(tone, (1, len(TEST), 1))}))
+    figure = plots.over_time(replace(judged, synthesized={"free_run": np.tile(tone, (1, len(TEST), 1))}))
     recorded, synthesized = (axes.images[0] for axes in figure.axes[:2])
     assert recorded.get_clim() == synthesized.get_clim()
     cells = np.asarray(synthesized.get_array())
@@ -344,6 +299,7 @@ def test_spectrograms_share_a_scale_and_show_a_tone_where_it_is(judged):
 
 def _without(judgement, *names, **changed):
     document = copy.deepcopy(judgement.document) | {name: dict.fromkeys(FREE_RUN_KEYS) for name in names} | changed
+    document["reasons"] |= dict.fromkeys(names, "left out")
     synthesized = {name: signal for name, signal in judgement.synthesized.items() if name not in names}
     return replace(judgement, document=document, synthesized=synthesized)
 
@@ -356,7 +312,7 @@ def test_without_excitation_the_silent_run_stands_in_and_is_called_so(judged):
     assert spectrum.tone == level.tone == "bad"
     assert "without excitation" in spectrum.sentence
     assert "silent" in level.sentence
-    assert "it carries no excitation" in text
+    assert _Page(text).rows["free_run.lsd_db"][1]["why"] == "left out"
     assert "synthesized (without excitation)" in text
 
 
@@ -364,11 +320,11 @@ def test_a_foreign_recording_without_ceiling_or_linear_fit_is_reported(judged):
     judgement = _without(judged, "free_run_ar", "ceiling", split="foreign", split_sha256=None)
     for name in ("ar", "ar_scheduled", "ar_best"):
         judgement.document["references"][name] = dict.fromkeys(ONE_STEP) | {"order": None, "scheduled": None}
-    judgement.document["reasons"]["references.ar"] = "no training blocks to fit on"
+    judgement.document["reasons"] = {"references.ar": "no training blocks to fit on"}
     text = page(judgement, _texture(split={"train": [99]}))
     assert any("not the recording" in note for note in cautions(judgement.document))
     step, spectrum, *_ = verdict(judgement.document)
-    assert "below persistence" in step.sentence
+    assert "% above persistence" in step.sentence
     assert (spectrum.tone, spectrum.beside) == ("unknown", "no ceiling known")
     assert _Page(text).rows["references.ar_best"][0]["why"] == "no training blocks to fit on"
 
@@ -400,7 +356,7 @@ def test_the_verdict_says_who_is_better(judged, error, best, tone, words):
     document["references"]["bound"] = dict.fromkeys(ONE_STEP)
     document["one_step"]["mae_scaled"] = error
     document["references"]["ar"]["mae_scaled"] = 1.0
-    document["references"]["ar_best"]["mae_scaled"] = best
+    document["references"]["ar_best"] |= {"mae_scaled": best, "order": 20}
     document["one_step"]["intervals"]["mae_to_ar"] = [error - 0.01, error + 0.01]
     step = verdict(document)[0]
     assert step.tone == tone
@@ -514,9 +470,8 @@ def test_the_listener_is_a_finding_beside_its_control(judged, found, control, to
 
 def test_a_listener_that_could_not_be_asked_says_why(judged):
     reasons = judged.document["reasons"] | {"listener": "12 s to listen to, expected at least 40"}
-    (finding,) = [
-        one for one in verdict(judged.document | {"listener": None, "reasons": reasons}) if one.title == "Listener"
-    ]
-    assert finding.tone == "unknown"
+    document = judged.document | {"listener": None, "reasons": reasons}
+    *_, finding = verdict(document)
+    assert (finding.title, finding.tone) == ("Listener", "unknown")
     assert "12 s to listen to" in finding.sentence
-    assert "Listener, not computed" in to_text(judged.document | {"listener": None, "reasons": reasons})
+    assert "Listener, not computed" in to_text(document)

@@ -9,34 +9,40 @@ from itertools import combinations
 import numpy as np
 import pytest
 
-from conftest import PLUS, exported, sizes_with
-from conftest import SMALL as NETWORK
-from foten.baselines.sizes import trainable_sizes
+from conftest import PLUS, SMALL, exported, sizes_with
 from foten.evaluate.evaluate import evaluate
 from foten.evaluate.listener import N_LISTENERS
 from foten.experiments.simulator_reference import VALIDATION_HAND, long_strokes, reference_for, validation_listener
 from foten.models.foten_plus.sizes import FotenPlusSizes
 from foten.models.texture_file import Texture, texture_from_bytes
 from foten.recording.preprocess import PreprocessConfig, preprocess
+from foten.recording.recording import Recording
 from foten.recording.split import split_blocks
 from foten.simulation.simulate import simulate
-from foten.training.config import TrainConfig, recipe_of
+from foten.training.config import TrainConfig
 from foten.training.job import TrainingJob
 from foten.training.pipeline import train
 
-SMALL = FotenPlusSizes(**PLUS)
 CUT = PreprocessConfig(block_ms=1000)
 
 
 @pytest.fixture(scope="module")
 def untrained() -> Texture:
-    return exported("foten", sizes_with("foten", NETWORK), preprocess=asdict(CUT))
+    return exported("foten", sizes_with("foten", SMALL), preprocess=asdict(CUT))
 
 
-def test_a_linear_process_is_predicted_at_its_bound_and_synthesized_at_its_ceiling() -> None:
-    recording = simulate("linear-hum", 24.0)
-    config = TrainConfig(epochs=1, batch=64, threads=1, closed_loop_training=False, max_order=40, tones=False)
-    texture = train(TrainingJob(recording, "foten-plus", SMALL, config, CUT)).texture
+@pytest.fixture(scope="module")
+def linear() -> tuple[Recording, Texture]:
+    """A linear process, and what a linear fit learns of it."""
+    recording = simulate("linear-cloth", 24.0, seed=1)
+    config = TrainConfig(epochs=0, batch=64, threads=1, closed_loop_training=False, max_order=20, tones=False)
+    return recording, train(TrainingJob(recording, "foten-plus", FotenPlusSizes(**PLUS), config, CUT)).texture
+
+
+def test_a_linear_process_is_predicted_at_its_bound_and_synthesized_at_its_ceiling(
+    linear: tuple[Recording, Texture],
+) -> None:
+    recording, texture = linear
     reference = reference_for(recording, texture)
     assert len(reference.realisations) == 5
     document = evaluate(texture, recording, reference).document
@@ -89,7 +95,9 @@ def test_listeners_have_true_vibrations_under_another_and_longer_hand(monkeypatc
     n = min(len(own.speed), len(first.speed))
     assert abs(np.corrcoef(own.speed[:n], first.speed[:n])[0, 1]) < 0.5
     assert not reference_for(recording, texture).strokes
-    assert not reference_for(dataclasses.replace(recording, simulation=None), texture, listener=True).strokes
+    unknown = dataclasses.replace(recording, simulation=None)
+    assert not reference_for(unknown, texture, listener=True).strokes
+    assert validation_listener(texture, unknown) == {}
 
 
 @pytest.fixture
@@ -110,20 +118,13 @@ def test_what_is_chosen_by_is_another_hand_and_another_place_than_what_is_report
 
 
 @pytest.mark.usefixtures("short_listener")
-def test_the_area_of_a_linear_process_is_near_chance_and_of_a_louder_one_certainty() -> None:
+def test_the_area_of_a_linear_process_is_near_chance_and_of_a_louder_one_certainty(
+    linear: tuple[Recording, Texture],
+) -> None:
     """Of 60 s the area scatters by 0.07, as in `test_listener`; twice as loud is plain."""
-    recording = simulate("linear-cloth", 30, seed=1)
-    config = recipe_of("foten-plus", threads=1, epochs=0, max_order=40, tones=False)
-    texture = train(TrainingJob(recording, "foten-plus", trainable_sizes("foten-plus", {}), config)).texture
+    recording, texture = linear
     assert validation_listener(texture, recording)["area"] < 0.75
-    scaling = texture.card["scaling"]["sd"]
-    louder = dataclasses.replace(
-        texture, card={**texture.card, "scaling": {**texture.card["scaling"], "sd": [2 * scaling[0], *scaling[1:]]}}
-    )
+    scaling = texture.card["scaling"]
+    louder_scaling = {**scaling, "sd": [2 * scaling["sd"][0], *scaling["sd"][1:]]}
+    louder = dataclasses.replace(texture, card={**texture.card, "scaling": louder_scaling})
     assert validation_listener(texture_from_bytes(louder.to_bytes()), recording)["area"] > 0.95
-
-
-@pytest.mark.usefixtures("short_listener")
-def test_of_a_recording_no_listener_is_asked_to_choose() -> None:
-    recording = dataclasses.replace(simulate("linear-hum", 8), simulation=None)
-    assert validation_listener(exported("foten", preprocess={"block_ms": 500.0}), recording) == {}

@@ -22,10 +22,21 @@ from foten.cli.command_line import _status
 from foten.datasets.hdf5 import write_recording
 from foten.experiments.experiment import read_experiment
 from foten.experiments.figures import figures
+from foten.experiments.method_tables import (
+    PAPER,
+    PAPERS,
+    Row,
+    compared,
+    findings,
+    holm,
+    ratios,
+    summary,
+    table,
+    tables_of,
+)
 from foten.experiments.provenance import platform_here, provenance_of
 from foten.experiments.results import by_recipe, chosen, read_records, read_results, records_of, runs_table, title_of
 from foten.experiments.sweep import _stoppable, lacking, planned, sweep
-from foten.experiments.tables import PAPER, PAPERS, Row, compared, findings, holm, ratios, summary, table, tables_of
 from foten.reporting.table import Number
 from foten.simulation.simulate import simulate
 

@@ -23,8 +23,8 @@ import numpy as np
 
 from foten.atomic_write import atomic_write
 from foten.experiments.experiment import experiment_path, read_experiment
+from foten.experiments.method_tables import findings, ratios, summary
 from foten.experiments.results import Record, Records, chosen, read_records
-from foten.experiments.tables import findings, ratios, summary
 from foten.reporting.table import Cell, Number, Table, mean_number
 from foten.simulation import contact_mechanics, linear_family, simulate
 

@@ -27,7 +27,7 @@ def evaluate(
     """Judge a texture on its test blocks: one-step and free-run, beside references and a ceiling."""
     from foten.datasets.hdf5 import load_recording
     from foten.evaluate import evaluate as judge
-    from foten.evaluate.report.tables import to_text
+    from foten.evaluate.report.rows import to_text
     from foten.experiments.simulator_reference import reference_for
     from foten.models.texture_file import read_texture
 

@@ -71,8 +71,8 @@ def tables(
     as_json: JsonOption = False,
 ) -> None:
     """Set the results of a sweep beside references and beside the paper's figures."""
+    from foten.experiments.method_tables import brief, findings, tables_of
     from foten.experiments.results import joined, read_records, runs_table, title_of
-    from foten.experiments.tables import brief, findings, tables_of
     from foten.reporting.table import FORMS
 
     records = joined([read_records(path) for path in results], mixed)

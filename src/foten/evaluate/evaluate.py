@@ -1,4 +1,4 @@
-"""The judge: one document of figures for a texture on a recording's test blocks."""
+"""The judge: one document of figures for a texture on the test blocks of a recording."""
 
 from __future__ import annotations
 
@@ -38,13 +38,12 @@ _WHY_UNKNOWN = {
 
 @dataclass(frozen=True)
 class SimulatorReference:
-    """What only a simulator knows; the caller asks it."""
+    """What only a simulator knows of a recording."""
 
     realisations: Sequence[Trace] = ()  # the same stroke over fresh roughness, preprocessed as the recording was
     strokes: tuple[Trace, ...] = ()  # of one long stroke by another hand, for listeners: the recorded one, then others
-    # Expected absolute one-step error [m/s²] from the infinite past and from a window of m, at each sample, shape (n,).
-    bound: Array | None = None
-    bound_window: Array | None = None
+    bound: Array | None = None  # expected absolute one-step error [m/s²] from the infinite past, shape (n,)
+    bound_window: Array | None = None  # the same from a window of m
     why_no_bound: str = "known for simulated textures of the linear family alone"
 
 
@@ -61,10 +60,10 @@ class Judgement:
 def trace_for(
     texture: Texture, recording: Recording, trim_ms: float | None = None, block_ms: float | None = None
 ) -> Trace:
-    """Recording preprocessed as the texture's was, with another trim and block [ms] where given.
+    """Recording preprocessed as the texture's was, with another trim and block [ms] where they are not None.
 
     Raises:
-        ValueError: it is the recording that the texture was trained on, whose blocks are those of its split.
+        ValueError: they are given of the recording that the texture was trained on, whose blocks are those of its split.
     """
     config = PreprocessConfig(**texture.card["preprocess"])
     cut: dict[str, Any] = {k: v for k, v in {"trim_ms": trim_ms, "block_ms": block_ms}.items() if v is not None}
@@ -84,10 +83,12 @@ def evaluate(
     block_ms: float | None = None,
     listener: bool = False,
 ) -> Judgement:
-    """All figures of a texture on the test blocks of the recording it was trained on, or on all of another.
+    """All figures of a texture on the test blocks of the recording it was trained on, or on all blocks of another.
 
-    The trained one is recognised by its digest; `trim_ms` and `block_ms` are as of `trace_for`, `seed` is the excitation's. A
-    `listener` is asked where it is asked for: it needs PyTorch, and a minute.
+    Args:
+        seed: of the excitation.
+        trim_ms, block_ms: of another recording, as of `trace_for`.
+        listener: train listeners too, which needs PyTorch and a minute.
 
     Raises:
         ValueError: the recording is too short, the split does not fit it, or one of the two alone is in relative units.
@@ -148,7 +149,7 @@ def evaluate(
 
 @dataclass(frozen=True)
 class _Case:
-    """What is judged, and why figures are unknown."""
+    """A texture on blocks of a trace, and the reasons why figures are unknown."""
 
     texture: Texture
     kernel: NativeTexture
@@ -161,7 +162,7 @@ class _Case:
 
 
 def _listener(case: _Case, on_stage: Callable[[str], None]) -> dict[str, Any] | None:
-    """Scores of trained listeners: under a long stroke of the simulator, else under the test blocks."""
+    """Scores of listeners under a long stroke of the simulator, else under the test blocks."""
     if not case.texture.has_excitation:
         case.reasons["listener"] = f"{case.texture.card['model']} carries no excitation"
         return None

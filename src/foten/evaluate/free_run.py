@@ -1,7 +1,8 @@
-"""Free-run scores: what is synthesized under a recorded hand, against what was recorded."""
+"""Free-run scores: what is synthesized under recorded speed and force, against what was recorded."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -25,7 +26,7 @@ LEVEL_JND_DB = 2.3  # just noticeable difference of a level, 20 to 35 dB above t
 
 
 def scored(block: int) -> slice:
-    """The scored part of a block: all but the first fifth, in which the loop settles."""
+    """Scored part of a block: all but the first fifth, in which the loop settles."""
     return slice(round(SETTLING * block), None)
 
 
@@ -37,40 +38,39 @@ def synthesize(
     seed: int = 0,
     n_seeds: int = N_SEEDS,
 ) -> tuple[Array, int]:
-    """The free run under recorded speed and force [m/s²], and how often the saturator cut it.
+    """Free run under recorded speed and force [m/s²], (n_seeds, n_blocks, block), and how many samples the saturator cut.
 
-    Rendered as for a user, by the kernel; each block goes on from its own recorded window. The shape is (n_seeds, n_blocks,
-    block); without excitation n_seeds is 1.
+    Rendered by the kernel; each block goes on from its own recorded window. Without excitation n_seeds is 1.
     """
-    n_seeds, m = n_seeds if excitation else 1, texture.info.window
-    channels = trace.picked(blocks)
-    rendered = np.empty((n_seeds * len(blocks), trace.block - m))
-    n_saturated = np.zeros(len(rendered), dtype=np.int64)
-
-    def render(stream: int) -> None:
-        acceleration, speed, force = (channel[stream % len(blocks)] for channel in channels)
-        state = NativeState(texture, seed=seed, stream=stream, excitation=excitation)
-        state.start(acceleration[:m], speed[:m], force[:m])
-        rendered[stream] = state.render_stroke(speed[m:], force[m:])
-        n_saturated[stream] = state.statistics.n_saturated
-
-    on_all_cores(render, len(rendered))
-    return _after_recorded(channels[0][:, :m], rendered), int(n_saturated.sum())
+    m, channels = texture.info.window, trace.picked(blocks)
+    _, speed, force = repeated = [np.tile(channel, (n_seeds if excitation else 1, 1)) for channel in channels]
+    windows = [channel[:, :m] for channel in repeated]
+    rendered, n_saturated = render_strokes(texture, seed, speed[:, m:], force[:, m:], 0, windows, excitation)
+    return _after_recorded(channels[0][:, :m], rendered), n_saturated
 
 
 def render_strokes(
-    texture: NativeTexture, seed: int, speed: Array, force: Array, first_stream: int = 0
+    texture: NativeTexture,
+    seed: int,
+    speed: Array,
+    force: Array,
+    first_stream: int = 0,
+    windows: Sequence[Array] = (),
+    excitation: bool = True,
 ) -> tuple[Array, int]:
     """Acceleration [m/s²] of strokes with noise of their own, shape (s, n), and how many samples the saturator cut.
 
     Args:
         seed: of the noise; stroke s draws that of stream `first_stream` + s.
         speed, force: at the texture's own rate [mm/s, N], each of shape (s, n).
+        windows: acceleration, speed and force, each (s, window), that strokes go on from; by default the stored warm start.
     """
     rendered, n_saturated = np.empty(speed.shape), np.zeros(len(speed), dtype=np.int64)
 
     def render(stroke: int) -> None:
-        state = NativeState(texture, seed=seed, stream=first_stream + stroke)
+        state = NativeState(texture, seed=seed, stream=first_stream + stroke, excitation=excitation)
+        if windows:
+            state.start(*(window[stroke] for window in windows))
         rendered[stroke] = state.render_stroke(speed[stroke], force[stroke])
         n_saturated[stroke] = state.statistics.n_saturated
 
@@ -81,9 +81,9 @@ def render_strokes(
 def synthesize_linear(
     predictor: Linear, trace: Trace, blocks: tuple[int, ...], scaling: Scaling, seed: int = 0, n_seeds: int = N_SEEDS
 ) -> Array:
-    """The free run of a linear predictor with white noise of one scale [m/s²], shape (n_seeds, n_blocks, block).
+    """Free run of a linear predictor [m/s²], shape (n_seeds, n_blocks, block): white noise through 1/A.
 
-    The anchor to beat: the filter 1/A, started from the recorded window of each block.
+    Started from the recorded window of each block; the reference that a model has to beat.
     """
     from scipy.signal import lfilter, lfiltic
 
@@ -104,7 +104,7 @@ def _after_recorded(history: Array, rendered: Array) -> Array:
 
 
 def nearest_training_blocks(trace: Trace, blocks: tuple[int, ...], train: tuple[int, ...]) -> Array:
-    """For each block the recorded one of the training blocks nearest in mean speed and force, (1, n_blocks, block).
+    """Acceleration of the training block nearest to each block in mean speed and force, (1, n_blocks, block).
 
     Distances are in standard deviations of the training blocks' samples.
     """
@@ -117,7 +117,7 @@ def nearest_training_blocks(trace: Trace, blocks: tuple[int, ...], train: tuple[
 
 
 def free_run(recorded: Array, synthesized: Array, rate_hz: float, sd: float, n_history: int = 0) -> dict[str, Any]:
-    """The free-run figures of synthesized blocks beside recorded ones.
+    """Free-run figures of synthesized blocks beside recorded ones.
 
     Args:
         recorded: [m/s²], shape (n_blocks, block), whole blocks; the first fifth of each is not scored.
@@ -171,22 +171,20 @@ def free_run(recorded: Array, synthesized: Array, rate_hz: float, sd: float, n_h
             "band_correlation_error": _correlation_error(energy_p[index], energy_q[:, index]),
         }
 
-    every = np.arange(len(recorded))
     return {
-        **figures(every),
+        **metrics.with_intervals(figures, len(recorded)),
         "max_sd": float(worst.max()),
         "kurtosis_recorded": metrics.kurtosis(metrics.moments(recorded).mean(axis=1)),
-        "intervals": metrics.intervals(figures, len(recorded)),
     }
 
 
 def _pooled(recorded: Array, synthesized: Array, index: NDArray[np.int64]) -> tuple[Array, Array]:
-    """The mean spectra of some blocks: recorded (n_blocks, k), synthesized (n_seeds, n_blocks, k) → (k,) each."""
+    """Mean spectra of some blocks: recorded (n_blocks, k), synthesized (n_seeds, n_blocks, k) → (k,) each."""
     return recorded[index].mean(axis=0), synthesized[:, index].mean(axis=(0, 1))
 
 
 def _correlation_error(recorded: Array, synthesized: Array) -> float | None:
-    """The RMS difference of the correlations between bands, mean over seeds; None without two frames."""
+    """RMS difference of the correlations between bands, mean over seeds; None without two frames."""
     if recorded.shape[0] * recorded.shape[2] < 2:
         return None
     target = metrics.band_correlations(recorded)

@@ -1,9 +1,6 @@
-"""The listener's verdict: can a network that is trained for it tell the free run from the surface?
+"""The listener's score: how well a network that is trained for it tells a rendering from a recording.
 
-The other figures of a free run compare averages. Here a small network is shown half a second of recorded or rendered vibration
-with its speed and force, and answers which it is. It learns from the first 60 % of a long stroke and is scored on the last 30 %.
-The control is the same listener on two true vibrations. Moments at rest are hidden: a rendering is silent there by rule, and a
-sensor is not. PyTorch is loaded when a listener is trained.
+Moments at rest are hidden, where a rendering is silent and a sensor is not. PyTorch is loaded when a listener is trained.
 """
 
 from __future__ import annotations
@@ -29,15 +26,16 @@ if TYPE_CHECKING:
 N_LISTENERS = 3  # each with a seed of its own, and another rendering
 TRAIN_SHARE, TEST_SHARE = 0.6, 0.3  # the first and the last part of a stroke; what lies between keeps them apart
 STREAM = 2**35  # of noise, the first that listeners are played
-# Of a stroke: 24 s to learn from, and 12 s, 100 excerpts that overlap by three quarters, to be scored on.
-MIN_LISTENED_S = 40.0
+MIN_LISTENED_S = (
+    40.0  # of a stroke: 24 s to learn from, and 12 s, 100 excerpts that overlap by three quarters, to score
+)
 FLOOR = 1e-4  # of the mean energy of a band: what is 40 dB below it counts as that
 SOFTENING = np.array([[2.0], [0.05]])  # added to speed [mm/s] and force [N] before their logarithm
 SD_FLOOR = 1e-6  # a band or a hand that does not vary is not divided by zero
 
 
 def long_stroke(trace: Trace, blocks: Sequence[int] | None = None) -> Trace:
-    """What a listener is played: a trace as one continuous piece, its only block, or some of its blocks as a piece each."""
+    """Trace for a listener: as one continuous piece, its only block, or some of its blocks as a piece each."""
     if blocks is None:
         return replace(trace, block=len(trace))
     acceleration, speed, force = (channel.ravel() for channel in trace.picked(blocks))
@@ -45,7 +43,7 @@ def long_stroke(trace: Trace, blocks: Sequence[int] | None = None) -> Trace:
 
 
 def rendering(kernel: NativeTexture, recorded: Trace, seed: int) -> Array:
-    """A texture rendered under a recorded hand [m/s²], shape (n,)."""
+    """Texture rendered under recorded speed and force [m/s²], shape (n,)."""
     speed, force = recorded.blocks(recorded.speed), recorded.blocks(recorded.force)
     return render_strokes(kernel, seed, speed, force, STREAM)[0].ravel()
 
@@ -57,13 +55,13 @@ def listener_scores(
     seed: int = 0,
     on_stage: Callable[[str], None] = lambda stage: None,
 ) -> dict[str, Any]:
-    """How well listeners tell renderings from a recording: areas under their curves, 0.5 chance, 1 certainty.
+    """Areas under the curves of listeners that tell renderings from a recording: 0.5 is chance, 1 certainty.
 
     Args:
         recorded: at least `MIN_LISTENED_S` of it, in pieces (`long_stroke`).
-        rendered: seed → a rendering under the recorded hand [m/s²], shape (n,).
-        others: other true vibrations under the same hand, for the controls, one for each in turn; without any, every other
-            piece of the recording stands for them, where the two halves are long enough.
+        rendered: seed → a rendering under the recorded speed and force [m/s²], shape (n,).
+        others: further true vibrations of the stroke, for the controls in turn; without any, one half of the pieces of the
+            recording beside the other, where they are long enough.
         seed: of the first listener and rendering; those of the others follow.
 
     Returns:
@@ -101,7 +99,7 @@ def listener_scores(
 
 
 def vibrations(first: Trace, second: Trace, waveform: bool) -> tuple[Vibration, Vibration]:
-    """Two vibrations as a listener is shown them, standardised by what both are in the part that it learns from."""
+    """Two vibrations as a listener is shown them, standardised by both in the part that it learns from."""
     from foten.evaluate.listener_network import Vibration
 
     both = (first, second)
@@ -113,14 +111,13 @@ def vibrations(first: Trace, second: Trace, waveform: bool) -> tuple[Vibration, 
     moving = [((lowest[:, 0] >= FADE_SPEED) & (lowest[:, 1] >= FADE_FORCE)) for _, lowest in conditions]
     starts = [_starts(*moves.shape) for moves in moving]
     logs = [np.log(energy + floor + np.finfo(float).tiny) for energy in energies]
-    of_bands = _standardisation(logs, moving, starts)
+    bands = _standardised(logs, moving, starts)
     speed_forces = [np.log(mean + SOFTENING) for mean, _ in conditions]
-    of_speed_force = _standardisation(speed_forces, [np.ones_like(moves) for moves in moving], starts)
+    speed_forces = _standardised(speed_forces, [np.ones_like(moves) for moves in moving], starts)
     scale = float(np.sqrt(np.mean([np.square(stroke.acceleration).mean() for stroke in both]))) or 1.0
     shown_vibrations = []
-    for stroke, log, speed_force, moves, (train, test) in zip(both, logs, speed_forces, moving, starts, strict=True):
-        shown = np.where(moves[:, None], _standardised(log, of_bands), 0.0)
-        frames = np.concatenate([shown, _standardised(speed_force, of_speed_force)], axis=1)
+    for stroke, band, speed_force, moves, (train, test) in zip(both, bands, speed_forces, moving, starts, strict=True):
+        frames = np.concatenate([np.where(moves[:, None], band, 0.0), speed_force], axis=1)
         samples = None
         if waveform:
             cut = framed(stroke.blocks(stroke.acceleration), BAND_FRAME_MS, stroke.rate_hz)
@@ -137,7 +134,7 @@ def _conditions(stroke: Trace) -> tuple[Array, Array]:
 
 
 def _starts(n_pieces: int, n_frames: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """The frames with which excerpts to learn from, and to be scored on, begin: each within one piece."""
+    """Frames with which excerpts to learn from, and to be scored on, begin: each within one piece."""
     from foten.evaluate.listener_network import EXCERPT, HOP
 
     n = n_pieces * n_frames
@@ -148,10 +145,10 @@ def _starts(n_pieces: int, n_frames: int) -> tuple[NDArray[np.int64], NDArray[np
     return train, later[(later % n_frames) % HOP == 0]
 
 
-def _standardisation(
+def _standardised(
     channels: list[Array], counted: list[NDArray[np.bool_]], starts: list[tuple[NDArray[np.int64], Any]]
-) -> tuple[Array, Array]:
-    """Mean and standard deviation of each channel over the counted frames that are learned from."""
+) -> list[Array]:
+    """Channels (n_pieces, channels, frames) of both, standardised over the counted frames that are learned from."""
     known = []
     for channel, counts, (train, _) in zip(channels, counted, starts, strict=True):
         until = train[-1] + 1
@@ -159,14 +156,10 @@ def _standardisation(
     joined = np.concatenate(known, axis=1)
     if not joined.shape[1]:
         raise ValueError("the hand is at rest where a listener is to learn, expected strokes")
-    return joined.mean(axis=1), np.maximum(joined.std(axis=1), SD_FLOOR)
+    mean, sd = joined.mean(axis=1)[:, None], np.maximum(joined.std(axis=1), SD_FLOOR)[:, None]
+    return [(channel - mean) / sd for channel in channels]
 
 
 def _joined(channels: Array) -> Array:
     """Pieces one after the other: (n_pieces, channels, frames) → (channels, n_pieces·frames)."""
     return np.moveaxis(channels, 1, 0).reshape(channels.shape[1], -1)
-
-
-def _standardised(channels: Array, by: tuple[Array, Array]) -> Array:
-    mean, sd = by
-    return np.asarray((channels - mean[:, None]) / sd[:, None])

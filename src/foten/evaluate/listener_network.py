@@ -1,6 +1,4 @@
-"""The listener: a small network that is trained to tell two vibrations under one hand apart.
-
-Its score is the area under its curve on later excerpts than it was trained on: 0.5 is chance, 1 is certainty.
+"""The listener: a small network that is trained to tell two vibrations apart, and scored on later excerpts.
 
 Source: the classifier two-sample test (Lopez-Paz & Oquab, ICLR 2017).
 """
@@ -25,7 +23,7 @@ HOP = 15  # frames between the excerpts that are scored
 
 @dataclass(frozen=True)
 class Vibration:
-    """One of the two, cut into frames: what the listener is shown of it, and where its excerpts may begin."""
+    """One of the two vibrations, cut into frames, and where its excerpts may begin."""
 
     frames: Array  # standardised log energies, log speed and log force, shape (channels, n_frames)
     waveform: Array | None  # compressed, shape (n_frames, samples of a frame)
@@ -34,7 +32,7 @@ class Vibration:
 
 
 class Listener(nn.Module):
-    """Excerpts in, log odds of the second vibration out."""
+    """Log odds that an excerpt is of the second vibration."""
 
     def __init__(self, n_channels: int, frame: int | None) -> None:
         """Listener of some channels, and of a waveform of so many samples a frame or none."""
@@ -65,9 +63,9 @@ class Listener(nn.Module):
 
 
 def listener_auc(first: Vibration, second: Vibration, seed: int, same_stroke: bool = True) -> float:
-    """The area under the curve of a listener that was trained on these two for a fixed budget, on one core.
+    """Area under the curve of a listener that is trained on two vibrations for a fixed budget, on one core.
 
-    Of two under the same stroke it is shown the same moments, so that the hand says nothing.
+    Of two under the same stroke it is shown the same moments, so that speed and force say nothing.
     """
     n_threads = torch.get_num_threads()
     torch.set_num_threads(1)  # the layers are too small for more, and the sums are the same on every machine
@@ -113,7 +111,7 @@ def _listener_auc(both: tuple[Vibration, Vibration], rng: np.random.Generator, s
 
 
 def area_under_curve(first: Array, second: Array) -> float:
-    """The share of pairs in which a score of the second is the larger, ties by half: shapes (n,) and (k,)."""
+    """Share of pairs in which the score of the second is the larger, ties by half: shapes (n,) and (k,)."""
     order = np.sort(first)
     below, up_to = (np.searchsorted(order, second, side) for side in ("left", "right"))
     return float((below + up_to).mean() / (2 * len(first)))

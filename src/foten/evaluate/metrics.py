@@ -1,4 +1,4 @@
-"""Figures of merit on arrays, and their intervals. Each docstring says whether it depends on gain, phase or the spectrum."""
+"""Figures of merit on arrays, and their intervals."""
 
 from __future__ import annotations
 
@@ -17,13 +17,9 @@ N_BANDS = 9
 
 
 def goodness_of_fit(recorded: Array, synthesized: Array) -> Array:
-    """The cosine similarity of DFT amplitude spectra (GFC).
+    """Cosine similarity of DFT amplitude spectra (GFC) of accelerations [m/s²], (…, n) → (…): 1 where they are proportional.
 
-    Blind to gain and phase: report it beside an absolute error. On raw bins two independent realisations of one noise
-    reach π/4, not 1.
-
-    Accelerations [m/s²], shapes (…, n), give scores in [0, 1], shape (…): 1 when the spectra are proportional, 0 when one is all
-    zero.
+    Blind to gain and phase: report it beside an absolute error. Two realisations of one noise reach π/4.
 
     Source: Eq. 13.
     """
@@ -31,13 +27,13 @@ def goodness_of_fit(recorded: Array, synthesized: Array) -> Array:
 
 
 def cosine(a: Array, b: Array) -> Array:
-    """The cosine similarity of amplitudes (…, k) → (…), 0 where one is all zero."""
+    """Cosine similarity of amplitudes (…, k) → (…), 0 where one is all zero."""
     norm = np.linalg.norm(a, axis=-1) * np.linalg.norm(b, axis=-1)
     return np.asarray((a * b).sum(axis=-1) / np.maximum(norm, np.finfo(np.float64).tiny))
 
 
 def moments(samples: Array) -> Array:
-    """The means of the first to fourth powers of samples: (…, n) → (4, …)."""
+    """Means of the first to fourth powers of samples: (…, n) → (4, …)."""
     return np.stack([np.power(samples, k).mean(axis=-1) for k in range(1, 5)])
 
 
@@ -50,12 +46,12 @@ def kurtosis(moments: Array) -> float:
 
 
 def band_edges(rate_hz: float) -> Array:
-    """The edges of nine bands, equal in log frequency, over the scored range [Hz], shape (10,)."""
+    """Edges of nine bands, equal in log frequency, over the scored range [Hz], shape (10,)."""
     return np.geomspace(MIN_SCORED_HZ, max_scored_hz(rate_hz), N_BANDS + 1)
 
 
 def band_errors(recorded: Array, synthesized: Array, frequencies: Array, edges: Array) -> list[float | None]:
-    """The error of the energy of each band between edges [Hz], in dB, from pooled densities (k,); None without a bin."""
+    """Errors of the energy of each band between edges [Hz], in dB, from pooled densities (k,); None without a bin."""
     starts = np.searchsorted(frequencies, edges)
     starts[-1] = np.searchsorted(frequencies, edges[-1], side="right")  # the last band includes both edges
     errors: list[float | None] = []
@@ -68,7 +64,7 @@ def band_errors(recorded: Array, synthesized: Array, frequencies: Array, edges: 
 def modulation_spectra(blocks: Array, rate_hz: float) -> tuple[Array, Array] | None:
     """Frequencies [Hz], 1 to 50, and the power spectrum of each block's envelope: blocks (…, n) → (k,), (…, k).
 
-    The envelope is the magnitude of the analytic signal, divided by its mean in each block. None for blocks under 1 s.
+    The envelope is divided by its mean in each block. None for blocks under 1 s.
     """
     if blocks.shape[-1] < rate_hz:
         return None
@@ -82,13 +78,11 @@ def modulation_spectra(blocks: Array, rate_hz: float) -> tuple[Array, Array] | N
 
 
 def band_correlations(energies: Array) -> Array:
-    """How the envelopes of bands rise and fall in step: energies (n_blocks, bands, frames) → (pairs,), −1 to 1.
+    """Correlations of the envelopes of each pair of bands: energies (n_blocks, bands, frames) → (pairs,).
 
-    Correlations over all frames of all blocks of amplitudes to the power of 0.3, each pair of bands once; 0 where one does not
-    vary. Impacts raise all bands at once, a hiss each by itself, under the same spectrum.
+    Over all frames of all blocks, of amplitudes to the power of 0.3; 0 where one does not vary. Impacts raise all bands at once.
 
-    Source: McDermott & Simoncelli, "Sound texture perception via statistics of the auditory periphery", Neuron 71 (2011); bands
-    as of `dsp.bands`.
+    Source: McDermott & Simoncelli, "Sound texture perception via statistics of the auditory periphery", Neuron 71 (2011).
     """
     envelopes = np.moveaxis(energies, 1, 0).reshape(energies.shape[1], -1) ** 0.15
     envelopes -= envelopes.mean(axis=1, keepdims=True)
@@ -97,32 +91,27 @@ def band_correlations(energies: Array) -> Array:
     return np.asarray(correlations[np.triu_indices(len(envelopes), 1)])
 
 
-def intervals(figures: Callable[[NDArray[np.int64]], Mapping[str, Any]], n_blocks: int) -> dict[str, list[float]]:
-    """The 95 % confidence interval of each figure over blocks: Student's t with the jackknife's standard error.
+def with_intervals(figures: Callable[[NDArray[np.int64]], Mapping[str, Any]], n_blocks: int) -> dict[str, Any]:
+    """Figures of all blocks, and `intervals`: 95 % confidence, [low, high] each, by Student's t and the jackknife.
 
-    Samples within a block are correlated and do not count as independent. Resampling blocks with replacement covers the mean of
-    4 normal blocks in 80 % and of 6 in 87 %, this in 95 %. With fewer than 4 blocks the interval says nothing, and the result is
-    empty.
+    No intervals with fewer than 4 blocks. Resampling blocks with replacement would cover the mean of 4 normal blocks in 80 %.
 
     Args:
-        figures: block numbers → figures, each a number, a list, or None where these blocks have none.
+        figures: block numbers → figures; those that are a number have an interval.
 
-    Returns:
-        By figure that is a number [low, high], around the figure of all blocks.
-
-    Source: Efron & Stein (1981), the standard error; leaving one block out at a time.
+    Source: Efron & Stein (1981), the standard error.
     """
+    all_blocks, bounds = np.arange(n_blocks), dict[str, list[float]]()
+    of_all = figures(all_blocks)
     if n_blocks < 4:
-        return {}
+        return {**of_all, "intervals": bounds}
     from scipy.special import stdtrit
 
-    all_blocks = np.arange(n_blocks)
     left_out = [figures(np.delete(all_blocks, i)) for i in all_blocks]
     t = float(stdtrit(n_blocks - 1, 0.975))
-    bounds = {}
-    for name, figure in figures(all_blocks).items():
+    for name, figure in of_all.items():
         others = [without[name] for without in left_out]
         if isinstance(figure, float) and None not in others:
             error = t * float(np.sqrt((n_blocks - 1) * np.var(others)))
             bounds[name] = [figure - error, figure + error]
-    return bounds
+    return {**of_all, "intervals": bounds}

@@ -1,7 +1,4 @@
-"""One-step scores: predict each sample of the test blocks from recorded history, by a model and by what it has to beat.
-
-Beside zero and persistence those are linear predictors, fitted on the training blocks.
-"""
+"""One-step scores of a model, and of linear predictors that are fitted on the training blocks."""
 
 from __future__ import annotations
 
@@ -16,7 +13,7 @@ from numpy.typing import NDArray
 
 from foten.dsp import Array
 from foten.dsp.ar import MAX_POLE, solved, stabilised
-from foten.evaluate.metrics import goodness_of_fit, intervals
+from foten.evaluate.metrics import goodness_of_fit, with_intervals
 from foten.recording.windows import stretches, targets
 from foten.runtime.loops import Prediction, predict_blocks
 from foten.runtime.native import NativeTexture, PredictionPart
@@ -27,7 +24,7 @@ _HALF, _NINE_TENTHS = 0.6744897501960817, 1.6448536269514722  # quantiles of a s
 
 
 def one_step(recorded: Array, predicted: Array, sd: float, linear: Array | None = None) -> dict[str, Any]:
-    """The one-step figures of a predictor over the scored samples of some blocks.
+    """One-step figures of a predictor over the scored samples of some blocks.
 
     Args:
         recorded, predicted: scaled acceleration, shape (n_blocks, k); the same samples for every method that is compared.
@@ -36,7 +33,7 @@ def one_step(recorded: Array, predicted: Array, sd: float, linear: Array | None 
 
     Returns:
         `mae_scaled`, `mae_m_s2`, `gfc` (Eq. 13 on raw bins, mean over blocks), `intervals`; with `linear` also `mae_to_ar`, the
-        error over AR(20)'s, whose interval is that of a difference on the same blocks.
+        error over AR(20)'s.
     """
     error, fit = np.abs(recorded - predicted).mean(axis=1), goodness_of_fit(recorded, predicted)
     beside = np.zeros(len(error)) if linear is None else np.abs(recorded - linear).mean(axis=1)
@@ -46,26 +43,24 @@ def one_step(recorded: Array, predicted: Array, sd: float, linear: Array | None 
         ratio = {"mae_to_ar": mae / float(beside[index].mean())} if beside.all() else {}
         return {"mae_scaled": mae, "mae_m_s2": mae * sd, "gfc": float(fit[index].mean()), **ratio}
 
-    return {**figures(np.arange(len(error))), "intervals": intervals(figures, len(error))}
+    return with_intervals(figures, len(error))
 
 
 def predict(texture: NativeTexture, samples: Array, n: NDArray[np.int64], part: PredictionPart = "model") -> Prediction:
-    """What a texture expects of scaled samples (t, 3) at rows of consecutive indices n, shape (n_blocks, k)."""
+    """Predictions of a texture for scaled samples (t, 3) at rows of consecutive indices n, shape (n_blocks, k)."""
     return predict_blocks(texture, stretches(samples, n, texture.info.window), part)
 
 
 def excitation_scores(
     texture: NativeTexture, samples: Array, n: NDArray[np.int64], counted: NDArray[np.bool_]
 ) -> dict[str, Any]:
-    """How well the random part, a network's distribution or an excitation's scale, describes the one-step error.
+    """Fit of the random part, a network's distribution or an excitation's scale, to the error of a rendering's prediction.
 
-    The error is that of the prediction which a rendering uses, with the network or without; it is not known where a rendering
-    has tones (`dsp.tones`). Of two networks the distribution is that of the one which predicts.
+    Unknown where a rendering has tones (`dsp.tones`).
 
     Args:
         samples, n: scaled, shape (t, 3), and the indices to score, rows of consecutive ones, shape (n_blocks, k).
-        counted: which of them lie where the rendering does not fade, shape (n_blocks, k); elsewhere the recording is its
-            sensors' noise.
+        counted: which of them lie where the rendering does not fade, shape (n_blocks, k).
 
     Returns:
         `nll`: mean negative log-likelihood [nat, scaled]; `coverage_50`, `coverage_90`: the share of samples inside the
@@ -90,7 +85,7 @@ def excitation_scores(
             "standardised_sd": float(np.sqrt(np.square(size).mean())),
         }
 
-    return {**figures(np.arange(len(n))), "intervals": intervals(figures, len(n))}
+    return with_intervals(figures, len(n))
 
 
 @dataclass(frozen=True)
@@ -102,12 +97,10 @@ class Linear:
 
     @property
     def window(self) -> int:
-        """The order p."""
         return self.coefficients.shape[-1] - 1
 
     @property
     def scheduled(self) -> bool:
-        """Whether the coefficients follow speed and force."""
         return self.coefficients.ndim == 2
 
     def predict(self, samples: Array, n: NDArray[np.int64]) -> Array:
@@ -121,17 +114,14 @@ class Linear:
 
 
 def first_scored(block: int) -> int:
-    """The first sample of a block that methods are scored on: the same for all, and at most half of a block."""
+    """First sample of a block that is scored: the same for all methods, and at most half of a block."""
     return max(20, min(FIRST_SCORED, block // 2))
 
 
 def fit_linear(
     samples: Array, blocks: tuple[int, ...], block: int, order: int, scheduled: bool = False
 ) -> Linear | None:
-    """AR(order) by least squares over whole blocks of scaled samples (n, 3).
-
-    None where the blocks hold fewer than twice as many windows as coefficients.
-    """
+    """AR(order) by least squares over blocks of scaled samples (n, 3); None with less than two windows a coefficient."""
     n_coefficients = (order + 1) * (3 if scheduled else 1)
     n = len(blocks) * (block - order)
     if block <= order or n < 2 * n_coefficients:
@@ -160,10 +150,7 @@ def _design(block: Array, order: int, scheduled: bool) -> Array:
 
 
 def best_linear(samples: Array, train: tuple[int, ...], validation: tuple[int, ...], block: int) -> Linear | None:
-    """The AR of any order of `ORDERS`, scheduled or not, with the lowest absolute error on the validation blocks.
-
-    Orders beyond what is left out of every block (`first_scored`) are not tried.
-    """
+    """AR of any of `ORDERS` up to `first_scored`, scheduled or not, with the lowest absolute error on the validation blocks."""
     first = first_scored(block)
     if not validation or block <= first:
         return None

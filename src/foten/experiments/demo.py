@@ -26,7 +26,7 @@ from foten.training.pipeline import train
 def run_demo(
     directory: Path, key: str, seconds: float, epochs: int, seed: int, threads: int, say: Callable[[str], None]
 ) -> dict[str, Path]:
-    """Simulate a recording, train on it, evaluate and render the texture, and return the files to open and listen to, by name."""
+    """Simulate a recording, train on it, evaluate and render the texture, and return the files by name."""
     if directory.exists() and not directory.is_dir():
         raise ValueError(f"{directory} is a file, expected a folder")
     directory.mkdir(parents=True, exist_ok=True)

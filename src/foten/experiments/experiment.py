@@ -1,4 +1,4 @@
-"""An experiment: which methods learn which textures with which settings, read from a TOML file, and the runs that result."""
+"""An experiment in a TOML file: which methods learn which textures with which settings, and the runs of it."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import itertools
 import json
 import re
 import tomllib
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
@@ -21,15 +21,12 @@ from foten.simulation.simulate import CONTACT, LINEAR_FAMILY, TEXTURES, simulate
 from foten.training.config import OWN_RECIPES, RECIPES, TrainConfig, check_used
 
 RECORDED = (".h5", ".hdf5")
-OF_FIRST_SPLIT = ("stability", "onset")
+OF_FIRST_SPLIT = ("stability", "onset")  # measures that are taken of no other split
 MEASURES = {
     **{name: f"foten.experiments.{name}" for name in OF_FIRST_SPLIT},
     **dict.fromkeys(("listener", "validation_listener"), "foten.evaluate.listener_network"),
 }
-"""Measures of a texture file beside its evaluation, and the module that only they execute.
-
-Of the first split of each texture, those of `OF_FIRST_SPLIT`; of every split what listeners can tell.
-"""
+"""Measures of a texture file beside its evaluation, and the module that only they execute."""
 KINDS: dict[str, tuple[Any, str]] = {
     "str": (str, "a text"),
     "float": (int | float, "a number"),
@@ -38,6 +35,12 @@ KINDS: dict[str, tuple[Any, str]] = {
 }
 """Types of the fields below, and what they are in TOML."""
 OF_TRAINING = {setting.name for setting in fields(TrainConfig)} - {"recipe"}
+KEYS: dict[str, Collection[str]] = {
+    "train": OF_TRAINING,
+    "preprocess": [setting.name for setting in fields(PreprocessConfig)],
+    "measures": [*MEASURES],
+}
+"""What may stand in tables and lists of these names."""
 
 
 @dataclass(frozen=True)
@@ -55,7 +58,7 @@ class Run:
     cell: Mapping[str, Any] = field(default_factory=dict)  # of the grid: its own settings; a name, as `method`
     recipe: str = ""  # of several that the method has; a name too
     beside: str = ""  # the method whose figures its own are divided by; a name too
-    measures: tuple[str, ...] = ()  # what is measured of its texture file beside the evaluation, of `MEASURES`
+    measures: tuple[str, ...] = ()  # of `MEASURES`
 
     @property
     def label(self) -> str:
@@ -81,7 +84,7 @@ class Run:
 
 
 def texture_name(texture: str) -> str:
-    """Name of a texture: of a recording, its file's without folder and suffix."""
+    """Name of a texture: the simulator's key, or a recording's file without folder and suffix."""
     return Path(texture).stem
 
 
@@ -94,7 +97,7 @@ def recording_of(run: Run) -> Recording:
 
 @dataclass(frozen=True)
 class Method:
-    """A row of a table: a model, what it changes of the experiment's settings, and what it is called."""
+    """A model, what it changes of the experiment's settings, and its name: a row of a table."""
 
     model: str
     name: str = ""  # in tables; the model's key by default
@@ -105,7 +108,7 @@ class Method:
     recipes: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     beside: str = ""  # the name of the method that this one is a change of: their ratios are a table
     split_seeds: tuple[int, ...] | None = None  # None for the experiment's
-    measures: tuple[str, ...] = ()  # of `MEASURES`, beside the evaluation
+    measures: tuple[str, ...] = ()  # of `MEASURES`
 
     @property
     def title(self) -> str:
@@ -183,12 +186,10 @@ def experiment_path(name: str) -> Path:
     Raises:
         FileNotFoundError: there is neither.
     """
-    if Path(name).suffix == ".toml":
-        return Path(name)
-    path = Path(__file__).with_name(f"{name}.toml")
-    if path.exists():
-        return path
-    raise FileNotFoundError(f"no experiment {name!r}, expected a .toml file or one of {', '.join(experiments())}")
+    path = Path(name) if name.endswith(".toml") else Path(__file__).with_name(f"{name}.toml")
+    if not name.endswith(".toml") and not path.exists():
+        raise FileNotFoundError(f"no experiment {name!r}, expected a .toml file or one of {', '.join(experiments())}")
+    return path
 
 
 def read_experiment(path: Path, recordings: Path | None = None) -> Experiment:
@@ -199,7 +200,7 @@ def read_experiment(path: Path, recordings: Path | None = None) -> Experiment:
 
     Raises:
         OSError: there is none.
-        ValueError: it is no TOML, has an unknown key, or a value does not fit; one line says which.
+        ValueError: it is no TOML, or has an unknown key or a value that does not fit.
     """
     try:
         return _experiment(tomllib.loads(path.read_text(encoding="utf-8")), recordings or path.parent)
@@ -210,33 +211,30 @@ def read_experiment(path: Path, recordings: Path | None = None) -> Experiment:
 
 
 def _experiment(content: dict[str, Any], folder: Path) -> Experiment:
-    _check(content, Experiment, "the file")
+    values = _checked(content, Experiment, "the file")
     for name in ("title", "textures", "methods"):
-        if not content.get(name):
+        if not values.get(name):
             raise ValueError(f"there is no {name!r}, expected title, textures and methods")
-    methods = tuple(map(_method, content["methods"]))
-    names = {method.title for method in methods}
-    if len(names) < len(methods):
-        raise ValueError("two methods have the same name: give them a 'name' each")
-    textures = tuple(_texture(texture, folder) for texture in content["textures"])
-    if len(set(map(texture_name, textures))) < len(textures):
-        raise ValueError("two textures have the same name, which tables could not tell apart")
-    grid = content.get("grid", {})
-    _check_keys(content.get("train", {}), OF_TRAINING, "[train]")
-    _check_keys(content.get("preprocess", {}), _names(PreprocessConfig), "[preprocess]")
+    methods = tuple(map(_method, values["methods"]))
+    textures = tuple(_texture(texture, folder) for texture in values["textures"])
+    titles = [method.title for method in methods]
+    for what, names in (("methods", titles), ("textures", list(map(texture_name, textures)))):
+        if len(set(names)) < len(names):
+            raise ValueError(f"two {what} have the same name, which tables could not tell apart")
     networks = [method.model for method in methods if method.model != "ar"]  # which finds its sizes
-    _check_keys(grid, set().union(*(OF_TRAINING | _names(TRAINABLE[model]) for model in networks)), "[grid]")
-    for name, values in grid.items():
-        if not isinstance(values, list) or not values:
-            raise ValueError(f"{name!r} in the grid is {values!r}, expected a list")
-    seeds = _seeds(content.get("split_seeds", [1]))
+    sizes = set().union(*(_names(TRAINABLE[model]) for model in networks))
+    grid = values.get("grid", {})
+    _check_known("key", grid, OF_TRAINING | sizes if networks else (), " in [grid]")
+    for name, settings in grid.items():
+        if not isinstance(settings, list) or not settings:
+            raise ValueError(f"{name!r} in the grid is {settings!r}, expected a list")
+    experiment = Experiment(**{**values, "textures": textures, "methods": methods})
     for method in methods:
-        if not set(method.split_seeds or ()) <= set(seeds):
+        if not set(method.split_seeds or ()) <= set(experiment.split_seeds):
             raise ValueError(f"method {method.title!r}: its split_seeds are not all among the experiment's")
-        if method.beside and method.beside not in names:
+        if method.beside and method.beside not in titles:
             raise ValueError(f"{method.title!r} stands beside {method.beside!r}, which is no method of the file")
-    resolved = {"textures": textures, "methods": methods, "split_seeds": seeds}
-    return Experiment(**{**content, **resolved, "grid": {name: tuple(values) for name, values in grid.items()}})
+    return experiment
 
 
 def _method(content: object) -> Method:
@@ -244,26 +242,14 @@ def _method(content: object) -> Method:
         content = {"model": content}
     if not isinstance(content, dict):
         raise ValueError(f"a method is {content!r}, expected a model's name or a table")
-    _check(content, Method, "a method")
-    if content.get("model") not in TRAINABLE:
-        raise ValueError(f"unknown model {content.get('model')!r}, expected one of {', '.join(TRAINABLE)}")
-    _check_keys(content.get("train", {}), OF_TRAINING, "'train' of a method")
-    _check_keys(content.get("measures", []), MEASURES, "'measures' of a method")
-    for name, changes in content.get("recipes", {}).items():
+    values = _checked(content, Method, "a method")
+    _check_known("model", [values.get("model")], TRAINABLE)
+    for name, changes in values.get("recipes", {}).items():
         if not isinstance(changes, dict):
             raise ValueError(f"recipe {name!r} of a method is {changes!r}, expected a table")
-        _check_keys(changes, OF_TRAINING | {"recipe"}, f"recipe {name!r} of a method")
-        _check_recipe(changes)
-    lists: dict[str, Any] = {"measures": tuple(content.get("measures", ()))}
-    if "split_seeds" in content:
-        lists["split_seeds"] = _seeds(content["split_seeds"])
-    return Method(**{**content, **lists})
-
-
-def _seeds(seeds: list[object]) -> tuple[int, ...]:
-    if not seeds or not all(type(seed) is int and seed >= 0 for seed in seeds) or len(set(seeds)) < len(seeds):
-        raise ValueError(f"split_seeds is {seeds!r}, expected a list of whole numbers, each once")
-    return tuple(seeds)  # type: ignore[arg-type]
+        _check_known("key", changes, OF_TRAINING | {"recipe"}, f" in recipe {name!r} of a method")
+        _check_known("recipe", [changes.get("recipe", "default")], [*RECIPES])
+    return Method(**values)
 
 
 def _texture(content: object, folder: Path) -> str:
@@ -271,33 +257,33 @@ def _texture(content: object, folder: Path) -> str:
         if not (folder / content).exists():
             raise ValueError(f"there is no recording {content} in {folder}: give its folder by --recordings")
         return str(folder / content)
-    known = [*TEXTURES, *CONTACT, *LINEAR_FAMILY]
-    if content not in known:
-        raise ValueError(f"unknown texture {content!r}, expected a recording, .h5, or one of {', '.join(known)}")
+    _check_known("texture", [content], [*TEXTURES, *CONTACT, *LINEAR_FAMILY])
     return str(content)
 
 
-def _check(content: Mapping[str, Any], configuration: type, where: str) -> None:
-    """Check that a table has no other keys than a dataclass, and values of the kinds of its fields, and a known recipe."""
-    _check_keys(content, _names(configuration), where)
-    for setting in fields(configuration):
-        kind, expected = KINDS[re.findall(r"\w+", str(setting.type))[0]]
-        if setting.name in content and not isinstance(content[setting.name], kind):
-            raise ValueError(f"{setting.name!r} of {where} is {content[setting.name]!r}, expected {expected}")
-    _check_recipe(content)
+def _checked(content: Mapping[str, Any], configuration: type, where: str) -> dict[str, Any]:
+    """Fields of a dataclass in a table of TOML, lists as tuples; unknown keys and values of another kind are refused."""
+    kinds = {setting.name: KINDS[re.findall(r"\w+", str(setting.type))[0]] for setting in fields(configuration)}
+    _check_known("key", content, kinds, f" in {where}")
+    for name, value in content.items():
+        kind, expected = kinds[name]
+        if not isinstance(value, kind):
+            raise ValueError(f"{name!r} of {where} is {value!r}, expected {expected}")
+        if name in KEYS:
+            _check_known("key", value, KEYS[name], f" in {name!r} of {where}")
+    seeds = content.get("split_seeds", [1])
+    if not seeds or not all(type(seed) is int and seed >= 0 for seed in seeds) or len(set(seeds)) < len(seeds):
+        raise ValueError(f"split_seeds is {seeds!r}, expected a list of whole numbers, each once")
+    _check_known("recipe", [content.get("recipe", "default")], RECIPES)
+    return {name: tuple(value) if isinstance(value, list) else value for name, value in content.items()}
 
 
-def _check_recipe(content: Mapping[str, Any]) -> None:
-    if content.get("recipe", "default") not in RECIPES:
-        raise ValueError(f"unknown recipe {content['recipe']!r}, expected one of {', '.join(RECIPES)}")
-
-
-def _check_keys(content: Collection[str], known: Collection[str], where: str) -> None:
-    unknown = sorted(set(content) - set(known))
+def _check_known(what: str, names: Iterable[Any], known: Collection[str], where: str = "") -> None:
+    unknown = [name for name in names if name not in known]
     if unknown:
-        near = difflib.get_close_matches(unknown[0], known, 1)
+        near = difflib.get_close_matches(str(unknown[0]), known, 1)
         expected = f"{near[0]!r}?" if near else f"one of {', '.join(sorted(known))}"
-        raise ValueError(f"unknown key {unknown[0]!r} in {where}, expected {expected}")
+        raise ValueError(f"unknown {what} {unknown[0]!r}{where}, expected {expected}")
 
 
 def _names(configuration: Any) -> set[str]:

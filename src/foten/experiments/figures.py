@@ -1,4 +1,4 @@
-"""Result files to the paper's figures: the split, windows, losses and thresholds, waveforms, spectra."""
+"""The paper's figures from result files: the split, windows, losses and thresholds, waveforms, spectra."""
 
 from __future__ import annotations
 
@@ -29,9 +29,7 @@ SILENT_DB = 20.0  # below the recording, from where on a free run is called sile
 def figures(
     results: Results, recordings: Path | None = None, say: Callable[[str], None] = lambda text: None
 ) -> Iterator[tuple[str, Figure]]:
-    """Each figure that the results have the numbers for, and its name; say which are left out, and why.
-
-    Of a method with several recipes the one is drawn that tables show.
+    """Yield each figure that the results have the numbers for, and its name; say which are left out, and why.
 
     Args:
         recordings: folder of the recordings that were learned from; by default their paths in the results are used.
@@ -61,7 +59,7 @@ def figures(
 
 
 def _by_other_settings(results: Results, drawn: Sequence[str]) -> list[tuple[str, Results]]:
-    """Results grouped by the settings of their grid that are not drawn, each with a suffix for the file's name."""
+    """Results grouped by the settings of their grid that are not drawn, each group with a suffix for the file's name."""
     groups = defaultdict(list)
     for result in results:
         others = " ".join(f"{k} {v}" for k, v in result["run"]["cell"].items() if k not in drawn)
@@ -74,7 +72,6 @@ def _file_name(method: str) -> str:
 
 
 def _has_one_step(result: Mapping[str, Any]) -> bool:
-    """Whether a result is of a network with windows and a loss, and with a one-step error."""
     sizes, train, one_step = result["run"]["sizes"], result["run"]["train"], result["evaluation"]["one_step"]
     return "window" in sizes and "loss" in train and one_step["mae_scaled"] is not None
 
@@ -182,7 +179,7 @@ def waveforms(results: Results) -> Figure:
 
 
 def _below_db(recorded: float, synthesized: float) -> float:
-    """How far a power lies below the recorded one [dB], 300 at most."""
+    """Distance of a power below the recorded one [dB], 300 at most."""
     return 10 * float(np.log10(recorded / max(synthesized, 1e-30 * recorded)))
 
 

@@ -1,11 +1,4 @@
-"""The first 100 ms of a stroke: how near level and spectrum are to settled ones, and is there a click.
-
-A first stroke begins at once with a speed and a force drawn from the trained range and holds them, under several streams of
-noise. Settled is what the same streams are from 1 s on. Level: mean over strokes of the power in a window of 40 ms over the
-settled power [dB]. Spectrum: the same in third-octave bands, root mean square over the bands. The largest of ten settled windows
-stands beside. Click: how often samples of the first 20 ms exceed the settled 99.9th percentile, over more streams; and how often
-settled ones do, each stream against the percentile of the others.
-"""
+"""The first 100 ms of a stroke beside the same stroke from 1 s on: level, spectrum, clicks."""
 
 from __future__ import annotations
 
@@ -30,7 +23,7 @@ N_STROKES, N_STREAMS = 50, 8
 
 
 def third_octaves(rate_hz: float) -> Array:
-    """Edges of third-octave bands from 50 Hz, the lowest that 40 ms tell apart, to 0.45 of the rate or 1 kHz [Hz]."""
+    """Edges of third-octave bands [Hz], from 50 Hz, the lowest that 40 ms resolve, to 0.45 of the rate or 1 kHz."""
     highest = min(1000.0, 0.45 * rate_hz)
     return 50.0 * 2 ** (np.arange(int(3 * np.log2(highest / 50.0)) + 1) / 3)
 
@@ -43,7 +36,16 @@ def band_powers(windows: Array, rate_hz: float) -> Array:
 
 
 def onset(texture: Texture, n_strokes: int = N_STROKES, n_streams: int = N_STREAMS, seed: int = 0) -> dict[str, Any]:
-    """Levels and spectra of first strokes beside settled ones [dB], by where a window begins, and the share of clicks."""
+    """Levels and spectra of first strokes beside settled ones, and the share of clicks.
+
+    Each stroke begins at once with a speed and a force of the trained range and holds them. Settled is the same from 1 s on.
+
+    Returns:
+        `level_db`, `spectrum_db`: power of a window of 40 ms over the settled power [dB], mean over strokes; the same in
+        third-octave bands, root mean square; by where the window begins, `settled` the largest of ten settled windows;
+        `click_share`: how often samples of the first 20 ms exceed the settled 99.9th percentile; `settled_share`: how often
+        settled ones exceed that of the other streams; `click_standard_error`: of the difference.
+    """
     rng = np.random.default_rng(seed)
     kernel, rate = NativeTexture(texture.to_bytes()), texture.rate_hz
     window, n = round(WINDOW_MS * rate / 1000), round(LASTS_S * rate)
@@ -78,17 +80,13 @@ def onset(texture: Texture, n_strokes: int = N_STROKES, n_streams: int = N_STREA
     speed, force = (np.repeat(values, streams)[:, None] * first for values in (speeds, forces))
     at_once, _ = render_strokes(kernel, seed + 1, speed, force)
     loud_samples = np.abs(at_once.reshape(n_strokes, streams, -1)) > limits[:, None, None]
-    begin = [away(round(start * rate / 1000)) for start in STARTS_MS]
+    begin = {f"{start:g}_ms": away(round(start * rate / 1000)) for start in STARTS_MS}
     later = [away(round(SETTLED_S * rate) + k * window) for k in range(10)]
-
-    def by_start(which: int) -> dict[str, float]:
-        return {f"{start:g}_ms": figures[which] for start, figures in zip(STARTS_MS, begin, strict=True)}
-
+    levels, spectra = ({start: figures[k] for start, figures in begin.items()} for k in (0, 1))
     return {
-        "level_db": {**by_start(0), "settled": max(abs(level) for level, _ in later)},
-        "spectrum_db": {**by_start(1), "settled": max(spectrum for _, spectrum in later)},
+        "level_db": {**levels, "settled": max(abs(level) for level, _ in later)},
+        "spectrum_db": {**spectra, "settled": max(spectrum for _, spectrum in later)},
         "click_share": float(loud_samples.mean()),
         "settled_share": float(usual.mean()),
-        # Of their difference, over strokes.
         "click_standard_error": float((loud_samples.mean(axis=(1, 2)) - usual).std(ddof=1) / np.sqrt(n_strokes)),
     }

@@ -1,4 +1,4 @@
-"""What made a result: digests of the modules that a run imports, of its data and its configuration; and on which platform."""
+"""Provenance of a result: digests of the modules that a run imports, of its data and configuration, and its platform."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ N_DIGITS = 16  # of a digest; two of a thousand are the same by chance in 1 of 1
 
 @dataclass(frozen=True)
 class Provenance:
-    """All that a result depends on."""
+    """Everything that a result depends on."""
 
     sources: Mapping[str, str]  # digests by name: modules of the import closure, libraries of the kernel
     data: str  # digest of the recording
@@ -47,7 +47,7 @@ class Provenance:
         return {**asdict(self), "code": self.code}
 
     def differences(self, other: Mapping[str, Any]) -> list[str]:
-        """Which of code, data, configuration and platform are not another result's, with what of code and platform."""
+        """Names of what differs from another result: code and platform with their parts, data, configuration."""
         code, platform = (
             sorted({name for name, _ in mine.items() ^ other[part].items()})
             for part, mine in (("sources", self.sources), ("platform", self.platform))
@@ -59,7 +59,7 @@ class Provenance:
 
 
 def provenance_of(run: Run, recording_sha256: str) -> Provenance:
-    """Provenance that the result of a run has, executed here and now."""
+    """Provenance of a run that is executed here and now."""
     return Provenance(sources_of(run.model, tuple(run.measures)), recording_sha256, run.configuration, platform_here())
 
 
@@ -75,12 +75,11 @@ def sources_of(model: str, measures: tuple[str, ...]) -> dict[str, str]:
 
 
 def closure(entries: Iterable[str], root: Path, others: Collection[str] = ()) -> dict[str, Path]:
-    """Files of the modules that some modules of a package import, themselves included, by name.
-
-    Imports within functions count, unless they are of `others`: what only other runs execute. Imports for type checkers do not.
+    """Files of some modules of a package and of all that they import, by name.
 
     Args:
         root: folder of the package.
+        others: modules that only other runs execute; they do not count where a function imports them.
     """
     files: dict[str, Path] = {}
     waiting = list(entries)
@@ -91,14 +90,14 @@ def closure(entries: Iterable[str], root: Path, others: Collection[str] = ()) ->
             continue
         files[name] = path
         at_once, all_names = _imports(path)
-        waiting += at_once | all_names - set(others)
+        waiting += at_once | (all_names - set(others))
         waiting.append(name.rpartition(".")[0])  # the package that it lies in is imported first
     return files
 
 
 @cache
 def _imports(path: Path) -> tuple[frozenset[str], frozenset[str]]:
-    """What a module imports at once, and what with its functions."""
+    """Modules that a module imports at once, and those with its functions."""
     tree = ast.parse(path.read_bytes())
     return frozenset(imported(tree, within_functions=False)), frozenset(imported(tree))
 
@@ -115,7 +114,7 @@ def file_of(module: str, root: Path) -> Path | None:
 
 
 def imported(tree: ast.AST, within_functions: bool = True) -> Iterator[str]:
-    """Modules that the code under a node imports, and names from them, which may be modules; not those for type checkers."""
+    """Yield the modules that the code under a node imports, and names from them; not those for type checkers."""
     waiting = [tree]
     while waiting:
         node = waiting.pop()
@@ -135,7 +134,7 @@ def imported(tree: ast.AST, within_functions: bool = True) -> Iterator[str]:
 
 @cache
 def platform_here() -> dict[str, str]:
-    """Machine, processor, versions, and the instruction set that the kernel uses."""
+    """Machine, processor, versions, and the kernel's instruction set."""
     return {
         "machine": f"{platform.system()} {platform.machine()}",
         "processor": processor(),
@@ -155,5 +154,4 @@ def processor() -> str:
 
 
 def digest(content: bytes) -> str:
-    """Digest of a content."""
     return hashlib.sha256(content).hexdigest()[:N_DIGITS]

@@ -1,4 +1,4 @@
-"""Result files of a sweep as flat records, and records as `runs.csv`: which are read, joined, shown, and refused."""
+"""Result files of a sweep as flat records, and records as `runs.csv`: read, joined, chosen, refused."""
 
 from __future__ import annotations
 
@@ -16,10 +16,8 @@ import numpy as np
 from foten.experiments.experiment import Run
 from foten.reporting.table import Table
 
-Results = Sequence[Mapping[str, Any]]
-"""Result files of a sweep, with the signals that figures are drawn from."""
-Record = Mapping[str, Any]
-"""A run, its names, settings and figures by their paths: what tables are of, and a row of `runs.csv`."""
+Results = Sequence[Mapping[str, Any]]  # result files of a sweep, with the signals that figures are drawn from
+Record = Mapping[str, Any]  # a run: names, settings, and figures by their paths; a row of `runs.csv`
 Records = Sequence[Record]
 
 
@@ -42,14 +40,12 @@ FIGURES = {
     "lsd": Figure("free-run log-spectral distance [dB]", "free_run.lsd_db", 2, -1, LINEAR_RUN),
     "level": Figure("free-run level error [dB]", "free_run.level_error_db", 2, -1, LINEAR_RUN),
 }
-WITHOUT = ", without excitation"
-"""What is added to a method's name, in tables and figures, where its free run has no excitation."""
+WITHOUT = ", without excitation"  # after a method's name, where its free run has none
 _SCORES = (
     *("one_step", "free_run", "free_run_deterministic", "free_run_ar", "ceiling"),
     *("listener", "references", "validation"),
 )
-VALIDATION = ("validation.mae_scaled", "validation.spectrum_db")
-"""What the recipe of a method is chosen by, the first that it has: a one-step error, of models of spectra a distance."""
+VALIDATION = ("validation.mae_scaled", "validation.spectrum_db")  # what a recipe is chosen by, the first that it has
 _TEXTS = (
     *("experiment", "note", "method", "recipe", "beside", "model", "texture"),
     *("excitation", "measures", "code", "platform"),
@@ -57,7 +53,7 @@ _TEXTS = (
 
 
 def read_result(path: Path) -> dict[str, Any] | None:
-    """Result in a file; None where there is none, or it is damaged: no record can be made of it."""
+    """Result in a file; None where no record can be made of it."""
     try:
         result: dict[str, Any] = json.loads(path.read_bytes())
         _record(result)
@@ -73,8 +69,7 @@ def read_results(folder: Path, mixed: bool = False) -> list[dict[str, Any]]:
         mixed: allow results of different code or platform.
 
     Raises:
-        ValueError: there is none, a file is no result, two are of one method on one texture and split, or of different code or
-            platform.
+        ValueError: there is none, a file is no result, two are of one place of the tables, or of different code or platform.
     """
     results: list[dict[str, Any]] = []
     paths: dict[tuple[str, str, str, int], str] = {}
@@ -82,12 +77,11 @@ def read_results(folder: Path, mixed: bool = False) -> list[dict[str, Any]]:
         result = read_result(path)
         if result is None:
             raise ValueError(f"{path.name} is no result of foten sweep, or damaged")
-        run = Run(**result["run"])
-        method, _, texture, split = run.place
-        if run.place in paths:
-            both = f"{paths[run.place]} and {path.name} are both of {method} on {texture}, split {split}"
+        method, _, texture, split = place = Run(**result["run"]).place
+        if place in paths:
+            both = f"{paths[place]} and {path.name} are both of {method} on {texture}, split {split}"
             raise ValueError(f"{both}: are results of other settings left in the folder? Move one away")
-        paths[run.place] = path.name
+        paths[place] = path.name
         results.append(result)
     if not results:
         raise ValueError(f"there is no result of foten sweep in {folder}")
@@ -98,16 +92,12 @@ def read_results(folder: Path, mixed: bool = False) -> list[dict[str, Any]]:
 
 
 def records_of(results: Results) -> list[dict[str, Any]]:
-    """Records of result files, in their order: names, settings, and every figure by its path.
-
-    Lists, as errors by band, and intervals are left out.
-    """
+    """Records of result files, in their order, without lists (errors by band) and intervals."""
     return [_record(result) for result in results]
 
 
 def _record(result: Mapping[str, Any]) -> dict[str, Any]:
-    run, evaluation = Run(**result["run"]), result["evaluation"]
-    provenance = result["provenance"]
+    run, evaluation, provenance = Run(**result["run"]), result["evaluation"], result["provenance"]
     method, recipe, texture, split = run.place
     record: dict[str, Any] = {
         "experiment": result["experiment"]["title"],
@@ -164,9 +154,9 @@ def check_alike(records: Records) -> None:
 
 
 def mixture(records: Records) -> str:
-    """Two runs of different code or platform, or of which one does not say, in words; nothing where all are alike.
+    """Two runs of different code or platform, in words; nothing where all are alike.
 
-    Modules that two runs both import are compared; of a `runs.csv` the digests of one model and the same measures.
+    Of result files the modules that both import are compared, of a `runs.csv` the digests of one model and the same measures.
     """
     first: dict[str, tuple[str, str]] = {}
     for record in records:
@@ -208,7 +198,7 @@ def joined(parts: Sequence[Records], mixed: bool = False) -> list[dict[str, Any]
 
 
 def read_records(path: Path) -> list[dict[str, Any]]:
-    """Runs of a sweep: of its folder, or of the `runs.csv` that `foten tables` wrote of it; whether alike, `joined` checks.
+    """Runs of a sweep, alike or not: of its folder, or of the `runs.csv` that `foten tables` wrote of it.
 
     Raises:
         ValueError: there is none, or a file is no result, or the CSV is not of that kind.
@@ -237,7 +227,7 @@ def runs_table(records: Records, digits: int | None = None) -> Table:
     """Table `runs.csv`, a row for each run, empty where there is no figure.
 
     Args:
-        digits: significant ones, of figures that are no whole numbers; None for all, so that a mean of them is rounded once.
+        digits: significant ones; None for all, so that a mean of them is rounded once.
     """
     keys = [key for key in dict.fromkeys(key for record in records for key in record) if key != "sources"]
     keys = [key for key in keys if any(record.get(key) not in (None, "") for record in records)]
@@ -253,10 +243,7 @@ def runs_table(records: Records, digits: int | None = None) -> Table:
 
 
 def chosen(records: Records) -> list[Record]:
-    """Records of one recipe for each method: of several the one with the lowest validation error.
-
-    The mean over the textures and splits that all recipes have. Which it is depends on validation blocks alone.
-    """
+    """Records of one recipe for each method: of several the one with the lowest mean validation error."""
     recipe_of = {method: next(iter(errors)) for method, errors in by_recipe(records).items()}
     return [record for record in records if record["recipe"] == recipe_of.get(record["method"], record["recipe"])]
 
@@ -268,7 +255,10 @@ def chosen_results(results: Results) -> list[Mapping[str, Any]]:
 
 
 def by_recipe(records: Records) -> dict[str, dict[str, float]]:
-    """Mean validation errors of the recipes of each method that has several, the lowest first."""
+    """Mean validation errors of the recipes of each method that has several, the lowest first.
+
+    Over the textures and splits that all recipes have.
+    """
     errors: dict[str, dict[str, dict[tuple[Any, ...], float]]] = {}
     for record in records:
         error = next((record[key] for key in VALIDATION if record.get(key) is not None), math.inf)

@@ -1,4 +1,4 @@
-"""A run of an experiment: train, judge, and what its result file holds."""
+"""A run of an experiment: train, judge, and the content of its result file."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def _result(run: Run, recording: Recording, texture: Texture, seconds: float) ->
 
 
 def _measures(names: Sequence[str], texture: Texture, recording: Recording) -> dict[str, Any]:
-    """Measures of a texture file beside its evaluation, by name; the listener is the evaluation's."""
+    """Measures of a texture file by name, but for the listener, which is the evaluation's."""
     # Imported by name, so that a run does not depend on the source of a measure that it does not take.
     measures = {name: getattr(import_module(MEASURES[name]), name)(texture) for name in names if name in OF_FIRST_SPLIT}
     if "validation_listener" in names:
@@ -64,7 +64,7 @@ def _measures(names: Sequence[str], texture: Texture, recording: Recording) -> d
 
 
 def _signals(judgement: Judgement) -> dict[str, Any] | None:
-    """What figures are drawn from: 400 samples of a typical test block, and the spectra of all of them."""
+    """400 samples of a typical test block, and the spectra of all of them."""
     shown = shown_run(judgement)
     if shown is None:
         return None

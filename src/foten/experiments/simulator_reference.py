@@ -1,8 +1,9 @@
-"""The simulator's truth of a recording: further realisations and bounds of any predictor to judge by, and what to choose by."""
+"""What the simulator knows of a recording: further realisations, bounds of any predictor, strokes for listeners."""
 
 from __future__ import annotations
 
 import json
+from collections.abc import Iterable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from typing import Any
@@ -25,26 +26,33 @@ from foten.simulation.simulate import second_realisation
 LONG_S = 240.0  # of a stroke for listeners
 SEED_STEP = 1_000_003  # between realisations
 VALIDATION_HAND = 2  # the number of the hand that nothing is reported of
-# Realisations that a process keeps: the methods of an experiment are judged by the same ones, texture by texture. 2 MB each at
-# 1 kHz, a long stroke's 6 MB.
-N_CACHED = 12
-
-
+N_CACHED = (
+    12  # realisations that a process keeps for the methods of an experiment: 2 MB each at 1 kHz, a long stroke's 6 MB
+)
 _CACHE: dict[str, Trace] = {}
 
 
-def _realisation(
-    recording: Recording, texture: Texture, trim_ms: float | None = None, block_ms: float | None = None, **changed: Any
-) -> Trace:
-    """Further realisation, preprocessed as a texture's recording was: simulated once, however often it is asked for."""
-    depends_on = [dict(recording.simulation or {}), texture.card["preprocess"], trim_ms, block_ms, changed]
-    key = json.dumps(depends_on, sort_keys=True)
-    if key not in _CACHE:
-        trace = trace_for(texture, second_realisation(recording, **changed), trim_ms, block_ms)
-        for oldest in list(_CACHE)[: 1 - N_CACHED]:
-            _CACHE.pop(oldest, None)
-        _CACHE[key] = trace
-    return _CACHE[key]
+def _realisations(
+    recording: Recording,
+    texture: Texture,
+    changes: Iterable[Mapping[str, Any]],
+    trim_ms: float | None = None,
+    block_ms: float | None = None,
+) -> list[Trace]:
+    """Further realisations with other seeds, preprocessed as a texture's recording was; each is simulated once."""
+
+    def realisation(changed: Mapping[str, Any]) -> Trace:
+        depends_on = [dict(recording.simulation or {}), texture.card["preprocess"], trim_ms, block_ms, changed]
+        key = json.dumps(depends_on, sort_keys=True)
+        if key not in _CACHE:
+            trace = trace_for(texture, second_realisation(recording, **changed), trim_ms, block_ms)
+            for oldest in list(_CACHE)[: 1 - N_CACHED]:
+                _CACHE.pop(oldest, None)
+            _CACHE[key] = trace
+        return _CACHE[key]
+
+    with ThreadPoolExecutor() as pool:  # filters and transforms release the interpreter's lock
+        return list(pool.map(realisation, changes))
 
 
 def reference_for(
@@ -54,23 +62,17 @@ def reference_for(
     block_ms: float | None = None,
     listener: bool = False,
 ) -> SimulatorReference:
-    """Further realisations of a simulated stroke and, for the linear family, the bounds of any predictor.
+    """Further realisations of a simulated stroke; of the linear family the bounds of any predictor; long strokes for a listener.
 
-    For listeners realisations of a long stroke by another hand too: one to be recorded, and one for the control of each.
-
-    A recording that was not simulated, or by another version of the simulator, has no truth. The bounds hold at the simulated
-    rate and with a causal high-pass of order 2 only.
+    Empty for a recording that was not simulated, or by another version of the simulator. The bounds hold at the simulated rate
+    and with a causal high-pass of order 2 only.
     """
     if recording.simulation is None:
         return SimulatorReference()
     try:
         used = int(recording.simulation["noise_seed"])
-
-        def realisation(k: int) -> Trace:
-            return _realisation(recording, texture, trim_ms, block_ms, noise_seed=used + SEED_STEP * k)
-
-        with ThreadPoolExecutor() as pool:  # filters and transforms release the interpreter's lock
-            realisations = list(pool.map(realisation, range(1, N_SEEDS + 1)))
+        seeds = [{"noise_seed": used + SEED_STEP * k} for k in range(1, N_SEEDS + 1)]
+        realisations = _realisations(recording, texture, seeds, trim_ms, block_ms)
     except (KeyError, TypeError, ValueError) as error:
         return SimulatorReference(why_no_bound=f"the simulator's parameters in the recording cannot be used ({error})")
     strokes = long_strokes(recording, texture) if listener else ()
@@ -92,28 +94,23 @@ def long_strokes(
 ) -> tuple[Trace, ...]:
     """N realisations of a long stroke by another hand over a simulated texture; none of what was not simulated here.
 
-    Each hand has a stroke and places of its own.
+    Each hand has a stroke and places of its own; the first realisation stands for the recording, the others for controls.
     """
+    if recording.simulation is None:
+        return ()
     try:
-        if recording.simulation is None:
-            return ()
         noise, stroke = (int(recording.simulation[name]) for name in ("noise_seed", "stroke_seed"))
-
-        def realisation(k: int) -> Trace:
-            noise_seed, stroke_seed = noise + SEED_STEP * (100 * hand_number + k), stroke + SEED_STEP * hand_number
-            return _realisation(recording, texture, seconds=LONG_S, noise_seed=noise_seed, stroke_seed=stroke_seed)
-
-        with ThreadPoolExecutor() as pool:
-            return tuple(pool.map(realisation, range(n)))
+        long = {"seconds": LONG_S, "stroke_seed": stroke + SEED_STEP * hand_number}
+        seeds = [{**long, "noise_seed": noise + SEED_STEP * (100 * hand_number + k)} for k in range(n)]
+        return tuple(_realisations(recording, texture, seeds))
     except (KeyError, TypeError, ValueError):
         return ()
 
 
 def validation_listener(texture: Texture, recording: Recording) -> dict[str, float]:
-    """`area`, that under a listener's curve; nothing of what was not simulated, or is silent.
+    """`area` under the curve of one listener, of band energies, to choose by; nothing of what was not simulated, or is silent.
 
-    As the evaluation's, of band energies, but under a third hand, so that it can be chosen by. One listener: two fits of one
-    differ by 0.015, three listeners of one fit by 0.01.
+    Under another hand than that of the evaluation. Two fits of one texture differ by 0.015, three listeners of one fit by 0.01.
     """
     strokes = long_strokes(recording, texture, 1, VALIDATION_HAND) if texture.has_excitation else ()
     if not strokes:
@@ -129,7 +126,7 @@ def validation_listener(texture: Texture, recording: Recording) -> dict[str, flo
 def linear_bounds(recording: Recording, trace: Trace, highpass_hz: float, window: int) -> tuple[Array, Array]:
     """Least expected absolute one-step errors [m/s²] from the infinite past and from a window of m, shape (n,) each.
 
-    Of a recording of the linear family and its trace, causally high-passed with order 2.
+    Of a recording of the linear family and its trace.
     """
     (b0, b1, b2, a1, a2), *_ = butterworth("highpass", highpass_hz, trace.rate_hz)
     numerator, denominator = np.array([b0, b1, b2]), np.array([1.0, a1, a2])

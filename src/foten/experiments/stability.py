@@ -1,16 +1,4 @@
-"""Ten minutes of random strokes on a texture file, and a million steps of an attack: is it bounded, and does it forget.
-
-The strokes are the simulator's, 0 to 350 mm/s and 0.1 to 4 N; half of them have speed and force scaled into the trained range.
-
-The attack: streams that begin from windows at ±50 standard deviations. The noise is ± the largest that the generator can draw,
-in one half at random, in the other always with the sign of the prediction. A third of each switch speed and force to another
-corner of the trained range at every sample, a third every 50 ms, a third stay. The saturator is left out where the loop goes on
-from the uncut sample. Afterwards the streams are given ordinary noise and a steady stroke for 12 s (3 s at 10 kHz); the level of
-the last fifth of it is compared with that of a stream that was never attacked.
-
-Besides, pairs of streams that began from such windows, under the same noise, under slow, middling, fast and moving strokes: the
-time after which they differ by less than 1 % of their level, and stay so.
-"""
+"""Stability of a texture file under random strokes and under attack: is it bounded, and does it forget."""
 
 from __future__ import annotations
 
@@ -30,7 +18,7 @@ from foten.runtime.native import NativeTexture
 from foten.runtime.onnx_predictor import model_of_graph
 from foten.simulation.stroking import stroking
 
-BOUNDED = ("foten-plus", "ar", "gan", "dftnet")  # models that no sample of their own drives further than their bound
+BOUNDED = ("foten-plus", "ar", "gan", "dftnet")  # models that are bounded without a saturator
 MAX_NOISE = 5.68  # standard deviations, of the counter-based generator
 COMPARED_S, COMPARED = 12.0, 30_000  # two streams that are to meet: seconds, and samples at most
 MINUTES, N_STROKES = 10.0, 60  # of strokes in all, and into how many they are divided
@@ -38,14 +26,15 @@ N_ATTACK, N_ATTACKED = 1_000_000, 24  # steps in all, and streams
 
 
 def stability(texture: Texture, minutes: float = MINUTES, n_attack: int = N_ATTACK) -> dict[str, Any]:
-    """How large a texture becomes under strokes and under attack [sd of the training blocks], and whether it forgets.
+    """Largest samples of a texture under strokes and under attack [sd of the training blocks], and whether it forgets.
+
+    The strokes are the simulator's, 0 to 350 mm/s and 0.1 to 4 N; half of them are scaled into the trained range.
 
     Returns:
-        `max_sd`, `n_saturated`, `n_samples`: of the strokes; `recorded_max_sd`; `attack_later_max_sd`: of the second half of the
-        attack; `attack_bound_sd`: what is proven, None for a model of which nothing is; `attack_after_db`; `forgets_s`: None for
-        never. What is not finite is a largest sample that is not.
+        `max_sd`, `n_saturated`, `n_samples`: of the strokes; `recorded_max_sd`; and those of `attack`.
     """
-    speed, force = strokes(texture.rate_hz, minutes * 60 / N_STROKES, N_STROKES)
+    paths = [stroking(minutes * 60 / N_STROKES, 10_000 + seed, texture.rate_hz) for seed in range(N_STROKES)]
+    speed, force = np.stack([path.speed for path in paths]), np.stack([path.force for path in paths])
     half = N_STROKES // 2
     speed[half:] = into(speed[half:], *texture.trained_range("speed"))
     force[half:] = into(force[half:], *texture.trained_range("force"))
@@ -59,12 +48,6 @@ def stability(texture: Texture, minutes: float = MINUTES, n_attack: int = N_ATTA
     }
 
 
-def strokes(rate_hz: float, seconds: float, n_streams: int) -> tuple[Array, Array]:
-    """Speed [mm/s] and force [N] of independent strokes, shapes (n_streams, n)."""
-    paths = [stroking(seconds, 10_000 + seed, rate_hz) for seed in range(n_streams)]
-    return np.stack([path.speed for path in paths]), np.stack([path.force for path in paths])
-
-
 def into(values: Array, low: float, high: float) -> Array:
     """Values stretched onto a range, each stream by itself."""
     lowest, highest = values.min(axis=1, keepdims=True), values.max(axis=1, keepdims=True)
@@ -72,7 +55,16 @@ def into(values: Array, low: float, high: float) -> Array:
 
 
 def attack(texture: Texture, n_steps: int, n_streams: int = N_ATTACKED) -> dict[str, Any]:
-    """Largest sample of the second half of an attack [sd], and what the streams are like afterwards."""
+    """Figures of streams that begin from windows at ±50 standard deviations.
+
+    The noise is ± the largest that the generator draws, in half of the streams with the sign of the prediction. A third of the
+    streams switch to another corner of the trained range at every sample, a third every 50 ms. Then follows ordinary noise under
+    a steady stroke, 12 s (3 s at 10 kHz).
+
+    Returns:
+        `attack_later_max_sd`: of the second half; `attack_bound_sd`: what is proven, or None; `attack_after_db`: level of the
+        last fifth of the steady stroke beside that of streams that were not attacked; `forgets_s`: None for never.
+    """
     rng = np.random.default_rng(0)
     kernel, excited, rate = NativeTexture(texture.to_bytes()), texture.has_excitation, texture.rate_hz
     corners = np.array([[v, f] for v in texture.trained_range("speed") for f in texture.trained_range("force")])
@@ -88,7 +80,6 @@ def attack(texture: Texture, n_steps: int, n_streams: int = N_ATTACKED) -> dict[
     n_after = min(COMPARED, round(COMPARED_S * rate))
     middle = np.broadcast_to(corners.mean(axis=0), (n_streams, n_after, 2))
     path = with_path(texture, np.concatenate([corners[where.T], middle], axis=1))
-    # What goes on from its own samples whatever they are needs no saturator, and is attacked without one.
     limit = np.inf if texture.card["model"] in BOUNDED else float(texture.card["saturation"])
     noise = ordinary = None
     if excited:
@@ -96,7 +87,7 @@ def attack(texture: Texture, n_steps: int, n_streams: int = N_ATTACKED) -> dict[
         noise = ordinary.copy()
         noise[:, :n] = outwards(texture, windows, path[:, :n], limit, rng)
     attacked = run_loops(kernel, windows, path, noise, limit)
-    # Under the same path all the time, so that it is at the same place of a surface that repeats.
+    # Under the same path, so that it is at the same place of a surface that repeats.
     warm = np.tile(texture.tensors["warm_start"].astype(float), (n_streams, 1, 1))
     untouched = run_loops(kernel, warm, path, ordinary, limit)
     after, usual = (np.square(run[:, -(n_after // 5) :]).mean(axis=1) for run in (attacked, untouched))
@@ -115,7 +106,7 @@ def with_path(texture: Texture, condition: Array) -> Array:
 
 
 def outwards(texture: Texture, windows: Array, path: Array, limit: float, rng: np.random.Generator) -> Array:
-    """The largest noise that the generator draws, of every other stream with the sign of what is predicted, (s, n)."""
+    """Largest noise that the generator draws, (s, n): of every other stream with the sign of the prediction, else at random."""
     model = model_of_graph(texture) if GRAPH in texture.tensors else model_of(texture.sizes, texture.tensors)
     stream = model.start(windows)
     noise = MAX_NOISE * rng.choice([-1.0, 1.0], path.shape[:2])
@@ -128,7 +119,7 @@ def outwards(texture: Texture, windows: Array, path: Array, limit: float, rng: n
 
 
 def proven(texture: Texture) -> float | None:
-    """What no sample of a closed loop exceeds [sd], under any stroke and noise; None for a model without a proof."""
+    """Bound of every sample of a closed loop [sd], under any stroke and noise; None for a model without a proof."""
     sizes, tensors = texture.sizes, texture.tensors
     if not isinstance(sizes, FotenPlusSizes):
         return None
@@ -146,7 +137,10 @@ def proven(texture: Texture) -> float | None:
 
 
 def forgetting(texture: Texture, windows: Array, corners: Array, rng: np.random.Generator) -> float | None:
-    """After how long streams under the same noise are the same to 1 %, whatever they began with [s]; None for never."""
+    """Time after which pairs of streams under the same noise differ by less than 1 % of their level [s]; None for never.
+
+    Under slow, middling, fast and moving strokes.
+    """
     rate, n_pairs = texture.rate_hz, len(windows) // 2
     n = min(COMPARED, round(COMPARED_S * rate))
     turning = 0.5 - 0.5 * np.cos(2 * np.pi * np.arange(n) / rate)[:, None]

@@ -1,8 +1,4 @@
-"""Every run of an experiment, on one machine or a cluster: Ray distributes them, this process writes the results.
-
-A result is a file of its own, named by data and configuration. A sweep goes on where it stopped, with the results of the same
-code, data, configuration and platform. Ctrl-C and SIGTERM stop it. A recording goes to each node once, by Ray's object store.
-"""
+"""Every run of an experiment, on one machine or a cluster: Ray distributes them, this process writes a file for each."""
 
 from __future__ import annotations
 
@@ -38,7 +34,7 @@ Say = Callable[[str], None]
 
 
 class Stopped(KeyboardInterrupt):
-    """A sweep that was stopped, and has said so."""
+    """Sweep that was stopped, after it has said so."""
 
 
 @dataclass(frozen=True)
@@ -67,7 +63,7 @@ def sweep(
     gpus_per_run: float = 0.0,
     say: Say = lambda text: None,
 ) -> tuple[int, int]:
-    """Execute the runs of an experiment that have no result yet, one file each, and count how many were done and failed.
+    """Execute the runs of an experiment that have no result yet, and return how many were done and failed.
 
     Args:
         workers: runs at a time on this machine; one for each core by default. Each has one thread.
@@ -133,12 +129,9 @@ def planned(experiment: Experiment, results: Path) -> tuple[list[Planned], dict[
 
 
 def lacking(plan: Sequence[Planned], folder: Path, platforms: Sequence[Mapping[str, str]], say: Say) -> list[Planned]:
-    """Runs without a result of the same code, data, configuration and platform, after a line on why others are run again.
+    """Runs without a result of the same code, data, configuration and one of the platforms, after a line on why.
 
     Results that stay take the names of the experiment. One of other data or settings is replaced where it is of this experiment.
-
-    Args:
-        platforms: of the machines that a run may be given to; a result of any of them stays.
     """
     files = {path: read_result(path) for path in folder.glob("*.json")}
     planned_paths = {item.path for item in plan}
@@ -168,7 +161,7 @@ def lacking(plan: Sequence[Planned], folder: Path, platforms: Sequence[Mapping[s
 
 
 def _why_again(item: Planned, result: Mapping[str, Any] | None, platforms: Sequence[Mapping[str, str]]) -> str:
-    """Why a result cannot stay, in words; nothing where it can."""
+    """Reason why a result cannot stay, in words; nothing where it can."""
     if result is None:
         return f"as {item.path.name} is damaged"
     expected = (replace(item.provenance, platform=platform) for platform in platforms)
@@ -185,7 +178,7 @@ def _handle_sigterm(handler: Any) -> None:
 def _stoppable(start: Callable[[], None]) -> None:
     """Start Ray, and raise KeyboardInterrupt where Ctrl-C or SIGTERM came meanwhile.
 
-    What a handler raises while Ray forks a process is lost, and at SIGTERM Ray exits. The signals' numbers are kept in any case.
+    What a handler raises while Ray forks a process is lost, and at SIGTERM Ray exits.
     """
     if threading.current_thread() is not threading.main_thread():
         return start()
@@ -248,7 +241,7 @@ def _check_answered(address: str) -> None:
 
 
 def _guarded(run: Mapping[str, Any], recording: Recording) -> dict[str, Any]:
-    """Result of a run, or the reason why there is none: Ray retries what raises, and an error here would recur."""
+    """Result of a run, or `failed` with the reason: Ray retries what raises, and an error here would recur."""
     try:
         checked = Run(**run)
         # Of this worker's machine, and of its sources before anybody changes them.
@@ -259,7 +252,7 @@ def _guarded(run: Mapping[str, Any], recording: Recording) -> dict[str, Any]:
 
 
 def _collected(pending: dict[Any, Planned], done: set[Path], say: Say) -> tuple[int, int]:
-    """Write the results as they come, adding their paths to `done`, and count how many were done and failed."""
+    """Write the results as they come, add their paths to `done`, and return how many were done and failed."""
     started = time.perf_counter()
     n_failed, n_runs = 0, len(pending)
     while pending:

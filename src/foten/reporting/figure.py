@@ -1,4 +1,4 @@
-"""A figure: its style, its panels, and the file or the element of a page that it becomes; the same figure, the same bytes."""
+"""Figures: style, panels, and the file or page element that they become; the same figure, the same bytes."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ TICKS_HZ = (20, 30, 50, 100, 200, 300, 500, 1000, 2000, 3000, 5000, 10_000, 20_0
 
 @dataclass(frozen=True)
 class Style:
-    """The look of axes and words."""
+    """Look of axes and words."""
 
     ink: str = "#222222"
     axis: float = 1.0  # opacity of the axes
@@ -40,7 +40,7 @@ PAGE = Style(ink="#010203", axis=0.5, grid=0.12, tick_pt=9.0, legend_pt=8.5)
 
 
 def new_figure(width: float, height: float, style: Style = PRINT, **options: Any) -> tuple[Figure, Any]:
-    """A figure of some inches and its panels; `options` as of `Figure.subplots`."""
+    """Figure of some inches and its panels; `options` as of `Figure.subplots`."""
     # Not pyplot: the user's backend and open figures stay as they are.
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -61,7 +61,7 @@ def new_figure(width: float, height: float, style: Style = PRINT, **options: Any
 
 
 def panel_grid(names: list[str], width: float, height: float, style: Style = PRINT) -> tuple[Figure, list[Any]]:
-    """A figure with a panel of some inches for each name, three or four beside each other."""
+    """Figure with a panel of some inches for each name, three or four beside each other."""
     columns = min(len(names), 3 if len(names) <= 9 else 4)
     rows = -(-len(names) // columns)
     size = max(width, 6.0 / columns) * columns, height * rows + 0.6
@@ -119,9 +119,9 @@ def write_figure(figure: Figure, path: Path, dpi: float = 140.0, n_colours: int 
 
 
 def inline_svg(figure: Figure, name: str, description: str) -> str:
-    """A figure in the style `PAGE` as an SVG element for an HTML page.
+    """Figure in the style `PAGE` as an SVG element for an HTML page.
 
-    The name, of letters and unique on the page, is the prefix of its identifiers; the description is for those who do not see it.
+    The name, of letters and unique on the page, is the prefix of its identifiers; the description is for screen readers.
     """
     import matplotlib
 

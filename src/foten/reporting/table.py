@@ -1,4 +1,4 @@
-"""A table: columns with units, rows of names, words and numbers; as Markdown, CSV, LaTeX, HTML and aligned text."""
+"""Tables of names, words and numbers: as Markdown, CSV, LaTeX, HTML and aligned text."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _LATEX = str.maketrans(
 
 @dataclass(frozen=True)
 class Heading:
-    """The head of a column or of a row."""
+    """Head of a column or of a row."""
 
     name: str
     unit: str = ""
@@ -41,7 +41,7 @@ class Heading:
 
 @dataclass(frozen=True)
 class Number:
-    """A number as it is shown, or why there is none."""
+    """Number as it is shown, or the reason why there is none."""
 
     value: float | None
     spec: str = ".3f"  # as of `format`
@@ -85,7 +85,7 @@ class Table:
         return [[str(cell) for cell in row] for row in (self.columns, *self.rows)]
 
     def known(self) -> Table:
-        """The same without the rows and columns of which no number is known."""
+        """Table without the rows and columns of which no number is known."""
         table = replace(self, rows=tuple(row for row in self.rows if _any_known(row)))
         shown = [k for k in range(len(self.columns)) if k == 0 or _any_known([row[k] for row in table.rows])]
         rows = tuple(tuple(row[k] for k in shown) for row in table.rows)
@@ -158,11 +158,7 @@ FORMS: dict[str, Callable[[Table], str]] = {"md": Table.markdown, "csv": Table.c
 
 
 def mean_number(groups: Sequence[Array], digits: int, best: bool = False) -> Number:
-    """Mean over groups of their means, ± its standard error where each group has several values; a dash without groups.
-
-    Args:
-        groups: values of each, as the splits of a texture, shape (n,) each.
-    """
+    """Mean over groups (n,) of their means, ± its standard error where each has several values; a dash without groups."""
     if not groups:
         return Number(None)
     error = None
@@ -188,7 +184,7 @@ def signed(value: float, digits: int) -> str:
 
 
 def _any_known(cells: Sequence[Cell]) -> bool:
-    """Whether any number of some cells is known; of cells without numbers whether any is not empty."""
+    """Whether any number of some cells is known, or any cell not empty where none is a number."""
     numbers = [cell.value for cell in cells if isinstance(cell, Number)]
     return any(value is not None for value in numbers) if numbers else any(cell != "" for cell in cells)
 

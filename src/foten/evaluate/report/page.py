@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING, Any
 from foten import __version__
 from foten.atomic_write import atomic_write
 from foten.evaluate.evaluate import Judgement
-from foten.evaluate.report import figures, signals
+from foten.evaluate.report import plots, signals
+from foten.evaluate.report.rows import free_run_section, one_step_section
 from foten.evaluate.report.signals import LABELS, shown_blocks, shown_run
-from foten.evaluate.report.tables import free_run_section, one_step_section
 from foten.evaluate.report.verdict import cautions, reason, verdict
 from foten.models.texture_file import Texture
 from foten.reporting.figure import inline_svg
@@ -29,8 +29,7 @@ _MARKS = {"good": "✓", "even": "≈", "bad": "✗", "unknown": "–"}
 def write_report(judgement: Judgement, texture: Texture, directory: Path) -> Path:
     """Write `report.html` and `evaluation.json` into a directory, made where there is none, and return the path of the former.
 
-    Figures, sound and style are inside the page. It loads nothing from a network and has no scripts. The same judgement gives
-    the same bytes.
+    The page loads nothing and has no scripts. The same judgement gives the same bytes.
     """
     directory.mkdir(parents=True, exist_ok=True)
     document = json.dumps({"foten": __version__, **judgement.document}, indent=1, allow_nan=False)
@@ -41,7 +40,7 @@ def write_report(judgement: Judgement, texture: Texture, directory: Path) -> Pat
 
 
 def page(judgement: Judgement, texture: Texture) -> str:
-    """Report as HTML."""
+    """HTML of the report."""
     document = judgement.document
     name = shown(document["texture"], LONGEST_TEXT) or "unnamed texture"
     sections = [
@@ -133,25 +132,25 @@ def _figures_section(judgement: Judgement, texture: Texture) -> str:
     same = " AR(20) is driven by the same noise." if both else ""
     block = judgement.blocks[signals.typical_block(judgement)]
     waveform = _figure(
-        *("waveform", figures.waveform(judgement), "Waveform"),
+        *("waveform", plots.waveform(judgement), "Waveform"),
         f"The first {signals.N_WAVEFORM} scored samples of block {block}, the one of median level. "
         f"A free run is another realisation: its character should match, its samples cannot.{same}",
     )
     spectrum = _figure(
-        *("spectrum", figures.spectrum(judgement), "Power spectral density"),
+        *("spectrum", plots.spectrum(judgement), "Power spectral density"),
         "Pooled over the scored samples of all judged blocks and all seeds: the spectra that the log-spectral distance is "
         "measured on, where they are not shaded.",
     )
     bands = _figure(
-        *("bands", figures.bands(judgement), "Error by band"),
+        *("bands", plots.bands(judgement), "Error by band"),
         "Energy against the recorded, in bands equal in log frequency; above 0 is too much.",
     )
     conditions = _figure(
-        *("conditions", figures.conditions(judgement, texture), "Where it is right"),
+        *("conditions", plots.conditions(judgement, texture), "Where it is right"),
         "Each judged block at its mean speed and force; red is too loud, blue too soft.",
     )
     over_time = _figure(
-        *("time", figures.over_time(judgement), "Over time"),
+        *("time", plots.over_time(judgement), "Over time"),
         "Spectrograms of the first seed on one colour scale, level in frames of 40 ms (band: lowest to highest seed), speed "
         f"and force, on one time axis; lines mark block borders.{some}",
     )

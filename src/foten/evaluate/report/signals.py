@@ -1,4 +1,4 @@
-"""The signals of a judgement that the report shows: which run, which blocks, their levels, densities and sound."""
+"""Signals of a judgement that the report shows: runs, blocks, levels, densities and sound."""
 
 from __future__ import annotations
 
@@ -52,19 +52,19 @@ def scored_hand(judgement: Judgement) -> tuple[Array, Array]:
 
 
 def shown_blocks(judgement: Judgement) -> NDArray[np.int64]:
-    """Which of the judged blocks are drawn over time: all, or 12 spread evenly."""
+    """Indices of the judged blocks that are drawn over time: all, or 12 spread evenly."""
     n = len(judgement.blocks)
     return np.unique(np.linspace(0, n - 1, min(n, N_BLOCKS_SHOWN)).round().astype(np.int64))
 
 
 def typical_block(judgement: Judgement) -> int:
-    """Which of the judged blocks has the median recorded level (the lower of two)."""
+    """Index of the judged block with the median recorded level, the lower of two."""
     levels = np.square(scored_runs(judgement)["recorded"][0]).mean(axis=1)
     return int(np.argsort(levels, kind="stable")[(len(levels) - 1) // 2])
 
 
 def level_errors(judgement: Judgement, name: str) -> Array:
-    """Run's mean level error [dB] in each judged block, mean over frames of 40 ms and seeds, shape (n_blocks,)."""
+    """Mean level errors of a run [dB] in each judged block, over frames of 40 ms and seeds, shape (n_blocks,)."""
     runs = scored_runs(judgement)
     reference = float(np.sqrt(np.square(runs["recorded"]).mean()))
     recorded, synthesized = (frame_levels(runs[key], judgement.trace.rate_hz, reference) for key in ("recorded", name))
@@ -72,10 +72,7 @@ def level_errors(judgement: Judgement, name: str) -> Array:
 
 
 def densities(judgement: Judgement, unscored: bool = False) -> tuple[Array, dict[str, Array]]:
-    """Scored frequencies [Hz] and each run's density [(m/s²)²/Hz] there, pooled over blocks and seeds.
-
-    The log-spectral distance of pooled spectra is computed on the same densities. With `unscored` up to half the rate.
-    """
+    """Scored frequencies [Hz], with `unscored` up to half the rate, and pooled densities of each run [(m/s²)²/Hz]."""
     rate_hz, n_segment = judgement.trace.rate_hz, segment_length(judgement.trace.block)
     spectra = {name: welch(run, rate_hz, n_segment) for name, run in scored_runs(judgement).items()}
     frequencies, _ = spectra["recorded"]
@@ -84,10 +81,7 @@ def densities(judgement: Judgement, unscored: bool = False) -> tuple[Array, dict
 
 
 def sounds(judgement: Judgement, name: str) -> tuple[bytes, bytes, float]:
-    """Scored blocks as recorded and as synthesized, two WAV files, and the full scale of both [m/s²].
-
-    8 kHz, 16 bit, one channel, up to 8 s; each block is faded at its ends.
-    """
+    """Scored blocks as recorded and as synthesized, two WAV files of up to 8 s, and the full scale of both [m/s²]."""
     runs, rate_hz = scored_runs(judgement), judgement.trace.rate_hz
     n_blocks = max(1, int(AUDIO_S * rate_hz / runs["recorded"].shape[2]))
     pair = [

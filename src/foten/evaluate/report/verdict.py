@@ -1,4 +1,4 @@
-"""The verdict: what the figures of a judgement say in plain language, and how much of it the data bear."""
+"""The verdict: the figures of a judgement in plain language, and how much of it the data bear."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from foten.reporting.table import minus, signed
 
 @dataclass(frozen=True)
 class Finding:
-    """One part of the verdict."""
+    """Part of the verdict."""
 
     tone: str  # `good`, `even`, `bad` or `unknown`
     title: str  # what was judged

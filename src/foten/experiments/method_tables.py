@@ -1,4 +1,4 @@
-"""Tables of runs: methods beside references and the paper's figures, each on each texture, and what they say in sentences."""
+"""Tables of runs: methods beside references and the paper's figures, and the same in sentences."""
 
 from __future__ import annotations
 
@@ -33,15 +33,13 @@ CHANGES: tuple[tuple[str, str, Callable[[float, float], float]], ...] = (
     ("test: LSD", "free_run.lsd_db", truediv),
     ("test: level error", "free_run.level_error_db", truediv),
 )
-"""Of what a method is compared with the one that it stands beside, where that is in a record, and how."""
+"""Figures in which a method is compared with the one that it stands beside: name, path in a record, comparison."""
 PAPERS = "paper's MAE, unit not stated"
-
-
 PAPER = {
     **{"ar": 0.400, "fnn": 0.378, "dstn": 0.201, "ldhtd": 0.178, "gan": 0.298, "foten": 0.149},
     **{"ten": 0.318, "ten-mfcc": 0.281, "ten-wavelet": 0.284, "foten-d": 0.193},
 }
-"""The paper's errors, means over its twelve textures, whose unit it does not state; Tables I and II."""
+"""The paper's errors, means over its twelve textures; Tables I and II."""
 REFERENCES = {
     "zero": "references.zero",
     "persistence": "references.persistence",
@@ -60,7 +58,7 @@ class Row:
     name: str  # in tables
     model: str  # key, "" for a reference
     values: Mapping[str, Array]  # by texture, one for each split that has one, shape (n_splits,)
-    excited: bool = False  # whether it has the random excitation, on which no one-step figure depends
+    excited: bool = False  # whether it has the random excitation
 
     def means(self, textures: Sequence[str]) -> Array:
         """Mean over splits for each texture, NaN where there is none, shape (n_textures,)."""
@@ -116,9 +114,8 @@ def complete(rows: Sequence[Row], textures: Sequence[str]) -> list[Row]:
 def compared(rows: Sequence[Row], textures: Sequence[str], better: int) -> tuple[str, dict[str, float]]:
     """Method that is best on the mean of the textures, and p-values of the others' differences from it.
 
-    Methods that lack a split of a texture are left out: another split of a simulated texture is another recording.
-    Wilcoxon's signed-rank test over the textures (means of splits), two-sided, Holm-corrected. Empty with fewer than six
-    textures, where no p can be below 0.05.
+    Of methods with all splits. Wilcoxon's signed-rank test over the textures (means of splits), two-sided, Holm-corrected;
+    empty with fewer than six textures, where no p can be below 0.05.
     """
     from scipy.stats import wilcoxon
 
@@ -135,11 +132,7 @@ def compared(rows: Sequence[Row], textures: Sequence[str], better: int) -> tuple
 
 
 def as_in_paper(rows: Sequence[Row]) -> set[str]:
-    """Names of the methods that the paper has a figure of.
-
-    A model with several settings is left out: none of them is the paper's. With and without excitation count as one, because
-    their one-step figures are the same.
-    """
+    """Names of the methods that the paper has a figure of: models with one setting, with and without excitation counted once."""
     names = set()
     for model in PAPER:
         with_model = [row for row in rows if row.model == model]
@@ -150,7 +143,7 @@ def as_in_paper(rows: Sequence[Row]) -> set[str]:
 
 
 def tables_of(records: Records) -> dict[str, Table]:
-    """All tables of runs by the names of their files: of all figures, of each by texture, and of methods beside others."""
+    """Tables of runs by the names of their files: `summary`, one of each figure by texture, and `ratios`."""
     shown, title = chosen(records), title_of(records)
     by_name = {"summary": summary(shown)} | {name: table(shown, name) for name in FIGURES}
     if any(record["beside"] for record in shown):
@@ -159,10 +152,9 @@ def tables_of(records: Records) -> dict[str, Table]:
 
 
 def summary(records: Records) -> Table:
-    """Methods and references with their means over textures, beside the paper's, and the seconds of training.
+    """Methods and references with their means over textures ± standard error, beside the paper's, and the seconds of training.
 
-    `p` is of the one-step errors' differences from the best method's. Means are ± the standard error that the splits of the
-    textures give them, where there are several; of several methods the best is bold. A column without a cell is left out.
+    `p` is of the one-step errors' differences from the best method's. A column without a cell is left out.
     """
     rows = {figure: {row.name: row for row in rows_of(records, figure)[1]} for figure in FIGURES}
     textures, of_mae = rows_of(records, "mae")
@@ -184,21 +176,21 @@ def summary(records: Records) -> Table:
 
 
 def _best(rows: Sequence[Row], textures: Sequence[str], figure: Figure) -> set[str]:
-    """Methods that are best of several on the mean of the textures, as it is rounded; nothing of a single one."""
+    """Methods of several that are best on the rounded mean of the textures."""
     means = {row.name: round(float(row.means(textures).mean()), figure.digits) for row in complete(rows, textures)}
     best = max((figure.better * mean for mean in means.values()), default=0.0)
     return {name for name, mean in means.items() if figure.better * mean == best} if len(means) > 1 else set()
 
 
 def mean_cell(row: Row | None, textures: Sequence[str], digits: int, best: bool = False) -> Number | str:
-    """Mean over textures ± its standard error by their splits; a dash where a texture has none."""
+    """Mean over textures ± its standard error; a dash where a texture has none."""
     if row is None or not np.isfinite(row.means(textures)).all():
         return Number(None) if row is not None and row.model else ""
     return mean_number([row.values[texture] for texture in textures], digits, best)
 
 
 def table(records: Records, figure: str) -> Table:
-    """A figure's table: textures by methods and references, means over splits, and the mean of all."""
+    """Table of a figure: textures by methods and references, means over splits, and the mean of all."""
     textures, rows = rows_of(records, figure)
     best = _best(rows, textures, FIGURES[figure])
     heading = [FIGURES[figure].name, *(row.name for row in rows)]
@@ -211,7 +203,7 @@ def table(records: Records, figure: str) -> Table:
 
 
 def brief(records: Records) -> list[dict[str, Any]]:
-    """Of each run its names, and the figures that methods are compared by."""
+    """Records with their names and the figures that methods are compared by."""
     paths = {figure.path for figure in FIGURES.values()} | {path for _, path, _ in CHANGES}
     listening = {key for record in records for key in record if key.startswith(("listener.", "validation_listener."))}
     keys = paths | listening
@@ -221,8 +213,7 @@ def brief(records: Records) -> list[dict[str, Any]]:
 def ratios(records: Records) -> Table:
     """Figures of each method that stands beside another, over the other's on the same textures and splits.
 
-    Ratios, of areas under a listener's curve differences; of validation and of test: choose by the former. Means over textures ±
-    their standard error; a dash where there is no such figure.
+    Ratios, of areas under a listener's curve differences; means over textures ± their standard error.
     """
     rows = []
     for name, beside in dict.fromkeys((record["method"], record["beside"]) for record in records if record["beside"]):
@@ -247,7 +238,7 @@ def _change(pairs: Sequence[tuple[Record, Record]], path: str, change: Callable[
 
 
 def caveats(records: Records, name: str = "summary") -> list[str]:
-    """What a reader of a table has to know: what the experiment reduced, and what a figure is blind to."""
+    """Notes of a table: what the experiment reduced, and what a figure is blind to."""
     notes = list(dict.fromkeys(record["note"] for record in records if record.get("note")))
     if name in ("summary", "gfc"):
         notes.append("The GFC of a one-step prediction is blind to delay and gain, as persistence shows.")
@@ -255,11 +246,7 @@ def caveats(records: Records, name: str = "summary") -> list[str]:
 
 
 def findings(records: Records) -> Iterator[str]:
-    """Yield what to know first, which recipe and which method is best in each figure, beside a linear predictor and the paper.
-
-    Args:
-        records: those of all recipes.
-    """
+    """Yield sentences on runs of all recipes: notes, recipes, and the best method in each figure."""
     yield from caveats(records)
     if differing := mixture(records):
         yield f"The results are mixed: {differing}."
@@ -277,7 +264,6 @@ def findings(records: Records) -> Iterator[str]:
 
 
 def _same_blocks(records: Records) -> Iterator[str]:
-    """Yield which splits of a recording have the same test blocks: they differ only by training."""
     seeds: dict[tuple[str, str, str], set[int]] = {}
     for record in records:
         blocks = record["texture"], record["recording_sha256"], record["split_sha256"]

@@ -1,4 +1,4 @@
-"""The tables of a judgement, one-step errors beside references and figures of the free runs: as HTML, and for a terminal."""
+"""Tables of a judgement, one-step errors and figures of the free runs: as HTML, and for a terminal."""
 
 from __future__ import annotations
 
@@ -88,7 +88,6 @@ def _one_step_row(
 
 
 def _to_linear(error: float | None, linear: float | None, intervals: Mapping[str, Any]) -> Cell:
-    """How far an error lies above AR(20)'s; nothing where either is not known."""
     if error is None or not linear:
         return ""
     ends = [100 * (end - 1) for end in intervals.get("mae_to_ar", ())]
@@ -146,7 +145,6 @@ def free_run_section(document: Mapping[str, Any]) -> str:
 
 
 def _excitation(one_step: Mapping[str, Any]) -> str:
-    """How well the random part's distribution fits the errors of a rendering's prediction, as a paragraph."""
     if one_step.get("nll") is None:
         return ""
     return (

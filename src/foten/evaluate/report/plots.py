@@ -1,4 +1,4 @@
-"""Figures of a judgement: waveform, spectrum, bands, conditions, and all of it over time."""
+"""Figures of a judgement: waveform, spectrum, errors by band and by condition, and all over time."""
 
 from __future__ import annotations
 
