@@ -5,8 +5,8 @@ BIN := $(VENV)/bin
 # Small matrices only lose by more threads, on a busy machine a factor of ten.
 THREADS := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MKL_NUM_THREADS=1
 
-# A file's tests stay together, for what they share.
-PYTEST := $(THREADS) $(BIN)/python -m pytest -q --numprocesses auto --maxprocesses 4 --dist loadfile
+# A file's tests stay together, for what they share; in the order of names, since files of few tests can be the longest.
+PYTEST := $(THREADS) $(BIN)/python -m pytest -q --numprocesses auto --maxprocesses 4 --dist loadfile --no-loadscope-reorder
 
 .PHONY: demo test lint check slow browser docs paper-small wasm wasm-check wheels wheels-check clean
 

@@ -142,7 +142,7 @@ def test_ctrl_c_in_the_first_epoch_leaves_the_playable_file(
     def interrupted(*_: object) -> tuple[float, float]:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("foten.models.foten_plus.network.validated", interrupted)
+    monkeypatch.setattr("foten.models.foten_plus.network.scored", interrupted)
     out = tmp_path / "p.foten"
     capsys.readouterr()
     assert _status(["train", str(recording), "-o", str(out), *FAST, *TINY]) == 130

@@ -1,6 +1,6 @@
 """Units: as large as physics has them, and read wherever a file states them; converted or refused, never dropped."""
 
-import typing
+import inspect
 
 import h5py
 import numpy as np
@@ -19,7 +19,7 @@ LBF_N = 4.4482216152605  # exact: 0.45359237 kg × 9.80665 m/s²
 
 
 def test_the_help_names_units_that_are_read():
-    message = typing.get_type_hints(import_, include_extras=True)["units"].__metadata__[0].help
+    message = inspect.signature(import_).parameters["units"].default.help
     named = dict(
         part.strip().split(" ", 1) for part in message.split("of the file:")[1].split(". CHANNEL")[0].split(";")
     )

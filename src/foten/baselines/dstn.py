@@ -27,7 +27,7 @@ class Dstn(nn.Module):
         self.excite = nn.Linear(sizes.squeezed, c)
         self.when = nn.Linear(c, 1)
         self.encoder = nn.LSTM(c, r, batch_first=True, bidirectional=True)
-        self.asked = nn.Linear(3, r)
+        self.condition = nn.Linear(3, r)
         self.query, self.key, self.energy = nn.Linear(r, r), nn.Linear(2 * r, r), nn.Linear(r, 1)
         self.decoder = nn.LSTM(3 + 2 * r, r, batch_first=True)
         self.dense = nn.Linear(3 * r, sizes.dense)
@@ -47,7 +47,7 @@ class Dstn(nn.Module):
         features = features * torch.softmax(self.when(features), dim=1) * features.shape[1]
         encoded, _ = self.encoder(features)
         last = windows[:, -1:]
-        query = self.query(torch.tanh(self.asked(last)))
+        query = self.query(torch.tanh(self.condition(last)))
         energy = self.energy(torch.tanh(query + self.key(encoded)))
         context = (torch.softmax(energy, dim=1) * encoded).sum(dim=1)
         decoded, _ = self.decoder(torch.cat([last, context[:, None]], dim=2))

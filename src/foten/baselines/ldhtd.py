@@ -21,8 +21,8 @@ class Ldhtd(nn.Module):
     def __init__(self, sizes: LdhtdSizes) -> None:
         super().__init__()
         d = sizes.d_model
-        self.hand = nn.LSTM(2, sizes.recurrent, batch_first=True)
-        self.hand_out = nn.Linear(sizes.recurrent, d)
+        self.condition = nn.LSTM(2, sizes.recurrent, batch_first=True)
+        self.condition_out = nn.Linear(sizes.recurrent, d)
         self.embedding = nn.Linear(1, d)
         self.decoder = DecoderLayer(d, sizes.n_heads, sizes.d_feedforward)
         self.decoded = nn.LayerNorm(d)
@@ -33,7 +33,7 @@ class Ldhtd(nn.Module):
 
     def forward(self, windows: Tensor) -> Tensor:
         """The next samples: windows (b, m, 3) scaled → (b,) scaled."""
-        memory, _ = self.hand(windows[:, :, 1:])
+        memory, _ = self.condition(windows[:, :, 1:])
         tokens = self.dropout(self.embedding(windows[:, :, :1]) + self.positions.to(windows.dtype))
-        last = self.decoded(self.decoder(tokens, self.hand_out(memory))[:, -1])
+        last = self.decoded(self.decoder(tokens, self.condition_out(memory))[:, -1])
         return self.out(self.dropout(torch.relu(self.dense(last))))[:, 0]

@@ -34,7 +34,7 @@ def simulate(
 
     if show_list:
         kinds = (simulator.TEXTURES, simulator.CONTACT, simulator.LINEAR_FAMILY)
-        known = {name: made_of.description for kind in kinds for name, made_of in kind.items()}
+        known = {name: source.description for kind in kinds for name, source in kind.items()}
         print_result(known, "\n".join(f"{name:18s}{description}" for name, description in known.items()), as_json)
         return
     if key is None or output is None:

@@ -152,12 +152,12 @@ def _centre(landings: Array, knocks: Array, off_by: Array) -> tuple[float, float
 
 def _strokes(events: PenEvents) -> list[tuple[int, int]]:
     """First event of each stroke and the one after its last; a gap longer than `MAX_GAP_S` ends one."""
-    found: list[tuple[int, int]] = []
+    strokes: list[tuple[int, int]] = []
     for first, end in events.touches()[~landings_of(events)[2]]:
         gaps = first + 1 + np.flatnonzero(np.diff(events.times_s[first:end]) > MAX_GAP_S)
         edges = [int(first), *(int(gap) for gap in gaps), int(end)]
-        found += [(i, j) for i, j in itertools.pairwise(edges) if j - i >= 2]
-    return found
+        strokes += [(i, j) for i, j in itertools.pairwise(edges) if j - i >= 2]
+    return strokes
 
 
 def pen_channels(events: PenEvents, clock: PenClock, force: Callable[[Array], Array]) -> dict[str, Channel]:

@@ -111,8 +111,8 @@ def nearest_training_blocks(trace: Trace, blocks: tuple[int, ...], train: tuple[
     _, *judged = trace.picked(blocks)
     acceleration, *known = trace.picked(train)
     distance = np.zeros((len(blocks), len(train)))
-    for one, other in zip(judged, known, strict=True):
-        distance += np.square(np.subtract.outer(one.mean(axis=1), other.mean(axis=1)) / (other.std() or 1.0))
+    for tested, trained in zip(judged, known, strict=True):
+        distance += np.square(np.subtract.outer(tested.mean(axis=1), trained.mean(axis=1)) / (trained.std() or 1.0))
     return acceleration[distance.argmin(axis=1)][None]
 
 

@@ -121,7 +121,7 @@ def planned(experiment: Experiment, results: Path) -> tuple[list[Planned], dict[
         provenance = provenance_of(run, recordings[run.source].sha256())
         path = results / f"{provenance.name}.json"
         if path in plan:
-            first, other = (f"{one.label!r} on {one.texture}" for one in (plan[path].run, run))
+            first, other = (f"{same.label!r} on {same.texture}" for same in (plan[path].run, run))
             raise ValueError(f"{first} and {other} are the same run: leave one of them out")
         titles = {"title": experiment.title, "note": experiment.note}
         plan[path] = Planned(run, path, {"index": index, "experiment": titles, "run": asdict(run)}, provenance)

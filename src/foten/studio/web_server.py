@@ -20,13 +20,13 @@ SHUTDOWN_S = 3
 
 def addresses() -> list[str]:
     """Addresses by which others on the network reach this machine, the likeliest first."""
-    found: list[str] = []
+    reached: list[str] = []
     with contextlib.suppress(OSError), socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         probe.connect(("192.0.2.1", 9))  # nothing is sent: the system says from which address it would be
-        found.append(probe.getsockname()[0])
+        reached.append(probe.getsockname()[0])
     with contextlib.suppress(OSError):
-        found += [str(info[4][0]) for info in socket.getaddrinfo(socket.gethostname(), None, socket.AF_INET)]
-    return [address for address in dict.fromkeys(found) if not ipaddress.ip_address(address).is_loopback]
+        reached += [str(info[4][0]) for info in socket.getaddrinfo(socket.gethostname(), None, socket.AF_INET)]
+    return [address for address in dict.fromkeys(reached) if not ipaddress.ip_address(address).is_loopback]
 
 
 def listening(host: str, port: int) -> socket.socket:

@@ -88,10 +88,12 @@ def read_ratings(store: Store) -> Ratings:
     values = np.full((len(numbers), len(methods), len(textures)), np.nan)
     for row in rows:
         values[numbers.index(row["participant"]), row["method"], row["texture"]] = row["rating"]
-    whole = np.isfinite(values).all((1, 2))
-    complete = [number for number, is_whole in zip(numbers, whole, strict=True) if is_whole]
+    is_complete = np.isfinite(values).all((1, 2))
+    complete = [number for number, all_rated in zip(numbers, is_complete, strict=True) if all_rated]
     study = str(store.study["title"]), store.simulated, str(store.study["software"])
-    return Ratings(*study, methods, textures, rows, values, complete, values[whole], store.answers(), store.abouts())
+    return Ratings(
+        *study, methods, textures, rows, values, complete, values[is_complete], store.answers(), store.abouts()
+    )
 
 
 def null_rates(n: int, a: int, b: int) -> dict[str, float]:

@@ -193,7 +193,7 @@ def _filled(kind: type, table: Any, where: str, folder: Path, **parts: Any) -> A
         raise ValueError(f"{where} has {unknown[0]!r}, expected some of {', '.join(known)}")
     values = dict(parts)
     for name, value in table.items():
-        type_names = [one for one in str(known[name].type).split(" | ") if one != "None"]
+        type_names = [kind_name for kind_name in str(known[name].type).split(" | ") if kind_name != "None"]
         values[name] = _converted(value, type_names, folder)
         if values[name] is None:
             raise ValueError(f"{where}: {name} is {value!r:.40}, expected {_TYPE_NAMES[type_names[0]]}")

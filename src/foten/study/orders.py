@@ -79,7 +79,9 @@ def _balanced(rng: np.random.Generator, n: int, textures: int, methods: int) -> 
                 pairs.append(int(texture_of[t]) * methods + int(method_of[m]))
         result.append(pairs)
     # In which turn a participant comes says nothing of the row.
-    return [result[i] for i in _in_cycles(rng, n, square(textures, methods))]
+    size = square(textures, methods)
+    turns = [start + int(i) for start in range(0, n, size) for i in rng.permutation(min(size, n - start))]
+    return [result[i] for i in turns]
 
 
 def square(n_textures: int, n_methods: int) -> int:
@@ -93,15 +95,8 @@ def planned(
     """Orders that a study stores: of its participants, and behind them a quarter more for those who leave."""
     counts = n_textures, n_methods, seed, practice, order
     # Not the first of a longer list: within a square those who come would then be any of its rows.
-    return [
-        *orders(n_participants, *counts),
-        *orders(n_participants + max(2, n_participants // 4), *counts)[n_participants:],
-    ]
-
-
-def _in_cycles(rng: np.random.Generator, n: int, cycle: int) -> list[int]:
-    """0 … n − 1, permuted within each cycle."""
-    return [start + int(i) for start in range(0, n, cycle) for i in rng.permutation(min(cycle, n - start))]
+    n_with_reserves = n_participants + max(2, n_participants // 4)
+    return orders(n_participants, *counts) + orders(n_with_reserves, *counts)[n_participants:]
 
 
 def _rounds(rng: np.random.Generator, rows: Rows, n_rounds: int) -> list[int]:
@@ -121,9 +116,8 @@ def balance(orders: list[list[Trial]], n_textures: int, n_methods: int) -> dict[
     another one within a round.
     """
     counted = np.array([[(t.texture, t.method) for t in trials if not t.practice] for trials in orders])
-    texture, method = np.moveaxis(
-        counted.reshape(-1, n_methods, n_textures, 2), -1, 0
-    )  # (participants, rounds, places)
+    # (participants, rounds, places) each.
+    texture, method = np.moveaxis(counted.reshape(-1, n_methods, n_textures, 2), -1, 0)
     _, in_round, place = np.indices(texture.shape)
     rounds = np.zeros((n_textures, n_methods, n_methods), dtype=int)
     places, behind = (np.zeros((n_textures, n_textures), dtype=int) for _ in range(2))

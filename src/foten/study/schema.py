@@ -18,7 +18,6 @@ from foten.atomic_write import atomic_write
 from foten.study.orders import Trial
 
 APPLICATION_ID = 0x666F7465  # "fote"
-
 VERSION = 1  # of the file
 TABLES = """
 CREATE TABLE study (

@@ -303,8 +303,8 @@ def steps_of(design: Design, trials: Sequence[Trial]) -> list[Step]:
 
 
 def _questions(questions: Sequence[Question], at: str | int) -> list[Step]:
-    asked = [question for question in questions if question.at == at]
-    return [{"id": f"questions:{at}", "kind": "questions", "questions": asked}] if asked else []
+    chosen = [question for question in questions if question.at == at]
+    return [{"id": f"questions:{at}", "kind": "questions", "questions": chosen}] if chosen else []
 
 
 def checked_answers(questions: Sequence[Question], answers: Any) -> tuple[dict[str, str], dict[str, str]]:

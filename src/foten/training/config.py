@@ -111,9 +111,9 @@ def recipe_of(model: str, recipe: str = "default", **changed: Any) -> TrainConfi
     return replace(RECIPES[recipe], **(OWN_RECIPES.get(model, {}) | changed))
 
 
-def check_used(model: str, given: Iterable[str], loss: str = "huber") -> None:
+def check_used(model: str, names: Iterable[str], loss: str = "huber") -> None:
     """Refuse settings that a model, or its loss, does not use."""
-    for name in given:
+    for name in names:
         option = name.replace("_", "-")
         if name in UNUSED.get(model, ()):
             raise ValueError(f"{option} means nothing to {model}: leave it out")

@@ -14,7 +14,7 @@ from foten.dsp.level import FRAME_MS, frame_levels
 from foten.evaluate.evaluate import Judgement
 from foten.evaluate.metrics import band_edges
 from foten.evaluate.report import signals
-from foten.evaluate.report.signals import LABELS, scored_hand, scored_runs, shown_blocks, shown_run
+from foten.evaluate.report.signals import LABELS, scored_conditions, scored_runs, shown_blocks, shown_run
 from foten.models.texture_file import Texture
 from foten.reporting.figure import BLUE, GREEN, MAUVE, ORANGE, PAGE, add_colour_bar, add_legend, log_hertz, new_figure
 
@@ -121,7 +121,7 @@ def conditions(judgement: Judgement, texture: Texture) -> Figure | None:
         axes.plot(*means, "x", color=INK, alpha=0.45, markersize=4, label="training")
     limit = max(1.0, float(np.abs(errors).max()))
     colours = {"c": errors, "cmap": "RdBu_r", "vmin": -limit, "vmax": limit, "edgecolors": INK}
-    means = (channel.mean(axis=1) for channel in scored_hand(judgement))
+    means = (channel.mean(axis=1) for channel in scored_conditions(judgement))
     points = axes.scatter(*means, s=52, linewidths=0.8, zorder=3, label="judged", **colours)
     (slow, fast), (light, heavy) = (texture.trained_range(channel) for channel in ("speed", "force"))
     corners = [slow, fast, fast, slow, slow], [light, light, heavy, heavy, light]
@@ -154,7 +154,7 @@ def over_time(judgement: Judgement) -> Figure:
     times = _with_gaps(borders[:-1, None] + np.arange(runs["recorded"].shape[2]) / rate_hz)
     step = max(1, len(times) // 4000)
     labels = "speed\n[mm/s]", "force\n[N]"
-    for axes, channel, label in zip(panels[n + 1 :], scored_hand(judgement), labels, strict=True):
+    for axes, channel, label in zip(panels[n + 1 :], scored_conditions(judgement), labels, strict=True):
         axes.plot(times[::step], _with_gaps(channel[which])[::step], color=INK, linewidth=1.1)
         axes.set_ylabel(label)
         axes.margins(y=0.15)

@@ -44,7 +44,7 @@ def scored_runs(judgement: Judgement) -> dict[str, Array]:
     return {name: runs[name][:, :, part] for name in LABELS if name in runs}
 
 
-def scored_hand(judgement: Judgement) -> tuple[Array, Array]:
+def scored_conditions(judgement: Judgement) -> tuple[Array, Array]:
     """Speed [mm/s] and force [N] of the scored samples, each (n_blocks, n)."""
     _, speed, force = judgement.trace.picked(judgement.blocks)
     part = scored(judgement.trace.block)

@@ -107,6 +107,8 @@ def check_ranges(coverage: Coverage) -> Iterable[Finding]:
     if heavy < 6:
         yield Finding(NOTE, "range", "force", f"force above {heavy:.2g} N never visited: {grows}")
     if coverage.fraction < 0.15:
-        plane = f"the plane up to {coverage.speed_edges[-1]:g} mm/s and {coverage.force_edges[-1]:g} N"
-        text = f"only {coverage.fraction:.0%} of {plane} was visited: vary speed and force separately when recording"
+        conditions = f"the plane up to {coverage.speed_edges[-1]:g} mm/s and {coverage.force_edges[-1]:g} N"
+        text = (
+            f"only {coverage.fraction:.0%} of {conditions} was visited: vary speed and force separately when recording"
+        )
         yield Finding(NOTE, "coverage", "", text)
