@@ -24,7 +24,7 @@ from foten.models.stream import run
 from foten.recording.scaling import Scaling
 from foten.recording.split import Split
 from foten.recording.trace import Trace
-from foten.runtime.loops import run_loops
+from foten.runtime.loops import render_streams
 from foten.runtime.native import NativeTexture
 from foten.training import calibration
 from foten.training.calibration import (
@@ -69,7 +69,7 @@ def loop_of(before: bool = False, louder: float = 1.0) -> tuple[ClosedLoop, Exci
     stacked = SCALING.scale(np.stack([np.zeros(n), speed, force], axis=1))
     condition = np.concatenate([stacked[:, 1:], speed[:, None]], axis=1)
     noise = rng.standard_normal((1, n))
-    stacked[:, 0] = louder * run_loops(kernel(excitation), np.zeros((1, m, 3)), condition[None], noise)[0]
+    stacked[:, 0] = louder * render_streams(kernel(excitation), np.zeros((1, m, 3)), condition[None], noise)[0]
     trace = Trace(SCALING.unscale_acceleration(stacked[:, 0]), speed, force, 1000.0, BLOCK)
     split = Split(tuple(range(16)), tuple(range(16, 20)), tuple(range(20, 24)), 24, BLOCK, "contiguous", 0)
     blocks = ScaledBlocks(trace, split, SCALING, stacked.reshape(N_BLOCKS, BLOCK, 3))

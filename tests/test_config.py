@@ -47,3 +47,5 @@ def test_settings_that_mean_nothing_to_a_model_are_refused() -> None:
     check_used("foten", ["delta"], "huber")
     with pytest.raises(ValueError, match="clip-norm means nothing to gan"):
         check_used("gan", ["epochs", "clip_norm"])
+    with pytest.raises(ValueError, match="max-order means nothing to foten"):
+        check_used("foten", ["max_order"])

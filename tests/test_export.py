@@ -12,7 +12,7 @@ from foten.models.texture_file import CLOSED_LOOP_TOLERANCE, ONE_STEP_TOLERANCE,
 from foten.recording.split import Split
 from foten.recording.trace import Trace
 from foten.recording.windows import windows
-from foten.runtime.loops import run_loops
+from foten.runtime.loops import render_streams
 from foten.runtime.native import NativeTexture
 from foten.training.job import ScaledBlocks, scaled_blocks
 from foten.training.texture_builder import N_GOLDEN, TextureBuilder, pick_warm_start, proved
@@ -89,7 +89,7 @@ def closed_loop(texture: Texture, start: np.ndarray | None = None, condition: np
     )
     path = np.maximum(condition[:, :1] * texture.scaling.sd[1] + texture.scaling.mean[1], 0.0)
     kernel = NativeTexture(texture.to_bytes())
-    return run_loops(kernel, start[None], np.concatenate([condition, path], axis=1)[None], None)[0]
+    return render_streams(kernel, start[None], np.concatenate([condition, path], axis=1)[None], None)[0]
 
 
 @pytest.fixture(scope="module")

@@ -137,7 +137,7 @@ def test_with_the_network_in_the_loop_the_level_is_calibrated_from_one(fitted: F
     assert abs(errors[0]) > 0.1  # a network that nobody trained is too loud or too soft
     assert abs(errors[-1]) < 0.3 * abs(errors[0])
     data, chosen = fitted.network.data, list(fitted.run.blocks.split.train)
-    known = np.stack([data.innovation, data.innovation * data.innovation_gain])[:, chosen, data.n_unknown + 1 :]
+    known = np.stack([data.innovation, data.innovation * data.innovation_gain])[:, chosen, data.n_transient + 1 :]
     largest = 1.3 * np.abs(known).max(axis=(1, 2))
     np.testing.assert_allclose(texture.tensors["excitation.innovation_limit"], largest, rtol=1e-6)
 

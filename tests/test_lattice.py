@@ -16,8 +16,8 @@ from foten.models.foten_plus.linear_model import (
     N_FOLDS_OF_MANY,
     LatticeData,
     _folds,
-    fit_lattice,
-    fit_lattice_of,
+    fit_reflections,
+    select_lattice,
     validation_errors,
 )
 
@@ -147,7 +147,7 @@ def moving_tone(n_blocks: int, seed: int) -> tuple[LatticeData, np.ndarray]:
 
 def test_a_resonance_that_moves_with_speed_is_recovered() -> None:
     data, k = moving_tone(30, 0)
-    fitted = fit_lattice(data, 40)
+    fitted = select_lattice(data, 40)
     schedule = fitted.table
     assert len(schedule.values) > 1
     result = schedule.at(data.speed.ravel(), data.force.ravel())[:, :2]
@@ -163,7 +163,7 @@ def test_a_resonance_that_moves_with_speed_is_recovered() -> None:
 def test_errors_of_all_orders_at_once_are_those_of_each() -> None:
     """Oracle: the analysis of the whole recording by the first sections alone."""
     data, _ = moving_tone(12, 2)
-    table = fit_lattice_of(data, 9, 4, 2)
+    table = fit_reflections(data, 9, 4, 2)
     orders = [1, 4, 9]
     expected = []
     for order in orders:
@@ -179,7 +179,7 @@ def test_a_process_that_does_not_move_costs_nothing() -> None:
     x /= x.std()
     speed, force = rng.uniform(5, 300, x.shape), rng.uniform(0.2, 4, x.shape)
     data = LatticeData(x, np.ones_like(x), speed, force, tuple(range(14)), tuple(range(14, 20)))
-    fitted = fit_lattice(data, 120)
+    fitted = select_lattice(data, 120)
     schedule = fitted.table
     assert schedule.values.shape[1] <= 20
     best = min(line["mae_scaled"] for line in fitted.tried)
@@ -191,7 +191,7 @@ def test_vertices_that_no_stroke_came_near_are_like_the_others() -> None:
     """Fast is always soft, so the corner of fast and firm, the last vertex, is never visited."""
     data, k = moving_tone(10, 1)
     apart = dataclasses.replace(data, force=np.minimum(data.force, 2.0 - data.speed / 100))
-    schedule = fit_lattice_of(apart, 4, 12, 3)
+    schedule = fit_reflections(apart, 4, 12, 3)
     assert schedule.values.shape == (36, 4)
     fast_and_firm, fast_and_soft = schedule.values[-1], schedule.values[-3]
     assert fast_and_firm[:2] == pytest.approx(fast_and_soft[:2], abs=0.1)
@@ -203,7 +203,7 @@ def test_a_growing_signal_gives_a_lattice_that_is_stable() -> None:
     x = np.exp(0.001 * t) * np.sin(0.3 * t) + 1e-3 * np.random.default_rng(4).standard_normal(3000)
     x = x.reshape(6, 500)
     data = LatticeData(x, np.ones_like(x), 0 * x, 0 * x, (0, 1, 2, 3), (4, 5))
-    schedule = fit_lattice(data, 20).table
+    schedule = select_lattice(data, 20).table
     assert np.abs(schedule.values).max() <= lattice.MAX_REFLECTION
 
 
@@ -214,9 +214,9 @@ def test_reflections_of_chance_are_not_kept() -> None:
     x /= x.std()
     still = np.full_like(x, 1.0)
     data = LatticeData(x, still, still, still, tuple(range(5)), tuple(range(5, 25)))
-    long = fit_lattice_of(data, 80, 1, 1)
+    long = fit_reflections(data, 80, 1, 1)
     assert np.abs(long.values[0, 12:]).mean() < 0.5 * np.sqrt(2 / np.pi / 5000)  # what 5000 samples leave unshrunk
-    short = fit_lattice_of(data, 2, 1, 1)
+    short = fit_reflections(data, 2, 1, 1)
     # Unshrunk, 78 needless coefficients on 5000 samples cost 78/5000/2 = 0.8 %.
     assert validation_error(long, data, 100) < 1.004 * validation_error(short, data, 100)
 
@@ -245,9 +245,9 @@ def test_two_validation_blocks_that_show_no_difference_do_not_choose() -> None:
     x = synthesized(k[None], rng.standard_normal((1, len(k)))).reshape(shape)
     speed = (100 + 100 * k[:, 0]).reshape(shape)
     data = LatticeData(x, np.ones(shape), speed, np.ones(shape), tuple(range(12)), (12, 13))
-    single, table = (fit_lattice_of(data, 10, n_speed, 1) for n_speed in (1, 3))
+    single, table = (fit_reflections(data, 10, n_speed, 1) for n_speed in (1, 3))
     assert validation_error(table, data, 10) > validation_error(single, data, 10)
-    assert len(fit_lattice(data, 10).table.values) > 1
+    assert len(select_lattice(data, 10).table.values) > 1
 
 
 def test_the_error_of_a_kind_is_the_mean_over_all_folds_by_their_blocks() -> None:
@@ -260,8 +260,8 @@ def test_the_error_of_a_kind_is_the_mean_over_all_folds_by_their_blocks() -> Non
     folds, order = _folds(data), 5
     weights = [2, 2] + [1] * (N_FOLDS - 2)
     assert [len(fold.validation) for fold in folds] == weights
-    each = [validation_errors(fit_lattice_of(fold, order, 1, 1), fold, [order])[0] for fold in folds]
-    tried = fit_lattice(data, order, tables=False, both_gains=False).tried
+    each = [validation_errors(fit_reflections(fold, order, 1, 1), fold, [order])[0] for fold in folds]
+    tried = select_lattice(data, order, table=False, both_gains=False).tried
     assert tried[-1]["order"] == order
     assert tried[-1]["mae_scaled"] == pytest.approx(np.average(each, weights=weights), rel=1e-9)
     assert tried[-1]["mae_scaled"] < 0.8 * each[0]
@@ -280,7 +280,7 @@ def test_where_the_gain_lies_is_recovered(before: bool) -> None:
     shape = (n_blocks, block)
     x, gain, speed = ((a.reshape(shape)) for a in (signal[0] / level, level, speed))
     data = LatticeData(x, gain, speed, np.ones(shape), tuple(range(9)), (9, 10, 11))
-    fitted = fit_lattice(data, 10)
+    fitted = select_lattice(data, 10)
     assert fitted.gain_before_filter == before
     right, wrong = (
         min(line["mae_scaled"] for line in fitted.tried if line["gain_before_filter"] == kind)
@@ -299,7 +299,7 @@ def test_a_level_that_changes_within_the_memory_does_not_bias_the_gain_before_th
     rng = np.random.default_rng(0)
     level = np.broadcast_to(np.where(np.arange(4000) // 40 % 2 == 0, 1.0, 0.02), (8, 4000))
     x = lfilter([1.0], [1.0, -0.98], level * rng.standard_normal(level.shape), axis=1)
-    result = fit_lattice_of(steady(x / level, level).with_gain_before_filter(), 1, 1, 1).values
+    result = fit_reflections(steady(x / level, level).with_gain_before_filter(), 1, 1, 1).values
     assert result[0, 0] == pytest.approx(-0.98, abs=0.006)  # of 16 000 loud samples √((1 − k²)/n) is 0.0016
 
 
@@ -309,7 +309,7 @@ def test_soft_blocks_count_as_much_as_loud_ones() -> None:
     level = np.repeat([1.0, 0.02], 4)[:, None] * np.ones((8, 4000))
     colours = [-0.9] * 4 + [0.9] * 4
     x = np.stack([lfilter([1.0], [1.0, k], rng.standard_normal(4000)) for k in colours])
-    result = fit_lattice_of(steady(x, level).with_gain_before_filter(), 1, 1, 1).values
+    result = fit_reflections(steady(x, level).with_gain_before_filter(), 1, 1, 1).values
     # The power of each block is known to √(2 (1 + k²)/(1 − k²)/n) = 7 %, that of either colour to half of it.
     assert result[0, 0] == pytest.approx(0.0, abs=4 * 0.9 * 0.035 / np.sqrt(2))
 

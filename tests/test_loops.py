@@ -22,7 +22,7 @@ from foten.models.piecewise_ar.definition import PiecewiseAr
 from foten.models.piecewise_ar.sizes import PiecewiseArSizes
 from foten.models.stream import Model, run
 from foten.models.texture_file import CLOSED_LOOP_TOLERANCE, ONE_STEP_TOLERANCE, Texture
-from foten.runtime.loops import predict_blocks, run_loops
+from foten.runtime.loops import predict_blocks, render_streams
 from foten.runtime.native import NativeState, NativeTexture, PredictionPart
 from test_piecewise_ar import LOCAL
 from test_reference import CASES, sizes_for
@@ -94,7 +94,7 @@ def test_the_kernels_loop_is_the_references(key: str, variant: str) -> None:
     for noise in (drawn, None):
         for limit in (np.inf, 0.6):
             expected = run(model.start(windows), condition, noise, limit)
-            out = run_loops(native, windows, condition, noise, limit)
+            out = render_streams(native, windows, condition, noise, limit)
             error = np.abs(out - expected) / np.maximum(1.0, np.abs(expected))
             assert error[:, :64].max() < first, (noise is None, limit)
             assert error.max() < later, (noise is None, limit)
@@ -194,7 +194,7 @@ def test_what_is_not_finite_is_refused(texture: Texture, bad: float) -> None:
     with pytest.raises(ValueError, match="NaN or infinity"):
         predict_blocks(native, blocks)
     with pytest.raises(ValueError, match="NaN or infinity"):
-        run_loops(native, blocks[:, : texture.window], moving(1, 5), None)
+        render_streams(native, blocks[:, : texture.window], moving(1, 5), None)
     with pytest.raises(ValueError, match=r"dimension|fewer"):
         predict_blocks(native, blocks[:, : texture.window - 1])
     assert predict_blocks(native, blocks[:, 4 : texture.window + 4]).sample.shape == (1, 0)
@@ -209,9 +209,9 @@ def test_a_networks_history_is_its_own_output_as_it_was_cut(key: str, variant: s
     texture = exported(key, sizes, {"head_3.weight": 40 * weight})
     native = NativeTexture(texture.to_bytes())
     windows, condition = recorded(2, texture.window), moving(2, 200)
-    uncut = run_loops(native, windows, condition, None)
+    uncut = render_streams(native, windows, condition, None)
     for limit in (np.inf, 0.9 * float(np.median(np.abs(uncut)))):
-        out = run_loops(native, windows, condition, None, limit)
+        out = render_streams(native, windows, condition, None, limit)
         rendered = np.concatenate([out[..., None], condition[..., :2]], axis=2)
         predicted = predict_blocks(native, np.concatenate([windows, rendered], axis=1)).sample
         np.testing.assert_allclose(out, np.clip(predicted, -limit, limit), rtol=1e-6, atol=1e-6)  # float32
@@ -227,7 +227,7 @@ def test_a_bounded_model_goes_on_from_what_was_not_cut(key: str, variant: str) -
     native = NativeTexture(texture.to_bytes())
     windows, condition = recorded(2, texture.window), moving(2, 300)
     noise = np.random.default_rng(5).standard_normal((2, 300))
-    uncut, cut = (run_loops(native, windows, condition, noise, limit) for limit in (np.inf, 0.2))
+    uncut, cut = (render_streams(native, windows, condition, noise, limit) for limit in (np.inf, 0.2))
     assert (np.abs(uncut) > 0.2).mean() > 0.05
     np.testing.assert_array_equal(cut, np.clip(uncut, -0.2, 0.2))
 
@@ -244,7 +244,7 @@ def test_a_sample_goes_by_the_condition_before_it(key: str, variant: str) -> Non
     noise = np.random.default_rng(6).standard_normal((1, 30))
     changed = condition.copy()
     changed[0, 20] += [0.5, -0.5, 30.0]
-    one, other = (run_loops(native, windows, some, noise) for some in (condition, changed))
+    one, other = (render_streams(native, windows, some, noise) for some in (condition, changed))
     np.testing.assert_array_equal(one[0, :21], other[0, :21])
     assert one[0, 21] != other[0, 21]
 
@@ -266,10 +266,10 @@ def test_under_a_constant_condition_the_lattice_is_an_all_pole_filter() -> None:
     k = model.lattice.reflections(condition[:1, 0, :2])[:, 0]
     unit = model.lattice.level(condition[:1, 0, :2]) * model.excitation.sigma(condition[:1, 0, :2])
     expected = lfilter(unit * np.sqrt(1 - k * k).prod(), polynomial(k), noise)
-    np.testing.assert_allclose(run_loops(native, windows, condition, noise), expected, rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(render_streams(native, windows, condition, noise), expected, rtol=1e-9, atol=1e-9)
     windows[:, -1, 0] = 1.0
     impulse = lfilter([1.0], polynomial(k), np.eye(1, 501)[0])[1:]
-    np.testing.assert_allclose(run_loops(native, windows, condition, None)[0], impulse, rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(render_streams(native, windows, condition, None)[0], impulse, rtol=1e-9, atol=1e-9)
 
 
 @pytest.mark.parametrize("largest", [(1.2, 1e6), (1e6, 0.15), (1.2, 0.15)])
@@ -287,11 +287,11 @@ def test_no_excitation_is_larger_than_the_largest_innovation(variant: str, large
     windows, condition = recorded(2, texture.window), moving(2, 60)
     noise = 2 * np.random.default_rng(8).standard_normal((2, 60)).clip(-2.5, 2.5)
     expected = run(model.start(windows), condition, noise)
-    out = run_loops(native, windows, condition, noise)
+    out = render_streams(native, windows, condition, noise)
     tolerance = 1e-9 if in_float64_alone(sizes) or key == "foten" else CLOSED_LOOP_TOLERANCE
     np.testing.assert_allclose(out, expected, rtol=tolerance, atol=tolerance)
     free = exported(key, sizes, bound | {"excitation.innovation_limit": np.array([1e6, 1e6])})
-    unbounded = run_loops(NativeTexture(free.to_bytes()), windows, condition, noise)
+    unbounded = render_streams(NativeTexture(free.to_bytes()), windows, condition, noise)
     assert np.abs(out - unbounded).max() > 0.05
     if key == "foten":
         assert np.abs(out).max() <= largest[1] * (1 + 1e-12)
@@ -303,8 +303,8 @@ def test_streams_do_not_depend_on_each_other() -> None:
     native = NativeTexture(texture.to_bytes())
     windows, condition = recorded(5, texture.window), moving(5, 50)
     noise = np.random.default_rng(7).standard_normal((5, 50))
-    at_once = run_loops(native, windows, condition, noise)
-    alone = [run_loops(native, windows[[k]], condition[[k]], noise[[k]])[0] for k in range(5)]
+    at_once = render_streams(native, windows, condition, noise)
+    alone = [render_streams(native, windows[[k]], condition[[k]], noise[[k]])[0] for k in range(5)]
     np.testing.assert_array_equal(at_once, alone)
     blocks = recorded(5, texture.window + 30)
     predicted = predict_blocks(native, blocks)
@@ -368,7 +368,7 @@ def test_nothing_makes_it_grow(tones: bool, in_loop: bool, gain_before: bool) ->
     left = LEAK ** (2 * n)
     assert (energy <= left * at_first + (1 - left) * innovation**2 / (1 - LEAK**2)).all()
     native = NativeTexture(texture.to_bytes())
-    out = run_loops(native, windows, condition, noise)
+    out = render_streams(native, windows, condition, noise)
     error = np.abs(out - expected) / np.maximum(1.0, np.abs(expected))
     assert error.max() < 1e-8  # float64, whose last digits a network feeds back
     loudest = np.sqrt(at_first.max() + innovation**2 / (1 - LEAK**2)) * float(after.max())
@@ -376,5 +376,5 @@ def test_nothing_makes_it_grow(tones: bool, in_loop: bool, gain_before: bool) ->
         tone = np.abs(texture.tensors["tones.values"]).sum(axis=1).max()
         loudest += float(model.lattice.level(flat).max()) * tone
     assert np.abs(out).max() <= loudest
-    cut = run_loops(native, windows, condition, noise, 2.0)
+    cut = render_streams(native, windows, condition, noise, 2.0)
     np.testing.assert_array_equal(cut, np.clip(out, -2.0, 2.0))

@@ -13,7 +13,7 @@ from foten.models.foten.sizes import FotenSizes
 from foten.models.foten_plus.sizes import FotenPlusSizes
 from foten.models.texture_file import ONE_STEP_TOLERANCE, Texture
 from foten.recording.windows import windows
-from foten.runtime.loops import predict_blocks, run_loops
+from foten.runtime.loops import predict_blocks, render_streams
 from foten.runtime.native import NativeTexture
 
 
@@ -69,7 +69,7 @@ def test_scores_of_a_texture_on_its_own_loop_are_those_of_the_noise(sizes: Foten
     condition = np.cumsum(0.02 * rng.standard_normal((1, k, 3)), axis=1).clip(-1, 1)
     noise = rng.standard_normal((1, k))
     window = rng.standard_normal((1, m, 3))
-    looped = run_loops(native, window, condition, noise)
+    looped = render_streams(native, window, condition, noise)
     samples = np.concatenate([window[0], np.concatenate([looped[0][:, None], condition[0, :, :2]], axis=1)])
     n = (m + np.arange(k)).reshape(1, k)
     counted = np.ones(n.shape, dtype=bool)

@@ -16,7 +16,7 @@ from foten.models.piecewise_ar.definition import PiecewiseAr
 from foten.models.piecewise_ar.local_models import LocalModels, local_texture
 from foten.models.piecewise_ar.sizes import PiecewiseArSizes
 from foten.models.texture_file import Texture
-from foten.runtime.loops import run_loops
+from foten.runtime.loops import render_streams
 from foten.runtime.native import NativeState, NativeTexture
 
 LOCAL: dict[str, dict[str, Any]] = {
@@ -132,7 +132,7 @@ def test_no_stroke_makes_it_grow() -> None:
         stream.push(sample, condition[:, n], noise[:, n])
         samples[n] = sample[0]
     assert np.abs(direct).max() > 1e50
-    out = run_loops(NativeTexture(texture.to_bytes()), windows, condition, noise)[0]
+    out = render_streams(NativeTexture(texture.to_bytes()), windows, condition, noise)[0]
     np.testing.assert_allclose(out, samples, rtol=1e-9, atol=1e-9)  # float64 both, in other orders
     assert np.abs(out).max() < 5.68 * gain.max() / np.sqrt(1 - LEAK**2)
     assert np.abs(out).max() > 5 * gain.max()
@@ -144,7 +144,7 @@ def test_two_streams_under_one_noise_meet() -> None:
     windows = 50.0 * rng.choice([-1.0, 1.0], (2, texture.window, 3))
     turning = np.stack([np.sin(np.arange(6000) / 70), np.cos(np.arange(6000) / 110), np.zeros(6000)], axis=1)
     noise = np.tile(rng.standard_normal(6000), (2, 1))
-    one, other = run_loops(NativeTexture(texture.to_bytes()), windows, np.tile(turning, (2, 1, 1)), noise)
+    one, other = render_streams(NativeTexture(texture.to_bytes()), windows, np.tile(turning, (2, 1, 1)), noise)
     assert np.abs(one - other)[:10].max() > 1
     assert np.abs(one - other)[-1000:].max() < 0.01 * one[-1000:].std()
 

@@ -16,7 +16,7 @@ from foten.models.foten.sizes import FotenSizes
 from foten.models.foten_plus.definition import FotenPlus
 from foten.models.foten_plus.sizes import FotenPlusSizes
 from foten.models.texture_file import Texture
-from foten.runtime.loops import run_loops
+from foten.runtime.loops import render_streams
 from foten.runtime.native import NativeState, NativeTexture
 from foten.runtime.renderer import Renderer
 
@@ -126,7 +126,7 @@ def test_below_5_mm_s_and_a_tenth_of_a_newton_every_texture_fades(texture: Textu
         rounded = np.array([speed, force], dtype=np.float32).astype(float)  # as the kernel takes it
         scaled = (rounded - SCALING.mean[1:]) / SCALING.sd[1:]
         condition = np.tile([*scaled, rounded[0]], (1, 100, 1))
-        loop = SCALING.unscale_acceleration(run_loops(native, window, condition, None)[0])
+        loop = SCALING.unscale_acceleration(render_streams(native, window, condition, None)[0])
         out = rendered(slow, *steady(100, speed, force), excitation=False)
         np.testing.assert_allclose(out, share * loop, rtol=FLOAT32, atol=1e-9)
         assert np.abs(loop).max() > 0.1

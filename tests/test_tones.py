@@ -14,7 +14,7 @@ from foten.models.foten_plus.linear_model import LatticeData
 from foten.models.foten_plus.sizes import FotenPlusSizes
 from foten.models.foten_plus.tones_fit import _period_jitter, fit_tones, n_multiples, wavelength
 from foten.models.texture_file import Texture
-from foten.runtime.loops import run_loops
+from foten.runtime.loops import render_streams
 from foten.runtime.native import NativeTexture
 from foten.runtime.renderer import Renderer
 
@@ -96,7 +96,7 @@ def test_tones_are_recovered_under_noise_and_jitter() -> None:
     # The variance grows by 0.04 to 0.12 rad² on what is compared, and a few hundred such places scatter by a fifth.
     assert 4 * np.pi**2 * fitted.period_jitter**2 / LENGTH == pytest.approx(3e-3, rel=0.5)
     held = list(data.validation)  # its phases are fitted, its amplitudes are not
-    error = np.square(fitted.played - true)[held, 100:-100].mean() / np.square(true)[held, 100:-100].mean()
+    error = np.square(fitted.waveform - true)[held, 100:-100].mean() / np.square(true)[held, 100:-100].mean()
     # Noise of a third of the tones' power, and a phase known from about a wavelength: 17 periods of 3 multiples a second.
     assert error < 0.1
 
@@ -123,7 +123,7 @@ def test_a_rendering_goes_on_where_the_recording_was() -> None:
     coefficients = model.tones.coefficients(condition.reshape(-1, 3)).reshape(4, m + n, -1)
     true = tone(coefficients, phase)
     windows = np.concatenate([true[:, :m, None], scaled[:, :m]], axis=2)
-    out = run_loops(NativeTexture(texture.to_bytes()), windows, condition[:, m:], None)
+    out = render_streams(NativeTexture(texture.to_bytes()), windows, condition[:, m:], None)
     # The phase is one of 32: up to 0.1 rad away, three times that in the third multiple.
     assert np.square(out - true[:, m:]).mean() < 0.05 * np.square(true[:, m:]).mean()
 
@@ -158,7 +158,7 @@ def test_a_rendering_forgets_the_window_that_it_started_from(period_jitter: floa
     physical = np.stack([speed, np.full(n, 1.0)], axis=1)
     condition = model.with_speed((physical - SCALING.mean[1:]) / np.array(SCALING.sd[1:]))
     noise = np.tile(rng.standard_normal(n), (3, 1))
-    out = run_loops(NativeTexture(texture.to_bytes()), windows, np.tile(condition, (3, 1, 1)), noise)
+    out = render_streams(NativeTexture(texture.to_bytes()), windows, np.tile(condition, (3, 1, 1)), noise)
     apart = np.abs(out - out[0]).max(axis=0)
     assert apart[:20].max() > 0.1
     # The phase closes in by e in half a second: e^-8 of half a turn, through three multiples of it.

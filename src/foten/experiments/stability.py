@@ -13,7 +13,7 @@ from foten.models.definitions import model_of
 from foten.models.foten_plus.sizes import FotenPlusSizes
 from foten.models.registry import GRAPH
 from foten.models.texture_file import Texture
-from foten.runtime.loops import run_loops
+from foten.runtime.loops import render_streams
 from foten.runtime.native import NativeTexture
 from foten.runtime.onnx_predictor import model_of_graph
 from foten.simulation.stroking import stroking
@@ -86,10 +86,10 @@ def attack(texture: Texture, n_steps: int, n_streams: int = N_ATTACKED) -> dict[
         ordinary = rng.standard_normal(path.shape[:2])
         noise = ordinary.copy()
         noise[:, :n] = outwards(texture, windows, path[:, :n], limit, rng)
-    attacked = run_loops(kernel, windows, path, noise, limit)
+    attacked = render_streams(kernel, windows, path, noise, limit)
     # Under the same path, so that it is at the same place of a surface that repeats.
     warm = np.tile(texture.tensors["warm_start"].astype(float), (n_streams, 1, 1))
-    untouched = run_loops(kernel, warm, path, ordinary, limit)
+    untouched = render_streams(kernel, warm, path, ordinary, limit)
     after, usual = (np.square(run[:, -(n_after // 5) :]).mean(axis=1) for run in (attacked, untouched))
     return {
         "attack_later_max_sd": float(np.abs(attacked[:, n // 2 : n]).max()),
@@ -150,7 +150,7 @@ def forgetting(texture: Texture, windows: Array, corners: Array, rng: np.random.
     condition = np.tile(np.repeat(np.stack(paths), n_pairs, axis=0), (2, 1, 1))
     drawn = rng.standard_normal((len(paths) * n_pairs, n))
     starts = [np.tile(part, (len(paths), 1, 1)) for part in (windows[:n_pairs], windows[n_pairs:])]
-    both = run_loops(
+    both = render_streams(
         NativeTexture(texture.to_bytes()),
         np.concatenate(starts),
         with_path(texture, condition),

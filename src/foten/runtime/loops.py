@@ -20,7 +20,7 @@ def on_all_cores(work: Callable[[int], None], n: int) -> None:
         list(pool.map(work, range(n)))  # raises what a call raised
 
 
-def run_loops(
+def render_streams(
     texture: NativeTexture, windows: Array, condition: Array, noise: Array | None, limit: float = np.inf
 ) -> Array:
     """Render n samples of each stream of a texture's closed loop, shape (s, n), without fade and growth; all scaled.

@@ -18,7 +18,7 @@ from foten.dsp.level import frame_levels, frame_means
 from foten.dsp.noise import gaussian, innovation_likelihood
 from foten.models.excitation import MAX_SIGMA, N_FEATURES, N_POWERS, Excitation, Scale, powers
 from foten.recording.scaling import Scaling
-from foten.runtime.loops import run_loops
+from foten.runtime.loops import render_streams
 from foten.runtime.native import NativeTexture
 from foten.training.job import ScaledBlocks
 
@@ -170,7 +170,7 @@ class ClosedLoop:
         starts = np.tile(self.blocks.samples[chosen, :m], (n_runs, 1, 1))
         conditions = np.tile(self.blocks.conditions_with_speed()[chosen, m:], (n_runs, 1, 1))
         noise = np.stack([gaussian(seed, first_stream + k, 0, block - m) for k in range(len(starts))])
-        rendered = run_loops(self.kernel(excitation), starts, conditions, noise, self.limit)
+        rendered = render_streams(self.kernel(excitation), starts, conditions, noise, self.limit)
         recorded = self.blocks.samples[chosen, self.first_scored :, 0]
         return recorded, rendered[:, self.first_scored - m :].reshape(n_runs, len(chosen), -1)
 

@@ -30,7 +30,7 @@ class TrainConfig:
     dropout: float = 0.0  # share of hidden values; 0.2 in Sec. IV-e
     loss: str = "huber"
     delta: float = 1.6  # Huber threshold, scaled; Sec. VI-b
-    max_order: int = 240  # samples that the lattice remembers at most; foten-plus alone, as the next four
+    max_order: int = 240  # samples that the lattice remembers at most; the first of `OF_FOTEN_PLUS`
     table: bool = True  # try reflection coefficients that follow speed and force
     gain_before_filter: bool = True  # try the level before the lattice as well as after it
     tones: bool = True  # try tones of the path
@@ -104,6 +104,7 @@ UNUSED: dict[str, tuple[str, ...]] = {
     ),
 }
 """Settings that a model does not use: the loss of foten-plus is a likelihood, that of the GAN its discriminator."""
+OF_FOTEN_PLUS = ("max_order", "table", "gain_before_filter", "tones", "closed_loop_training")
 
 
 def recipe_of(model: str, recipe: str = "default", **changed: Any) -> TrainConfig:
@@ -111,11 +112,16 @@ def recipe_of(model: str, recipe: str = "default", **changed: Any) -> TrainConfi
     return replace(RECIPES[recipe], **(OWN_RECIPES.get(model, {}) | changed))
 
 
+def unused_settings(model: str) -> tuple[str, ...]:
+    """Settings that have no effect on a model."""
+    return UNUSED.get(model, ()) + (() if model == "foten-plus" else OF_FOTEN_PLUS)
+
+
 def check_used(model: str, names: Iterable[str], loss: str = "huber") -> None:
     """Refuse settings that a model, or its loss, does not use."""
     for name in names:
         option = name.replace("_", "-")
-        if name in UNUSED.get(model, ()):
+        if name in unused_settings(model):
             raise ValueError(f"{option} means nothing to {model}: leave it out")
         if name == "delta" and loss != "huber":
             raise ValueError(f"delta is the threshold of the huber loss, and the loss is {loss}: leave it out")

@@ -19,7 +19,7 @@ from foten.recording.scaling import Scaling, fit_scaling
 from foten.recording.split import MIN_BLOCKS, Split, split_blocks
 from foten.recording.trace import Trace
 from foten.recording.windows import targets
-from foten.training.config import UNUSED, TrainConfig
+from foten.training.config import TrainConfig, unused_settings
 from foten.training.loop import Progress
 
 
@@ -112,8 +112,8 @@ class TrainingJob:
         """The card's entries of recording and configuration; no growth beyond the trained range."""
         recording, trace, split = self.recording, blocks.trace, blocks.split
         low, high = (end(blocks.training_blocks(), axis=(0, 1)).tolist() for end in (np.min, np.max))
-        unused = UNUSED.get(self.model, ())
-        settings = {name: value for name, value in asdict(self.config).items() if name not in unused}
+        unused = unused_settings(self.model)
+        settings = {key: value for key, value in asdict(self.config).items() if key not in unused}
         return {
             "rate_hz": trace.rate_hz,
             "trained_range": {"speed": [low[1], high[1]], "force": [low[2], high[2]]},

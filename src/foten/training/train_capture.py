@@ -34,7 +34,7 @@ from foten.training.pipeline import train
 
 MODEL = "foten-plus"
 NICENESS = 5  # below what renders: sound that somebody strokes comes first
-HIGHEST_HZ = 2500.0  # of the texture: it carries all that skin feels
+MAX_RATE_HZ = 2500.0  # of the texture: it carries all that skin feels
 ENOUGH_BLOCKS = 12
 STAGES, LATE_STAGES = 3, 12  # before a texture is playable, and after its network is fitted
 PLAYABLE_SHARE, FITTED_SHARE = 0.4, 0.9  # of all the work, by and large
@@ -80,7 +80,7 @@ def train_captured(folder: Path) -> None:
 
 def train_recording(recording: Recording, carried: Mapping[float, float], output: Path) -> None:
     """Train a texture at the rate that carries the recording, by the share that each rate does (`perception.carried`)."""
-    rate_hz = min(HIGHEST_HZ, smallest_rate(carried)) if carried else PreprocessConfig().rate_hz
+    rate_hz = min(MAX_RATE_HZ, smallest_rate(carried)) if carried else PreprocessConfig().rate_hz
     usable_ms = 1000 * recording.duration_s
     block_ms = next((ms for ms in SHORT_BLOCKS_MS if usable_ms >= ENOUGH_BLOCKS * ms), SHORT_BLOCKS_MS[-1])
     config = recipe_of(MODEL)

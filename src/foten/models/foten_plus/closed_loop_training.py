@@ -33,7 +33,7 @@ MIN_S = 0.3  # of an excerpt
 MAX_SAMPLES = 1300  # of an excerpt: at 10 kHz a step would take ten times as long
 WARM_UP = 64  # samples that the network takes in first
 NLL_WEIGHT = 0.2  # beside the envelope loss, so that what was learned by likelihood is not lost
-AVERAGING = 0.97  # of the weights, from step to step
+EMA_DECAY = 0.97  # of the weights, from step to step
 N_KNOWN = 400  # recorded excerpts, whose statistics are standardised by
 N_VALIDATIONS = 8  # draws of excerpts of the validation blocks that a network is validated by
 RECIPE: dict[str, Any] = {
@@ -182,7 +182,7 @@ class Excerpts:
     @property
     def min_start(self) -> int:
         """The first sample of a block that an excerpt may begin with."""
-        return max(self.n_before, self.data.n_unknown + WARM_UP, self.model.excited_lattice.order) + 1
+        return max(self.n_before, self.data.n_transient + WARM_UP, self.model.excited_lattice.order) + 1
 
     def draw(
         self, numbers: tuple[int, ...], n: int, rng: np.random.Generator
@@ -305,7 +305,7 @@ def fit_closed_loop(
 
     optimiser = Optimiser(dict(network.named_parameters()), recipe)
     step = gradient_step(network, optimiser, gradients, recipe.clip_norm, schedule(recipe, N_STEPS))
-    loop = Loop("closed loop", network, N_STEPS, step, validate, {"optimiser": optimiser}, AVERAGING)
+    loop = Loop("closed loop", network, N_STEPS, step, validate, {"optimiser": optimiser}, EMA_DECAY)
     return run_loop(loop, recipe, replace(monitor, on_epoch=on_epoch))
 
 

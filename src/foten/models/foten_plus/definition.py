@@ -35,18 +35,6 @@ class Mixture:
         """Their means, (s,)."""
         return np.asarray((self.weight * self.mean).sum(axis=1))
 
-    def sd(self) -> Array:
-        """Their standard deviations, (s,)."""
-        deviation = self.mean - self.expected()[:, None]
-        return np.sqrt((self.weight * (deviation**2 + self.scale**2)).sum(axis=1))
-
-    def log_density(self, values: Array) -> Array:
-        """Log p of values (s,) [nat]."""
-        z = (values[:, None] - self.mean) / self.scale
-        terms = np.log(self.weight) - np.log(self.scale) - 0.5 * z * z
-        largest = terms.max(axis=1)
-        return largest + np.log(np.exp(terms - largest[:, None]).sum(axis=1)) - 0.5 * np.log(2 * np.pi)
-
     def quantile(self, noise: Array) -> Array:
         """The values below which lies Φ(z), for standard normal numbers z (s,).
 
@@ -260,7 +248,7 @@ class FotenPlusStream:
         self.states = np.zeros((lattice.order, s))  # b₀ … b_{p−1} of the lattice
         self.hidden_state = np.zeros((s, network.n_hidden if network else 0))  # of the network, after the last sample
         # Phase of the tones at the next sample [rad], the same without jitter, r of `dsp.tones`, and T; 0 without tones.
-        self.phase = self.steady_phase = self.rate = self.tone = np.zeros(s)
+        self.phase = self.nominal_phase = self.rate = self.tone = np.zeros(s)
         self.set_condition(condition)
         self.inputs = self._inputs(np.zeros(s), np.zeros(s))  # of the last sample
 
@@ -275,9 +263,9 @@ class FotenPlusStream:
         inputs = innovation_inputs(innovation, x, self.logs)
         return inputs if self.tones is None else np.concatenate([inputs, phase_inputs(self.phase)], axis=1)
 
-    def begin_phase(self, tones: Tones, phase: Array, steady_phase: Array) -> None:
+    def begin_phase(self, tones: Tones, phase: Array, nominal_phase: Array) -> None:
         """Begin the tones at a phase of the next sample, and that without jitter, (s,) each."""
-        self.phase, self.steady_phase, self.rate = phase, steady_phase, np.zeros_like(phase)
+        self.phase, self.nominal_phase, self.rate = phase, nominal_phase, np.zeros_like(phase)
         self.tone = tone(tones.coefficients(self.condition), phase)
 
     @property
@@ -356,8 +344,8 @@ class FotenPlusStream:
             memory = np.exp(-increment / np.pi)
             jitter = tones.period_jitter * np.clip(e, -MAX_JITTER_DRIVE, MAX_JITTER_DRIVE)
             self.rate = memory * self.rate + np.sqrt(1 - memory * memory) * jitter
-            self.phase = self.phase - tones.phase_leak * (self.phase - self.steady_phase) + increment * self.rate
+            self.phase = self.phase - tones.phase_leak * (self.phase - self.nominal_phase) + increment * self.rate
             self.phase = self.phase + tones.phase_increment(condition)
-            self.steady_phase = self.steady_phase + tones.phase_increment(condition)
+            self.nominal_phase = self.nominal_phase + tones.phase_increment(condition)
             self.tone = tone(tones.coefficients(condition), self.phase)
         self.advance(e / sigma, x / level, condition)

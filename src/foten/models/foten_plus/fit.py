@@ -15,7 +15,7 @@ import torch
 from foten.dsp.level import FRAME_MS, frame_levels, frame_means
 from foten.models.conditions import FADE_FORCE, FADE_SPEED
 from foten.models.foten_plus.closed_loop_training import excerpts_of, fit_closed_loop
-from foten.models.foten_plus.linear_model import MAX_ORDER_SHARE, LinearModel, fit_level, fit_linear_model
+from foten.models.foten_plus.linear_model import MIN_SAMPLES_PER_SECTION, LinearModel, fit_level, fit_linear_model
 from foten.models.foten_plus.network import (
     InnovationNetwork,
     Innovations,
@@ -46,7 +46,7 @@ MAX_EXPONENT = 1.5  # of speed or force, that the level grows with above the tra
 
 
 @dataclass(frozen=True)
-class Run:
+class FitContext:
     """Arguments of every stage after the linear model."""
 
     builder: TextureBuilder
@@ -91,7 +91,7 @@ def fit(job: TrainingJob, monitor: Monitor) -> Trained:
     linear = fit_linear_model(level, data, sizes, config)
     monitor.on_stage("looking for a wavelength, and fitting its tones")
     tonal = fit_tonal_model(linear, data, blocks, config)
-    run = Run(texture_builder(job, blocks), config, monitor)
+    run = FitContext(texture_builder(job, blocks), config, monitor)
     torch.manual_seed(config.seed)
     initial = InnovationNetwork(sizes).to(pick_device())
     monitor.on_stage("fitting the excitation and calibrating its level in the closed loop")
@@ -113,9 +113,9 @@ def checked_blocks(job: TrainingJob, window: int) -> ScaledBlocks:
     blocks = job.blocks()
     check_block(blocks, window)
     rate, block = blocks.trace.rate_hz, blocks.trace.block
-    frame, history = FRAME_MS * rate / 1000, window + 1 + min(job.config.max_order, block // MAX_ORDER_SHARE)
+    frame, history = FRAME_MS * rate / 1000, window + 1 + min(job.config.max_order, block // MIN_SAMPLES_PER_SECTION)
     if block - max(UNSCORED_SHARE * block, history) < frame:
-        enough = max(frame / (1 - UNSCORED_SHARE), (frame + window + 1) / (1 - 1 / MAX_ORDER_SHARE))
+        enough = max(frame / (1 - UNSCORED_SHARE), (frame + window + 1) / (1 - 1 / MIN_SAMPLES_PER_SECTION))
         raise ValueError(
             f"a block of {1000 * block / rate:g} ms holds no frame of {FRAME_MS:g} ms after its first {history} samples, and "
             f"the level could not be calibrated: use a --block of {math.ceil(1000 * enough / rate)} ms or more"
@@ -130,7 +130,7 @@ def texture_builder(job: TrainingJob, blocks: ScaledBlocks) -> TextureBuilder:
 
 
 def best_linear_model(
-    linear: LinearModel, tonal: LinearModel | None, network: InnovationNetwork, run: Run
+    linear: LinearModel, tonal: LinearModel | None, network: InnovationNetwork, run: FitContext
 ) -> tuple[Candidate, dict[str, Any]]:
     """The linear model, with tones or without, that `best_candidate` chooses once excited; and what was tried."""
     candidates = []
@@ -159,14 +159,14 @@ def best_candidate(candidates: Sequence[Candidate]) -> tuple[Candidate, dict[str
     return best, {**report(best), **({"rejected": rejected} if rejected else {})}
 
 
-def fit_network(network: InnovationNetwork, excited: Candidate, run: Run) -> FittedNetwork:
+def fit_network(network: InnovationNetwork, excited: Candidate, run: FitContext) -> FittedNetwork:
     """The network that predicts a recorded sample, over the linear model's lattice."""
-    data = innovations_of(excited.model, run.blocks, excited.model.n_unknown)
+    data = innovations_of(excited.model, run.blocks, excited.model.n_transient)
     return _fitted(network, excited.model, data, run, "network")
 
 
 def fit_rendering_network(
-    network: FittedNetwork, excited: Candidate, linear: LinearModel, tonal: LinearModel | None, run: Run
+    network: FittedNetwork, excited: Candidate, linear: LinearModel, tonal: LinearModel | None, run: FitContext
 ) -> FittedNetwork:
     """The network that a rendering may draw from.
 
@@ -176,7 +176,7 @@ def fit_rendering_network(
         return network
     with_tones = excited.model.phase is not None
     model = excited.model if with_tones else silent_tones(linear, tonal)
-    data = innovations_of(model, run.blocks, network.data.n_unknown, residual=True)
+    data = innovations_of(model, run.blocks, network.data.n_transient, residual=True)
     torch.manual_seed(run.config.seed + 1)
     initial = InnovationNetwork(model.sizes, model.sizes.n_rendering_inputs).to(pick_device())
     run.monitor.on_stage("training a network that is given the phase of the surface")
@@ -188,7 +188,7 @@ def fit_rendering_network(
 
 
 def calibrated_network(
-    fitted: FittedNetwork, excited: Candidate, network: InnovationNetwork, run: Run
+    fitted: FittedNetwork, excited: Candidate, network: InnovationNetwork, run: FitContext
 ) -> Candidate | None:
     """Candidate that draws from a network, trained in its closed loop and calibrated; None where noise is as likely."""
     gain_nat = excited.random_part.innovation_nll - fitted.innovation_nll
@@ -216,12 +216,12 @@ def texture_of(
     network: InnovationNetwork,
     fitted: FittedNetwork | None,
     report: dict[str, Any],
-    run: Run,
+    run: FitContext,
 ) -> Texture:
     """Proved texture of the last candidate; the first is its linear model alone; `fitted` is None before the networks are."""
     excited, chosen = candidates[0].model, candidates[-1]
     _, e, gain = excited.innovations(run.blocks)
-    first = excited.n_unknown + 1 + excited.sizes.window
+    first = excited.n_transient + 1 + excited.sizes.window
     linear_mae = float(np.abs((e * gain)[list(run.blocks.split.validation), first:]).mean())
     metrics: dict[str, Any] = {"best_epoch": 0, "n_epochs": 0, "validation_loss": None}
     metrics["validation_mae_scaled"] = linear_mae
@@ -244,18 +244,20 @@ def texture_of(
     return run.builder.texture(chosen.model.sizes, tensors, metrics).texture
 
 
-def _fitted(network: InnovationNetwork, model: LinearModel, data: Innovations, run: Run, name: str) -> FittedNetwork:
+def _fitted(
+    network: InnovationNetwork, model: LinearModel, data: Innovations, run: FitContext, name: str
+) -> FittedNetwork:
     warm_up, blocks = model.sizes.window, run.blocks
     progress = fit_innovation_network(network, data, blocks, warm_up, run.config, run.monitor, name)
     tensors = data.tensors(next(network.parameters()).device)
     nll, _, gain = scored(network, data, tensors, blocks.split.validation, warm_up)
-    moving = blocks.moving()[list(blocks.split.validation), data.n_unknown + 1 + warm_up :]
+    moving = blocks.moving()[list(blocks.split.validation), data.n_transient + 1 + warm_up :]
     acceleration_nll = float((nll + np.log(gain))[moving].mean()) if moving.any() else None
     return FittedNetwork(model, network, data, progress, float(nll.mean()), acceleration_nll)
 
 
 def _train_in_closed_loop(
-    network: InnovationNetwork, fitted: FittedNetwork, model: LinearModel, innovation_limit: float, run: Run
+    network: InnovationNetwork, fitted: FittedNetwork, model: LinearModel, innovation_limit: float, run: FitContext
 ) -> dict[str, float] | None:
     """Validation loss before and after; None where blocks are too short for it, or the rate is too high."""
     excerpts = excerpts_of(run.blocks, model, fitted.data, innovation_limit)
@@ -267,7 +269,7 @@ def _train_in_closed_loop(
     return {"before": progress.epochs[0].validation_loss, "after": progress.best_loss}
 
 
-def _closed_loop(model: LinearModel, networks: Tensors, run: Run) -> ClosedLoop:
+def _closed_loop(model: LinearModel, networks: Tensors, run: FitContext) -> ClosedLoop:
     kernel = partial(run.builder.kernel, model.sizes, {**model.tensors, **networks})
     history, block = model.sizes.history, run.blocks.trace.block
     return ClosedLoop(run.blocks, history, kernel, model.power, model.response(block - history))
@@ -276,7 +278,8 @@ def _closed_loop(model: LinearModel, networks: Tensors, run: Run) -> ClosedLoop:
 def _innovation_limit(data: Innovations, blocks: ScaledBlocks) -> tuple[float, float]:
     """The largest innovations that a network may draw: in units of σ, and in scaled acceleration."""
     train = list(blocks.split.train)
-    recorded = (part[train, data.n_unknown + 1 :] for part in (data.innovation, data.innovation * data.innovation_gain))
+    residuals = data.innovation, data.innovation * data.innovation_gain
+    recorded = (residual[train, data.n_transient + 1 :] for residual in residuals)
     in_sigma, in_acceleration = (INNOVATION_HEADROOM * float(np.abs(values).max()) for values in recorded)
     return in_sigma, in_acceleration
 

@@ -30,9 +30,9 @@ ORDERS = (10, 20, 40, 80, 160, 240)  # tried, as far as a block allows
 # Longer orders are tried of the best kinds alone, and where the last step up to SHORT_ORDER lowers the error by MIN_FALL: by
 # 1.1 % or more where 240 was best, by 0.6 % elsewhere (simulated textures).
 SHORT_ORDER, MIN_FALL = 80, 0.008
-MAX_ORDER_SHARE = 8  # the longest order that is tried is a block divided by this
+MIN_SAMPLES_PER_SECTION = 8  # the longest order that is tried is a block divided by this
 N_SPEED, N_FORCE = 12, 3  # knots
-CORRELATION = 0.5  # length of the prior's correlation, as a share of the range of speed and of log force
+CORRELATION_LENGTH = 0.5  # length of the prior's correlation, as a share of the range of speed and of log force
 SCALES = (0.0, 0.01, 0.03, 0.1, 0.3, 1.0)  # prior standard deviations of a reflection, tried over speed and force
 N_FOLDS = 8  # of the cross-validation over training and validation blocks, at most one for each block
 N_FOLDS_OF_MANY, MANY_BLOCKS = 4, 16  # folds where there are more blocks than that
@@ -73,16 +73,16 @@ class FittedReflections:
     tried: list[dict[str, float]]
 
 
-def fit_lattice(data: LatticeData, max_order: int, tables: bool = True, both_gains: bool = True) -> FittedReflections:
+def select_lattice(data: LatticeData, max_order: int, table: bool = True, both_gains: bool = True) -> FittedReflections:
     """The lattice of the training blocks whose kind has the least absolute one-step error.
 
-    Tried are the `ORDERS` up to `max_order`, with one set of reflections and, where `tables`, with a table of them, the gain
+    Tried are the `ORDERS` up to `max_order`, with one set of reflections and, where `table`, with a table of them, the gain
     after the filter and, where `both_gains`, before it. Training and validation blocks are cross-validated.
 
     Differs from the paper: it has no linear part.
     """
     orders = [order for order in ORDERS if order <= max_order] or [max_order]
-    sizes, gains = ((1, 1), (N_SPEED, N_FORCE))[: 1 + tables], (False, True)[: 1 + both_gains]
+    sizes, gains = ((1, 1), (N_SPEED, N_FORCE))[: 1 + table], (False, True)[: 1 + both_gains]
     of_gain = {gain: data.with_gain_before_filter() if gain else data for gain in gains}
     folds = {gain: _folds(of_gain[gain]) for gain in gains}
     weights = [len(fold.validation) for fold in folds[False]]
@@ -92,7 +92,7 @@ def fit_lattice(data: LatticeData, max_order: int, tables: bool = True, both_gai
         shorter = [order for order in orders if order <= longest]
 
         def of_fold(knots: tuple[int, int], fold: LatticeData) -> list[float]:
-            return validation_errors(fit_lattice_of(fold, longest, *knots), fold, shorter)
+            return validation_errors(fit_reflections(fold, longest, *knots), fold, shorter)
 
         tasks = [(knots, fold) for knots, gain in among for fold in folds[gain]]
         with ThreadPoolExecutor() as pool:  # NumPy's and SciPy's loops release the interpreter's lock
@@ -114,7 +114,7 @@ def fit_lattice(data: LatticeData, max_order: int, tables: bool = True, both_gai
             if error < lowest * (1 - MIN_GAIN):
                 lowest, best = error, (order, knots, gain)
     order, knots, gain = best
-    return FittedReflections(fit_lattice_of(of_gain[gain], order, *knots), gain, tried)
+    return FittedReflections(fit_reflections(of_gain[gain], order, *knots), gain, tried)
 
 
 def _folds(data: LatticeData) -> list[LatticeData]:
@@ -140,7 +140,7 @@ def validation_errors(reflections: SpeedForceTable, data: LatticeData, orders: S
     return (error / len(data.validation)).tolist()
 
 
-def fit_lattice_of(data: LatticeData, order: int, n_speed: int, n_force: int) -> SpeedForceTable:
+def fit_reflections(data: LatticeData, order: int, n_speed: int, n_force: int) -> SpeedForceTable:
     """Reflections of the least forward and backward errors of each section, over the training blocks.
 
     Section i minimises Σ w ((f_{i−1} + k b)² + (b + k f_{i−1})²) over k at the knots: Burg's method. Differences of knots
@@ -241,7 +241,7 @@ def _covariances(n_speed: int, n_force: int) -> list[NDArray[Any]]:
     if n_speed * n_force == 1:
         return []
     at = (np.arange(n) / max(1, n - 1) for n in (n_speed, n_force))
-    speed, force = (np.exp(-np.abs(np.subtract.outer(x, x)) / CORRELATION) for x in at)
+    speed, force = (np.exp(-np.abs(np.subtract.outer(x, x)) / CORRELATION_LENGTH) for x in at)
     return [np.kron(speed, np.ones_like(force)), np.kron(np.ones_like(speed), force), np.kron(speed, force)]
 
 
@@ -283,7 +283,7 @@ class LinearModel:
     report: dict[str, Any] = field(default_factory=dict)  # what was tried on the way
 
     @property
-    def n_unknown(self) -> int:
+    def n_transient(self) -> int:
         """Samples of a block before the first whose innovation is known well."""
         return self.sizes.history - self.sizes.window
 
@@ -360,17 +360,17 @@ def fit_level(
 
 def fit_linear_model(level: Scale, data: LatticeData, sizes: FotenPlusSizes, config: TrainConfig) -> LinearModel:
     """Level and lattice of the vibration."""
-    fitted = fitted_lattice(data, config)
+    fitted = selected_lattice(data, config)
     counts = counts_of(fitted.table, "order", "n_speed", "n_force")
     sizes = replace(sizes, **counts, gain_before_filter=fitted.gain_before_filter, network_in_loop=False)
     tensors = lattice_tensors("lattice.", level, fitted.table)
     return LinearModel(sizes, tensors, report={"lattices": fitted.tried, "wavelength_mm": None})
 
 
-def fitted_lattice(data: LatticeData, config: TrainConfig) -> FittedReflections:
+def selected_lattice(data: LatticeData, config: TrainConfig) -> FittedReflections:
     """Lattice of levelled data, of the kinds that a configuration allows."""
-    max_order = max(1, min(data.x.shape[1] // MAX_ORDER_SHARE, config.max_order))
-    return fit_lattice(data, max_order, config.table, config.gain_before_filter)
+    max_order = max(1, min(data.x.shape[1] // MIN_SAMPLES_PER_SECTION, config.max_order))
+    return select_lattice(data, max_order, config.table, config.gain_before_filter)
 
 
 def counts_of(table: SpeedForceTable, *names: str) -> dict[str, Any]:

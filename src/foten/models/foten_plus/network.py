@@ -31,8 +31,8 @@ from foten.training.training_kernel import hidden_states
 
 N_STEPS = 100  # of an epoch
 CHUNK = 128  # samples of a chunk that count, after those that the network takes in first
-SLOWNESS = 25.0  # mm/s; chunks are drawn by 1 / (speed + this), since slow strokes are a small part of a recording
-AVERAGING = 0.99  # of the weights, from step to step
+SPEED_OFFSET_MM_S = 25.0  # chunks are drawn by 1 / (speed + this): slow strokes are a small part of a recording
+EMA_DECAY = 0.99  # of the weights, from step to step
 MAX_MIRRORED_ASYMMETRY = 4.0  # standard errors of the innovations' asymmetry, up to which their signs mean nothing
 
 
@@ -91,16 +91,16 @@ class Innovations:
     innovation: Array  # of each sample, which is to be predicted from the inputs before it
     innovation_gain: Array  # what an innovation of 1 is in scaled acceleration
     speed: Array  # of each sample [mm/s]
-    n_unknown: int  # samples of a block before the first that is known well
-    mirrored: bool  # whether its mirror image is as good a texture
+    n_transient: int  # samples of a block before the first that is known well
+    sign_symmetric: bool  # whether its mirror image is as good a texture
 
     def tensors(self, device: torch.device) -> tuple[Tensor, Tensor]:
         """Inputs and, beside each, the innovation that follows it, of the samples that are known well, in float32."""
-        inputs, target = self.inputs[:, self.n_unknown : -1], self.innovation[:, self.n_unknown + 1 :]
+        inputs, target = self.inputs[:, self.n_transient : -1], self.innovation[:, self.n_transient + 1 :]
         return tuple(torch.from_numpy(np.ascontiguousarray(x)).float().to(device) for x in (inputs, target))
 
 
-def innovations_of(model: LinearModel, blocks: ScaledBlocks, n_unknown: int, residual: bool = False) -> Innovations:
+def innovations_of(model: LinearModel, blocks: ScaledBlocks, n_transient: int, residual: bool = False) -> Innovations:
     """Innovations of a linear model, or of the residual of its tones with their phase, for a network to be fitted to."""
     x, e, gain = model.innovations(blocks, residual)
     level = model.excited_lattice.level if residual else model.level
@@ -110,9 +110,9 @@ def innovations_of(model: LinearModel, blocks: ScaledBlocks, n_unknown: int, res
     if phase is not None:
         after = 2 * phase[:, -1:] - phase[:, -2:-1]  # the last sample's is not predicted from
         inputs = np.concatenate([inputs, phase_inputs(np.concatenate([phase[:, 1:], after], axis=1))], axis=2)
-    train = e[list(blocks.split.train), n_unknown:]
-    mirrored = model.phase is None and asymmetry(train) < MAX_MIRRORED_ASYMMETRY
-    return Innovations(inputs, e, gain, blocks.trace.blocks(blocks.trace.speed), n_unknown, mirrored)
+    train = e[list(blocks.split.train), n_transient:]
+    sign_symmetric = model.phase is None and asymmetry(train) < MAX_MIRRORED_ASYMMETRY
+    return Innovations(inputs, e, gain, blocks.trace.blocks(blocks.trace.speed), n_transient, sign_symmetric)
 
 
 def asymmetry(innovation: Array) -> float:
@@ -129,13 +129,13 @@ class Chunks:
     """Chunks of some blocks, drawn for training."""
 
     def __init__(self, data: Innovations, numbers: tuple[int, ...], warm_up: int) -> None:
-        speed = data.speed[list(numbers), data.n_unknown + 1 :]
+        speed = data.speed[list(numbers), data.n_transient + 1 :]
         n = speed.shape[1]
         self._length = length = min(warm_up + CHUNK, n)
         path = np.concatenate([np.zeros((len(numbers), 1)), np.cumsum(speed, axis=1)], axis=1)
         start = np.arange(n - length + 1)
         mean = (path[:, start + length] - path[:, start + warm_up]) / (length - warm_up)
-        probability = (1 / (mean + SLOWNESS)).ravel()
+        probability = (1 / (mean + SPEED_OFFSET_MM_S)).ravel()
         self._cumulative = np.cumsum(probability / probability.sum())
         self._block, self._start = np.repeat(np.array(numbers), len(start)), np.tile(start, len(numbers))
 
@@ -162,7 +162,7 @@ class Batches:
         all_inputs, all_targets = self.tensors
         block, sample = self._chunks.draw(self._size, generator)
         inputs, target = all_inputs[block, sample], all_targets[block, sample]
-        if self._data.mirrored:
+        if self._data.sign_symmetric:
             mirror = torch.from_numpy(generator.random(self._size) < 0.5).to(self._device)[:, None]
             inputs = torch.where(mirror[..., None], inputs * self._mirror, inputs)
             target = torch.where(mirror, -target, target)
@@ -204,7 +204,7 @@ def fit_innovation_network(
 
     with ThreadPoolExecutor(n_threads) as pool:
         step = gradient_step(network, optimiser, gradients, config.clip_norm, schedule(config, N_STEPS))
-        loop = Loop(name, network, N_STEPS, step, validate, {"optimiser": optimiser}, AVERAGING)
+        loop = Loop(name, network, N_STEPS, step, validate, {"optimiser": optimiser}, EMA_DECAY)
         return run_loop(loop, config, monitor)
 
 
@@ -220,10 +220,10 @@ def scored(
     numbers: tuple[int, ...],
     warm_up: int,
 ) -> tuple[Array, Array, Array]:
-    """Nll [nat], absolute error and gain of the innovations of blocks from `n_unknown` + 1 + `warm_up` on, (k, n) each."""
+    """Nll [nat], absolute error and gain of the innovations of blocks from `n_transient` + 1 + `warm_up` on, (k, n) each."""
     inputs, target = (part[list(numbers)] for part in tensors)
     with torch.no_grad():
         mixture = mixtures(network, inputs)
         nll = negative_log_likelihood(mixture, target)[:, warm_up:].cpu().double().numpy()
         error = (target - (mixture[0].exp() * mixture[1]).sum(dim=-1))[:, warm_up:].abs().cpu().double().numpy()
-    return nll, error, data.innovation_gain[list(numbers), data.n_unknown + 1 :][:, warm_up:]
+    return nll, error, data.innovation_gain[list(numbers), data.n_transient + 1 :][:, warm_up:]

@@ -21,10 +21,10 @@ from foten.models.foten_plus.linear_model import (
     LatticeData,
     LinearModel,
     counts_of,
-    fit_lattice_of,
     fit_level,
-    fitted_lattice,
+    fit_reflections,
     knot_weights,
+    selected_lattice,
 )
 from foten.training.config import TrainConfig
 from foten.training.job import ScaledBlocks
@@ -42,7 +42,7 @@ N_ROUNDS = 8
 SMOOTHNESS_PENALTY = 0.005  # of squared differences between neighbouring knots, as a share of a knot's information
 SMOOTHING_WAVELENGTHS = 0.6  # over which a phase deviates evenly
 PATH_PRECISION = 3.0  # of the prior that the phase follows the path [1/rad²]
-WHITENING = 20  # order
+WHITENING_ORDER = 20  # order
 USABLE_BAND = 0.45  # of the rate, that tones keep to
 
 
@@ -121,7 +121,7 @@ class FittedTones:
     wavelength_mm: float  # as the phase says, finer than a spectrum does
     table: SpeedForceTable  # coefficients over speed and force, in units of the vibration's level
     phase: Array  # of the fundamental at every sample [rad], shape (n_blocks, block)
-    played: Array  # T at every sample, in units of the level, same shape
+    waveform: Array  # T at every sample, in units of the level, same shape
     period_jitter: float  # standard deviation of a period's length, as a share of it
 
 
@@ -144,11 +144,11 @@ def fit_tones(data: LatticeData, wavelength_mm: float, rate_hz: float) -> Fitted
         table = _fitted(data, table, phase, whitener, fastest, near)
         coefficients = _coefficients(data, table)
         x = data.x - tone(coefficients, phase)
-        whitener = polynomial(fit_lattice_of(replace(data, x=x), WHITENING, 1, 1).values[0])
+        whitener = polynomial(fit_reflections(replace(data, x=x), WHITENING_ORDER, 1, 1).values[0])
         residual, slope = (lfilter(whitener, [1.0], signal) for signal in (x, tone_slope(coefficients, phase)))
         noise = float(np.square(residual[chosen]).mean())
         score, known = (
-            _smoothed(path, slope * signal / noise, wavelength_mm, SMOOTHING_WAVELENGTHS)
+            _windowed_sums(path, slope * signal / noise, wavelength_mm, SMOOTHING_WAVELENGTHS)
             for signal in (residual, slope)
         )
         phase = phase + np.clip(score / (known + PATH_PRECISION), -0.4, 0.4)
@@ -185,11 +185,11 @@ def _demodulated(x: Array, path: Array, wavelength_mm: float) -> Array:
     """The phase of the fundamental at every sample: that of the path plus the smoothed residual phase."""
     carrier = 2 * np.pi * path / wavelength_mm
     carried = x * np.exp(-1j * carrier) * np.diff(path, axis=1, prepend=0.0)
-    real, imaginary = (_smoothed(path, part, wavelength_mm, 1.0) for part in (carried.real, carried.imag))
+    real, imaginary = (_windowed_sums(path, part, wavelength_mm, 1.0) for part in (carried.real, carried.imag))
     return carrier + np.unwrap(np.angle(real + 1j * imaginary), axis=1)
 
 
-def _smoothed(path: Array, values: Array, wavelength_mm: float, width: float) -> Array:
+def _windowed_sums(path: Array, values: Array, wavelength_mm: float, width: float) -> Array:
     """Sums under a Gaussian of `width` wavelengths of path around every sample, each block by itself."""
     step = wavelength_mm / 8
     reach = int(4 * width * 8)
@@ -254,9 +254,9 @@ def fit_tonal_model(
         return None
     tones = fit_tones(data, length, rate)
     # Of what the tones leave when the phase is known as well as it can be.
-    residual = blocks.flat[:, 0] - (tones.played * data.gain).ravel()
+    residual = blocks.flat[:, 0] - (tones.waveform * data.gain).ravel()
     level, of_residual = fit_level(residual, linear.sizes, blocks, config)
-    fitted = fitted_lattice(of_residual, config)
+    fitted = selected_lattice(of_residual, config)
     counts = counts_of(fitted.table, "residual_order", "n_residual_speed", "n_residual_force")
     counts |= counts_of(tones.table, "n_tones", "n_tone_speed", "n_tone_force")
     counts["n_tones"] //= 2  # of which each has two coefficients
