@@ -113,7 +113,7 @@ def command_seconds(recording: Recording) -> float:
         write_recording(recording, path)
         started = time.perf_counter()
         subprocess.run(
-            [sys.executable, "-m", "foten.cli", "train", str(path), "-o", str(Path(folder) / "texture.foten")],
+            [Path(sys.executable).with_name("foten"), "train", str(path), "-o", str(Path(folder) / "texture.foten")],
             check=True,
             stdout=sys.stderr,
         )

@@ -26,7 +26,7 @@ def main() -> None:
     for key in sys.argv[1:] or KEYS:
         with tempfile.TemporaryDirectory() as folder:
             recording, texture = Path(folder) / f"{key}.h5", OUT / f"{key}.foten"
-            command = [sys.executable, "-m", "foten.cli"]
+            command = [Path(sys.executable).with_name("foten")]
             subprocess.run([*command, "simulate", key, "--seconds", "64", "--seed", "3", "-o", recording], check=True)
             run = ["--run", Path(folder) / "run", "--licence", "CC0-1.0"]
             subprocess.run([*command, "train", recording, "-o", texture, *SMALL, *run], check=True)

@@ -10,9 +10,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 import torch
+from scipy.special import log_ndtr, ndtri_exp
 
 from foten.baselines.sizes import TRAINABLE, NoiseModelSizes
 from foten.models.excitation import Excitation, Scale
+from foten.models.foten_plus.definition import Mixture
 from foten.models.foten_plus.sizes import FotenPlusSizes
 from foten.models.model_sizes import ModelSizes
 from foten.models.piecewise_ar.sizes import PiecewiseArSizes
@@ -253,3 +255,13 @@ def experiment(folder: Path, text: str = TINY) -> Path:
     path = folder / "experiment.toml"
     path.write_text(text)
     return path
+
+
+def standardised(mixture: Mixture, values: np.ndarray) -> np.ndarray:
+    """The z of which values are the quantiles at Φ(z), by SciPy."""
+    logs = np.log(mixture.weight)
+    below, above = (
+        np.logaddexp.reduce(logs + log_ndtr(sign * (values[:, None] - mixture.mean) / mixture.scale), axis=1)
+        for sign in (1, -1)
+    )
+    return np.where(below < above, 1, -1) * ndtri_exp(np.minimum(below, above))

@@ -15,8 +15,8 @@ from foten.models.excitation import Excitation
 from foten.models.foten_plus import fit as foten_plus
 from foten.models.foten_plus.fit import (
     Candidate,
+    FitContext,
     FittedNetwork,
-    Run,
     best_candidate,
     best_linear_model,
     calibrated_network,
@@ -58,7 +58,7 @@ def recording() -> Recording:
 class Fitted:
     """A recording's linear model, and a network that says something, whatever."""
 
-    run: Run
+    run: FitContext
     excited: Candidate
     report: dict[str, Any]
     network: FittedNetwork
@@ -78,7 +78,7 @@ def fitted(recording: Recording) -> Fitted:
     sizes = FotenPlusSizes(**PLUS)
     job = TrainingJob(recording, "foten-plus", sizes, QUICK, SHORT)
     blocks = job.blocks()
-    run = Run(texture_builder(job, blocks), QUICK, Monitor())
+    run = FitContext(texture_builder(job, blocks), QUICK, Monitor())
     linear = fit_linear_model(*fit_level(blocks.flat[:, 0], sizes, blocks, QUICK), sizes, QUICK)
     torch.manual_seed(0)
     initial = perturbed(InnovationNetwork(sizes))

@@ -9,10 +9,10 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 import torch
-from scipy.special import log_ndtr, ndtri_exp
+from scipy.integrate import quad
 from scipy.stats import norm
 
-from conftest import PLUS, untrained, untrained_tensors
+from conftest import PLUS, standardised, untrained, untrained_tensors
 from foten.models.foten_plus import network as innovation
 from foten.models.foten_plus.definition import Mixture, NetworkDefinition, innovation_inputs, phase_inputs
 from foten.models.foten_plus.linear_model import LinearModel
@@ -51,16 +51,6 @@ def repeated(mixture: Mixture, n: int) -> Mixture:
     return Mixture(*(np.repeat(part, n, axis=0) for part in dataclasses.astuple(mixture)))
 
 
-def standardised(mixture: Mixture, values: np.ndarray) -> np.ndarray:
-    """The z of which values are the quantiles at Φ(z), by SciPy."""
-    logs = np.log(mixture.weight)
-    below, above = (
-        np.logaddexp.reduce(logs + log_ndtr(sign * (values[:, None] - mixture.mean) / mixture.scale), axis=1)
-        for sign in (1, -1)
-    )
-    return np.where(below < above, 1, -1) * ndtri_exp(np.minimum(below, above))
-
-
 def test_a_quantile_has_as_much_below_it_as_a_normal_number() -> None:
     """By the definition of each: Σ w Φ((x − μ)/s) = Φ(z), and far in the upper tail by what is above."""
     z, drawn = np.array([-5.6, -3.0, -1.0, 0.0, 0.3, 2.0, 5.6]), mixtures(40)
@@ -80,7 +70,21 @@ def test_a_single_component_is_a_normal_distribution() -> None:
     normal = Mixture(np.ones((3, 1)), np.array([[0.0], [2.0], [-1.0]]), np.array([[1.0], [0.1], [30.0]]))
     z = np.array([1.3, -2.0, 5.0])
     np.testing.assert_allclose(normal.quantile(z), normal.mean[:, 0] + normal.scale[:, 0] * z, rtol=1e-12)
-    np.testing.assert_allclose(normal.expected(), normal.mean[:, 0])
+    np.testing.assert_allclose(normal.log_density(normal.quantile(z)), norm.logpdf(z) - np.log(normal.scale[:, 0]))
+
+
+def test_the_mean_is_that_of_the_density() -> None:
+    """Oracle: quadrature of exp(log_density)."""
+    mixture = Mixture(np.array([[0.7, 0.3]]), np.array([[-0.5, 2.0]]), np.array([[0.4, 1.5]]))
+
+    def moment(power: int) -> float:
+        def integrand(x: float) -> float:
+            return x**power * math.exp(mixture.log_density(np.array([x]))[0])
+
+        return quad(integrand, -20, 20, limit=400)[0]
+
+    assert moment(0) == pytest.approx(1.0)
+    assert mixture.expected()[0] == pytest.approx(moment(1))
 
 
 def test_the_unit_and_its_head_are_pytorchs() -> None:

@@ -8,9 +8,8 @@ from typing import Any, get_args
 import numpy as np
 import pytest
 from scipy.signal import lfilter
-from scipy.special import log_ndtr, ndtri_exp
 
-from conftest import PLUS, SCALING, exported, packed, sizes_with, untrained
+from conftest import PLUS, SCALING, exported, packed, sizes_with, standardised, untrained
 from foten.dsp.lattice import LEAK, polynomial
 from foten.dsp.noise import innovation_likelihood
 from foten.models.definitions import model_of
@@ -101,14 +100,10 @@ def test_the_kernels_loop_is_the_references(key: str, variant: str) -> None:
             assert np.abs(expected).max() > 0.01 or (not texture.predicts_samples and noise is None)
 
 
-def standardised(mixture: Mixture, values: np.ndarray) -> np.ndarray:
-    """The z of which values are the quantiles at Φ(z), by SciPy."""
-    logs = np.log(mixture.weight)
-    below, above = (
-        np.logaddexp.reduce(logs + log_ndtr(sign * (values[:, None] - mixture.mean) / mixture.scale), axis=1)
-        for sign in (1, -1)
-    )
-    return np.where(below < above, 1, -1) * ndtri_exp(np.minimum(below, above))
+def deviation(mixture: Mixture) -> np.ndarray:
+    """Standard deviations of mixtures, (s,)."""
+    around = mixture.mean - mixture.expected()[:, None]
+    return np.sqrt((mixture.weight * (around**2 + mixture.scale**2)).sum(axis=1))
 
 
 def followed(
@@ -139,7 +134,7 @@ def followed(
             for p, miss, unit in zip(predictions, missed, units, strict=True):
                 e = miss / unit + p.mixture.expected()
                 nll = np.log(unit) - p.mixture.log_density(e)
-                scores.append((unit * p.mixture.sd(), standardised(p.mixture, e), nll))
+                scores.append((unit * deviation(p.mixture), standardised(p.mixture, e), nll))
         return samples, *(np.stack(some, axis=1) for some in zip(*scores, strict=True))
     if isinstance(model, PiecewiseAr):
         local, local_predictions = model.start(blocks[:, :m]), []

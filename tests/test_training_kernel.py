@@ -57,7 +57,7 @@ def test_structures_are_laid_out_as_in_c(structure: type[ctypes.Structure]) -> N
     assert structure._fields_ == members
     assert set(doubles) <= set(kernel._DOUBLES)
     assert not {array for array, of in members if of is ctypes.c_void_p and array not in doubles} & set(kernel._DOUBLES)
-    assert f"N_GATES = {kernel.N_GATES} " in source
+    assert f"GATES = {kernel.GATES} " in source
 
 
 Inputs = tuple[RolloutInputs, RolloutState]

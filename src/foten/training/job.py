@@ -112,8 +112,7 @@ class TrainingJob:
         """The card's entries of recording and configuration; no growth beyond the trained range."""
         recording, trace, split = self.recording, blocks.trace, blocks.split
         low, high = (end(blocks.training_blocks(), axis=(0, 1)).tolist() for end in (np.min, np.max))
-        unused = unused_settings(self.model)
-        settings = {key: value for key, value in asdict(self.config).items() if key not in unused}
+        settings = {key: value for key, value in asdict(self.config).items() if key not in unused_settings(self.model)}
         return {
             "rate_hz": trace.rate_hz,
             "trained_range": {"speed": [low[1], high[1]], "force": [low[2], high[2]]},

@@ -27,7 +27,7 @@ from foten.runtime.binding import isa, kernel_file
 LIBRARIES = ("libfoten_training.so", "libfoten_training.dylib", "libfoten_training.dll")
 Floats = NDArray[np.float32]
 PADDED = 16  # numbers that rows are padded to a multiple of
-N_GATES = 3
+GATES = 3
 RECURRENT_NAMES = ("weight_ih", "weight_hh", "bias_ih", "bias_hh")
 WEIGHT_NAMES = (
     *(f"recurrent.{name}_l0" for name in RECURRENT_NAMES),
@@ -126,9 +126,7 @@ def recurrent_weights(
     wide = padded(h)
 
     def padded_gates(weight: NDArray[Any], *row: int) -> Floats:
-        return zero_padded(weight.reshape(N_GATES, h, *weight.shape[1:]), N_GATES, wide, *row).reshape(
-            N_GATES * wide, *row
-        )
+        return zero_padded(weight.reshape(GATES, h, *weight.shape[1:]), GATES, wide, *row).reshape(GATES * wide, *row)
 
     biases = padded_gates(input_bias), padded_gates(hidden_bias)
     return padded_gates(from_input, padded(n_inputs)), padded_gates(from_hidden, wide), *biases
@@ -149,7 +147,7 @@ def recurrent_gradients(
     grad_hidden_bias = np.concatenate([grad_bias[:n_reset_update], candidate.sum(axis=0)])
 
     def unpadded(gradient: Floats, *row: int) -> Floats:
-        rows = gradient.reshape(N_GATES, -1, *gradient.shape[1:])[:, :h].reshape(-1, *gradient.shape[1:])
+        rows = gradient.reshape(GATES, -1, *gradient.shape[1:])[:, :h].reshape(-1, *gradient.shape[1:])
         return np.ascontiguousarray(rows[tuple(slice(n) for n in (None, *row))])
 
     biases = unpadded(grad_bias), unpadded(grad_hidden_bias)
@@ -182,7 +180,7 @@ class _Hidden(torch.autograd.Function):
             **{"n": n, "s": s, "n_hidden": wide, "weight": hidden_weight, "bias": hidden_bias, "hidden": hidden},
             from_input=from_input,
             candidate_preactivation=np.empty((n, s, wide), np.float32),
-            gates=np.empty((n, s, N_GATES * wide), np.float32),
+            gates=np.empty((n, s, GATES * wide), np.float32),
         )
         run_in_c("foten_train_unit", byref(ctx.unit))
         ctx.samples, ctx.n_inputs = samples, n_inputs
@@ -267,7 +265,7 @@ class Rollout:
             phase[0] = state.phase
             tones = {name: getattr(inputs.tones, name) for name in ("period_jitter", "phase_leak")}
             tones |= {"phase_increment": np.ascontiguousarray(inputs.phase_increment.T)}
-        rows = {"head_output": (w,), "out_output": (o,), "gates": (N_GATES * h,), "candidate_preactivation": (h,)}
+        rows = {"head_output": (w,), "out_output": (o,), "gates": (GATES * h,), "candidate_preactivation": (h,)}
         outputs = {**rows, "innovation": (), "residual": ()}
         self._run = structure_of(
             RolloutBatch,

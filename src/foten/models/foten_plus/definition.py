@@ -35,6 +35,13 @@ class Mixture:
         """Their means, (s,)."""
         return np.asarray((self.weight * self.mean).sum(axis=1))
 
+    def log_density(self, values: Array) -> Array:
+        """Log p of values (s,) [nat]."""
+        z = (values[:, None] - self.mean) / self.scale
+        terms = np.log(self.weight) - np.log(self.scale) - 0.5 * z * z
+        largest = terms.max(axis=1)
+        return largest + np.log(np.exp(terms - largest[:, None]).sum(axis=1)) - 0.5 * np.log(2 * np.pi)
+
     def quantile(self, noise: Array) -> Array:
         """The values below which lies Φ(z), for standard normal numbers z (s,).
 
