@@ -38,7 +38,7 @@ def blocks(page: Path) -> Iterator[Block]:
 
 
 def run(block: Block, folder: Path) -> None:
-    """Run a block in a folder as a reader would, `foten` and `python` being those of the tests."""
+    """Run a block in a folder as a reader would, `foten` and `python` being those of the tests; a training has two epochs."""
     kind, _, what = block.about.partition(": ")
     for name in what.split() if kind == "in the checkout" else []:
         if not (folder / name).exists():
@@ -47,7 +47,8 @@ def run(block: Block, folder: Path) -> None:
     if not tools.exists():
         tools.mkdir()
         for name, program in (("foten", "-c 'from foten.cli import main; main()'"), ("python", "")):
-            (tools / name).write_text(f'#!/bin/sh\nexec {sys.executable} {program} "$@"\n')
+            short = 'if [ "$1" = train ]; then set -- "$@" --epochs 2; fi'
+            (tools / name).write_text(f'#!/bin/sh\n{short}\nexec {sys.executable} {program} "$@"\n')
             (tools / name).chmod(0o755)
     if block.about == "serves":
         serves(folder, tools / "foten", *block.code.split()[1:])
