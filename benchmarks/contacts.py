@@ -20,7 +20,7 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
-from report import add_csv, report
+from result_table import add_csv, report
 from step import INSTRUCTION_SETS, ROOT, texture_of
 
 SHARE = 0.6  # of a millisecond

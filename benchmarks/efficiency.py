@@ -46,7 +46,7 @@ from foten.training.loop import Monitor
 from foten.training.pipeline import reproducible
 from foten.training.texture_builder import proved, tensors_of
 from foten.training.window_fit import fit_windows, one_step_windows
-from report import add_csv, report
+from result_table import add_csv, report
 
 MODELS = ("dstn", "ldhtd", "gan", "dftnet", "hapinf", "fnn", "ten", "ten-mfcc", "ten-wavelet", "foten", "foten-d")
 PAPER = {

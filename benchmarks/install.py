@@ -21,7 +21,7 @@ import time
 import venv
 from pathlib import Path
 
-from report import add_csv, report
+from result_table import add_csv, report
 from step import ROOT
 
 FIRST = {"numpy": "import numpy", "foten": "import foten; foten.Renderer(foten.EXAMPLE).render(80.0, 0.8, 1)"}

@@ -38,7 +38,7 @@ from foten.training.config import recipe_of
 from foten.training.job import TrainingJob
 from foten.training.pipeline import train
 from foten.training.training_kernel import WEIGHT_NAMES, Rollout, RolloutInputs, RolloutState
-from report import add_csv, report
+from result_table import add_csv, report
 
 METHODS = {"noise": {"epochs": 0}, "network": {"closed_loop_training": False}, "closed loop": {}}
 N_STEPS, N_BLOCKS, BLOCK_S = 20_000, 1000, 0.01

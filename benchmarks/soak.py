@@ -30,7 +30,7 @@ from foten.runtime.live.live import Live
 from foten.runtime.live.paced import NullSink
 from foten.runtime.renderer import Renderer
 from foten.runtime.stylus import Stylus
-from report import add_csv, report
+from result_table import add_csv, report
 
 EVENTS_HZ = 133.0
 WAITING = 256  # events that the kernel keeps, foten.h

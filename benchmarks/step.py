@@ -29,7 +29,7 @@ os.environ.setdefault("MKL_NUM_THREADS", "1")
 
 import numpy as np
 
-from report import add_csv, report
+from result_table import add_csv, report
 
 ROOT = Path(__file__).parents[1]
 INSTRUCTION_SETS = ("avx512", "avx2", "neon", "portable")

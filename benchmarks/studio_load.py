@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 import websockets
 
-from report import add_csv, report
+from result_table import add_csv, report
 
 TEXTURE = "steel-mesh-1.foten"
 RATE_HZ = 48_000

@@ -22,7 +22,7 @@ from playwright.sync_api import sync_playwright
 
 from foten.runtime.renderer import EXAMPLE, Renderer
 from foten.runtime.stylus import Stylus
-from report import add_csv, report
+from result_table import add_csv, report
 from studio_load import started
 
 RATE_HZ, QUANTUM, N = 48_000.0, 128, 20_000

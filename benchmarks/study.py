@@ -21,7 +21,7 @@ from playwright.sync_api import sync_playwright
 
 from foten.models.texture_file import read_texture, write_texture
 from foten.runtime.renderer import EXAMPLE
-from report import add_csv, report
+from result_table import add_csv, report
 
 TEXTURES, METHODS = 12, ("ar", "dstn", "ldhtd", "foten")
 FOTEN = (sys.executable, "-c", "from foten.cli import main; main()", "study")

@@ -37,7 +37,7 @@ from foten.training.job import scaled_blocks
 from foten.training.loop import Epoch, Monitor, pick_device
 from foten.training.pipeline import reproducible
 from foten.training.window_fit import TrainingWindows, fit_windows, one_step_windows
-from report import add_csv, report
+from result_table import add_csv, report
 
 
 def history(name: str, model: str, windows: TrainingWindows, config: TrainConfig) -> list[Epoch]:

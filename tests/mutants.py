@@ -35,7 +35,7 @@ class Mutant:
 
 
 def files_of(tests: str) -> tuple[str, ...]:
-    """Files of tests by their words: `loop table` are tests/test_loop.py and tests/test_table.py."""
+    """Files of tests by their words: `loop table` are tests/test_loop.py and tests/test_tabular.py."""
     return tuple(f"tests/test_{name}.py" for name in tests.split())
 
 

@@ -19,7 +19,7 @@ from foten.datasets.columns import Column, check_width
 from foten.datasets.mapping import columns_of, guessed_mapping, names_of, stroke_columns
 from foten.datasets.options import ImportOptions
 from foten.datasets.pen import PenClock, joined, pen_channels
-from foten.datasets.table import read_delimited, read_excel
+from foten.datasets.tabular import read_delimited, read_excel
 from foten.datasets.timing import filled, irregular, rate_and_source, times_of
 from foten.datasets.units import factor_of, quantity, split_header
 from foten.dsp import Array

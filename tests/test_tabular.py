@@ -6,7 +6,7 @@ import numpy as np
 import openpyxl
 import pytest
 
-from foten.datasets.table import read_delimited, read_excel
+from foten.datasets.tabular import read_delimited, read_excel
 
 
 def _columns(path, text, encoding="utf-8"):
