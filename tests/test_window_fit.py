@@ -14,7 +14,7 @@ from foten.models.foten.sizes import FotenSizes
 from foten.training.config import TrainConfig
 from foten.training.dropout import Dropout, set_dropout
 from foten.training.loop import Checkpoint, Epoch, Monitor
-from foten.training.window_fit import TrainingWindows, fit_windows, loss_of, predict
+from foten.training.window_fit import DeviceWindows, TrainingWindows, fit_windows, loss_of, predict
 
 SIZES = FotenSizes(window=12, d_model=8, n_heads=2, n_layers=2, d_feedforward=16, head=(16, 8), spectral_width=8)
 QUICK = TrainConfig(epochs=3, batch=64, threads=1)
@@ -40,6 +40,13 @@ def test_losses_are_those_of_equation_14() -> None:
     for name, expected in {"huber": huber, "mae": r.abs().mean(), "mse": (r**2).mean()}.items():
         loss = loss_of(TrainConfig(delta=1.6, loss=name))(r, torch.zeros_like(r))
         assert float(loss) == pytest.approx(float(expected), rel=1e-12)
+
+
+def test_an_epoch_is_all_training_windows_and_no_other() -> None:
+    data = white(100)
+    first, second = (DeviceWindows(data, untrained()).shuffled(0, epoch).numpy() for epoch in (1, 2))
+    assert sorted(first) == sorted(second) == data.train.tolist()
+    assert (first != second).any()
 
 
 def test_a_target_of_its_own_is_learned_and_reported_in_its_unit() -> None:
