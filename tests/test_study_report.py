@@ -183,6 +183,7 @@ def test_few_tests_within_textures_are_one_table_and_many_show_the_lowest_p(tmp_
         (3, 2, "m2", "each texture, paired t-tests of the 2 other methods against m2, Bonferroni-corrected for 2: "),
         (3, 1, None, "the one texture, paired t-tests of all 3 pairs of methods, Bonferroni-corrected for 3: "),
         (2, 2, None, "each texture, paired t-tests of m0 and m1: of 2 textures, m0 above m1 on "),
+        (2, 1, None, "the one texture, paired t-test of m0 and m1: m0 below m1."),
     ],
 )
 def test_sentences_name_the_family(
@@ -193,6 +194,6 @@ def test_sentences_name_the_family(
     text = " ".join(result.sentences)
     assert "The highest mean is that of m" in text
     if textures == 1:
-        assert "methods on 1 texture (24 ratings)" in text
+        assert f"methods on 1 texture ({8 * methods} ratings)" in text
         assert "textures" not in text
         assert "across textures" not in _markdown(result)

@@ -264,16 +264,18 @@ def _paired_sentences(methods: Sequence[str], within: Sequence[Paired], referenc
         what = f"paired t-tests of all {many} pairs of methods"
     else:
         what = f"paired t-tests of the {many} other methods against {methods[reference]}"
-    where, of = ("each texture", f"of {b} textures") if b > 1 else ("the one texture", "of it")
+    where, of = ("each texture", f"of {b} textures, ") if b > 1 else ("the one texture", "")
     sentences = []
     for name, key in (("Bonferroni", "p_bonferroni"), ("Holm", "p_holm"))[: 1 if many == 1 else 2]:
         results = []
         for k, (i, j) in enumerate(family):
             up = sum(bool(t.difference[k] > 0 and getattr(t, key)[k] < ALPHA) for t in within)
             down = sum(bool(t.difference[k] < 0 and getattr(t, key)[k] < ALPHA) for t in within)
-            results.append(f"{methods[i]} above {methods[j]} on {up}, below on {down}")
+            word = "above" if up else "below" if down else "not different from"
+            one_texture = f"{methods[i]} {word} {methods[j]}"
+            results.append(f"{methods[i]} above {methods[j]} on {up}, below on {down}" if b > 1 else one_texture)
         corrected = f", {name}-corrected for {many}" if many > 1 else ""
-        sentences.append(f"Within {where}, {what}{corrected}: {of}, {'; '.join(results)}.")
+        sentences.append(f"Within {where}, {what}{corrected}: {of}{'; '.join(results)}.")
     return sentences
 
 
