@@ -1,13 +1,14 @@
 """Small wrong changes of the sources, each of which some test has to notice; `tests/test_mutants.py` makes them one by one.
 
-Of C a mutant names text that stands in a file once. Of Python it names a node of the syntax tree, so that a row survives new line
-breaks, comments and names of variables.
+Of C a mutant names tokens that stand in a file once, so that a row survives new line breaks. Of Python it names a node of the
+syntax tree, so that it survives comments and names of variables too.
 """
 
 from __future__ import annotations
 
 import ast
 import builtins
+import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
@@ -40,9 +41,11 @@ def files_of(tests: str) -> tuple[str, ...]:
 
 
 def of_c(path: str, *rows: tuple[str, ...], tests: str = KERNEL) -> list[Mutant]:
-    """Mutants of a file in `native`: what is wrong, the text that is replaced, by which, and other tests than the kernel's."""
+    """Mutants of a file in `native`: what is wrong, the tokens that are replaced, by what, other tests than the kernel's."""
     return [
-        Mutant(what, f"native/{path}", partial(_text_replaced, before, after), files_of(others[0] if others else tests))
+        Mutant(
+            what, f"native/{path}", partial(_tokens_replaced, before, after), files_of(others[0] if others else tests)
+        )
         for what, before, after, *others in rows
     ]
 
@@ -62,10 +65,12 @@ def of_python(path: str, *rows: tuple[str, ...], tests: str = "") -> list[Mutant
     ]
 
 
-def _text_replaced(before: str, after: str, source: str) -> str:
-    if source.count(before) != 1:
-        raise ValueError(f"{before!r} stands there {source.count(before)} times, expected once")
-    return source.replace(before, after)
+def _tokens_replaced(before: str, after: str, source: str) -> str:
+    pattern = r"\s*".join(map(re.escape, re.findall(r"\w+|[^\w\s]", before)))
+    changed, n = re.subn(pattern, lambda _: after, source)
+    if n != 1:
+        raise ValueError(f"{before!r} stands there {n} times, expected once")
+    return changed
 
 
 def _node_replaced(scope: str, selector: str, becomes: str, source: str) -> str:

@@ -241,6 +241,7 @@ def test_render_says_what_became_of_samples_outside_the_range(
 
 TRAIN = ("train", "{rec}", "-o", "{out}.foten", *FAST)
 FOTEN = (*TRAIN, "--model", "foten")
+SEEDS = ("--noise-seed", "1", "--stroke-seed", "2", "--seed", "3")
 RENDER = ("render", "{tex}", "-o", "{out}.wav", "--speed", "1", "--force", "1")
 
 
@@ -284,6 +285,15 @@ RENDER = ("render", "{tex}", "-o", "{out}.wav", "--speed", "1", "--force", "1")
         (["evaluate", "{tex}", "{rec}", "--trim", "0"], "--trim and --block are for others"),
         (["evaluate", "{tex}", "{tex}"], "foten import"),
         (["nonsense"], "No such command"),
+        ([*TRAIN, "--split", "contiguous", "--split-seed", "3"], "--split-seed is of the regrouped split"),
+        ([*TRAIN, "--model", "ar", "--epochs", "0"], "--epochs is for networks"),
+        ([*RENDER, "--seconds", "1", "--deterministic", "--seed", "3"], "--seed is of the excitation"),
+        (["simulate", "towel", "-o", "{out}", "--capture", "--stroke-seed", "0"], "--stroke-seed is for recordings"),
+        (["simulate", "towel", "-o", "{out}.h5", *SEEDS], "--seed has no effect beside --noise-seed"),
+        (["import", "{stroke}", "-o", "{out}.h5", "--pressure", "1,2"], "--pressure is of a --pen"),
+        (["export", "{tex}", "--to", "c", "--seed", "3", "-o", "{out}.h"], "c holds the texture itself"),
+        (["tables", "{out}", "--digits", "3"], "--digits is of runs.csv"),
+        (["study", "power", "{out}.toml", "--methods", "3"], "--methods is in the study file"),
     ],
 )
 def test_bad_input_is_one_line_and_writes_nothing(

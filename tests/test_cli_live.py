@@ -92,7 +92,7 @@ def test_a_file_says_what_its_numbers_are(file: Path, tmp_path: Path) -> None:
         (["--to", "null", "--speed", "80"], "--speed with --force"),
         (["--to", "null", "--speed", "-1", "--force", "1"], "speed"),
         (["--to", "a.wav", "--seconds", "inf"], "--seconds is inf"),
-        (["--to", "a.wav", "--lead-ms", "5"], "--lead-ms are for what plays live"),
+        (["--to", "a.wav", "--lead-ms", "5"], "--lead-ms is for what plays live"),
         (["--to", "none/a.wav"], "there is no folder none"),
     ],
 )

@@ -16,8 +16,6 @@ from foten.untrusted import shown
 JsonOption = Annotated[bool, Option("--json", help="Print the result as JSON on stdout.")]
 TextureFile = Annotated[Path, Argument(metavar="T.foten", help="A texture file.")]
 RecordingFile = Annotated[Path, Argument(metavar="REC.h5", help="A recording that foten import wrote.")]
-
-
 Options = TypeVar("Options")
 
 
@@ -36,6 +34,13 @@ def options_from(kind: type[Options]) -> Callable[[Callable[[Options], None]], C
         return command
 
     return command_of
+
+
+def refuse(why: str, **options: Any) -> None:
+    """Refuse the first of some options that is set, since it would have no effect."""
+    for name, value in options.items():
+        if value is not None and value is not False and value not in ("", []):
+            raise ValueError(f"--{name.replace('_', '-')} {why}: leave it out")
 
 
 def folder_option(help_text: str) -> Any:
@@ -58,7 +63,7 @@ def print_result(document: Any, text: str, as_json: bool) -> None:
     print(json.dumps(document, indent=1, allow_nan=False) if as_json else _shown_lines(text))
 
 
-def check_folders(paths: list[Path]) -> None:
+def check_files(paths: list[Path]) -> None:
     """Refuse an output whose folder does not exist, before any work is done."""
     for path in paths:
         if not path.parent.is_dir():

@@ -9,7 +9,7 @@ from typing import Annotated
 from typer import Argument, Exit, Option
 
 from foten.atomic_write import atomic_write
-from foten.console import JsonOption, check_folder, folder_option, print_result, say
+from foten.console import JsonOption, check_folder, folder_option, print_result, refuse, say
 
 MixedOption = Annotated[bool, Option("--mixed", help="Take results of different code or platform too.")]
 
@@ -46,8 +46,7 @@ def sweep(
     if output is None or dry_run:
         listed = "\n".join(f"{run.label}, {run.texture}, split {run.split_seed}" for run in runs)
         print_result([dataclasses.asdict(run) for run in runs], listed, as_json)
-        if not as_json:
-            say(f"{len(runs)} runs")
+        say(f"{len(runs)} runs")
         return
     check_folder(output)
     from foten.experiments import sweep as sweeping
@@ -75,6 +74,8 @@ def tables(
     from foten.experiments.results import joined, read_records, runs_table, title_of
     from foten.reporting.table import FORMS
 
+    if output is None:
+        refuse("is of runs.csv, which is written with -o DIR", brief=short, digits=digits)
     records = joined([read_records(path) for path in results], mixed)
     check_folder(output)
     shown, title, sentences = tables_of(records), title_of(records), list(findings(records))

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from typer import Argument, Exit, Option
 
 from foten.atomic_write import write_json
-from foten.console import JsonOption, RecordingFile, check_folder, check_folders, folder_option, print_result, say
+from foten.console import JsonOption, RecordingFile, check_files, check_folder, folder_option, print_result, refuse, say
 
 if TYPE_CHECKING:
     from foten.datasets.options import ImportOptions
@@ -20,7 +20,7 @@ def simulate(
     key: str | None = Argument(None, help="Texture or linear process; --list shows them."),
     output: Path | None = Option(None, "-o", "--output", help="HDF5 file to write; with --capture a folder."),
     seconds: float = Option(64.0, help="Length (s)."),
-    seed: int = Option(0, help="Of everything random that the next two leave out."),
+    seed: int | None = Option(None, help="Of everything random that the next two leave out.", show_default="0"),
     noise_seed: int | None = Option(None, help="Of surface and sensors: another one, the same stroke again."),
     stroke_seed: int | None = Option(None, help="Of the hand."),
     accelerometer_hz: float | None = Option(None, help="10000 over a whole number.", show_default="10000; linear 1000"),
@@ -39,14 +39,16 @@ def simulate(
         return
     if key is None or output is None:
         raise ValueError("expected a key and -o FILE; --list shows the keys")
+    of_sensors = dict[str, Any](noise_seed=noise_seed, stroke_seed=stroke_seed, accelerometer_hz=accelerometer_hz)
     if capture:
-        check_folders([output])
-        _simulate_capture(key, seconds, seed, output, (noise_seed, stroke_seed, accelerometer_hz), as_json)
+        refuse("is for recordings, and --capture writes a sound", **of_sensors)
+        check_files([output])
+        _simulate_capture(key, seconds, seed or 0, output, as_json)
         return
+    if noise_seed is not None and stroke_seed is not None:
+        refuse("has no effect beside --noise-seed and --stroke-seed", seed=seed)
     _check_recording(output)
-    recording = simulator.simulate(
-        key, seconds, seed, noise_seed=noise_seed, stroke_seed=stroke_seed, accelerometer_hz=accelerometer_hz
-    )
+    recording = simulator.simulate(key, seconds, seed or 0, **of_sensors)
     write_recording(recording, output)
     result = {"output": str(output), "sha256": recording.sha256(), "simulation": dict(recording.simulation or {})}
     print_result(result, f"{output}: {key}, {recording.duration_s:g} s, {', '.join(recording.channels)}", as_json)
@@ -55,19 +57,14 @@ def simulate(
 def _check_recording(output: Path) -> None:
     if output.suffix.lower() not in (".h5", ".hdf5"):
         raise ValueError(f"a recording is written as .h5, got -o {output.name}")
-    check_folders([output])
+    check_files([output])
 
 
-def _simulate_capture(
-    key: str, seconds: float, seed: int, folder: Path, of_sensors: tuple[float | None, ...], as_json: bool
-) -> None:
+def _simulate_capture(key: str, seconds: float, seed: int, folder: Path, as_json: bool) -> None:
     import numpy as np
 
     from foten.simulation.simulated_capture import DELAY_S, DRIFT, FULL_SCALE, simulate_capture
 
-    if any(option is not None for option in of_sensors):
-        options = "--noise-seed, --stroke-seed and --accelerometer-hz"
-        raise ValueError(f"{options} are for recordings: leave them out of a --capture")
     sound, pen = simulate_capture(key, seconds, seed).write(folder, np.random.default_rng([seed, 8]))
     what = f"{key}, {seconds:g} s of strokes between taps, full scale is {FULL_SCALE:g} m/s²"
     clock = f"the pen's clock is {1000 * DELAY_S:g} ms late and {1e6 * DRIFT:g} ppm fast"
@@ -103,7 +100,9 @@ def import_(
         help="Events of a pen (t, x, y, pressure) beside the sound of a microphone on it; its taps before and after the "
         "strokes join the clocks. Without --unit acceleration=*FACTOR the texture is in relative units.",
     ),
-    pressure: str = Option("0.13,3.32", help="a,b of force (N) = a exp(b pressure); foten serve fits it."),
+    pressure: str | None = Option(
+        None, help="a,b of force (N) = a exp(b pressure), else Eq. 12's; foten serve fits it."
+    ),
     texture: str = Option("", help="What was stroked; the first file's name by default."),
     tool: str = Option("", help="What it was stroked with."),
     sensors: str = Option("", help="Sensors, amplifiers, ranges."),
@@ -122,11 +121,9 @@ def import_(
     foten import Models_Denim.xml -o denim.foten: a model file of the Penn Haptic Texture Toolkit becomes a texture.
     """
     if any(file.suffix.lower() == ".xml" for file in files):
-        refused = {"map": mapping, "unit": units, "rate": rate, "fill-gaps": fill_gaps, "force-units": force_units}
-        for name, value in {**refused, "tool": tool, "sensors": sensors}.items():
-            if value:
-                of_models = "an .xml holds models with units and rate"
-                raise ValueError(f"--{name} is for recordings, and {of_models}: leave it out")
+        of_table = dict[str, Any](map=mapping, unit=units, rate=rate, fill_gaps=fill_gaps or None, pen=pen)
+        of_recording = {**of_table, "pressure": pressure, "force_units": force_units, "tool": tool, "sensors": sensors}
+        refuse("is for recordings, and an .xml holds models with units and rate", **of_recording)
         _import_models(files, output, texture, notes, as_json)
         return
     from foten.datasets.hdf5 import write_recording
@@ -138,6 +135,7 @@ def import_(
     pairs, units_of = parse_pairs(mapping or [], "--map"), dict(parse_pairs(units or [], "--unit"))
     options = ImportOptions(tuple(pairs), units_of, rate_hz, rates_hz, fill_gaps, force_units)
     if pen is None:
+        refuse("is of a --pen", pressure=pressure)
         imported, decisions = import_recording(files, options)
     else:
         imported, decisions = _import_capture(files, pen, pressure, options)
@@ -172,16 +170,18 @@ def _named(file: Path) -> str:
     return folder if file.stem == "sound" and folder else file.stem
 
 
-def _import_capture(files: list[Path], pen: Path, pressure: str, options: ImportOptions) -> tuple[Recording, list[str]]:
+def _import_capture(
+    files: list[Path], pen: Path, curve: str | None, options: ImportOptions
+) -> tuple[Recording, list[str]]:
     from foten.datasets.importing import import_capture
     from foten.runtime.stylus import PressureCalibration
 
     if len(files) != 1 or options.mapping:
         raise ValueError("--pen stands beside one sound, whose first channel is the acceleration: leave out --map")
     try:
-        a, b = map(float, pressure.split(","))
+        a, b = map(float, curve.split(",")) if curve is not None else (PressureCalibration.a, PressureCalibration.b)
     except ValueError:
-        raise ValueError(f"--pressure is {pressure!r}, expected a,b such as 0.13,3.32") from None
+        raise ValueError(f"--pressure is {curve!r}, expected a,b such as 0.13,3.32") from None
     recording, _, decisions = import_capture(files[0], pen, options, PressureCalibration(a, b).force)
     return recording, decisions
 
@@ -197,7 +197,7 @@ def _import_models(files: list[Path], output: Path, texture: str, notes: str, as
         raise ValueError(f"got {len(files)} files, expected one .xml of models by itself")
     if output.suffix != ".foten":
         raise ValueError(f"models are written as a texture file, .foten, got -o {output.name}")
-    check_folders([output])
+    check_files([output])
     digest = hashlib.sha256(files[0].read_bytes()).hexdigest()
     imported, decisions = imported_texture(read_models(files[0]), digest, texture, notes=notes)
     for decision in decisions:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from typer import Argument, Exit, Option
 
-from foten.console import JsonOption, TextureFile, check_folders, options_from, print_result, say
+from foten.console import JsonOption, TextureFile, check_files, options_from, print_result, refuse, say
 
 if TYPE_CHECKING:
     from foten.dsp import Array
@@ -65,7 +65,8 @@ class StrokeOptions:
         sources = [self.stroke is not None, self.recording_file is not None, constants != (None, None, None)]
         if sum(sources) != 1 or (sources[2] and None in constants):
             raise ValueError("expected one of --stroke, --recording, or --speed with --force and --seconds")
-        _check_units(self.units, self.stroke)
+        if self.stroke is None:
+            refuse("is for the columns of --stroke", unit=self.units)
         rate_hz = texture.rate_hz
         if self.recording_file is not None:
             from foten.datasets.hdf5 import load_recording
@@ -91,6 +92,10 @@ class RenderOptions(StrokeOptions):
     audible: Path | None = Option(None, metavar="FILE.wav", help="Also as sound, 48 kHz, 16 bits.")
     deterministic: Deterministic = False
 
+    def __post_init__(self) -> None:
+        if self.deterministic:
+            refuse("is of the excitation, and --deterministic has none", seed=self.seed or None)
+
 
 @options_from(RenderOptions)
 def render(options: RenderOptions) -> None:
@@ -103,7 +108,7 @@ def render(options: RenderOptions) -> None:
     for path in output:
         sinks.check_suffix(path)
     written = [*output] if audible is None else [*output, audible]
-    check_folders(written)
+    check_files(written)
     texture = read_texture(options.texture_file)
     rate = texture.rate_hz
     if audible is not None:
@@ -157,13 +162,16 @@ class PlayOptions:
         stroke, speed, force = self.stroke, self.speed, self.force
         if (speed is None) != (force is None) or (stroke is not None and speed is not None):
             raise ValueError("expected --stroke, or --speed with --force, or neither for a circle")
-        _check_units(self.units, stroke)
+        if stroke is None:
+            refuse("is for the columns of --stroke", unit=self.units)
         for name, value, unit in (("speed", speed, " mm/s"), ("force", force, " N"), ("seconds", self.seconds, "")):
             if value is not None and not 0 <= value < inf:
                 raise ValueError(f"--{name} is {value}{unit}, expected a finite number, 0 or more")
-        live = (self.device, self.channel, self.lead_ms)
-        if self.into_file and any(option is not None for option in live):
-            raise ValueError("--device, --channel and --lead-ms are for what plays live: leave them out of a file")
+        if self.into_file:
+            of_live = {"device": self.device, "channel": self.channel, "lead_ms": self.lead_ms}
+            refuse(f"is for what plays live, and {self.to} is a file", **of_live)
+        if self.deterministic:
+            refuse("is of the excitation, and --deterministic has none", seed=self.seed or None)
 
     @property
     def into_file(self) -> bool:
@@ -230,7 +238,7 @@ def _write_played(
     from foten.runtime.live.play import write_wav
 
     path, seconds = Path(options.to), 10.0 if options.seconds is None else options.seconds
-    check_folders([path])
+    check_files([path])
     samples, interrupted = write_wav(renderer, conditions, seconds, path, about)
     counts = renderer.counted()
     document = {"output": str(path), "n_samples": samples.size, "interrupted": interrupted, **counts}
@@ -288,11 +296,6 @@ def provenance(texture: Texture, source: str, seed: int, deterministic: bool) ->
         "seed": seed,
         "deterministic": deterministic,
     }
-
-
-def _check_units(units: list[str] | None, stroke: Path | None) -> None:
-    if units and stroke is None:
-        raise ValueError("--unit is for the columns of --stroke: leave it out")
 
 
 def _stroke_from(path: Path, units: list[str] | None, rate_hz: float) -> Stroke:

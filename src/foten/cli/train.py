@@ -11,12 +11,18 @@ from typing import TYPE_CHECKING, Any
 from typer import Exit, Option
 
 from foten.cli.evaluate import network_summary, validation_summary
-from foten.console import JsonOption, RecordingFile, check_folders, options_from, print_result
+from foten.console import JsonOption, RecordingFile, check_files, options_from, print_result, refuse
+from foten.training.config import RECIPES, TrainConfig, check_used, recipe_of
 
 if TYPE_CHECKING:
     from foten.recording.recording import Recording
-    from foten.training.config import TrainConfig
     from foten.training.job import Trained, TrainingJob
+
+
+def _of(name: str) -> str:
+    """Default of a setting for help: ours, and the paper's where it differs."""
+    ours, paper = (getattr(RECIPES[recipe], name) for recipe in ("default", "paper"))
+    return f"{ours}" if ours == paper else f"{ours}; paper {paper}"
 
 
 @dataclass(frozen=True)
@@ -41,11 +47,11 @@ class TrainOptions:
     epochs: int | None = Option(
         None, help="At most; of gan 50 steps each. Below 8, foten-plus trains less in its closed loop."
     )
-    loss: str | None = Option(None, help="huber, mse or mae; foten-plus has a likelihood.", show_default="huber")
-    delta: float | None = Option(None, help="Huber threshold, scaled.", show_default="1.6")
+    loss: str | None = Option(None, help="huber, mse or mae; foten-plus has a likelihood.", show_default=_of("loss"))
+    delta: float | None = Option(None, help="Huber threshold, scaled.", show_default=_of("delta"))
     batch: int | None = Option(None, help="Windows a step, of foten-plus chunks; the recipe's by default.")
     learning_rate: float | None = Option(None, help="Highest; the recipe's by default.")
-    dropout: float | None = Option(None, help="Share of hidden values.", show_default="0; paper 0.2")
+    dropout: float | None = Option(None, help="Share of hidden values.", show_default=_of("dropout"))
     excitation: bool = Option(
         False, "--excitation", help="Add a random part, without which a network's free run falls silent."
     )
@@ -64,12 +70,13 @@ class TrainOptions:
     )
     texture: str = Option("", help="Name in the card; the recording's by default.")
     licence: str = Option("", help="Licence of the texture, for the card.")
-    threads: int | None = Option(None, help="Cores that share a batch; a GPU takes it all.", show_default="2; paper 1")
+    threads: int | None = Option(
+        None, help="Cores that share a batch; a GPU takes it all.", show_default=_of("threads")
+    )
     as_json: JsonOption = False
 
     def __post_init__(self) -> None:
         from foten.baselines.sizes import TRAINABLE
-        from foten.training.config import RECIPES, check_used
 
         if self.model not in TRAINABLE:
             raise ValueError(f"unknown model {self.model!r}, expected one of {', '.join(TRAINABLE)}")
@@ -77,16 +84,16 @@ class TrainOptions:
             raise ValueError(f"unknown recipe {self.recipe!r}, expected one of {', '.join(RECIPES)}")
         if self.output.suffix != ".foten":
             raise ValueError(f"a texture file is written as .foten, got -o {self.output.name}")
-        check_folders([self.output, self.run_folder or self.output])
-        of_networks = self.changes() | _not_none(window=self.window, set=self.settings, run=self.run_folder)
-        of_networks |= {name: True for name in ("resume", "seed", "excitation") if getattr(self, name)}
-        of_networks |= {} if self.recipe == "default" else {"recipe": self.recipe}
-        if of_networks and not self.has_network:
-            name = next(iter(of_networks)).replace("_", "-")
-            raise ValueError(f"--{name} is for networks, and --model ar is none: leave it out")
-        if self.excitation and self.of_spectra:
-            of_noise = f"{self.model} is made of noise"
-            raise ValueError(f"--excitation is for models that predict samples, and {of_noise}: leave it out")
+        check_files([self.output, self.run_folder or self.output])
+        of_networks = self.changes() | {"window": self.window, "set": self.settings, "run": self.run_folder}
+        of_networks |= {"resume": self.resume, "seed": self.seed or None, "excitation": self.excitation}
+        if not self.has_network:
+            refuse("is for networks, and --model ar is none", **of_networks, recipe=self.recipe != "default")
+        if self.of_spectra:
+            of_noise = f"is for models that predict samples, and {self.model} is made of noise"
+            refuse(of_noise, excitation=self.excitation)
+        if self.split == "contiguous":
+            refuse("is of the regrouped split, and --split is contiguous", split_seed=self.split_seed or None)
         check_used(self.model, self.changes(), self.config().loss)
 
     @property
@@ -108,8 +115,6 @@ class TrainOptions:
 
     def config(self) -> TrainConfig:
         """The recipe with the changes."""
-        from foten.training.config import recipe_of
-
         return recipe_of(self.model, self.recipe, seed=self.seed, **self.changes())
 
     def job(self, recording: Recording) -> TrainingJob:

@@ -222,7 +222,7 @@ def _experiment(content: dict[str, Any], folder: Path) -> Experiment:
         if len(set(names)) < len(names):
             raise ValueError(f"two {what} have the same name, which tables could not tell apart")
     networks = [method.model for method in methods if method.model != "ar"]  # which finds its sizes
-    sizes = set().union(*(_names(TRAINABLE[model]) for model in networks))
+    sizes = {size.name for model in networks for size in fields(TRAINABLE[model])}
     grid = values.get("grid", {})
     _check_known("key", grid, OF_TRAINING | sizes if networks else (), " in [grid]")
     for name, settings in grid.items():
@@ -284,7 +284,3 @@ def _check_known(what: str, names: Iterable[Any], known: Collection[str], where:
         near = difflib.get_close_matches(str(unknown[0]), known, 1)
         expected = f"{near[0]!r}?" if near else f"one of {', '.join(sorted(known))}"
         raise ValueError(f"unknown {what} {unknown[0]!r}{where}, expected {expected}")
-
-
-def _names(configuration: Any) -> set[str]:
-    return {setting.name for setting in fields(configuration)}

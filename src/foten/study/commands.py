@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from typer import Argument, Option
 
-from foten.console import JsonOption, check_folder, check_folders, folder_option, print_result, say
+from foten.console import JsonOption, check_files, check_folder, folder_option, print_result, refuse, say
 
 if TYPE_CHECKING:
     from foten.study.store import Store
@@ -22,9 +22,7 @@ app = typer.Typer(
 MINUTES_PER_TRIAL = 90 / 48  # Sec. VII: 90 minutes for 48 comparisons
 
 StudyFile = Annotated[Path, Argument(metavar="STUDY.toml", help="A study file, as 'foten study new' writes it.")]
-Database = Annotated[
-    Path, Argument(metavar="STUDY.db", help="The ratings of a study, as 'foten study run' keeps them.")
-]
+Database = Annotated[Path, Argument(metavar="STUDY.db", help="Ratings of a study, as 'foten study run' keeps them.")]
 Participant = Annotated[int, Option("--participant", min=1, help="Number of the participant.")]
 TrialNumber = Annotated[int, Option("--trial", help="Number of the trial.")]
 Sd = Annotated[float, Option(min=0.1, help="Standard deviation of ratings between raters (points).")]
@@ -33,16 +31,15 @@ Correlation = Annotated[float, Option(min=0, max=0.99, help="Between two ratings
 
 @app.command()
 def new(
-    output: Annotated[Path, Argument(metavar="STUDY.toml", help="The study file to write.")],
-    textures: Annotated[
-        list[Path], Argument(metavar="T.foten…", help="Texture files: two methods or more of each texture.")
-    ],
-    title: Annotated[str, Option(help="Shown to participants.")] = "How similar are these surfaces?",
-    participants: Annotated[
-        int | None,
-        Option(min=1, help="How many; by default as many as a difference of 8.75 points needs, in whole squares."),
-    ] = None,
-    seed: Annotated[int, Option(min=0, help="Of the order of trials.")] = 1,
+    output: Path = Argument(..., metavar="STUDY.toml", help="The study file to write."),
+    textures: list[Path] = Argument(
+        ..., metavar="T.foten…", help="Texture files: two methods or more of each texture."
+    ),
+    title: str = Option("How similar are these surfaces?", help="Shown to participants."),
+    participants: int | None = Option(
+        None, min=1, help="How many; by default as many as a difference of 8.75 points needs, in whole squares."
+    ),
+    seed: int = Option(1, min=0, help="Of the order of trials."),
 ) -> None:
     """Write a study file to edit, from texture files: which texture and which method each is, its card says.
 
@@ -52,7 +49,7 @@ def new(
     from foten.study.design import files_by_method, study_text
     from foten.study.raters import MIN_DIFFERENCE, participants_for
 
-    check_folders([output])
+    check_files([output])
     if output.exists():
         raise ValueError(f"{output} is there already: edit it, or give another name")
     files, doubts = files_by_method(textures, output.parent)
@@ -102,19 +99,15 @@ def check(study: StudyFile, as_json: JsonOption = False) -> None:
 @app.command()
 def run(
     study: StudyFile,
-    output: Annotated[
-        Path | None, Option("-o", "--output", metavar="STUDY.db", help="Where answers are kept; beside the study file.")
-    ] = None,
-    host: Annotated[
-        str, Option(help="Address to listen at: 127.0.0.1 for this machine alone, 0.0.0.0 for tablets on the network.")
-    ] = "127.0.0.1",
-    port: Annotated[int, Option(min=0, max=65535, help="0 for any that is free.")] = 8000,
-    simulated: Annotated[
-        bool, Option("--simulated", help="Those who answer are programs: the ratings are marked as simulated for ever.")
-    ] = False,
-    open_page: Annotated[
-        bool, Option("--open/--no-open", help="Open the operator's page in this machine's browser.")
-    ] = True,
+    output: Path | None = Option(
+        None, "-o", "--output", metavar="STUDY.db", help="Where answers are kept; beside the study file."
+    ),
+    host: str = Option("127.0.0.1", help="127.0.0.1 for this machine alone, 0.0.0.0 for tablets on the network."),
+    port: int = Option(8000, min=0, max=65535, help="0 for any that is free."),
+    simulated: bool = Option(
+        False, "--simulated", help="Those who answer are programs: the ratings are marked as simulated for ever."
+    ),
+    open_page: bool = Option(True, "--open/--no-open", help="Open the operator's page in this machine's browser."),
 ) -> None:
     """Run a study: participants' pages and the operator's. Ctrl-C ends it; the same command goes on where it was.
 
@@ -183,15 +176,13 @@ def status(database: Database, as_json: JsonOption = False) -> None:
 @app.command()
 def simulate(
     study: StudyFile,
-    output: Annotated[Path, Option("-o", "--output", metavar="STUDY.db", help="A new database, marked as simulated.")],
-    difference: Annotated[
-        float, Option(help="Points of the scale that one method is better by, to the raters.")
-    ] = 10.0,
-    better: Annotated[str | None, Option(metavar="METHOD", help="That is better; by default the last.")] = None,
+    output: Path = Option(..., "-o", "--output", metavar="STUDY.db", help="A new database, marked as simulated."),
+    difference: float = Option(10.0, help="Points of the scale that one method is better by, to the raters."),
+    better: str | None = Option(None, metavar="METHOD", help="That is better; by default the last."),
     sd: Sd = 10.67,
     correlation: Correlation = 0.3,
-    missing: Annotated[float, Option(min=0, max=0.9, help="Share of raters who leave before their end.")] = 0.0,
-    seed: Annotated[int, Option(min=0, help="Of what the raters answer.")] = 0,
+    missing: float = Option(0.0, min=0, max=0.9, help="Share of raters who leave before their end."),
+    seed: int = Option(0, min=0, help="Of what the raters answer."),
 ) -> None:
     """Let raters of a stated model take part, to try the analysis before anyone is invited. What comes is marked as simulated.
 
@@ -217,19 +208,16 @@ def simulate(
 
 @app.command()
 def power(
-    study: Annotated[
-        Path | None, Argument(metavar="[STUDY.toml]", help="For as many methods and textures as it has.")
-    ] = None,
-    methods: Annotated[int, Option(min=2, help="How many, without a study file.")] = 4,
-    textures: Annotated[int, Option(min=1, help="How many, without a study file.")] = 12,
-    difference: Annotated[
-        float | None,
-        Option(help="Points that the last method is better by; by default the paper's effects where there are 4 × 12."),
-    ] = None,
+    study: Path | None = Argument(None, metavar="[STUDY.toml]", help="For as many methods and textures as it has."),
+    methods: int | None = Option(None, min=2, help="How many, without a study file.", show_default="4"),
+    textures: int | None = Option(None, min=1, help="How many, without a study file.", show_default="12"),
+    difference: float | None = Option(
+        None, help="Points that the last method is better by; by default the paper's effects where there are 4 × 12."
+    ),
     sd: Sd = 10.67,
     correlation: Correlation = 0.3,
-    studies: Annotated[int, Option(min=50, help="That are simulated for each number of participants.")] = 500,
-    seed: Annotated[int, Option(min=0, help="Of the simulation.")] = 0,
+    studies: int = Option(500, min=50, help="That are simulated for each number of participants."),
+    seed: int = Option(0, min=0, help="Of the simulation."),
     as_json: JsonOption = False,
 ) -> None:
     """Print how many participants a study needs, by simulated studies.
@@ -241,10 +229,12 @@ def power(
     from foten.study.raters import needed, paper_raters, raters_for
 
     if study is not None:
+        refuse("is in the study file", methods=methods, textures=textures)
         design, _ = read_design(study)
         methods, textures = len(design.methods), len(design.textures)
+    methods, textures = methods or 4, textures or 12
     if difference is None and (methods, textures) == (4, 12):
-        raters, of = paper_raters(correlation), "the paper's effects (Sec. VII)"
+        raters, of = paper_raters(sd, correlation), "the paper's effects (Sec. VII)"
     else:
         points = 8.75 if difference is None else difference
         raters, of = raters_for(methods, textures, points, sd, correlation), f"a difference of {points:g} points"
@@ -262,12 +252,10 @@ def power(
 @app.command()
 def analyze(
     database: Database,
-    output: Annotated[Path, folder_option("A folder for report, figures and tables; made if there is none.")] = Path(
-        "results"
+    output: Annotated[Path, folder_option("Of report, figures and tables; made if there is none.")] = Path("results"),
+    reference: str | None = Option(
+        None, metavar="METHOD", help="Compare the others with this one alone; by default all pairs."
     ),
-    reference: Annotated[
-        str | None, Option(metavar="METHOD", help="Compare the others with this one alone; by default all pairs.")
-    ] = None,
     as_json: JsonOption = False,
 ) -> None:
     """Analyse ratings: analyses of variance, paired tests, ranks, a mixed model, reliability; figures, a report, tidy tables.
@@ -290,7 +278,7 @@ def strokes(
     database: Database,
     participant: Participant,
     trial: TrialNumber,
-    output: Annotated[Path, Option("-o", "--output", metavar="S.csv", help="The table to write: t, x, y, pressure.")],
+    output: Path = Option(..., "-o", "--output", metavar="S.csv", help="The table to write: t, x, y, pressure."),
 ) -> None:
     """Write how a participant stroked the virtual surface in a trial, as 'foten render --stroke' reads it.
 
@@ -300,7 +288,7 @@ def strokes(
 
     from foten.atomic_write import atomic_write
 
-    check_folders([output])
+    check_files([output])
     with _store(database) as store:
         events = store.strokes(participant, trial)
     if not len(events):
@@ -317,8 +305,8 @@ def correct(
     database: Database,
     participant: Participant,
     trial: TrialNumber,
-    rating: Annotated[float, Option(help="What was meant, 0 to 100.")],
-    reason: Annotated[str, Option(help="Why; kept with the correction.")],
+    rating: float = Option(..., help="What was meant, 0 to 100."),
+    reason: str = Option(..., help="Why; kept with the correction."),
 ) -> None:
     """Put another rating in the place of a wrong one. The old one stays in the file."""
     with _store(database) as store:
@@ -328,7 +316,7 @@ def correct(
 
 @app.command()
 def forget(
-    database: Database, participant: Participant, yes: Annotated[bool, Option("--yes", help="Do not ask.")] = False
+    database: Database, participant: Participant, yes: bool = Option(False, "--yes", help="Do not ask.")
 ) -> None:
     """Remove all of one participant's data from a study's file, for good. Backups keep theirs."""
     with _store(database) as store:
@@ -340,10 +328,10 @@ def forget(
 
 @app.command()
 def backup(
-    database: Database, output: Annotated[Path, Option("-o", "--output", metavar="COPY.db", help="The copy to write.")]
+    database: Database, output: Path = Option(..., "-o", "--output", metavar="COPY.db", help="The copy to write.")
 ) -> None:
     """Copy a study's file, also while the study runs."""
-    check_folders([output])
+    check_files([output])
     with _store(database) as store:
         n = store.backup(output)
     print(f"wrote {output}: {n} ratings, and every check holds")

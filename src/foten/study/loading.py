@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from foten.console import check_folders
+from foten.console import check_files
 from foten.models.texture_file import read_texture
 from foten.runtime.actuator import read_profile
 from foten.runtime.renderer import Renderer
@@ -105,7 +105,7 @@ class Study:
             ValueError: the file is of another study, or its ratings are not simulated as these are.
         """
         if not database.exists():
-            check_folders([database])
+            check_files([database])
             design = (self.design.title, self.text, self.path.parent, self.design.seed)
             create(database, *design, self.stimuli.listed, self.orders(), simulated)
         store = Store(database)

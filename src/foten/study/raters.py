@@ -60,7 +60,7 @@ class Raters:
         return np.asarray(np.clip(y, 0, 100))
 
 
-def paper_raters(correlation: float = 0.3) -> Raters:
+def paper_raters(sd: float = PAPER_SD, correlation: float = 0.3) -> Raters:
     """Raters with the effects of Sec. VII on 4 methods and 12 textures.
 
     Differs from the paper: it gives ranges, no table. Differences are spread evenly over them; those of AR follow from its p
@@ -77,9 +77,9 @@ def paper_raters(correlation: float = 0.3) -> Raters:
         means[PAPER_METHODS.index(method)] -= d
     of_ar = np.array(PAPER_AR_P) / 6
     high, low = stats.t.isf(of_ar / 2, PAPER_PARTICIPANTS - 1)
-    sd = Raters(means, correlation=correlation).sd_of_difference
-    means[PAPER_METHODS.index("ar")] -= np.linspace(high, low, PAPER_TEXTURES) * sd / np.sqrt(PAPER_PARTICIPANTS)
-    return Raters(means, correlation=correlation)
+    error = Raters(means, sd, correlation).sd_of_difference / np.sqrt(PAPER_PARTICIPANTS)
+    means[PAPER_METHODS.index("ar")] -= np.linspace(high, low, PAPER_TEXTURES) * error
+    return Raters(means, sd, correlation)
 
 
 def raters_for(
@@ -88,7 +88,7 @@ def raters_for(
     """Raters to whom one method, by default the last, is better than the others by a difference, on every texture."""
     means = np.full((methods, textures), 65.0)
     means[better] += difference
-    return Raters(means, sd=sd, correlation=correlation)
+    return Raters(means, sd, correlation)
 
 
 def power(raters: Raters, n: int, studies: int, seed: int) -> dict[str, float]:
