@@ -78,9 +78,9 @@ def main() -> None:
         alone = measured(program, file, next(iter(by_isa)), 0.0, arguments.seconds, 100.0)
     cells = [["instruction set", "p50 [µs]", "contacts", "states held", "missed", "an empty loop misses"]]
     for isa, line in [*by_isa.items(), (f"{alone['isa']}, 10 kHz", alone)]:
-        missed, empty = line["n_missed"] / line["n_ticks"], line["n_empty_missed"] / line["n_empty_ticks"]
+        missed_share, empty_share = line["n_missed"] / line["n_ticks"], line["n_empty_missed"] / line["n_empty_ticks"]
         held = f"{line['n_states']} for {line['n_ticks'] * line['tick_us'] / 1e6:.0f} s"
-        shares = [f"{100 * share:.3f} %" for share in (missed, empty)]
+        shares = [f"{100 * share:.3f} %" for share in (missed_share, empty_share)]
         cells.append([isa, f"{line['p50_us']:.1f}", f"{line['contacts']:.1f}", held, *shares])
     report(cells, arguments.csv)
 

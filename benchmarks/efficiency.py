@@ -85,8 +85,8 @@ def steps(model: str, n: int, texture: Texture | None) -> dict[str, float]:
     with torch.no_grad():
         times["pytorch"] = p50_us(lambda: network(window), n)
         if torch.cuda.is_available():
-            network, given = network.cuda(), window.cuda()
-            times["gpu"] = p50_us(lambda: network(given).item(), n)
+            network, on_gpu = network.cuda(), window.cuda()
+            times["gpu"] = p50_us(lambda: network(on_gpu).item(), n)
     times["onnxruntime"] = p50_us(lambda: predictor.predict(array), n)
     if texture is not None:
         state, out = NativeState(NativeTexture(texture.to_bytes()), excitation=False), np.empty(1, np.float32)
@@ -97,8 +97,8 @@ def steps(model: str, n: int, texture: Texture | None) -> dict[str, float]:
 
 def epoch_s(model: str, blocks: ScaledBlocks, recipe: str) -> float:
     """How long an epoch takes with its validation, the quicker of two [s]; of the GAN, as many spectrograms as windows."""
-    own = {**OWN_RECIPES.get(model, {}), "epochs": 2, "threads": 1, "batch": RECIPES[recipe].batch}
-    config, sizes = dataclasses.replace(RECIPES[recipe], **own), TRAINABLE[model]()
+    changed = {**OWN_RECIPES.get(model, {}), "epochs": 2, "threads": 1, "batch": RECIPES[recipe].batch}
+    config, sizes = dataclasses.replace(RECIPES[recipe], **changed), TRAINABLE[model]()
     windows = one_step_windows(blocks, sizes.window)
     with reproducible():
         torch.manual_seed(0)
@@ -150,7 +150,7 @@ def measure(arguments: argparse.Namespace) -> dict[str, Any]:
 
 def table(models: dict[str, Any]) -> list[list[str]]:
     """The table: the cost of a step, and of an epoch beside the paper's ratio to its own network."""
-    own = models.get("foten", {}).get("epoch_s", {}).get("paper")
+    foten_epoch_s = models.get("foten", {}).get("epoch_s", {}).get("paper")
     head = ["model", "PyTorch [µs]", "ONNX Runtime [µs]", "kernel [µs]", "paper's CPU [µs]", "epoch [s]"]
     head += ["foten's epoch ÷ its", "the paper's"]
     on_gpu = any("gpu" in of["step_us"] for of in models.values())
@@ -160,7 +160,7 @@ def table(models: dict[str, Any]) -> list[list[str]]:
         cpu, known = PAPER.get(key, (None, None))
         row = [key, *(f"{step[name]:.0f}" if name in step else "–" for name in ("pytorch", "onnxruntime", "kernel"))]
         row += ["–" if cpu is None else f"{1000 * cpu:.0f}", f"{epoch['paper']:.1f}"]
-        row.append("–" if own is None else f"{own / epoch['paper']:.2f}")
+        row.append("–" if foten_epoch_s is None else f"{foten_epoch_s / epoch['paper']:.2f}")
         row.append("–" if known is None else f"{PAPER['foten'][1] / known:.2f}")
         cells.append(row + ([f"{step['gpu']:.0f}" if "gpu" in step else "–"] if on_gpu else []))
     return cells

@@ -33,9 +33,11 @@ def run(environment: Path, *arguments: str | Path) -> str:
     found = [name for name in ("cc", "gcc", "clang", "zig", "cmake") if shutil.which(name, path=str(folder))]
     if found:
         sys.exit(f"{folder}: has {', '.join(found)}, expected no compiler")
-    kept = {name: value for name, value in os.environ.items() if name not in ("PYTHONPATH", "CC")}
+    environment = {name: value for name, value in os.environ.items() if name not in ("PYTHONPATH", "CC")}
     command = [str(folder / "python"), *map(str, arguments)]
-    done = subprocess.run(command, env={**kept, "PATH": str(folder)}, capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        command, env={**environment, "PATH": str(folder)}, capture_output=True, text=True, check=False
+    )
     if done.returncode != 0:
         sys.exit(done.stderr.strip())
     return done.stdout

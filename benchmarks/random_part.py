@@ -81,8 +81,8 @@ def step_ms() -> list[tuple[str, ...]]:
         torch.autograd.grad(negative_log_likelihood(mixture(), follows).mean(), list(network.parameters()))
 
     rng, s, n, p = np.random.default_rng(0), 2 * N_EXCERPTS, round(1000 * EXCERPT_S), 40
-    given = (rng.uniform(-0.5, 0.5, (s, n, p)), np.ones((s, n)), np.zeros((s, n, 2)))
-    around = RolloutInputs(*(one.astype(np.float32) for one in given), False, 20.0)
+    parts = (rng.uniform(-0.5, 0.5, (s, n, p)), np.ones((s, n)), np.zeros((s, n, 2)))
+    around = RolloutInputs(*(part.astype(np.float32) for part in parts), False, 20.0)
     begin = RolloutState(*(np.zeros((s, k), np.float32) for k in (p, sizes.n_hidden, 5)))
     weights = {name: dict(network.named_parameters())[name].detach().numpy() for name in WEIGHT_NAMES}
     loss = np.ones((s, n), np.float32)
@@ -99,7 +99,7 @@ def step_ms() -> list[tuple[str, ...]]:
             times[name].append(1000 * (time.perf_counter() - began))
     peer = float(np.median(times["likelihood, PyTorch's unit"]))
     middle = {name: float(np.median(values)) for name, values in times.items()}
-    rows = [(name, f"{one:.0f}", f"{one / peer:.2f}") for name, one in middle.items()]
+    rows = [(name, f"{us:.0f}", f"{us / peer:.2f}") for name, us in middle.items()]
     return [("step of training", "ms", "÷ PyTorch's unit"), *rows]
 
 
@@ -125,13 +125,13 @@ def main() -> None:
                 seconds = time.perf_counter() - began
                 path = Path(folder) / f"{key}.foten"
                 path.write_bytes(trained.texture.to_bytes())
-                one, in_blocks = time_steps(path, N_STEPS).p50_us, block_us(path)
-                of_noise = of_noise or (seconds, in_blocks)
-                ratios = seconds / of_noise[0], in_blocks / of_noise[1]
+                step_us, block_sample_us = time_steps(path, N_STEPS).p50_us, block_us(path)
+                of_noise = of_noise or (seconds, block_sample_us)
+                ratios = seconds / of_noise[0], block_sample_us / of_noise[1]
                 size = path.stat().st_size / 1000
                 rows.append(
                     (
-                        *(key, name, f"{seconds:.0f}", f"{ratios[0]:.1f}", f"{one:.2f}", f"{in_blocks:.2f}"),
+                        *(key, name, f"{seconds:.0f}", f"{ratios[0]:.1f}", f"{step_us:.2f}", f"{block_sample_us:.2f}"),
                         *(f"{ratios[1]:.1f}", f"{size:.0f}"),
                     )
                 )

@@ -135,10 +135,10 @@ def texture_of(path: Path | None) -> tuple[Any, bytes]:
 def engines(texture: Any, file: Path) -> dict[str, Any]:
     """What times each engine that is here, by name; None for one that is missing, which is told."""
     low, high = texture.trained_range("speed")
-    hand = [f"{0.5 * (low + high):g}", f"{sum(texture.trained_range('force')) / 2:g}"]
+    condition = [f"{0.5 * (low + high):g}", f"{sum(texture.trained_range('force')) / 2:g}"]
     runners: dict[str, Any] = {}
     for name in INSTRUCTION_SETS:
-        child = Child([sys.executable, "-c", CHILD, str(file), *hand], {"FOTEN_ISA": name})
+        child = Child([sys.executable, "-c", CHILD, str(file), *condition], {"FOTEN_ISA": name})
         if child.isa == name:
             runners[name] = child
         else:
@@ -151,7 +151,7 @@ def engines(texture: Any, file: Path) -> dict[str, Any]:
         }
         script = file.with_suffix(".mjs")
         script.write_text(program)
-        runners["wasm"] = Child(["node", str(script), str(file), *hand])
+        runners["wasm"] = Child(["node", str(script), str(file), *condition])
     runners |= frameworks(texture, file)
     return runners
 
@@ -186,9 +186,9 @@ def frameworks(texture: Any, file: Path) -> dict[str, Any]:
         options.intra_op_num_threads = options.inter_op_num_threads = 1
         options.add_session_config_entry("session.intra_op.allow_spinning", "0")
         session = onnxruntime.InferenceSession(str(onnx), options, providers=["CPUExecutionProvider"])
-        given = {session.get_inputs()[0].name: window}
-        _agrees("ONNX Runtime", session.run(None, given)[0], network, tensor)
-        runners["onnxruntime"] = timed(lambda: session.run(None, given))
+        inputs = {session.get_inputs()[0].name: window}
+        _agrees("ONNX Runtime", session.run(None, inputs)[0], network, tensor)
+        runners["onnxruntime"] = timed(lambda: session.run(None, inputs))
     except ImportError as error:
         print(f"onnxruntime: left out, {error}; pip install 'foten[bench]'", file=sys.stderr)
     try:
@@ -269,7 +269,7 @@ def measured(path: Path | None, n: int) -> dict[str, Any]:
     native = [name for name in INSTRUCTION_SETS if name in us]
     best = min(native, key=lambda name: us[name]["p50"])
     # The faster of before and after: what the core can do.
-    peak = max((rate for one in rates for rate in one.values()), default=None)
+    peak = max((rate for by_name in rates for rate in by_name.values()), default=None)
     ratios = {name: us[name]["p50"] / us[best]["p50"] for name in us if name not in native}
     document: dict[str, Any] = {
         "n": n,

@@ -55,10 +55,10 @@ async def stroked(link: str, index: int, events_hz: float, seconds: float, begin
                 if isinstance(message, bytes):
                     received += (len(message) - 8) // 4
                 else:
-                    said = json.loads(message)
-                    if "refused" in said:
-                        sys.exit(f"page {index}: {said['refused']}")
-                    state = said.get("state", state)
+                    reply = json.loads(message)
+                    if "refused" in reply:
+                        sys.exit(f"page {index}: {reply['refused']}")
+                    state = reply.get("state", state)
 
         listening = asyncio.create_task(listen())
         n = round(events_hz * seconds)
@@ -84,18 +84,18 @@ async def all_stroke(link: str, pages: int, events_hz: float, seconds: float) ->
 
 def row(name: str, link: str, pages: int, events_hz: float, seconds: float) -> list[str]:
     """A line of the table."""
-    pages_said = asyncio.run(all_stroke(link, pages, events_hz, seconds))
+    results = asyncio.run(all_stroke(link, pages, events_hz, seconds))
     with urllib.request.urlopen(f"{link}state") as answer:
         assert json.load(answer)["n_refused"] == 0
-    blocks = sum(one["received_s"] for one in pages_said) * 1000 / pages_said[0]["block_ms"]
+    blocks = sum(page["received_s"] for page in results) * 1000 / results[0]["block_ms"]
     return [
         name,
-        f"{sum(one['sent'] for one in pages_said):,}",
-        f"{sum(one['sent'] - one['n_events'] for one in pages_said)}",
-        f"{100 * sum(one['n_missed'] for one in pages_said) / blocks:.3f} %",
-        f"{np.median([one['block_p50_ms'] for one in pages_said]):.2f}",
-        f"{max(one['block_p99_ms'] for one in pages_said):.2f}",
-        f"{sum(one['n_unsent'] for one in pages_said)}",
+        f"{sum(page['sent'] for page in results):,}",
+        f"{sum(page['sent'] - page['n_events'] for page in results)}",
+        f"{100 * sum(page['n_missed'] for page in results) / blocks:.3f} %",
+        f"{np.median([page['block_p50_ms'] for page in results]):.2f}",
+        f"{max(page['block_p99_ms'] for page in results):.2f}",
+        f"{sum(page['n_unsent'] for page in results)}",
     ]
 
 

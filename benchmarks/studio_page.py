@@ -122,7 +122,7 @@ def main() -> None:
     add_csv(parser)
     arguments = parser.parse_args()
     chromium = next(
-        (one for name in ("chromium", "chromium-browser", "google-chrome") if (one := shutil.which(name))), None
+        (path for name in ("chromium", "chromium-browser", "google-chrome") if (path := shutil.which(name))), None
     )
     if chromium is None:
         sys.exit("Chromium is missing: apt install chromium")

@@ -194,7 +194,7 @@ def test_only_so_many_pages_capture_at_once_and_one_that_left_makes_room(
             message = one_more.receive()
             assert (message["type"], message["code"]) == ("websocket.close", 1013)
     end = time.monotonic() + 5
-    while studio.capturing and time.monotonic() < end:
+    while studio.capture_pages and time.monotonic() < end:
         time.sleep(0.01)
     with client.websocket_connect(WS) as socket:
         socket.send_text(json.dumps(BEGIN))

@@ -79,14 +79,14 @@ def judge(path: Path, rate_hz: float, seed: int) -> dict[str, float]:
         return white / white.std(axis=(0, 2), keepdims=True)
 
     level = test.std(axis=1)[None, :, None]
-    hand = np.stack(
+    conditions = np.stack(
         [np.ones(trace.n_blocks)]
         + [np.log(trace.blocks(channel)[:, part].mean(axis=1)) for channel in (trace.speed, trace.force)],
         axis=1,
     )
     of_known = [*split.train, *split.validation]
-    terms = np.linalg.lstsq(hand[of_known], np.log(known.std(axis=1)), rcond=None)[0]
-    predicted = np.exp(hand[list(split.test)] @ terms)[None, :, None]
+    terms = np.linalg.lstsq(conditions[of_known], np.log(known.std(axis=1)), rcond=None)[0]
+    predicted = np.exp(conditions[list(split.test)] @ terms)[None, :, None]
     anchor = synthesize_linear(linear, trace, split.test, scaling, seed, N_RUNS)[:, :, part]
     return {
         ANCHOR: distance(anchor),

@@ -43,22 +43,24 @@ N_STREAMS = 5
 POLICIES = ("clamp", "fade", "grow")
 
 
-def recorded(key: str, hand: Stroking, seed: int) -> Recording:
+def recorded(key: str, stroke: Stroking, seed: int) -> Recording:
     """What the sensors would have recorded of a hand, speed and force known exactly."""
     rng = np.random.default_rng([seed, *key.encode()])
-    acceleration = vibration(TEXTURES[key], hand, rng)
+    acceleration = vibration(TEXTURES[key], stroke, rng)
     acceleration += rng.normal(0, ACCELEROMETER_NOISE * np.sqrt(RATE_HZ / 2), acceleration.shape)
     channels = {
         f"acceleration_{axis}": Channel(np.ascontiguousarray(column), RATE_HZ)
         for axis, column in zip("xyz", acceleration.T, strict=True)
     }
-    channels |= {"speed": Channel(hand.speed, RATE_HZ), "force": Channel(hand.force, RATE_HZ)}
+    channels |= {"speed": Channel(stroke.speed, RATE_HZ), "force": Channel(stroke.force, RATE_HZ)}
     return Recording(channels, texture=key)
 
 
-def halved(hand: Stroking) -> Stroking:
+def halved(stroke: Stroking) -> Stroking:
     """Hand half as fast and half as firm."""
-    return dataclasses.replace(hand, position=0.5 * hand.position, velocity=0.5 * hand.velocity, force=0.5 * hand.force)
+    return dataclasses.replace(
+        stroke, position=0.5 * stroke.position, velocity=0.5 * stroke.velocity, force=0.5 * stroke.force
+    )
 
 
 def jumping(seconds: float, seed: int) -> Stroking:

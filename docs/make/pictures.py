@@ -457,23 +457,23 @@ def impact(arguments: argparse.Namespace) -> None:
     key = "artificial-grass"
     texture = texture_of(key)
     noise = texture_of(key, epochs=0)
-    hand = preprocess(simulate(key, 40.0, seed=SEED + 1), PreprocessConfig())
-    slow = (hand.speed > 8) & (hand.speed < 40)
+    trace = preprocess(simulate(key, 40.0, seed=SEED + 1), PreprocessConfig())
+    slow = (trace.speed > 8) & (trace.speed < 40)
     length = 600  # samples
     start = int(np.argmax(np.convolve(slow[2000:], np.ones(length), mode="valid"))) + 2000
     shown = slice(start, start + length)
-    signals = {"recorded": hand.acceleration}
+    signals = {"recorded": trace.acceleration}
     for name, of in (("no network", noise), ("foten-plus", texture)):
-        signals[name] = NativeState(NativeTexture(of.to_bytes()), seed=SEED).render_stroke(hand.speed, hand.force)
+        signals[name] = NativeState(NativeTexture(of.to_bytes()), seed=SEED).render_stroke(trace.speed, trace.force)
     figure, panels = drawn(8, 3.9, 3, 1, sharex=True, sharey=True)
     for axes, (name, signal), colour in zip(panels, signals.items(), (INK, PAPER, OURS), strict=True):
-        axes.plot(np.arange(length) / hand.rate_hz, signal[shown], color=colour, lw=0.7)
+        axes.plot(np.arange(length) / trace.rate_hz, signal[shown], color=colour, lw=0.7)
         axes.set_title(name, loc="left", fontsize=9)
     panels[1].set_ylabel("acceleration [m/s²]")
-    panels[-1].set(xlabel="time [s]", xlim=(0, length / hand.rate_hz))
+    panels[-1].set(xlabel="time [s]", xlim=(0, length / trace.rate_hz))
     save(figure, "impact")
     played = slice(start, start + 2000)
-    write_sound("listener", [signal[played] for signal in signals.values()], hand.rate_hz)
+    write_sound("listener", [signal[played] for signal in signals.values()], trace.rate_hz)
 
 
 def rates(arguments: argparse.Namespace) -> None:

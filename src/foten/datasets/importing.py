@@ -216,8 +216,8 @@ def import_capture(
     channels = pen_channels(events, clock, force)
     unit = options.units.get("acceleration")
     if unit is None:
-        sound_s, pressed = np.arange(column.samples.size) / rate_hz, channels["force"]
-        force_at = np.interp(sound_s, pressed.times, pressed.samples, 0, 0)
+        sound_s, force_channel = np.arange(column.samples.size) / rate_hz, channels["force"]
+        force_at = np.interp(sound_s, force_channel.times, force_channel.samples, 0, 0)
         level = float(column.samples[force_at > 0].std())
         if not level > 0:
             raise ValueError(f"{sound.name} is silent while the pen strokes: is it the right input?")

@@ -60,7 +60,7 @@ class Studio:
             "device": (output_device or OutputDevice()).player,
         }
         self.trainings = TrainingQueue(captures, shelf)
-        self.capturing: set[CapturePage] = set()
+        self.capture_pages: set[CapturePage] = set()
         self._matching = asyncio.Lock()
         self.pages: set[StrokePage] = set()
         self.n_refused = 0
@@ -126,7 +126,7 @@ class Studio:
         await serve_page(socket, self.pages, MAX_PAGES, lambda socket: StrokePage(self, socket))
 
     async def _capture(self, socket: WebSocket) -> None:
-        await serve_page(socket, self.capturing, MAX_CAPTURING, lambda socket: CapturePage(socket, self.trainings))
+        await serve_page(socket, self.capture_pages, MAX_CAPTURING, lambda socket: CapturePage(socket, self.trainings))
 
 
 class StrokePage(PageSocket):

@@ -118,10 +118,10 @@ class StudyServer:
     async def _operator(self, request: Request) -> Response:
         key = request.query_params.get("key")
         if key is not None and is_same(key, self.operator_key):
-            moved = RedirectResponse("/operator", status_code=303)
+            response = RedirectResponse("/operator", status_code=303)
             secure = request.url.scheme == "https"
-            moved.set_cookie(OPERATOR_COOKIE, self.operator_key, httponly=True, samesite="lax", secure=secure)
-            return moved
+            response.set_cookie(OPERATOR_COOKIE, self.operator_key, httponly=True, samesite="lax", secure=secure)
+            return response
         if not self._is_operator(request):
             why = "this page is the operator's: open the link that the server printed\n"
             return PlainTextResponse(why, status_code=403)
