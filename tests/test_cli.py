@@ -18,6 +18,7 @@ from typer.main import get_command
 from foten.atomic_write import atomic_write
 from foten.cli.command_line import _status, app
 from foten.cli.evaluate import network_summary
+from foten.datasets.hdf5 import load_recording, write_recording
 from foten.models.texture_file import read_texture, write_texture
 
 FAST = ["--trim", "0", "--block", "500", "--epochs", "1", "--threads", "1", "--window", "12"]
@@ -218,6 +219,26 @@ def test_what_the_network_is_for_is_said_plainly(
     metrics = {**card["metrics"], "validation_mae_scaled_lattice": 1.0, "validation_mae_scaled": mae_scaled}
     sizes = {**card["sizes"], "network_in_loop": True, "n_tones": 0, **sizes}
     assert network_summary({**card, "sizes": sizes, "metrics": metrics}).startswith(words)
+
+
+def test_nothing_is_learned_from_a_recording_without_a_stroke_but_with_anyway(
+    recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """It was trained on with exit status 0, and without a word."""
+    raw = load_recording(recording)
+    slow = dataclasses.replace(raw["speed"], samples=raw["speed"].samples * 1e-3)
+    path, table = tmp_path / "slow.h5", tmp_path / "slow.csv"
+    write_recording(dataclasses.replace(raw, channels={**raw.channels, "speed": slow}), path)
+    assert _status(["train", str(path), "-o", str(tmp_path / "t.foten"), *FAST]) == 2
+    assert "nothing sensible can be learned: speed never exceeds" in only_line(capsys)
+    assert not (tmp_path / "t.foten").exists()
+    assert _status(["inspect", str(path)]) == 1
+    assert "record again: speed never exceeds" in capsys.readouterr().out
+    table.write_text("t,acceleration,speed,force\n" + "".join(f"{i / 1000},{i % 7},80,0\n" for i in range(2000)))
+    assert _status(["import", str(table), "-o", str(tmp_path / "a.h5")]) == 2
+    assert "force never exceeds 0 N" in capsys.readouterr().err
+    assert not (tmp_path / "a.h5").exists()
+    assert _status(["import", str(table), "-o", str(tmp_path / "a.h5"), "--anyway"]) == 0
 
 
 def test_render_says_what_became_of_samples_outside_the_range(

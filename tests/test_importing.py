@@ -113,6 +113,45 @@ def test_headers_that_leave_doubt_are_refused(tmp_path):
         _import(_csv(tmp_path / "b.csv", "", ACC, FORCE), rate=1000)
 
 
+def test_a_column_that_rises_is_suggested_as_time(tmp_path):
+    """ "Give --rate 10000" was the advice for a tablet's 120 Hz."""
+    path = _csv(tmp_path / "a.csv", "Stempel,x,y", 8.33 * np.arange(N), SPEED, FORCE)
+    with pytest.raises(
+        ValueError, match="add time=Stempel to the mapping, a column that always rises, or give --rate HZ"
+    ):
+        _import(path, map="position_x=x,position_y=y")
+
+
+def test_headers_in_german_need_no_map_and_the_suggestion_reads_them(tmp_path):
+    """`Beschl. X, Y, Z` were suggested as acceleration, speed and force, and a stamp in ms as nothing."""
+    header = (
+        "Zeitstempel [ms],Beschl. X [m/s²],Beschl. Y [m/s²],Beschl. Z [m/s²],Geschwindigkeit [mm/s],Normalkraft [N]"
+    )
+    columns = (1000 * TIME, ACC, ACC, ACC, SPEED, FORCE)
+    recording, _ = import_recording([_csv(tmp_path / "a.csv", header, *columns)], ImportOptions())
+    axes = {f"acceleration_{axis}" for axis in "xyz"}
+    assert set(recording.channels) == axes | {"speed", "force"}
+    assert recording["speed"].rate_hz == 1000
+    doubtful = header.replace("Normalkraft", "Kanal 7").replace("Geschwindigkeit", "Kraft").replace("Kanal 7", "Kraft")
+    with pytest.raises(ValueError, match="force could be any of") as refused:
+        import_recording([_csv(tmp_path / "b.csv", doubtful, *columns)], ImportOptions())
+    assert "acceleration_x=Beschl. X [m/s²],acceleration_y=Beschl. Y [m/s²]" in str(refused.value)
+    assert "time=Zeitstempel [ms]" in str(refused.value)
+
+
+@pytest.mark.parametrize("day", ["", "2026-05-01T", "2026-05-01 ", "1.5.2026 "])
+def test_times_of_a_clock_are_seconds_from_the_first(tmp_path, day):
+    """Hours, minutes and seconds had no way on: \"expected a number\"."""
+    clock = [f"{day}11:59:{59 + t:09.6f}" if t < 1 else f"{day}12:00:{t - 1:09.6f}" for t in TIME]
+    rows = "\n".join(
+        f"{t},{a!r},{v!r},{f!r}" for t, a, v, f in zip(clock, *map(np.ndarray.tolist, (ACC, SPEED, FORCE)), strict=True)
+    )
+    (tmp_path / "a.csv").write_text(f"Time,acc,speed,force\n{rows}\n")
+    recording = _import(tmp_path / "a.csv")
+    assert recording["acceleration"].rate_hz == 1000
+    np.testing.assert_array_equal(recording["acceleration"].samples, ACC)
+
+
 @pytest.mark.parametrize("digits", [3, 4, 9, None, "single precision"])
 def test_regular_times_become_a_rate(tmp_path, digits):
     times = 7.25 + np.arange(N) / 3000
@@ -291,7 +330,7 @@ def test_gaps_elsewhere_are_never_filled(tmp_path):
         ({"map": "acceleration"}, "--map 'acceleration' is not CHANNEL=VALUE"),
         ({"map": "acceleration=acc", "rate": "fast"}, "--rate 'fast' is not HZ or CHANNEL=HZ"),
         ({"map": "acceleration=acc", "rate": 0}, "is 0 Hz, expected above 0"),
-        ({"map": "acceleration=acc"}, "does not say how fast it was sampled; give --rate 10000.*map its time column"),
+        ({"map": "acceleration=acc"}, "does not say how fast it was sampled; add a time column: .* or give --rate HZ"),
         ({"map": "acceleration=acc", "unit": "acceleration=inch"}, "'inch' is not one of m/s.*V\\*4.9"),
         ({"map": "acceleration=acc", "unit": "acceleration=g*2"}, "takes no factor; write acceleration=g, or"),
         ({"map": "acceleration=acc", "unit": "acceleration=V*x"}, "'x' is not a factor"),

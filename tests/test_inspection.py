@@ -14,7 +14,7 @@ from foten.datasets.hdf5 import write_recording
 from foten.datasets.importing import import_recording
 from foten.datasets.options import ImportOptions, parse_pairs
 from foten.recording.inspection import inspect_recording
-from foten.recording.inspection.values import PROBLEM
+from foten.recording.inspection.values import PROBLEM, UNUSABLE
 from foten.recording.preprocess import preprocess
 from foten.recording.recording import Channel, Recording
 from foten.reporting.recording_pictures import coverage, density, overview, write_pictures
@@ -112,7 +112,7 @@ def _put(at, value):
         ("force", lambda x: x[::10].repeat(10), "note repeated", "captured at 100 Hz and each value repeated"),
         ("acceleration", lambda x: x + 2 * HUM, "note pattern", "mains hum"),
         ("force", _put(LIFTED, SENSOR), "note contact", "in 2 places, 0.7 s together, the longest 0.5 s at 9.00 s"),
-        ("speed", lambda x: x - 100, "problem refused", "training refuses it: speed is negative"),
+        ("speed", lambda x: x - 100, "unusable refused", "training refuses it: speed is negative"),
         ("speed", lambda x: x + 110, "note range", "never slower than 12"),
         ("speed", lambda x: x + 110, "note range", "force above 2.7 N never visited: above it the level grows"),
         ("speed", lambda x: x / 3, "note range", "never faster than 7"),
@@ -290,9 +290,39 @@ def test_a_tone_of_an_instrument_is_a_narrow_line():
 
 def test_missing_channels_and_slow_accelerometers_are_problems():
     samples = _clean()
-    assert ("missing", "acceleration") in _codes(_inspect({k: samples[k] for k in ("speed", "force")}))
-    assert {("missing", "speed"), ("missing", "force")} <= _codes(_inspect({"acceleration": samples["acceleration"]}))
+    assert ("missing", "acceleration") in _codes(_inspect({k: samples[k] for k in ("speed", "force")}), UNUSABLE)
+    alone = _inspect({"acceleration": samples["acceleration"]})
+    assert {("missing", "speed"), ("missing", "force")} <= _codes(alone, UNUSABLE)
+    assert alone.verdict == "record again: there is no speed, and no position to take it from"
     assert ("rate", "acceleration") in _codes(_inspect(samples, rates=dict.fromkeys(samples, 500.0)))
+
+
+@pytest.mark.parametrize(
+    ("channel", "value", "text"),
+    [
+        (
+            "speed",
+            0.3,
+            "record again: speed never exceeds 0.3 mm/s, so the tool rests from begin to end; was it given in m/s?",
+        ),
+        ("force", 0.0, "record again: force never exceeds"),
+    ],
+)
+def test_a_recording_without_a_stroke_is_of_no_use(channel, value, text):
+    """Zero force, zero speed and m/s were learned from without a word."""
+    inspection = _inspect({**_clean(), channel: np.full(N, value)})
+    assert inspection.verdict.startswith(text)
+    assert not inspection.to_dict()["usable"]
+
+
+def test_the_last_line_says_what_a_recording_is_good_for():
+    """It said "no problem found" of a recording that visited 15 % of the conditions."""
+    few = _inspect({**_clean(), "speed": _clean()["speed"] / 3})
+    assert few.coverage.fraction < 0.25
+    assert re.fullmatch(r"usable from \d+ to \d+ mm/s and from [\d.]+ to [\d.]+ N, a small part.*", few.verdict)
+    assert few.to_text().splitlines()[-1] == few.verdict
+    with_hum = _inspect({**_clean(), "force": _clean()["force"] / 9.80665e-3})
+    assert "record again" in with_hum.verdict or "with care" in with_hum.verdict
 
 
 @needs_data

@@ -20,6 +20,7 @@ def _columns(path, text, encoding="utf-8"):
         "time,force\n0,1.5\n1,2.5\n2,3.5\n",
         "time\tforce\n0\t1.5\n1\t2.5\n2\t3.5\n",
         "time;force\n0;1,5\n1;2,5\n2;3,5\n",  # decimal comma
+        'time,force\n"0,0","1,5"\n"1,0","2,5"\n"2,0","3,5"\n',  # and commas between, so the numbers are quoted
         "time force\n0 1.5\n1 2.5\n2 3.5\n",
         "# captured on a rig\n# time, force\n0, 1.5\n1, 2.5\n2, 3.5\n",  # as numpy.savetxt writes
         "Rig,7\nSample rate,10000\n\ntime,force\n0,1.5\n1,2.5\n2,3.5\n",  # lines before the table

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from typer import Argument, Exit, Option
 
 from foten.atomic_write import write_json
+from foten.cli.train import Anyway, check_usable
 from foten.console import JsonOption, RecordingFile, check_files, check_folder, folder_option, print_result, refuse, say
 
 if TYPE_CHECKING:
@@ -107,6 +108,7 @@ def import_(
     tool: str = Option("", help="What it was stroked with."),
     sensors: str = Option("", help="Sensors, amplifiers, ranges."),
     notes: str = Option("", help="Anything else."),
+    anyway: Anyway = False,
     as_json: JsonOption = False,
 ) -> None:
     """Turn files of any origin into one recording, converting units and changing nothing else.
@@ -129,6 +131,7 @@ def import_(
     from foten.datasets.hdf5 import write_recording
     from foten.datasets.importing import import_recording
     from foten.datasets.options import ImportOptions, parse_pairs, parse_rates
+    from foten.recording.inspection import inspect_recording
 
     _check_recording(output)
     rate_hz, rates_hz = parse_rates(rate or [])
@@ -141,6 +144,8 @@ def import_(
         imported, decisions = _import_capture(files, pen, pressure, options)
     for decision in decisions:
         say(decision)
+    if not anyway:
+        check_usable(inspect_recording(imported))
     recording = replace(imported, texture=texture or _named(files[0]), tool=tool, sensors=sensors, notes=notes)
     write_recording(recording, output)
     channels: dict[str, dict[str, Any]] = {
@@ -219,7 +224,9 @@ def _import_models(files: list[Path], output: Path, texture: str, notes: str, as
 def inspect(
     recording_file: RecordingFile,
     output: Annotated[Path | None, folder_option("Write inspect.json, overview.png, coverage.png, psd.png.")] = None,
-    strict: bool = Option(False, "--strict", help="Exit 1 where there is a problem."),
+    strict: bool = Option(
+        False, "--strict", help="Exit 1 where there is a problem, and not only where nothing can be learned."
+    ),
     as_json: JsonOption = False,
 ) -> None:
     """Say what a recording holds and what is wrong with it: units, coverage, clipping, gaps, order."""
@@ -238,5 +245,5 @@ def inspect(
         for path in write_pictures(recording, inspection, output):
             say(f"wrote {path}")
     print_result(document, inspection.to_text(), as_json)
-    if strict and inspection.problems:
+    if inspection.unusable or (strict and inspection.problems):
         raise Exit(1)

@@ -6,7 +6,7 @@ import json
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 from typer import Exit, Option
 
@@ -15,8 +15,12 @@ from foten.console import JsonOption, RecordingFile, check_files, options_from, 
 from foten.training.config import RECIPES, TrainConfig, check_used, recipe_of
 
 if TYPE_CHECKING:
+    from foten.recording.inspection.values import Inspection
     from foten.recording.recording import Recording
     from foten.training.job import Trained, TrainingJob
+
+
+Anyway = Annotated[bool, Option("--anyway", help="Go on where nothing sensible can be learned from the recording.")]
 
 
 def _of(name: str) -> str:
@@ -64,6 +68,7 @@ class TrainOptions:
     )
     zero_phase: bool = Option(False, "--zero-phase", help="Filter forwards and backwards, as the paper offline.")
     force_units: bool = Option(False, "--force-units", help="Accept speeds above 5 m/s, 1000 m/s² and 500 N.")
+    anyway: Anyway = False
     resume: bool = Option(False, "--resume", help="Go on from the run folder's checkpoint.")
     run_folder: Path | None = Option(
         None, "--run", metavar="DIR", help="Of log, curves and checkpoint.", show_default="T.run"
@@ -143,6 +148,7 @@ def train(options: TrainOptions) -> None:
     """Learn a texture file from a recording. Ctrl-C keeps the best so far."""
     from foten.datasets.hdf5 import load_recording
     from foten.models.texture_file import Texture, write_texture
+    from foten.recording.inspection import inspect_recording
     from foten.training.loop import Checkpoint, Epoch, Monitor
     from foten.training.pipeline import train as train_texture
     from foten.training.run_folder import RunFolder, TrainingDisplay
@@ -150,6 +156,9 @@ def train(options: TrainOptions) -> None:
     output, config = options.output, options.config()
     recording = load_recording(options.recording_file)
     job = options.job(recording)
+    inspection = inspect_recording(recording)
+    if not options.anyway:
+        check_usable(inspection)
     display = TrainingDisplay(config.epochs, "nat" if options.of_spectra else "sd")
     folder = RunFolder(options.run_folder or output.with_suffix(".run"), display.note)
     if options.has_network:
@@ -162,7 +171,7 @@ def train(options: TrainOptions) -> None:
 
         def on_epoch(epoch: Epoch) -> None:
             if epoch.epoch == 0:  # once the recording was taken: a refusal is one line
-                for note in _notes(recording, job.preprocess.rate_hz):
+                for note in _notes(inspection, job.preprocess.rate_hz):
                     display.note(note)
             display.show(epoch)
             folder.log(epoch)
@@ -246,16 +255,19 @@ def _summary(trained: Trained) -> str:
     return "\n".join([*lines, f"warm start {origin} at {where}, the nearest to the paper's 45 mm/s and 0.8 N"])
 
 
-def _notes(recording: Recording, rate_hz: float) -> Iterator[str]:
+def check_usable(inspection: Inspection) -> None:
+    """Refuse a recording from which nothing sensible can be learned; what training refuses by itself it says itself."""
+    findings = [finding for finding in inspection.findings if finding.severity == "unusable"]
+    if findings and findings[0].code not in ("refused", "short"):
+        raise ValueError(f"nothing sensible can be learned: {findings[0].text} (--anyway goes on)")
+
+
+def _notes(inspection: Inspection, rate_hz: float) -> Iterator[str]:
     """Warnings of the inspection of a recording for its training."""
     from foten.dsp import perception
-    from foten.recording.inspection import inspect_recording
-    from foten.recording.inspection.values import counted
 
-    inspection = inspect_recording(recording)
-    problems, shares = inspection.problems, inspection.carried
-    if problems:
-        yield f"foten inspect finds {counted(len(problems), 'problem')} in the recording, the first: {problems[0].text}"
+    shares = inspection.carried
+    yield from (f"problem: {problem.text}" for problem in inspection.problems)
     if shares and rate_hz < perception.smallest_rate(shares):
         more = f"--rate {perception.smallest_rate(shares):g} would hold more of it"
         yield f"of what can be felt of it, {perception.in_words(shares)}: {more}"

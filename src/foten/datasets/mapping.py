@@ -11,27 +11,30 @@ import numpy as np
 
 from foten.datasets.columns import Column
 from foten.datasets.options import ImportOptions
-from foten.datasets.timing import rate_of
+from foten.datasets.timing import rate_of, rises
 from foten.datasets.units import factor_of, quantity, split_header
 from foten.recording.recording import AXES
 
 Files = Mapping[Path, list[Column]]
 
+# In English, German, French and Spanish.
+_TIMES = "time t times timestamp time_s seconds zeit zeitstempel zeitpunkt temps horodatage tiempo"
+_ACCELERATIONS = "acceleration accel acc a beschleunigung beschl. beschl accélération aceleración"
+_SPEEDS = "speed velocity vel v geschwindigkeit geschw. geschw vitesse velocidad"
+_FORCES = "force f kraft fuerza"
+_NORMAL_FORCES = "normal_force normalforce fn normalkraft force_normale fuerza_normal"
+_POSITIONS = "position pos p posición"
 _GUESSES: Mapping[str, frozenset[str]] = {
-    "time": frozenset({"time", "t", "times", "timestamp", "time_s", "seconds"}),
-    "acceleration": frozenset({"acceleration", "accel", "acc", "a"}),
-    "speed": frozenset({"speed", "velocity", "vel", "v"}),
-    "force": frozenset({"force", "normal_force", "normalforce", "fn", "f"}),
+    "time": frozenset(_TIMES.split()),
+    "acceleration": frozenset(_ACCELERATIONS.split()),
+    "speed": frozenset(_SPEEDS.split()),
+    "force": frozenset(f"{_FORCES} {_NORMAL_FORCES}".split()),
 } | {
     f"{quantity}_{axis}": frozenset(
-        {f"{name}{mark}{axis}" for name in names for mark in ("_", "", ".")}
-        | {f"{name}.{AXES.index(axis)}" for name in names if len(name) > 1}
+        {f"{name}{mark}{axis}" for name in names.split() for mark in ("_", "", ".")}
+        | {f"{name}.{AXES.index(axis)}" for name in names.split() if len(name) > 1}
     )
-    for quantity, names in {
-        "acceleration": ("acceleration", "accel", "acc", "a"),
-        "position": ("position", "pos", "p"),
-        "force": ("force", "f"),
-    }.items()
+    for quantity, names in {"acceleration": _ACCELERATIONS, "position": _POSITIONS, "force": _FORCES}.items()
     for axis in AXES
 }
 
@@ -111,12 +114,25 @@ def _listing(files: Files) -> str:
 
 
 def _example(files: Files) -> str:
-    """Example of a mapping, columns in their order; one that always rises is time."""
+    """Example of a mapping: columns whose headers say what they are, one that always rises as time, then in their order."""
     usable = {name_of(files, c): c for columns in files.values() for c in columns if c.n_rows > 1 and not c.fault}
-    clocks = [name for name, column in usable.items() if (np.diff(column.samples) > 0).all()][:1]
-    others = [name for name in usable if name not in clocks]
-    pairs = [*zip(("time",), clocks, strict=False), *zip(("acceleration", "speed", "force"), others, strict=False)]
-    return shlex.quote(",".join(f"{channel}={name}" for channel, name in pairs))
+    named = {
+        channel: name
+        for name, column in usable.items()
+        for channel in _GUESSES
+        if _header(column, channel) in _GUESSES[channel]
+    }
+    others = [name for name in usable if name not in named.values()]
+    clocks = [name for name in others if rises(usable[name])]
+    if "time" not in named and clocks:
+        named["time"] = clocks[0]
+        others.remove(clocks[0])
+    there = set(map(quantity, named))
+    unknown = [channel for channel in ("acceleration", "speed", "force") if channel not in there]
+    unknown = [channel for channel in unknown if channel != "speed" or "position" not in there]
+    pairs = {channel: named[channel] for channel in _GUESSES if channel in named}
+    pairs |= dict(zip(unknown, others, strict=False))
+    return shlex.quote(",".join(f"{channel}={name}" for channel, name in pairs.items()))
 
 
 def columns_of(files: Files, channel: str, reference: str) -> list[Column]:

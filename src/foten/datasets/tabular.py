@@ -13,8 +13,9 @@ from typing import Any
 
 import numpy as np
 
+from foten.datasets.clock_times import clock_seconds
 from foten.datasets.columns import MAX_COLUMNS, Column, check_width, reading
-from foten.datasets.units import is_unit
+from foten.datasets.units import is_unit, split_header
 from foten.recording.inspection.values import counted
 from foten.untrusted import brief
 
@@ -49,20 +50,21 @@ def read_delimited(path: Path) -> list[Column]:
                 rows[i] = next(csv.reader([comment], delimiter=delimiter))
         except csv.Error as error:
             raise ValueError(f"{path.name} is not a table ({brief(error)})") from None
-    if delimiter != "," and _has_decimal_commas(filled, sample, delimiter):
-        rows = [[cell.replace(",", ".") for cell in row] for row in rows]
+    if delimiter != "," or any('"' in line for line in filled):  # where commas separate, a decimal one is quoted
+        data = [row for i, row in enumerate(rows) if i not in comments and any(row)]
+        if _has_decimal_commas(data):
+            rows = [[cell.replace(",", ".") for cell in row] for row in rows]
     return _table(rows, path.name, comments.keys())
 
 
-def _has_decimal_commas(lines: list[str], sample: str, delimiter: str | None) -> bool:
-    """Whether numbers have a decimal comma: in the middle line, or in any where none has a point."""
+def _has_decimal_commas(rows: list[list[str]]) -> bool:
+    """Whether numbers have a decimal comma: in the middle row, or in any where none has a point."""
 
-    def has(decimal: re.Pattern[str], mark: str, among: Iterable[str]) -> bool:
-        cells = (cell.strip() for line in among if mark in line for cell in line.split(delimiter))
-        return any(map(decimal.fullmatch, cells))
+    def has(decimal: re.Pattern[str], mark: str, among: Iterable[list[str]]) -> bool:
+        return any(decimal.fullmatch(cell.strip()) for row in among for cell in row if mark in cell)
 
-    anywhere = has(_DECIMAL_COMMA, ",", lines) and not has(_DECIMAL_POINT, ".", lines)
-    return anywhere or has(_DECIMAL_COMMA, ",", [sample])
+    anywhere = has(_DECIMAL_COMMA, ",", rows) and not has(_DECIMAL_POINT, ".", rows)
+    return anywhere or has(_DECIMAL_COMMA, ",", rows[len(rows) // 2 :][:1])
 
 
 def read_excel(path: Path) -> list[Column]:
@@ -191,6 +193,11 @@ def _column(empty: Column, cells: Sequence[Any]) -> Column:
     try:
         return replace(empty, samples=np.array(numbers, dtype=np.float64), n_blank=len(cells) - n)
     except (TypeError, ValueError, OverflowError):
+        seconds = clock_seconds(["" if cell is None else str(cell) for cell in cells[:n]])
+        if seconds is not None:
+            return replace(
+                empty, name=split_header(empty.name, "time")[0], samples=seconds, unit="s", n_blank=len(cells) - n
+            )
         bad = next((i for i, cell in enumerate(numbers) if not _is_number(cell)), 0)
         fault = f"row {empty.row_numbers[bad]} is {str(cells[bad])[:60]!r}, expected a number"
         return replace(empty, n_blank=n, fault=fault)

@@ -75,12 +75,21 @@ def rate_and_source(
         return known, ""
     is_rate = re.compile(r"(^|[._])(fs|rate|sample_?rate|hz)$", re.IGNORECASE)
     scalars = [c for c in columns if c.samples.size == 1 and is_rate.search(c.name)]
-    guess = f"{scalars[0].samples[0]:g}" if scalars else "10000"
+    guess = f"{scalars[0].samples[0]:g}" if scalars else "HZ"
     hint = f" (the file has {scalars[0].name} = {guess})" if scalars else ""
-    raise ValueError(
-        f"{channel}: {column.file.name} does not say how fast it was sampled; give --rate {guess} or --rate "
-        f"{channel}={guess}{hint}, or map its time column: --map time=COLUMN"
+    clocks = [c.name for c in columns if c is not column and c.n_rows == column.n_rows and rises(c)]
+    clock = (
+        f"time={clocks[0]} to the mapping, a column that always rises" if clocks else "a time column: --map time=COLUMN"
     )
+    raise ValueError(
+        f"{channel}: {column.file.name} does not say how fast it was sampled; add {clock}, or give --rate {guess}, of this "
+        f"channel alone --rate {channel}={guess}{hint}"
+    )
+
+
+def rises(column: Column) -> bool:
+    """Whether a column always rises, as a time does."""
+    return column.samples.size > 1 and bool((np.diff(column.samples) > 0).all())
 
 
 def rate_of(times: Array) -> float:

@@ -8,13 +8,14 @@ from foten.dsp import perception
 from foten.recording.inspection import one_channel, sampling
 from foten.recording.inspection.speed_force import (
     SpeedForce,
+    at_rest,
     check_contact,
     check_ranges,
     check_signs,
     coverage_of,
     speed_force_of,
 )
-from foten.recording.inspection.values import PROBLEM, ChannelReport, Finding, Inspection
+from foten.recording.inspection.values import UNUSABLE, ChannelReport, Finding, Inspection
 from foten.recording.preprocess import PreprocessConfig, fitting_options
 from foten.recording.recording import Channel, Recording, common_span_s
 
@@ -26,7 +27,7 @@ def inspect_recording(recording: Recording) -> Inspection:
     try:
         speed_force = speed_force_of(recording)
     except ValueError as error:
-        findings.append(Finding(PROBLEM, "refused", "", f"training refuses it: {error}"))
+        findings.append(Finding(UNUSABLE, "refused", "", f"training refuses it: {error}"))
     named = recording.channels.items()
     reports = tuple(_report(name, channel, recording.unit(name), speed_force) for name, channel in named)
     findings += sampling.check_missing(recording)
@@ -49,6 +50,8 @@ def inspect_recording(recording: Recording) -> Inspection:
     coverage = None if speed_force is None else coverage_of(speed_force)
     if coverage is not None:
         findings += check_ranges(coverage)
+    elif speed_force is not None:
+        findings.append(at_rest(speed_force))
     captured_hz = min((recording[name].rate_hz for name in psd), default=None)
     shares = {} if captured_hz is None else perception.carried(psd, captured_hz)
     rate_hz = perception.smallest_rate(shares) if shares else PreprocessConfig().rate_hz

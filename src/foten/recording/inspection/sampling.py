@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from foten.recording.inspection.one_channel import slow_noise
 from foten.recording.inspection.speed_force import HAND_HZ
-from foten.recording.inspection.values import NOTE, PROBLEM, Finding, counted, places, swing
+from foten.recording.inspection.values import NOTE, PROBLEM, UNUSABLE, Finding, counted, places, swing
 from foten.recording.preprocess import PreprocessConfig
 from foten.recording.recording import UNITS, Channel, Recording
 from foten.recording.split import MIN_BLOCKS
@@ -22,15 +22,15 @@ def check_missing(recording: Recording) -> Iterable[Finding]:
     axes = recording.axes("acceleration")
     if not axes:
         text = "there is no acceleration: nothing to learn from; speed and force can still drive a renderer"
-        yield Finding(PROBLEM, "missing", "acceleration", text)
+        yield Finding(UNUSABLE, "missing", "acceleration", text)
     elif axes[0].rate_hz < PreprocessConfig().rate_hz:
         rate = f"{axes[0].rate_hz:g}"
         text = f"acceleration was captured at {rate} Hz and is never upsampled: train with --rate {rate} or lower"
         yield Finding(PROBLEM, "rate", "acceleration", text)
     if not recording.movement:
-        yield Finding(PROBLEM, "missing", "speed", "there is no speed, and no position to take it from")
+        yield Finding(UNUSABLE, "missing", "speed", "there is no speed, and no position to take it from")
     if not recording.normal_force:
-        yield Finding(PROBLEM, "missing", "force", "there is no normal force (force or force_z)")
+        yield Finding(UNUSABLE, "missing", "force", "there is no normal force (force or force_z)")
 
 
 def check_durations(recording: Recording) -> Iterable[Finding]:
@@ -46,7 +46,7 @@ def check_durations(recording: Recording) -> Iterable[Finding]:
 
 
 def check_short(seconds: float, options: str) -> Iterable[Finding]:
-    """Yield a note where all channels cover less than the defaults of training need, with the options that fit."""
+    """Yield a note where all channels cover less than the defaults of training need, with the options that fit if any do."""
     config = PreprocessConfig()
     if seconds < config.shortest_s:
         advice = f"train with {options}" if options else "too short to learn from; record for longer"
@@ -54,7 +54,7 @@ def check_short(seconds: float, options: str) -> Iterable[Finding]:
             f"trimming {config.trim_ms / 1000:g} s at both ends, {MIN_BLOCKS} blocks of {config.block_ms / 1000:g} s"
         )
         text = f"it lasts {seconds:.2f} s, and {needs} take {config.shortest_s:g} s: {advice}"
-        yield Finding(NOTE, "short", "", text)
+        yield Finding(NOTE if options else UNUSABLE, "short", "", text)
 
 
 def check_gaps(name: str, channel: Channel) -> Iterable[Finding]:

@@ -10,7 +10,7 @@ import numpy as np
 from foten.dsp import Array
 from foten.dsp.filters import butterworth, filter_recorded
 from foten.dsp.kinematics import speed_of
-from foten.recording.inspection.values import NOTE, Coverage, Finding, counted, places, runs
+from foten.recording.inspection.values import NOTE, UNUSABLE, Coverage, Finding, counted, places, runs
 from foten.recording.preprocess import PreprocessConfig, pressing, velocity_and_force
 from foten.recording.recording import Recording, common_span_s
 
@@ -91,6 +91,19 @@ def coverage_of(speed_force: SpeedForce) -> Coverage | None:
         cells.append(np.arange(0, np.ceil(top / cell - 1e-9) + 1) * cell)
     counts, *_ = np.histogram2d(*conditions, bins=cells)
     return Coverage(cells[0], cells[1], counts / TRAINING_HZ, ranges[0], ranges[1])
+
+
+def at_rest(speed_force: SpeedForce) -> Finding:
+    """Finding on a recording in which the tool never moves in contact."""
+    quickest, heaviest = float(speed_force.speed.max()), float(speed_force.force.max())
+    if quickest <= MOVING_MM_S:
+        hint = "; was it given in m/s?" if quickest > 0.01 else ""
+        text = f"speed never exceeds {quickest:.3g} mm/s, so the tool rests from begin to end{hint}"
+        return Finding(UNUSABLE, "rest", "speed", text)
+    if heaviest <= CONTACT_N:
+        text = f"force never exceeds {heaviest:.3g} N, so the tool never presses: was the sensor on?"
+        return Finding(UNUSABLE, "rest", "force", text)
+    return Finding(UNUSABLE, "rest", "", "the tool never presses while it moves: do speed and force belong together?")
 
 
 def check_ranges(coverage: Coverage) -> Iterable[Finding]:

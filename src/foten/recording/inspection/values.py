@@ -12,16 +12,17 @@ from numpy.typing import NDArray
 from foten.dsp import Array, perception
 from foten.recording.recording import Channel
 
-PROBLEM, NOTE = "problem", "note"
+UNUSABLE, PROBLEM, NOTE = "unusable", "problem", "note"
 N_PLACES = 200  # that a finding lists
 CELL_S = 0.05  # a cell counts as covered from this time on
+MIN_COVERED = 0.25  # of the cells; a recording that covers less is little of what hands do
 
 
 @dataclass(frozen=True)
 class Finding:
     """One thing to know about a recording."""
 
-    severity: str  # `problem` where training would learn something false, else `note`
+    severity: str  # `unusable`: nothing can be learned; `problem`: training would learn something false; else `note`
     code: str  # a word for programs, e.g. `spikes`
     channel: str  # or empty
     text: str  # a sentence for people
@@ -81,8 +82,26 @@ class Inspection:
 
     @property
     def problems(self) -> tuple[Finding, ...]:
-        """Findings that are problems."""
-        return tuple(finding for finding in self.findings if finding.severity == PROBLEM)
+        """Findings that are more than notes."""
+        return tuple(finding for finding in self.findings if finding.severity != NOTE)
+
+    @property
+    def unusable(self) -> str:
+        """Why nothing sensible can be learned from it; empty where something can."""
+        return next((finding.text for finding in self.findings if finding.severity == UNUSABLE), "")
+
+    @property
+    def verdict(self) -> str:
+        """What it is good for, in a line."""
+        if self.unusable or self.coverage is None:
+            return f"record again: {self.unusable or 'speed or force is missing'}"
+        (slow, quick), (light, heavy) = self.coverage.speed_range, self.coverage.force_range
+        n = len(self.problems)
+        usable = f"usable with care, see the {counted(n, 'problem')}:" if n else "usable"
+        text = f"{usable} from {slow:.0f} to {quick:.0f} mm/s and from {light:.2g} to {heavy:.2g} N"
+        if self.coverage.fraction < MIN_COVERED:
+            text += ", a small part of what hands do: vary speed and force separately"
+        return text
 
     def to_dict(self) -> dict[str, Any]:
         """Inspection as plain values for JSON, without the densities."""
@@ -103,6 +122,8 @@ class Inspection:
             "findings": [asdict(finding) for finding in self.findings],
             "carried_by_rate_hz": {f"{rate:g}": share for rate, share in self.carried.items()},
             "options": self.options,
+            "usable": not self.unusable,
+            "verdict": self.verdict,
         }
 
     def to_text(self) -> str:
@@ -124,11 +145,9 @@ class Inspection:
         if self.carried:
             advice = f"; train with {self.options}" if self.options else ""
             lines.append(f"of the perceived power, {perception.in_words(self.carried)}{advice}")
-        for severity in (PROBLEM, NOTE):
+        for severity in (UNUSABLE, PROBLEM, NOTE):
             lines += [f"{severity:<8} {f.text}" for f in self.findings if f.severity == severity]
-        if not self.problems:
-            lines.append("no problem found")
-        return "\n".join(lines)
+        return "\n".join([*lines, self.verdict])
 
 
 def places(channel: Channel, indices: NDArray[np.int64]) -> tuple[float, ...]:
