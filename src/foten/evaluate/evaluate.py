@@ -124,7 +124,7 @@ def evaluate(
     on_stage("free run")
     free, synthesized = _free_run(case, fitted.get("ar"))
     by_listeners = _listener(case, on_stage) if listener else None
-    validation = ("mae_scaled", "mae_scaled_lattice", "mae_scaled_hop", "spectrum_db", "lsd_db", "level_error_db")
+    validation = ("mae_scaled", "mae_scaled_lattice", "spectrum_db", "lsd_db", "level_error_db")
     document = {
         "texture": texture.card["texture"],
         "model": texture.card["model"],
