@@ -16,7 +16,9 @@ if TYPE_CHECKING:
 
 def evaluate(
     texture_file: TextureFile,
-    recording_file: Path = Argument(..., metavar="REC.h5", help="The recording it was trained on, or another."),
+    recording_files: list[Path] = Argument(
+        ..., metavar="REC.h5…", help="The recording or takes it was trained on, or others."
+    ),
     report: Path | None = Option(None, metavar="DIR", help="Write DIR/report.html and DIR/evaluation.json."),
     seed: int = Option(0, min=0, max=2**32 - 1, help="Of the excitation."),
     trim: float | None = Option(None, help="Another recording's, at both ends (ms).", show_default="the trained one's"),
@@ -25,14 +27,14 @@ def evaluate(
     as_json: JsonOption = False,
 ) -> None:
     """Judge a texture on its test blocks: one-step and free-run, beside references and a ceiling."""
-    from foten.datasets.hdf5 import load_recording
+    from foten.datasets.hdf5 import load_takes
     from foten.evaluate import evaluate as judge
     from foten.evaluate.report.rows import to_text
     from foten.experiments.simulator_reference import reference_for
     from foten.models.texture_file import read_texture
 
     check_folder(report, "--report")
-    texture, recording = read_texture(texture_file), load_recording(recording_file)
+    texture, recording = read_texture(texture_file), load_takes(recording_files)
     reference = reference_for(recording, texture, trim, block, listener)
     judgement = judge.evaluate(
         texture, recording, reference, seed, lambda stage: say(f"{stage} …"), trim, block, listener
@@ -65,6 +67,7 @@ def info(texture_file: TextureFile, as_json: JsonOption = False) -> None:
         "model": f"{card['model']}, {holds}",
         "history": f"a prediction is made from the last {card['window']} samples",
         **_linear_model(texture),
+        **_takes(card),
         "cost": f"{cost:,} multiply-adds a rendered sample",
         "rate": f"{texture.rate_hz:g} Hz",
         "trained speed": "{:.4g} to {:.4g} mm/s".format(*(round(end, 3) for end in texture.trained_range("speed"))),
@@ -106,6 +109,13 @@ def _linear_model(texture: Texture) -> dict[str, str]:
             f"{sizes['n_tones']} multiples{every}; {residual}{before_filter * sizes['residual_gain_before_filter']}"
         )
     return rows
+
+
+def _takes(card: Mapping[str, Any]) -> dict[str, str]:
+    """Row of `info` on the takes that a texture was learned from, where there were several."""
+    takes = card.get("takes") or []
+    names = ", ".join(take["name"] or str(i) for i, take in enumerate(takes[:4], 1)) + ", …" * (len(takes) > 4)
+    return {"takes": f"{len(takes)} ({names}), {sum(take['seconds'] for take in takes):g} s"} if takes else {}
 
 
 def network_summary(card: Mapping[str, Any]) -> str:

@@ -108,6 +108,7 @@ def import_(
     tool: str = Option("", help="What it was stroked with."),
     sensors: str = Option("", help="Sensors, amplifiers, ranges."),
     notes: str = Option("", help="Anything else."),
+    append: bool = Option(False, "--append", help="Add it to the recording -o as a further take of the same surface."),
     anyway: Anyway = False,
     as_json: JsonOption = False,
 ) -> None:
@@ -128,10 +129,11 @@ def import_(
         refuse("is for recordings, and an .xml holds models with units and rate", **of_recording)
         _import_models(files, output, texture, notes, as_json)
         return
-    from foten.datasets.hdf5 import write_recording
+    from foten.datasets.hdf5 import load_recording, write_recording
     from foten.datasets.importing import import_recording
     from foten.datasets.options import ImportOptions, parse_pairs, parse_rates
     from foten.recording.inspection import inspect_recording
+    from foten.recording.recording import joined_takes
 
     _check_recording(output)
     rate_hz, rates_hz = parse_rates(rate or [])
@@ -147,7 +149,8 @@ def import_(
     if not anyway:
         check_usable(inspect_recording(imported))
     recording = replace(imported, texture=texture or _named(files[0]), tool=tool, sensors=sensors, notes=notes)
-    write_recording(recording, output)
+    recording = replace(recording, name=", ".join(file.name for file in files))
+    write_recording(joined_takes([load_recording(output), recording]) if append else recording, output)
     channels: dict[str, dict[str, Any]] = {
         name: {
             "unit": recording.unit(name),

@@ -72,6 +72,8 @@ class StrokeOptions:
             from foten.datasets.hdf5 import load_recording
 
             recording = load_recording(self.recording_file)
+            if recording.later_takes:
+                say(f"the recording has {len(recording.takes)} takes: the hand of the first is taken{recording.named}")
             stroke, source = recorded_stroke(recording, rate_hz), recording.sha256()
         elif self.stroke is not None:
             stroke, source = _stroke_from(self.stroke, self.units, rate_hz), self.stroke.name

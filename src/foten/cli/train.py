@@ -8,10 +8,10 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-from typer import Exit, Option
+from typer import Argument, Exit, Option
 
 from foten.cli.evaluate import network_summary, validation_summary
-from foten.console import JsonOption, RecordingFile, check_files, options_from, print_result, refuse
+from foten.console import JsonOption, check_files, options_from, print_result, refuse
 from foten.training.config import RECIPES, TrainConfig, check_used, recipe_of
 
 if TYPE_CHECKING:
@@ -33,7 +33,9 @@ def _of(name: str) -> str:
 class TrainOptions:
     """Options of `foten train`; None is the recipe's, or the model's."""
 
-    recording_file: RecordingFile
+    recording_files: list[Path] = Argument(
+        ..., metavar="REC.h5…", help="A recording that foten import wrote; several are takes of the same surface."
+    )
     output: Path = Option(..., "-o", "--output", metavar="T.foten", help="The texture file to write.")
     model: str = Option(
         "foten-plus",
@@ -42,8 +44,8 @@ class TrainOptions:
     )
     recipe: str = Option("default", help="default (ours) or paper (Adam 1e-3, batch 16, 100 epochs).")
     rate: float | None = Option(None, help="Of the model (Hz); the acceleration's own at most.", show_default="1000")
-    trim: float | None = Option(None, help="Discarded at both ends (ms).", show_default="2000")
-    block: float | None = Option(None, help="Unit of the split (ms).", show_default="2000")
+    trim: float | None = Option(None, help="Discarded at both ends (ms).", show_default="2000; takes as fits")
+    block: float | None = Option(None, help="Unit of the split (ms).", show_default="2000; takes as fits")
     window: int | None = Option(None, help="Samples of history.", show_default="20; ten 25, ten-* 30, dstn 40, fnn 144")
     seed: int = Option(0, min=0, max=2**32 - 1, help="Of initial weights, order and dropout.")
     split: str = Option("regrouped", help="regrouped by speed and force, or contiguous in time.")
@@ -125,12 +127,15 @@ class TrainOptions:
     def job(self, recording: Recording) -> TrainingJob:
         """Training job of a recording."""
         from foten.baselines.sizes import trainable_sizes
-        from foten.recording.preprocess import PreprocessConfig
+        from foten.recording.preprocess import PreprocessConfig, fitting_takes
         from foten.training.job import TrainingJob
 
         # The paper trains with 25 Hz and renders with 20 Hz.
         lowpass_hz = 25.0 if self.recipe == "paper" else None
-        cut = _not_none(rate_hz=self.rate, trim_ms=self.trim, block_ms=self.block, lowpass_hz=lowpass_hz)
+        trim_ms, block_ms = self.trim, self.block
+        if recording.later_takes and trim_ms is None and block_ms is None:
+            trim_ms, block_ms = fitting_takes(recording)
+        cut = _not_none(rate_hz=self.rate, trim_ms=trim_ms, block_ms=block_ms, lowpass_hz=lowpass_hz)
         preprocess = PreprocessConfig(zero_phase=self.zero_phase, force_units=self.force_units, **cut)
         sizes = _not_none(window=self.window) | _settings(self.settings or [])
         sizes |= {"excitation": True} if self.excitation else {}
@@ -146,7 +151,7 @@ class TrainOptions:
 @options_from(TrainOptions)
 def train(options: TrainOptions) -> None:
     """Learn a texture file from a recording. Ctrl-C keeps the best so far."""
-    from foten.datasets.hdf5 import load_recording
+    from foten.datasets.hdf5 import load_takes
     from foten.models.texture_file import Texture, write_texture
     from foten.recording.inspection import inspect_recording
     from foten.training.loop import Checkpoint, Epoch, Monitor
@@ -154,7 +159,7 @@ def train(options: TrainOptions) -> None:
     from foten.training.run_folder import RunFolder, TrainingDisplay
 
     output, config = options.output, options.config()
-    recording = load_recording(options.recording_file)
+    recording = load_takes(options.recording_files)
     job = options.job(recording)
     inspection = inspect_recording(recording)
     if not options.anyway:
@@ -185,7 +190,7 @@ def train(options: TrainOptions) -> None:
     if options.has_network:
         folder.close(trained)
         outputs += f" and {folder.path}"
-    following = f"foten evaluate {output} {options.recording_file}"
+    following = f"foten evaluate {output} {' '.join(map(str, options.recording_files))}"
     if trained.progress.interrupted and folder.checkpoint.exists():
         following = "the same command with --resume, which goes on from here"
     text = f"{_summary(trained)}\nwrote {outputs}; next: {following}"
@@ -244,6 +249,9 @@ def _summary(trained: Trained) -> str:
     if metrics.get("validation_mae_scaled_lattice") is not None:
         summary += f", {metrics['validation_mae_scaled_lattice']:.4f} sd without its network"
     lines = [summary]
+    if trace.take_blocks:
+        block_s = trace.block / trace.rate_hz
+        lines.append(f"{len(trace.take_blocks)} takes, {len(trace) / trace.rate_hz:g} s in blocks of {block_s:g} s")
     if card["model"] == "foten-plus":
         lines.append(f"network: {network_summary(card)}")
     lines.append(f"above the trained range {trained.texture.extrapolation_in_words()}")

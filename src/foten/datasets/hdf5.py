@@ -7,7 +7,9 @@ from __future__ import annotations
 
 import contextlib
 import json
-from collections.abc import Mapping
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +20,7 @@ from foten.atomic_write import atomic_write
 from foten.datasets.bounds import check_length, check_size
 from foten.datasets.isolated import read_isolated
 from foten.recording.inspection.values import counted
-from foten.recording.recording import RELATIVE, UNITS, Channel, Recording
+from foten.recording.recording import RELATIVE, UNITS, Channel, Recording, joined_takes
 from foten.untrusted import check_numbers, parse_json
 
 FORMAT = "foten-recording"
@@ -40,11 +42,17 @@ def write_recording(recording: Recording, path: Path) -> None:
     # Made in memory, since HDF5 does not survive a full disk.
     with h5py.File("in memory", "w", driver="core", backing_store=False) as file:
         file.attrs.update({"format": FORMAT, "version": VERSION} | texts)
-        for name, channel in sorted(recording.channels.items()):
-            dataset = _store(file, f"channels/{name}", channel.samples)
-            dataset.attrs["rate_hz"], dataset.attrs["unit"] = float(channel.rate_hz), recording.unit(name)
-            if channel.times_s is not None:
-                _store(file, f"times_s/{name}", channel.times_s)
+        for i, take in enumerate(recording.takes, 1):
+            group = file if i == 1 else file.create_group(f"takes/{i}")
+            if i > 1:
+                group.attrs["history"] = "\n".join(take.history)
+            if take.name:
+                group.attrs["name"] = take.name
+            for name, channel in sorted(take.channels.items()):
+                dataset = _store(group, f"channels/{name}", channel.samples)
+                dataset.attrs["rate_hz"], dataset.attrs["unit"] = float(channel.rate_hz), recording.unit(name)
+                if channel.times_s is not None:
+                    _store(group, f"times_s/{name}", channel.times_s)
         file.flush()
         image = bytes(file.id.get_file_image())
     with atomic_write(path) as part:
@@ -70,10 +78,38 @@ def load_recording(path: Path) -> Recording:
     if version != VERSION:
         raise ValueError(f"{name} has version {version:g}, expected {VERSION}; a newer foten may read it")
     objects = {entry["name"]: entry for entry in contents["objects"]}
+    numbers = sorted({int(match[1]) for place in objects if (match := re.match(r"takes/(\d{1,4})/", place))})
+    if numbers != list(range(2, len(numbers) + 2)):
+        raise ValueError(f"{name}: takes are {', '.join(map(str, numbers))}, expected 2, 3 and so on without a gap")
+    channels, calibrated = _channels(objects, arrays, name)
+    texts = {key: str(attributes.get(key, "")) for key in (*_TEXTS, "name")}
+    later = []
+    for number in numbers:
+        of_take, same_unit = _channels(objects, arrays, f"{name}, take {number}", f"takes/{number}/")
+        about = objects.get(f"takes/{number}", {}).get("attributes", {})
+        take = Recording(of_take, texts["texture"], history=_lines(about), calibrated=same_unit)
+        later.append(replace(take, name=str(about.get("name", ""))))
+    recording = Recording(channels, **texts, history=_lines(attributes), calibrated=calibrated)  # type: ignore[arg-type]
+    return replace(recording, simulation=_simulation(attributes, name), later_takes=tuple(later))
+
+
+def load_takes(paths: Sequence[Path]) -> Recording:
+    """Recording in one file, or in several that are takes of the same surface, each named as its file is."""
+    recordings = [load_recording(path) for path in paths]
+    if len(recordings) > 1:
+        named = zip(recordings, paths, strict=True)
+        recordings = [replace(of, name=of.name or path.name) for of, path in named]
+    return joined_takes(recordings)
+
+
+def _channels(
+    objects: Mapping[str, Any], arrays: list[NDArray[np.float64]], name: str, place: str = ""
+) -> tuple[dict[str, Channel], bool]:
+    """Channels of a take, and whether its acceleration is calibrated."""
     channels, calibrated = {}, True
-    for place, entry in objects.items():
-        folder, _, channel = place.rpartition("/")
-        if folder != "channels":
+    for path, entry in objects.items():
+        folder, _, channel = path.rpartition("/")
+        if folder != f"{place}channels":
             continue
         where = f"{name}, channel {channel}"
         if channel not in UNITS:
@@ -89,8 +125,8 @@ def load_recording(path: Path) -> Recording:
         if not np.isfinite(rate_hz) or rate_hz <= 0:
             raise ValueError(f"{where}: attribute rate_hz is missing or is not a positive number")
         times = None
-        if f"times_s/{channel}" in objects:
-            times = _vector(objects[f"times_s/{channel}"], arrays, f"{where}, times_s")
+        if (of_times := f"{place}times_s/{channel}") in objects:
+            times = _vector(objects[of_times], arrays, f"{where}, times_s")
             if times.size != samples.size:
                 raise ValueError(f"{where}: {times.size} times for {samples.size} samples")
             back = np.flatnonzero(np.diff(times) <= 0)
@@ -99,11 +135,13 @@ def load_recording(path: Path) -> Recording:
         channels[channel] = Channel(samples, rate_hz, times)
         check_length(where, channels[channel])
     if not channels:
-        raise ValueError(f"{name} has no channel: the group /channels is missing or empty")
-    texts = {key: str(attributes.get(key, "")) for key in _TEXTS}
-    history = tuple(line for line in str(attributes.get("history", "")).split("\n") if line)
-    simulation = _simulation(attributes, name)
-    return Recording(channels, **texts, simulation=simulation, history=history, calibrated=calibrated)
+        raise ValueError(f"{name} has no channel: the group /{place}channels is missing or empty")
+    return channels, calibrated
+
+
+def _lines(attributes: Mapping[str, Any]) -> tuple[str, ...]:
+    """History in attributes, a sentence each."""
+    return tuple(line for line in str(attributes.get("history", "")).split("\n") if line)
 
 
 def _simulation(attributes: Mapping[str, Any], name: str) -> dict[str, Any] | None:

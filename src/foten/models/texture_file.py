@@ -223,6 +223,9 @@ def check_card(card: Any) -> None:
         raise ValueError(f"the preprocessing or the split in the card is incomplete ({error})") from error
     if preprocess.rate_hz != card["rate_hz"]:
         raise ValueError(f"the card has a rate of {card['rate_hz']} Hz and preprocessing to {preprocess.rate_hz} Hz")
+    takes = card.get("takes", [])
+    if not isinstance(takes, list) or not all(_is_take(take) for take in takes):
+        raise ValueError(f"the takes in the card are {shortened(takes)}, expected a name, seconds and blocks of each")
     metrics = card["metrics"]
     if card["split"] is not None and not any(_are_numbers([metrics.get(name)], 1) for name in _VALIDATED):
         raise ValueError(f"the card has none of {', '.join(_VALIDATED)} among its metrics")
@@ -237,6 +240,11 @@ def _check_units(units: Mapping[str, Any]) -> None:
         if units.get(channel) not in known:
             expected = f"expected {' or '.join(known)}; was the card edited?"
             raise ValueError(f"the card's {channel} is in {shortened(units.get(channel))}, {expected}")
+
+
+def _is_take(take: Any) -> bool:
+    numbers = isinstance(take, dict) and _are_numbers([take.get("seconds"), take.get("blocks")], 2)
+    return numbers and isinstance(take.get("name"), str)
 
 
 def _are_numbers(values: Any, n: int) -> bool:

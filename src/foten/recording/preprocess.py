@@ -15,10 +15,11 @@ from foten.dsp.perception import RATES_HZ
 from foten.dsp.resample import decimate
 from foten.recording.recording import LIMITS, UNITS, Channel, Recording, common_span_s
 from foten.recording.split import MIN_BLOCKS
-from foten.recording.trace import Trace
+from foten.recording.trace import CHANNELS, Trace
 
 MAX_HIGHPASS_ORDER = 20
 SHORT_BLOCKS_MS = (2000.0, 1000.0, 500.0, 200.0, 100.0)  # of a recording too short for the defaults
+BLOCKS_OF_TAKE = 6  # of the shortest take: what is left over at its end is a twelfth of it on the mean
 ENOUGH_BLOCKS = 9  # of a split: two validate and two test
 ENOUGH_SAMPLES = 5000  # to train on, by our choice; below it a higher rate is suggested
 WRONG_SIGN = (5.0, 0.5)  # mm/s, N; what noise takes a magnitude below zero at most
@@ -98,11 +99,21 @@ def fitting_options(seconds: float, rate_hz: float, captured_hz: float | None = 
     return f"{named}--trim {trim_ms:g} --block {blocks_ms[0]:g}"
 
 
+def fitting_takes(recording: Recording) -> tuple[float, float]:
+    """Trim and block [ms] that fit several takes: the defaults for long ones, else no trim and six blocks of the shortest."""
+    shortest_ms, config = 1000 * min(take.duration_s for take in recording.takes), PreprocessConfig()
+    if shortest_ms >= 2 * config.trim_ms + BLOCKS_OF_TAKE * config.block_ms:
+        return config.trim_ms, config.block_ms
+    usable_ms = shortest_ms - config.delay_ms
+    return 0.0, next((ms for ms in SHORT_BLOCKS_MS if BLOCKS_OF_TAKE * ms <= usable_ms), SHORT_BLOCKS_MS[-1])
+
+
 def preprocess(recording: Recording, config: PreprocessConfig | None = None, n_blocks: int | None = None) -> Trace:
     """Trace of a recording: whole blocks of acceleration, speed and force at one rate.
 
     It has the stretch that every channel covers. The low-pass of speed and force is causal, as in rendering; its delay is
-    then cut off to a whole sample. DFT321 joins three axes in each block by itself.
+    then cut off to a whole sample. DFT321 joins three axes in each block by itself. Of several takes the blocks follow one
+    another; each take is trimmed and filtered by itself.
 
     Args:
         n_blocks: that a training needs; None, at the rate of an existing texture, takes one.
@@ -114,6 +125,8 @@ def preprocess(recording: Recording, config: PreprocessConfig | None = None, n_b
     Source: Sec. III-c, Sec. VI.
     """
     config = config or PreprocessConfig()
+    if recording.later_takes:
+        return _trace_of_takes(recording, config, n_blocks)
     rate = config.rate_hz
     axes = recording.axes("acceleration")
     if not axes:
@@ -164,6 +177,25 @@ def preprocess(recording: Recording, config: PreprocessConfig | None = None, n_b
     n_uncovered = max(round(axis.duration_s * rate) for axis in axes) - (stop - start)
     source = recording.sha256(), asdict(config), n_dropped, n_uncovered
     return Trace(acceleration, speed, force, rate, config.block, *source)
+
+
+def _trace_of_takes(recording: Recording, config: PreprocessConfig, n_blocks: int | None) -> Trace:
+    """Blocks of all takes, each preprocessed by itself: no filter, block or window spans two."""
+    traces = []
+    for i, take in enumerate(recording.takes, 1):
+        try:
+            traces.append(preprocess(take, config))
+        except ValueError as error:
+            raise ValueError(f"take {i}{take.named}: {error}") from error
+    blocks = tuple(trace.n_blocks for trace in traces)
+    if sum(blocks) < (n_blocks or 1):
+        raise ValueError(
+            f"{len(blocks)} takes give {sum(blocks)} blocks of {config.block_ms:g} ms, expected {n_blocks} or more"
+        )
+    acceleration, speed, force = (np.concatenate([getattr(trace, name) for trace in traces]) for name in CHANNELS)
+    n_dropped, n_uncovered = sum(trace.n_dropped for trace in traces), sum(trace.n_uncovered for trace in traces)
+    of_all = recording.sha256(), asdict(config), n_dropped, n_uncovered, blocks
+    return Trace(acceleration, speed, force, config.rate_hz, traces[0].block, *of_all)
 
 
 def condition(velocities: Array, normal_force: Array, rate_hz: float, lowpass_hz: float) -> tuple[Array, Array]:

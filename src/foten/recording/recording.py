@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import Any
 
@@ -88,7 +88,11 @@ def common_span_s(channels: Iterable[Channel]) -> tuple[float, float]:
 
 @dataclass(frozen=True)
 class Recording:
-    """Raw capture of one texture, each sensor at its own rate."""
+    """Raw capture of one texture, each sensor at its own rate, in one take or several.
+
+    The fields are those of the first take; `takes` has each by itself. What reads channels without looking at `takes` sees the
+    first alone.
+    """
 
     channels: Mapping[str, Channel]  # by name; names and units are those of `UNITS`
     texture: str = ""  # what was stroked, as the user calls it
@@ -98,6 +102,8 @@ class Recording:
     simulation: Mapping[str, Any] | None = None  # parameters of the simulator that made it
     history: tuple[str, ...] = ()  # what was done to the samples on the way in, one sentence each
     calibrated: bool = True  # False where the acceleration is in relative units
+    name: str = ""  # of the take, where there are several: the file that it came from
+    later_takes: tuple[Recording, ...] = ()  # each with its own times
 
     def __post_init__(self) -> None:
         unknown = sorted(set(self.channels) - set(UNITS))
@@ -106,12 +112,32 @@ class Recording:
         if not self.channels:
             raise ValueError("the recording has no channel")
         object.__setattr__(self, "channels", MappingProxyType(dict(self.channels)))
+        for i, take in enumerate(self.later_takes, 2):
+            if set(take.channels) != set(self.channels):
+                have, expected = (", ".join(sorted(of.channels)) for of in (take, self))
+                raise ValueError(
+                    f"take {i}{take.named} has the channels {have}, expected those of the first: {expected}"
+                )
+            if take.calibrated != self.calibrated:
+                raise ValueError(
+                    f"take {i}{take.named} and the first are in m/s² and relative units: takes need one unit"
+                )
 
     def __getitem__(self, name: str) -> Channel:
         return self.channels[name]
 
     def __contains__(self, name: str) -> bool:
         return name in self.channels
+
+    @property
+    def named(self) -> str:
+        """The take's name in a message: " (denim-3.csv)", or nothing."""
+        return f" ({self.name})" if self.name else ""
+
+    @property
+    def takes(self) -> tuple[Recording, ...]:
+        """Each take by itself."""
+        return (replace(self, later_takes=()), *self.later_takes)
 
     def axes(self, quantity: str) -> list[Channel]:
         """Channels of one quantity: its axes x, y, z where recorded, else the scalar, else none."""
@@ -136,8 +162,8 @@ class Recording:
 
     @property
     def duration_s(self) -> float:
-        """Time covered by every channel [s]."""
-        return min(channel.duration_s for channel in self.channels.values())
+        """Time covered by every channel [s], of all takes."""
+        return sum(min(channel.duration_s for channel in take.channels.values()) for take in self.takes)
 
     def unit(self, name: str) -> str:
         """Unit of a channel's samples."""
@@ -152,4 +178,22 @@ class Recording:
             for values in (channel.samples, channel.times_s):
                 if values is not None:
                     digest.update(np.ascontiguousarray(values, dtype="<f8").tobytes())
+        for take in self.later_takes:
+            digest.update(take.sha256().encode())
         return digest.hexdigest()
+
+
+def joined_takes(recordings: Sequence[Recording]) -> Recording:
+    """One recording of several of the same surface, each a take or more; texture, tool and texts are those of the first.
+
+    ValueError where their channels or units differ, or one is there twice. The simulator's parameters hold for one take alone
+    and are left out.
+    """
+    first, *others = (replace(take, simulation=None) for recording in recordings for take in recording.takes)
+    digests = [take.sha256() for take in (first, *others)]
+    for i, take in enumerate(others, 2):
+        if take.sha256() in digests[: i - 1]:
+            raise ValueError(
+                f"take {i}{take.named} has the same samples as take {digests.index(take.sha256()) + 1}: leave it out"
+            )
+    return replace(first, later_takes=tuple(others)) if others else recordings[0]

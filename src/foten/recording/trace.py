@@ -27,6 +27,7 @@ class Trace:
     preprocess: Mapping[str, Any] = field(default_factory=dict)  # the resolved configuration that made it
     n_dropped: int = 0  # samples at the end that did not fill a block
     n_uncovered: int = 0  # samples of the acceleration left out because speed or force does not cover them
+    take_blocks: tuple[int, ...] = ()  # how many blocks each take has, where there are several; in time they are apart
 
     def __post_init__(self) -> None:
         n = self.acceleration.size
@@ -34,6 +35,8 @@ class Trace:
             raise ValueError(f"lengths differ: {n}, {self.speed.size}, {self.force.size}")
         if self.block < 1 or n == 0 or n % self.block:
             raise ValueError(f"{n} samples are not whole blocks of {self.block}")
+        if self.take_blocks and sum(self.take_blocks) != self.n_blocks:
+            raise ValueError(f"the takes have {sum(self.take_blocks)} blocks, and the trace {self.n_blocks}")
 
     def __len__(self) -> int:
         return self.acceleration.size
@@ -42,6 +45,10 @@ class Trace:
     def n_blocks(self) -> int:
         """Number of blocks."""
         return len(self) // self.block
+
+    def follows(self, block: int) -> bool:
+        """Whether a block goes on where the one before it ended: not the first of a take."""
+        return block not in (0, *np.cumsum(self.take_blocks))
 
     def blocks(self, channel: Array) -> Array:
         """One channel as shape (n_blocks, block), a view."""

@@ -124,11 +124,18 @@ class TrainingJob:
             **{name: getattr(recording, name) for name in ("tool", "sensors", "notes")},
             **{"texture": self.texture_name or recording.texture, "licence": self.licence},
             "recording_sha256": trace.recording_sha256,
+            **({"takes": takes_entry(recording, trace)} if trace.take_blocks else {}),
             "preprocess": dict(trace.preprocess),
             "split": asdict(split),
             "split_sha256": split.sha256(),
             "training": {**settings, "versions": versions(), "device": device},
         }
+
+
+def takes_entry(recording: Recording, trace: Trace) -> list[dict[str, Any]]:
+    """The card's entry of several takes: the name, the length [s] and the number of blocks of each."""
+    takes = zip(recording.takes, trace.take_blocks, strict=True)
+    return [{"name": take.name, "seconds": round(take.duration_s, 3), "blocks": n} for take, n in takes]
 
 
 def versions() -> dict[str, str]:

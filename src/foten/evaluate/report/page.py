@@ -64,6 +64,7 @@ def page(judgement: Judgement, texture: Texture) -> str:
 
 
 def _header(document: Mapping[str, Any], texture: Texture, name: str) -> str:
+    takes = texture.card.get("takes")
     card, block_ms = texture.card, 1000 * document["block"] / document["rate_hz"]
     split = f"{document['split']} {(document['split_sha256'] or '')[:10]}".rstrip()
     (slow, fast), (light, heavy) = (texture.trained_range(channel) for channel in ("speed", "force"))
@@ -72,6 +73,7 @@ def _header(document: Mapping[str, Any], texture: Texture, name: str) -> str:
         "rate": f"{document['rate_hz']:g} Hz",
         "judged": f"{document['n_blocks']} blocks of {block_ms:g} ms",
         "split": split,
+        **({"takes": f"{len(takes)}, {sum(take['seconds'] for take in takes):g} s"} if takes else {}),
         "seed": document["seed"],
         "recorded sd": f"{document['sd_m_s2']:.4g} {document['unit']}",
         "trained range": f"{slow:.0f}–{fast:.0f} mm/s, {light:.2f}–{heavy:.2f} N",

@@ -122,7 +122,8 @@ def _pieces(blocks: ScaledBlocks) -> Iterator[Array]:
     stacked = trace.stacked()
     train = np.array(sorted(blocks.split.train))
     grid, longest = max(_GRID, round(GRID_S * rate)), round(MAX_PIECE_S * rate)
-    for run in np.split(train, np.flatnonzero(np.diff(train) > 1) + 1):
+    follows = np.array([trace.follows(number) for number in train[1:].tolist()], dtype=bool)
+    for run in np.split(train, np.flatnonzero((np.diff(train) > 1) | ~follows) + 1):
         samples = stacked[run[0] * trace.block : (run[-1] + 1) * trace.block]
         x = samples[:, 0] - blocks.scaling.mean[0]
         cuts = pieces_of(x, MAX_ORDER, min(grid, len(x) // 2), longest)[0]

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import replace
+
 import numpy as np
 
 from foten.dsp import perception
@@ -16,12 +19,69 @@ from foten.recording.inspection.speed_force import (
     speed_force_of,
 )
 from foten.recording.inspection.values import UNUSABLE, ChannelReport, Finding, Inspection
-from foten.recording.preprocess import PreprocessConfig, fitting_options
+from foten.recording.preprocess import PreprocessConfig, fitting_options, fitting_takes
 from foten.recording.recording import Channel, Recording, common_span_s
+
+OF_ALL_TAKES = ("range", "coverage", "short")  # codes of what one take may lack and another have
 
 
 def inspect_recording(recording: Recording) -> Inspection:
-    """Numbers of each channel, findings, and the coverage of speed and force."""
+    """Numbers of each channel, findings, and the coverage of speed and force, of all takes together."""
+    if not recording.later_takes:
+        return _inspected(recording)[0]
+    takes = recording.takes
+    inspections, hands = zip(*map(_inspected, takes), strict=True)
+    findings = _findings_of(takes, inspections)
+    coverage = None
+    if known := [hand for hand in hands if hand is not None]:
+        joined = (np.concatenate([getattr(hand, name) for hand in known]) for name in ("times_s", "speed", "force"))
+        coverage = coverage_of(SpeedForce(*joined))
+    if coverage is not None:
+        findings += check_ranges(coverage)
+    longest = max(range(len(takes)), key=lambda i: takes[i].duration_s)
+    psd, shares = inspections[longest].psd, inspections[longest].carried
+    trim_ms, block_ms = fitting_takes(recording)
+    rate_hz = perception.smallest_rate(shares) if shares else PreprocessConfig().rate_hz
+    options = f"--rate {rate_hz:g} --trim {trim_ms:g} --block {block_ms:g}"
+    reports = tuple(map(_pooled, zip(*(inspection.channels for inspection in inspections), strict=True)))
+    about = psd, shares, options, recording.sha256()
+    return Inspection(reports, tuple(findings), coverage, *about, tuple(take.duration_s for take in takes))
+
+
+def _findings_of(takes: Sequence[Recording], inspections: Sequence[Inspection]) -> list[Finding]:
+    """Findings of some takes, with the take; what several have in common is said once."""
+    places: dict[tuple[str, str, str], list[tuple[int, Finding]]] = {}
+    for i, inspection in enumerate(inspections, 1):
+        for finding in inspection.findings:
+            if finding.code not in OF_ALL_TAKES:
+                places.setdefault((finding.severity, finding.code, finding.channel), []).append((i, finding))
+    findings = []
+    for found in places.values():
+        (number, first), n = found[0], len({i for i, _ in found})
+        others = f" (so in {n} of {len(takes)} takes)" if n > 1 else ""
+        findings.append(replace(first, text=f"take {number}{takes[number - 1].named}: {first.text}{others}"))
+    return findings
+
+
+def _pooled(reports: Sequence[ChannelReport]) -> ChannelReport:
+    """Numbers of one channel in all takes."""
+    n = np.array([report.n_samples for report in reports])
+    loudest = max(reports, key=lambda report: report.noise_floor)
+    return replace(
+        loudest,
+        rate_hz=reports[0].rate_hz,
+        regular=all(report.regular for report in reports),
+        n_samples=int(n.sum()),
+        duration_s=sum(report.duration_s for report in reports),
+        minimum=min(report.minimum for report in reports),
+        maximum=max(report.maximum for report in reports),
+        mean=float(np.average([report.mean for report in reports], weights=n)),
+        rms=float(np.sqrt(np.average(np.square([report.rms for report in reports]), weights=n))),
+    )
+
+
+def _inspected(recording: Recording) -> tuple[Inspection, SpeedForce | None]:
+    """Inspection of a single take, and its speed and force."""
     findings: list[Finding] = []
     speed_force = None
     try:
@@ -60,7 +120,8 @@ def inspect_recording(recording: Recording) -> Inspection:
     if end_s - start_s < PreprocessConfig().shortest_s:
         options = fitting_options(end_s - start_s, rate_hz, captured_hz)
     findings += sampling.check_short(end_s - start_s, options)
-    return Inspection(reports, tuple(findings), coverage, psd, shares, options, recording.sha256())
+    inspection = Inspection(reports, tuple(findings), coverage, psd, shares, options, recording.sha256())
+    return inspection, speed_force
 
 
 def _report(name: str, channel: Channel, unit: str, speed_force: SpeedForce | None) -> ChannelReport:

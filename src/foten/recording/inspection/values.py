@@ -79,6 +79,7 @@ class Inspection:
     carried: Mapping[float, float]  # share of the perceived power that each rate [Hz] keeps; empty where none is known
     options: str  # of `foten train` that fit the recording; empty where it is too short for any
     recording_sha256: str
+    takes_s: tuple[float, ...] = ()  # time that each covers, where there are several
 
     @property
     def problems(self) -> tuple[Finding, ...]:
@@ -122,6 +123,7 @@ class Inspection:
             "findings": [asdict(finding) for finding in self.findings],
             "carried_by_rate_hz": {f"{rate:g}": share for rate, share in self.carried.items()},
             "options": self.options,
+            "takes_s": list(self.takes_s),
             "usable": not self.unusable,
             "verdict": self.verdict,
         }
@@ -129,7 +131,10 @@ class Inspection:
     def to_text(self) -> str:
         """Inspection as a table of the channels and a line for each finding."""
         heads = {"unit": 6, "rate": 10, "samples": 9, "lasts": 9, "from": 11, "to": 11, "rms": 10, "noise": 11}
-        lines = [f"{'channel':<15}" + "".join(f"{head:>{width}}" for head, width in heads.items())]
+        lines = []
+        if self.takes_s:
+            lines.append(f"{len(self.takes_s)} takes of {min(self.takes_s):.2f} to {max(self.takes_s):.2f} s")
+        lines += [f"{'channel':<15}" + "".join(f"{head:>{width}}" for head, width in heads.items())]
         for channel in self.channels:
             bound = "<" if channel.noise_floor_from == "quietest 5 %" else " "
             lines.append(
