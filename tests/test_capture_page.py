@@ -162,6 +162,25 @@ def test_it_can_be_read_and_used_by_all(quiet_browser: Any, studio_link: str) ->
         for step in ("set-up", "tap-in", "stroke", "training", "failed"):
             page.evaluate(f"(step) => {{ {CAPTURE}.enter(step); {CAPTURE}.draw(); }}", step)
             assert look(page, f"capture-{step}", ("phone", "desktop"), "#capture") == []
+            bar = page.evaluate("document.querySelector('#learning').position")
+            assert step != "training" or bar == -1  # it moves until the server says how far it is
+
+
+def test_the_page_shows_what_to_do_and_what_a_mouse_lacks(quiet_browser: Any, studio_link: str) -> None:
+    """Nothing said that the microphone has to be on the pen, and "Parts of the sound are missing" stood before Begin."""
+    with opened_capture(quiet_browser, studio_link) as page:
+        page.click("#capture-one")
+        until(page, "document.querySelectorAll('#inputs option').length > 0")
+        assert "contact microphone to the pen" in page.inner_text("#how")
+        page.evaluate(f"{CAPTURE}.levels.lost = 3")
+        page.wait_for_timeout(200)
+        assert "missing" not in page.inner_text("#trouble")
+        box = page.locator("#surface").bounding_box()
+        page.mouse.click(box["x"] + 40, box["y"] + 40)
+        until(page, "document.querySelector('#trouble').textContent.startsWith('A mouse has no pressure')")
+        # A quarter of the scale shows the gradient's first quarter, which is not red.
+        page.evaluate(f"() => {{ {CAPTURE}.levels.rms = 1e-3; {CAPTURE}.shown = -60; {CAPTURE}.draw(); }}")
+        assert page.evaluate("document.querySelector('#hears i').style.clipPath").startswith("inset(0px 7")
 
 
 def test_an_input_is_asked_to_filter_nothing_and_refused_where_it_does(quiet_browser: Any, studio_link: str) -> None:

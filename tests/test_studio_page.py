@@ -8,8 +8,11 @@ from __future__ import annotations
 import base64
 import contextlib
 import csv
+import functools
+import http.server
 import re
 import shutil
+import threading
 import time
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -21,6 +24,7 @@ import scipy.io.wavfile
 
 from conftest import exported
 from foten.baselines.sizes import TRAINABLE
+from foten.cli.command_line import _status
 from foten.datasets.importing import read_stroke
 from foten.dsp import Array
 from foten.models.texture_file import read_texture, write_texture
@@ -302,8 +306,19 @@ def test_methods_are_compared_blind_and_equally_loud(browser: Any, link: str, sh
         assert gains == pytest.approx(expected, abs=0.05)
         served = page.evaluate("fetch('gains?texture=mesh.foten&texture=mesh2.foten').then((answer) => answer.json())")
         assert served["gains_db"] == pytest.approx(list(expected.values()), abs=1e-9)
-        page.click("#blind >> text=Reveal")
-        assert "A foten-plus · B foten-plus" in page.inner_text("#message")
+        radios.nth(1).click()
+        until(page, "document.querySelector('#blind .choose').textContent === 'B it is'")
+        page.set_viewport_size({"width": 390, "height": 844})
+        boxes = [page.locator(part).bounding_box() for part in ("#blind", "#press")]
+        assert boxes[1]["y"] + boxes[1]["height"] <= boxes[0]["y"]  # which lay below the other on a phone
+
+        page.click("#blind .choose")
+        assert page.locator("#blind").is_hidden()
+        message = page.inner_text("#message")
+        assert re.match(r"A was mesh2?.foten, B was mesh2?.foten. Chosen so far: ", message)
+        assert message.count("1×") == message.count("0×") == 1
+        page.click("#compare")
+        until(page, "document.querySelectorAll('#blind [role=radio]').length === 2")
         page.click("#textures .swatch >> text=Towel")  # another texture ends the comparison
         until(page, "document.querySelector('#now-name').textContent === 'Towel'")
         assert page.locator("#blind").is_hidden()
@@ -393,6 +408,55 @@ def test_the_force_is_calibrated_by_where_the_pen_was_held_still(browser: Any, l
         fitted = page.evaluate("JSON.parse(localStorage.getItem('calibration'))")
         assert fitted["steepness"] == pytest.approx(3.4, abs=0.3)
         page.click("#paper")
+
+
+@pytest.mark.parametrize("size", SIZES)
+def test_a_card_held_to_the_bar_gives_the_size_of_the_screen(browser: Any, link: str, size: str) -> None:
+    """On phones and tablets the bar was cut off, while the size followed the slider."""
+    with opened(browser, link, tap=False) as page:
+        page.set_viewport_size(dict(zip(("width", "height"), SIZES[size], strict=True)))
+        page.click("#settings")
+        slider, card = page.locator("#size"), page.locator("#card")
+        for end in ("min", "max"):
+            slider.evaluate(f"(slider) => {{ slider.value = slider.{end}; slider.dispatchEvent(new Event('input')); }}")
+            length, box = float(slider.input_value()), card.bounding_box()
+            assert min(abs(box[side] - length) for side in ("width", "height")) < 0.5
+            assert page.evaluate(f"{STATE}.pad.mmPerPx") * length == pytest.approx(53.98, rel=2e-3)
+            assert length <= SIZES[size][1]
+
+
+def test_a_press_on_the_surface_begins_it_and_a_recording_is_seen(browser: Any, link: str) -> None:
+    with opened(browser, link, tap=False) as page:
+        Pen(page).stroke(page)
+        until(page, f"{STATE}.sound.running")
+        assert page.locator("#begin").is_hidden()
+        assert page.locator("#recorded").is_hidden()
+        page.click("#record")
+        until(page, "document.querySelector('#recorded').value === '0:01'")
+        assert page.get_attribute("#record", "title") == "Stop recording"
+        page.click("#record")
+        assert page.locator("#recorded").is_hidden()
+
+
+def test_a_refusal_does_not_stay_over_the_next_texture(browser: Any, link: str, tmp_path: Path) -> None:
+    (tmp_path / "bad.foten").write_bytes(b"x" * 100)
+    with opened(browser, link) as page:
+        dropped(page, tmp_path / "bad.foten")
+        until(page, "document.querySelector('#message').textContent.startsWith('bad.foten was refused')")
+        page.click("#textures .swatch >> text=Towel")
+        until(page, "document.querySelector('#now-name').textContent === 'Towel'")
+        assert page.locator("#message").is_hidden()
+
+
+def test_an_exported_page_offers_no_capture_that_it_can_only_refuse(browser: Any, tmp_path: Path) -> None:
+    assert _status(["export", str(EXAMPLE), "--to", "web", "-o", str(tmp_path / "site")]) == 0
+    handler = functools.partial(http.server.SimpleHTTPRequestHandler, directory=str(tmp_path / "site"))
+    with http.server.ThreadingHTTPServer(("127.0.0.1", 0), handler) as server:
+        threading.Thread(target=server.serve_forever, daemon=True).start()
+        with opened(browser, f"http://127.0.0.1:{server.server_port}/") as page:
+            assert page.locator("#open").is_visible()
+            assert page.locator("#capture-one").is_hidden()
+        server.shutdown()
 
 
 def test_an_actuator_is_driven_in_its_own_unit(browser: Any, link: str, tmp_path: Path) -> None:

@@ -16,7 +16,12 @@ const FULL_SCALES = [1e-3, 1e5]; // m/s², as the server has it
 const NAMELESS = /^(default|communications)?$/i; // the label of whatever input the system takes: tomorrow that may be another
 const FILTERS = { echoCancellation: "echo cancellation", noiseSuppression: "noise suppression", autoGainControl: "automatic gain" };
 const INSIDE = `
-  <div id="sheet"><canvas id="surface" tabindex="0" role="img" aria-label="Lay the surface here, and stroke it with the pen."></canvas><p>Lay the surface here</p></div>
+  <div id="sheet"><canvas id="surface" tabindex="0" role="img" aria-label="Lay the surface here, and stroke it with the pen."></canvas>
+    <figure id="how"><svg viewBox="0 0 240 150" role="img" aria-label="A pen with a small microphone fixed to it strokes a surface that lies on the tablet; the microphone's cable goes to this device.">
+      <path class="tablet" d="M22 128h196a8 8 0 0 0 0-16H22a8 8 0 0 0 0 16z"/><path class="cloth" d="M52 112c10-5 14 3 24 0s14-6 24 0 14 4 24-1 14-3 24 1 14-4 22 0v-7c-8-4-12 3-22 0s-14-5-24 0-14 4-24 1-14-5-24 0-14 3-24-1z"/>
+      <path class="pen" d="m117 109 8-19 50-72a7 7 0 0 1 12 8l-51 72z"/><circle class="mic" cx="140" cy="73" r="8"/><path class="cable" d="M132 71C104 62 96 34 70 36S42 66 22 60"/>
+      <path class="sound" d="M150 88a24 24 0 0 0 8-18M157 96a36 36 0 0 0 13-26"/></svg>
+      <figcaption>Fix a contact microphone to the pen, and lay the surface here</figcaption></figure></div>
   <div id="guide">
     <form method="dialog"><button class="icon close" aria-label="Close"><svg viewBox="0 0 24 24" aria-hidden="true"><path d="m6 6 12 12M18 6 6 18"/></svg></button></form>
     <h2 id="step" aria-live="polite">Capture a surface</h2>
@@ -94,6 +99,7 @@ export class Capture {
     this.$("step").textContent =
       { "set-up": "Capture a surface", "tap-in": "Tap three times", "tap-out": "Tap three times", training: "Learning", kept: "Captured", failed: "Not captured" }[step] ?? "Stroke";
     if (step !== "failed") this.trouble = "";
+    if (step === "training") this.$("learning").removeAttribute("value"); // until the server says how far it is
   }
 
   // The input
@@ -231,7 +237,6 @@ export class Capture {
     const about = { name, rate_hz: this.context.sampleRate, ...this.calibration(), input: (this.input || "audio input").slice(0, 100), ...(fullScale && { full_scale_m_s2: fullScale }) };
     levels.clipped = levels.lost = 0;
     this.touch = null;
-    this.$("learning").value = 0;
     this.$("notes").replaceChildren();
     this.coverage.start(true);
     this.current = new CaptureSession(about, (...one) => this.answered(...one), (...one) => this.failed(...one));
@@ -240,7 +245,9 @@ export class Capture {
   }
 
   touched(e) {
-    if (this.step === "set-up" || this.step === "tap-in") this.coverage.start(e.pointerType === "pen");
+    if (this.step !== "set-up" && this.step !== "tap-in") return;
+    this.coverage.start(e.pointerType === "pen");
+    if (e.pointerType !== "pen") this.trouble = `${e.pointerType === "mouse" ? "A mouse" : "A finger"} has no pressure: only speed is learned. With a pen it is force too.`;
   }
 
   event(x, y, pressure, seconds) {
@@ -339,7 +346,7 @@ export class Capture {
       const db = Math.max(-80, 20 * Math.log10(Math.max(levels.rms, 1e-9)));
       this.shown = Math.max(db, (this.shown ?? -80) - 4);
       this.$("hears").setAttribute("aria-valuenow", Math.round(this.shown));
-      this.$("hears").firstElementChild.style.transform = `scaleX(${1 + this.shown / 80})`;
+      this.$("hears").firstElementChild.style.clipPath = `inset(0 ${(-100 * this.shown) / 80}% 0 0)`;
     }
     if (step === "tap-in" || step === "tap-out") [...this.$("taps").children].forEach((dot, i) => (dot.className = i < this.knocks ? "on" : ""));
     if (step === "stroke") {
@@ -355,7 +362,7 @@ export class Capture {
     }
     // Where it is, so that nothing moves under the hand when it comes.
     this.$("go").style.visibility = step === "stroke" && this.coverage.stroked < MIN_STROKES_S ? "hidden" : "";
-    const text = this.trouble || (step === "set-up" || step === "stroke" ? levels?.trouble : "") || "";
+    const text = this.trouble || (step === "stroke" ? levels?.trouble : step === "set-up" ? levels?.unfit : "") || "";
     if (this.$("trouble").textContent !== text) this.$("trouble").textContent = text;
   }
 }

@@ -53,7 +53,14 @@ export class Levels {
     }
   }
 
-  /** What is wrong, in words; null where nothing is. */
+  /** What is wrong with the input before anything is recorded; null where nothing is. */
+  get unfit() {
+    if (this.clipped > 2) return "It clips: turn the input down.";
+    if (this.hum?.share > HUM_SHARE) return `It hums at ${this.hum.hz} Hz: try another cable, or a battery.`;
+    return null;
+  }
+
+  /** What is wrong with what is recorded, in words; null where nothing is. */
   get trouble() {
     const db = (power) => 10 * Math.log10(Math.max(power, 1e-20));
     if (this.lost > 0) return "Parts of the sound are missing: close other pages and programs, and begin again.";

@@ -106,8 +106,9 @@ export class Monitor {
     this.metered = now;
     this.peakDb = Math.max(-METER_DB, fallen, 20 * Math.log10(Math.max(1e-6, peak)));
     this.meter.style.transform = `scaleX(${1 + this.peakDb / METER_DB})`;
-    this.meter.parentElement.setAttribute("aria-valuenow", Math.round(this.peakDb));
-    this.meter.parentElement.classList.toggle("loud", this.peakDb > COMPRESSED_DB);
+    const meter = this.meter.closest("[role=meter]");
+    meter.setAttribute("aria-valuenow", Math.round(this.peakDb));
+    meter.classList.toggle("loud", this.peakDb > COMPRESSED_DB);
   }
 
   drawTraces() {

@@ -1,6 +1,9 @@
 // Volume, calibration of force and of the screen, the actuator, and how late it all is.
 
-const CARD_MM = 85.6; // the long side of a bank card, ISO/IEC 7810 ID-1
+const CARD_MM = 53.98; // the short side of a bank card, ISO/IEC 7810 ID-1
+const SIZES_PX = [120, 640]; // that it may have on a screen
+const TALLEST = 0.55; // of the window, for a bar that stands upright, so that all of it is seen
+const NARROW_PX = 480; // on what is narrower the bar stands upright: there is more room
 const PAPER = { newtons: 0.13, steepness: 3.32 }; // Eq. 12
 const GRAM_N = 0.00980665;
 const STEADY = 0.03, STEADY_MS = 300; // pressure within which, and for how long, a pen is held still on the scale
@@ -94,9 +97,9 @@ export class Settings {
         <input id="grams" type="number" min="1" max="3000" step="1" aria-label="grams on the scale" placeholder="grams"><button id="add" class="plain" type="button">Add</button><button id="paper" class="plain" type="button">Paper's</button></div>
       <p><output id="curve"></output></p>
       <h3>Size</h3>
-      <p>Hold a bank card to the screen and make the bar as long as it.</p>
-      <div id="card"></div>
-      <input id="size" type="range" min="120" max="900" step="1" aria-label="length of the bar">
+      <p>Hold the short side of a bank card to the bar, and make the bar as long.</p>
+      <div class="card"><div id="card"></div></div>
+      <input id="size" type="range" step="1" aria-label="length of the bar">
       <section data-part="actuator"><h3>Actuator</h3>
       <div class="row"><button id="profile-open" class="plain" type="button">Open a profile</button><button id="profile-none" class="plain" type="button" hidden>None</button><input id="profile" type="file" accept=".json" hidden><output id="actuator"></output></div>
       <div class="row" id="drive" hidden><label for="full-scale">Full scale of the output is</label><input id="full-scale" type="number" min="0" step="any"><span id="drive-unit"></span></div>
@@ -114,7 +117,6 @@ export class Settings {
     for (const type of ["pointerdown", "pointermove", "pointerup", "pointercancel"]) $("weigh").addEventListener(type, (e) => this.weigh(e));
     $("add").addEventListener("click", () => this.add());
     $("paper").addEventListener("click", () => this.setCalibration(PAPER, (this.weighings = [])));
-    $("size").value = Math.round(CARD_MM / pad.mmPerPx);
     $("size").addEventListener("input", () => this.setSize());
     $("profile").addEventListener("change", (e) => this.open(e.target.files[0]));
     $("profile-open").addEventListener("click", () => $("profile").click());
@@ -127,7 +129,6 @@ export class Settings {
       localStorage.setItem("buffer", $("buffer").value);
       location.reload(); // a context keeps its buffer
     });
-    this.setSize(false);
     this.curve();
     this.setActuator(this.actuator, false);
   }
@@ -162,6 +163,7 @@ export class Settings {
 
   show() {
     this.dialog.showModal();
+    this.showSize();
     const tick = () => {
       if (!this.dialog.open) return;
       this.delay();
@@ -219,13 +221,28 @@ export class Settings {
   curve() {
     const { newtons: a, steepness: b } = this.calibration;
     const from = this.weighings.length ? `, from ${this.weighings.length} weighings` : "";
-    this.$("curve").value = `F = ${a.toFixed(2)} N · exp(${b.toFixed(2)} p)${from}: ${a.toFixed(2)} to ${(a * Math.exp(b)).toFixed(1)} N`;
+    this.$("curve").value = `${a.toFixed(2)} N at the lightest touch to ${(a * Math.exp(b)).toFixed(1)} N at full pressure${from}`;
+    this.$("curve").title = `F = ${a.toFixed(2)} N · exp(${b.toFixed(2)} · pressure), Eq. 12 of the paper`;
   }
 
-  setSize(keep = true) {
-    const px = Number(this.$("size").value);
-    this.$("card").style.width = `${px}px`;
-    if (keep) this.pad.setMmPerPx(CARD_MM / px);
+  /** The bar has all lengths that the slider has: what is cut off would be measured wrong without a word. */
+  showSize() {
+    const size = this.$("size"), card = this.$("card"), width = card.parentElement.clientWidth;
+    this.upright = width < NARROW_PX;
+    card.classList.toggle("upright", this.upright);
+    [size.min, size.max] = [SIZES_PX[0], Math.floor(Math.min(SIZES_PX[1], this.upright ? TALLEST * innerHeight : width))];
+    size.value = Math.round(CARD_MM / this.pad.mmPerPx);
+    this.drawSize();
+  }
+
+  drawSize() {
+    const length = `${this.$("size").value}px`;
+    [this.$("card").style.width, this.$("card").style.height] = this.upright ? ["", length] : [length, ""];
+  }
+
+  setSize() {
+    this.drawSize();
+    this.pad.setMmPerPx(CARD_MM / Number(this.$("size").value));
   }
 
   async open(file) {

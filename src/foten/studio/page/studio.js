@@ -12,7 +12,7 @@ const sound = new PageSound();
 const monitor = new Monitor({
   traces: $("traces"),
   spectrogram: $("spectrogram"),
-  meter: $("meter").firstElementChild,
+  meter: $("meter").querySelector("i"),
   numbers: { acceleration: $("acceleration"), speed: $("speed"), force: $("newtons") },
 });
 const pad = new Pad($("pad"), (...event) => sound.push(...event));
@@ -98,7 +98,9 @@ function shelve() {
         await use(texture);
         if (pad.pen === null) pad.play(1.8);
       }));
-      paint(texture).then(({ url }) => (swatch.style.backgroundImage = `url("${url}")`), () => {});
+      paint(texture).then(({ url }) => {
+        swatch.style.backgroundImage = `url("${url}")`;
+      }, () => {}).finally(() => swatch.classList.add("painted"));
       item.append(swatch);
       return item;
     }),
@@ -136,6 +138,7 @@ async function ready(texture) {
 /** Put a texture under the pen; its sound follows where it plays already. */
 async function use(texture) {
   chosen = texture;
+  hush();
   mark();
   const info = paint(blind?.[0] ?? texture).then(({ canvas, mm, took }) => {
     if (chosen !== texture) return;
@@ -196,10 +199,23 @@ $("record").addEventListener("click", () => attempt(async () => {
   const on = $("record").getAttribute("aria-pressed") !== "true";
   $("record").setAttribute("aria-pressed", String(on));
   $("record").setAttribute("aria-label", on ? "Stop recording" : "Record a stroke");
+  $("record").title = on ? "Stop recording" : "Record a stroke";
   sound.record(on);
+  const began = performance.now();
+  clearInterval(timing);
+  $("recorded").hidden = !on;
+  const tell = () => ($("recorded").value = clock((performance.now() - began) / 1000));
+  tell();
+  if (on) timing = setInterval(tell, 200);
 }));
 
+let timing = null;
+
+const clock = (seconds) => `${Math.floor(seconds / 60)}:${String(Math.floor(seconds % 60)).padStart(2, "0")}`;
+
 // Comparing methods of one texture, without knowing which is which, all equally loud
+
+const preferred = new Map(); // by the texture's title: how often each method was chosen
 
 $("compare").addEventListener("click", () => attempt(async () => {
   if (blind) return reveal();
@@ -214,13 +230,16 @@ $("compare").addEventListener("click", () => attempt(async () => {
     button.addEventListener("click", () => attempt(async () => {
       await use(one);
       for (const other of buttons) other.setAttribute("aria-checked", String(other === button));
+      choose.textContent = `${button.textContent} it is`;
     }));
     return button;
   });
-  const show = Object.assign(document.createElement("button"), { textContent: "Reveal" });
-  show.addEventListener("click", reveal);
-  $("blind").replaceChildren(...buttons, show);
+  const choose = Object.assign(document.createElement("button"), { className: "choose" });
+  choose.addEventListener("click", () => reveal(chosen));
+  const question = Object.assign(document.createElement("span"), { textContent: "More like the surface?" });
+  $("blind").replaceChildren(question, ...buttons, choose);
   $("blind").hidden = false;
+  $("press").classList.add("raised");
   buttons[0].click();
 }));
 
@@ -238,12 +257,18 @@ function endBlind() {
   blind = null;
   sound.match({});
   $("blind").hidden = true;
+  $("press").classList.remove("raised");
 }
 
-function reveal() {
-  say(blind.map((one, i) => `${String.fromCharCode(65 + i)} ${one.method || one.file}`).join(" · "));
+/** Say which method is which, and, once one was chosen, how often each has been. */
+async function reveal(choice = null) {
+  const order = blind, named = (one) => (order.some((other) => other !== one && other.method === one.method) ? one.file : one.method || one.file);
+  const tally = preferred.get(choice?.title) ?? new Map(order.map((one) => [named(one), 0]));
+  if (choice) preferred.set(choice.title, tally.set(named(choice), (tally.get(named(choice)) ?? 0) + 1));
   endBlind();
-  use(chosen);
+  await use(chosen);
+  const which = order.map((one, i) => `${String.fromCharCode(65 + i)} was ${named(one)}`).join(", ");
+  say(choice ? `${which}. Chosen so far: ${[...tally].map(([name, n]) => `${name} ${n}×`).join(", ")}` : which);
 }
 
 function shuffled(list) {
@@ -314,7 +339,11 @@ function say(text) {
   $("message").textContent = text;
   $("message").hidden = false;
   clearTimeout(silent);
-  silent = setTimeout(() => ($("message").hidden = true), 7000);
+  silent = setTimeout(hush, 7000);
+}
+
+function hush() {
+  $("message").hidden = true;
 }
 
 async function attempt(what) {
@@ -329,6 +358,7 @@ await attempt(async () => {
   const found = await shipped();
   ({ textures, server, cannotTrain } = found);
   settings.offer(server);
+  $("capture-one").hidden = !server && !cannotTrain; // nobody would learn from it
   shelve();
   if (textures.length) await use(textures[0]);
 });
