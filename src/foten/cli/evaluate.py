@@ -30,6 +30,7 @@ def evaluate(
     from foten.datasets.hdf5 import load_takes
     from foten.evaluate import evaluate as judge
     from foten.evaluate.report.rows import to_text
+    from foten.evaluate.report.verdict import headline
     from foten.experiments.simulator_reference import reference_for
     from foten.models.texture_file import read_texture
 
@@ -43,7 +44,7 @@ def evaluate(
         from foten.evaluate.report.page import write_report
 
         say(f"wrote {write_report(judgement, texture, report)}")
-    print_result(judgement.document, to_text(judgement.document), as_json)
+    print_result(judgement.document, f"{headline(judgement)}\n\n{to_text(judgement.document)}", as_json)
 
 
 def info(texture_file: TextureFile, as_json: JsonOption = False) -> None:

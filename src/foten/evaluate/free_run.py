@@ -131,7 +131,8 @@ def free_run(recorded: Array, synthesized: Array, rate_hz: float, sd: float, n_h
         levels in frames of 40 ms, `level_jnd`: the level error in just noticeable differences; `kurtosis` of all samples, and
         `kurtosis_recorded`; `max_sd`: largest synthesized sample over `sd`, the first fifth included; `band_errors_db`;
         `modulation_db`: distance of envelope spectra, 1 to 50 Hz; `emd_octaves`: earth-mover distance of power over log
-        frequency; `band_correlation_error`: RMS difference of the correlations between the envelopes of bands; `intervals`.
+        frequency; `mae_scaled`: of the waveform, in `sd`, and that of silence, `mae_scaled_silence`; `band_correlation_error`:
+        RMS difference of the correlations between the envelopes of bands; `intervals`.
     """
     n_segment, part = segment_length(recorded.shape[-1]), scored(recorded.shape[-1])
     worst = np.abs(synthesized[:, :, n_history:]).max(axis=(0, 2)) / sd
@@ -167,6 +168,8 @@ def free_run(recorded: Array, synthesized: Array, rate_hz: float, sd: float, n_h
             "band_errors_db": metrics.band_errors(pooled_p, pooled_q, frequencies[bins], metrics.band_edges(rate_hz)),
             "modulation_db": modulation,
             "emd_octaves": float(octaves[:, index].mean()),
+            "mae_scaled": float(np.abs(synthesized[:, index] - recorded[index]).mean() / sd),
+            "mae_scaled_silence": float(np.abs(recorded[index]).mean() / sd),
             "level_jnd": float(np.abs(difference).mean()) / LEVEL_JND_DB if framed else None,
             "band_correlation_error": _correlation_error(energy_p[index], energy_q[:, index]),
         }

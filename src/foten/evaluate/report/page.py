@@ -15,7 +15,7 @@ from foten.evaluate.evaluate import Judgement
 from foten.evaluate.report import plots, signals
 from foten.evaluate.report.rows import free_run_section, one_step_section
 from foten.evaluate.report.signals import LABELS, shown_blocks, shown_run
-from foten.evaluate.report.verdict import cautions, reason, verdict
+from foten.evaluate.report.verdict import cautions, headline, reason, verdict
 from foten.models.texture_file import Texture
 from foten.reporting.figure import inline_svg
 from foten.untrusted import LONGEST_TEXT, shown
@@ -44,12 +44,13 @@ def page(judgement: Judgement, texture: Texture) -> str:
     document = judgement.document
     name = shown(document["texture"], LONGEST_TEXT) or "unnamed texture"
     sections = [
-        _header(document, texture, name),
+        _header(judgement, name),
         _verdict_section(document),
         _sound_section(judgement),
         one_step_section(document),
         free_run_section(document),
         _figures_section(judgement, texture),
+        _about_section(document, texture),
         _raw_section(document, texture),
     ]
     style = Path(__file__).with_name("style.css").read_text(encoding="utf-8")
@@ -63,7 +64,14 @@ def page(judgement: Judgement, texture: Texture) -> str:
     )
 
 
-def _header(document: Mapping[str, Any], texture: Texture, name: str) -> str:
+def _header(judgement: Judgement, name: str) -> str:
+    words = html.escape(shown(headline(judgement)))
+    return (
+        f"<header><p class=kicker>foten evaluate</p><h1>{html.escape(name)}</h1><p class=headline>{words}</p></header>"
+    )
+
+
+def _about_section(document: Mapping[str, Any], texture: Texture) -> str:
     takes = texture.card.get("takes")
     card, block_ms = texture.card, 1000 * document["block"] / document["rate_hz"]
     split = f"{document['split']} {(document['split_sha256'] or '')[:10]}".rstrip()
@@ -88,7 +96,7 @@ def _header(document: Mapping[str, Any], texture: Texture, name: str) -> str:
     items = "".join(
         f"<div><dt>{key}</dt><dd>{html.escape(shown(str(value)))}</dd></div>" for key, value in facts.items()
     )
-    return f"<header><p class=kicker>foten evaluate</p><h1>{html.escape(name)}</h1><dl>{items}</dl></header>"
+    return f'<section id="about"><h2>About</h2><dl>{items}</dl></section>'
 
 
 def _verdict_section(document: Mapping[str, Any]) -> str:

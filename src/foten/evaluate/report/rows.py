@@ -78,6 +78,8 @@ def _one_step_row(
     bar = None if error is None else error / largest
     why = reason(document, key, *(("references.ar",) if key.startswith("references.ar") else ()), "one_step")
     why_gfc = why if error is None else "a bound on the error says nothing of the spectrum"
+    if key == "references.persistence":  # 1.000, which looks like a victory
+        scores, why_gfc = {**scores, "gfc": None}, "blind to delay: whatever repeats the last sample has 1"
     return (
         Heading(name, note=note, key=key, highlighted=key == "one_step"),
         Number(error, ".4f", why=why, interval=intervals.get("mae_scaled", ()), bar=bar),
@@ -140,7 +142,21 @@ def free_run_section(document: Mapping[str, Any]) -> str:
     return (
         '<section id="free-run"><h2>Free run</h2><p>Synthesized under the recorded speed and force, its own output as '
         "history, and compared with what was recorded; the first fifth of each block is not scored. The ceiling says "
-        f"what a true vibration of the same texture reaches.</p>{free_run_table(document).html('b')}</section>"
+        f"what a true vibration of the same texture reaches.</p>{free_run_table(document).html('b')}"
+        f"<p>{waveform_error(document)}</p></section>"
+    )
+
+
+def waveform_error(document: Mapping[str, Any]) -> str:
+    """Sentence on the waveform error of the free run, that of silence, and why the smaller one is not the better one."""
+    error, ceiling = (document[run].get("mae_scaled") for run in ("free_run", "ceiling"))
+    if error is None:
+        return ""
+    silence = f"silence has {document['free_run']['mae_scaled_silence']:.2f}"
+    another = "" if ceiling is None else f", a true vibration ({document['ceiling']['of']}) {ceiling:.2f}"
+    return (
+        f"Waveform: the free run's mean absolute error is {error:.2f} sd; {silence}{another}. Two true vibrations differ sample "
+        "by sample, so silence wins by this figure: it is here since papers print it, and says nothing of likeness."
     )
 
 
@@ -176,6 +192,8 @@ def to_text(document: Mapping[str, Any]) -> str:
         if reasons := table.missing():
             grouped = "; ".join(f"{', '.join(names)} ({why})" for why, names in reasons.items())
             missing.append(f"{title.partition(':')[0]}, not computed: {grouped}.")
+    if sentence := waveform_error(document):
+        lines += ["", sentence]
     if scores := document.get("listener"):
         lines += ["", *_listener_lines(scores)]
     if "listener" in document["reasons"]:

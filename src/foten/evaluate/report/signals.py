@@ -65,10 +65,15 @@ def typical_block(judgement: Judgement) -> int:
 
 def level_errors(judgement: Judgement, name: str) -> Array:
     """Mean level errors of a run [dB] in each judged block, over frames of 40 ms and seeds, shape (n_blocks,)."""
+    return np.asarray(frame_errors(judgement, name).mean(axis=(0, 2)))
+
+
+def frame_errors(judgement: Judgement, name: str) -> Array:
+    """Level errors of a run [dB] in frames of 40 ms of the scored samples, shape (n_seeds, n_blocks, n_frames)."""
     runs = scored_runs(judgement)
     reference = float(np.sqrt(np.square(runs["recorded"]).mean()))
     recorded, synthesized = (frame_levels(runs[key], judgement.trace.rate_hz, reference) for key in ("recorded", name))
-    return np.asarray((synthesized - recorded).mean(axis=(0, 2)))
+    return np.asarray(synthesized - recorded)
 
 
 def densities(judgement: Judgement, unscored: bool = False) -> tuple[Array, dict[str, Array]]:

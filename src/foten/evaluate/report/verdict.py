@@ -6,6 +6,12 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+
+from foten.dsp.level import frame_means
+from foten.evaluate.evaluate import Judgement
+from foten.evaluate.report.signals import frame_errors, scored_conditions, shown_run
+from foten.models.conditions import FADE_SPEED
 from foten.reporting.table import minus, signed
 
 
@@ -21,6 +27,9 @@ class Finding:
 
 
 Interval = Sequence[float] | None
+MAX_LEVEL_DB = 3.0  # that a level may be off in a range of speeds which counts as usable
+SILENT_DB = -10.0  # below the recording all is taken as silence
+SPEED_RANGES = 3  # of as many frames each
 
 
 def _finding(
@@ -36,7 +45,9 @@ def _finding(
     if borne:
         return Finding(tone, title, figure, beside, sentence)
     # Where there are no intervals at all, a caution says so once.
-    wide = "" if interval is None else " Its 95 % interval is too wide to say so."
+    wide = (
+        "" if interval is None else " These blocks are too few to be sure of that: its 95 % interval reaches further."
+    )
     return Finding("unknown", title, figure, f"too little data to say; {beside}", sentence + wide)
 
 
@@ -68,6 +79,49 @@ def verdict(document: Mapping[str, Any]) -> list[Finding]:
     findings = [_one_step(document), _spectrum(document, key), _level(document[key]), _dynamics(document, key)]
     with_listener = document.get("listener") or "listener" in document["reasons"]
     return [*findings, *([_listener(document)] if with_listener else [])]
+
+
+def headline(judgement: Judgement) -> str:
+    """What a texture is good for, in a line of plain words."""
+    document, key = judgement.document, shown_run(judgement)
+    if key is None:
+        return f"Not judged: {reason(document, 'free_run')}."
+    ranges = _levels_by_speed(judgement, key)
+    biases = [bias for *_, bias in ranges]
+    if max(biases) < SILENT_DB:
+        return "Not usable: left to itself it falls silent. foten-plus does not, nor a network with --excitation."
+    spectrum = verdict(document)[1]
+    right = [abs(bias) <= MAX_LEVEL_DB for bias in biases]
+    if spectrum.tone == "bad" or not any(right):
+        why = "its level is off at every speed"
+        if any(right):
+            why = f"its spectrum is {spectrum.figure} away, {spectrum.beside}"
+        return f"Not usable yet: {why}. Record again for longer, with strokes at all speeds and forces."
+    if all(right):
+        low, high = np.quantile(scored_conditions(judgement)[0], [0.01, 0.99])
+        near = "as near as a second stroke's" if spectrum.tone == "good" else spectrum.beside
+        worst = max(0.1, *map(abs, biases))
+        return f"Usable from {low:.0f} to {high:.0f} mm/s: level within {worst:.1f} dB, spectrum {near}."
+    wrong = [one for one, fine in zip(ranges, right, strict=True) if not fine]
+    low, high, bias = max(wrong, key=lambda one: abs(one[2]))
+    where = f"from {low:.0f} to {high:.0f} mm/s it is {abs(bias):.0f} dB too {'loud' if bias > 0 else 'soft'}"
+    usable = "with care"
+    if right == sorted(right, reverse=True):  # the slow ones are right
+        usable = f"below {min(one[0] for one in wrong):.0f} mm/s"
+    elif right == sorted(right):
+        usable = f"above {max(one[1] for one in wrong):.0f} mm/s"
+    return f"Usable {usable}; {where}: record more strokes there."
+
+
+def _levels_by_speed(judgement: Judgement, key: str) -> list[tuple[float, float, float]]:
+    """Speeds [mm/s] between which lie as many frames of 40 ms each, and their mean level error [dB]."""
+    errors, rate_hz = frame_errors(judgement, key).mean(axis=0), judgement.trace.rate_hz
+    speeds = frame_means(scored_conditions(judgement)[0], rate_hz)
+    moving = speeds >= FADE_SPEED
+    edges = np.quantile(speeds[moving], np.linspace(0, 1, SPEED_RANGES + 1))
+    number = np.clip(np.searchsorted(edges, speeds[moving], side="right") - 1, 0, SPEED_RANGES - 1)
+    means = [float(errors[moving][number == i].mean()) for i in range(SPEED_RANGES)]
+    return list(zip(edges[:-1].tolist(), edges[1:].tolist(), means, strict=True))
 
 
 def cautions(document: Mapping[str, Any]) -> list[str]:
