@@ -6,6 +6,7 @@ import json
 import re
 import sys
 import time
+import tracemalloc
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -117,6 +118,20 @@ def test_a_folder_is_named_after_its_surface_and_a_second_one_has_a_number(tmp_p
         capture.add_sound(np.zeros(100, dtype=np.float32))
         capture.add_events(np.array([[0, 0, 0.5, 1.0]]))
         assert capture.write(tmp_path).name == expected
+
+
+def test_a_sound_in_messages_of_one_sample_takes_no_more_memory(tmp_path: Path) -> None:
+    """An array for each took 155 bytes a sample."""
+    capture, n = CaptureSession(About("Wool", 48000)), 20_000
+    tracemalloc.start()
+    for _ in range(n):
+        capture.add_sound(np.ones(1))
+    held, _ = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert held < 10 * n
+    capture.add_events(np.array([[0, 0, 0.5, 1.0]]))
+    _, sound = scipy.io.wavfile.read(capture.write(tmp_path) / "sound.wav")
+    assert sound.tolist() == [1.0] * n
 
 
 def test_what_is_out_of_order_is_refused_and_ends_the_capture(client: TestClient) -> None:

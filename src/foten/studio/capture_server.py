@@ -129,7 +129,7 @@ class CapturePage(PageSocket):
         kind, values = parse_capture_bytes(data)
         capture = self._current("sound or events")
         if kind == "sound":
-            capture.add_sound(values.astype(np.float32))
+            capture.add_sound(values)
         else:
             capture.add_events(values)
 
@@ -168,8 +168,8 @@ class CaptureSession:
 
     def __init__(self, about: About) -> None:
         self.about = about
-        self._sound: list[NDArray[np.float32]] = []
-        self._events: list[NDArray[np.float64]] = []
+        # Bytes, since an array for each message of one sample takes 155 of them.
+        self._sound, self._events = bytearray(), bytearray()
         self._n_samples = self._n_events = 0
         self._latest_s = -np.inf
 
@@ -178,11 +178,11 @@ class CaptureSession:
         """Duration of the sound [s]."""
         return self._n_samples / self.about.rate_hz
 
-    def add_sound(self, samples: NDArray[np.float32]) -> None:
+    def add_sound(self, samples: NDArray[Any]) -> None:
         """Take in the next samples, of which full scale is 1; RefusedError where the sound gets longer than `MAX_CAPTURE_S`."""
         if self._n_samples + samples.size > MAX_CAPTURE_S * self.about.rate_hz:
             raise RefusedError(f"the capture is longer than {MAX_CAPTURE_S:g} s")
-        self._sound.append(samples)
+        self._sound += samples.astype("<f4").tobytes()
         self._n_samples += samples.size
 
     def add_events(self, events: NDArray[np.float64]) -> None:
@@ -201,7 +201,7 @@ class CaptureSession:
                 f"expected {1000 * MAX_BACK_S:g} at most"
             )
         self._latest_s = float(latest_s[-1])
-        self._events.append(events)
+        self._events += events.astype("<f8").tobytes()
         self._n_events += len(events)
 
     def write(self, captures: Path) -> Path:
@@ -215,7 +215,7 @@ class CaptureSession:
 
         if not self._n_samples or not self._n_events:
             raise RefusedError("there is no sound yet" if self._n_events else "the pen has not touched yet")
-        events, n_late = in_order(np.concatenate(self._events))
+        events, n_late = in_order(np.frombuffer(self._events, "<f8").reshape(-1, 4))
         if n_late > MAX_LATE_SHARE * self._n_events:
             raise RefusedError(
                 f"the events are not in the order of their times: {n_late} of {self._n_events} came late, "
@@ -223,7 +223,7 @@ class CaptureSession:
             )
         folder = _new_folder(captures, self.about.name)
         with atomic_write(folder / SOUND) as part:
-            scipy.io.wavfile.write(part, round(self.about.rate_hz), np.concatenate(self._sound))
+            scipy.io.wavfile.write(part, round(self.about.rate_hz), np.frombuffer(self._sound, "<f4"))
         with atomic_write(folder / PEN) as part:
             rows = events[:, [3, 0, 1, 2]]
             np.savetxt(part, rows, "%.6f", ",", header="t [s],x [mm],y [mm],pressure", comments="")
