@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import socket
 import struct
 import subprocess
@@ -19,6 +20,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.signal import butter, lfilter
 
+from foten.cli.command_line import _status
 from foten.models.texture_file import Texture
 from foten.runtime.actuator import ActuatorProfile
 from foten.runtime.live import devices
@@ -306,6 +308,17 @@ class FakeSound:
         pass
 
     latency = 0.02
+    default = SimpleNamespace(device=(0, 1))
+    hosts: tuple[dict[str, Any], ...] = ({"name": "ALSA", "devices": [0, 1], "default_output_device": 1},)
+    cards: tuple[tuple[str, int, int], ...] = (("Microphone", 0, 0), ("Speakers", 2, 0))  # name, outputs, host
+
+    def query_hostapis(self) -> tuple[dict[str, Any], ...]:
+        return self.hosts
+
+    def query_devices(self, number: int | None = None) -> Any:
+        latency = {"default_low_output_latency": 0.01, "default_samplerate": 48_000.0}
+        listed = [{"name": name, "max_output_channels": n, "hostapi": host, **latency} for name, n, host in self.cards]
+        return listed if number is None else listed[number]
 
     def OutputStream(self, **asked: Any) -> FakeSound:  # noqa: N802, sounddevice calls it so
         self.asked = asked
@@ -352,6 +365,24 @@ def test_a_device_is_a_name_or_a_number(sound: FakeSound) -> None:
     for device, asked in (("3", 3), ("USB 3", "USB 3"), (None, None)):
         sink_of("sound", 48_000.0, 1.0, device=device)
         assert sound.asked["device"] == asked
+
+
+def test_windows_plays_through_wasapi_and_devices_are_listed(
+    sound: FakeSound, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The same card is there once for each interface of the system, MME first, which is late by 100 ms and more."""
+    assert _status(["devices"]) == 0
+    assert re.search(r"1 +Speakers +ALSA +2 +10 +48000 +usual", capsys.readouterr().out)
+    names = ("Speakers (USB Audio)", "Headphones", "Speakers (USB Audio)")
+    sound.cards = tuple((name, 2, host) for name, host in zip(names, (0, 1, 1), strict=True))
+    sound.hosts = (
+        {"name": "MME", "devices": [0], "default_output_device": 0},
+        {"name": "Windows WASAPI", "devices": [1, 2], "default_output_device": 1},
+    )
+    for device, asked in ((None, 1), ("usb audio", 2), ("0", 0), ("MME's own", "MME's own")):
+        sink_of("sound", 48_000.0, 1.0, device=device)
+        assert sound.asked["device"] == asked
+    assert [device.default for device in devices.sound_devices()] == [False, True, False]
 
 
 @pytest.mark.parametrize("gain", [float("nan"), float("inf")])

@@ -425,6 +425,26 @@ def test_a_card_held_to_the_bar_gives_the_size_of_the_screen(browser: Any, link:
             assert length <= SIZES[size][1]
 
 
+def test_another_output_and_one_of_its_channels_are_played_on(link: str) -> None:
+    """A voice coil is on the second channel of a sound card that is not the usual one."""
+    fake = ("--use-fake-ui-for-media-stream", "--use-fake-device-for-media-stream")
+    with chromium(*fake) as browser, opened(browser, link) as page:
+        page.click("#settings")
+        until(page, "document.querySelectorAll('#sink option').length > 1")
+        if page.evaluate("[...document.querySelector('#sink').options].some((one) => one.value === 'others')"):
+            page.select_option("#sink", "others")
+            until(page, "document.querySelectorAll('#sink option').length > 2")
+        name = page.evaluate("document.querySelector('#sink').options[1].label")
+        page.select_option("#sink", label=name)
+        until(page, f"{STATE}.sound.context.sinkId === document.querySelector('#sink').value")
+        page.select_option("#channel", index=2)
+        until(page, "localStorage.getItem('channel') === '1'")
+        assert page.evaluate(f"{STATE}.sound.context.destination.channelInterpretation") == "discrete"
+        page.keyboard.press("Escape")
+        Pen(page).stroke(page)
+        until(page, f"{STATE}.monitor.latest?.rms > 0")
+
+
 def test_a_press_on_the_surface_begins_it_and_a_recording_is_seen(browser: Any, link: str) -> None:
     with opened(browser, link, tap=False) as page:
         Pen(page).stroke(page)

@@ -17,7 +17,7 @@ from foten.atomic_write import reason
 from foten.cli.evaluate import evaluate, info
 from foten.cli.experiments import demo, figures, sweep, tables
 from foten.cli.export import export
-from foten.cli.machine import bench, doctor
+from foten.cli.machine import bench, devices, doctor
 from foten.cli.recordings import import_, inspect, simulate
 from foten.cli.render import play, render
 from foten.cli.serve import serve
@@ -75,7 +75,7 @@ _PANELS: dict[str, tuple[Callable[..., None], ...]] = {
     "From a recording to a texture": (simulate, import_, inspect, train, evaluate, info),
     "Stroke, play, take elsewhere": (serve, play, render, export),
     "Compare": (sweep, tables, figures),
-    "This machine": (demo, bench, doctor),
+    "This machine": (demo, devices, bench, doctor),
 }
 for _panel, _commands in _PANELS.items():
     for _command in _commands:

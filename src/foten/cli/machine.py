@@ -23,6 +23,23 @@ def bench(
     print_result([asdict(time) for time in times], timing.as_table(times), as_json)
 
 
+def devices(as_json: JsonOption = False) -> None:
+    """List what this machine can play on: sound outputs for --device and --channel, and analogue outputs of NI-DAQs."""
+    from foten.reporting.table import Table
+    from foten.runtime.live.devices import daq_channels, sound_devices
+
+    sound, daq = sound_devices(), daq_channels()
+    heads = ("--device", "name", "through", "channels", "latency [ms]", "rate [Hz]", "")
+    rows = [
+        (f"{d.number}", d.name, d.host, f"{d.channels}", f"{d.latency_ms:.0f}", f"{d.rate_hz:g}", "usual" * d.default)
+        for d in sound
+    ]
+    lines = Table.of(heads, rows).text() if rows else ["no sound output"]
+    lines += [f"NI-DAQ: --to daq:{channel}" for channel in daq]
+    lines.append("next: foten play --device NUMBER --channel 0")
+    print_result({"sound": [asdict(device) for device in sound], "daq": daq}, "\n".join(lines), as_json)
+
+
 def doctor(
     c_flags: bool = Option(False, "--c-flags", help="Print flags, for cc stroke.c $(foten doctor --c-flags)"),
     as_json: JsonOption = False,

@@ -15,7 +15,7 @@ import numpy as np
 
 from foten.runtime.bench import reason
 from foten.runtime.binding import isa, library
-from foten.runtime.live.devices import sound_library
+from foten.runtime.live.devices import sound_devices
 from foten.runtime.renderer import EXAMPLE
 
 
@@ -83,7 +83,7 @@ def _clock() -> Check:
 
 def _sound() -> Check:
     try:
-        devices = [device["name"] for device in sound_library().query_devices() if device["max_output_channels"] > 0]
+        devices = [f"{device.name} ({device.host}{', the usual one' * device.default})" for device in sound_devices()]
     except Exception as error:  # PortAudio's own too
         return Check("sound", str(error))
     return Check("sound", ", ".join(devices) if devices else "PortAudio is here, and no device to play on")

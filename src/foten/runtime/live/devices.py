@@ -7,6 +7,7 @@ import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -19,12 +20,50 @@ _DAQ_BUFFERED_MS = 20.0
 _DAQ_LIMIT_V = 10.0
 
 
+@dataclass(frozen=True)
+class SoundDevice:
+    """An output of a sound card, as PortAudio knows it."""
+
+    number: int  # that `--device` takes
+    name: str
+    host: str  # the system's interface that it is played through: ALSA, Core Audio, Windows WASAPI, …
+    channels: int
+    default: bool  # of this machine
+    latency_ms: float  # the shortest that it states
+    rate_hz: float  # its usual one
+
+
+def sound_devices() -> list[SoundDevice]:
+    """Outputs of this machine's sound cards; OSError where sounddevice or PortAudio is missing."""
+    library = sound_library()
+    hosts, usual = library.query_hostapis(), _output_of(library, None)
+    usual = library.default.device[1] if usual is None else usual
+    devices = []
+    for number, device in enumerate(library.query_devices()):
+        if (channels := device["max_output_channels"]) > 0:
+            host, latency_ms = hosts[device["hostapi"]]["name"], 1000 * device["default_low_output_latency"]
+            about = number, device["name"], host, channels, number == usual
+            devices.append(SoundDevice(*about, latency_ms, device["default_samplerate"]))
+    return devices
+
+
+def _output_of(library: Any, device: str | int | None) -> str | int | None:
+    """Output to open: where Windows has WASAPI through that, whose buffer is short; elsewhere as PortAudio chooses."""
+    wasapi = next((host for host in library.query_hostapis() if "WASAPI" in host["name"]), None)
+    if wasapi is None or isinstance(device, int):
+        return device
+    if device is None:
+        return wasapi["default_output_device"] if wasapi["default_output_device"] >= 0 else None
+    named = (number for number in wasapi["devices"] if device.lower() in library.query_devices(number)["name"].lower())
+    return next(named, device)
+
+
 class SoundSink:
     """Sound card, or an amplifier on it that drives an actuator; `n_device_underruns` counts what the card itself missed.
 
     Args:
         gain: full scale for 1 of what is rendered; what goes beyond full scale is cut, and counted in `n_cut`.
-        device: its name, or its number as an int, as `python -m sounddevice` lists them; None for the usual one.
+        device: its name, or its number as an int, as `sound_devices` lists them; None for the usual one.
         channel: that is played on, from 0; those before it are silent.
 
     Raises:
@@ -46,7 +85,7 @@ class SoundSink:
             self._stream = self._sounddevice.OutputStream(
                 samplerate=rate_hz,
                 blocksize=self._mono.size,
-                device=device,
+                device=_output_of(self._sounddevice, device),
                 channels=channel + 1,
                 dtype="float32",
                 latency="low",
@@ -54,7 +93,7 @@ class SoundSink:
                 finished_callback=self._finished,
             )
         except (ValueError, self._sounddevice.PortAudioError) as error:
-            raise OSError(f"no sound: {error}; 'python -m sounddevice' lists the devices") from error
+            raise OSError(f"no sound: {error}; 'foten devices' lists what there is") from error
         # A device whose own buffer is longer than a block asks for several at once, for no more than it plays later.
         self.n_at_once = max(self._mono.size, math.ceil(self.latency_s * rate_hz))
 
@@ -106,6 +145,16 @@ def sound_library() -> Any:
             "'brew install portaudio' on a Mac; with Windows it comes along"
         ) from error
     return sounddevice
+
+
+def daq_channels() -> list[str]:
+    """Analogue outputs of the NI-DAQs that are connected, as `DaqSink` takes them; none without their package or driver."""
+    with suppress(OSError):
+        library = _nidaqmx()
+        with suppress(library.errors.Error):
+            devices = library.system.System.local().devices
+            return [channel.name for device in devices for channel in device.ao_physical_chans]
+    return []
 
 
 class DaqSink:
@@ -221,6 +270,7 @@ def _nidaqmx() -> Any:
         import nidaqmx.constants
         import nidaqmx.errors
         import nidaqmx.stream_writers
+        import nidaqmx.system
     except ImportError as error:
         missing = "an NI-DAQ needs the package nidaqmx and National Instruments' driver"
         raise OSError(f"{missing}: pip install 'foten[daq]'") from error

@@ -6,6 +6,7 @@ const TALLEST = 0.55; // of the window, for a bar that stands upright, so that a
 const NARROW_PX = 480; // on what is narrower the bar stands upright: there is more room
 const PAPER = { newtons: 0.13, steepness: 3.32 }; // Eq. 12
 const GRAM_N = 0.00980665;
+const OTHERS = "others"; // asks for their names
 const STEADY = 0.03, STEADY_MS = 300; // pressure within which, and for how long, a pen is held still on the scale
 
 /** Return the median pressure of the longest stretch that a pen was held still, of [ms, pressure] in their order; null where it was not. */
@@ -90,6 +91,7 @@ export class Settings {
       <form method="dialog"><button class="icon close" aria-label="Close"><svg viewBox="0 0 24 24" aria-hidden="true"><path d="m6 6 12 12M18 6 6 18"/></svg></button></form>
       <h2>Settings</h2>
       <div class="row" id="paths" hidden><label for="path">Rendered</label><select id="path"><option value="">in this page</option><option value="stream">by the server, played here</option><option value="device">by the server, played there</option></select></div>
+      <div class="row" id="output"><label for="sink">Output</label><select id="sink"></select><label for="channel">Channel</label><select id="channel"></select></div>
       <div class="row"><label for="volume">Volume</label><input id="volume" type="range" min="-40" max="12" step="1"><output id="volume-db"></output></div>
       <h3>Force</h3>
       <p>Lay the tablet on a kitchen scale, press the pen here, and write what the scale shows.</p>
@@ -123,6 +125,8 @@ export class Settings {
     $("profile-none").addEventListener("click", () => this.setActuator(null));
     $("full-scale").addEventListener("input", () => Number($("full-scale").value) > 0 && this.setActuator({ ...this.actuator, fullScale: Number($("full-scale").value) }));
     $("path").addEventListener("change", () => this.choose());
+    $("sink").addEventListener("change", () => this.setOutput());
+    $("channel").addEventListener("change", () => this.setOutput());
     sound.addEventListener("path", ({ detail }) => ($("path").value = detail));
     $("buffer").value = localStorage.getItem("buffer") ?? "quick";
     $("buffer").addEventListener("change", () => {
@@ -131,6 +135,44 @@ export class Settings {
     });
     this.curve();
     this.setActuator(this.actuator, false);
+  }
+
+  /** Offer the outputs that the browser tells of: their names are told only to pages that may listen, which Others asks for. */
+  async listOutputs() {
+    const { $ } = this, kept = localStorage.getItem("sink") ?? "", channel = localStorage.getItem("channel") ?? "";
+    const known = (await navigator.mediaDevices?.enumerateDevices()) ?? [];
+    const named = known.filter((one) => one.kind === "audiooutput" && one.label && one.deviceId !== "default");
+    const canChoose = "setSinkId" in AudioContext.prototype && navigator.mediaDevices;
+    const others = canChoose && !named.length ? [new Option("Others…", OTHERS)] : [];
+    $("sink").replaceChildren(new Option("the usual one", ""), ...(canChoose ? named : []).map((one) => new Option(one.label, one.deviceId)), ...others);
+    $("sink").value = named.some((one) => one.deviceId === kept) ? kept : "";
+    const numbers = Array.from({ length: this.sound.channels }, (_, i) => new Option(String(i + 1), String(i)));
+    $("channel").replaceChildren(new Option("all", ""), ...numbers);
+    $("channel").value = Number(channel) < this.sound.channels ? channel : "";
+  }
+
+  async setOutput() {
+    const { $ } = this;
+    try {
+      if ($("sink").value === OTHERS) {
+        const stream = await navigator.mediaDevices.getUserMedia({ audio: true });
+        stream.getTracks().forEach((track) => track.stop());
+        return await this.listOutputs();
+      }
+      localStorage.setItem("sink", $("sink").value);
+      localStorage.setItem("channel", $("channel").value);
+      if (this.sound.context) await this.route();
+      await this.listOutputs(); // another output has other channels
+    } catch (error) {
+      this.sound.emit("failed", `this output does not play: ${error.message}`);
+      $("sink").value = "";
+    }
+  }
+
+  /** Play where was chosen before. */
+  route() {
+    const channel = localStorage.getItem("channel") ?? "";
+    return this.sound.route(localStorage.getItem("sink") ?? "", channel === "" ? null : Number(channel));
   }
 
   /** Offer the server's sound, where there is one. */
@@ -159,11 +201,13 @@ export class Settings {
   apply() {
     this.sound.calibrate(this.calibration);
     if (this.actuator) this.setActuator(this.actuator);
+    this.route().catch((error) => this.sound.emit("failed", `the output that was chosen does not play: ${error.message}`));
   }
 
   show() {
     this.dialog.showModal();
     this.showSize();
+    this.listOutputs();
     const tick = () => {
       if (!this.dialog.open) return;
       this.delay();

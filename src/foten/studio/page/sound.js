@@ -56,6 +56,27 @@ export class PageSound extends EventTarget {
     this.node.connect(this.volume).connect(this.output).connect(context.destination);
   }
 
+  /** Channels of the output that is played on. */
+  get channels() {
+    return this.context?.destination.maxChannelCount ?? 2;
+  }
+
+  /** Play on an output of this machine by its id, "" for the usual one, and on one of its channels, from 0; null for all of them. */
+  async route(deviceId, channel) {
+    const { context } = this, { destination } = context;
+    if (context.setSinkId && context.sinkId !== deviceId) await context.setSinkId(deviceId);
+    this.output.disconnect();
+    if (channel === null || channel >= this.channels) {
+      [destination.channelCount, destination.channelInterpretation] = [Math.min(2, this.channels), "speakers"];
+      this.output.connect(destination);
+      return;
+    }
+    [destination.channelCount, destination.channelInterpretation] = [this.channels, "discrete"];
+    const merger = new ChannelMergerNode(context, { numberOfInputs: this.channels });
+    this.output.connect(merger, 0, channel);
+    merger.connect(destination);
+  }
+
   answered(data) {
     if (data.report) this.emit("report", data.report);
     else if (data.taken !== undefined) this.measure(data);
