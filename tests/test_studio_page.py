@@ -33,7 +33,9 @@ from foten.runtime.renderer import EXAMPLE, Renderer
 from foten.runtime.stroke import tabled_stroke
 from foten.runtime.stylus import Stylus
 from foten.studio.levels import gains_db
+from test_kernel_build import WASM
 from test_studio_server import serving
+from test_wheels import script
 
 playwright = pytest.importorskip("playwright.sync_api", reason="needs Playwright: pip install '.[browser]'")
 CHROMIUM = next(
@@ -95,7 +97,7 @@ def look(page: Any, name: str, sizes: Sequence[str] = tuple(SIZES), part: str = 
 
 @pytest.fixture(scope="module")
 def browser() -> Iterator[Any]:
-    with chromium() as browser:
+    with chromium("--use-fake-ui-for-media-stream", "--use-fake-device-for-media-stream") as browser:
         yield browser
 
 
@@ -425,10 +427,9 @@ def test_a_card_held_to_the_bar_gives_the_size_of_the_screen(browser: Any, link:
             assert length <= SIZES[size][1]
 
 
-def test_another_output_and_one_of_its_channels_are_played_on(link: str) -> None:
+def test_another_output_and_one_of_its_channels_are_played_on(browser: Any, link: str) -> None:
     """A voice coil is on the second channel of a sound card that is not the usual one."""
-    fake = ("--use-fake-ui-for-media-stream", "--use-fake-device-for-media-stream")
-    with chromium(*fake) as browser, opened(browser, link) as page:
+    with opened(browser, link) as page:
         page.click("#settings")
         until(page, "document.querySelectorAll('#sink option').length > 1")
         if page.evaluate("[...document.querySelector('#sink').options].some((one) => one.value === 'others')"):
@@ -468,15 +469,55 @@ def test_a_refusal_does_not_stay_over_the_next_texture(browser: Any, link: str, 
         assert page.locator("#message").is_hidden()
 
 
-def test_an_exported_page_offers_no_capture_that_it_can_only_refuse(browser: Any, tmp_path: Path) -> None:
-    assert _status(["export", str(EXAMPLE), "--to", "web", "-o", str(tmp_path / "site")]) == 0
-    handler = functools.partial(http.server.SimpleHTTPRequestHandler, directory=str(tmp_path / "site"))
+@contextlib.contextmanager
+def hosted(folder: Path) -> Iterator[str]:
+    """A folder as any host would serve it, on this machine."""
+    handler = functools.partial(http.server.SimpleHTTPRequestHandler, directory=str(folder))
     with http.server.ThreadingHTTPServer(("127.0.0.1", 0), handler) as server:
         threading.Thread(target=server.serve_forever, daemon=True).start()
-        with opened(browser, f"http://127.0.0.1:{server.server_port}/") as page:
-            assert page.locator("#open").is_visible()
-            assert page.locator("#capture-one").is_hidden()
+        yield f"http://127.0.0.1:{server.server_port}/"
         server.shutdown()
+
+
+def test_two_lines_put_a_texture_on_a_page_of_ones_own(browser: Any, tmp_path: Path) -> None:
+    """The package as npm has it, with nothing copied by hand; a bad file is refused in a line."""
+    script(WASM / "pack.py").write_package(tmp_path / "foten")
+    shutil.copy(EXAMPLE, tmp_path / "mesh.foten")
+    (tmp_path / "bad.foten").write_bytes(b"x" * 99)
+    (tmp_path / "index.html").write_text(
+        '<!doctype html><script type="module" src="foten/foten-pad.js"></script>\n<foten-pad src="mesh.foten"></foten-pad>'
+    )
+    with hosted(tmp_path) as link:
+        page = browser.new_page()
+        page.goto(link)
+        until(page, "document.querySelector('foten-pad').texture?.src === 'mesh.foten'")
+        page.evaluate(
+            """() => {
+              window.told = {};
+              const element = document.querySelector("foten-pad");
+              for (const type of ["ready", "refused"]) element.addEventListener(type, ({ detail }) => { told[type] = detail; });
+              element.sound.addEventListener("report", ({ detail }) => { told.rms = Math.max(told.rms ?? 0, detail.rms); });
+            }"""
+        )
+        box = page.locator("foten-pad").bounding_box()
+        assert box["height"] > 100
+        page.mouse.move(box["x"] + 20, box["y"] + 60)
+        page.mouse.down()
+        for i in range(120):
+            page.mouse.move(box["x"] + 20 + 2 * i, box["y"] + 60)
+            page.wait_for_timeout(8)
+        page.mouse.up()
+        until(page, "told.ready && told.rms > 0.1")
+        page.evaluate("document.querySelector('foten-pad').setAttribute('src', 'bad.foten')")
+        until(page, "told.refused?.startsWith('this is not a texture file')")
+        page.close()
+
+
+def test_an_exported_page_offers_no_capture_that_it_can_only_refuse(browser: Any, tmp_path: Path) -> None:
+    assert _status(["export", str(EXAMPLE), "--to", "web", "-o", str(tmp_path / "site")]) == 0
+    with hosted(tmp_path / "site") as link, opened(browser, link) as page:
+        assert page.locator("#open").is_visible()
+        assert page.locator("#capture-one").is_hidden()
 
 
 def test_an_actuator_is_driven_in_its_own_unit(browser: Any, link: str, tmp_path: Path) -> None:

@@ -17,6 +17,9 @@ from typing import Any
 HERE = Path(__file__).parent
 ROOT = HERE.parents[1]
 MODULE = ("foten.mjs", "foten.d.mts", "foten.wasm")
+PAGE = ROOT / "src" / "foten" / "studio" / "page"
+ELEMENT = ("foten-pad.js", "pad.js", "painter.js", "shelf.js", "sound.js", "stream.js", "surface.js", "worklet.js")
+"""Files of `<foten-pad>`, which import one another by name."""
 
 
 def manifest() -> dict[str, Any]:
@@ -25,10 +28,14 @@ def manifest() -> dict[str, Any]:
     return {
         **{name: project[name] for name in ("name", "version", "description", "license", "keywords")},
         "type": "module",
-        "exports": {".": {"types": "./foten.d.mts", "default": "./foten.mjs"}, "./foten.wasm": "./foten.wasm"},
+        "exports": {
+            ".": {"types": "./foten.d.mts", "default": "./foten.mjs"},
+            "./pad": {"types": "./foten-pad.d.ts", "default": "./foten-pad.js"},
+            **{f"./{name}": f"./{name}" for name in ("foten.wasm", "worklet.js")},
+        },
         "types": "./foten.d.mts",
-        "files": list(MODULE),
-        "sideEffects": False,
+        "files": [*MODULE, *ELEMENT, "foten-pad.d.ts"],
+        "sideEffects": ["./foten-pad.js"],
         "engines": {"node": ">=20"},  # the oldest that it was tried with
     }
 
@@ -37,7 +44,8 @@ def write_package(folder: Path) -> None:
     """Write the package into a folder, which is made anew."""
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir(parents=True)
-    for path in (*(HERE / name for name in MODULE), HERE / "README.md", ROOT / "LICENSE"):
+    files = [*(HERE / name for name in MODULE), HERE / "foten-pad.d.ts", *(PAGE / name for name in ELEMENT)]
+    for path in (*files, HERE / "README.md", ROOT / "LICENSE"):
         shutil.copyfile(path, folder / path.name)
     text = json.dumps(manifest(), indent=2, ensure_ascii=False)
     (folder / "package.json").write_text(f"{text}\n", encoding="utf-8")

@@ -24,7 +24,7 @@ export class PageSound extends EventTarget {
     this.measured = 0;
     this.nEvents = 0;
     this.server = null; // where sound may come from instead
-    this.module = fetch("foten.wasm").then((answer) => answer.arrayBuffer()).then((bytes) => WebAssembly.compile(bytes));
+    this.module = fetch(new URL("foten.wasm", import.meta.url)).then((answer) => answer.arrayBuffer()).then((bytes) => WebAssembly.compile(bytes));
   }
 
   get running() {
@@ -41,7 +41,7 @@ export class PageSound extends EventTarget {
 
   async connect() {
     const { context } = this;
-    const [module] = await Promise.all([this.module, context.audioWorklet.addModule("worklet.js")]);
+    const [module] = await Promise.all([this.module, context.audioWorklet.addModule(new URL("worklet.js", import.meta.url))]);
     this.node = new AudioWorkletNode(context, "foten-contact", {
       numberOfInputs: 0,
       outputChannelCount: [1],

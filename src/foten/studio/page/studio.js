@@ -1,51 +1,26 @@
 // The page: textures on a shelf, one of them under the pen.
 import { cardOf, grouped, shipped, Texture, textureOf } from "./shelf.js";
 import { Monitor } from "./monitor.js";
-import { Pad } from "./pad.js";
+import { asked, painted } from "./painter.js";
 import { Settings } from "./settings.js";
-import { PageSound } from "./sound.js";
+import "./foten-pad.js";
 import { Taken } from "./stroke.js";
 import { Capture } from "./capture.js";
 
 const $ = (id) => document.getElementById(id);
-const sound = new PageSound();
+const { sound, pad } = document.querySelector("foten-pad");
 const monitor = new Monitor({
   traces: $("traces"),
   spectrogram: $("spectrogram"),
   meter: $("meter").querySelector("i"),
   numbers: { acceleration: $("acceleration"), speed: $("speed"), force: $("newtons") },
 });
-const pad = new Pad($("pad"), (...event) => sound.push(...event));
 const settings = new Settings($("panel"), sound, pad);
 const taken = new Taken($("taken"), { sound, pad, groups: () => groups, use, unit: () => $("acceleration-unit").textContent });
 const pictures = new Map(); // by a texture's id: what surface.js made
-const painter = new Worker("surface.js", { type: "module" });
-const painting = new Map();
 let textures = [], groups = [], chosen = null, blind = null, server = false, cannotTrain = "";
 
 // Pictures
-
-painter.onmessage = ({ data: { job, answer, failed } }) => {
-  const { resolve, reject } = painting.get(job);
-  painting.delete(job);
-  if (failed) reject(new Error(failed));
-  else resolve(answer);
-};
-
-let jobs = 0;
-
-/** Return what the worker makes of texture files. */
-const asked = (message) => new Promise((resolve, reject) => (painting.set(++jobs, { resolve, reject }), painter.postMessage({ job: jobs, ...message })));
-
-async function painted(message) {
-  const picture = await asked({ do: "picture", ...message });
-  const drawn = (pixels) => {
-    const canvas = Object.assign(document.createElement("canvas"), { width: picture.size, height: picture.size });
-    canvas.getContext("2d").putImageData(new ImageData(pixels, picture.size, picture.size), 0, 0);
-    return canvas;
-  };
-  return { ...picture, canvas: drawn(picture.pixels), url: drawn(picture.swatch).toDataURL("image/jpeg", 0.85) };
-}
 
 function pictureOf(texture) {
   if (!pictures.has(texture.id))
@@ -53,7 +28,7 @@ function pictureOf(texture) {
       texture.id,
       texture.bytes.then(
         (bytes) =>
-          cardOf(bytes).hasGraph ? plain() : painted({ bytes: [bytes], name: texture.name || texture.title }),
+          cardOf(bytes).hasGraph ? plain() : painted(bytes, texture.name || texture.title),
       ),
     );
   return pictures.get(texture.id);

@@ -265,7 +265,7 @@ export function gainsOf(foten, files) {
 }
 
 if (typeof WorkerGlobalScope !== "undefined" && self instanceof WorkerGlobalScope) {
-  const kernel = fetch("foten.wasm").then((answer) => answer.arrayBuffer()).then((bytes) => Foten.load(bytes));
+  const kernel = fetch(new URL("foten.wasm", import.meta.url)).then((answer) => answer.arrayBuffer()).then((bytes) => Foten.load(bytes));
   const jobs = { picture: (foten, { bytes, name }) => pictured(foten, bytes[0], name), gains: (foten, { bytes }) => gainsOf(foten, bytes) };
   self.onmessage = async ({ data }) => {
     try {

@@ -1,0 +1,79 @@
+// A texture on any page, under a pen, a finger, the mouse or the arrow keys:
+//
+//     <script type="module" src="foten-pad.js"></script>
+//     <foten-pad src="denim.foten"></foten-pad>
+//
+// Attributes: `src`, a texture file; `force`, 0 to 1, of what has no pressure; `volume` in dB. Events: `ready`, whose detail is what
+// the texture says of itself, and `refused`, whose detail is a line for people. The files beside this one have to be on the same host.
+import { Pad } from "./pad.js";
+import { painted } from "./painter.js";
+import { cardOf } from "./shelf.js";
+import { PageSound } from "./sound.js";
+
+const LABEL = "Surface. Stroke it with a pen, a finger or the mouse; or with the arrow keys, Shift for faster, Space to press harder.";
+
+export class FotenPad extends HTMLElement {
+  static observedAttributes = ["src", "force", "volume"];
+
+  connectedCallback() {
+    if (this.pad) return;
+    this.sound = new PageSound();
+    const canvas = this.querySelector("canvas") ?? this.appendChild(document.createElement("canvas"));
+    if (!canvas.hasAttribute("aria-label"))
+      for (const [name, value] of Object.entries({ tabindex: "0", role: "application", "aria-label": LABEL })) canvas.setAttribute(name, value);
+    Object.assign(this.style, { display: "block", ...(getComputedStyle(this).height === "0px" && { height: "16rem" }) });
+    Object.assign(canvas.style, { display: "block", width: "100%", height: "100%", touchAction: "none", userSelect: "none", cursor: "crosshair" });
+    this.pad = new Pad(canvas, (...event) => this.sound.push(...event));
+    this.pad.dispatch = () => this.begin();
+    canvas.addEventListener("pointerup", () => this.begin()); // a finger is a tap only when it leaves
+    this.sound.addEventListener("failed", ({ detail }) => this.emit("refused", detail));
+    for (const name of FotenPad.observedAttributes) this.attributeChangedCallback(name, null, this.getAttribute(name));
+  }
+
+  attributeChangedCallback(name, _, value) {
+    if (!this.pad || value === null) return;
+    if (name === "force") this.pad.force = Number(value);
+    else if (name === "volume") this.sound.setVolume(Number(value));
+    else this.open(value);
+  }
+
+  emit(type, detail) {
+    this.dispatchEvent(new CustomEvent(type, { detail }));
+  }
+
+  /** Fetch a texture file and show it; it sounds from the next touch on, or at once where another one does already. */
+  async open(src) {
+    this.texture = null;
+    try {
+      const answer = await fetch(src);
+      if (!answer.ok) throw new Error(`${src} could not be fetched: ${answer.status} ${answer.statusText}`);
+      const bytes = await answer.arrayBuffer(), card = cardOf(bytes);
+      if (card.hasGraph) throw new Error(`${src} has a network that only a server runs: foten serve ${src}`);
+      const { canvas, mm } = await painted(bytes, card.texture);
+      if (this.getAttribute("src") !== src) return; // another one was asked for
+      this.texture = { src, bytes };
+      this.pad.setTile(canvas, mm);
+      if (this.sound.running) await this.begin();
+    } catch (error) {
+      this.emit("refused", error.message);
+    }
+  }
+
+  /** Begin to sound, while the browser still knows of a tap. */
+  async begin() {
+    if (!this.texture) return;
+    const { src, bytes } = this.texture;
+    try {
+      await this.sound.start();
+      if (!this.sound.infos.has(src)) {
+        this.loading ??= this.sound.load(src, bytes).finally(() => (this.loading = null));
+        this.emit("ready", await this.loading);
+      }
+      if (this.sound.id !== src) this.sound.use(src);
+    } catch (error) {
+      this.emit("refused", error.message);
+    }
+  }
+}
+
+customElements.define("foten-pad", FotenPad);
