@@ -74,7 +74,10 @@ def _simulate_capture(key: str, seconds: float, seed: int, folder: Path, as_json
 
 
 def import_(
-    files: list[Path] = Argument(..., help="CSV, TSV, .xlsx, .npz, .mat, .tdms, .wav, .h5; or one .xml of models."),
+    files: list[Path] = Argument(
+        ...,
+        help="CSV, TSV, .xlsx, .npz, .mat, .tdms, .wav, .h5; one .xml of models; or the folder of a public dataset.",
+    ),
     output: Path = Option(..., "-o", "--output", help="The recording to write, .h5; of models a texture, .foten."),
     mapping: list[str] | None = Option(
         None,
@@ -108,6 +111,7 @@ def import_(
     tool: str = Option("", help="What it was stroked with."),
     sensors: str = Option("", help="Sensors, amplifiers, ranges."),
     notes: str = Option("", help="Anything else."),
+    surface: int | None = Option(None, help="Of a dataset: the number of the surface."),
     append: bool = Option(False, "--append", help="Add it to the recording -o as a further take of the same surface."),
     anyway: Anyway = False,
     as_json: JsonOption = False,
@@ -121,6 +125,8 @@ def import_(
 
     foten import sound.wav --pen events.csv -o denim.h5: a microphone on a pen, joined to its events by taps.
 
+    foten import texture_dataset --surface 12 -o cork.h5: a surface of the Cluster Haptic Texture Dataset, all its clips.
+
     foten import Models_Denim.xml -o denim.foten: a model file of the Penn Haptic Texture Toolkit becomes a texture.
     """
     if any(file.suffix.lower() == ".xml" for file in files):
@@ -129,6 +135,7 @@ def import_(
         refuse("is for recordings, and an .xml holds models with units and rate", **of_recording)
         _import_models(files, output, texture, notes, as_json)
         return
+    from foten.datasets.cluster import read_cluster
     from foten.datasets.hdf5 import load_recording, write_recording
     from foten.datasets.importing import import_recording
     from foten.datasets.options import ImportOptions, parse_pairs, parse_rates
@@ -139,8 +146,12 @@ def import_(
     rate_hz, rates_hz = parse_rates(rate or [])
     pairs, units_of = parse_pairs(mapping or [], "--map"), dict(parse_pairs(units or [], "--unit"))
     options = ImportOptions(tuple(pairs), units_of, rate_hz, rates_hz, fill_gaps, force_units)
-    if pen is None:
+    if files[0].is_dir():
+        refuse("is of tables, and a dataset's are known", map=mapping, unit=units, rate=rate, pen=pen)
+        imported, decisions = read_cluster(files[0], surface)
+    elif pen is None:
         refuse("is of a --pen", pressure=pressure)
+        refuse("is of a dataset's folder", surface=surface)
         imported, decisions = import_recording(files, options)
     else:
         imported, decisions = _import_capture(files, pen, pressure, options)
@@ -148,8 +159,12 @@ def import_(
         say(decision)
     if not anyway:
         check_usable(inspect_recording(imported))
-    recording = replace(imported, texture=texture or _named(files[0]), tool=tool, sensors=sensors, notes=notes)
-    recording = replace(recording, name=", ".join(file.name for file in files))
+    stated = {"texture": texture, "tool": tool, "sensors": sensors, "notes": notes}
+    named = {
+        "texture": imported.texture or _named(files[0]),
+        "name": imported.name or ", ".join(file.name for file in files),
+    }
+    recording = replace(imported, **(named | {key: text for key, text in stated.items() if text}))  # type: ignore[arg-type]
     write_recording(joined_takes([load_recording(output), recording]) if append else recording, output)
     channels: dict[str, dict[str, Any]] = {
         name: {
