@@ -241,6 +241,29 @@ def test_nothing_is_learned_from_a_recording_without_a_stroke_but_with_anyway(
     assert _status(["import", str(table), "-o", str(tmp_path / "a.h5"), "--anyway"]) == 0
 
 
+def test_credit_goes_from_the_command_to_every_conversion(
+    recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path, site = str(tmp_path / "t.foten"), tmp_path / "site"
+    named = ["--author", "A. Maker", "--source", "Attic tapes", "--doi", "10.5555/12345", "--photo", "B. Lens */"]
+    named += ["--licence", "CC-BY-4.0"]
+    assert _status(["train", str(recording), "-o", path, *FAST, "--epochs", "0", *named]) == 0
+    line = "A. Maker, Attic tapes, doi 10.5555/12345, photo: B. Lens */, CC-BY-4.0"
+    capsys.readouterr()
+    assert _status(["info", path]) == 0
+    assert f"credit        {line}" in capsys.readouterr().out
+    constants = ["--speed", "80", "--force", "1", "--seconds", "0.3"]
+    for name in ("clip.wav", "clip.ahap", "clip.haptic", "clip.hjif", "clip.json", "texture.h"):
+        assert _status(["export", path, *(() if name.endswith(".h") else constants), "-o", str(tmp_path / name)]) == 0
+        assert "A. Maker" in (tmp_path / name).read_bytes().decode("latin-1"), name
+    assert (tmp_path / "texture.h").read_text().split("#ifndef")[0].count("*/") == 1  # that a name cannot end
+    assert _status(["export", path, "--to", "web", "-o", str(site)]) == 0
+    assert read_texture(site / "textures" / "t.foten").credit == line
+    texture = read_texture(Path(path))
+    with pytest.raises(ValueError, match="'authors' in the card is"):
+        write_texture(dataclasses.replace(texture, card={**texture.card, "authors": ["A"]}), tmp_path / "bad.foten")
+
+
 def test_render_says_what_became_of_samples_outside_the_range(
     texture: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -309,6 +332,7 @@ RENDER = ("render", "{tex}", "-o", "{out}.wav", "--speed", "1", "--force", "1")
         ([*TRAIN, "--split", "contiguous", "--split-seed", "3"], "--split-seed is of the regrouped split"),
         ([*TRAIN, "--model", "ar", "--epochs", "0"], "--epochs is for networks"),
         ([*RENDER, "--seconds", "1", "--deterministic", "--seed", "3"], "--seed is of the excitation"),
+        ([*TRAIN, "--doi", "https://doi.org/10.1/x"], "expected 10.NUMBER/NAME, without https"),
         (["simulate", "towel", "-o", "{out}", "--capture", "--stroke-seed", "0"], "--stroke-seed is for recordings"),
         (["simulate", "towel", "-o", "{out}.h5", *SEEDS], "--seed has no effect beside --noise-seed"),
         (["import", "{stroke}", "-o", "{out}.h5", "--pressure", "1,2"], "--pressure is of a --pen"),

@@ -78,7 +78,7 @@ def info(texture_file: TextureFile, as_json: JsonOption = False) -> None:
         "delay": f"{card['delay_ms']:.1f} ms, of the {card['lowpass_hz']:g} Hz low-pass of speed and force",
         "excitation": "yes" if texture.has_excitation else "no",
         "validation": validation_summary(card),
-        "licence": card["licence"] or "(not stated)",
+        "credit": texture.credit or "(not stated: whose it is, and its licence)",
         "sha256": texture.sha256(),
         "proof": "golden windows replayed",
     }

@@ -294,6 +294,7 @@ def provenance(texture: Texture, source: str, seed: int, deterministic: bool) ->
         "foten": __version__,
         "texture": texture.card["texture"],
         "texture_sha256": texture.sha256(),
+        **({"credit": texture.credit} if texture.credit else {}),
         "stroke": source,
         "seed": seed,
         "deterministic": deterministic,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -76,7 +77,11 @@ class TrainOptions:
         None, "--run", metavar="DIR", help="Of log, curves and checkpoint.", show_default="T.run"
     )
     texture: str = Option("", help="Name in the card; the recording's by default.")
-    licence: str = Option("", help="Licence of the texture, for the card.")
+    licence: str = Option("", help="Licence of the texture, best its SPDX identifier: CC-BY-4.0, CC0-1.0, …")
+    author: str = Option("", help="Whom to name, for the card.")
+    source: str = Option("", help="Where the recording is from, for the card: a dataset, a link.")
+    doi: str = Option("", help="Of the recording or its paper: 10.6084/m9.figshare.29438288.")
+    photo: str = Option("", help="Whose the photograph beside the file is, and its licence.")
     threads: int | None = Option(
         None, help="Cores that share a batch; a GPU takes it all.", show_default=_of("threads")
     )
@@ -99,6 +104,8 @@ class TrainOptions:
         if self.of_spectra:
             of_noise = f"is for models that predict samples, and {self.model} is made of noise"
             refuse(of_noise, excitation=self.excitation)
+        if self.doi and not re.fullmatch(r"10\.\d{4,9}/\S+", self.doi):
+            raise ValueError(f"--doi is {self.doi!r}, expected 10.NUMBER/NAME, without https://doi.org/")
         if self.split == "contiguous":
             refuse("is of the regrouped split, and --split is contiguous", split_seed=self.split_seed or None)
         check_used(self.model, self.changes(), self.config().loss)
@@ -145,7 +152,10 @@ class TrainOptions:
             raise ValueError(f"{none}: leave it out, or add --excitation")
         texture, config = self.texture or recording.texture, self.config()
         of_split = self.split, self.split_seed
-        return TrainingJob(recording, self.model, trained_sizes, config, preprocess, *of_split, texture, self.licence)
+        credit = {"authors": self.author, "source": self.source, "doi": self.doi, "photo": self.photo}
+        credit = {key: text for key, text in credit.items() if text}
+        about = recording, self.model, trained_sizes, config, preprocess
+        return TrainingJob(*about, *of_split, texture, self.licence, credit)
 
 
 @options_from(TrainOptions)

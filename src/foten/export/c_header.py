@@ -7,6 +7,7 @@ from pathlib import Path
 
 from foten.atomic_write import atomic_write
 from foten.models.texture_file import Texture
+from foten.untrusted import printable
 
 KEEPS = "the header keeps the whole texture, proof included"
 _ROW = 20  # bytes of a line
@@ -24,8 +25,10 @@ def write_c_header(texture: Texture, path: Path) -> str:
     body = ",\n".join(", ".join(map(str, data[i : i + _ROW])) for i in range(0, len(data), _ROW))
     (slow, fast), (light, firm) = texture.trained_range("speed"), texture.trained_range("force")
     trained = f"{slow:.0f} to {fast:.0f} mm/s, {light:.1f} to {firm:.1f} N"
+    # Of anyone's file, in a comment, which it must not end.
+    credit = f" * Credit: {printable(texture.credit).replace('*/', '* /')}\n" if texture.credit else ""
     text = f"""/* {name}: a texture of foten, {card["model"]} at {texture.rate_hz:g} Hz, recorded at {trained}.
- *
+{credit} *
  *     foten_model *model;
  *     char why[256];
  *     if (foten_model_load({name}_foten, {name}_foten_size, &model, why, sizeof why) != FOTEN_OK) ...

@@ -21,7 +21,7 @@ def write_haptic(clip: Clip, path: Path) -> None:
         "version": {"major": 1, "minor": 0, "patch": 0},
         "metadata": {
             "editor": f"foten {clip.about.get('foten', '')}".strip(),
-            "author": "",
+            "author": str(clip.about.get("credit", "")),
             "source": str(clip.about.get("texture", "")),
             "project": "",
             "tags": ["texture"],

@@ -32,6 +32,7 @@ CLOSED_LOOP_TOLERANCE = 1e-4  # scaled, after 64 steps
 MIN_GOLDEN = 8  # windows
 MAX_RATE_HZ = 1e6
 MAX_NUMBER = 1e9  # of a number in a tensor; squares of it are finite in float32
+MAX_CREDIT = 500  # characters
 _MAX_HEADER = 100_000_000  # bytes; the safetensors limit
 
 _CARD: Mapping[type | tuple[type, ...], str] = {
@@ -42,6 +43,8 @@ _CARD: Mapping[type | tuple[type, ...], str] = {
     (dict, type(None)): "split",
 }
 """Keys of a card by JSON type; a texture that was not trained here has no split."""
+CREDIT = ("authors", "source", "doi", "photo")
+"""Keys of a card that say whose it is, each of which may be absent: of the recording, where it is from, and of the photograph."""
 _VALIDATED = ("validation_mae_scaled", "validation_spectrum_db")  # of which a trained model has one
 
 
@@ -77,6 +80,16 @@ class Texture:
     def unit(self) -> str:
         """The unit of the acceleration as people read it: m/s², or relative to the recording's RMS."""
         return self.card["units"]["acceleration"].replace("^2", "²")
+
+    @property
+    def credit(self) -> str:
+        """Whom to name where it is passed on, in a line: authors, source, doi, licence; empty where the card says nothing."""
+        card = self.card
+        doi, photo = (
+            f"{mark} {card[key]}" if card.get(key) else "" for key, mark in (("doi", "doi"), ("photo", "photo:"))
+        )
+        parts = (card.get("authors"), card.get("source"), doi, photo, card["licence"])
+        return ", ".join(part for part in parts if part)
 
     @property
     def has_excitation(self) -> bool:
@@ -223,6 +236,11 @@ def check_card(card: Any) -> None:
         raise ValueError(f"the preprocessing or the split in the card is incomplete ({error})") from error
     if preprocess.rate_hz != card["rate_hz"]:
         raise ValueError(f"the card has a rate of {card['rate_hz']} Hz and preprocessing to {preprocess.rate_hz} Hz")
+    for key in CREDIT:
+        if not isinstance(card.get(key, ""), str) or len(card.get(key, "")) > MAX_CREDIT:
+            raise ValueError(
+                f"{key!r} in the card is {shortened(card[key])}, expected a text of {MAX_CREDIT} characters at most"
+            )
     takes = card.get("takes", [])
     if not isinstance(takes, list) or not all(_is_take(take) for take in takes):
         raise ValueError(f"the takes in the card are {shortened(takes)}, expected a name, seconds and blocks of each")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
@@ -98,6 +99,7 @@ class TrainingJob:
     split_seed: int = 0
     texture_name: str = ""  # for the card, as the next
     licence: str = ""
+    credit: Mapping[str, str] = field(default_factory=dict)  # by the keys of `CREDIT`
 
     def blocks(self) -> ScaledBlocks:
         """The recording preprocessed, split and scaled.
@@ -123,6 +125,7 @@ class TrainingJob:
             "units": {"acceleration": recording.unit("acceleration"), "speed": "mm/s", "force": "N"},
             **{name: getattr(recording, name) for name in ("tool", "sensors", "notes")},
             **{"texture": self.texture_name or recording.texture, "licence": self.licence},
+            **self.credit,
             "recording_sha256": trace.recording_sha256,
             **({"takes": takes_entry(recording, trace)} if trace.take_blocks else {}),
             "preprocess": dict(trace.preprocess),

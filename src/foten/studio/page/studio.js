@@ -83,6 +83,12 @@ function shelve() {
   mark();
 }
 
+/** Whom to name, in a list of one text or none. */
+function creditOf({ authors, source, doi, photo, licence }) {
+  const parts = [authors, source, doi && `doi ${doi}`, photo && `photo: ${photo}`, licence].filter(Boolean);
+  return parts.length ? [parts.join(", ")] : [];
+}
+
 /** Speeds and forces that a texture was recorded at. */
 function ranges({ trained_range: { speed, force } }) {
   return `${speed[0].toFixed(0)}–${speed[1].toFixed(0)} mm/s, ${force[0].toFixed(1)}–${force[1].toFixed(1)} N`;
@@ -125,7 +131,8 @@ async function use(texture) {
     await ready(texture);
     if (chosen !== texture) return;
     sound.use(texture.id);
-    $("now-range").textContent = blind ? "" : `recorded at ${ranges(cardOf(await texture.bytes))}`;
+    const card = cardOf(await texture.bytes);
+    $("now-range").textContent = blind ? "" : [`recorded at ${ranges(card)}`, ...creditOf(card)].join(" · ");
     showUnit();
   }
   await info;
