@@ -42,6 +42,7 @@ CHROMIUM = next(
     (found for name in ("chromium", "chromium-browser", "google-chrome") if (found := shutil.which(name))), None
 )
 pytestmark = [pytest.mark.browser, pytest.mark.skipif(CHROMIUM is None, reason="needs Chromium: apt install chromium")]
+DOCS = Path(__file__).parents[1] / "docs"
 SHOTS = Path(__file__).parents[1] / "build" / "screenshots"
 SIZES = {"phone": (390, 844), "tablet": (820, 1180), "desktop": (1280, 800)}
 QUANTUM = 128  # samples that an AudioWorklet renders at once
@@ -479,14 +480,44 @@ def hosted(folder: Path) -> Iterator[str]:
         server.shutdown()
 
 
+def in_a_browser(folder: Path, number: int) -> None:
+    """The page of the tutorial, with the package as npm has it and nothing else copied by hand."""
+    script(WASM / "pack.py").write_package(folder / "foten")
+    shutil.copy(EXAMPLE, folder / "mesh.foten")
+    pages = re.findall(r"```html\n(.*?)```", (DOCS / "tutorials" / "browser.md").read_text(encoding="utf-8"), re.S)
+    (folder / "index.html").write_text(pages[number], encoding="utf-8")
+
+
+def test_ten_lines_put_a_texture_on_a_canvas_of_ones_own(browser: Any, tmp_path: Path) -> None:
+    in_a_browser(tmp_path, 1)
+    text = (tmp_path / "index.html").read_text(encoding="utf-8")
+    lines = text.partition('<script type="module">')[2].partition("</script>")[0].strip().splitlines()
+    assert len(lines) == 10
+    (tmp_path / "index.html").write_text(text.replace("const node =", "const node = window.node ="), encoding="utf-8")
+    with hosted(tmp_path) as link:
+        page = browser.new_page()
+        page.goto(link)
+        until(page, "window.node !== undefined")
+        page.evaluate(
+            """() => {
+              node.port.onmessage = ({ data }) => { window.rms = Math.max(window.rms ?? 0, data.report?.rms ?? 0); };
+            }"""
+        )
+        box = page.locator("canvas").bounding_box()
+        page.mouse.move(box["x"] + 20, box["y"] + 60)
+        page.mouse.down()
+        for i in range(120):
+            page.mouse.move(box["x"] + 20 + 2 * i, box["y"] + 60)
+            page.wait_for_timeout(8)
+        page.mouse.up()
+        until(page, "window.rms > 0.1")
+        page.close()
+
+
 def test_two_lines_put_a_texture_on_a_page_of_ones_own(browser: Any, tmp_path: Path) -> None:
     """The package as npm has it, with nothing copied by hand; a bad file is refused in a line."""
-    script(WASM / "pack.py").write_package(tmp_path / "foten")
-    shutil.copy(EXAMPLE, tmp_path / "mesh.foten")
     (tmp_path / "bad.foten").write_bytes(b"x" * 99)
-    (tmp_path / "index.html").write_text(
-        '<!doctype html><script type="module" src="foten/foten-pad.js"></script>\n<foten-pad src="mesh.foten"></foten-pad>'
-    )
+    in_a_browser(tmp_path, 0)
     with hosted(tmp_path) as link:
         page = browser.new_page()
         page.goto(link)
