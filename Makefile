@@ -27,13 +27,14 @@ slow: $(VENV)/.installed
 	$(PYTEST) -m 'slow and not gpu' $(TESTS) || { test $$? -eq 5 && echo 'no test is marked slow'; }
 
 $(VENV)/.docs: $(VENV)/.installed
-	$(BIN)/python -m pip install --quiet --constraint constraints.txt mkdocs-material 'mkdocstrings[python]' # of the extra docs, as above
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt zensical 'mkdocstrings[python]' # of the extra docs, as above
 	touch $@
 
 # The documentation as a site, in build/site: every link is checked, and every table against its CSV.
 docs: $(VENV)/.docs
 	$(THREADS) $(BIN)/python docs/make/tables.py --check
-	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict --quiet
+	$(BIN)/zensical build --strict --clean
+	$(BIN)/python docs/make/live.py
 	$(BIN)/python docs/make/screenshots.py
 
 # Every table and figure of the paper, reduced as each says, in half an hour on two cores: build/paper. It goes on where it stopped.

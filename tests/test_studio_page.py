@@ -544,6 +544,33 @@ def test_two_lines_put_a_texture_on_a_page_of_ones_own(browser: Any, tmp_path: P
         page.close()
 
 
+SITE = Path(__file__).parents[1] / "build" / "site"
+
+
+@pytest.mark.skipif(not (SITE / "live").exists(), reason="needs the built site: make docs")
+def test_the_first_page_of_the_site_has_a_live_surface(browser: Any) -> None:
+    with hosted(SITE) as link:
+        page = browser.new_page()
+        page.goto(link)
+        until(page, "document.querySelector('foten-pad').texture?.src === 'live/textures/jeans.foten'")
+        page.click("#live-gallery >> text=Towel")
+        until(page, "document.querySelector('foten-pad').sound.id === 'live/textures/towel.foten'")
+        page.evaluate(
+            """() => document.querySelector("foten-pad").sound.addEventListener(
+              "report", ({ detail }) => { window.rms = Math.max(window.rms ?? 0, detail.rms); })"""
+        )
+        box = page.locator("foten-pad").bounding_box()
+        page.mouse.move(box["x"] + 40, box["y"] + 60)
+        page.mouse.down()
+        for i in range(120):
+            page.mouse.move(box["x"] + 40 + 2 * i, box["y"] + 60)
+            page.wait_for_timeout(8)
+        page.mouse.up()
+        until(page, "window.rms > 0.1")
+        assert page.inner_text("#live-said") == ""
+        page.close()
+
+
 def test_an_exported_page_offers_no_capture_that_it_can_only_refuse(browser: Any, tmp_path: Path) -> None:
     assert _status(["export", str(EXAMPLE), "--to", "web", "-o", str(tmp_path / "site")]) == 0
     with hosted(tmp_path / "site") as link, opened(browser, link) as page:

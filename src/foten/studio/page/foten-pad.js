@@ -34,7 +34,7 @@ export class FotenPad extends HTMLElement {
     if (!this.pad || value === null) return;
     if (name === "force") this.pad.force = Number(value);
     else if (name === "volume") this.sound.setVolume(Number(value));
-    else this.open(value);
+    else this.opening = this.open(value);
   }
 
   emit(type, detail) {
@@ -53,7 +53,7 @@ export class FotenPad extends HTMLElement {
       if (this.getAttribute("src") !== src) return; // another one was asked for
       this.texture = { src, bytes };
       this.pad.setTile(canvas, mm);
-      if (this.sound.running) await this.begin();
+      if (this.sound.running) this.begin(); // which waits for this
     } catch (error) {
       this.emit("refused", error.message);
     }
@@ -61,10 +61,11 @@ export class FotenPad extends HTMLElement {
 
   /** Begin to sound, while the browser still knows of a tap. */
   async begin() {
-    if (!this.texture) return;
-    const { src, bytes } = this.texture;
     try {
       await this.sound.start();
+      await this.opening;
+      if (!this.texture) return;
+      const { src, bytes } = this.texture;
       if (!this.sound.infos.has(src)) {
         this.loading ??= this.sound.load(src, bytes).finally(() => (this.loading = null));
         this.emit("ready", await this.loading);
