@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import re
 import ssl
@@ -159,3 +160,16 @@ def test_the_repository_is_small() -> None:
     assert len([path for path in paths if not path.relative_to(ROOT).parts[0].startswith(".")]) < 540
     assert sum(sizes) < 5_000_000
     assert all(path.stat().st_size <= 200_000 for path in (ROOT / "docs" / "results").glob("*.csv"))
+
+
+def test_the_notebook_runs_from_top_to_bottom(tmp_path: Path) -> None:
+    """Its last lines are shown by Jupyter, which the tests do without; outputs are not kept, so none is out of date."""
+    pytest.importorskip("torch")
+    notebook = json.loads((ROOT / "examples" / "train.ipynb").read_text(encoding="utf-8"))
+    cells = [cell for cell in notebook["cells"] if cell["cell_type"] == "code"]
+    assert all(cell["outputs"] == [] and cell["execution_count"] is None for cell in cells)
+    program = "\n".join("".join(cell["source"]) for cell in cells)
+    done = subprocess.run([sys.executable, "-c", program], cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr[-2000:]
+    assert "usable" in done.stdout
+    assert (tmp_path / "twin.foten").exists()
