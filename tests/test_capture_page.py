@@ -178,6 +178,19 @@ def test_the_page_shows_what_to_do_and_what_a_mouse_lacks(quiet_browser: Any, st
         box = page.locator("#surface").bounding_box()
         page.mouse.click(box["x"] + 40, box["y"] + 40)
         until(page, "document.querySelector('#trouble').textContent.startsWith('A mouse has no pressure')")
+        # The heading stays where it is whatever it says.
+        tops = []
+        for advice in ("Stroke", "Slower, lighter", "Faster, harder"):
+            page.evaluate(
+                """(advice) => {
+                  studio.capture.enter("stroke");
+                  document.querySelector("#step").textContent = advice;
+                }""",
+                advice,
+            )
+            tops.append([page.locator(part).bounding_box()["y"] for part in ("#step", "#field")])
+        assert tops[0] == tops[1] == tops[2]
+        page.evaluate(f"{CAPTURE}.enter('set-up')")
         # A quarter of the scale shows the gradient's first quarter, which is not red.
         page.evaluate(f"() => {{ {CAPTURE}.levels.rms = 1e-3; {CAPTURE}.shown = -60; {CAPTURE}.draw(); }}")
         assert page.evaluate("document.querySelector('#hears i').style.clipPath").startswith("inset(0px 7")

@@ -91,7 +91,7 @@ export class Settings {
       <form method="dialog"><button class="icon close" aria-label="Close"><svg viewBox="0 0 24 24" aria-hidden="true"><path d="m6 6 12 12M18 6 6 18"/></svg></button></form>
       <h2>Settings</h2>
       <div class="row" id="paths" hidden><label for="path">Rendered</label><select id="path"><option value="">in this page</option><option value="stream">by the server, played here</option><option value="device">by the server, played there</option></select></div>
-      <div class="row" id="output"><label for="sink">Output</label><select id="sink"></select><label for="channel">Channel</label><select id="channel"></select></div>
+      <div class="row" id="output" data-part="output"><label for="sink">Output</label><select id="sink"></select><label for="channel">Channel</label><select id="channel"></select></div>
       <div class="row"><label for="volume">Volume</label><input id="volume" type="range" min="-40" max="12" step="1"><output id="volume-db"></output></div>
       <h3>Force</h3>
       <p>Lay the tablet on a kitchen scale, press the pen here, and write what the scale shows.</p>
@@ -139,6 +139,7 @@ export class Settings {
 
   /** Offer the outputs that the browser tells of: their names are told only to pages that may listen, which Others asks for. */
   async listOutputs() {
+    if (!this.sound.route) return; // a page that plays otherwise
     const { $ } = this, kept = localStorage.getItem("sink") ?? "", channel = localStorage.getItem("channel") ?? "";
     const known = (await navigator.mediaDevices?.enumerateDevices()) ?? [];
     const named = known.filter((one) => one.kind === "audiooutput" && one.label && one.deviceId !== "default");
