@@ -165,7 +165,13 @@ def import_(
         "name": imported.name or ", ".join(file.name for file in files),
     }
     recording = replace(imported, **(named | {key: text for key, text in stated.items() if text}))  # type: ignore[arg-type]
-    write_recording(joined_takes([load_recording(output), recording]) if append else recording, output)
+    whole = joined_takes([load_recording(output), recording]) if append else recording
+    write_recording(whole, output)
+    _print_imported(recording, output, len(whole.takes), as_json)
+
+
+def _print_imported(recording: Recording, output: Path, n_takes: int, as_json: bool) -> None:
+    """Print what was imported: rates, lengths and ranges of the channels, and what was done to them."""
     channels: dict[str, dict[str, Any]] = {
         name: {
             "unit": recording.unit(name),
@@ -184,7 +190,9 @@ def import_(
     lines = [row.format(name, **of_channel) for name, of_channel in channels.items()]
     lines += [f"  {line}" for line in recording.history]
     document = {"file": str(output), "sha256": recording.sha256(), "channels": channels, "history": recording.history}
-    print_result(document, "\n".join([*lines, f"wrote {output}; next: foten inspect {output}"]), as_json)
+    takes = f", which has {n_takes} takes" if n_takes > 1 else ""
+    text = "\n".join([*lines, f"wrote {output}{takes}; next: foten inspect {output}"])
+    print_result({**document, "n_takes": n_takes}, text, as_json)
 
 
 def _named(file: Path) -> str:
