@@ -470,6 +470,18 @@ def test_a_refusal_does_not_stay_over_the_next_texture(browser: Any, link: str, 
         assert page.locator("#message").is_hidden()
 
 
+def drag(page: Any, element: str) -> None:
+    """A stroke of the mouse over an element, at 250 px a second."""
+    box = page.locator(element).bounding_box()
+    assert box["height"] > 100
+    page.mouse.move(box["x"] + 20, box["y"] + 60)
+    page.mouse.down()
+    for i in range(120):
+        page.mouse.move(box["x"] + 20 + 2 * i, box["y"] + 60)
+        page.wait_for_timeout(8)
+    page.mouse.up()
+
+
 @contextlib.contextmanager
 def hosted(folder: Path) -> Iterator[str]:
     """A folder as any host would serve it, on this machine."""
@@ -503,13 +515,7 @@ def test_ten_lines_put_a_texture_on_a_canvas_of_ones_own(browser: Any, tmp_path:
               node.port.onmessage = ({ data }) => { window.rms = Math.max(window.rms ?? 0, data.report?.rms ?? 0); };
             }"""
         )
-        box = page.locator("canvas").bounding_box()
-        page.mouse.move(box["x"] + 20, box["y"] + 60)
-        page.mouse.down()
-        for i in range(120):
-            page.mouse.move(box["x"] + 20 + 2 * i, box["y"] + 60)
-            page.wait_for_timeout(8)
-        page.mouse.up()
+        drag(page, "canvas")
         until(page, "window.rms > 0.1")
         page.close()
 
@@ -530,14 +536,7 @@ def test_two_lines_put_a_texture_on_a_page_of_ones_own(browser: Any, tmp_path: P
               element.sound.addEventListener("report", ({ detail }) => { told.rms = Math.max(told.rms ?? 0, detail.rms); });
             }"""
         )
-        box = page.locator("foten-pad").bounding_box()
-        assert box["height"] > 100
-        page.mouse.move(box["x"] + 20, box["y"] + 60)
-        page.mouse.down()
-        for i in range(120):
-            page.mouse.move(box["x"] + 20 + 2 * i, box["y"] + 60)
-            page.wait_for_timeout(8)
-        page.mouse.up()
+        drag(page, "foten-pad")
         until(page, "told.ready && told.rms > 0.1")
         page.evaluate("document.querySelector('foten-pad').setAttribute('src', 'bad.foten')")
         until(page, "told.refused?.startsWith('this is not a texture file')")
@@ -559,13 +558,7 @@ def test_the_first_page_of_the_site_has_a_live_surface(browser: Any) -> None:
             """() => document.querySelector("foten-pad").sound.addEventListener(
               "report", ({ detail }) => { window.rms = Math.max(window.rms ?? 0, detail.rms); })"""
         )
-        box = page.locator("foten-pad").bounding_box()
-        page.mouse.move(box["x"] + 40, box["y"] + 60)
-        page.mouse.down()
-        for i in range(120):
-            page.mouse.move(box["x"] + 40 + 2 * i, box["y"] + 60)
-            page.wait_for_timeout(8)
-        page.mouse.up()
+        drag(page, "foten-pad")
         until(page, "window.rms > 0.1")
         assert page.inner_text("#live-said") == ""
         page.close()
