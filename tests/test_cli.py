@@ -239,6 +239,10 @@ def test_nothing_is_learned_from_a_recording_without_a_stroke_but_with_anyway(
     assert "force never exceeds 0 N" in capsys.readouterr().err
     assert not (tmp_path / "a.h5").exists()
     assert _status(["import", str(table), "-o", str(tmp_path / "a.h5"), "--anyway"]) == 0
+    table.write_text("t,acceleration,speed,force\n" + "".join(f"{i / 1000},{i % 7},-80,1\n" for i in range(2000)))
+    assert _status(["import", str(table), "-o", str(tmp_path / "b.h5")]) == 2
+    assert "speed" in capsys.readouterr().err
+    assert not (tmp_path / "b.h5").exists()
 
 
 def test_credit_goes_from_the_command_to_every_conversion(

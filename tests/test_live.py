@@ -373,13 +373,13 @@ def test_windows_plays_through_wasapi_and_devices_are_listed(
     """The same card is there once for each interface of the system, MME first, which is late by 100 ms and more."""
     assert _status(["devices"]) == 0
     assert re.search(r"1 +Speakers +ALSA +2 +10 +48000 +usual", capsys.readouterr().out)
-    names = ("Speakers (USB Audio)", "Headphones", "Speakers (USB Audio)")
-    sound.cards = tuple((name, 2, host) for name, host in zip(names, (0, 1, 1), strict=True))
+    microphone = ("Microphone (USB Audio)", 0, 1)
+    sound.cards = ("Speakers (USB Audio)", 2, 0), ("Headphones", 2, 1), microphone, ("Speakers (USB Audio)", 2, 1)
     sound.hosts = (
         {"name": "MME", "devices": [0], "default_output_device": 0},
-        {"name": "Windows WASAPI", "devices": [1, 2], "default_output_device": 1},
+        {"name": "Windows WASAPI", "devices": [1, 2, 3], "default_output_device": 1},
     )
-    for device, asked in ((None, 1), ("usb audio", 2), ("0", 0), ("MME's own", "MME's own")):
+    for device, asked in ((None, 1), ("usb audio", 3), ("0", 0), ("MME's own", "MME's own")):
         sink_of("sound", 48_000.0, 1.0, device=device)
         assert sound.asked["device"] == asked
     assert [device.default for device in devices.sound_devices()] == [False, True, False]

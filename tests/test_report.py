@@ -428,7 +428,11 @@ def _off(judged, errors):
 @pytest.mark.parametrize(
     ("errors", "words"),
     [
-        ((0, 0, 0), r"Usable from \d+ to \d+ mm/s: level within 0.1 dB, spectrum "),
+        (
+            (0, 0, 0),
+            r"Usable from \d+ to \d+ mm/s: level within 0.1 dB on average, "
+            r"spectrum 2.\d dB away \(a second stroke's: 2.\d dB\).",
+        ),
         ((0, 0, 6), r"Usable below \d+ mm/s; from \d+ to \d+ mm/s it is 6 dB too loud: record more strokes there."),
         ((-5, 0, 0), r"Usable above \d+ mm/s; from \d+ to \d+ mm/s it is 5 dB too soft: record more strokes there."),
         ((0, 5, 0), r"Usable with care; from \d+ to \d+ mm/s it is 5 dB too loud"),
@@ -441,6 +445,12 @@ def test_the_first_line_says_what_it_is_good_for(judged, errors, words):
     assert re.match(words, headline(_off(judged, errors)))
     text = page(judged, _texture())
     assert text.index("class=headline") < text.index('id="verdict"') < text.index('id="about"')
+
+
+@pytest.mark.parametrize(("speed", "words"), [(0.0, "Not judged: the hand hardly moves"), (80.0, "Usable from 80 to 80")])
+def test_the_first_line_of_a_hand_of_one_speed(judged, speed, words):
+    still = replace(judged.trace, speed=np.full_like(judged.trace.speed, speed))
+    assert headline(replace(_off(judged, (0, 0, 0)), trace=still)).startswith(words)
 
 
 def test_the_waveform_error_stands_beside_that_of_silence(judged):

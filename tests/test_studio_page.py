@@ -286,6 +286,13 @@ def test_what_a_pen_does_at_the_edge_and_at_its_lightest(browser: Any, link: str
 
 def test_methods_are_compared_blind_and_equally_loud(browser: Any, link: str, shelf: Path) -> None:
     with opened(browser, link) as page:
+        page.evaluate(
+            f"""() => {{
+              const {{ pad }} = {STATE}, setTile = pad.setTile.bind(pad);
+              window.tiles = [];
+              pad.setTile = (tile, mm) => {{ tiles.push(tile); setTile(tile, mm); }};
+            }}"""
+        )
         page.click("#compare")
         until(page, "document.querySelectorAll('#blind [role=radio]').length === 2")
         radios = page.locator("#blind [role=radio]")
@@ -293,11 +300,12 @@ def test_methods_are_compared_blind_and_equally_loud(browser: Any, link: str, sh
         assert page.inner_text("#now-name") == "Compare blind"  # no name of a method anywhere
         assert "foten" not in page.inner_text("#stage")
         until(page, "document.querySelectorAll('#blind [role=radio]')[0].ariaChecked === 'true'")
-        page.evaluate(f"window.seen = {STATE}.pad.tile")
-        for i in (1, 0):
+        for n, i in ((2, 1), (3, 0)):
+            until(page, f"window.tiles.length === {n - 1}")
             radios.nth(i).click()
             until(page, f"document.querySelectorAll('#blind [role=radio]')[{i}].ariaChecked === 'true'")
-            assert page.evaluate(f"{STATE}.pad.tile === window.seen")  # nor a picture or a range that differs
+            until(page, f"window.tiles.length === {n}")
+            assert page.evaluate("new Set(window.tiles).size") == 1  # nor a picture or a range that differs
             assert page.inner_text("#now-range") == ""
         gains = page.evaluate(f"Object.fromEntries({STATE}.sound.gains)")
         renderers = {name: Renderer(shelf / name) for name in ("mesh.foten", "mesh2.foten")}
@@ -312,6 +320,7 @@ def test_methods_are_compared_blind_and_equally_loud(browser: Any, link: str, sh
         radios.nth(1).click()
         until(page, "document.querySelector('#blind .choose').textContent === 'B it is'")
         page.set_viewport_size({"width": 390, "height": 844})
+        assert page.locator("#blind >> text=More like the surface?").is_visible()
         boxes = [page.locator(part).bounding_box() for part in ("#blind", "#press")]
         assert boxes[1]["y"] + boxes[1]["height"] <= boxes[0]["y"]  # which lay below the other on a phone
 
@@ -538,8 +547,42 @@ def test_two_lines_put_a_texture_on_a_page_of_ones_own(browser: Any, tmp_path: P
         )
         drag(page, "foten-pad")
         until(page, "told.ready && told.rms > 0.1")
-        page.evaluate("document.querySelector('foten-pad').setAttribute('src', 'bad.foten')")
+        page.evaluate("document.querySelector('foten-pad').src = 'bad.foten'")
         until(page, "told.refused?.startsWith('this is not a texture file')")
+        page.close()
+
+
+def test_the_element_has_a_size_follows_its_source_and_rests_where_it_was_taken_away(
+    browser: Any, shelf: Path, tmp_path: Path
+) -> None:
+    in_a_browser(tmp_path, 0)
+    shutil.copy(shelf / "mesh2.foten", tmp_path / "other.foten")
+    with hosted(tmp_path) as link:
+        page = browser.new_page(device_scale_factor=3)
+        page.goto(link)
+        until(page, "document.querySelector('foten-pad').texture?.src === 'mesh.foten'")
+        assert page.locator("foten-pad").bounding_box()["height"] == 256  # 16rem, which a rule of the page's own changes
+        page.add_style_tag(content="foten-pad { height: 9rem }")
+        assert page.locator("foten-pad > canvas").bounding_box()["height"] == 144
+        page.evaluate("window.element = document.querySelector('foten-pad'); element.sound.route('', 1)")  # before it sounds
+        drag(page, "foten-pad")
+        until(page, "element.sound.id === 'mesh.foten'")
+        assert page.evaluate("element.sound.context.destination.channelInterpretation") == "discrete"
+        page.evaluate("for (const src of ['other.foten', 'mesh.foten', 'other.foten']) element.src = src")
+        until(page, "element.sound.id === 'other.foten'")
+        page.evaluate("element.remove()")
+        until(page, "element.sound.context.state === 'suspended'")
+        page.close()
+
+
+def test_an_element_without_its_worker_says_so(browser: Any, tmp_path: Path) -> None:
+    in_a_browser(tmp_path, 0)
+    (tmp_path / "foten" / "surface.js").unlink()
+    with hosted(tmp_path) as link:
+        page = browser.new_page()
+        page.add_init_script("addEventListener('refused', ({ detail }) => { window.refused = detail; }, true)")
+        page.goto(link)
+        until(page, "window.refused?.includes('surface.js has to be beside painter.js')")
         page.close()
 
 

@@ -32,6 +32,16 @@ def test_the_same_table_in_many_spellings(tmp_path, text):
     assert _columns(tmp_path / "a.csv", text) == {"time": [0, 1, 2], "force": [1.5, 2.5, 3.5]}
 
 
+def test_quoted_thousands_are_no_decimals(tmp_path):
+    """`"1,440"` became 1.44 without a word."""
+    path = tmp_path / "a.csv"
+    path.write_text('time,force\n0,"1,440"\n1,"2,440"\n2,"3,440"\n')
+    force = read_delimited(path)[1]
+    assert force.fault == "row 2 is '1,440', expected a number"
+    path.write_text('time,force\n0.5,"1,44"\n1.5,"2,44"\n')  # a point elsewhere: which one is the mark?
+    assert "expected a number" in read_delimited(path)[1].fault
+
+
 def test_other_encodings(tmp_path):
     text = "t;Kraft µ²\n0;1\n1;2\n"
     assert _columns(tmp_path / "a.csv", text, "latin-1") == {"t": [0, 1], "Kraft µ²": [1, 2]}

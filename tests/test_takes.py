@@ -109,6 +109,21 @@ def test_an_inspection_is_of_all_takes_and_names_one(takes: Recording) -> None:
     assert inspection.to_text().startswith("3 takes of 3.00 to 4.30 s")
 
 
+def test_one_take_of_no_use_is_left_out_and_spoils_no_other(takes: Recording) -> None:
+    still = {**take(5).channels, "speed": Channel(np.zeros(3000), 1000.0)}
+    inspection = inspect_recording(joined_takes([takes, Recording(still, name="still.csv")]))
+    assert any("leave this take out" in finding.text for finding in inspection.problems)
+    assert inspection.to_dict()["usable"]
+    cut = [{name: Channel(of.samples[:150], 1000.0) for name, of in take(i).channels.items()} for i in range(2)]
+    short = [Recording(channels, name=f"{i}.csv") for i, channels in enumerate(cut)]
+    assert inspect_recording(joined_takes(short)).verdict.startswith("record again: 2 takes hold 2 blocks")
+
+
+def test_a_tap_beside_strokes_does_not_cut_their_blocks_short(takes: Recording) -> None:
+    tap = joined_takes([take(6, 20.0), take(7, 20.0), take(8, 1.0)])
+    assert fitting_takes(tap) == (2000.0, 2000.0)
+
+
 @pytest.mark.parametrize(
     ("seconds", "fits"), [(20.0, (2000.0, 2000.0)), (8.0, (0.0, 1000.0)), (5.0, (0.0, 500.0)), (0.5, (0.0, 100.0))]
 )
@@ -131,6 +146,12 @@ def test_the_commands_take_several_files_and_append(
     assert "takes         3 (a.csv, b.csv, c.csv), 10.3 s" in capsys.readouterr().out
     assert _status(["evaluate", texture, *paths, "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["split"] == "regrouped"
+    assert _status(["train", *paths, "-o", texture, "--epochs", "0", "--threads", "1", "--block", "300"]) == 0
+    assert read_texture(texture).card["preprocess"]["trim_ms"] == 0  # as without --block
+    capsys.readouterr()
+    for some in (paths[:2], paths[::-1], paths[1:2]):  # blocks that it learned from would count as unheard
+        assert _status(["evaluate", texture, *some]) == 2
+        assert "some of it was trained on and some not, or in another order" in capsys.readouterr().err
     table = tmp_path / "d.csv"
     rng = np.random.default_rng(0)
     rows = "".join(f"{i / 1000},{a:.6f},{80 + i / 100:.2f},1\n" for i, a in enumerate(rng.standard_normal(2000)))
@@ -139,6 +160,8 @@ def test_the_commands_take_several_files_and_append(
     assert _status(["import", str(table), "-o", whole]) == 0
     assert _status(["import", str(table), "-o", whole, "--append"]) == 2
     assert "take 2 (d.csv) has the same samples as take 1" in capsys.readouterr().err
+    assert _status(["import", str(table), "-o", whole, "--append", "--texture", "jeans"]) == 2
+    assert "--texture is of the recording that is added to" in capsys.readouterr().err
     table.write_text(f"t,acceleration,speed,force\n{rows.replace(',1', ',2')}")
     assert _status(["import", str(table), "-o", whole, "--append"]) == 0
     assert [one.name for one in load_recording(Path(whole)).takes] == ["d.csv", "d.csv"]

@@ -49,9 +49,7 @@ def main() -> None:
         link = next(found[0] for line in server.stderr if (found := re.search(r"http://\S+", line)))
         with sync_playwright() as started:
             browser = started.chromium.launch(executable_path=chromium, args=["--no-sandbox", *MICROPHONE])
-            context = browser.new_context(
-                viewport=SIZE, permissions=["microphone"], color_scheme="light"
-            )
+            context = browser.new_context(viewport=SIZE, permissions=["microphone"], color_scheme="light")
             page = context.new_page()
             page.goto(link)
             page.wait_for_selector("html[data-ready]")
@@ -59,7 +57,9 @@ def main() -> None:
             page.screenshot(path=PICTURES / "page.jpg", type="jpeg", quality=82)
             page.click("#capture-one")
             page.wait_for_timeout(1500)
-            page.evaluate("document.querySelector('#trouble').textContent = ''")  # of the browser's make-believe microphone
+            page.evaluate(
+                "document.querySelector('#trouble').textContent = ''"
+            )  # of the browser's make-believe microphone
             page.screenshot(path=PICTURES / "page-capture.jpg", type="jpeg", quality=82)
             browser.close()
     finally:

@@ -9,8 +9,8 @@ export declare class FotenPad extends HTMLElement {
     route(deviceId: string, channel: number | null): Promise<void>;
     push(xMm: number, yMm: number, pressure: number, seconds: number): void;
   };
-  /** Fetch a texture file and show it; the same as to set `src`. */
-  open(src: string): Promise<void>;
+  /** Link of a texture file; another one is fetched, shown, and sounds where the one before did. */
+  src: string | null;
   /** Begin to sound; to be called from a tap. */
   begin(): Promise<void>;
 }

@@ -30,7 +30,7 @@ def manifest() -> dict[str, Any]:
         "type": "module",
         "exports": {
             ".": {"types": "./foten.d.mts", "default": "./foten.mjs"},
-            "./pad": {"types": "./foten-pad.d.ts", "default": "./foten-pad.js"},
+            "./foten-pad.js": {"types": "./foten-pad.d.ts", "default": "./foten-pad.js"},
             **{f"./{name}": f"./{name}" for name in ("foten.wasm", "worklet.js")},
         },
         "types": "./foten.d.mts",

@@ -132,6 +132,7 @@ def import_(
     if any(file.suffix.lower() == ".xml" for file in files):
         of_table = dict[str, Any](map=mapping, unit=units, rate=rate, fill_gaps=fill_gaps or None, pen=pen)
         of_recording = {**of_table, "pressure": pressure, "force_units": force_units, "tool": tool, "sensors": sensors}
+        of_recording |= {"surface": surface, "append": append, "anyway": anyway}
         refuse("is for recordings, and an .xml holds models with units and rate", **of_recording)
         _import_models(files, output, texture, notes, as_json)
         return
@@ -146,8 +147,15 @@ def import_(
     rate_hz, rates_hz = parse_rates(rate or [])
     pairs, units_of = parse_pairs(mapping or [], "--map"), dict(parse_pairs(units or [], "--unit"))
     options = ImportOptions(tuple(pairs), units_of, rate_hz, rates_hz, fill_gaps, force_units)
-    if files[0].is_dir():
-        refuse("is of tables, and a dataset's are known", map=mapping, unit=units, rate=rate, pen=pen)
+    if append:
+        refuse("is of the recording that is added to", texture=texture, tool=tool, sensors=sensors, notes=notes)
+    if any(file.is_dir() for file in files):
+        of_table = dict[str, Any](
+            map=mapping, unit=units, rate=rate, fill_gaps=fill_gaps or None, force_units=force_units
+        )
+        refuse("is of tables, and a dataset's are known", **of_table, pen=pen, pressure=pressure)
+        if len(files) != 1:
+            raise ValueError(f"got {len(files)} files, expected the folder of a dataset by itself")
         imported, decisions = read_cluster(files[0], surface)
     elif pen is None:
         refuse("is of a --pen", pressure=pressure)

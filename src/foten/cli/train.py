@@ -140,8 +140,10 @@ class TrainOptions:
         # The paper trains with 25 Hz and renders with 20 Hz.
         lowpass_hz = 25.0 if self.recipe == "paper" else None
         trim_ms, block_ms = self.trim, self.block
-        if recording.later_takes and trim_ms is None and block_ms is None:
-            trim_ms, block_ms = fitting_takes(recording)
+        if recording.later_takes:
+            fitting = fitting_takes(recording)
+            trim_ms = fitting[0] if trim_ms is None else trim_ms
+            block_ms = fitting[1] if block_ms is None else block_ms
         cut = _not_none(rate_hz=self.rate, trim_ms=trim_ms, block_ms=block_ms, lowpass_hz=lowpass_hz)
         preprocess = PreprocessConfig(zero_phase=self.zero_phase, force_units=self.force_units, **cut)
         sizes = _not_none(window=self.window) | _settings(self.settings or [])
@@ -173,7 +175,8 @@ def train(options: TrainOptions) -> None:
     job = options.job(recording)
     inspection = inspect_recording(recording)
     if not options.anyway:
-        check_usable(inspection)
+        check_usable(inspection, besides=("refused", "short"))  # which the training says itself
+    notes = list(_notes(inspection, job.preprocess.rate_hz))
     display = TrainingDisplay(config.epochs, "nat" if options.of_spectra else "sd")
     folder = RunFolder(options.run_folder or output.with_suffix(".run"), display.note)
     if options.has_network:
@@ -185,15 +188,14 @@ def train(options: TrainOptions) -> None:
             display.note(f"wrote {output}, playable without its network; it is replaced by a better one")
 
         def on_epoch(epoch: Epoch) -> None:
-            if epoch.epoch == 0:  # once the recording was taken: a refusal is one line
-                for note in _notes(inspection, job.preprocess.rate_hz):
-                    display.note(note)
+            while notes:  # once the recording was taken: a refusal is one line
+                display.note(notes.pop(0))
             display.show(epoch)
             folder.log(epoch)
 
         checkpoint = Checkpoint(folder.checkpoint, config, options.resume)
         trained = train_texture(job, Monitor(display.stage, on_epoch, on_playable, checkpoint))
-        for note in trained.progress.notes:
+        for note in (*notes, *trained.progress.notes):
             display.note(note)
     write_texture(trained.texture, output)
     outputs = str(output)
@@ -273,10 +275,12 @@ def _summary(trained: Trained) -> str:
     return "\n".join([*lines, f"warm start {origin} at {where}, the nearest to the paper's 45 mm/s and 0.8 N"])
 
 
-def check_usable(inspection: Inspection) -> None:
-    """Refuse a recording from which nothing sensible can be learned; what training refuses by itself it says itself."""
-    findings = [finding for finding in inspection.findings if finding.severity == "unusable"]
-    if findings and findings[0].code not in ("refused", "short"):
+def check_usable(inspection: Inspection, besides: tuple[str, ...] = ()) -> None:
+    """Refuse a recording from which nothing sensible can be learned, but for findings with some codes."""
+    findings = [
+        finding for finding in inspection.findings if finding.severity == "unusable" and finding.code not in besides
+    ]
+    if findings:
         raise ValueError(f"nothing sensible can be learned: {findings[0].text} (--anyway goes on)")
 
 

@@ -91,7 +91,7 @@ def _take(place: Path, name: str) -> Recording:
         for axis, (times, values) in zip("xy", _distinct(position), strict=True)
     }
     ((times, values),) = _distinct(force)
-    channels["force"] = Channel(np.abs(values), *_timed(times - start_s))
+    channels["force"] = Channel(values, *_timed(times - start_s))
     check_overlap(channels)
     history = (
         f"acceleration: the rows of accel/{name} that differ from the one before, on an even grid of {rate_hz:.6g} Hz between "

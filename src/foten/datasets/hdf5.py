@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import contextlib
 import json
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -25,6 +24,7 @@ from foten.untrusted import check_numbers, parse_json
 
 FORMAT = "foten-recording"
 VERSION = 1
+MAX_OBJECTS = 10_000  # groups and datasets that a reader takes
 MAX_TEXT_BYTES = 60_000  # bytes; HDF5 has room for 65,536 in an attribute and its name
 _TEXTS = ("texture", "tool", "sensors", "notes")
 
@@ -39,6 +39,10 @@ def write_recording(recording: Recording, path: Path) -> None:
     for key, text in texts.items():
         if len(text.encode()) > MAX_TEXT_BYTES:
             raise ValueError(f"{key} has {len(text.encode()):,} bytes, expected {MAX_TEXT_BYTES:,} at most")
+    if (n := sum(2 * len(take.channels) + 3 for take in recording.takes)) > MAX_OBJECTS:
+        raise ValueError(
+            f"{len(recording.takes)} takes are too many for one file, about {n} groups of {MAX_OBJECTS} at most"
+        )
     # Made in memory, since HDF5 does not survive a full disk.
     with h5py.File("in memory", "w", driver="core", backing_store=False) as file:
         file.attrs.update({"format": FORMAT, "version": VERSION} | texts)
@@ -78,9 +82,10 @@ def load_recording(path: Path) -> Recording:
     if version != VERSION:
         raise ValueError(f"{name} has version {version:g}, expected {VERSION}; a newer foten may read it")
     objects = {entry["name"]: entry for entry in contents["objects"]}
-    numbers = sorted({int(match[1]) for place in objects if (match := re.match(r"takes/(\d{1,4})/", place))})
-    if numbers != list(range(2, len(numbers) + 2)):
-        raise ValueError(f"{name}: takes are {', '.join(map(str, numbers))}, expected 2, 3 and so on without a gap")
+    names = {place.split("/")[1] for place in objects if place.startswith("takes/")}
+    numbers = list(range(2, len(names) + 2))
+    if names != set(map(str, numbers)):
+        raise ValueError(f"{name}: takes are {', '.join(sorted(names))[:60]}, expected 2, 3 and so on without a gap")
     channels, calibrated = _channels(objects, arrays, name)
     texts = {key: str(attributes.get(key, "")) for key in (*_TEXTS, "name")}
     later = []

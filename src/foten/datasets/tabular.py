@@ -15,12 +15,13 @@ import numpy as np
 
 from foten.datasets.clock_times import clock_seconds
 from foten.datasets.columns import MAX_COLUMNS, Column, check_width, reading
-from foten.datasets.units import is_unit, split_header
+from foten.datasets.units import CLOCK, is_unit
 from foten.recording.inspection.values import counted
 from foten.untrusted import brief
 
 COMMENTS = ("#", "%", "//")  # that a line of comment begins with
 _DECIMAL_COMMA = re.compile(r"[-+]?\d*,\d+([eE][-+]?\d+)?")
+_NO_THOUSANDS = re.compile(r"[-+]?(?:0|\d{4,}|\d*(?=,\d{1,2}$)|\d*(?=,\d{4,}$)),\d+([eE][-+]?\d+)?")
 _DECIMAL_POINT = re.compile(r"[-+]?\d*\.\d+([eE][-+]?\d+)?")
 MAX_CELLS = 50_000_000  # of a sheet
 MAX_ROWS = 2_000_000  # of a sheet; a program of tables has 1,048,576
@@ -52,18 +53,23 @@ def read_delimited(path: Path) -> list[Column]:
             raise ValueError(f"{path.name} is not a table ({brief(error)})") from None
     if delimiter != "," or any('"' in line for line in filled):  # where commas separate, a decimal one is quoted
         data = [row for i, row in enumerate(rows) if i not in comments and any(row)]
-        if _has_decimal_commas(data):
+        if _has_decimal_commas(data, quoted=delimiter == ","):
             rows = [[cell.replace(",", ".") for cell in row] for row in rows]
     return _table(rows, path.name, comments.keys())
 
 
-def _has_decimal_commas(rows: list[list[str]]) -> bool:
-    """Whether numbers have a decimal comma: in the middle row, or in any where none has a point."""
+def _has_decimal_commas(rows: list[list[str]], quoted: bool) -> bool:
+    """Whether numbers have a decimal comma: in the middle row, or in any where none has a point.
+
+    Quoted ones beside commas that separate count only where no number has a point and some cannot be thousands: `"1,440"` can.
+    """
 
     def has(decimal: re.Pattern[str], mark: str, among: Iterable[list[str]]) -> bool:
         return any(decimal.fullmatch(cell.strip()) for row in among for cell in row if mark in cell)
 
     anywhere = has(_DECIMAL_COMMA, ",", rows) and not has(_DECIMAL_POINT, ".", rows)
+    if quoted:
+        return anywhere and has(_NO_THOUSANDS, ",", rows)
     return anywhere or has(_DECIMAL_COMMA, ",", rows[len(rows) // 2 :][:1])
 
 
@@ -195,9 +201,7 @@ def _column(empty: Column, cells: Sequence[Any]) -> Column:
     except (TypeError, ValueError, OverflowError):
         seconds = clock_seconds(["" if cell is None else str(cell) for cell in cells[:n]])
         if seconds is not None:
-            return replace(
-                empty, name=split_header(empty.name, "time")[0], samples=seconds, unit="s", n_blank=len(cells) - n
-            )
+            return replace(empty, samples=seconds, unit=CLOCK, n_blank=len(cells) - n)
         bad = next((i for i, cell in enumerate(numbers) if not _is_number(cell)), 0)
         fault = f"row {empty.row_numbers[bad]} is {str(cells[bad])[:60]!r}, expected a number"
         return replace(empty, n_blank=n, fault=fault)

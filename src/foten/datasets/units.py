@@ -13,6 +13,8 @@ from foten.recording.recording import UNITS
 
 G = 9.80665  # m/s², standard gravity
 POUND_N = 0.45359237 * G  # the weight of a pound, whose mass is exact
+CLOCK = "seconds of a clock"
+"""The unit of times of a clock, which were made seconds whatever their header says."""
 FULL_SCALE = "of full scale"
 """The unit of integer samples of sound, which needs a factor from the user."""
 
@@ -152,6 +154,12 @@ def factor_of(channel: str, header: str, stated: str = "", by_user: str | None =
     """
     kind, target = quantity(channel), UNITS.get(channel, "s")
     known = FACTORS[kind]
+    if stated == CLOCK:
+        if kind != "time" or by_user is not None:
+            raise ValueError(
+                f"{channel}: column {header!r} holds times of a clock, taken as seconds: it has no other unit"
+            )
+        return 1.0, f"time was read as a clock's, in seconds from the first ({header})"
     in_header = split_header(header, kind)[1]
     if by_user is None and stated and in_header and canonical(stated) != canonical(in_header):
         both = f"is in {in_header} by its name and in {stated} by its unit"

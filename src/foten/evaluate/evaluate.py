@@ -101,6 +101,10 @@ def evaluate(
             f"the {which} is in relative units and the other in m/s²: their levels cannot be compared; where the sensitivity is "
             "known, import the sound with --unit acceleration=*FACTOR"
         )
+    whole, known = texture.card["recording_sha256"], {take.get("sha256") for take in texture.card.get("takes", [])}
+    if recording.sha256() != whole and any(take.sha256() in {whole, *known} for take in recording.takes):
+        some = "some of it was trained on and some not, or in another order"
+        raise ValueError(f"{some}: give the recordings of the training, all of them in its order, or others alone")
     trace = trace_for(texture, recording, trim_ms, block_ms)
     split: Split | None = None
     if trace.recording_sha256 == texture.card["recording_sha256"]:

@@ -100,8 +100,12 @@ def fitting_options(seconds: float, rate_hz: float, captured_hz: float | None = 
 
 
 def fitting_takes(recording: Recording) -> tuple[float, float]:
-    """Trim and block [ms] that fit several takes: the defaults for long ones, else no trim and six blocks of the shortest."""
-    shortest_ms, config = 1000 * min(take.duration_s for take in recording.takes), PreprocessConfig()
+    """Trim and block [ms] that fit several takes: the defaults for long ones, else no trim and six blocks of the shortest.
+
+    A take of less than a quarter of the usual length is no measure for the others.
+    """
+    lengths, config = np.array([take.duration_s for take in recording.takes]), PreprocessConfig()
+    shortest_ms = 1000 * float(lengths[lengths >= 0.25 * np.median(lengths)].min())
     if shortest_ms >= 2 * config.trim_ms + BLOCKS_OF_TAKE * config.block_ms:
         return config.trim_ms, config.block_ms
     usable_ms = shortest_ms - config.delay_ms

@@ -41,10 +41,14 @@ def overview(recording: Recording, inspection: Inspection) -> Figure:
         axes.set_ylabel(f"{name.replace('_', ' ')}\n[{UNITS[name].replace('^2', '²')}]")
         axes.margins(x=0.01)
         _keep_readable(axes, channel.samples, UNITS[name])
-        _mark(axes, [f for f in inspection.findings if f.channel == name and f.places_s and f.code in _MARKED])
+        _mark(
+            axes,
+            [f for f in inspection.findings if f.channel == name and f.places_s and f.code in _MARKED and f.take == 1],
+        )
     figure.align_ylabels()
     panels[-1, 0].set_xlabel("time [s]")
-    panels[0, 0].set_title(_title(recording, "recorded channels"))
+    takes = f", take 1 of {len(recording.takes)}" if recording.later_takes else ""
+    panels[0, 0].set_title(_title(recording, f"recorded channels{takes}"))
     return figure
 
 

@@ -136,9 +136,12 @@ class TrainingJob:
 
 
 def takes_entry(recording: Recording, trace: Trace) -> list[dict[str, Any]]:
-    """The card's entry of several takes: the name, the length [s] and the number of blocks of each."""
+    """The card's entry of several takes: the name, digest, length [s] and number of blocks of each."""
     takes = zip(recording.takes, trace.take_blocks, strict=True)
-    return [{"name": take.name, "seconds": round(take.duration_s, 3), "blocks": n} for take, n in takes]
+    return [
+        {"name": take.name, "sha256": take.sha256(), "seconds": round(take.duration_s, 3), "blocks": n}
+        for take, n in takes
+    ]
 
 
 def versions() -> dict[str, str]:

@@ -149,10 +149,11 @@ def free_run_section(document: Mapping[str, Any]) -> str:
 
 def waveform_error(document: Mapping[str, Any]) -> str:
     """Sentence on the waveform error of the free run, that of silence, and why the smaller one is not the better one."""
-    error, ceiling = (document[run].get("mae_scaled") for run in ("free_run", "ceiling"))
+    key = "free_run" if document["free_run"].get("mae_scaled") is not None else "free_run_deterministic"
+    error, ceiling = (document[run].get("mae_scaled") for run in (key, "ceiling"))
     if error is None:
         return ""
-    silence = f"silence has {document['free_run']['mae_scaled_silence']:.2f}"
+    silence = f"silence has {document[key]['mae_scaled_silence']:.2f}"
     another = "" if ceiling is None else f", a true vibration ({document['ceiling']['of']}) {ceiling:.2f}"
     return (
         f"Waveform: the free run's mean absolute error is {error:.2f} sd; {silence}{another}. Two true vibrations differ sample "

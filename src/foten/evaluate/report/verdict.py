@@ -87,6 +87,8 @@ def headline(judgement: Judgement) -> str:
     if key is None:
         return f"Not judged: {reason(document, 'free_run')}."
     ranges = _levels_by_speed(judgement, key)
+    if not ranges:
+        return "Not judged: the hand hardly moves in this recording."
     biases = [bias for *_, bias in ranges]
     if max(biases) < SILENT_DB:
         return "Not usable: left to itself it falls silent. foten-plus does not, nor a network with --excitation."
@@ -95,13 +97,13 @@ def headline(judgement: Judgement) -> str:
     if spectrum.tone == "bad" or not any(right):
         why = "its level is off at every speed"
         if any(right):
-            why = f"its spectrum is {spectrum.figure} away, {spectrum.beside}"
+            why = f"its spectrum is {_distance(document, key)}"
         return f"Not usable yet: {why}. Record again for longer, with strokes at all speeds and forces."
     if all(right):
-        low, high = np.quantile(scored_conditions(judgement)[0], [0.01, 0.99])
-        near = "as near as a second stroke's" if spectrum.tone == "good" else spectrum.beside
+        low, high = np.maximum(np.quantile(scored_conditions(judgement)[0], [0.01, 0.99]), FADE_SPEED)
+        near = "as near as a second stroke's" if spectrum.tone == "good" else _distance(document, key)
         worst = max(0.1, *map(abs, biases))
-        return f"Usable from {low:.0f} to {high:.0f} mm/s: level within {worst:.1f} dB, spectrum {near}."
+        return f"Usable from {low:.0f} to {high:.0f} mm/s: level within {worst:.1f} dB on average, spectrum {near}."
     wrong = [one for one, fine in zip(ranges, right, strict=True) if not fine]
     low, high, bias = max(wrong, key=lambda one: abs(one[2]))
     where = f"from {low:.0f} to {high:.0f} mm/s it is {abs(bias):.0f} dB too {'loud' if bias > 0 else 'soft'}"
@@ -113,15 +115,24 @@ def headline(judgement: Judgement) -> str:
     return f"Usable {usable}; {where}: record more strokes there."
 
 
+def _distance(document: Mapping[str, Any], key: str) -> str:
+    """Distance of a run's spectrum, beside that of what it may be compared with."""
+    distance, linear, ceiling = (document[run]["lsd_db"] for run in (key, "free_run_ar", "ceiling"))
+    beside = f" (a second stroke's: {ceiling:.1f} dB)" if ceiling else f" (AR(20): {linear:.1f} dB)" if linear else ""
+    return f"{distance:.1f} dB away{beside}"
+
+
 def _levels_by_speed(judgement: Judgement, key: str) -> list[tuple[float, float, float]]:
     """Speeds [mm/s] between which lie as many frames of 40 ms each, and their mean level error [dB]."""
     errors, rate_hz = frame_errors(judgement, key).mean(axis=0), judgement.trace.rate_hz
     speeds = frame_means(scored_conditions(judgement)[0], rate_hz)
     moving = speeds >= FADE_SPEED
+    if not moving.any():
+        return []
     edges = np.quantile(speeds[moving], np.linspace(0, 1, SPEED_RANGES + 1))
     number = np.clip(np.searchsorted(edges, speeds[moving], side="right") - 1, 0, SPEED_RANGES - 1)
-    means = [float(errors[moving][number == i].mean()) for i in range(SPEED_RANGES)]
-    return list(zip(edges[:-1].tolist(), edges[1:].tolist(), means, strict=True))
+    groups = [(i, errors[moving][number == i]) for i in range(SPEED_RANGES)]  # empty where many frames have one speed
+    return [(float(edges[i]), float(edges[i + 1]), float(group.mean())) for i, group in groups if group.size]
 
 
 def cautions(document: Mapping[str, Any]) -> list[str]:

@@ -18,9 +18,10 @@ from foten.recording.inspection.speed_force import (
     coverage_of,
     speed_force_of,
 )
-from foten.recording.inspection.values import UNUSABLE, ChannelReport, Finding, Inspection
+from foten.recording.inspection.values import PROBLEM, UNUSABLE, ChannelReport, Finding, Inspection
 from foten.recording.preprocess import PreprocessConfig, fitting_options, fitting_takes
 from foten.recording.recording import Channel, Recording, common_span_s
+from foten.recording.split import MIN_BLOCKS
 
 OF_ALL_TAKES = ("range", "coverage", "short")  # codes of what one take may lack and another have
 
@@ -41,6 +42,11 @@ def inspect_recording(recording: Recording) -> Inspection:
     longest = max(range(len(takes)), key=lambda i: takes[i].duration_s)
     psd, shares = inspections[longest].psd, inspections[longest].carried
     trim_ms, block_ms = fitting_takes(recording)
+    lost_ms = 2 * trim_ms + PreprocessConfig().delay_ms
+    n_blocks = sum(max(0, int((1000 * take.duration_s - lost_ms) // block_ms)) for take in takes)
+    if n_blocks < MIN_BLOCKS:
+        blocks = f"{len(takes)} takes hold {n_blocks} blocks of {block_ms:g} ms"
+        findings.append(Finding(UNUSABLE, "short", "", f"{blocks}, expected {MIN_BLOCKS} or more: record for longer"))
     rate_hz = perception.smallest_rate(shares) if shares else PreprocessConfig().rate_hz
     options = f"--rate {rate_hz:g} --trim {trim_ms:g} --block {block_ms:g}"
     reports = tuple(map(_pooled, zip(*(inspection.channels for inspection in inspections), strict=True)))
@@ -58,8 +64,12 @@ def _findings_of(takes: Sequence[Recording], inspections: Sequence[Inspection]) 
     findings = []
     for found in places.values():
         (number, first), n = found[0], len({i for i, _ in found})
+        if first.severity == UNUSABLE and n < len(takes):  # the others can be learned from
+            first = replace(first, severity=PROBLEM, text=f"{first.text}: leave this take out")
         others = f" (so in {n} of {len(takes)} takes)" if n > 1 else ""
-        findings.append(replace(first, text=f"take {number}{takes[number - 1].named}: {first.text}{others}"))
+        findings.append(
+            replace(first, text=f"take {number}{takes[number - 1].named}: {first.text}{others}", take=number)
+        )
     return findings
 
 

@@ -26,7 +26,8 @@ class Finding:
     code: str  # a word for programs, e.g. `spikes`
     channel: str  # or empty
     text: str  # a sentence for people
-    places_s: tuple[float, ...] = ()  # times from the start [s], at most `N_PLACES`
+    places_s: tuple[float, ...] = ()  # times from the start of the take [s], at most `N_PLACES`
+    take: int = 1  # the first that it is of
 
 
 @dataclass(frozen=True)
@@ -98,8 +99,9 @@ class Inspection:
             return f"record again: {self.unusable or 'speed or force is missing'}"
         (slow, quick), (light, heavy) = self.coverage.speed_range, self.coverage.force_range
         n = len(self.problems)
-        usable = f"usable with care, see the {counted(n, 'problem')}:" if n else "usable"
-        text = f"{usable} from {slow:.0f} to {quick:.0f} mm/s and from {light:.2g} to {heavy:.2g} N"
+        usable = f"usable with care ({counted(n, 'problem')} above)" if n else "usable"
+        light, heavy = float(f"{light:.2g}"), float(f"{heavy:.2g}")
+        text = f"{usable} from {slow:.0f} to {quick:.0f} mm/s and from {light:g} to {heavy:g} N"
         if self.coverage.fraction < MIN_COVERED:
             text += ", a small part of what hands do: vary speed and force separately"
         return text

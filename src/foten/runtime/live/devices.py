@@ -54,8 +54,11 @@ def _output_of(library: Any, device: str | int | None) -> str | int | None:
         return device
     if device is None:
         return wasapi["default_output_device"] if wasapi["default_output_device"] >= 0 else None
-    named = (number for number in wasapi["devices"] if device.lower() in library.query_devices(number)["name"].lower())
-    return next(named, device)
+    for number in wasapi["devices"]:
+        about = library.query_devices(number)
+        if about["max_output_channels"] > 0 and device.lower() in about["name"].lower():
+            return int(number)
+    return device
 
 
 class SoundSink:

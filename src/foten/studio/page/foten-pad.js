@@ -10,6 +10,12 @@ import { painted } from "./painter.js";
 import { cardOf } from "./shelf.js";
 import { PageSound } from "./sound.js";
 
+const style = new CSSStyleSheet(); // without weight: any rule of the page's own goes before it
+style.replaceSync(`
+  :where(foten-pad) { display: block; height: 16rem; }
+  :where(foten-pad > canvas) { display: block; width: 100%; height: 100%; touch-action: none; user-select: none; -webkit-user-select: none; cursor: crosshair; }`);
+document.adoptedStyleSheets.push(style);
+
 const LABEL = "Surface. Stroke it with a pen, a finger or the mouse; or with the arrow keys, Shift for faster, Space to press harder.";
 
 export class FotenPad extends HTMLElement {
@@ -18,11 +24,10 @@ export class FotenPad extends HTMLElement {
   connectedCallback() {
     if (this.pad) return;
     this.sound = new PageSound();
+    this.loads = new Map(); // by src: what the worklet says of a texture
     const canvas = this.querySelector("canvas") ?? this.appendChild(document.createElement("canvas"));
     if (!canvas.hasAttribute("aria-label"))
       for (const [name, value] of Object.entries({ tabindex: "0", role: "application", "aria-label": LABEL })) canvas.setAttribute(name, value);
-    Object.assign(this.style, { display: "block", ...(getComputedStyle(this).height === "0px" && { height: "16rem" }) });
-    Object.assign(canvas.style, { display: "block", width: "100%", height: "100%", touchAction: "none", userSelect: "none", cursor: "crosshair" });
     this.pad = new Pad(canvas, (...event) => this.sound.push(...event));
     this.pad.dispatch = () => this.begin();
     canvas.addEventListener("pointerup", () => this.begin()); // a finger is a tap only when it leaves
@@ -30,11 +35,23 @@ export class FotenPad extends HTMLElement {
     for (const name of FotenPad.observedAttributes) this.attributeChangedCallback(name, null, this.getAttribute(name));
   }
 
+  disconnectedCallback() {
+    this.sound.context?.suspend(); // a touch goes on, where the element comes back
+  }
+
   attributeChangedCallback(name, _, value) {
     if (!this.pad || value === null) return;
     if (name === "force") this.pad.force = Number(value);
     else if (name === "volume") this.sound.setVolume(Number(value));
-    else this.opening = this.open(value);
+    else this.opening = this.fetched(value);
+  }
+
+  get src() {
+    return this.getAttribute("src");
+  }
+
+  set src(value) {
+    this.setAttribute("src", value);
   }
 
   emit(type, detail) {
@@ -42,7 +59,7 @@ export class FotenPad extends HTMLElement {
   }
 
   /** Fetch a texture file and show it; it sounds from the next touch on, or at once where another one does already. */
-  async open(src) {
+  async fetched(src) {
     this.texture = null;
     try {
       const answer = await fetch(src);
@@ -50,7 +67,7 @@ export class FotenPad extends HTMLElement {
       const bytes = await answer.arrayBuffer(), card = cardOf(bytes);
       if (card.hasGraph) throw new Error(`${src} has a network that only a server runs: foten serve ${src}`);
       const { canvas, mm } = await painted(bytes, card.texture);
-      if (this.getAttribute("src") !== src) return; // another one was asked for
+      if (this.src !== src) return; // another one was asked for
       this.texture = { src, bytes };
       this.pad.setTile(canvas, mm);
       if (this.sound.running) this.begin(); // which waits for this
@@ -64,16 +81,22 @@ export class FotenPad extends HTMLElement {
     try {
       await this.sound.start();
       await this.opening;
-      if (!this.texture) return;
-      const { src, bytes } = this.texture;
-      if (!this.sound.infos.has(src)) {
-        this.loading ??= this.sound.load(src, bytes).finally(() => (this.loading = null));
-        this.emit("ready", await this.loading);
-      }
-      if (this.sound.id !== src) this.sound.use(src);
+      const { texture } = this;
+      if (!texture || this.sound.id === texture.src) return;
+      const info = await this.loaded(texture);
+      if (this.texture !== texture || this.sound.id === texture.src) return; // another one was asked for, or this one by another touch
+      this.sound.use(texture.src);
+      this.emit("ready", info);
     } catch (error) {
       this.emit("refused", error.message);
     }
+  }
+
+  /** Have a texture made ready, once. */
+  loaded({ src, bytes }) {
+    if (!this.loads.has(src)) this.loads.set(src, this.sound.load(src, bytes));
+    this.loads.get(src).catch(() => this.loads.delete(src));
+    return this.loads.get(src);
   }
 }
 

@@ -13,6 +13,11 @@ export function asked(message) {
       if (failed) reject(new Error(failed));
       else resolve(answer);
     };
+    worker.onerror = () => {
+      for (const { reject } of waiting.values()) reject(new Error("the picture's worker did not start: surface.js has to be beside painter.js"));
+      waiting.clear();
+      worker = null;
+    };
   }
   return new Promise((resolve, reject) => (waiting.set(++jobs, { resolve, reject }), worker.postMessage({ job: jobs, ...message })));
 }

@@ -2,7 +2,7 @@
 
 const CARD_MM = 53.98; // the short side of a bank card, ISO/IEC 7810 ID-1
 const SIZES_PX = [120, 640]; // that it may have on a screen
-const TALLEST = 0.55; // of the window, for a bar that stands upright, so that all of it is seen
+const TALLEST = 0.8; // of the window, for a bar that stands upright, so that all of it is seen
 const NARROW_PX = 480; // on what is narrower the bar stands upright: there is more room
 const PAPER = { newtons: 0.13, steepness: 3.32 }; // Eq. 12
 const GRAM_N = 0.00980665;
@@ -133,6 +133,9 @@ export class Settings {
       localStorage.setItem("buffer", $("buffer").value);
       location.reload(); // a context keeps its buffer
     });
+    addEventListener("resize", () => dialog.open && this.showSize());
+    const [sink, channel] = [localStorage.getItem("sink") ?? "", localStorage.getItem("channel") || null];
+    if (sink || channel) sound.route?.(sink, channel && Number(channel));
     this.curve();
     this.setActuator(this.actuator, false);
   }
@@ -160,20 +163,18 @@ export class Settings {
         stream.getTracks().forEach((track) => track.stop());
         return await this.listOutputs();
       }
+      await this.sound.route($("sink").value, this.channel);
       localStorage.setItem("sink", $("sink").value);
       localStorage.setItem("channel", $("channel").value);
-      if (this.sound.context) await this.route();
-      await this.listOutputs(); // another output has other channels
     } catch (error) {
       this.sound.emit("failed", `this output does not play: ${error.message}`);
-      $("sink").value = "";
     }
+    await this.listOutputs(); // another output has other channels
   }
 
-  /** Play where was chosen before. */
-  route() {
-    const channel = localStorage.getItem("channel") ?? "";
-    return this.sound.route(localStorage.getItem("sink") ?? "", channel === "" ? null : Number(channel));
+  /** Channel that is chosen, from 0; null for all. */
+  get channel() {
+    return this.$("channel").value === "" ? null : Number(this.$("channel").value);
   }
 
   /** Offer the server's sound, where there is one. */
@@ -202,7 +203,6 @@ export class Settings {
   apply() {
     this.sound.calibrate(this.calibration);
     if (this.actuator) this.setActuator(this.actuator);
-    this.route().catch((error) => this.sound.emit("failed", `the output that was chosen does not play: ${error.message}`));
   }
 
   show() {

@@ -18,6 +18,7 @@ export class PageSound extends EventTarget {
     this.loading = new Map(); // by id: what waits for the worklet's answer
     this.infos = new Map();
     this.volumeDb = -6;
+    this.routed = null; // the output and channel that were chosen
     this.gains = new Map(); // dB by id, that make methods equally loud
     this.delays = [];
     this.sent = new Map();
@@ -54,6 +55,7 @@ export class PageSound extends EventTarget {
     this.output = new AnalyserNode(context, { fftSize: 2048 }); // what leaves
     this.node.connect(this.analyser);
     this.node.connect(this.volume).connect(this.output).connect(context.destination);
+    if (this.routed) await this.play(...this.routed).catch(({ message }) => this.emit("failed", `the output that was chosen does not play: ${message}`));
   }
 
   /** Channels of the output that is played on. */
@@ -63,6 +65,11 @@ export class PageSound extends EventTarget {
 
   /** Play on an output of this machine by its id, "" for the usual one, and on one of its channels, from 0; null for all of them. */
   async route(deviceId, channel) {
+    if (this.output) await this.play(deviceId, channel);
+    this.routed = [deviceId, channel]; // which plays, or is tried as the sound begins
+  }
+
+  async play(deviceId, channel) {
     const { context } = this, { destination } = context;
     if (context.setSinkId && context.sinkId !== deviceId) await context.setSinkId(deviceId);
     this.output.disconnect();

@@ -209,11 +209,11 @@ $("compare").addEventListener("click", () => attempt(async () => {
   const buttons = order.map((one, i) => {
     const button = Object.assign(document.createElement("button"), { textContent: String.fromCharCode(65 + i) });
     button.setAttribute("role", "radio");
-    button.addEventListener("click", () => attempt(async () => {
-      await use(one);
+    button.addEventListener("click", () => {
       for (const other of buttons) other.setAttribute("aria-checked", String(other === button));
       choose.textContent = `${button.textContent} it is`;
-    }));
+      attempt(() => use(one));
+    });
     return button;
   });
   const choose = Object.assign(document.createElement("button"), { className: "choose" });
@@ -221,7 +221,6 @@ $("compare").addEventListener("click", () => attempt(async () => {
   const question = Object.assign(document.createElement("span"), { textContent: "More like the surface?" });
   $("blind").replaceChildren(question, ...buttons, choose);
   $("blind").hidden = false;
-  $("press").classList.add("raised");
   buttons[0].click();
 }));
 
@@ -239,7 +238,6 @@ function endBlind() {
   blind = null;
   sound.match({});
   $("blind").hidden = true;
-  $("press").classList.remove("raised");
 }
 
 /** Say which method is which, and, once one was chosen, how often each has been. */
