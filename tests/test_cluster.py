@@ -10,7 +10,7 @@ import pytest
 from foten.cli.command_line import _status
 from foten.datasets.cluster import cluster_surfaces, read_cluster
 from foten.datasets.hdf5 import load_recording
-from foten.recording.preprocess import PreprocessConfig, fitting_takes, preprocess
+from foten.recording.preprocess import PreprocessConfig, fitting_cut, preprocess
 
 TONE_HZ, SENSOR_HZ, SECONDS = 137.0, 6000.0, 5.0
 
@@ -54,7 +54,7 @@ def test_a_surface_is_all_its_clips_in_si_units_at_the_rate_of_its_samples(datas
     assert [take.name for take in recording.takes] == ["7_0_20_500_0", "7_135_40_1000_0", "7_270_60_500_0"]
     assert "3 clips of surface 7" in decisions[0]
     assert recording["acceleration_x"].rate_hz == SENSOR_HZ
-    trim_ms, block_ms = fitting_takes(recording)
+    trim_ms, block_ms = fitting_cut(recording)
     trace = preprocess(recording, PreprocessConfig(trim_ms=trim_ms, block_ms=block_ms))
     assert trace.take_blocks == (9, 9, 9)
     speeds = trace.blocks(trace.speed)[:, 100:].mean(axis=1).reshape(3, 9).mean(axis=1)

@@ -2,6 +2,7 @@
 
 import json
 import re
+import shlex
 import struct
 
 import h5py
@@ -106,6 +107,43 @@ def test_headers_that_leave_no_doubt_need_no_map(tmp_path):
     assert "acceleration was converted from g to m/s^2" in recording.history
 
 
+@pytest.mark.parametrize(
+    ("header", "mapped"),
+    [
+        ("Uhrzeit,Vibration,Vorschub,Anpresskraft", "time acceleration speed force"),
+        ("Takt [ms],Kanal 1 [m/s²],Kanal 2 [mm/s],Druck [N]", "time acceleration speed force"),  # by their units
+        ("t,Beschl. längs,Beschl. quer,Beschl. hoch,Weg X,Weg Y,F", "time ax ay az px py force"),
+        ("t,a,v,Kanal 3 [N],Reibung [N]", "time acceleration speed force"),  # which is not normal to the surface
+    ],
+)
+def test_headers_of_many_labs_need_no_map(tmp_path, header, mapped):
+    """`Anpresskraft [N]` was unknown, and the example mapped accelerations to speed and force."""
+    n = header.count(",")
+    path = _csv(
+        tmp_path / "a.csv",
+        header,
+        1000 * TIME if "[ms]" in header else TIME,
+        *[ACC, SPEED, FORCE, FORCE, ACC, FORCE][:n],
+    )
+    recording, decisions = import_recording([path], ImportOptions())
+    short = {
+        f"{letter}{axis}": f"{name}_{axis}"
+        for letter, name in (("a", "acceleration"), ("p", "position"))
+        for axis in "xyz"
+    }
+    assert {"time", *recording.channels} == {short.get(name, name) for name in mapped.split()}
+    assert recording.normal_force is not None
+    assert shlex.split(decisions[0])[-1].startswith("time=")  # that can be pasted
+
+
+def test_an_example_offers_no_column_of_another_unit(tmp_path):
+    path = _csv(tmp_path / "a.csv", "Lage [V],a,Dehnung [V]", ACC, SPEED, FORCE)
+    with pytest.raises(ValueError, match=r"--map acceleration=a,speed=COLUMN,force=COLUMN$"):
+        import_recording([_csv(tmp_path / "b.csv", "a,acc,Dehnung [V]", ACC, SPEED, FORCE)], ImportOptions())
+    with pytest.raises(ValueError, match="speed and force are both mapped to a, expected a column each"):
+        _import(path, rate=1000, map="speed=a,force=a")
+
+
 def test_headers_that_leave_doubt_are_refused(tmp_path):
     with pytest.raises(ValueError, match=r"force could be any of force, fn; say which, e.g. --map"):
         _import(_csv(tmp_path / "a.csv", "acc,force,fn", ACC, FORCE, FORCE), rate=1000)
@@ -117,7 +155,8 @@ def test_a_column_that_rises_is_suggested_as_time(tmp_path):
     """ "Give --rate 10000" was the advice for a tablet's 120 Hz."""
     path = _csv(tmp_path / "a.csv", "Stempel,x,y", 8.33 * np.arange(N), SPEED, FORCE)
     with pytest.raises(
-        ValueError, match="add time=Stempel to the mapping, a column that always rises, or give --rate HZ"
+        ValueError,
+        match="Stempel always rises: if it is the time, --map time=Stempel,position_x=x,position_y=y; or give",
     ):
         _import(path, map="position_x=x,position_y=y")
 
@@ -330,7 +369,10 @@ def test_gaps_elsewhere_are_never_filled(tmp_path):
         ({"map": "acceleration"}, "--map 'acceleration' is not CHANNEL=VALUE"),
         ({"map": "acceleration=acc", "rate": "fast"}, "--rate 'fast' is not HZ or CHANNEL=HZ"),
         ({"map": "acceleration=acc", "rate": 0}, "is 0 Hz, expected above 0"),
-        ({"map": "acceleration=acc"}, "does not say how fast it was sampled; add a time column: .* or give --rate HZ"),
+        (
+            {"map": "acceleration=acc"},
+            "does not say how fast it was sampled; add a time column to the mapping: time=COLUMN; or give --rate HZ",
+        ),
         ({"map": "acceleration=acc", "unit": "acceleration=inch"}, "'inch' is not one of m/s.*V\\*4.9"),
         ({"map": "acceleration=acc", "unit": "acceleration=g*2"}, "takes no factor; write acceleration=g, or"),
         ({"map": "acceleration=acc", "unit": "acceleration=V*x"}, "'x' is not a factor"),

@@ -447,7 +447,9 @@ def test_the_first_line_says_what_it_is_good_for(judged, errors, words):
     assert text.index("class=headline") < text.index('id="verdict"') < text.index('id="about"')
 
 
-@pytest.mark.parametrize(("speed", "words"), [(0.0, "Not judged: the hand hardly moves"), (80.0, "Usable from 80 to 80")])
+@pytest.mark.parametrize(
+    ("speed", "words"), [(0.0, "Not judged: the hand hardly moves"), (80.0, "Usable from 80 to 80")]
+)
 def test_the_first_line_of_a_hand_of_one_speed(judged, speed, words):
     still = replace(judged.trace, speed=np.full_like(judged.trace.speed, speed))
     assert headline(replace(_off(judged, (0, 0, 0)), trace=still)).startswith(words)

@@ -561,10 +561,14 @@ def test_the_element_has_a_size_follows_its_source_and_rests_where_it_was_taken_
         page = browser.new_page(device_scale_factor=3)
         page.goto(link)
         until(page, "document.querySelector('foten-pad').texture?.src === 'mesh.foten'")
-        assert page.locator("foten-pad").bounding_box()["height"] == 256  # 16rem, which a rule of the page's own changes
+        assert (
+            page.locator("foten-pad").bounding_box()["height"] == 256
+        )  # 16rem, which a rule of the page's own changes
         page.add_style_tag(content="foten-pad { height: 9rem }")
         assert page.locator("foten-pad > canvas").bounding_box()["height"] == 144
-        page.evaluate("window.element = document.querySelector('foten-pad'); element.sound.route('', 1)")  # before it sounds
+        page.evaluate(
+            "window.element = document.querySelector('foten-pad'); element.sound.route('', 1)"
+        )  # before it sounds
         drag(page, "foten-pad")
         until(page, "element.sound.id === 'mesh.foten'")
         assert page.evaluate("element.sound.context.destination.channelInterpretation") == "discrete"

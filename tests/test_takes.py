@@ -16,7 +16,7 @@ from foten.datasets.hdf5 import load_recording, load_takes, write_recording
 from foten.models.piecewise_ar.fit import _pieces
 from foten.models.texture_file import read_texture
 from foten.recording.inspection import inspect_recording
-from foten.recording.preprocess import PreprocessConfig, fitting_takes, preprocess
+from foten.recording.preprocess import PreprocessConfig, fitting_cut, preprocess
 from foten.recording.recording import Channel, Recording, joined_takes
 from foten.recording.split import Split
 from foten.simulation.simulate import simulate
@@ -106,7 +106,7 @@ def test_an_inspection_is_of_all_takes_and_names_one(takes: Recording) -> None:
     assert inspection.coverage.seconds.sum() == pytest.approx(
         sum(one.seconds.sum() for one in alone if one is not None)
     )
-    assert inspection.to_text().startswith("3 takes of 3.00 to 4.30 s")
+    assert inspection.to_text().startswith("3 takes of 3 to 4.3 s\n")
 
 
 def test_one_take_of_no_use_is_left_out_and_spoils_no_other(takes: Recording) -> None:
@@ -121,15 +121,28 @@ def test_one_take_of_no_use_is_left_out_and_spoils_no_other(takes: Recording) ->
 
 def test_a_tap_beside_strokes_does_not_cut_their_blocks_short(takes: Recording) -> None:
     tap = joined_takes([take(6, 20.0), take(7, 20.0), take(8, 1.0)])
-    assert fitting_takes(tap) == (2000.0, 2000.0)
+    assert fitting_cut(tap) == fitting_cut(joined_takes(tap.takes[:2])) == (0.0, 1000.0)
 
 
 @pytest.mark.parametrize(
-    ("seconds", "fits"), [(20.0, (2000.0, 2000.0)), (8.0, (0.0, 1000.0)), (5.0, (0.0, 500.0)), (0.5, (0.0, 100.0))]
+    ("seconds", "n", "fits"),
+    [
+        (60.0, 1, (2000.0, 2000.0)),  # the defaults
+        (40.0, 1, (2000.0, 1000.0)),  # of which three blocks would judge it
+        (20.0, 1, (0.0, 500.0)),
+        (8.0, 1, (2000.0, 2000.0)),  # refused with options
+        (20.0, 4, (0.0, 2000.0)),
+        (8.0, 4, (0.0, 1000.0)),
+        (5.0, 6, (0.0, 500.0)),
+        (0.5, 60, (0.0, 100.0)),
+    ],
 )
-def test_blocks_fit_the_shortest_take(seconds: float, fits: tuple[float, float]) -> None:
-    steady = {name: Channel(np.ones(round(1000 * seconds)), 1000.0) for name in ("acceleration", "speed", "force")}
-    assert fitting_takes(Recording(steady)) == fits
+def test_blocks_fit_the_recording_and_its_takes(seconds: float, n: int, fits: tuple[float, float]) -> None:
+    def steady(value: float) -> Recording:
+        samples = np.full(round(1000 * seconds), value)
+        return Recording({name: Channel(samples, 1000.0) for name in ("acceleration", "speed", "force")})
+
+    assert fitting_cut(joined_takes([steady(1.0 + i) for i in range(n)])) == fits
 
 
 def test_the_commands_take_several_files_and_append(

@@ -123,7 +123,7 @@ def network_summary(card: Mapping[str, Any]) -> str:
     """Use of a foten-plus texture's network, in words."""
     sizes, metrics = card["sizes"], card["metrics"]
     if metrics.get("n_epochs") == 0:
-        return "not trained: the file was written before"
+        return "not trained: none of its epochs ran"
     without = metrics.get("validation_mae_scaled_lattice")
     gain = 100 * (1 - metrics["validation_mae_scaled"] / without) if without else 0.0
     improves = "does not improve one-step predictions"

@@ -163,10 +163,12 @@ def import_(
         imported, decisions = import_recording(files, options)
     else:
         imported, decisions = _import_capture(files, pen, pressure, options)
+    inspection = inspect_recording(imported)
     for decision in decisions:
-        say(decision)
+        if decision != inspection.unusable or anyway:  # else the refusal says it
+            say(decision)
     if not anyway:
-        check_usable(inspect_recording(imported))
+        check_usable(inspection)
     stated = {"texture": texture, "tool": tool, "sensors": sensors, "notes": notes}
     named = {
         "texture": imported.texture or _named(files[0]),

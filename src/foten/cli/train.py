@@ -134,14 +134,14 @@ class TrainOptions:
     def job(self, recording: Recording) -> TrainingJob:
         """Training job of a recording."""
         from foten.baselines.sizes import trainable_sizes
-        from foten.recording.preprocess import PreprocessConfig, fitting_takes
+        from foten.recording.preprocess import PreprocessConfig, fitting_cut
         from foten.training.job import TrainingJob
 
         # The paper trains with 25 Hz and renders with 20 Hz.
         lowpass_hz = 25.0 if self.recipe == "paper" else None
         trim_ms, block_ms = self.trim, self.block
-        if recording.later_takes:
-            fitting = fitting_takes(recording)
+        if self.recipe != "paper":
+            fitting = fitting_cut(recording)
             trim_ms = fitting[0] if trim_ms is None else trim_ms
             block_ms = fitting[1] if block_ms is None else block_ms
         cut = _not_none(rate_hz=self.rate, trim_ms=trim_ms, block_ms=block_ms, lowpass_hz=lowpass_hz)

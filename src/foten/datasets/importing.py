@@ -6,6 +6,7 @@ Nothing is resampled or padded. Every conversion and every filled gap is written
 from __future__ import annotations
 
 import hashlib
+import shlex
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -83,14 +84,19 @@ def import_recording(paths: Sequence[Path], options: ImportOptions) -> tuple[Rec
     mapping = options.mapping
     if not mapping:
         mapping = guessed_mapping(files, options)
-        decisions.append(f"taken from the headers: --map {','.join(f'{k}={v}' for k, v in mapping)}")
+        pairs = shlex.quote(",".join(f"{channel}={name}" for channel, name in mapping))
+        decisions.append(f"taken from the headers: --map {pairs}")
         taken = {reference for _, reference in mapping}
         left_out = [name for name in names_of(files) if name not in taken]
         decisions += [f"left out: {', '.join(left_out)}"] if left_out else []
+        options = replace(options, mapping=mapping)
     clocks = [clock for channel, name in mapping if channel == "time" for clock in columns_of(files, channel, name)]
     columns = {channel: columns_of(files, channel, name)[0] for channel, name in mapping if channel != "time"}
     if not columns:
         raise ValueError("only time is mapped, expected a channel as well, e.g. --map time=0,acceleration=1")
+    for channel, column in columns.items():
+        if twice := [other for other in columns if other != channel and columns[other] is column]:
+            raise ValueError(f"{channel} and {twice[0]} are both mapped to {column.name}, expected a column each")
     options = _for_axes(options, columns)
     for channel in (*options.units, *options.rates_hz):
         if channel not in columns and channel != "time":

@@ -12,18 +12,32 @@ import numpy as np
 from foten.datasets.columns import Column
 from foten.datasets.options import ImportOptions
 from foten.datasets.timing import rate_of, rises
-from foten.datasets.units import factor_of, quantity, split_header
+from foten.datasets.units import CLOCK, FACTORS, canonical, factor_of, quantity, split_header
 from foten.recording.recording import AXES
 
 Files = Mapping[Path, list[Column]]
 
 # In English, German, French and Spanish.
-_TIMES = "time t times timestamp time_s seconds zeit zeitstempel zeitpunkt temps horodatage tiempo"
-_ACCELERATIONS = "acceleration accel acc a beschleunigung beschl. beschl accélération aceleración"
-_SPEEDS = "speed velocity vel v geschwindigkeit geschw. geschw vitesse velocidad"
+_TIMES = (
+    "time t times timestamp time_s seconds clock zeit uhrzeit zeitstempel zeitpunkt temps heure horodatage tiempo hora"
+)
+_ACCELERATIONS = (
+    "acceleration accel acc a vibration beschleunigung beschl. beschl schwingung accélération vibración aceleración"
+)
+_SPEEDS = "speed velocity vel v geschwindigkeit geschw. geschw tempo vorschub vitesse velocidad"
 _FORCES = "force f kraft fuerza"
-_NORMAL_FORCES = "normal_force normalforce fn normalkraft force_normale fuerza_normal"
-_POSITIONS = "position pos p posición"
+_NORMAL_FORCES = (
+    "normal_force normalforce fn contact_force normalkraft anpresskraft andruckkraft force_normale fuerza_normal"
+)
+_POSITIONS = "position pos pos. p weg posición"
+_AXES: Mapping[str, str] = {
+    "x": "x längs longitudinal",
+    "y": "y quer lateral transversal",
+    "z": "z hoch vertikal vertical",
+}
+_NOT_NORMAL = ("fric", "reib", "frott", "tang", "shear", "scher", "later", "quer")
+"""Beginnings of words, of a force that is not the normal one."""
+
 _GUESSES: Mapping[str, frozenset[str]] = {
     "time": frozenset(_TIMES.split()),
     "acceleration": frozenset(_ACCELERATIONS.split()),
@@ -31,7 +45,7 @@ _GUESSES: Mapping[str, frozenset[str]] = {
     "force": frozenset(f"{_FORCES} {_NORMAL_FORCES}".split()),
 } | {
     f"{quantity}_{axis}": frozenset(
-        {f"{name}{mark}{axis}" for name in names.split() for mark in ("_", "", ".")}
+        {f"{name}{mark}{word}" for name in names.split() for mark in ("_", "", ".") for word in _AXES[axis].split()}
         | {f"{name}.{AXES.index(axis)}" for name in names.split() if len(name) > 1}
     )
     for quantity, names in {"acceleration": _ACCELERATIONS, "position": _POSITIONS, "force": _FORCES}.items()
@@ -48,11 +62,7 @@ _STROKE: Mapping[str, frozenset[str]] = {
 
 def guessed_mapping(files: Files, options: ImportOptions) -> tuple[tuple[str, str], ...]:
     """Mapping by the headers alone; ValueError where they are ambiguous."""
-    places: dict[str, list[Column]] = {}
-    for column in (column for columns in files.values() for column in columns if column.n_rows > 1):
-        for channel, aliases in _GUESSES.items():
-            if _header(column, channel) in aliases:
-                places.setdefault(channel, []).append(column)
+    places = _by_headers(files)
     # Sound files carry no names; beside a table they are the accelerometer.
     sounds = [columns for path, columns in files.items() if path.suffix.lower() == ".wav"]
     if len(sounds) == 1 and not any(quantity(channel) == "acceleration" for channel in places):
@@ -78,6 +88,41 @@ def guessed_mapping(files: Files, options: ImportOptions) -> tuple[tuple[str, st
         say_so = f"say so, e.g. --map {_example(files)}"
         raise ValueError(f"no header says which column is which; found {_listing(files)}; {say_so}")
     return tuple((channel, name_of(files, column)) for channel, candidates in places.items() for column in candidates)
+
+
+def _by_headers(files: Files) -> dict[str, list[Column]]:
+    """Columns by the channel that their headers name, and those whose unit leaves no doubt where no header names its quantity."""
+    usable = [column for columns in files.values() for column in columns if column.n_rows > 1]
+    places: dict[str, list[Column]] = {}
+    for column in usable:
+        for channel, aliases in _GUESSES.items():
+            if _header(column, channel) in aliases:
+                places.setdefault(channel, []).append(column)
+    named = {id(column) for columns in places.values() for column in columns}
+    others = [column for column in usable if not column.fault and id(column) not in named]
+    there = set(map(quantity, places))
+    if (
+        "time" not in there
+        and len(clocks := [c for c in others if c.unit == CLOCK or (_is(c, "time") and rises(c))]) == 1
+    ):
+        places["time"] = clocks
+    for kind in ("acceleration", "force", "speed", "position"):
+        measured = [column for column in others if _is(column, kind)]
+        if kind in there or ("speed" in there and kind == "position") or ("position" in there and kind == "speed"):
+            continue
+        if len(measured) == 1 and kind != "position":
+            places[kind] = measured
+        elif (kind, len(measured)) in (("acceleration", 3), ("position", 2)) and "speed" not in places:
+            places |= {f"{kind}_{axis}": [column] for axis, column in zip(AXES, measured, strict=False)}
+    return places
+
+
+def _is(column: Column, kind: str) -> bool:
+    """Whether a column's unit is of a quantity; not a force that is not the normal one."""
+    unit = canonical(column.unit or split_header(column.name, kind)[1])
+    if kind == "force" and any(word in column.name.lower() for word in _NOT_NORMAL):
+        return False
+    return unit in FACTORS[kind]
 
 
 def stroke_columns(columns: Sequence[Column]) -> dict[str, Column]:
@@ -114,25 +159,29 @@ def _listing(files: Files) -> str:
 
 
 def _example(files: Files) -> str:
-    """Example of a mapping: columns whose headers say what they are, one that always rises as time, then in their order."""
+    """Example of a mapping: columns whose headers or units say what they are, then those of which nothing is known."""
     usable = {name_of(files, c): c for columns in files.values() for c in columns if c.n_rows > 1 and not c.fault}
-    named = {
-        channel: name
-        for name, column in usable.items()
-        for channel in _GUESSES
-        if _header(column, channel) in _GUESSES[channel]
-    }
-    others = [name for name in usable if name not in named.values()]
-    clocks = [name for name in others if rises(usable[name])]
+    places = _by_headers(files)
+    named = {channel: name_of(files, columns[0]) for channel, columns in places.items()}
+    known = {name_of(files, column) for columns in places.values() for column in columns}
+    others = [name for name in usable if name not in known]
+    clocks = [name for name in others if rises(usable[name]) and not _unit(usable[name])]
     if "time" not in named and clocks:
         named["time"] = clocks[0]
         others.remove(clocks[0])
     there = set(map(quantity, named))
-    unknown = [channel for channel in ("acceleration", "speed", "force") if channel not in there]
-    unknown = [channel for channel in unknown if channel != "speed" or "position" not in there]
-    pairs = {channel: named[channel] for channel in _GUESSES if channel in named}
-    pairs |= dict(zip(unknown, others, strict=False))
-    return shlex.quote(",".join(f"{channel}={name}" for channel, name in pairs.items()))
+    for kind in ("acceleration", "speed", "force"):
+        if kind not in there and (kind, "position") != ("speed", *there & {"position"}):
+            unknown = [name for name in others if not _unit(usable[name]) or _is(usable[name], kind)]
+            named[kind] = unknown[0] if unknown else "COLUMN"
+            others = [name for name in others if name != named[kind]]
+    pairs = [(channel, named[channel]) for channel in _GUESSES if channel in named]
+    return shlex.quote(",".join(f"{channel}={name}" for channel, name in pairs))
+
+
+def _unit(column: Column) -> str:
+    """Unit that a column states of itself, of whatever quantity."""
+    return column.unit or next((unit for kind in FACTORS if (unit := split_header(column.name, kind)[1])), "")
 
 
 def columns_of(files: Files, channel: str, reference: str) -> list[Column]:

@@ -28,7 +28,7 @@ class ImportOptions:
         names = [name for name, _ in self.mapping]
         for channel in (*names, *self.units, *self.rates_hz):
             if channel not in UNITS and channel != "time":
-                close = difflib.get_close_matches(channel, [*UNITS, "time"], n=1)
+                close = difflib.get_close_matches(channel, [*UNITS, "time"], n=1, cutoff=0.5)
                 hint = f"; did you mean {close[0]}?" if close else ""
                 raise ValueError(f"unknown channel {channel!r}, expected time, {', '.join(UNITS)}{hint}")
         if "time" in self.rates_hz:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import shlex
 from collections.abc import Sequence
 
 import numpy as np
@@ -78,11 +79,12 @@ def rate_and_source(
     guess = f"{scalars[0].samples[0]:g}" if scalars else "HZ"
     hint = f" (the file has {scalars[0].name} = {guess})" if scalars else ""
     clocks = [c.name for c in columns if c is not column and c.n_rows == column.n_rows and rises(c)]
-    clock = (
-        f"time={clocks[0]} to the mapping, a column that always rises" if clocks else "a time column: --map time=COLUMN"
-    )
+    clock = "add a time column to the mapping: time=COLUMN"
+    if clocks:
+        mapping = ",".join(f"{name}={reference}" for name, reference in (("time", clocks[0]), *options.mapping))
+        clock = f"{clocks[0]} always rises: if it is the time, --map {shlex.quote(mapping)}"
     raise ValueError(
-        f"{channel}: {column.file.name} does not say how fast it was sampled; add {clock}, or give --rate {guess}, of this "
+        f"{channel}: {column.file.name} does not say how fast it was sampled; {clock}; or give --rate {guess}, of this "
         f"channel alone --rate {channel}={guess}{hint}"
     )
 
@@ -161,7 +163,10 @@ def filled(name: str, channel: Channel, gap_ms: float, column: Column) -> tuple[
         raise ValueError(f"{what}; only position, speed and force may have gaps filled")
     if longest_ms > gap_ms + 1e-6:
         would = max(1, int(np.ceil(longest_ms - 1e-6)))
-        raise ValueError(f"{what}; --fill-gaps {would} would draw straight lines there, or cut the file")
+        raise ValueError(
+            f"{what}; --fill-gaps {would} would draw straight lines there; or cut the table there and import the pieces as "
+            "takes, with --append"
+        )
     added = [np.linspace(times[i], times[i + 1], round(steps[i] / period), endpoint=False)[1:] for i in holes]
     evened = np.sort(np.concatenate([times, *added]))
     of_line = np.interp(evened, times[known], samples[known])

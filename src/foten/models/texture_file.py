@@ -161,6 +161,10 @@ def texture_from_bytes(data: bytes) -> Texture:
     from safetensors import SafetensorError
     from safetensors.numpy import load
 
+    if data[:8] == b"\x89HDF\r\n\x1a\n":
+        raise ValueError(
+            "this is HDF5, as a recording is, expected a texture file (.foten); are two arguments swapped?"
+        )
     if len(data) < 9:
         raise ValueError(f"the file has {len(data)} bytes, expected a texture file; is it truncated?")
     # A header's length may begin as a pickle does; the brace after it tells them apart.

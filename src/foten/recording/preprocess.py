@@ -21,6 +21,8 @@ MAX_HIGHPASS_ORDER = 20
 SHORT_BLOCKS_MS = (2000.0, 1000.0, 500.0, 200.0, 100.0)  # of a recording too short for the defaults
 BLOCKS_OF_TAKE = 6  # of the shortest take: what is left over at its end is a twelfth of it on the mean
 ENOUGH_BLOCKS = 9  # of a split: two validate and two test
+JUDGED_BLOCKS = 23  # of a split: five test, from which intervals are drawn
+MAX_TRIMMED = 0.1  # share of a recording that may be trimmed unasked
 ENOUGH_SAMPLES = 5000  # to train on, by our choice; below it a higher rate is suggested
 WRONG_SIGN = (5.0, 0.5)  # mm/s, N; what noise takes a magnitude below zero at most
 
@@ -99,17 +101,25 @@ def fitting_options(seconds: float, rate_hz: float, captured_hz: float | None = 
     return f"{named}--trim {trim_ms:g} --block {blocks_ms[0]:g}"
 
 
-def fitting_takes(recording: Recording) -> tuple[float, float]:
-    """Trim and block [ms] that fit several takes: the defaults for long ones, else no trim and six blocks of the shortest.
+def fitting_cut(recording: Recording) -> tuple[float, float]:
+    """Trim and block [ms] that fit a recording: the defaults of a long one, shorter ones where too few blocks would judge it.
 
-    A take of less than a quarter of the usual length is no measure for the others.
+    Nothing is trimmed where that would cost more than a tenth. Each take gives `BLOCKS_OF_TAKE` blocks where it can; one of less
+    than a quarter of the usual length is no measure for the others. A single short recording needs options that a user chooses
+    (`fitting_options`).
     """
-    lengths, config = np.array([take.duration_s for take in recording.takes]), PreprocessConfig()
-    shortest_ms = 1000 * float(lengths[lengths >= 0.25 * np.median(lengths)].min())
-    if shortest_ms >= 2 * config.trim_ms + BLOCKS_OF_TAKE * config.block_ms:
+    lengths_ms, config = np.array([1000 * take.duration_s for take in recording.takes]), PreprocessConfig()
+    if lengths_ms.size == 1 and lengths_ms[0] < 1000 * config.shortest_s:
         return config.trim_ms, config.block_ms
-    usable_ms = shortest_ms - config.delay_ms
-    return 0.0, next((ms for ms in SHORT_BLOCKS_MS if BLOCKS_OF_TAKE * ms <= usable_ms), SHORT_BLOCKS_MS[-1])
+    usual = lengths_ms >= 0.25 * np.median(lengths_ms)
+    trim_ms = config.trim_ms if 2 * config.trim_ms <= MAX_TRIMMED * lengths_ms[usual].min() else 0.0
+    usable_ms = np.maximum(0.0, lengths_ms - trim_ms - max(trim_ms, config.delay_ms))
+
+    def fits(block_ms: float) -> bool:
+        n = usable_ms // block_ms
+        return bool(n.sum() >= JUDGED_BLOCKS and (n.size == 1 or n[usual].min() >= BLOCKS_OF_TAKE))
+
+    return trim_ms, next(filter(fits, SHORT_BLOCKS_MS), SHORT_BLOCKS_MS[-1])
 
 
 def preprocess(recording: Recording, config: PreprocessConfig | None = None, n_blocks: int | None = None) -> Trace:
@@ -141,7 +151,8 @@ def preprocess(recording: Recording, config: PreprocessConfig | None = None, n_b
         if axis.times_s is not None:
             raise ValueError(
                 "the acceleration was captured at irregular times, expected a steady rate: if only its time stamps are unsteady, "
-                "import it again without time and with --rate; if samples were lost, cut it there"
+                "import it again without time and with --rate; if samples were lost, cut the table there and import the pieces "
+                "as takes, with --append"
             )
         if axis.rate_hz < rate * (1 - 1e-9):
             raise ValueError(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -19,8 +19,9 @@ from foten.recording.inspection.speed_force import (
     speed_force_of,
 )
 from foten.recording.inspection.values import PROBLEM, UNUSABLE, ChannelReport, Finding, Inspection
-from foten.recording.preprocess import PreprocessConfig, fitting_options, fitting_takes
+from foten.recording.preprocess import SHORT_BLOCKS_MS, PreprocessConfig, fitting_cut, fitting_options, preprocess
 from foten.recording.recording import Channel, Recording, common_span_s
+from foten.recording.scaling import fit_scaling
 from foten.recording.split import MIN_BLOCKS
 
 OF_ALL_TAKES = ("range", "coverage", "short")  # codes of what one take may lack and another have
@@ -41,14 +42,14 @@ def inspect_recording(recording: Recording) -> Inspection:
         findings += check_ranges(coverage)
     longest = max(range(len(takes)), key=lambda i: takes[i].duration_s)
     psd, shares = inspections[longest].psd, inspections[longest].carried
-    trim_ms, block_ms = fitting_takes(recording)
+    trim_ms, block_ms = fitting_cut(recording)
     lost_ms = 2 * trim_ms + PreprocessConfig().delay_ms
     n_blocks = sum(max(0, int((1000 * take.duration_s - lost_ms) // block_ms)) for take in takes)
     if n_blocks < MIN_BLOCKS:
         blocks = f"{len(takes)} takes hold {n_blocks} blocks of {block_ms:g} ms"
         findings.append(Finding(UNUSABLE, "short", "", f"{blocks}, expected {MIN_BLOCKS} or more: record for longer"))
     rate_hz = perception.smallest_rate(shares) if shares else PreprocessConfig().rate_hz
-    options = f"--rate {rate_hz:g} --trim {trim_ms:g} --block {block_ms:g}"
+    options = f"--rate {rate_hz:g}"
     reports = tuple(map(_pooled, zip(*(inspection.channels for inspection in inspections), strict=True)))
     about = psd, shares, options, recording.sha256()
     return Inspection(reports, tuple(findings), coverage, *about, tuple(take.duration_s for take in takes))
@@ -130,8 +131,19 @@ def _inspected(recording: Recording) -> tuple[Inspection, SpeedForce | None]:
     if end_s - start_s < PreprocessConfig().shortest_s:
         options = fitting_options(end_s - start_s, rate_hz, captured_hz)
     findings += sampling.check_short(end_s - start_s, options)
+    if speed_force is not None and captured_hz is not None and not any(finding.code == "short" for finding in findings):
+        findings += _refused(recording, min(captured_hz, PreprocessConfig().rate_hz))
     inspection = Inspection(reports, tuple(findings), coverage, psd, shares, options, recording.sha256())
     return inspection, speed_force
+
+
+def _refused(recording: Recording, rate_hz: float) -> Iterable[Finding]:
+    """Yield what training would refuse, by doing the same."""
+    try:
+        trace = preprocess(recording, PreprocessConfig(rate_hz=rate_hz, trim_ms=0, block_ms=SHORT_BLOCKS_MS[-1]))
+        fit_scaling(trace, tuple(range(trace.n_blocks)))
+    except ValueError as error:
+        yield Finding(UNUSABLE, "refused", "", f"training refuses it: {error}")
 
 
 def _report(name: str, channel: Channel, unit: str, speed_force: SpeedForce | None) -> ChannelReport:

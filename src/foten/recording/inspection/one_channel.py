@@ -8,7 +8,17 @@ import numpy as np
 
 from foten.dsp import Array
 from foten.recording.inspection.speed_force import CONTACT_N, HAND_HZ, MOVING_MM_S, SpeedForce
-from foten.recording.inspection.values import NOTE, PROBLEM, ChannelReport, Finding, counted, places, runs, swing
+from foten.recording.inspection.values import (
+    NOTE,
+    PROBLEM,
+    UNUSABLE,
+    ChannelReport,
+    Finding,
+    counted,
+    places,
+    runs,
+    swing,
+)
 from foten.recording.recording import UNITS, Channel, Recording
 
 FRAME_S = 0.05  # in which the level of an acceleration is measured
@@ -46,6 +56,11 @@ def check_units(name: str, channel: Channel, recording: Recording) -> Iterable[F
         severity = PROBLEM if name.startswith("acceleration") else NOTE
         text = f"{name} is {x[0]:g} {unit} throughout; is the right column mapped?"
         yield Finding(severity, "constant", name, text)
+        return
+    if x.size > 2 and name.startswith("acceleration") and (np.diff(x) > 0).all():
+        yield Finding(
+            UNUSABLE, "rises", name, f"{name} rises from begin to end: is it the time? Is the right column mapped?"
+        )
         return
     kind, guess = name.split("_")[0], ""
     size = swing(x, 0.001) if kind == "position" else float(np.quantile(np.abs(x), 0.999))

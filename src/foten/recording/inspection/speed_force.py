@@ -97,7 +97,7 @@ def at_rest(speed_force: SpeedForce) -> Finding:
     """Finding on a recording in which the tool never moves in contact."""
     quickest, heaviest = float(speed_force.speed.max()), float(speed_force.force.max())
     if quickest <= MOVING_MM_S:
-        hint = "; was it given in m/s?" if quickest > 0.01 else ""
+        hint = "; was it given in m/s? Then import it with --unit speed=m/s" if quickest > 0.01 else ""
         text = f"speed never exceeds {quickest:.3g} mm/s, so the tool rests from begin to end{hint}"
         return Finding(UNUSABLE, "rest", "speed", text)
     if heaviest <= CONTACT_N:

@@ -135,13 +135,15 @@ class Inspection:
         heads = {"unit": 6, "rate": 10, "samples": 9, "lasts": 9, "from": 11, "to": 11, "rms": 10, "noise": 11}
         lines = []
         if self.takes_s:
-            lines.append(f"{len(self.takes_s)} takes of {min(self.takes_s):.2f} to {max(self.takes_s):.2f} s")
+            shortest, longest = f"{min(self.takes_s):.3g}", f"{max(self.takes_s):.3g}"
+            lengths = shortest if shortest == longest else f"{shortest} to {longest}"
+            lines.append(f"{len(self.takes_s)} takes of {lengths} s")
         lines += [f"{'channel':<15}" + "".join(f"{head:>{width}}" for head, width in heads.items())]
         for channel in self.channels:
-            bound = "<" if channel.noise_floor_from == "quietest 5 %" else " "
+            floor = f"{'<' * (channel.noise_floor_from == 'quietest 5 %')}{channel.noise_floor:.3g}"
             lines.append(
                 f"{channel.name:<15}{channel.unit:>9}{channel.rate_hz:>9.6g} Hz{channel.n_samples:>9}{channel.duration_s:>7.2f} s"
-                f"{channel.minimum:>11.4g}{channel.maximum:>11.4g}{channel.rms:>10.4g} {bound}{channel.noise_floor:>9.3g}"
+                f"{channel.minimum:>11.4g}{channel.maximum:>11.4g}{channel.rms:>10.4g}{floor:>11}"
             )
         if self.coverage is not None:
             cells, speed, force = self.coverage, self.coverage.speed_range, self.coverage.force_range
