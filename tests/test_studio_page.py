@@ -318,7 +318,7 @@ def test_methods_are_compared_blind_and_equally_loud(browser: Any, link: str, sh
         served = page.evaluate("fetch('gains?texture=mesh.foten&texture=mesh2.foten').then((answer) => answer.json())")
         assert served["gains_db"] == pytest.approx(list(expected.values()), abs=1e-9)
         radios.nth(1).click()
-        until(page, "document.querySelector('#blind .choose').textContent === 'B it is'")
+        until(page, "document.querySelector('#blind .choose').textContent === 'Choose B'")
         page.set_viewport_size({"width": 390, "height": 844})
         assert page.locator("#blind >> text=More like the surface?").is_visible()
         boxes = [page.locator(part).bounding_box() for part in ("#blind", "#press")]
@@ -454,6 +454,39 @@ def test_another_output_and_one_of_its_channels_are_played_on(browser: Any, link
         page.keyboard.press("Escape")
         Pen(page).stroke(page)
         until(page, f"{STATE}.monitor.latest?.rms > 0")
+
+
+def test_a_stroke_may_begin_on_the_button(browser: Any, link: str) -> None:
+    """It was lost, with no sound, and the button stayed."""
+    with opened(browser, link, tap=False) as page:
+        box = page.locator("#begin").bounding_box()
+        page.mouse.move(box["x"] + 60, box["y"] + 60)
+        page.mouse.down()
+        for i in range(40):
+            page.mouse.move(box["x"] + 60 + 4 * i, box["y"] + 60)
+            page.wait_for_timeout(10)
+        until(page, f"{STATE}.sound.running && {STATE}.pad.trail.length > 5")
+        for i in range(40):
+            page.mouse.move(box["x"] + 220 - 4 * i, box["y"] + 60)
+            page.wait_for_timeout(10)
+        until(page, f"{STATE}.monitor.latest?.rms > 0")
+        page.mouse.up()
+        assert page.locator("#begin").is_hidden()
+        assert not page.evaluate(f"{STATE}.pad.ghost")  # it was no tap
+
+
+def test_the_server_may_render_from_the_first_stroke_on(browser: Any, link: str) -> None:
+    """\"events before a texture was opened\", until another texture was chosen."""
+    with opened(browser, link, tap=False) as page:
+        page.click("#settings")
+        page.select_option("#path", "stream")
+        until(page, f"{STATE}.sound.server !== null")
+        page.keyboard.press("Escape")
+        assert page.locator("#message").is_hidden()
+        Pen(page).stroke(page)
+        until(page, f"{STATE}.monitor.latest?.rms > 0")
+        assert page.locator("#message").is_hidden()
+        assert page.evaluate(f"{STATE}.sound.server.state") is not None
 
 
 def test_a_press_on_the_surface_begins_it_and_a_recording_is_seen(browser: Any, link: str) -> None:

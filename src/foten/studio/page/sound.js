@@ -15,7 +15,7 @@ export class PageSound extends EventTarget {
   constructor() {
     super();
     this.context = this.node = null;
-    this.loading = new Map(); // by id: what waits for the worklet's answer
+    this.loading = new Map(); // by id: those who wait for the worklet's answers, which come in their order
     this.infos = new Map();
     this.volumeDb = -6;
     this.routed = null; // the output and channel that were chosen
@@ -96,9 +96,10 @@ export class PageSound extends EventTarget {
   }
 
   settle(id, how) {
-    const waiting = this.loading.get(id);
-    this.loading.delete(id);
-    if (waiting) how(waiting);
+    const [first, ...others] = this.loading.get(id) ?? [];
+    if (others.length) this.loading.set(id, others);
+    else this.loading.delete(id);
+    if (first) how(first);
   }
 
   emit(type, detail) {
@@ -112,7 +113,7 @@ export class PageSound extends EventTarget {
   /** Check a texture file and make it ready: resolves to what it says of itself, rejects with a line for people. */
   async load(id, bytes, seed = 0) {
     await this.starting;
-    const answer = new Promise((resolve, reject) => this.loading.set(id, { resolve, reject }));
+    const answer = new Promise((resolve, reject) => this.loading.set(id, [...(this.loading.get(id) ?? []), { resolve, reject }]));
     this.post({ do: "load", id, bytes, seed });
     return answer;
   }
@@ -244,7 +245,7 @@ export class PageSound extends EventTarget {
 /** Sound that the server renders: events out, samples in. */
 class Server {
   constructor(sound, sink) {
-    Object.assign(this, { sound, sink, waiting: [], state: null });
+    Object.assign(this, { sound, sink, waiting: [], state: null, texture: null });
     const socket = (this.socket = new WebSocket(new URL("stroke", location.href.replace(/^http/, "ws"))));
     socket.binaryType = "arraybuffer";
     this.opened = new Promise((resolve, reject) => {
@@ -261,6 +262,7 @@ class Server {
   }
 
   open(texture, scale) {
+    Object.assign(this, { texture, state: null });
     this.sound.post({ do: "listen", on: true, scale });
     this.say({ do: "open", texture, sink: this.sink, rate_hz: this.sound.context.sampleRate, volume_db: this.sound.levelDb, ...this.sound.calibration });
     this.actuate();
@@ -271,12 +273,14 @@ class Server {
     this.say({ do: "actuate", ...(one && { resonance_hz: one.resonanceHz, damping: one.damping, gain: one.gain, lowest_hz: one.lowestHz, limit: one.limit, full_scale: one.fullScale }) });
   }
 
+  /** Tell the server, which takes nothing before a texture: what is said earlier is said again as one is opened. */
   say(message) {
-    if (this.socket.readyState === WebSocket.OPEN) this.socket.send(JSON.stringify(message));
+    if (this.texture && this.socket.readyState === WebSocket.OPEN) this.socket.send(JSON.stringify(message));
   }
 
   /** Events go out together that come together: those of one frame of the browser's. */
   push(...event) {
+    if (!this.texture) return;
     this.waiting.push(event);
     if (this.waiting.length > 1) return;
     queueMicrotask(() => {
@@ -287,6 +291,7 @@ class Server {
   }
 
   answered(message) {
+    if (message.refused && !this.state) this.sound.from("").then(() => this.sound.emit("path", "")); // it cannot play: this page does
     if (message.refused) this.sound.emit("failed", message.refused);
     if (message.state) this.state = message.state;
   }

@@ -7,6 +7,8 @@ import "./foten-pad.js";
 import { Taken } from "./stroke.js";
 import { Capture } from "./capture.js";
 
+const TAP_PX = 10; // that a finger moves as it taps
+
 const $ = (id) => document.getElementById(id);
 const { sound, pad } = document.querySelector("foten-pad");
 const monitor = new Monitor({
@@ -94,6 +96,11 @@ function ranges({ trained_range: { speed, force } }) {
   return `${speed[0].toFixed(0)}–${speed[1].toFixed(0)} mm/s, ${force[0].toFixed(1)}–${force[1].toFixed(1)} N`;
 }
 
+/** What stands on the shelf for a texture: the first of its methods. */
+function listed(texture) {
+  return groups.find((group) => group.includes(texture))?.[0] ?? texture;
+}
+
 function mark() {
   const mine = chosen && groups.find((group) => group.includes(chosen));
   for (const swatch of document.querySelectorAll("#textures .swatch"))
@@ -121,7 +128,7 @@ async function use(texture) {
   chosen = texture;
   hush();
   mark();
-  const info = paint(blind?.[0] ?? texture).then(({ canvas, mm, took }) => {
+  const info = paint(blind ? listed(texture) : texture).then(({ canvas, mm, took }) => {
     if (chosen !== texture) return;
     pad.setTile(canvas, mm);
     settings.took = took;
@@ -149,29 +156,45 @@ sound.addEventListener("unit", showUnit);
 
 // Sound
 
+let begun = false;
+
 async function begin() {
-  if (sound.running) return;
+  if (begun && sound.running) return;
   $("begin").hidden = true;
   $("press").hidden = false;
-  const first = !sound.node;
   await sound.start();
   monitor.listen(sound.context.sampleRate, sound.analyser, sound.output);
-  if (first) settings.apply();
+  if (!begun) settings.apply();
+  begun = true;
   if (chosen) await use(chosen);
 }
 
-$("begin").addEventListener("click", () => attempt(async () => {
-  $("pad").focus({ preventScroll: true });
-  await begin();
-  pad.play();
-}));
+/** Begin, and stroke by itself, so that something is heard. */
+function demonstrate() {
+  attempt(async () => {
+    $("pad").focus({ preventScroll: true });
+    await begin();
+    pad.play();
+  });
+}
+
+let pressed = null; // where, and on the button that says Touch: a stroke may begin on it
+$("begin").addEventListener("pointerdown", (e) => {
+  pressed = [e.clientX, e.clientY];
+  pad.down(e);
+});
+$("begin").addEventListener("click", demonstrate); // by a key
+$("pad").addEventListener("pointerup", (e) => {
+  if (pressed && Math.hypot(e.clientX - pressed[0], e.clientY - pressed[1]) < TAP_PX) demonstrate();
+  pressed = null;
+});
 pad.dispatch = () => attempt(begin);
 $("pad").addEventListener("pointerup", () => sound.context && attempt(begin)); // a finger is a tap only when it leaves
 $("pad").addEventListener("pointerdown", (e) => ($("press").hidden = !sound.node || e.pointerType === "pen"));
 $("force").addEventListener("input", (e) => (pad.force = Number(e.target.value)));
 sound.addEventListener("report", ({ detail }) => monitor.report(detail));
 sound.addEventListener("failed", ({ detail }) => say(detail));
-sound.addEventListener("recorded", ({ detail }) => taken.show(detail, chosen));
+sound.addEventListener("recorded", ({ detail }) => taken.show(detail, listed(chosen)));
 $("settings").addEventListener("click", () => settings.show());
 
 // Recording
@@ -204,14 +227,16 @@ $("compare").addEventListener("click", () => attempt(async () => {
   await begin();
   const group = groups.find((one) => one.includes(chosen)), order = shuffled(group);
   for (const one of order) await ready(one);
-  sound.match(Object.fromEntries((await gainsOf(order)).map((db, i) => [order[i].id, db])));
+  const gains = await gainsOf(order);
+  if (!group.includes(chosen)) return; // another texture was chosen meanwhile
+  sound.match(Object.fromEntries(gains.map((db, i) => [order[i].id, db])));
   blind = order;
   const buttons = order.map((one, i) => {
     const button = Object.assign(document.createElement("button"), { textContent: String.fromCharCode(65 + i) });
     button.setAttribute("role", "radio");
     button.addEventListener("click", () => {
       for (const other of buttons) other.setAttribute("aria-checked", String(other === button));
-      choose.textContent = `${button.textContent} it is`;
+      choose.textContent = `Choose ${button.textContent}`;
       attempt(() => use(one));
     });
     return button;
@@ -237,6 +262,7 @@ function endBlind() {
   if (!blind) return;
   blind = null;
   sound.match({});
+  $("blind").replaceChildren();
   $("blind").hidden = true;
 }
 
@@ -246,7 +272,7 @@ async function reveal(choice = null) {
   const tally = preferred.get(choice?.title) ?? new Map(order.map((one) => [named(one), 0]));
   if (choice) preferred.set(choice.title, tally.set(named(choice), (tally.get(named(choice)) ?? 0) + 1));
   endBlind();
-  await use(chosen);
+  await use(listed(chosen));
   const which = order.map((one, i) => `${String.fromCharCode(65 + i)} was ${named(one)}`).join(", ");
   say(choice ? `${which}. Chosen so far: ${[...tally].map(([name, n]) => `${name} ${n}×`).join(", ")}` : which);
 }
