@@ -554,11 +554,21 @@ def test_ten_lines_put_a_texture_on_a_canvas_of_ones_own(browser: Any, tmp_path:
         until(page, "window.node !== undefined")
         page.evaluate(
             """() => {
-              node.port.onmessage = ({ data }) => { window.rms = Math.max(window.rms ?? 0, data.report?.rms ?? 0); };
+              node.port.addEventListener("message", ({ data }) => {
+                window.rms = Math.max(window.rms ?? 0, data.report?.rms ?? 0);
+              });
+              const analyser = new AnalyserNode(node.context, { fftSize: 2048 }), heard = new Float32Array(2048);
+              node.connect(analyser);
+              window.peak = 0;
+              setInterval(() => {
+                analyser.getFloatTimeDomainData(heard);
+                window.peak = heard.reduce((most, value) => Math.max(most, Math.abs(value)), window.peak);
+              }, 20);
             }"""
         )
         drag(page, "canvas")
-        until(page, "window.rms > 0.1")
+        until(page, "window.rms > 0.1 && window.peak > 0.01")
+        assert page.evaluate("window.peak") < 0.5  # it was full scale, in headphones
         page.close()
 
 

@@ -77,6 +77,12 @@ def test_takes_come_back_from_a_file(tmp_path: Path, takes: Recording) -> None:
         load_recording(tmp_path / "gap.h5")
 
 
+def test_a_texture_is_named_as_all_its_takes_are(takes: Recording) -> None:
+    named = [dataclasses.replace(one, texture=f"cork ({i})") for i, one in enumerate(takes.takes)]
+    assert joined_takes(named).texture == "cork"
+    assert joined_takes([named[0], dataclasses.replace(named[1], texture="wood")]).texture == "cork (0)"
+
+
 def test_takes_that_do_not_belong_together_are_refused(takes: Recording) -> None:
     odd = Recording({"speed": Channel(np.ones(3000), 1000.0)}, name="d.csv")
     with pytest.raises(ValueError, match=r"take 4 \(d.csv\) has the channels speed, expected those of the first: acc"):

@@ -1,24 +1,30 @@
-"""Pictures of the pages for README and the site, docs/pictures/page.jpg and page-capture.jpg: as a browser shows them.
+"""Pictures of the pages for README and the site, docs/pictures/page.jpg and page-*.jpg: as a browser shows them.
 
     python docs/make/page.py
 
-Needs Chromium and Playwright (`pip install '.[browser]'`). The page is served on this machine and ends with the script.
+Needs Chromium and Playwright (`pip install '.[browser]'`). The pages are served on this machine and end with the script.
 """
 
 from __future__ import annotations
 
+import contextlib
 import math
 import re
 import shutil
 import subprocess
 import sys
+import tempfile
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 from playwright.sync_api import sync_playwright
 
+import foten
+
 PICTURES = Path(__file__).resolve().parents[1] / "pictures"
 SIZE = {"width": 1280, "height": 760}
+FORM: dict[str, Any] = {"type": "jpeg", "quality": 82}
 MICROPHONE = ["--use-fake-ui-for-media-stream", "--use-fake-device-for-media-stream"]
 
 
@@ -38,33 +44,85 @@ def stroked(page: Any, name: str) -> None:
         page.wait_for_timeout(8)
 
 
+@contextlib.contextmanager
+def served(*arguments: str) -> Iterator[list[str]]:
+    """A command that serves, and the links that it prints."""
+    command = [sys.executable, "-c", "from foten.cli import main; main()", *arguments]
+    server = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
+    try:
+        links: list[str] = []
+        assert server.stderr is not None
+        for line in server.stderr:
+            links += re.findall(r"http://\S+", line)
+            if "ends it" in line:
+                break
+        yield links
+    finally:
+        server.terminate()
+        server.wait()
+
+
 def main() -> None:
     chromium = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
     if chromium is None:
         sys.exit("there is no Chromium: apt install chromium")
-    command = [sys.executable, "-c", "from foten.cli import main; main()", "serve", "--no-open", "--port", "0"]
-    server = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
-    try:
-        assert server.stderr is not None
-        link = next(found[0] for line in server.stderr if (found := re.search(r"http://\S+", line)))
-        with sync_playwright() as started:
-            browser = started.chromium.launch(executable_path=chromium, args=["--no-sandbox", *MICROPHONE])
-            context = browser.new_context(viewport=SIZE, permissions=["microphone"], color_scheme="light")
-            page = context.new_page()
-            page.goto(link)
-            page.wait_for_selector("html[data-ready]")
-            stroked(page, "Jeans")
-            page.screenshot(path=PICTURES / "page.jpg", type="jpeg", quality=82)
-            page.click("#capture-one")
-            page.wait_for_timeout(1500)
-            page.evaluate(
-                "document.querySelector('#trouble').textContent = ''"
-            )  # of the browser's make-believe microphone
-            page.screenshot(path=PICTURES / "page-capture.jpg", type="jpeg", quality=82)
-            browser.close()
-    finally:
-        server.terminate()
-        server.wait()
+    with sync_playwright() as started:
+        browser = started.chromium.launch(executable_path=chromium, args=["--no-sandbox", *MICROPHONE])
+        context = browser.new_context(viewport=SIZE, permissions=["microphone"], color_scheme="light")
+        with served("serve", "--no-open", "--port", "0") as (link, *_):
+            of_textures(context.new_page(), link)
+        with tempfile.TemporaryDirectory() as folder, of_a_study(Path(folder)) as (operator, participants, *_):
+            of_participants(context.new_page(), context.new_page(), operator, participants)
+        browser.close()
+
+
+def of_textures(page: Any, link: str) -> None:
+    """The page of textures, and the one that captures."""
+    page.goto(link)
+    page.wait_for_selector("html[data-ready]")
+    stroked(page, "Jeans")
+    page.screenshot(path=PICTURES / "page.jpg", **FORM)
+    page.click("#capture-one")
+    page.wait_for_timeout(1500)
+    page.evaluate("document.querySelector('#trouble').textContent = ''")  # of the browser's make-believe microphone
+    page.screenshot(path=PICTURES / "page-capture.jpg", **FORM)
+
+
+@contextlib.contextmanager
+def of_a_study(folder: Path) -> Iterator[list[str]]:
+    """The links of a study of two methods."""
+    methods = [folder / name for name in ("steel-mesh-1.foten", "steel-mesh-1_ar.foten")]
+    for path in methods:
+        shutil.copy(foten.EXAMPLE.with_name(path.name), path)
+    study = str(folder / "mesh.toml")
+    new = [sys.executable, "-c", "from foten.cli import main; main()", "study", "new", study, *map(str, methods)]
+    subprocess.run([*new, "--title", "Is it the mesh?"], check=True, capture_output=True)
+    with served("study", "run", study, "--port", "0") as links:
+        yield links
+
+
+def of_participants(page: Any, other: Any, operator: str, participants: str) -> None:
+    """A trial as a participant sees it, and the operator's page meanwhile."""
+    page.goto(participants)
+    page.wait_for_selector("html[data-ready]")
+    page.click("button.big")
+    for text in ("I agree", "Next", "Start"):
+        page.click(f"button.big >> text={text}", timeout=40_000)
+        page.wait_for_timeout(300)
+    page.wait_for_selector("#pad")
+    page.wait_for_timeout(800)
+    box = page.locator("#pad").bounding_box()
+    page.mouse.move(box["x"] + 0.3 * box["width"], box["y"] + 0.5 * box["height"])
+    page.mouse.down()
+    for i in range(60):
+        page.mouse.move(
+            box["x"] + (0.3 + 0.006 * i) * box["width"], box["y"] + (0.5 + 0.1 * math.sin(i / 8)) * box["height"]
+        )
+        page.wait_for_timeout(8)
+    page.screenshot(path=PICTURES / "page-study.jpg", **FORM)
+    other.goto(operator)
+    other.wait_for_timeout(2500)
+    other.screenshot(path=PICTURES / "page-operator.jpg", **FORM)
 
 
 if __name__ == "__main__":

@@ -184,7 +184,9 @@ class Recording:
 
 
 def joined_takes(recordings: Sequence[Recording]) -> Recording:
-    """One recording of several of the same surface, each a take or more; texture, tool and texts are those of the first.
+    """One recording of several of the same surface, each a take or more; tool and texts are those of the first.
+
+    The texture is named as all are: `clip1` and `clip2` are `clip`.
 
     ValueError where their channels or units differ, or one is there twice. The simulator's parameters hold for one take alone
     and are left out.
@@ -196,4 +198,9 @@ def joined_takes(recordings: Sequence[Recording]) -> Recording:
             raise ValueError(
                 f"take {i}{take.named} has the same samples as take {digests.index(take.sha256()) + 1}: leave it out"
             )
-    return replace(first, later_takes=tuple(others)) if others else recordings[0]
+    if not others:
+        return recordings[0]
+    names = [recording.texture for recording in recordings]
+    unnumbered = {name.rstrip(" _-(0123456789)") for name in names}
+    common = unnumbered.pop() if len(set(names)) > len(unnumbered) == 1 else ""
+    return replace(first, later_takes=tuple(others), texture=common or names[0])

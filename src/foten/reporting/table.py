@@ -135,7 +135,9 @@ class Table:
     def html(self, letter: str) -> str:
         """HTML: each number in full beside its rounding, each dash with a footnote, which the letter begins."""
         marks = {why: f"<sup>{letter}{k}</sup>" for k, why in enumerate(self.missing(), 1)}
-        head = "".join(f'<th scope="col">{_html_name(column)}</th>' for column in self.columns)
+        kinds = (' class="words"' * (column.words and k > 0) for k, column in enumerate(self.columns))
+        heads = zip(kinds, self.columns, strict=True)
+        head = "".join(f'<th scope="col"{kind}>{_html_name(column)}</th>' for kind, column in heads)
         body = "".join(_html_row(row, self.columns, marks) for row in self.rows)
         notes = " · ".join(f"{mark} {html.escape(why)}" for why, mark in marks.items())
         table = f"<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"

@@ -11,7 +11,7 @@ import numpy as np
 from foten.dsp.level import frame_means
 from foten.evaluate.evaluate import Judgement
 from foten.evaluate.report.signals import frame_errors, scored_conditions, shown_run
-from foten.models.conditions import FADE_SPEED
+from foten.models.conditions import FADE_FORCE, FADE_SPEED
 from foten.reporting.table import minus, signed
 
 
@@ -30,6 +30,7 @@ Interval = Sequence[float] | None
 MAX_LEVEL_DB = 3.0  # that a level may be off in a range of speeds which counts as usable
 SILENT_DB = -10.0  # below the recording all is taken as silence
 SPEED_RANGES = 3  # of as many frames each
+FEW_BLOCKS = 5  # that judge, below which there are no intervals
 
 
 def _finding(
@@ -88,31 +89,45 @@ def headline(judgement: Judgement) -> str:
         return f"Not judged: {reason(document, 'free_run')}."
     ranges = _levels_by_speed(judgement, key)
     if not ranges:
-        return "Not judged: the hand hardly moves in this recording."
+        return "Not judged: the tool hardly moves, or hardly presses, in this recording."
+    one_step, spectrum, _, dynamics, *_ = verdict(document)
+    zero, foreign = document["references"]["zero"]["mae_scaled"], document["split"] == "foreign"
+    if foreign and document["one_step"]["mae_scaled"] is not None and document["one_step"]["mae_scaled"] > zero:
+        return "Not this surface, or other sensors: a step ahead it is worse than silence, so the rest says little."
     biases = [bias for *_, bias in ranges]
     if max(biases) < SILENT_DB:
-        return "Not usable: left to itself it falls silent. foten-plus does not, nor a network with --excitation."
-    spectrum = verdict(document)[1]
+        others = (
+            ""
+            if document["model"] in ("foten-plus", "ar")
+            else ". foten-plus does not, nor a network with --excitation"
+        )
+        return f"Not usable: left to itself it falls silent{others}."
     right = [abs(bias) <= MAX_LEVEL_DB for bias in biases]
     if spectrum.tone == "bad" or not any(right):
-        why = "its level is off at every speed"
-        if any(right):
-            why = f"its spectrum is {_distance(document, key)}"
-        return f"Not usable yet: {why}. Record again for longer, with strokes at all speeds and forces."
+        why = f"its spectrum is {_distance(document, key)}" if any(right) else "its level is off at every speed"
+        advice = "" if foreign else " Record again for longer, with strokes at all speeds and forces."
+        return f"Not usable {'for this recording' if foreign else 'yet'}: {why}.{advice}"
+    doubts = ["a step ahead a simple predictor is better"] * (one_step.tone == "bad")
+    doubts += ["its level does not follow the hand"] * (dynamics.tone == "bad")
+    doubts += [f"only {document['n_blocks']} blocks judge it"] * (document["n_blocks"] < FEW_BLOCKS)
     if all(right):
         low, high = np.maximum(np.quantile(scored_conditions(judgement)[0], [0.01, 0.99]), FADE_SPEED)
         near = "as near as a second stroke's" if spectrum.tone == "good" else _distance(document, key)
         worst = max(0.1, *map(abs, biases))
-        return f"Usable from {low:.0f} to {high:.0f} mm/s: level within {worst:.1f} dB on average, spectrum {near}."
-    wrong = [one for one, fine in zip(ranges, right, strict=True) if not fine]
-    low, high, bias = max(wrong, key=lambda one: abs(one[2]))
-    where = f"from {low:.0f} to {high:.0f} mm/s it is {abs(bias):.0f} dB too {'loud' if bias > 0 else 'soft'}"
-    usable = "with care"
-    if right == sorted(right, reverse=True):  # the slow ones are right
-        usable = f"below {min(one[0] for one in wrong):.0f} mm/s"
-    elif right == sorted(right):
-        usable = f"above {max(one[1] for one in wrong):.0f} mm/s"
-    return f"Usable {usable}; {where}: record more strokes there."
+        usable = f"Usable{' with care' * bool(doubts)} from {low:.0f} to {high:.0f} mm/s"
+        text = f"{usable}: level within {worst:.1f} dB on average, spectrum {near}"
+    else:
+        wrong = [one for one, fine in zip(ranges, right, strict=True) if not fine]
+        low, high, bias = max(wrong, key=lambda one: abs(one[2]))
+        usable = "with care"
+        if right == sorted(right, reverse=True):  # the slow ones are right
+            usable = f"below {min(one[0] for one in wrong):.0f} mm/s"
+        elif right == sorted(right):
+            usable = f"above {max(one[1] for one in wrong):.0f} mm/s"
+        off = f"{abs(bias):.0f} dB too {'loud' if bias > 0 else 'soft'}"
+        text = f"Usable {usable}; from {low:.0f} to {high:.0f} mm/s it is {off}"
+        text += "" if foreign else ": record more strokes there"
+    return f"{text}{''.join(f'; {doubt}' for doubt in doubts)}."
 
 
 def _distance(document: Mapping[str, Any], key: str) -> str:
@@ -125,8 +140,8 @@ def _distance(document: Mapping[str, Any], key: str) -> str:
 def _levels_by_speed(judgement: Judgement, key: str) -> list[tuple[float, float, float]]:
     """Speeds [mm/s] between which lie as many frames of 40 ms each, and their mean level error [dB]."""
     errors, rate_hz = frame_errors(judgement, key).mean(axis=0), judgement.trace.rate_hz
-    speeds = frame_means(scored_conditions(judgement)[0], rate_hz)
-    moving = speeds >= FADE_SPEED
+    speeds, forces = (frame_means(channel, rate_hz) for channel in scored_conditions(judgement))
+    moving = (speeds >= FADE_SPEED) & (forces >= FADE_FORCE)
     if not moving.any():
         return []
     edges = np.quantile(speeds[moving], np.linspace(0, 1, SPEED_RANGES + 1))
@@ -143,7 +158,7 @@ def cautions(document: Mapping[str, Any]) -> list[str]:
             "This is not the recording that the texture was trained on: all its blocks are judged, and no baseline "
             "can be fitted beside."
         )
-    if (n_blocks := document["n_blocks"]) < 5:
+    if (n_blocks := document["n_blocks"]) < FEW_BLOCKS:
         few = "too few for intervals, so no mark says that anything is good"
         few = "intervals are coarse" if n_blocks == 4 else few
         notes.append(f"Only {n_blocks} block{'s' * (n_blocks != 1)} judged: {few}.")
