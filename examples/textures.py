@@ -17,6 +17,7 @@ import foten
 
 OUT = Path(foten.EXAMPLE).parent
 SMALL = ("--set", "n_hidden=32", "--set", "head_width=32")
+CREDIT = ("--source", "simulated", "--licence", "CC0-1.0")
 KEYS = ("artificial-grass", "jeans", "steel-mesh-1", "textured-rubber", "towel")
 COMPARED, OTHER = "steel-mesh-1", "ar"
 LARGEST = 500_000  # bytes
@@ -28,12 +29,11 @@ def main() -> None:
             recording, texture = Path(folder) / f"{key}.h5", OUT / f"{key}.foten"
             command = [Path(sys.executable).with_name("foten")]
             subprocess.run([*command, "simulate", key, "--seconds", "64", "--seed", "3", "-o", recording], check=True)
-            run = ["--run", Path(folder) / "run", "--licence", "CC0-1.0"]
-            subprocess.run([*command, "train", recording, "-o", texture, *SMALL, *run], check=True)
+            run = ["--run", Path(folder) / "run"]
+            subprocess.run([*command, "train", recording, "-o", texture, *SMALL, *run, *CREDIT], check=True)
             if key == COMPARED:
                 other = OUT / f"{key}_{OTHER}.foten"
-                licence = ["--licence", "CC0-1.0"]
-                subprocess.run([*command, "train", recording, "-o", other, "--model", OTHER, *licence], check=True)
+                subprocess.run([*command, "train", recording, "-o", other, "--model", OTHER, *CREDIT], check=True)
         if texture.stat().st_size > LARGEST:
             sys.exit(f"{texture.name} has {texture.stat().st_size} bytes, expected {LARGEST} at most")
 
