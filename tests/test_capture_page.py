@@ -161,7 +161,7 @@ def test_it_can_be_read_and_used_by_all(quiet_browser: Any, studio_link: str) ->
         until(page, "document.querySelectorAll('#inputs option').length > 0")
         for step in ("set-up", "tap-in", "stroke", "training", "failed"):
             page.evaluate(f"(step) => {{ {CAPTURE}.enter(step); {CAPTURE}.draw(); }}", step)
-            assert look(page, f"capture-{step}", ("phone", "desktop"), "#capture") == []
+            assert look(page, f"capture-{step}", part="#capture") == []
             bar = page.evaluate("document.querySelector('#learning').position")
             assert step != "training" or bar == -1  # it moves until the server says how far it is
 

@@ -245,6 +245,20 @@ def test_nothing_is_learned_from_a_recording_without_a_stroke_but_with_anyway(
     assert not (tmp_path / "b.h5").exists()
 
 
+def test_every_training_says_the_problems_of_its_recording(
+    recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    raw = load_recording(recording)
+    grams = dataclasses.replace(raw["force"], samples=raw["force"].samples / 9.80665e-3)
+    path = tmp_path / "grams.h5"
+    write_recording(dataclasses.replace(raw, channels={**raw.channels, "force": grams}), path)
+    for model in ("ar", "foten-plus"):
+        options = ["--epochs", "0"] * (model != "ar")
+        cut = ["--trim", "0", "--block", "500", "--force-units"]
+        assert _status(["train", str(path), "-o", str(tmp_path / "t.foten"), "--model", model, *cut, *options]) == 0
+        assert "problem: force" in capsys.readouterr().err
+
+
 def test_credit_goes_from_the_command_to_every_conversion(
     recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -10,6 +10,7 @@ import contextlib
 import csv
 import functools
 import http.server
+import itertools
 import re
 import shutil
 import threading
@@ -78,21 +79,21 @@ def chromium(*flags: str) -> Iterator[Any]:
 
 
 def look(page: Any, name: str, sizes: Sequence[str] = tuple(SIZES), part: str = "html") -> list[Any]:
-    """Take screenshots of a page for people, the desktop's dark, and return what axe-core complains of in a part of it."""
+    """Take screenshots of a page for people, light and dark, and return what axe-core complains of in a part of it."""
     axe = pytest.importorskip(
         "axe_playwright_python.sync_playwright", reason="needs axe-core: pip install '.[browser]'"
     )
     SHOTS.mkdir(parents=True, exist_ok=True)
     complaints = []
     page.evaluate(axe.Axe().axe_script)
-    for size in sizes:
-        (width, height), scheme = SIZES[size], "dark" if size == "desktop" else "light"
+    for size, scheme in itertools.product(sizes, ("light", "dark")):
+        width, height = SIZES[size]
         page.set_viewport_size({"width": width, "height": height})
         page.emulate_media(color_scheme=scheme, reduced_motion="reduce")
         page.evaluate("new Promise((drawn) => requestAnimationFrame(() => requestAnimationFrame(drawn)))")
         page.screenshot(path=SHOTS / f"{name}-{size}-{scheme}.png")
         violations = page.evaluate("(part) => axe.run(part, { resultTypes: ['violations'] })", part)["violations"]
-        complaints += [(name, size, v["id"], [node["html"] for node in v["nodes"]]) for v in violations]
+        complaints += [(name, size, scheme, v["id"], [node["html"] for node in v["nodes"]]) for v in violations]
     return complaints
 
 
