@@ -254,7 +254,7 @@ def test_every_training_says_the_problems_of_its_recording(
     write_recording(dataclasses.replace(raw, channels={**raw.channels, "force": grams}), path)
     for model in ("ar", "foten-plus"):
         options = ["--epochs", "0"] * (model != "ar")
-        cut = ["--trim", "0", "--block", "500", "--force-units"]
+        cut = ["--trim", "0", "--block", "500", "--force-units", "--anyway"]
         assert _status(["train", str(path), "-o", str(tmp_path / "t.foten"), "--model", model, *cut, *options]) == 0
         assert "problem: force" in capsys.readouterr().err
 

@@ -111,6 +111,9 @@ def test_truncated_foreign_and_missing_files_are_refused(tmp_path):
     (tmp_path / "denim.csv").write_text("0\n")
     with pytest.raises(ValueError, match=r"first run: foten import .*denim.csv -o denim.h5"):
         load_recording(tmp_path / "denim.csv")
+    (tmp_path / "bath towel (2).csv").write_text("0\n")
+    with pytest.raises(ValueError, match=r"first run: foten import '.*towel \(2\).csv' -o 'bath towel \(2\).h5'"):
+        load_recording(tmp_path / "bath towel (2).csv")  # which a shell could not read
 
 
 def test_a_text_that_hdf5_cannot_hold_is_refused(tmp_path):

@@ -136,6 +136,31 @@ def test_headers_of_many_labs_need_no_map(tmp_path, header, mapped):
     assert shlex.split(decisions[0])[-1].startswith("time=")  # that can be pasted
 
 
+def test_time_alone_is_no_recording(tmp_path):
+    with pytest.raises(ValueError, match="only time is mapped, expected a channel as well"):
+        _import(_csv(tmp_path / "a.csv", "", TIME, ACC, SPEED), map="time=0")
+
+
+def test_a_map_adds_to_what_the_headers_say(tmp_path):
+    """It replaced all of it: whoever named one column lost the others."""
+    path = _csv(tmp_path / "a.csv", "t,acc,v,Fz_norm [au],f_reib", TIME, ACC, SPEED, FORCE, FORCE)
+    _, decisions = import_recording([path], ImportOptions())
+    assert "force may be Fz_norm [au]: add --map 'force=Fz_norm [au]'" in decisions
+    recording = _import(path, map="force=Fz_norm [au]", unit="force=*2")
+    assert set(recording.channels) == {"acceleration", "speed", "force"}
+    np.testing.assert_array_equal(recording["force"].samples, 2 * FORCE)
+    assert set(_import(path, map="time=t,position_x=v,position_y=f_reib").channels) == {
+        *("acceleration", "position_x", "position_y")  # a speed would be a second movement
+    }
+
+
+def test_what_stands_above_a_table_is_said(tmp_path):
+    path = _csv(tmp_path / "a.csv", "Lab 4\nSensor;ADXL356\n\nt,acc,v,F [cN]", TIME, ACC, SPEED, 100 * FORCE)
+    recording, decisions = import_recording([path], ImportOptions())
+    assert "above the table: Lab 4; Sensor;ADXL356; --tool, --sensors and --notes keep such things" in decisions
+    np.testing.assert_allclose(recording["force"].samples, FORCE, rtol=1e-12)
+
+
 def test_an_example_offers_no_column_of_another_unit(tmp_path):
     path = _csv(tmp_path / "a.csv", "Lage [V],a,Dehnung [V]", ACC, SPEED, FORCE)
     with pytest.raises(ValueError, match=r"--map acceleration=a,speed=COLUMN,force=COLUMN$"):
@@ -365,7 +390,7 @@ def test_gaps_elsewhere_are_never_filled(tmp_path):
         ({"map": "acceleration=7"}, "no column '7' among acc, speed, force"),
         ({"map": "acc=acc"}, "unknown channel 'acc', expected time, acceleration.*"),
         ({"map": "force=force,force=speed"}, "force is mapped twice"),
-        ({"map": "time=acc"}, "only time is mapped"),
+        ({"map": "time=acc"}, "a.csv: the time goes back at sample 1"),
         ({"map": "acceleration"}, "--map 'acceleration' is not CHANNEL=VALUE"),
         ({"map": "acceleration=acc", "rate": "fast"}, "--rate 'fast' is not HZ or CHANNEL=HZ"),
         ({"map": "acceleration=acc", "rate": 0}, "is 0 Hz, expected above 0"),
@@ -376,7 +401,7 @@ def test_gaps_elsewhere_are_never_filled(tmp_path):
         ({"map": "acceleration=acc", "unit": "acceleration=inch"}, "'inch' is not one of m/s.*V\\*4.9"),
         ({"map": "acceleration=acc", "unit": "acceleration=g*2"}, "takes no factor; write acceleration=g, or"),
         ({"map": "acceleration=acc", "unit": "acceleration=V*x"}, "'x' is not a factor"),
-        ({"map": "acceleration=acc", "unit": "force=N"}, "force has a unit or rate but is not mapped"),
+        ({"map": "acceleration=acc", "unit": "position_x=mm"}, "position_x has a unit or rate but is not mapped"),
         ({"map": "acceleration=acc", "rate": 40_000}, "too short: 2000 samples at 40000 Hz, 50 ms, expected 100 ms"),
         ({"map": "acceleration=acc", "rate": 5e7}, "the rate is 5e.07 Hz, expected 1e.07 at most; is it right"),
         ({"map": "acceleration=acc", "rate": 20}, "a rate of 20 Hz, too slow for any vibration; is the rate right"),

@@ -181,6 +181,15 @@ for name in sys.argv[1:]:
     run(code, *free)
 
 
+def test_a_page_for_any_host_needs_no_server(tmp_path: Path) -> None:
+    """`foten export --to web` asked for starlette."""
+    program = "import sys; sys.modules['starlette'] = None; from foten.cli import main; main()"
+    arguments = ["export", "--to", "web", "-o", str(tmp_path / "site")]
+    done = subprocess.run([sys.executable, "-c", program, *arguments], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert (tmp_path / "site" / "index.html").exists()
+
+
 def test_training_says_what_it_lacks_without_pytorch() -> None:
     """The other side of the test above: the block works."""
     code = "import sys; sys.modules['torch'] = None\ntry:\n    import foten.training.loop\nexcept ImportError as e: print(e.name)"

@@ -117,6 +117,12 @@ def _put(at, value):
         ("speed", lambda x: x + 110, "note range", "force above 2.7 N never visited: above it the level grows"),
         ("speed", lambda x: x / 3, "note range", "never faster than 7"),
         ("force", lambda x: x + 1, "note range", "never lighter than 1.5"),
+        (
+            "force",
+            lambda x: 20 * x + 15,
+            "unusable coverage",
+            "nothing of the plane up to .* was visited, only .*units right",
+        ),
         ("speed", lambda x: x / 1000, "problem units", r"peaks at 0.2\d+, expected mm/s .*was it given in m/s"),
         ("force", lambda x: x / 9.80665e-3, "problem units", "peaks at .*was it given in mN or gf"),
         ("acceleration", lambda x: 1000 * x, "problem units", "was it given in mm/s² or mg"),
@@ -131,6 +137,8 @@ def test_a_fault_is_reported_and_hardly_any_other(channel, change, kind, text):
     assert any(re.search(text, found) for found in texts), texts
     # What no hand does is refused as well, and by its sign; where it rests or is lifted, all is noise.
     also = {"refused", "sign", "noise"} if re.search("sign|refused|spikes|units|contact", kind) else set()
+    also |= {"coverage"} if inspection.coverage and not inspection.coverage.fraction else set()
+    also |= {"units"} if kind == "unusable coverage" else set()
     assert {code for code, _ in _codes(inspection)} - also <= {kind.split()[1]}
 
 
@@ -321,8 +329,10 @@ def test_the_last_line_says_what_a_recording_is_good_for():
     assert few.coverage.fraction < 0.25
     assert re.fullmatch(r"usable from \d+ to \d+ mm/s and from [\d.]+ to [\d.]+ N, a small part.*", few.verdict)
     assert few.to_text().splitlines()[-1] == few.verdict
-    with_tone = _inspect({**_clean(), "force": _clean()["force"] / 9.80665e-3})  # in grams
-    assert with_tone.verdict.startswith("usable with care (1 problem above) from 15 to 225 mm/s and from 52 to 270 N")
+    clipped = _inspect({**_clean(), "acceleration": np.clip(_clean()["acceleration"], -3, 3)})
+    assert clipped.verdict.startswith("usable with care (2 problems above) from 15 to 225 mm/s and from 0.")
+    grams = _inspect({**_clean(), "force": _clean()["force"] / 9.80665e-3})
+    assert grams.verdict.startswith("record again: nothing of the plane up to 300 mm/s and 10 N was visited, only")
 
 
 @needs_data

@@ -345,7 +345,7 @@ def sound(monkeypatch: pytest.MonkeyPatch) -> FakeSound:
 
 
 def test_a_card_that_fills_its_buffer_at_once_finds_all_of_it(sound: FakeSound) -> None:
-    live = Live(lambda out: out.fill(0.5), SoundSink(0.5, rate_hz=48_000.0, channel=1))
+    live = Live(lambda out: out.fill(0.5), SoundSink(0.5, rate_hz=48_000.0, channel=2))
     live.start()
     played = [sound.call() for _ in range(4)]  # 20 ms in blocks of 5
     live.stop()

@@ -369,6 +369,9 @@ def test_a_file_that_is_dropped_is_rendered_here_or_refused_in_a_line(browser: A
             assert "\n" not in page.inner_text("#message")
             assert page.locator("#textures .swatch").count() == 2
             page.evaluate("document.querySelector('#message').textContent = ''")
+        path.write_bytes(b"\x89HDF\r\n\x1a\n" + bytes(500))
+        dropped(page, path)
+        until(page, "document.querySelector('#message').textContent.includes('it is HDF5, as a recording is')")
         at_the_server(page)
         path = tmp_path / "mine.foten"
         write_texture(type(texture)({**texture.card, "texture": "my denim"}, texture.tensors), path)
@@ -593,6 +596,12 @@ def test_two_lines_put_a_texture_on_a_page_of_ones_own(browser: Any, tmp_path: P
         until(page, "told.ready && told.rms > 0.1")
         page.evaluate("document.querySelector('foten-pad').src = 'bad.foten'")
         until(page, "told.refused?.startsWith('this is not a texture file')")
+        page.evaluate("document.querySelector('foten-pad').src = 'none.foten'")
+        until(
+            page, "document.querySelector('foten-pad').dataset.refused?.startsWith('none.foten could not be fetched')"
+        )
+        page.evaluate("document.querySelector('foten-pad').src = 'mesh.foten'")
+        until(page, "!document.querySelector('foten-pad').dataset.refused")
         page.close()
 
 

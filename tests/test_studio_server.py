@@ -32,6 +32,7 @@ from foten.runtime.stylus import PressureCalibration
 from foten.studio import studio_server
 from foten.studio.access import LOOPBACK, Access
 from foten.studio.live_contact import Contact
+from foten.studio.page_files import page_files
 from foten.studio.players import OutputDevice, RoundRobinRenderer
 from foten.studio.shelf import Shelf
 from foten.studio.studio_server import Studio
@@ -92,7 +93,7 @@ def test_the_page_and_what_it_needs_are_served(client: TestClient) -> None:
 
 def test_nothing_of_the_page_comes_from_elsewhere_and_it_is_small() -> None:
     """It works without a network: no address of another host in any of its files, which are at most 500 KB."""
-    files = studio_server.page_files()
+    files = page_files()
     for name, path in files.items():
         if path.suffix in (".js", ".mjs", ".html", ".css"):
             text = path.read_text(encoding="utf-8").replace("http://www.w3.org/2000/svg", "")

@@ -36,7 +36,7 @@ def devices(as_json: JsonOption = False) -> None:
     ]
     lines = Table.of(heads, rows).text() if rows else ["no sound output"]
     lines += [f"NI-DAQ: --to daq:{channel}" for channel in daq]
-    lines.append("next: foten play --device NUMBER --channel 0")
+    lines.append("next: foten play --device NUMBER --channel 1")
     print_result({"sound": [asdict(device) for device in sound], "daq": daq}, "\n".join(lines), as_json)
 
 

@@ -85,14 +85,14 @@ def import_(
         help="CHANNEL=COLUMN,… with channels time, acceleration, speed, force, or by axis acceleration_x, position_x, "
         "force_x and so on (z is the surface normal). A column is a header name, or a number from 0; with several files "
         "FILE:COLUMN. time may be given once per file and serves the channels of that file with as many rows; without "
-        "FILE: it is that column of every file which has it. Default: by the header names, said on stderr.",
+        "FILE: it is that column of every file which has it. What is not mapped is taken from the header names, said on stderr.",
     ),
     units: list[str] | None = Option(
         None,
         "--unit",
         help="CHANNEL=UNIT,… of the file: acceleration m/s^2, g, mg, mm/s^2, in/s^2, ft/s^2; speed mm/s, cm/s, m/s, in/s, "
-        "ft/s, mm/min, km/h; position mm, cm, m, um, in, ft; force N, mN, kN, gf, kgf, lbf, ozf; time s, ms, us, ns, min. "
-        "CHANNEL=V*FACTOR or *FACTOR multiplies, for a sensitivity: force=V*4.9 for 4.9 N per volt. "
+        "ft/s, mm/min, km/h; position mm, cm, m, um, in, ft; force N, cN, mN, kN, gf, kgf, lbf, ozf, dyn; time s, ms, us, ns, "
+        "min. CHANNEL=V*FACTOR or *FACTOR multiplies, for a sensitivity: force=V*4.9 for 4.9 N per volt. "
         "Default: what the file states, else m/s^2, mm/s, mm, N, s.",
     ),
     rate: list[str] | None = Option(None, help="HZ for channels without a rate or times, or CHANNEL=HZ,… of any."),

@@ -31,7 +31,7 @@ Deterministic = Annotated[bool, Option("--deterministic", help="Without excitati
 Actuator = Annotated[Path | None, Option(metavar="P.json", help="Profile of the actuator that is driven.")]
 Gain = Annotated[float | None, Option(help="Full scale (sound) or volts (daq) for 1 m/s², or for 1 of the drive.")]
 Device = Annotated[str | None, Option(help="Number or name of the sound card, as 'foten devices' lists them.")]
-Channel = Annotated[int | None, Option(min=0, help="Of the sound card that is played on, from 0; 0 by default.")]
+Channel = Annotated[int | None, Option(min=1, help="Of the sound card that is played on; 1 by default.")]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -40,6 +40,7 @@ def serve(
 
     foten serve --to daq:Dev1/ao0 --actuator coil.json: with a voice coil on an NI-DAQ of this machine.
     """
+    from foten.recording.inspection.values import counted
     from foten.runtime.actuator import read_profile
     from foten.studio.players import OutputDevice
     from foten.studio.shelf import SUFFIX, Shelf
@@ -65,7 +66,7 @@ def serve(
             say(f"a device came in; for the next one: {link}")
             _say_code(link)
             return
-        many = f"{len(studio.shelf)} texture{'s' if len(studio.shelf) != 1 else ''}"
+        many = counted(studio.shelf.n_names, "texture")
         say(f"{many} at {link}")
         if access.token is not None:
             _say_code(link)

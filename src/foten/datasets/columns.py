@@ -31,10 +31,11 @@ class Column:
     n_blank: int = 0  # blank cells after the last value, which are not in `samples`
     fault: str = ""  # why this column cannot be a channel: a word among the numbers, for example
     file: Path = Path()  # that it was imported from
+    preamble: str = ""  # what stands above the table
     row_numbers: Sequence[int] = ()  # of each sample and of the blank cells, from 1, where the file is a table
 
     def __post_init__(self) -> None:
-        for text in ("name", "unit", "fault"):
+        for text in ("name", "unit", "fault", "preamble"):
             object.__setattr__(self, text, printable(getattr(self, text)[:MAX_NAME_CHARACTERS]))
 
     @property

@@ -10,6 +10,7 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from shlex import quote
 from typing import Any
 
 import numpy as np
@@ -72,11 +73,13 @@ def load_recording(path: Path) -> Recording:
     """Recording in a file of ours; ValueError for another format or version, a damaged file, or absurd content."""
     name = path.name
     if path.exists() and path.suffix.lower() not in (".h5", ".hdf5"):
-        raise ValueError(f"{name} is not a foten recording (.h5); first run: foten import {path} -o {path.stem}.h5")
+        raise ValueError(
+            f"{name} is not a foten recording (.h5); first run: foten import {quote(str(path))} -o {quote(path.stem + '.h5')}"
+        )
     contents, arrays = read_isolated("HDF5", path)
     attributes = contents["attributes"]
     if attributes.get("format") != FORMAT:
-        run = f"first run: foten import {path} -o {path.stem}-foten.h5"
+        run = f"first run: foten import {quote(str(path))} -o {quote(path.stem + '-foten.h5')}"
         raise ValueError(f"{name} is HDF5 but not a foten recording (attribute format is not {FORMAT!r}); {run}")
     version = _number(attributes.get("version"))
     if version != VERSION:

@@ -17,7 +17,14 @@ import numpy as np
 from foten.datasets.binary import read_hdf5, read_matlab, read_numpy, read_tdms, read_wav
 from foten.datasets.bounds import check_channel, check_overlap
 from foten.datasets.columns import Column, check_width
-from foten.datasets.mapping import columns_of, guessed_mapping, names_of, stroke_columns
+from foten.datasets.mapping import (
+    added_mapping,
+    columns_of,
+    guessed_mapping,
+    guesses_of_missing,
+    names_of,
+    stroke_columns,
+)
 from foten.datasets.options import ImportOptions
 from foten.datasets.pen import PenClock, joined, pen_channels
 from foten.datasets.tabular import read_delimited, read_excel
@@ -81,15 +88,18 @@ def import_recording(paths: Sequence[Path], options: ImportOptions) -> tuple[Rec
             raise ValueError(f"{path} is given twice")
     files = {path: read_columns(path) for path in paths}
     decisions: list[str] = []
-    mapping = options.mapping
-    if not mapping:
-        mapping = guessed_mapping(files, options)
-        pairs = shlex.quote(",".join(f"{channel}={name}" for channel, name in mapping))
-        decisions.append(f"taken from the headers: --map {pairs}")
-        taken = {reference for _, reference in mapping}
-        left_out = [name for name in names_of(files) if name not in taken]
+    added = added_mapping(files, options.mapping) if options.mapping else guessed_mapping(files, options)
+    mapping = (*options.mapping, *added)
+    if added:
+        pairs = shlex.quote(",".join(f"{channel}={name}" for channel, name in added))
+        decisions.append(f"{'also ' * bool(options.mapping)}taken from the headers: --map {pairs}")
+    if not options.mapping:
+        left_out = [name for name in names_of(files) if name not in {reference for _, reference in mapping}]
         decisions += [f"left out: {', '.join(left_out)}"] if left_out else []
-        options = replace(options, mapping=mapping)
+        decisions += guesses_of_missing(files, mapping)
+        above = {column.preamble for there in files.values() for column in there if column.preamble}
+        decisions += [f"above the table: {text}; --tool, --sensors and --notes keep such things" for text in above]
+    options = replace(options, mapping=mapping)
     clocks = [clock for channel, name in mapping if channel == "time" for clock in columns_of(files, channel, name)]
     columns = {channel: columns_of(files, channel, name)[0] for channel, name in mapping if channel != "time"}
     if not columns:

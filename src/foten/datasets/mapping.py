@@ -90,6 +90,56 @@ def guessed_mapping(files: Files, options: ImportOptions) -> tuple[tuple[str, st
     return tuple((channel, name_of(files, column)) for channel, candidates in places.items() for column in candidates)
 
 
+def added_mapping(files: Files, mapping: Sequence[tuple[str, str]]) -> tuple[tuple[str, str], ...]:
+    """What the headers say without doubt of the quantities that a mapping leaves out."""
+    mapped = {quantity(channel) for channel, _ in mapping}
+    mapped |= {"speed", "position"} if mapped & {"speed", "position"} else set()
+    taken = {id(column) for channel, reference in mapping for column in columns_of(files, channel, reference)}
+    places = {
+        channel: [column for column in columns if id(column) not in taken]
+        for channel, columns in _by_headers(files).items()
+        if quantity(channel) not in mapped and (channel != "time" or len(files) == 1)
+    }
+    doubtful = {quantity(channel) for channel, columns in places.items() if len(columns) != 1}
+    return tuple(
+        (channel, name_of(files, columns[0]))
+        for channel, columns in places.items()
+        if quantity(channel) not in doubtful
+    )
+
+
+def guesses_of_missing(files: Files, mapping: Sequence[tuple[str, str]]) -> list[str]:
+    """Sentences on columns that may be what a mapping lacks, by how their names begin."""
+    mapped, taken = {quantity(channel) for channel, _ in mapping}, {name for _, name in mapping}
+    mapped |= {"speed"} if "position" in mapped else set()
+    others = [
+        (name, column)
+        for columns in files.values()
+        for column in columns
+        if (name := name_of(files, column)) not in taken
+    ]
+    sentences = []
+    for kind, beginnings in {
+        "acceleration": _ACCELERATIONS,
+        "force": f"{_FORCES} {_NORMAL_FORCES}",
+        "speed": _SPEEDS,
+    }.items():
+        if kind in mapped:
+            continue
+        known = tuple(word for word in beginnings.split() if len(word) > 1 or kind == "force")
+        could = [
+            name
+            for name, column in others
+            if not column.fault
+            and column.name.lower().startswith(known)
+            and not any(word in column.name.lower() for word in _NOT_NORMAL)
+        ]
+        if could:
+            pairs = shlex.quote(f"{kind}={could[0]}")
+            sentences.append(f"{kind} may be {' or '.join(could[:3])}: add --map {pairs}")
+    return sentences
+
+
 def _by_headers(files: Files) -> dict[str, list[Column]]:
     """Columns by the channel that their headers name, and those whose unit leaves no doubt where no header names its quantity."""
     usable = [column for columns in files.values() for column in columns if column.n_rows > 1]

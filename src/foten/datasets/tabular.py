@@ -174,8 +174,13 @@ def _table(rows: list[list[Any]], where: str, comments: Collection[int] = ()) ->
     if heads:
         names = [_words(cell) or str(k) for k, cell in enumerate(heads[-1])]
     row_numbers = [i + 1 for i in data]
+    above = (
+        " ".join(filter(None, map(_words, row)))
+        for row in rows[: worded[-len(heads) - (units != [""] * width)] if heads else start]
+    )
+    preamble = "; ".join(filter(None, above))
     return [
-        _column(Column(name, unit=unit, row_numbers=row_numbers), cells)
+        _column(Column(name, unit=unit, preamble=preamble, row_numbers=row_numbers), cells)
         for name, unit, cells in zip(names, units, zip(*(rows[i] for i in data), strict=True), strict=True)
     ]
 

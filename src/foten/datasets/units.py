@@ -26,7 +26,7 @@ FACTORS: Mapping[str, Mapping[str, float]] = {
     "speed": {f"{unit}/s": mm for unit, mm in _LENGTHS_MM.items()}
     | {"mm/min": 1 / 60, "m/min": 1000 / 60, "km/h": 1000 / 3.6},
     "position": _LENGTHS_MM,
-    "force": {"N": 1.0, "mN": 1e-3, "kN": 1e3}
+    "force": {"N": 1.0, "cN": 1e-2, "mN": 1e-3, "daN": 10.0, "kN": 1e3}
     | {"gf": G / 1000, "kgf": G, "lbf": POUND_N, "ozf": POUND_N / 16, "dyn": 1e-5},
     "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0},
 }
@@ -45,7 +45,8 @@ _SPELLINGS = """
     cm: centimeter centimeters centimetre centimetres; um: micron microns micrometer micrometers micrometre micrometres;
     m/s^2: mps2; g: gn g0 gee gees gs g's; mg: milli-g millig milligee milligees; Gal: gals;
     m/s: mps; mm/s: mmps; in/s: ips; km/h: kmh kph;
-    N: newton newtons; mN: millinewton millinewtons; kN: kilonewton kilonewtons; dyn: dyne dynes;
+    N: newton newtons; cN: centinewton centinewtons;
+    mN: millinewton millinewtons; daN: decanewton decanewtons; kN: kilonewton kilonewtons; dyn: dyne dynes;
     gf: gram-force grams-force; kgf: kp kilopond kiloponds kilogram-force kilograms-force;
     lbf: lb-f lbsf pound-force pounds-force; ozf: oz-f ounce-force ounces-force;
     gram: grams; kg: kgs kilogram kilograms; lb: lbs pound pounds; oz: ounce ounces;

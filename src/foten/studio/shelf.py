@@ -65,6 +65,11 @@ class Shelf:
         """Entry, or None where there is none."""
         return self._entries.get(key)
 
+    @property
+    def n_names(self) -> int:
+        """How many textures the page shows; several methods of one are one."""
+        return len({entry.name for entry in self._entries.values()})
+
     def files(self) -> dict[str, Path]:
         """Texture files and their pictures by the names that the page asks for."""
         files = {f"textures/{entry.key}": entry.path for entry in self._entries.values()}

@@ -22,7 +22,6 @@ from starlette.websockets import WebSocket
 
 from foten import __version__
 from foten.runtime.actuator import ActuatorProfile
-from foten.runtime.binding import kernel_file
 from foten.runtime.live.devices import SOUND_RATE_HZ
 from foten.runtime.renderer import Renderer
 from foten.runtime.stylus import PressureCalibration
@@ -31,12 +30,11 @@ from foten.studio.capture_server import CapturePage, TrainingQueue, why_not
 from foten.studio.levels import gains_db
 from foten.studio.live_contact import Contact
 from foten.studio.messages import STROKE, RefusedError
+from foten.studio.page_files import page_files
 from foten.studio.players import OutputDevice, Player, RoundRobinRenderer
 from foten.studio.shelf import Shelf
 from foten.studio.websocket import MAX_MESSAGES_PER_S, BlockQueue, PageSocket, pressure_calibration, serve_page
 
-PAGE = Path(__file__).with_name("page")
-KERNEL = ("foten.mjs", "foten.wasm")
 MAX_PAGES = 64  # that stroke at once
 MAX_COMPARED = 16  # methods
 MAX_CAPTURING = 8  # pages at once, each of which holds its sound or waits for its texture
@@ -236,12 +234,6 @@ class StrokePage(PageSocket):
                     await asyncio.to_thread(contact.close)
                 except (OSError, ValueError, RuntimeError) as error:
                     await self.say({"refused": f"{self._texture} plays no more: {error}"})
-
-
-def page_files() -> dict[str, Path]:
-    """Files of the page by name, the kernel's among them."""
-    files = {path.name: path for path in PAGE.iterdir() if path.is_file()}
-    return files | {name: kernel_file(name) for name in KERNEL}
 
 
 _TYPES = {".mjs": "text/javascript", ".js": "text/javascript", ".wasm": "application/wasm", ".html": "text/html"}

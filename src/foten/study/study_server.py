@@ -21,8 +21,9 @@ from starlette.websockets import WebSocket
 
 from foten.studio.access import Access, Guarded, is_same
 from foten.studio.messages import RefusedError
+from foten.studio.page_files import page_files
 from foten.studio.players import Player, RoundRobinRenderer
-from foten.studio.studio_server import missing, page_file, page_files
+from foten.studio.studio_server import missing, page_file
 from foten.studio.websocket import serve_page
 from foten.study.loading import Study
 from foten.study.page_sockets import OperatorPage, ParticipantPage

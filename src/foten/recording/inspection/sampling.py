@@ -14,6 +14,7 @@ from foten.recording.preprocess import PreprocessConfig
 from foten.recording.recording import UNITS, Channel, Recording
 from foten.recording.split import MIN_BLOCKS
 
+MIN_STILL_S = 0.1  # of a position, that a hand which turns round does not take
 MAX_JITTER = 0.05  # of the sampling period, its median deviation
 
 
@@ -92,7 +93,9 @@ def check_repeats(name: str, channel: Channel) -> Iterable[Finding]:
         yield Finding(NOTE, "repeated", name, text)
         return
     # A quantised slow signal pauses often and briefly; a sensor that fell silent pauses rarely and long.
-    long = np.flatnonzero(steps > max(10.0, 10 * float(np.quantile(steps, 0.99))))
+    # A hand that turns round stands still for a moment, to the last digit of a tracker.
+    least = MIN_STILL_S * channel.rate_hz if name.startswith("position") else 10.0
+    long = np.flatnonzero(steps > max(least, 10 * float(np.quantile(steps, 0.99))))
     frozen = x[changes[long]]
     long = long[(frozen != 0) & (frozen < x.max()) & (frozen > x.min())]
     if long.size:

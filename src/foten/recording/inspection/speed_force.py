@@ -119,7 +119,11 @@ def check_ranges(coverage: Coverage) -> Iterable[Finding]:
         yield Finding(NOTE, "range", "force", f"never lighter than {light:.2g} N: {fades}")
     if heavy < 6:
         yield Finding(NOTE, "range", "force", f"force above {heavy:.2g} N never visited: {grows}")
-    if coverage.fraction < 0.15:
+    if not coverage.fraction:
+        held = f"{slow:.3g} to {quick:.3g} mm/s and {light:.3g} to {heavy:.3g} N"
+        text = f"nothing of the plane up to {coverage.speed_edges[-1]:g} mm/s and {coverage.force_edges[-1]:g} N was visited"
+        yield Finding(UNUSABLE, "coverage", "", f"{text}, only {held}: are the units right?")
+    elif coverage.fraction < 0.15:
         conditions = f"the plane up to {coverage.speed_edges[-1]:g} mm/s and {coverage.force_edges[-1]:g} N"
         text = (
             f"only {coverage.fraction:.0%} of {conditions} was visited: vary speed and force separately when recording"

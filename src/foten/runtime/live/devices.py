@@ -67,14 +67,14 @@ class SoundSink:
     Args:
         gain: full scale for 1 of what is rendered; what goes beyond full scale is cut, and counted in `n_cut`.
         device: its name, or its number as an int, as `sound_devices` lists them; None for the usual one.
-        channel: that is played on, from 0; those before it are silent.
+        channel: that is played on, from 1; those before it are silent.
 
     Raises:
         OSError: PortAudio or the device is missing.
     """
 
     def __init__(
-        self, gain: float, device: str | int | None = None, rate_hz: float = SOUND_RATE_HZ, channel: int = 0
+        self, gain: float, device: str | int | None = None, rate_hz: float = SOUND_RATE_HZ, channel: int = 1
     ) -> None:
         _check_gain(gain)
         self.rate_hz = float(rate_hz)
@@ -89,7 +89,7 @@ class SoundSink:
                 samplerate=rate_hz,
                 blocksize=self._mono.size,
                 device=_output_of(self._sounddevice, device),
-                channels=channel + 1,
+                channels=channel,
                 dtype="float32",
                 latency="low",
                 callback=self._play,
@@ -133,7 +133,7 @@ class SoundSink:
         self._mono *= self._gain
         self.n_cut += int((np.abs(self._mono) > 1).sum())
         out[:] = 0.0
-        np.clip(self._mono, -1.0, 1.0, out=out[:, self._channel])
+        np.clip(self._mono, -1.0, 1.0, out=out[:, self._channel - 1])
 
 
 def sound_library() -> Any:

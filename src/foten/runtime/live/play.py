@@ -107,7 +107,7 @@ def sink_of(where: str, rate_hz: float, gain: float, device: str | None = None, 
         return NullSink(rate_hz)
     if where == "sound":
         chosen = int(device) if device is not None and device.isdecimal() else device
-        return SoundSink(gain, chosen, rate_hz, channel or 0)
+        return SoundSink(gain, chosen, rate_hz, channel or 1)
     if kind == "daq" and target:
         return DaqSink(target, rate_hz, gain)
     if kind in ("udp", "osc"):

@@ -12,7 +12,8 @@ import { PageSound } from "./sound.js";
 
 const style = new CSSStyleSheet(); // without weight: any rule of the page's own goes before it
 style.replaceSync(`
-  :where(foten-pad) { display: block; height: 16rem; }
+  :where(foten-pad) { display: block; height: 16rem; position: relative; }
+  :where(foten-pad[data-refused])::after { content: attr(data-refused); position: absolute; inset: 0; display: grid; place-content: center; padding: 1rem; text-align: center; }
   :where(foten-pad > canvas) { display: block; width: 100%; height: 100%; touch-action: none; user-select: none; -webkit-user-select: none; cursor: crosshair; }`);
 document.adoptedStyleSheets.push(style);
 
@@ -55,6 +56,11 @@ export class FotenPad extends HTMLElement {
   }
 
   emit(type, detail) {
+    this.toggleAttribute("data-refused", false);
+    if (type === "refused") {
+      console.error(`foten-pad: ${detail}`);
+      if (!this.texture) this.dataset.refused = detail; // where there is nothing to stroke, the line says why
+    }
     this.dispatchEvent(new CustomEvent(type, { detail }));
   }
 
@@ -70,6 +76,7 @@ export class FotenPad extends HTMLElement {
       if (this.src !== src) return; // another one was asked for
       this.texture = { src, bytes };
       this.pad.setTile(canvas, mm);
+      this.toggleAttribute("data-refused", false);
       if (this.sound.running) this.begin(); // which waits for this
     } catch (error) {
       this.emit("refused", error.message);

@@ -4,6 +4,7 @@
 export function cardOf(bytes) {
   const refuse = (why) => new Error(`this is not a texture file: ${why}`);
   if (bytes.byteLength < 8) throw refuse(`it has ${bytes.byteLength} bytes`);
+  if (new Uint8Array(bytes, 1, 3).every((byte, i) => byte === "HDF".charCodeAt(i))) throw refuse("it is HDF5, as a recording is; foten train learns a texture from it");
   const length = Number(new DataView(bytes).getBigUint64(0, true));
   if (length > bytes.byteLength - 8 || length > 100e6) throw refuse("it is truncated, or of another kind");
   try {
