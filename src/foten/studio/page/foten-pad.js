@@ -13,7 +13,7 @@ import { PageSound } from "./sound.js";
 const style = new CSSStyleSheet(); // without weight: any rule of the page's own goes before it
 style.replaceSync(`
   :where(foten-pad) { display: block; height: 16rem; position: relative; }
-  :where(foten-pad[data-refused])::after { content: attr(data-refused); position: absolute; inset: 0; display: grid; place-content: center; padding: 1rem; text-align: center; }
+  :where(foten-pad[data-refused])::after { content: attr(data-refused); position: absolute; inset: 0; display: grid; place-content: center; padding: 1rem; text-align: center; pointer-events: none; }
   :where(foten-pad > canvas) { display: block; width: 100%; height: 100%; touch-action: none; user-select: none; -webkit-user-select: none; cursor: crosshair; }`);
 document.adoptedStyleSheets.push(style);
 
@@ -57,7 +57,7 @@ export class FotenPad extends HTMLElement {
 
   emit(type, detail) {
     this.toggleAttribute("data-refused", false);
-    if (type === "refused") {
+    if (type === "refused" && this.src !== null) {
       console.error(`foten-pad: ${detail}`);
       if (!this.texture) this.dataset.refused = detail; // where there is nothing to stroke, the line says why
     }
