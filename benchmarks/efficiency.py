@@ -39,12 +39,13 @@ from foten.recording.recording import Recording
 from foten.recording.split import split_blocks
 from foten.runtime.native import NativeState, NativeTexture
 from foten.runtime.onnx_predictor import GRAPH, OnnxPredictor
+from foten.runtime.proof import proved
 from foten.simulation.simulate import simulate
 from foten.training.config import OWN_RECIPES, RECIPES
 from foten.training.job import ScaledBlocks, TrainingJob, scaled_blocks
 from foten.training.loop import Monitor
 from foten.training.pipeline import reproducible
-from foten.training.texture_builder import proved, tensors_of
+from foten.training.texture_builder import tensors_of
 from foten.training.window_fit import fit_windows, one_step_windows
 from result_table import add_csv, report
 

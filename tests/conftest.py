@@ -198,7 +198,7 @@ def exported(
     """
     from foten.models.definitions import model_of
     from foten.models.piecewise_ar.local_models import local_texture
-    from foten.training.texture_builder import proved
+    from foten.runtime.proof import proved
 
     if model == "ar":
         sizes = sizes or TRAINABLE[model](n_models=9, n_triangles=8)  # type: ignore[call-arg]

@@ -26,6 +26,7 @@ from foten.recording.split import Split
 from foten.recording.trace import Trace
 from foten.runtime.loops import render_streams
 from foten.runtime.native import NativeTexture
+from foten.runtime.proof import Tensors, proved
 from foten.training import calibration
 from foten.training.calibration import (
     Calibrated,
@@ -41,7 +42,6 @@ from foten.training.calibration import (
     fit_scale,
 )
 from foten.training.job import ScaledBlocks
-from foten.training.texture_builder import Tensors, proved
 
 BLOCK, N_BLOCKS = 1000, 24
 GAIN = 0.5  # of an innovation of 1, in acceleration

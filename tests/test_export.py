@@ -14,8 +14,9 @@ from foten.recording.trace import Trace
 from foten.recording.windows import windows
 from foten.runtime.loops import render_streams
 from foten.runtime.native import NativeTexture
+from foten.runtime.proof import proved
 from foten.training.job import ScaledBlocks, scaled_blocks
-from foten.training.texture_builder import N_GOLDEN, TextureBuilder, pick_warm_start, proved
+from foten.training.texture_builder import N_GOLDEN, TextureBuilder, pick_warm_start
 
 
 @pytest.fixture(scope="module")

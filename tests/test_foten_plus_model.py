@@ -11,7 +11,7 @@ from conftest import PLUS, untrained, untrained_tensors
 from foten.models.definitions import model_of
 from foten.models.foten_plus.definition import FotenPlus
 from foten.models.foten_plus.sizes import FotenPlusSizes
-from foten.training.texture_builder import Tensors
+from foten.runtime.proof import Tensors
 
 
 def with_sizes(**changed: object) -> tuple[FotenPlusSizes, Tensors]:

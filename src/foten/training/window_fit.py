@@ -15,9 +15,11 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from foten.dsp import Array
+from foten.models.definitions import model_of
 from foten.models.excitation import WithExcitation
 from foten.models.model_sizes import ModelSizes
 from foten.recording.windows import window_indices
+from foten.runtime.proof import MakeModel, Tensors
 from foten.training.calibration import ClosedLoop, Residuals, calibrate_excitation
 from foten.training.config import TrainConfig
 from foten.training.dropout import mask, masks_from, set_dropout
@@ -33,7 +35,7 @@ from foten.training.loop import (
     schedule,
     shared_gradients,
 )
-from foten.training.texture_builder import MakeModel, Tensors, TextureBuilder, model_of
+from foten.training.texture_builder import TextureBuilder
 
 
 @dataclass(frozen=True)

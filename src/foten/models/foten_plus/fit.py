@@ -26,6 +26,7 @@ from foten.models.foten_plus.network import (
 from foten.models.foten_plus.sizes import FotenPlusSizes
 from foten.models.foten_plus.tones_fit import fit_tonal_model, silent_tones
 from foten.models.texture_file import Texture
+from foten.runtime.proof import Tensors
 from foten.training.calibration import (
     UNSCORED_SHARE,
     Calibrated,
@@ -37,7 +38,7 @@ from foten.training.calibration import (
 from foten.training.config import TrainConfig
 from foten.training.job import ScaledBlocks, Trained, TrainingJob, check_block
 from foten.training.loop import Monitor, Progress, pick_device
-from foten.training.texture_builder import Tensors, TextureBuilder, tensors_of
+from foten.training.texture_builder import TextureBuilder, tensors_of
 
 MIN_GAIN_NAT = 0.005  # of an innovation's nll on the validation blocks, for a network to be in the loop
 INNOVATION_HEADROOM = 1.3  # times the largest recorded innovation is the largest that a network may draw

@@ -21,10 +21,10 @@ from foten.dsp.tones import tone
 from foten.models.excitation import Scale
 from foten.models.foten_plus.definition import Lattice, Tones, lattice_tensors
 from foten.models.foten_plus.sizes import FotenPlusSizes
+from foten.runtime.proof import Tensors
 from foten.training.calibration import fit_scale
 from foten.training.config import TrainConfig
 from foten.training.job import ScaledBlocks
-from foten.training.texture_builder import Tensors
 
 ORDERS = (10, 20, 40, 80, 160, 240)  # tried, as far as a block allows
 # Longer orders are tried of the best kinds alone, and where the last step up to SHORT_ORDER lowers the error by MIN_FALL: by

@@ -26,9 +26,9 @@ from foten.models.foten_plus.linear_model import (
     knot_weights,
     selected_lattice,
 )
+from foten.runtime.proof import Tensors
 from foten.training.config import TrainConfig
 from foten.training.job import ScaledBlocks
-from foten.training.texture_builder import Tensors
 
 MIN_WAVELENGTH_MM = 0.2
 PHASE_LEAK_S = 0.5  # in which a rendering forgets the phase that it started with

@@ -1,0 +1,1 @@
+"""Textures as values: described, edited, blended, and made from less than a recording."""

@@ -1,0 +1,317 @@
+"""A texture between two: levels, reflection coefficients and tones blended, the random part of the nearer one."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from foten.dsp import Array
+from foten.dsp.speed_force_table import FORCE_FLOOR, SpeedForceTable
+from foten.editing.describe import Description, describe, steady_figures
+from foten.editing.edit import UNMEASURED, evidence_of, with_level, with_spectrum
+from foten.models.excitation import Excitation, Scale
+from foten.models.foten_plus.definition import lattice_tensors, table_tensors
+from foten.models.foten_plus.sizes import N_INPUTS, N_PHASE_INPUTS, FotenPlusSizes
+from foten.models.texture_file import Texture
+from foten.recording.scaling import Scaling
+from foten.runtime.proof import Tensors, proved
+
+N_PHASES = 720  # tried, to bring the tones of two surfaces into step
+
+
+@dataclass(frozen=True)
+class _Side:
+    """One of two textures of foten-plus, under the scaling of their blend."""
+
+    texture: Texture
+    scaling: Scaling  # of the blend
+    n_tones: int  # of the blend
+
+    @property
+    def sizes(self) -> FotenPlusSizes:
+        sizes = self.texture.sizes
+        assert isinstance(sizes, FotenPlusSizes)
+        return sizes
+
+    def scale(self, prefix: str) -> Scale:
+        """A scale of its own, of the blend's speed and force."""
+        return rescaled(Scale.of(self.texture.tensors, prefix), self.scaling)
+
+    def level(self, prefix: str) -> Scale:
+        """A level in the blend's unit of acceleration."""
+        level = self.scale(f"{prefix}level.")
+        louder = self.texture.scaling.sd[0] / self.scaling.sd[0]
+        return replace(level, out_bias=level.out_bias + np.log(louder), sigma_max=level.sigma_max * louder)
+
+    def table(self, prefix: str, values: str) -> SpeedForceTable:
+        names = f"{prefix}speed_knots", f"{prefix}force_knots", f"{prefix}{values}"
+        return SpeedForceTable(*(self.texture.tensors[name].astype(np.float64) for name in names))
+
+    @property
+    def residual(self) -> str:
+        """The prefix of the lattice that a rendering excites."""
+        return "residual." if self.sizes.n_tones else "lattice."
+
+    def windows(self, name: str, history: int) -> Array:
+        """Stored windows (…, m, 3) in the blend's scaling and of its length."""
+        window = self.texture.tensors[name].astype(np.float64)
+        own, blend = self.texture.scaling, self.scaling
+        window = (window * own.sd + np.array(own.mean) - blend.mean) / np.array(blend.sd)
+        n = window.shape[-2]
+        before = [(0, 0)] * (window.ndim - 2) + [(max(0, history - n), 0), (0, 0)]
+        return np.pad(window, before, mode="symmetric")[..., -history:, :]
+
+    def network(self, name: str, rendering: bool) -> Tensors:
+        """Tensors of a network of its own, with inputs of the blend."""
+        prefix = f"{name}."
+        own = {key: t.copy() for key, t in self.texture.tensors.items() if key.startswith(prefix)}
+        log_means = Scale.of(self.texture.tensors, "lattice.level.")
+        now = self.scale("lattice.level.")
+        shift = np.log((now.mean + now.floor) / (log_means.mean + log_means.floor))
+        n_hidden = self.sizes.n_hidden
+        for weight, bias, first in (
+            ("recurrent.weight_ih_l0", "recurrent.bias_ih_l0", 0),
+            ("head.weight", "head.bias", n_hidden),
+        ):
+            columns = own[prefix + weight][:, first + 3 : first + 5].astype(np.float64)
+            own[prefix + bias] = (own[prefix + bias] + columns @ shift).astype(np.float32)
+            if rendering and self.n_tones and not self.sizes.n_tones:
+                padded = np.pad(own[prefix + weight], ((0, 0), (0, N_PHASE_INPUTS)))
+                assert padded.shape[1] == first + N_INPUTS + N_PHASE_INPUTS
+                own[prefix + weight] = padded
+        return own
+
+
+def blend(first: Texture, second: Texture, at: float, seed: int = 0) -> Texture:
+    """The texture at a share of the way from a first to a second, 0 to 1, proved.
+
+    Level, centroid and width at the described condition lie between those of the two: level in decibels, centroid over log
+    frequency. The level over speed and force is blended in decibels; reflection coefficients linearly, so that every point is
+    stable; tones in amplitude, once in step, and their periods over log length. The random part is that of the nearer one.
+
+    Raises:
+        ValueError: `at` is out of range, the rates differ, or a model cannot be blended.
+    """
+    if not 0 <= at <= 1:
+        raise ValueError(f"at is {at:g}, expected 0 (the first texture) to 1 (the second)")
+    check_blendable(first, second)
+    if at in (0.0, 1.0):
+        return second if at else first
+    descriptions = describe(first, seed), describe(second, seed)
+    blended = _blended(first, second, at)
+    target = between(*descriptions, at)
+    now = describe(blended, seed)
+    blended = with_spectrum(blended, now, replace(target, speed_mm_s=now.speed_mm_s, force_n=now.force_n), seed)
+    level_db = 20 * float(np.log10(max(steady_figures(blended, seed).rms, 1e-15)))
+    return with_level(blended, target.level_db - level_db)
+
+
+def check_blendable(first: Texture, second: Texture) -> None:
+    """Refuse two textures that have no blend."""
+    for texture in (first, second):
+        if texture.card["model"] != "foten-plus":
+            raise ValueError(f"a texture is of {texture.card['model']}, expected two of foten-plus")
+    if first.rate_hz != second.rate_hz:
+        raise ValueError(
+            f"the textures are of {first.rate_hz:g} and {second.rate_hz:g} Hz, expected one rate: train one again with --rate"
+        )
+    if first.unit != second.unit:
+        raise ValueError(
+            f"one texture is in {first.unit} and the other in {second.unit}: their levels cannot be compared"
+        )
+
+
+def between(first: Description, second: Description, at: float) -> Description:
+    """The level, centroid and width between two descriptions; the rest is the first's."""
+
+    def linear(a: float, b: float) -> float:
+        return (1 - at) * a + at * b
+
+    return replace(
+        first,
+        level_db=linear(first.level_db, second.level_db),
+        centroid_hz=float(np.exp(linear(np.log(first.centroid_hz), np.log(second.centroid_hz)))),
+        width_octaves=linear(first.width_octaves, second.width_octaves),
+    )
+
+
+def _blended(first: Texture, second: Texture, at: float) -> Texture:
+    weights = np.array([1 - at, at])
+    both = (first, second)
+    means, sds = (np.array([getattr(t.scaling, name) for t in both]) for name in ("mean", "sd"))
+    mean, sd = weights @ means, np.exp(weights @ np.log(sds))
+    scaling = Scaling(mean=tuple(mean.tolist()), sd=tuple(sd.tolist()))
+    n_tones = max(int(t.card["sizes"]["n_tones"]) for t in both)
+    sides = [_Side(t, scaling, n_tones) for t in both]
+    near = sides[at >= 0.5]
+    level = joined_scales([side.level("lattice.") for side in sides], weights)
+    lattice = joined_tables([side.table("lattice.", "reflections") for side in sides], weights)
+    sigmas = [Excitation.of(side.texture.tensors) for side in sides]
+    in_sigma, in_sd = np.exp(weights @ np.log([[max(x, 1e-9) for x in e.innovation_limit] for e in sigmas]))
+    in_acceleration = float(in_sd * np.exp(weights @ np.log(sds[:, 0])) / sd[0])
+    sigma = joined_scales([side.scale("excitation.") for side in sides], weights)
+    tensors: Tensors = {**lattice_tensors("lattice.", level, lattice)}
+    tensors |= Excitation(sigma, (float(in_sigma), in_acceleration)).tensors()
+    tensors |= near.network("network", rendering=False)
+    if near.sizes.network_in_loop:
+        tensors |= near.network("rendering_network", rendering=True)
+    sizes = replace(
+        near.sizes,
+        excitation_width=level.hidden_bias.size,
+        **_counts(lattice, "order", "n_speed", "n_force"),
+        n_tones=n_tones,
+        n_tone_speed=1,
+        n_tone_force=1,
+        residual_order=1,
+        n_residual_speed=1,
+        n_residual_force=1,
+    )
+    if n_tones:
+        residual_level = joined_scales([side.level(side.residual) for side in sides], weights)
+        residual = joined_tables([side.table(side.residual, "reflections") for side in sides], weights)
+        tones, params = _blended_tones(sides, weights)
+        tensors |= lattice_tensors("residual.", residual_level, residual)
+        tensors |= {**table_tensors("tones.", tones, "values"), "tones.phase_params": params.astype(np.float32)}
+        counts = _counts(residual, "residual_order", "n_residual_speed", "n_residual_force")
+        counts |= _counts(tones, "", "n_tone_speed", "n_tone_force")
+        counts.pop("")
+        near_gain = near.sizes.residual_gain_before_filter if near.sizes.n_tones else near.sizes.gain_before_filter
+        sizes = replace(sizes, **counts, residual_gain_before_filter=near_gain)
+    golden = near.windows("golden.windows", sizes.history)[:-2]
+    start = near.windows("warm_start", sizes.history)
+    return proved("foten-plus", sizes, tensors, scaling, golden, start, _card(both, near.texture, weights)).texture
+
+
+def _card(both: tuple[Texture, Texture], near: Texture, weights: Array) -> dict[str, Any]:
+    """The card of a blend, but for what `proved` writes."""
+    first, second = both
+    known = {
+        "format_version",
+        "model",
+        "sizes",
+        "window",
+        "units",
+        "scaling",
+        "takes",
+        "authors",
+        "source",
+        "doi",
+        "photo",
+    }
+    card = {key: value for key, value in near.card.items() if key not in known}
+
+    def linear(*values: Any) -> Any:
+        return (weights @ np.array(values)).tolist()
+
+    names = [t.card["texture"] or "a texture" for t in both]
+    whose = [evidence_of(t) for t in both]
+    parts = [f"{name} ({evidence})" if evidence else name for name, evidence in zip(names, whose, strict=True)]
+    licences = [t.card["licence"] for t in both]
+    credits = [t.credit for t in both]
+    channels = ("speed", "force")
+    return card | {
+        "texture": f"{names[0]}–{names[1]}",
+        "evidence": f"blended: {weights[0]:.3g} {parts[0]}, {weights[1]:.3g} {parts[1]}, {UNMEASURED}"[:500],
+        "source": "; ".join(dict.fromkeys(credit for credit in credits if credit))[:500],
+        "licence": licences[0] if licences[0] == licences[1] else "",
+        "split": None,
+        "metrics": {},
+        "saturation": linear(*(t.card["saturation"] for t in both)),
+        "trained_range": {c: linear(*(t.trained_range(c) for t in both)) for c in channels},
+        "extrapolation_exponents": {c: linear(*(t.extrapolation_exponent(c) for t in both)) for c in channels},
+    }
+
+
+def _counts(table: SpeedForceTable, *names: str) -> dict[str, Any]:
+    return dict(zip(names, (table.values.shape[1], len(table.speed_knots), len(table.force_knots)), strict=True))
+
+
+def rescaled(scale: Scale, scaling: Scaling) -> Scale:
+    """The same σ over speed and force in mm/s and N, for conditions in another scaling."""
+    mean, sd = np.array(scaling.mean[1:]), np.array(scaling.sd[1:])
+    shift = np.log((mean + scale.floor) / (scale.mean + scale.floor))
+    linear, logs = scale.hidden_weight[:, :2], scale.hidden_weight[:, 2:]
+    bias = scale.hidden_bias + linear @ ((mean - scale.mean) / scale.sd) + logs @ shift
+    (q1, q2, q3, q4, q5), (d, g) = scale.exponents, shift
+    powers = np.array([q1 + 2 * q3 * d + q4 * g, q2 + 2 * q5 * g + q4 * d, q3, q4, q5])
+    constant = q1 * d + q2 * g + q3 * d * d + q4 * d * g + q5 * g * g
+    weight = np.concatenate([linear * (sd / scale.sd), logs], axis=1)
+    return replace(
+        scale,
+        hidden_weight=weight,
+        hidden_bias=bias,
+        out_bias=scale.out_bias + constant,
+        exponents=powers,
+        mean=mean,
+        sd=sd,
+    )
+
+
+def joined_scales(scales: list[Scale], weights: Array) -> Scale:
+    """The σ whose logarithm is a weighted mean of those of scales of one scaling: their networks side by side."""
+    first = scales[0]
+    if any(not np.allclose(scale.floor, first.floor) for scale in scales):
+        raise ValueError("the textures' levels start from different floors of speed and force")
+    pairs = list(zip(weights, scales, strict=True))
+    return replace(
+        first,
+        hidden_weight=np.concatenate([scale.hidden_weight for scale in scales]),
+        hidden_bias=np.concatenate([scale.hidden_bias for scale in scales]),
+        out_weight=np.concatenate([w * scale.out_weight for w, scale in pairs], axis=1),
+        out_bias=np.sum([w * scale.out_bias for w, scale in pairs], axis=0),
+        exponents=np.sum([w * scale.exponents for w, scale in pairs], axis=0),
+        sigma_max=np.exp(np.sum([w * np.log(scale.sigma_max) for w, scale in pairs], axis=0)),
+    )
+
+
+def joined_tables(tables: list[SpeedForceTable], weights: Array) -> SpeedForceTable:
+    """The weighted mean of tables, exactly: at the knots of all, missing values 0."""
+    knots = [_union([getattr(table, name) for table in tables]) for name in ("speed_knots", "force_knots")]
+    grid = [axis.ravel() for axis in np.meshgrid(*knots, indexing="ij")]
+    k = max(table.values.shape[1] for table in tables)
+    values = np.zeros((len(grid[0]), k))
+    for weight, table in zip(weights, tables, strict=True):
+        at = table.at(grid[0], np.exp(grid[1]) - FORCE_FLOOR)
+        values[:, : at.shape[1]] += weight * at
+    return SpeedForceTable(*knots, values)
+
+
+def _union(knots: list[Array]) -> Array:
+    """Knots of several axes; one that a table is constant over needs none."""
+    several = [axis for axis in knots if len(axis) > 1]
+    if not several:
+        return knots[0]
+    return np.unique(np.concatenate(several).astype(np.float32)).astype(np.float64)
+
+
+def _blended_tones(sides: list[_Side], weights: Array) -> tuple[SpeedForceTable, Array]:
+    """The table of amplitudes, and the period, its jitter and its leak."""
+    tonal = [(w, side) for w, side in zip(weights, sides, strict=True) if side.sizes.n_tones]
+    tables = [side.table("tones.", "values") for _, side in tonal]
+    if len(tables) == 2:
+        tables[1] = in_step(tables[1], tables[0])
+    shares = np.array([w for w, _ in tonal])
+    each = np.array([side.texture.tensors["tones.phase_params"].astype(np.float64) for _, side in tonal])
+    relative = shares / shares.sum()
+    params = np.array([np.exp(relative @ np.log(each[:, 0])), *(relative @ each[:, 1:])])
+    return joined_tables(tables, shares), params
+
+
+def in_step(table: SpeedForceTable, other: SpeedForceTable) -> SpeedForceTable:
+    """Tones begun at the place of the path where they are most like others."""
+    a, b = (_mean_amplitudes(t) for t in (other, table))
+    n = min(len(a), len(b))
+    phases = 2 * np.pi * np.arange(N_PHASES) / N_PHASES
+    # A cos hφ + B sin hφ is Re((A − iB) e^{ihφ}).
+    turns = np.exp(1j * np.outer(phases, np.arange(1, n + 1)))
+    best = phases[np.argmax((turns * (b[:n] * np.conj(a[:n]))).real.sum(axis=1))]
+    pairs = table.values.reshape(len(table.values), -1, 2)
+    turned = (pairs[..., 0] - 1j * pairs[..., 1]) * np.exp(1j * best * np.arange(1, pairs.shape[1] + 1))
+    return replace(table, values=np.stack([turned.real, -turned.imag], axis=2).reshape(table.values.shape))
+
+
+def _mean_amplitudes(table: SpeedForceTable) -> Any:
+    pairs = table.values.mean(axis=0).reshape(-1, 2)
+    return pairs[:, 0] - 1j * pairs[:, 1]

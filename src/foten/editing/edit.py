@@ -1,0 +1,241 @@
+"""A texture moved by figures that `editing.describe` measures: level, centroid, width, period, exponents."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from foten.editing.describe import Description, describe, steady_figures
+from foten.editing.warp import Warp, warped_reflections, warped_tones
+from foten.models.excitation import Scale
+from foten.models.foten_plus.definition import Tones
+from foten.models.texture_file import Texture
+from foten.runtime.proof import Tensors, proved
+
+MAX_LEVEL_DB = 40.0
+MAX_OCTAVES = 3.0
+MAX_PERIOD_RATIO = 10.0
+MAX_EXPONENT = 2.0
+N_STEPS = 6  # of the search for a centroid and a width
+CLOSE_OCTAVES = 0.01  # enough of both
+UNREACHED_OCTAVES = 0.05  # what is further off is said
+MIN_STRETCH, MAX_STRETCH = 0.1, 10.0
+UNMEASURED = "not measured"  # what a card says of a texture that was not learned from a recording
+
+
+@dataclass(frozen=True)
+class Edit:
+    """What to change of a texture; the defaults change nothing."""
+
+    level_db: float = 0.0  # louder
+    brighter: float = 0.0  # centroid, upwards [octave]
+    wider: float = 0.0  # width [octave]
+    period_mm: float | None = None
+    speed_exponent: float | None = None  # of the level
+    force_exponent: float | None = None
+
+    def __post_init__(self) -> None:
+        for name, value, limit, unit in (
+            ("level", self.level_db, MAX_LEVEL_DB, "dB"),
+            ("brighter", self.brighter, MAX_OCTAVES, "octaves"),
+            ("wider", self.wider, MAX_OCTAVES, "octaves"),
+        ):
+            if not -limit <= value <= limit:
+                raise ValueError(f"{name} is {value:g} {unit}, expected {-limit:g} to {limit:g}")
+        if self.period_mm is not None and not 0 < self.period_mm < np.inf:
+            raise ValueError(f"the period is {self.period_mm:g} mm, expected more than 0")
+        for name, power in (("speed", self.speed_exponent), ("force", self.force_exponent)):
+            if power is not None and not 0 <= power <= MAX_EXPONENT:
+                raise ValueError(f"the exponent of {name} is {power:g}, expected 0 to {MAX_EXPONENT:g}")
+
+    def in_words(self) -> str:
+        """What it changes, for the card."""
+        exponents = {"speed": self.speed_exponent, "force": self.force_exponent}
+        parts = [
+            *([f"level {self.level_db:+g} dB"] if self.level_db else []),
+            *([f"centroid {self.brighter:+g} octaves"] if self.brighter else []),
+            *([f"width {self.wider:+g} octaves"] if self.wider else []),
+            *([f"period {self.period_mm:g} mm"] if self.period_mm is not None else []),
+            *(f"level ~ {name}^{power:g}" for name, power in exponents.items() if power is not None),
+        ]
+        return ", ".join(parts)
+
+
+@dataclass(frozen=True)
+class Edited:
+    """A texture that was edited, described before and after, and what was not reached."""
+
+    texture: Texture
+    before: Description
+    after: Description
+    unreached: tuple[str, ...] = ()
+
+
+def edited(texture: Texture, edit: Edit, seed: int = 0) -> Edited:
+    """The texture with an edit, proved.
+
+    Centroid and width are searched for on renderings, so that `describe` finds what was asked; the level at the described
+    condition stays, but for what is asked.
+
+    Raises:
+        ValueError: the model cannot be edited so, or the texture has no period to change.
+    """
+    before = describe(texture, seed)
+    check_editable(texture, edit, before)
+    moved = texture
+    if edit.period_mm is not None:
+        moved = with_period(moved, edit.period_mm)
+    if edit.speed_exponent is not None or edit.force_exponent is not None:
+        moved = with_exponents(moved, before, edit)
+    if edit.brighter or edit.wider:
+        now = describe(moved, seed) if edit.period_mm is not None else before
+        octaves, width = 2**edit.brighter, now.width_octaves + edit.wider
+        moved = with_spectrum(
+            moved, now, replace(now, centroid_hz=now.centroid_hz * octaves, width_octaves=width), seed
+        )
+    level_db = 20 * float(np.log10(max(steady_figures(moved, seed).rms, 1e-15)))
+    moved = with_level(moved, before.level_db + edit.level_db - level_db)
+    words = "; ".join(part for part in (evidence_of(texture), f"edited: {edit.in_words()}, {UNMEASURED}") if part)
+    moved = restored(moved, {"evidence": words})
+    after = describe(moved, seed)
+    return Edited(moved, before, after, tuple(_unreached(edit, before, after)))
+
+
+def check_editable(texture: Texture, edit: Edit, before: Description) -> None:
+    """Refuse what a texture's model cannot do."""
+    model = texture.card["model"]
+    if model != "foten-plus" and edit.in_words() and edit != Edit(level_db=edit.level_db):
+        raise ValueError(
+            f"only the level of a texture of {model} can be edited, expected one of foten-plus for the rest"
+        )
+    if edit.period_mm is not None:
+        if before.period_mm is None:
+            raise ValueError("the texture has no period to change: nothing in its recording repeated along the path")
+        ratio = edit.period_mm / before.period_mm
+        if not 1 / MAX_PERIOD_RATIO <= ratio <= MAX_PERIOD_RATIO:
+            raise ValueError(
+                f"the period is {edit.period_mm:g} mm, expected {before.period_mm / MAX_PERIOD_RATIO:.3g} to "
+                f"{before.period_mm * MAX_PERIOD_RATIO:.3g} mm for a surface that repeats every {before.period_mm:.3g} mm"
+            )
+    if before.width_octaves + edit.wider <= 0.02:
+        raise ValueError(
+            f"wider is {edit.wider:g} octaves, and the width is {before.width_octaves:.2f}: nothing is left"
+        )
+
+
+def evidence_of(texture: Texture) -> str:
+    """What a card says that a texture is made from; empty for a recording."""
+    return str(texture.card.get("evidence", ""))
+
+
+def with_level(texture: Texture, gain_db: float) -> Texture:
+    """The texture louder by a gain: what it renders is multiplied, and nothing else changes."""
+    gain = 10 ** (gain_db / 20)
+    scaling = texture.card["scaling"]
+    mean, sd = ([values[0] * gain, *values[1:]] for values in (scaling["mean"], scaling["sd"]))
+    return Texture({**texture.card, "scaling": {"mean": mean, "sd": sd}}, texture.tensors)
+
+
+def with_period(texture: Texture, period_mm: float) -> Texture:
+    """The texture with another period of its tones."""
+    params = texture.tensors["tones.phase_params"].copy()
+    params[0] = 2 * np.pi / (period_mm * texture.rate_hz)
+    return restored(texture, {}, {"tones.phase_params": params})
+
+
+def with_exponents(texture: Texture, at: Description, edit: Edit) -> Texture:
+    """The texture whose level grows with other powers of speed and force, about the described condition."""
+    tensors, card = dict(texture.tensors), dict(texture.card)
+    extrapolation = dict(card["extrapolation_exponents"])
+    changes = (
+        (0, "speed", edit.speed_exponent, at.speed_exponent),
+        (1, "force", edit.force_exponent, at.force_exponent),
+    )
+    prefixes = ["lattice.level.", *(["residual.level."] if texture.card["sizes"]["n_tones"] else [])]
+    for prefix in prefixes:
+        level = Scale.of(tensors, prefix)
+        exponents = level.exponents.copy()
+        for row, name, power, now in changes:
+            if power is None:
+                continue
+            value = {"speed": at.speed_mm_s, "force": at.force_n}[name]
+            # d log ℓ / d log v = exponent · v / (v + floor)
+            exponents[row] += (power - (now or 0.0)) * (value + level.floor[row]) / value
+            extrapolation[name] = power
+        low, high = (np.array([texture.trained_range(name)[end] for name in ("speed", "force")]) for end in (0, 1))
+        corners = np.array([[v, f] for v in (low[0], high[0]) for f in (low[1], high[1])])
+        scaled = (corners - level.mean) / level.sd
+        free = replace(level, exponents=exponents, sigma_max=np.array([np.inf]))
+        louder = float((free(scaled) / level(scaled)).max())
+        tensors |= replace(free, sigma_max=level.sigma_max * max(1.0, louder)).tensors(prefix)
+    return restored(texture, {"extrapolation_exponents": extrapolation}, tensors)
+
+
+def with_spectrum(texture: Texture, before: Description, target: Description, seed: int) -> Texture:
+    """The texture with the centroid and the width of a description, as near as its tones let it come."""
+    octaves = float(np.log2(target.centroid_hz / before.centroid_hz))
+    stretch = target.width_octaves / before.width_octaves
+    best, moved, error = texture, texture, np.inf
+    for _ in range(N_STEPS):
+        warp = Warp(before.centroid_hz, octaves, float(np.clip(stretch, MIN_STRETCH, MAX_STRETCH)))
+        moved = warped(texture, warp)
+        now = steady_figures(moved, seed)
+        missing = float(np.log2(target.centroid_hz / now.centroid_hz)), target.width_octaves - now.width_octaves
+        if np.hypot(*missing) < error:
+            best, error = moved, float(np.hypot(*missing))
+        if error < CLOSE_OCTAVES:
+            break
+        octaves += missing[0]
+        stretch = float(np.clip(stretch * target.width_octaves / now.width_octaves, MIN_STRETCH, MAX_STRETCH))
+    return best
+
+
+def warped(texture: Texture, warp: Warp) -> Texture:
+    """The texture with the spectra of its lattices and the envelope of its tones warped."""
+    rate, tensors, sizes = texture.rate_hz, texture.tensors, texture.card["sizes"]
+    changed: dict[str, NDArray[Any]] = {}
+    for prefix in ("lattice.", *(("residual.",) if sizes["n_tones"] else ())):
+        reflections = tensors[f"{prefix}reflections"].astype(np.float64)
+        changed[f"{prefix}reflections"] = warped_reflections(reflections, rate, warp).astype(np.float32)
+    if sizes["n_tones"]:
+        tones = Tones(tensors, Scale.of(tensors, "lattice.level."))
+        n_force = len(tensors["tones.force_knots"])
+        speed = np.repeat(tensors["tones.speed_knots"].astype(np.float64), n_force)
+        values = tensors["tones.values"].astype(np.float64)
+        condition = np.stack([speed, speed, speed], axis=1)
+        fundamental = tones.phase_increment(condition) * rate / (2 * np.pi)
+        changed["tones.values"] = warped_tones(values, fundamental, warp).astype(np.float32)
+    return restored(texture, {}, changed)
+
+
+def restored(texture: Texture, card: Mapping[str, Any], tensors: Mapping[str, NDArray[Any]] | None = None) -> Texture:
+    """The texture with changes of its card and its tensors, proved anew; its split and metrics are of what it was."""
+    before = {name: t for name, t in texture.tensors.items() if not name.startswith("golden.") and name != "warm_start"}
+    changed: Tensors = {**before, **(tensors or {})}
+    entries = {**texture.card, "split": None, "metrics": {}, **card}
+    if not texture.sizes.excited and not texture.card["model"] == "foten":
+        return Texture(entries, texture.tensors)
+    windows = texture.tensors["golden.windows"][:-2].astype(np.float64)
+    start = texture.tensors["warm_start"].astype(np.float64)
+    known = {"format_version", "model", "sizes", "window", "units", "scaling"}
+    kept = {key: value for key, value in entries.items() if key not in known}
+    return proved(texture.card["model"], texture.sizes, changed, texture.scaling, windows, start, kept).texture
+
+
+def _unreached(edit: Edit, before: Description, after: Description) -> list[str]:
+    """What a description lacks of an edit, in words."""
+    if edit.period_mm is not None:
+        return []
+    centroid, width = before.centroid_hz * 2**edit.brighter, before.width_octaves + edit.wider
+    said = []
+    if (edit.brighter or edit.wider) and abs(np.log2(after.centroid_hz / centroid)) > UNREACHED_OCTAVES:
+        said.append(
+            f"the centroid is {after.centroid_hz:.0f} Hz, {centroid:.0f} were asked: tones stay where the path has them"
+        )
+    if (edit.brighter or edit.wider) and abs(after.width_octaves - width) > UNREACHED_OCTAVES:
+        said.append(f"the width is {after.width_octaves:.2f} octaves, {width:.2f} were asked")
+    return said
