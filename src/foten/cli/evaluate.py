@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from math import pi
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -65,6 +66,7 @@ def info(texture_file: TextureFile, as_json: JsonOption = False) -> None:
     unit = "in relative units," if texture.unit == "relative" else texture.unit
     rows = {
         "texture": card["texture"] or "(unnamed)",
+        **({"made": texture.evidence} if texture.evidence else {}),
         "model": f"{card['model']}, {holds}",
         "history": f"a prediction is made from the last {card['window']} samples",
         **_linear_model(texture),
@@ -88,7 +90,7 @@ def info(texture_file: TextureFile, as_json: JsonOption = False) -> None:
 
 def _linear_model(texture: Texture) -> dict[str, str]:
     """Rows of `info` on the local models, or on the lattice and the tones."""
-    sizes, metrics = texture.card["sizes"], texture.card["metrics"]
+    sizes = texture.card["sizes"]
     if texture.card["model"] == "ar":
         zeros = f", {sizes['ma']} zeros" if sizes["ma"] else ""
         return {"models": f"{sizes['n_models']} of order {sizes['order']}{zeros}, in {sizes['n_triangles']} triangles"}
@@ -103,8 +105,7 @@ def _linear_model(texture: Texture) -> dict[str, str]:
     rows |= {"lattice": f"order {sizes['order']}, {over}{gain}", "tones": "none"}
     rows["network"] = network_summary(texture.card)
     if sizes["n_tones"]:
-        length = (metrics.get("linear_model") or {}).get("wavelength_mm")
-        every = f", the surface repeats every {length:.3g} mm" if length else ""
+        every = f", the surface repeats every {2 * pi / (texture.tensors['tones.phase_params'][0] * texture.rate_hz):.3g} mm"
         residual = f"for the residual a lattice of order {sizes['residual_order']}"
         rows["tones"] = (
             f"{sizes['n_tones']} multiples{every}; {residual}{before_filter * sizes['residual_gain_before_filter']}"
@@ -139,7 +140,7 @@ def network_summary(card: Mapping[str, Any]) -> str:
 def validation_summary(card: Mapping[str, Any]) -> str:
     """Validation errors of a card, in words."""
     if card["split"] is None:
-        return "none here: its models were imported"
+        return "none: it was not learned here from a recording"
     metrics = card["metrics"]
     if metrics["validation_mae_scaled"] is not None:
         return f"{metrics['validation_mae_scaled']:.4f} sd one-step"

@@ -295,6 +295,7 @@ def provenance(texture: Texture, source: str, seed: int, deterministic: bool) ->
         "texture": texture.card["texture"],
         "texture_sha256": texture.sha256(),
         **({"credit": texture.credit} if texture.credit else {}),
+        **({"made": texture.evidence} if texture.evidence else {}),
         "stroke": source,
         "seed": seed,
         "deterministic": deterministic,

@@ -10,7 +10,7 @@ import numpy as np
 from foten.dsp import Array
 from foten.dsp.speed_force_table import FORCE_FLOOR, SpeedForceTable
 from foten.editing.describe import Description, describe, steady_figures
-from foten.editing.edit import UNMEASURED, evidence_of, with_level, with_spectrum
+from foten.editing.edit import UNMEASURED, with_level, with_spectrum
 from foten.models.excitation import Excitation, Scale
 from foten.models.foten_plus.definition import lattice_tensors, table_tensors
 from foten.models.foten_plus.sizes import N_INPUTS, N_PHASE_INPUTS, FotenPlusSizes
@@ -186,7 +186,6 @@ def _blended(first: Texture, second: Texture, at: float) -> Texture:
 
 def _card(both: tuple[Texture, Texture], near: Texture, weights: Array) -> dict[str, Any]:
     """The card of a blend, but for what `proved` writes."""
-    first, second = both
     known = {
         "format_version",
         "model",
@@ -206,10 +205,10 @@ def _card(both: tuple[Texture, Texture], near: Texture, weights: Array) -> dict[
         return (weights @ np.array(values)).tolist()
 
     names = [t.card["texture"] or "a texture" for t in both]
-    whose = [evidence_of(t) for t in both]
+    whose = [t.evidence for t in both]
     parts = [f"{name} ({evidence})" if evidence else name for name, evidence in zip(names, whose, strict=True)]
     licences = [t.card["licence"] for t in both]
-    credits = [t.credit for t in both]
+    credits = [", ".join(str(t.card[key]) for key in ("authors", "source") if t.card.get(key)) for t in both]
     channels = ("speed", "force")
     return card | {
         "texture": f"{names[0]}–{names[1]}",
@@ -275,7 +274,7 @@ def joined_tables(tables: list[SpeedForceTable], weights: Array) -> SpeedForceTa
     for weight, table in zip(weights, tables, strict=True):
         at = table.at(grid[0], np.exp(grid[1]) - FORCE_FLOOR)
         values[:, : at.shape[1]] += weight * at
-    return SpeedForceTable(*knots, values)
+    return SpeedForceTable(knots[0], knots[1], values)
 
 
 def _union(knots: list[Array]) -> Array:

@@ -39,24 +39,22 @@ class Description:
         """Its figures by name."""
         return asdict(self)
 
-    def lines(self, unit: str) -> list[str]:
+    def figures(self, unit: str) -> dict[str, str]:
         """The same for people; `unit` of the acceleration."""
-        period = "none: the surface does not repeat" if self.period_mm is None else f"{self.period_mm:.3g} mm"
-        exponents = {"speed": self.speed_exponent, "force": self.force_exponent}
-        grows = (
-            f"level ~ {name}^{power:.2f}" if power is not None else f"not known: learned at one {name}"
-            for name, power in exponents.items()
-        )
-        rows = {
+
+        def grows(name: str, power: float | None) -> str:
+            return f"level ~ {name}^{power:.2f}" if power is not None else f"not known: learned at one {name}"
+
+        return {
             "at": f"{self.speed_mm_s:.4g} mm/s, {self.force_n:.3g} N",
             "level": f"{self.level_db:+.1f} dB re 1 {unit}",
             "centroid": f"{self.centroid_hz:.0f} Hz",
             "width": f"{self.width_octaves:.2f} octaves",
-            "roughness": f"{self.roughness_db:.2f} dB, of the level from one 40 ms to the next",
-            "period": period,
-            **dict(zip(("speed", "force"), grows, strict=True)),
+            "roughness": f"{self.roughness_db:.2f} dB",
+            "period": "none" if self.period_mm is None else f"{self.period_mm:.3g} mm",
+            "speed": grows("speed", self.speed_exponent),
+            "force": grows("force", self.force_exponent),
         }
-        return [f"{name:11s}{value}" for name, value in rows.items()]
 
 
 @dataclass(frozen=True)

@@ -99,7 +99,7 @@ def edited(texture: Texture, edit: Edit, seed: int = 0) -> Edited:
         )
     level_db = 20 * float(np.log10(max(steady_figures(moved, seed).rms, 1e-15)))
     moved = with_level(moved, before.level_db + edit.level_db - level_db)
-    words = "; ".join(part for part in (evidence_of(texture), f"edited: {edit.in_words()}, {UNMEASURED}") if part)
+    words = "; ".join(part for part in (texture.evidence, f"edited: {edit.in_words()}, {UNMEASURED}") if part)
     moved = restored(moved, {"evidence": words})
     after = describe(moved, seed)
     return Edited(moved, before, after, tuple(_unreached(edit, before, after)))
@@ -108,7 +108,7 @@ def edited(texture: Texture, edit: Edit, seed: int = 0) -> Edited:
 def check_editable(texture: Texture, edit: Edit, before: Description) -> None:
     """Refuse what a texture's model cannot do."""
     model = texture.card["model"]
-    if model != "foten-plus" and edit.in_words() and edit != Edit(level_db=edit.level_db):
+    if model != "foten-plus" and edit != Edit(level_db=edit.level_db):
         raise ValueError(
             f"only the level of a texture of {model} can be edited, expected one of foten-plus for the rest"
         )
@@ -125,11 +125,6 @@ def check_editable(texture: Texture, edit: Edit, before: Description) -> None:
         raise ValueError(
             f"wider is {edit.wider:g} octaves, and the width is {before.width_octaves:.2f}: nothing is left"
         )
-
-
-def evidence_of(texture: Texture) -> str:
-    """What a card says that a texture is made from; empty for a recording."""
-    return str(texture.card.get("evidence", ""))
 
 
 def with_level(texture: Texture, gain_db: float) -> Texture:
@@ -213,17 +208,17 @@ def warped(texture: Texture, warp: Warp) -> Texture:
 
 
 def restored(texture: Texture, card: Mapping[str, Any], tensors: Mapping[str, NDArray[Any]] | None = None) -> Texture:
-    """The texture with changes of its card and its tensors, proved anew; its split and metrics are of what it was."""
-    before = {name: t for name, t in texture.tensors.items() if not name.startswith("golden.") and name != "warm_start"}
-    changed: Tensors = {**before, **(tensors or {})}
-    entries = {**texture.card, "split": None, "metrics": {}, **card}
-    if not texture.sizes.excited and not texture.card["model"] == "foten":
+    """The texture with changes of its card and its tensors, proved anew; its split and metrics were of what it was."""
+    cost = {key: value for key, value in texture.card["metrics"].items() if key == "multiply_adds"}
+    entries = {**texture.card, "split": None, "metrics": cost, **card}
+    if tensors is None:
         return Texture(entries, texture.tensors)
-    windows = texture.tensors["golden.windows"][:-2].astype(np.float64)
-    start = texture.tensors["warm_start"].astype(np.float64)
+    kept = {name: t for name, t in texture.tensors.items() if not name.startswith("golden.") and name != "warm_start"}
+    windows, start = (texture.tensors[name].astype(np.float64) for name in ("golden.windows", "warm_start"))
     known = {"format_version", "model", "sizes", "window", "units", "scaling"}
-    kept = {key: value for key, value in entries.items() if key not in known}
-    return proved(texture.card["model"], texture.sizes, changed, texture.scaling, windows, start, kept).texture
+    about = {key: value for key, value in entries.items() if key not in known}
+    changed: Tensors = {**kept, **tensors}
+    return proved(texture.card["model"], texture.sizes, changed, texture.scaling, windows[:-2], start, about).texture
 
 
 def _unreached(edit: Edit, before: Description, after: Description) -> list[str]:

@@ -26,8 +26,9 @@ def write_c_header(texture: Texture, path: Path) -> str:
     (slow, fast), (light, firm) = texture.trained_range("speed"), texture.trained_range("force")
     trained = f"{slow:.0f} to {fast:.0f} mm/s, {light:.1f} to {firm:.1f} N"
     # Of anyone's file, in a comment, which it must not end.
-    credit = f" * Credit: {printable(texture.credit).replace('*/', '* /')}\n" if texture.credit else ""
-    text = f"""/* {name}: a texture of foten, {card["model"]} at {texture.rate_hz:g} Hz, recorded at {trained}.
+    made = f" * {printable(texture.evidence).replace('*/', '* /')}\n" if texture.evidence else ""
+    credit = made + (f" * Credit: {printable(texture.credit).replace('*/', '* /')}\n" if texture.credit else "")
+    text = f"""/* {name}: a texture of foten, {card["model"]} at {texture.rate_hz:g} Hz, for {trained}.
 {credit} *
  *     foten_model *model;
  *     char why[256];

@@ -25,7 +25,7 @@ def write_haptic(clip: Clip, path: Path) -> None:
             "source": str(clip.about.get("texture", "")),
             "project": "",
             "tags": ["texture"],
-            "description": str(clip.about.get("stroke", "")),
+            "description": "; ".join(str(clip.about[key]) for key in ("stroke", "made") if key in clip.about),
         },
         "signals": {"continuous": {"envelopes": written}},
     }

@@ -40,7 +40,7 @@ def write_hjif(clip: Clip, path: Path, parametric: bool = False) -> None:
     perception = {
         "id": 0,
         "avatar_id": 1,
-        "description": str(clip.about.get("texture", "")),
+        "description": "; ".join(str(clip.about[key]) for key in ("texture", "made") if key in clip.about),
         "perception_modality": "Vibrotactile",
         "unit_exponent": -3,  # both are what a reader takes where they are left out; the timescale counts
         "perception_unit_exponent": 0,

@@ -45,6 +45,8 @@ _CARD: Mapping[type | tuple[type, ...], str] = {
 """Keys of a card by JSON type; a texture that was not trained here has no split."""
 CREDIT = ("authors", "source", "doi", "photo")
 """Keys of a card that say whose it is, each of which may be absent: of the recording, where it is from, and of the photograph."""
+EVIDENCE = "evidence"
+"""Key of a card that says from what a texture was made, where not from a recording; it may be absent."""
 _VALIDATED = ("validation_mae_scaled", "validation_spectrum_db")  # of which a trained model has one
 
 
@@ -90,6 +92,11 @@ class Texture:
         )
         parts = (card.get("authors"), card.get("source"), doi, photo, card["licence"])
         return ", ".join(part for part in parts if part)
+
+    @property
+    def evidence(self) -> str:
+        """From what it was made; empty for a recording."""
+        return str(self.card.get(EVIDENCE, ""))
 
     @property
     def has_excitation(self) -> bool:
@@ -240,7 +247,7 @@ def check_card(card: Any) -> None:
         raise ValueError(f"the preprocessing or the split in the card is incomplete ({error})") from error
     if preprocess.rate_hz != card["rate_hz"]:
         raise ValueError(f"the card has a rate of {card['rate_hz']} Hz and preprocessing to {preprocess.rate_hz} Hz")
-    for key in CREDIT:
+    for key in (*CREDIT, EVIDENCE):
         if not isinstance(card.get(key, ""), str) or len(card.get(key, "")) > MAX_CREDIT:
             raise ValueError(
                 f"{key!r} in the card is {shortened(card[key])}, expected a text of {MAX_CREDIT} characters at most"

@@ -89,6 +89,7 @@ def _about_section(document: Mapping[str, Any], texture: Texture) -> str:
         "tool": card["tool"] or "not stated",
         "sensors": card["sensors"] or "not stated",
         "notes": card["notes"] or "none",
+        **({"made": texture.evidence} if texture.evidence else {}),
         "credit": texture.credit or "not stated",
         "texture file": document["texture_sha256"][:10],
         "recording": document["recording_sha256"][:10],

@@ -139,7 +139,7 @@ async function use(texture) {
     if (chosen !== texture) return;
     sound.use(texture.id);
     const card = cardOf(await texture.bytes);
-    $("now-range").textContent = blind ? "" : [`learned at ${ranges(card)}`, ...creditOf(card)].join(" · ");
+    $("now-range").textContent = blind ? "" : [card.evidence || `learned at ${ranges(card)}`, ...creditOf(card)].join(" · ");
     showUnit();
   }
   await info;

@@ -1,0 +1,108 @@
+"""`foten describe`, `foten edit` and `foten blend`: a texture in figures, moved by them, or between two others."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from typer import Argument, Option
+
+from foten.console import JsonOption, TextureFile, check_files, print_result, say
+
+if TYPE_CHECKING:
+    from foten.editing.describe import Description
+    from foten.models.texture_file import Texture
+
+
+def describe(texture_file: TextureFile, as_json: JsonOption = False) -> None:
+    """Say in figures what a texture is like: level, centroid, width, roughness, period, exponents.
+
+    They are measured on what is rendered at 100 mm/s and 0.7 N, or at the nearest that it was learned at. 'foten edit' sets them.
+    """
+    from foten.editing.describe import describe as described
+    from foten.models.texture_file import read_texture
+
+    texture = read_texture(texture_file)
+    description = described(texture)
+    print_result(
+        description.to_json(),
+        "\n".join(f"{name:11s}{figure}" for name, figure in description.figures(texture.unit).items()),
+        as_json,
+    )
+
+
+def edit(
+    texture_file: TextureFile,
+    output: Path = Option(..., "-o", "--output", help="The texture to write, .foten."),
+    level: float = Option(0.0, metavar="DB", help="Louder by so much (dB)."),
+    brighter: float = Option(0.0, metavar="OCTAVES", help="Centroid upwards (octaves)."),
+    wider: float = Option(0.0, metavar="OCTAVES", help="Width of the spectrum (octaves)."),
+    period: float | None = Option(None, metavar="MM", help="After which the surface repeats (mm)."),
+    speed_exponent: float | None = Option(None, help="Power of speed that the level grows with."),
+    force_exponent: float | None = Option(None, help="Power of force that the level grows with."),
+    as_json: JsonOption = False,
+) -> None:
+    """Change a texture by the figures that 'foten describe' measures.
+
+    foten edit denim.foten --level +3 --brighter 0.5 --wider 0.2 -o bright.foten
+
+    foten edit mesh.foten --period 1.2 -o fine.foten: a finer weave.
+    """
+    from foten.editing.edit import Edit, edited
+    from foten.models.texture_file import read_texture, write_texture
+
+    change = Edit(level, brighter, wider, period, speed_exponent, force_exponent)
+    if not change.in_words():
+        raise ValueError("nothing is changed, expected --level, --brighter, --wider, --period or an exponent")
+    _check_texture(output)
+    result = edited(read_texture(texture_file), change)
+    write_texture(result.texture, output)
+    for line in result.unreached:
+        say(line)
+    lines = [*_beside(result.texture, ("before", result.before), ("after", result.after)), _wrote(output)]
+    document = {"output": str(output), "before": result.before.to_json(), "after": result.after.to_json()}
+    print_result({**document, "unreached": list(result.unreached)}, "\n".join(lines), as_json)
+
+
+def blend(
+    first: Path = Argument(..., metavar="A.foten", help="Texture file."),
+    second: Path = Argument(..., metavar="B.foten", help="Texture file."),
+    output: Path = Option(..., "-o", "--output", help="The texture to write, .foten."),
+    at: float = Option(0.5, help="0 is the first, 1 the second."),
+    as_json: JsonOption = False,
+) -> None:
+    """Make a texture between two.
+
+    foten blend denim.foten towel.foten --at 0.3 -o between.foten
+    """
+    from foten.editing.blend import blend as blended
+    from foten.editing.describe import describe as described
+    from foten.models.texture_file import read_texture, write_texture
+
+    _check_texture(output)
+    sides = read_texture(first), read_texture(second)
+    between = blended(*sides, at)
+    write_texture(between, output)
+    descriptions = {"first": described(sides[0]), f"at {at:g}": described(between), "second": described(sides[1])}
+    lines = [*_beside(between, *descriptions.items()), _wrote(output)]
+    document = {"output": str(output), **{name: one.to_json() for name, one in descriptions.items()}}
+    print_result(document, "\n".join(lines), as_json)
+
+
+def _check_texture(output: Path) -> None:
+    if output.suffix != ".foten":
+        raise ValueError(f"a texture is written as .foten, got -o {output.name}")
+    check_files([output])
+
+
+def _wrote(output: Path) -> str:
+    return f"wrote {output}; next: foten serve {output}"
+
+
+def _beside(texture: Texture, *descriptions: tuple[str, Description]) -> list[str]:
+    """Rows of figures, a column for each description."""
+    from foten.reporting.table import Table
+
+    rows = [description.figures(texture.unit) for _, description in descriptions]
+    heads = ("", *(name for name, _ in descriptions))
+    return Table.of(heads, [(name, *(row[name] for row in rows)) for name in rows[0]]).text()
