@@ -292,7 +292,7 @@ def test_render_says_what_became_of_samples_outside_the_range(
     entries["extrapolation_exponents"] = {"speed": 0.0, "force": 0.0}
     write_texture(dataclasses.replace(texture_, card={**texture_.card, **entries}), held)
     for speed, messages in (
-        ("1", "speed was below 5 mm/s or force below 0.3 N for 100.0 %; the vibration fades there"),
+        ("1", "speed was below 5 mm/s or force below 0.3 N for 100.0 %; the vibration falls there"),
         ("200", "speed was above the trained 150 mm/s for 100.0 %; the level was held there"),
     ):
         capsys.readouterr()

@@ -14,7 +14,7 @@ from foten.simulation.contact_mechanics import (
     ContactParameters,
     contact_vibration,
     profile,
-    under_ball,
+    surface_of,
 )
 from foten.simulation.simulate import second_realisation, simulate
 from foten.simulation.stroking import Stroking, stroking
@@ -149,7 +149,7 @@ def test_grains_that_overlap_do_not_grow_through_each_other(height_um: float) ->
 def test_a_ball_bridges_what_is_narrower_than_itself() -> None:
     """Oracle: the dilation by its definition, at every hundredth point."""
     p = CONTACT["sandpaper-fine"]
-    surface, lifted = profile(p, "sandpaper-fine"), under_ball(p, "sandpaper-fine")
+    surface, lifted = profile(p, "sandpaper-fine"), surface_of(p, "sandpaper-fine")
     u = np.arange(-40, 41)
     for i in range(100, 40_000, 997):
         expected = (surface[i + u] - (u * GRID_MM) ** 2 / (2 * p.tip_mm)).max()
@@ -200,9 +200,9 @@ def test_pieces_side_by_side_are_one_long_integration() -> None:
     p, key = CONTACT["leather"], "leather"
     stroke = steady(80.0, 1.0, seconds=0.7)
     place = 7.0 + np.cumsum(stroke.speed) / RATE_HZ
-    pieces = contact_mechanics._pieces(p, key, place, stroke.speed, stroke.force, RATE_HZ)
+    pieces = contact_mechanics._pieces(p, surface_of(p, key), place, stroke.speed, stroke.force, RATE_HZ)
     long_piece = contact_mechanics._integrate(
-        p, under_ball(p, key), place[None], stroke.speed[None], stroke.force[None], RATE_HZ
+        p, surface_of(p, key), place[None], stroke.speed[None], stroke.force[None], RATE_HZ
     )
     for joined, expected in zip(pieces, long_piece, strict=True):
         apart = np.abs(joined - expected[0])[3000:]
@@ -214,7 +214,10 @@ def test_more_force_keeps_the_tip_down_and_more_speed_throws_it_off() -> None:
 
     def lost(speed: float, force: float) -> float:
         return float(
-            np.mean(contact_vibration(p, key, steady(speed, force), np.random.default_rng(0))[1][2000:] == 0.0)
+            np.mean(
+                contact_vibration(p, surface_of(p, key), steady(speed, force), np.random.default_rng(0))[1][2000:]
+                == 0.0
+            )
         )
 
     assert lost(150.0, 0.3) > lost(150.0, 2.5) + 0.1

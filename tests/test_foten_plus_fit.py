@@ -14,6 +14,7 @@ from conftest import PLUS, SMALL, perturbed, sizes_with
 from foten.models.excitation import Excitation
 from foten.models.foten_plus import fit as foten_plus
 from foten.models.foten_plus.fit import (
+    LAW,
     Candidate,
     FitContext,
     FittedNetwork,
@@ -23,6 +24,7 @@ from foten.models.foten_plus.fit import (
     extrapolation_exponents,
     fit_network,
     fit_rendering_network,
+    posterior_slopes,
     texture_builder,
     texture_of,
 )
@@ -237,14 +239,33 @@ def test_growth_beyond_the_range_is_that_of_the_texture_however_quiet_it_is() ->
     assert of_soft == pytest.approx(exponents, rel=1e-9)
 
 
-@pytest.mark.parametrize("why", ["nothing", "speed hardly varies", "the level falls", "too few frames"])
-def test_no_growth_is_learned_where_the_recording_shows_none(why: str) -> None:
-    """As docs/concepts.md lists it."""
-    n_blocks, block = (4, 200) if why == "too few frames" else (60, 1000)
-    swing, power = 1.02 if why == "speed hardly varies" else 2.5, -1.0 if why == "the level falls" else 1.0
+@pytest.mark.parametrize(
+    ("n_blocks", "block", "swing", "power", "expected"),
+    [
+        (60, 1000, 2.5, 1.4, 1.4),  # a minute of a moving hand says it all
+        (60, 1000, 1.003, 1.4, LAW["speed"][0]),  # a steady hand says nothing
+        (4, 20, 2.5, 1.4, LAW["speed"][0]),  # nor do blocks without a frame
+        (60, 1000, 2.5, -1.0, 0.0),  # a level that falls is held
+    ],
+)
+def test_a_recordings_own_exponent_takes_over_from_the_law(
+    n_blocks: int, block: int, swing: float, power: float, expected: float
+) -> None:
+    """As docs/concepts.md says."""
     blocks = scaled_blocks(white(n_blocks, block, swing, power), split_of(n_blocks, block))
-    expected = pytest.approx(1.0, abs=0.1) if why == "nothing" else 0.0
-    assert extrapolation_exponents(blocks)["speed"] == expected
+    assert extrapolation_exponents(blocks)["speed"] == pytest.approx(expected, abs=0.1)
+
+
+def test_a_law_and_a_recording_are_weighed_by_how_well_they_are_known() -> None:
+    """The posterior mean of one slope, in closed form; independent noise, so that nothing is discounted."""
+    rng = np.random.default_rng(3)
+    logs, prior = rng.normal(0, 0.1, (400, 1)), np.array([[0.95, 0.28]])
+    levels = 0.2 * logs[:, 0] + rng.normal(0, 0.5, 400)
+    precision = np.square(logs - logs.mean()).sum() / 0.25
+    own = float(np.linalg.lstsq(logs - logs.mean(), levels - levels.mean(), rcond=None)[0][0])
+    expected = (precision * own + 0.95 / 0.28**2) / (precision + 1 / 0.28**2)
+    assert posterior_slopes(logs, levels, prior)[0] == pytest.approx(expected, abs=0.06)  # the noise is estimated
+    assert abs(own - expected) > 0.1
 
 
 def test_the_growth_of_foten_plus_is_in_its_card_and_the_papers_network_clamps(

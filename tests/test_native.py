@@ -245,7 +245,7 @@ def test_it_goes_on_from_a_recorded_window_as_the_reference_does(texture: Textur
 
 def test_what_it_counts(native: NativeTexture) -> None:
     speed = np.array([0.0, 4.0, 100.0, 230.0, 500.0, 100.0], dtype=np.float32)
-    force = np.array([1.0, 1.0, 1.0, 1.0, 1.0, 6.0], dtype=np.float32)
+    force = np.array([1.0, 1.0, 1.0, 1.0, 1.0, 6.5], dtype=np.float32)
     state = NativeState(native)
     state.render_stroke(speed, force)
     counted = state.statistics

@@ -10,7 +10,7 @@ import pytest
 
 from conftest import PLUS, SCALING, SMALL, exported
 from foten.dsp.lattice import polynomial
-from foten.models.conditions import EXTRAPOLATION_LIMIT, FADE_FORCE, FADE_SPEED
+from foten.models.conditions import EXTRAPOLATION_LIMIT, FADE_FORCE, FADE_SPEED, REACH_FORCE, REACH_SPEED
 from foten.models.definitions import model_of
 from foten.models.foten.sizes import FotenSizes
 from foten.models.foten_plus.definition import FotenPlus
@@ -94,16 +94,21 @@ def test_the_texture_is_there_again_with_the_first_movement(texture: Texture) ->
 
 
 @pytest.mark.parametrize("share", [0.0, 0.25, 0.5, 0.9999, 1.0])
-def test_below_the_trained_range_it_fades_linearly_and_without_a_step(texture: Texture, share: float) -> None:
-    """The loop goes by the lowest trained condition below it, so the fade alone differs."""
-    reference = rendered(texture, *steady(200, LOW[0]))
-    assert np.std(reference) > 0.005
-    out = rendered(texture, *steady(200, share * LOW[0]))
-    np.testing.assert_allclose(out, share * reference, rtol=FLOAT32)
-    reference = rendered(texture, *steady(200, 80.0, LOW[1]))
-    out = rendered(texture, *steady(200, 80.0, share * LOW[1]))
-    # 32 bits of the lowest trained force are 4e-8 of it above it, which the loop goes by.
-    np.testing.assert_allclose(out, share * reference, rtol=FLOAT32, atol=FLOAT32 * np.std(reference))
+@pytest.mark.parametrize("exponents", [(0.7, 0.4), (0.0, 0.0)])
+def test_below_the_trained_range_the_level_follows_its_law_and_falls_to_rest(
+    texture: Texture, share: float, exponents: tuple[float, float]
+) -> None:
+    """The loop goes by the lowest trained condition below it, so the level alone differs; linearly where there is no law."""
+    law = with_card(texture, extrapolation_exponents=dict(zip(("speed", "force"), exponents, strict=True)))
+    for i, rest in enumerate((FADE_SPEED, FADE_FORCE)):
+        at = [LOW[0], 0.8] if i == 0 else [80.0, LOW[1]]
+        reference = rendered(law, *steady(200, *at))
+        assert np.std(reference) > 0.005
+        x = at[i] = share * LOW[i]
+        level = (max(x, rest) / LOW[i]) ** exponents[i] * min(x / rest, 1.0) if exponents[i] else share
+        # 32 bits of the lowest trained force are 4e-8 of it above it, which the loop goes by.
+        out = rendered(law, *steady(200, *at))
+        np.testing.assert_allclose(out, level * reference, rtol=3 * FLOAT32, atol=FLOAT32 * np.std(reference))
 
 
 @pytest.mark.parametrize("low", [(0.0, 0.0), (2.0, 0.04)])
@@ -153,11 +158,12 @@ def test_shapes_are_checked(texture: Texture) -> None:
         Renderer(texture).render(np.ones((3, 5)), np.ones((3, 5)))
 
 
-def test_above_the_range_the_level_grows_by_its_power_law_and_no_further_than_twice_the_range(texture: Texture) -> None:
-    assert EXTRAPOLATION_LIMIT == 2
+def test_above_the_range_the_level_grows_by_its_power_law_as_far_as_it_reaches(texture: Texture) -> None:
+    """Twice the range of speed, which is more than 400 mm/s; 6 N, which is more than twice the range of force."""
+    assert (EXTRAPOLATION_LIMIT, REACH_SPEED, REACH_FORCE) == (2, 400, 6)
     speed, force = np.linspace(100.0, 900.0, 200), np.linspace(1.0, 9.0, 200)
     inside = rendered(texture, np.minimum(speed, HIGH[0]), np.minimum(force, HIGH[1]))
-    growth = np.clip(speed / HIGH[0], 1, 2) ** 0.7 * np.clip(force / HIGH[1], 1, 2) ** 0.4
+    growth = np.clip(speed / HIGH[0], 1, 2) ** 0.7 * np.clip(force / HIGH[1], 1, 6 / HIGH[1]) ** 0.4
     np.testing.assert_allclose(rendered(texture, speed, force), growth * inside, rtol=FLOAT32)
 
 
@@ -183,7 +189,7 @@ def test_any_stroke_gives_a_finite_bounded_vibration(
             # What leaves the loop is cut; growth beyond the trained range comes after it.
             growth = np.ones(n)
             for name, channel in (("speed", speed), ("force", force)):
-                share = np.clip(channel / used.trained_range(name)[1], 1.0, EXTRAPOLATION_LIMIT)
+                share = np.clip(channel / used.trained_range(name)[1], 1.0, 6 / HIGH[1])  # of force, the more
                 growth *= share ** used.extrapolation_exponent(name)
             assert (np.abs(out) <= bound * growth * (1 + FLOAT32)).all()
 

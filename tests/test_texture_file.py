@@ -65,12 +65,17 @@ NONE = "no growth could be learned from the recording"
 @pytest.mark.parametrize(
     ("model", "speed", "force", "words"),
     [
-        ("foten-plus", 0.714, 0.4, "the level grows with speed^0.71 and force^0.4, up to twice the range"),
+        (
+            "foten-plus",
+            0.714,
+            0.4,
+            "the level follows speed^0.71 and force^0.4, up to twice the range or 400 mm/s and 6 N",
+        ),
         (
             "foten-plus",
             0.0,
             1.5,
-            f"the level grows with force^1.5, up to twice the range; with speed it is held: {NONE}",
+            f"the level follows force^1.5, up to twice the range or 400 mm/s and 6 N; with speed it is held: {NONE}",
         ),
         ("foten-plus", 0.0, 0.0, f"the level is held: {NONE}"),
         ("foten", 0.0, 0.0, "the level is held: foten learns no growth"),

@@ -12,6 +12,7 @@
 
 enum { QUIET_EVERY = 4096 };                                        /* samples */
 static const double FADE[2] = {FOTEN_FADE_SPEED, FOTEN_FADE_FORCE}; /* mm/s and N below which a texture fades */
+static const double REACH[2] = {FOTEN_REACH_SPEED, FOTEN_REACH_FORCE}; /* that a level grows to at least */
 
 _Static_assert(ATOMIC_LLONG_LOCK_FREE == 2, "a condition is set without waiting: 64 bits have to be written at once");
 
@@ -246,14 +247,17 @@ static double sample_of(foten_state *s, const double speed_force[2]) {
     int below = 0;
     for (int i = 0; i < 2; i++) {
         double x = speed_force[i], clamped = x < m->low[i] ? m->low[i] : x > m->high[i] ? m->high[i] : x;
-        double fade = m->low[i] > FADE[i] ? m->low[i] : FADE[i];
-        below |= x < fade;
+        double low = m->low[i] > FADE[i] ? m->low[i] : FADE[i], fade = m->exponents[i] > 0 ? FADE[i] : low;
+        double limit = FOTEN_EXTRAPOLATION_LIMIT * m->high[i];
+        if (limit < REACH[i]) limit = REACH[i];
+        below |= x < low;
         count(s, SPEED_BEYOND + i, x > m->high[i]);
-        count(s, SPEED_CLAMPED + i, x > FOTEN_EXTRAPOLATION_LIMIT * m->high[i]);
-        held[i] = x < FOTEN_EXTRAPOLATION_LIMIT * m->high[i] ? x : FOTEN_EXTRAPOLATION_LIMIT * m->high[i];
+        count(s, SPEED_CLAMPED + i, x > limit);
+        held[i] = x < limit ? x : limit;
         c.scaled[i] = (clamped - m->mean[1 + i]) / m->sd[1 + i];
         if (x < fade) c.fade *= x / fade;
         if (held[i] > m->high[i]) growth *= pow(held[i] / m->high[i], m->exponents[i]);
+        if (x < low) growth *= pow((x > fade ? x : fade) / low, m->exponents[i]);
     }
     c.path_speed = held[0];
     if (s->fresh) {

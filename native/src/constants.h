@@ -42,6 +42,8 @@ static inline double clip(double x, double limit) { return x > limit ? limit : x
 #define FOTEN_FADE_SPEED 5.0          /* foten.models.conditions.FADE_SPEED */
 #define FOTEN_FADE_FORCE 0.1          /* foten.models.conditions.FADE_FORCE */
 #define FOTEN_EXTRAPOLATION_LIMIT 2.0 /* foten.models.conditions.EXTRAPOLATION_LIMIT */
+#define FOTEN_REACH_SPEED 400.0       /* foten.models.conditions.REACH_SPEED */
+#define FOTEN_REACH_FORCE 6.0         /* foten.models.conditions.REACH_FORCE */
 #define FOTEN_FORCE_FLOOR 0.05        /* foten.dsp.speed_force_table.FORCE_FLOOR */
 #define FOTEN_MIN_TRIANGLE_AREA 1e-9  /* foten.dsp.mesh.MIN_TRIANGLE_AREA */
 #define FOTEN_INSIDE -1e-12           /* foten.dsp.mesh._INSIDE */

@@ -18,6 +18,7 @@ from foten.cli.editing import blend, describe, edit
 from foten.cli.evaluate import evaluate, info
 from foten.cli.experiments import demo, figures, sweep, tables
 from foten.cli.export import export
+from foten.cli.imagine import imagine
 from foten.cli.machine import bench, devices, doctor
 from foten.cli.recordings import import_, inspect, simulate
 from foten.cli.render import play, render
@@ -75,7 +76,7 @@ def _global_options(
 _PANELS: dict[str, tuple[Callable[..., None], ...]] = {
     "From a recording to a texture": (simulate, import_, inspect, train, evaluate, info),
     "Stroke, play, take elsewhere": (serve, play, render, export),
-    "Change a texture": (describe, edit, blend),
+    "Change a texture": (describe, edit, blend, imagine),
     "Compare": (sweep, tables, figures),
     "This machine": (demo, devices, bench, doctor),
 }

@@ -54,7 +54,7 @@ def edit(
     change = Edit(level, brighter, wider, period, speed_exponent, force_exponent)
     if not change.in_words():
         raise ValueError("nothing is changed, expected --level, --brighter, --wider, --period or an exponent")
-    _check_texture(output)
+    check_texture(output)
     result = edited(read_texture(texture_file), change)
     write_texture(result.texture, output)
     for line in result.unreached:
@@ -79,7 +79,7 @@ def blend(
     from foten.editing.describe import describe as described
     from foten.models.texture_file import read_texture, write_texture
 
-    _check_texture(output)
+    check_texture(output)
     sides = read_texture(first), read_texture(second)
     between = blended(*sides, at)
     write_texture(between, output)
@@ -89,7 +89,8 @@ def blend(
     print_result(document, "\n".join(lines), as_json)
 
 
-def _check_texture(output: Path) -> None:
+def check_texture(output: Path) -> None:
+    """Refuse what a texture cannot be written to."""
     if output.suffix != ".foten":
         raise ValueError(f"a texture is written as .foten, got -o {output.name}")
     check_files([output])

@@ -351,17 +351,19 @@ def _print_rendered(
 
 def _outside_range(counts: dict[str, int], texture: Texture) -> Iterator[str]:
     """How much of a rendering lay outside of the recorded range, and what was done there."""
-    from foten.models.conditions import FADE_FORCE, FADE_SPEED
+    from foten.models.conditions import EXTRAPOLATION_LIMIT, FADE_FORCE, FADE_SPEED, REACH_FORCE, REACH_SPEED
 
     share = {name: f"{100 * count / counts['n']:.1f} %" for name, count in counts.items() if count}
-    for name, unit in (("speed", "mm/s"), ("force", "N")):
+    for name, unit, reach in (("speed", "mm/s", REACH_SPEED), ("force", "N", REACH_FORCE)):
         if of_time := share.get(f"n_{name}_beyond"):
             high, power = texture.trained_range(name)[1], texture.extrapolation_exponent(name)
             grown = f"the level grew with {name}^{power:.2g} there" if power else "the level was held there"
             yield f"{name} was above the trained {high:.4g} {unit} for {of_time}; {grown}"
         if of_time := share.get(f"n_{name}_clamped"):
-            yield f"{name} was above twice that for {of_time}, and taken as twice that"
+            limit = max(EXTRAPOLATION_LIMIT * texture.trained_range(name)[1], reach)
+            yield f"{name} was above {limit:.4g} {unit} for {of_time}, and taken as that"
     if of_time := share.get("n_below"):
         slow = max(texture.trained_range("speed")[0], FADE_SPEED)
         light = max(texture.trained_range("force")[0], FADE_FORCE)
-        yield f"speed was below {slow:.4g} mm/s or force below {light:.3g} N for {of_time}; the vibration fades there"
+        below = f"speed was below {slow:.4g} mm/s or force below {light:.3g} N for {of_time}"
+        yield f"{below}; the vibration falls there, to silence at rest"

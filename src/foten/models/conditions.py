@@ -2,4 +2,6 @@
 
 FADE_SPEED = 5.0  # mm/s; a texture fades below this, or below its trained range where that ends higher
 FADE_FORCE = 0.1  # N
-EXTRAPOLATION_LIMIT = 2.0  # times the trained range's end, that the level grows to, where it does
+EXTRAPOLATION_LIMIT = 2.0  # times the trained range's end, that the level grows to, where it does; and at least to
+REACH_SPEED = 400.0  # mm/s
+REACH_FORCE = 6.0  # N

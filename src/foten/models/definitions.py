@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from foten.dsp import Array
 from foten.dsp.noise import gaussian
-from foten.models.conditions import EXTRAPOLATION_LIMIT, FADE_FORCE, FADE_SPEED
+from foten.models.conditions import EXTRAPOLATION_LIMIT, FADE_FORCE, FADE_SPEED, REACH_FORCE, REACH_SPEED
 from foten.models.excitation import Excitation
 from foten.models.foten.definition import Network
 from foten.models.foten.sizes import TransformerSizes
@@ -51,10 +51,10 @@ def render(
 ) -> Array:
     """Acceleration of a stroke from its beginning [m/s²], shape (n_streams, n).
 
-    The closed loop times a fade that falls linearly to zero, with speed below the trained range (at least below 5 mm/s) and with
-    force likewise (at least below 0.1 N). Where the gain comes before the lattice it is what enters that fades, and what rang
-    rings out. Above the trained range the loop keeps to its end, tones go on with the path, and the level grows by a power
-    law of the training blocks, up to twice the range, or is held where they gave none.
+    Outside the trained range the loop keeps to its end, tones go on with the path, and the level follows a power law of speed and
+    force: below, down to 5 mm/s and 0.1 N, and above, up to twice the range, at least to 400 mm/s and 6 N. Below these it falls
+    linearly to zero. Where the gain comes before the lattice it is what enters that fades, and what rang rings out. Where a card
+    has an exponent of 0 the level is held above, and fades linearly from the trained range on.
 
     Differs from the paper: it clamps to the recorded range on both sides (Sec. VIII), and so vibrates at rest.
 
@@ -69,14 +69,17 @@ def render(
     exponents = np.array([texture.extrapolation_exponent(name) for name in names])
     scaling = texture.scaling
     physical = np.stack([speed, force], axis=1)
-    extrapolated = np.minimum(physical, EXTRAPOLATION_LIMIT * high)
+    extrapolated = np.minimum(physical, np.maximum(EXTRAPOLATION_LIMIT * high, [REACH_SPEED, REACH_FORCE]))
     scaled = (np.clip(physical, low, high) - scaling.mean[1:]) / np.array(scaling.sd[1:])
     condition = np.repeat(np.concatenate([scaled, extrapolated[:, :1]], axis=1)[None], n_streams, axis=0)
     model = model or model_of(texture.sizes, texture.tensors)
     warm_start = texture.tensors["warm_start"].astype(np.float64)
     stream = model.start(np.repeat(warm_start[None], n_streams, axis=0))
     random = excitation and texture.has_excitation
-    fade = np.minimum(physical / np.maximum(low, [FADE_SPEED, FADE_FORCE]), 1.0).prod(axis=1)
+    rest = np.array([FADE_SPEED, FADE_FORCE])
+    low = np.maximum(low, rest)
+    fades = np.where(exponents > 0, rest, low)
+    fade = np.minimum(physical / fades, 1.0).prod(axis=1)
 
     def noise(first: int, n: int) -> Array:
         return np.stack([gaussian(seed, k, first, n) for k in range(n_streams)])
@@ -85,5 +88,6 @@ def render(
         stream.begin(condition[:, 0], noise(FIRST_INITIAL, stream.n_initial), float(fade[0]))
     drawn = noise(0, len(speed)) if random else None
     vibration = run(stream, condition, drawn, float(texture.card["saturation"]), fade)
-    growth = (np.maximum(extrapolated / high, 1.0) ** exponents).prod(axis=1)
+    share = np.maximum(extrapolated / high, 1.0) * np.minimum(np.maximum(physical, fades) / low, 1.0)
+    growth = (share**exponents).prod(axis=1)
     return (vibration * scaling.sd[0] + scaling.mean[0] * fade) * growth

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from foten.atomic_write import atomic_write
+from foten.models.conditions import REACH_FORCE, REACH_SPEED
 from foten.models.model_sizes import ModelSizes, shortened
 from foten.models.registry import GRAPH, MODELS, sizes_of
 from foten.recording.preprocess import PreprocessConfig
@@ -118,7 +119,7 @@ class Texture:
         return float(self.card["extrapolation_exponents"][channel])
 
     def extrapolation_in_words(self) -> str:
-        """Sentence on the level above the trained range: where it grows, and where and why it is held."""
+        """Sentence on the level outside the trained range: where it follows a law, and where and why it is held above."""
         powers, model = {name: self.extrapolation_exponent(name) for name in ("speed", "force")}, self.card["model"]
         grows = " and ".join(f"{name}^{power:.2g}" for name, power in powers.items() if power)
         held = " and ".join(name for name, power in powers.items() if not power)
@@ -126,7 +127,7 @@ class Texture:
         why = "no growth could be learned from the recording" if learns else f"{model} learns no growth"
         if not grows:
             return f"the level is held: {why}"
-        text = f"the level grows with {grows}, up to twice the range"
+        text = f"the level follows {grows}, up to twice the range or {REACH_SPEED:g} mm/s and {REACH_FORCE:g} N"
         return f"{text}; with {held} it is held: {why}" if held else text
 
     def to_bytes(self) -> bytes:

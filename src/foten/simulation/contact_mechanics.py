@@ -191,27 +191,34 @@ def _with_grains(height: Array, parameters: ContactParameters, rng: np.random.Ge
 
 
 @lru_cache(maxsize=2)
-def under_ball(parameters: ContactParameters, key: str) -> Array:
-    """Height of a ball that rests on the profile [mm], for each of its points."""
+def surface_of(parameters: ContactParameters, key: str) -> Array:
+    """Height of the ball that rests on a texture's profile [mm], for each of its points."""
+    lifted = under_ball(profile(parameters, key), parameters.tip_mm)
+    lifted.flags.writeable = False
+    return lifted
+
+
+def under_ball(height: Array, tip_mm: float) -> Array:
+    """Height of a ball that rests on a closed profile [mm], (n,) each: a point every `GRID_MM`."""
     from scipy.ndimage import grey_dilation
 
-    height = profile(parameters, key)
-    reach = min(parameters.tip_mm, np.sqrt(2 * parameters.tip_mm * float(np.ptp(height))))
+    reach = min(tip_mm, np.sqrt(2 * tip_mm * float(np.ptp(height))))
     u = np.arange(-int(reach / GRID_MM), int(reach / GRID_MM) + 1) * GRID_MM
-    lifted = grey_dilation(height, structure=-(u**2) / (2 * parameters.tip_mm), mode="wrap")
-    lifted.flags.writeable = False
-    return np.asarray(lifted)
+    return np.asarray(grey_dilation(height, structure=-(u**2) / (2 * tip_mm), mode="wrap"))
 
 
 def contact_vibration(
-    parameters: ContactParameters, key: str, stroke: Stroking, rng: np.random.Generator
+    parameters: ContactParameters, surface: Array, stroke: Stroking, rng: np.random.Generator
 ) -> tuple[Array, Array]:
-    """Vibration of the tool before any sensor [m/s²], axes x, y, z, (n, 3), and the force of the contact [N], (n,)."""
+    """Vibration of the tool before any sensor [m/s²], axes x, y, z, (n, 3), and the force of the contact [N], (n,).
+
+    The surface is what the ball rests at, as of `surface_of` or `under_ball`.
+    """
     from scipy.signal import lfilter
 
     rate = stroke.rate_hz
     place = rng.uniform(0, LOOP_MM) + np.cumsum(stroke.speed) / rate
-    force, friction = _pieces(parameters, key, place, stroke.speed, stroke.force, rate)
+    force, friction = _pieces(parameters, surface, place, stroke.speed, stroke.force, rate)
     pushed = np.stack([force - stroke.force, friction], axis=1) / (BODY_G * 1e-3)
     acceleration = STIFF_SHARE * pushed
     for hz, damping, share in zip(MODES_HZ, MODES_DAMPING, MODES_SHARE, strict=True):
@@ -230,7 +237,7 @@ def mode_filter(hz: float, damping: float, rate_hz: float) -> tuple[Array, Array
 
 
 def _pieces(
-    parameters: ContactParameters, key: str, place: Array, speed: Array, force: Array, rate_hz: float
+    parameters: ContactParameters, surface: Array, place: Array, speed: Array, force: Array, rate_hz: float
 ) -> tuple[Array, Array]:
     """Contact force and friction [N], each (n,).
 
@@ -239,7 +246,7 @@ def _pieces(
     n, piece, overlap, fade = place.size, *(round(s * rate_hz) for s in (PIECE_S, OVERLAP_S, FADE_S))
     starts = np.arange(0, n, piece)
     index = np.clip(starts[:, None] + np.arange(-overlap, piece + fade), 0, n - 1)
-    parts = _integrate(parameters, under_ball(parameters, key), place[index], speed[index], force[index], rate_hz)
+    parts = _integrate(parameters, surface, place[index], speed[index], force[index], rate_hz)
     ramp = (np.arange(fade) + 0.5) / fade
     joined = []
     for part in parts:

@@ -21,7 +21,14 @@ import numpy as np
 
 from foten.dsp import Array
 from foten.recording.recording import AXES, Channel, Recording
-from foten.simulation.contact_mechanics import CONTACT, RATE_HZ, ContactParameters, contact_vibration, mode_filter
+from foten.simulation.contact_mechanics import (
+    CONTACT,
+    RATE_HZ,
+    ContactParameters,
+    contact_vibration,
+    mode_filter,
+    surface_of,
+)
 from foten.simulation.linear_family import (
     LINEAR_FAMILY,
     MAX_PARAMETER,
@@ -227,10 +234,10 @@ def _simulate(simulation: Mapping[str, Any]) -> Recording:
         if RATE_HZ / decimation != rate_hz:
             raise ValueError(f"{rate_hz:g} Hz is not {RATE_HZ:g} Hz divided by a whole number")
         if isinstance(parameters, ContactParameters):
-            acceleration, normal_force = contact_vibration(parameters, key, stroke, rng)
+            acceleration, normal_force = contact_vibration(parameters, surface_of(parameters, key), stroke, rng)
         else:
             acceleration, normal_force = vibration(parameters, stroke, rng), stroke.force
-        channels = _sensor_channels(acceleration, normal_force, parameters.friction, stroke, decimation, rng)
+        channels = sensor_channels(acceleration, normal_force, parameters.friction, stroke, decimation, rng)
         tool = "simulated rigid tool, 2 mm steel ball"
         sensors = "simulated ADXL335, force at 10 kHz, position at 120 Hz"
     return Recording(channels, texture=key, tool=tool, sensors=sensors, notes="simulated", simulation=simulation)
@@ -287,7 +294,7 @@ def vibration(parameters: TextureParameters, stroke: Stroking, rng: np.random.Ge
     return axes
 
 
-def _sensor_channels(
+def sensor_channels(
     acceleration: Array,
     normal_force: Array,
     friction: float,
