@@ -148,7 +148,7 @@ def test_a_photo_proposes_a_period_or_none() -> None:
         (["bad.png", "--scale", "0.05"], "bad.png is truncated or is no picture"),
         (["bad.obj", "--scale", "0.05"], "bad.obj is no picture, expected one of .png"),
         (["none.png", "--scale", "0.05"], "none.png"),
-        (["flat.png", "--scale", "0.05", "--photo"], "--photo"),
+        (["flat.png", "--scale", "0.05", "--photo"], "--output is of a texture, and --photo proposes a period"),
     ],
 )
 def test_what_cannot_be_is_refused_in_a_line(

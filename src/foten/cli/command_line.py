@@ -19,6 +19,7 @@ from foten.cli.evaluate import evaluate, info
 from foten.cli.experiments import demo, figures, sweep, tables
 from foten.cli.export import export
 from foten.cli.imagine import imagine
+from foten.cli.library import app as library
 from foten.cli.machine import bench, devices, doctor
 from foten.cli.recordings import import_, inspect, simulate
 from foten.cli.render import play, render
@@ -51,7 +52,7 @@ app = typer.Typer(
 _EXTRAS = dict.fromkeys(("scipy", "h5py", "matplotlib", "openpyxl", "nptdms", "pymatreader"), "data")
 _EXTRAS |= dict.fromkeys(("starlette", "uvicorn", "websockets", "segno", "cryptography"), "serve")
 _EXTRAS |= dict.fromkeys(("statsmodels", "pandas"), "study")
-_EXTRAS |= {"torch": "train", "ray": "sweep", "onnx": "onnx", "onnxruntime": "onnx"}
+_EXTRAS |= {"sentence_transformers": "words", "torch": "train", "ray": "sweep", "onnx": "onnx", "onnxruntime": "onnx"}
 """Which extra installs a package that may be missing."""
 
 
@@ -83,6 +84,8 @@ _PANELS: dict[str, tuple[Callable[..., None], ...]] = {
 for _panel, _commands in _PANELS.items():
     for _command in _commands:
         app.command(_command.__name__.rstrip("_"), rich_help_panel=_panel)(_command)
+    if _panel == "Change a texture":
+        app.add_typer(library, name="library", rich_help_panel=_panel)
     if _panel == "Compare":
         app.add_typer(study, name="study", rich_help_panel=_panel)
 

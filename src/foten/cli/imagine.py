@@ -1,4 +1,4 @@
-"""`foten imagine`: a texture from a height map."""
+"""`foten imagine`: a texture from words, or from a height map."""
 
 from __future__ import annotations
 
@@ -11,57 +11,118 @@ from foten.console import JsonOption, print_result, refuse, say
 
 
 def imagine(
-    picture: Path = Argument(..., metavar="HEIGHT.png", help="Height, displacement or normal map: PNG, TIFF, EXR, …"),
+    source: str = Argument(
+        ..., metavar="WORDS|HEIGHT.png", help="Words; or a height, displacement or normal map: PNG, TIFF, EXR, …"
+    ),
     output: Path | None = Option(None, "-o", "--output", help="The texture to write, .foten."),
-    scale: float = Option(..., metavar="MM", help="Of a pixel (mm)."),
-    depth: float = Option(0.1, metavar="MM", help="From the darkest pixel to the lightest (mm)."),
+    library: Path | None = Option(
+        None, metavar="DIR", help="Of words: a library of 15 textures or more.", show_default="foten's few, and a guess"
+    ),
+    encoder: str | None = Option(
+        None, help="Of words: a sentence encoder, a folder or a name (foten[words]).", show_default="a table of words"
+    ),
+    rate: float | None = Option(None, help="Of words: rate of the texture (Hz).", show_default="1000"),
+    scale: float | None = Option(None, metavar="MM", help="Of a pixel (mm)."),
+    depth: float | None = Option(
+        None, metavar="MM", help="From the darkest pixel to the lightest (mm).", show_default="0.1"
+    ),
     tiles: bool = Option(
-        True, "--tiles/--no-tiles", help="Whether the picture goes on at its edges, or is mirrored there."
+        True, "--tiles/--no-tiles", help="Whether a picture goes on at its edges, or is mirrored there."
     ),
     tip: float | None = Option(None, metavar="MM", help="Radius of the tool's tip (mm).", show_default="0.8"),
     mass: float | None = Option(None, metavar="G", help="Of the tool, as the surface feels it (g).", show_default="14"),
     modulus: float | None = Option(
-        None,
-        metavar="MPA",
-        help="Of the contact, E* (MPa): skin 0.1, rubber 10, wood 300, steel 2000.",
-        show_default="200",
+        None, metavar="MPA", help="Of the contact, E* (MPa): rubber 10, wood 300, steel 2000.", show_default="200"
     ),
-    seconds: float = Option(64.0, min=14.0, help="That are stroked in the simulation (s)."),
+    seconds: float | None = Option(None, min=14.0, help="That a picture is stroked (s).", show_default="64"),
     seed: int = Option(0, min=0, max=2**32 - 1, help="Of the hand, the sensors and the training."),
     photo: bool = Option(False, "--photo", help="It shows light and not height: only propose a period."),
     as_json: JsonOption = False,
 ) -> None:
-    """Make a texture from a picture of heights: stroked by a simulated tool, and learned from that.
+    """Make a texture from words, by regression over a library; or from a picture of heights, stroked by a simulated tool.
+
+    foten imagine "rough woven linen" --library surfaces -o linen.foten
 
     foten imagine bricks_height.png --scale 0.05 --depth 0.3 -o bricks.foten
 
     foten imagine cloth.jpg --photo --scale 0.06: the period that a photo shows; nothing more can be taken from one.
     """
+    from foten.editing.height_map import SUFFIXES
+
+    picture = Path(source)
+    of_pictures = {"scale": scale, "depth": depth, "tip": tip, "mass": mass, "modulus": modulus, "seconds": seconds}
+    if picture.suffix.lower() not in SUFFIXES and " " not in source and picture.suffix:
+        raise ValueError(f"{picture.name} is no picture, expected one of {' '.join(SUFFIXES)}, or words")
+    if picture.suffix.lower() in SUFFIXES:
+        refuse("is of words, and a picture is given", library=library, encoder=encoder, rate=rate)
+        if scale is None:
+            raise ValueError("expected --scale, how many mm a pixel is")
+        _from_picture(picture, output, scale, depth, tiles, of_pictures, seed, photo, as_json)
+        return
+    refuse("is of pictures, and words are given", **of_pictures, photo=photo or None, tiles=None if tiles else False)
+    _from_words(source, output, library, encoder, rate or 1000.0, as_json)
+
+
+def _from_words(
+    text: str, output: Path | None, folder: Path | None, encoder: str | None, rate_hz: float, as_json: bool
+) -> None:
+    from foten.editing import imagine as words
+    from foten.editing.describe import describe
+    from foten.editing.library import Library, open_library
+    from foten.editing.words import encoder_of
+    from foten.models.texture_file import read_texture, write_texture
+    from foten.runtime.renderer import EXAMPLE
+
+    if output is None:
+        raise ValueError("expected -o FILE, the texture to write")
+    check_texture(output)
+    own = [read_texture(path) for path in sorted(EXAMPLE.parent.glob("*.foten"))]
+    library = open_library(folder) if folder else Library(EXAMPLE.parent, [])
+    made = words.imagine(text, library, encoder_of(encoder), rate_hz, own)
+    write_texture(made.texture, output)
+    description = describe(made.texture)
+    lines = [f"{name:11s}{figure}" for name, figure in description.figures(made.texture.unit).items()]
+    if made.guessed:
+        few = f"{len(library.entries)} textures are too few to learn from, expected {words.MIN_TEXTURES}"
+        say(f"a guess: {few}; {made.nearest[0]} was moved by sliders")
+    else:
+        lines.append(
+            f"spread     ± {made.spread_db:.1f} dB of its spectrum; most alike by words: {', '.join(made.nearest)}"
+        )
+    lines.append(f"wrote {output}; next: foten edit {output} --level … --brighter … -o {output}")
+    document = {"output": str(output), **description.to_json(), "spread_db": made.spread_db, "guessed": made.guessed}
+    print_result({**document, "nearest": list(made.nearest)}, "\n".join(lines), as_json)
+
+
+def _from_picture(
+    picture: Path,
+    output: Path | None,
+    scale: float,
+    depth_mm: float | None,
+    tiles: bool,
+    options: dict[str, float | None],
+    seed: int,
+    photo: bool,
+    as_json: bool,
+) -> None:
     from foten.editing import height_map
 
     if not height_map.MIN_SCALE_MM <= scale <= height_map.MAX_SCALE_MM:
         expected = f"expected {height_map.MIN_SCALE_MM:g} to {height_map.MAX_SCALE_MM:g}"
         raise ValueError(f"--scale is {scale:g} mm a pixel, {expected}; was it given in pixels a mm?")
     if photo:
-        refuse("is of a texture, and --photo proposes a period", output=output, tip=tip, mass=mass, modulus=modulus)
+        of_texture = {name: value for name, value in options.items() if name != "scale"}
+        refuse("is of a texture, and --photo proposes a period", output=output, **of_texture)
         _propose(picture, scale, as_json)
         return
     if output is None:
         raise ValueError("expected -o FILE, the texture to write")
     check_texture(output)
+    depth = 0.1 if depth_mm is None else depth_mm
     if not 0 < depth <= height_map.MAX_DEPTH_MM:
         raise ValueError(f"--depth is {depth:g} mm, expected more than 0 and {height_map.MAX_DEPTH_MM:g} at most")
-    _imagine(
-        picture,
-        output,
-        scale,
-        depth,
-        tiles,
-        {"tip_mm": tip, "mass_g": mass, "modulus_mpa": modulus},
-        seconds,
-        seed,
-        as_json,
-    )
+    tool = {"tip_mm": options["tip"], "mass_g": options["mass"], "modulus_mpa": options["modulus"]}
+    _imagine(picture, output, scale, depth, tiles, tool, options["seconds"] or 64.0, seed, as_json)
 
 
 def _propose(picture: Path, scale: float, as_json: bool) -> None:

@@ -74,8 +74,8 @@ def describe(texture: Texture, seed: int = 0) -> Description:
     exponents: list[float | None] = []
     for channel in ("speed", "force"):
         low, high = varied(texture, channel)
-        if high < MIN_RATIO * low:
-            exponents.append(None)
+        if high < MIN_RATIO * low:  # learned at one: the level follows the card's power, where it has one
+            exponents.append(texture.extrapolation_exponent(channel) or None)
             continue
         ends = [(end, force) if channel == "speed" else (speed, end) for end in (low, high)]
         powers = [float(np.square(rendered(texture, *end, SECONDS / 2, seed)).mean()) for end in ends]

@@ -1,0 +1,125 @@
+"""`foten library`: a folder of textures, by what they are like and by words."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+from typer import Argument, Option
+
+from foten.console import JsonOption, TextureFile, print_result, say
+
+if TYPE_CHECKING:
+    from foten.editing.library import Entry
+
+app = typer.Typer(help="A folder of textures, found by what they are like and by words.", no_args_is_help=True)
+Folder = Annotated[Path, Option("--library", metavar="DIR", help="The library.")]
+DEFAULT = Path("library")
+SHOWN = 12
+
+
+@app.command()
+def add(
+    files: list[Path] = Argument(..., metavar="T.foten|MODELS.xml…", help="Textures, or models of Penn's toolkit."),
+    library: Folder = DEFAULT,
+    tag: list[str] | None = Option(None, help="Words for all of them, such as coarse or woven; repeatable."),
+    name: str = Option("", help="What it is called, of one texture."),
+    as_json: JsonOption = False,
+) -> None:
+    """Copy textures into a library, and note what they are like."""
+    from foten.editing.library import open_library
+
+    if name and len(files) != 1:
+        raise ValueError(f"--name is of one texture, got {len(files)}")
+    opened, added = open_library(library, make=True), []
+    for i, file in enumerate(files, 1):
+        added.append(_added(opened, file, tag or [], name))
+        say(f"{i}/{len(files)} {added[-1].name}")
+    result = {"library": str(library), "added": [entry.file for entry in added], "textures": len(opened.entries)}
+    text = f"{library}: {len(opened.entries)} textures; next: foten library list --library {library}"
+    print_result(result, text, as_json)
+
+
+def _added(opened: Any, file: Path, tags: list[str], name: str) -> Entry:
+    if file.suffix.lower() != ".xml":
+        return opened.add(file, tags, name)
+    import hashlib
+    import tempfile
+
+    from foten.datasets.hatt import read_models
+    from foten.models.piecewise_ar.local_models import imported_texture
+    from foten.models.texture_file import write_texture
+
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / f"{file.stem.removeprefix('Models_')}.foten"
+        write_texture(
+            imported_texture(read_models(file), hashlib.sha256(file.read_bytes()).hexdigest(), path.stem)[0], path
+        )
+        return opened.add(path, tags, name)
+
+
+@app.command(name="list")
+def list_(library: Folder = DEFAULT, as_json: JsonOption = False) -> None:
+    """Show what a library holds."""
+    from foten.editing.library import open_library
+
+    entries = open_library(library).entries
+    _print([(None, entry) for entry in entries], "", as_json, len(entries))
+
+
+@app.command()
+def nearest(texture_file: TextureFile, library: Folder = DEFAULT, as_json: JsonOption = False) -> None:
+    """Show the textures that are most like one, by level, centroid, width and roughness, in just noticeable differences."""
+    from foten.editing.library import entry_of, open_library
+    from foten.models.texture_file import read_texture
+
+    entry = entry_of(read_texture(texture_file), texture_file.name)
+    _print(list(open_library(library).nearest(entry)), "distance [JND]", as_json)
+
+
+@app.command()
+def search(
+    text: str = Argument(..., help='Words, such as "coarse denim".'),
+    library: Folder = DEFAULT,
+    encoder: str | None = Option(None, help="A sentence encoder: folder or name.", show_default="a table of words"),
+    as_json: JsonOption = False,
+) -> None:
+    """Show the textures whose names and tags are most like some words."""
+    from foten.editing.library import open_library
+    from foten.editing.words import encoder_of
+
+    _print(list(open_library(library).search(text, encoder_of(encoder))), "likeness", as_json)
+
+
+def _print(rows: list[tuple[float | None, Entry]], measure: str, as_json: bool, shown: int = SHOWN) -> None:
+    from foten.reporting.table import Table
+
+    heads = (
+        "texture",
+        *([measure] if measure else []),
+        "level [dB]",
+        "centroid [Hz]",
+        "width [oct]",
+        "roughness [dB]",
+        "tags",
+    )
+    cells = [
+        (
+            entry.name,
+            *([f"{value:.2f}"] if value is not None else []),
+            f"{entry.description.level_db:+.1f}",
+            f"{entry.description.centroid_hz:.0f}",
+            f"{entry.description.width_octaves:.2f}",
+            f"{entry.description.roughness_db:.2f}",
+            ", ".join(entry.tags),
+        )
+        for value, entry in rows[:shown]
+    ]
+    lines = Table.of(heads, cells).text() if cells else ["no texture"]
+    if len(rows) > shown:
+        lines.append(f"and {len(rows) - shown} more")
+    document = [
+        {"file": entry.file, "name": entry.name, "tags": entry.tags, measure or "value": value} for value, entry in rows
+    ]
+    print_result(document, "\n".join(lines), as_json)

@@ -1,0 +1,189 @@
+"""A folder of textures with an index: what each is like, its name and its tags; the nearest, and what words find."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from foten.atomic_write import atomic_write, write_json
+from foten.dsp import Array
+from foten.editing.describe import SECONDS, Description, describe, rendered, spectrum
+from foten.editing.words import Encoder
+from foten.models.texture_file import Texture, read_texture
+from foten.untrusted import check_regular, parse_json
+
+INDEX = "library.json"
+VERSION = 1
+SUFFIX = ".foten"
+BANDS_HZ = 20.0 * 2 ** (np.arange(17) / 3)  # centres of thirds of an octave, 20 to 806 Hz
+MIN_DENSITY = 1e-18  # (m/s²)²/Hz
+# Just noticeable differences, in which distances are counted: level and centroid or width (Israr & Tan 2006, 0.25 to 0.3 octave);
+# roughness by our choice.
+JND = {"level_db": 2.0, "centroid": 0.3, "width_octaves": 0.3, "roughness_db": 0.5}
+MAX_TAGS = 100
+MAX_TEXTURES = 10_000
+
+
+@dataclass(frozen=True)
+class Entry:
+    """A texture of a library."""
+
+    file: str
+    name: str
+    tags: tuple[str, ...]
+    sha256: str
+    rate_hz: float
+    unit: str
+    evidence: str
+    description: Description
+    bands_db: tuple[float, ...]  # density at the described condition, in `BANDS_HZ` [dB re 1 (m/s²)²/Hz]
+
+    @property
+    def text(self) -> str:
+        """What words are compared with."""
+        return " ".join((self.name, *self.tags)).replace("-", " ").replace("_", " ")
+
+    @property
+    def stem(self) -> str:
+        """The name that namesakes share: `steel-mesh` of `steel-mesh-1` and `Steel Mesh 2`."""
+        words = self.name.lower().replace("_", " ").replace("-", " ").split()
+        return " ".join(word for word in words if not word.isdecimal())
+
+    @property
+    def figures(self) -> Array:
+        """Level, centroid, width and roughness in just noticeable differences, (4,)."""
+        one = self.description
+        values = (one.level_db, np.log2(one.centroid_hz), one.width_octaves, one.roughness_db)
+        return np.array(values) / np.array(list(JND.values()))
+
+    def distance(self, other: Entry) -> float:
+        """Distance of two textures, in just noticeable differences."""
+        return float(np.sqrt(np.square(self.figures - other.figures).sum()))
+
+
+def entry_of(texture: Texture, file: str, tags: Sequence[str] = ()) -> Entry:
+    """What a library notes of a texture."""
+    description = describe(texture)
+    return Entry(
+        file=file,
+        name=texture.card["texture"] or Path(file).stem,
+        tags=tuple(tags),
+        sha256=texture.sha256(),
+        rate_hz=texture.rate_hz,
+        unit=texture.unit,
+        evidence=texture.evidence,
+        description=description,
+        bands_db=tuple(np.round(bands_of(texture, description), 3).tolist()),
+    )
+
+
+def bands_of(texture: Texture, at: Description) -> Array:
+    """Densities in thirds of an octave [dB], (17,), of the rendering at the described condition."""
+    hz, density = spectrum(rendered(texture, at.speed_mm_s, at.force_n, SECONDS), texture.rate_hz)
+    return bands_db(hz, density)
+
+
+def bands_db(hz: Array, density: Array) -> Array:
+    """Mean densities in thirds of an octave [dB], (17,); of a band without a bin, or above the highest, the nearest below."""
+    values, last = [], MIN_DENSITY
+    for centre in BANDS_HZ:
+        inside = (hz >= centre / 2 ** (1 / 6)) & (hz < centre * 2 ** (1 / 6)) & (hz <= 0.96 * hz[-1])
+        last = float(density[inside].mean()) if inside.any() else last
+        values.append(10 * np.log10(max(last, MIN_DENSITY)))
+    return np.array(values)
+
+
+@dataclass
+class Library:
+    """A folder of textures."""
+
+    folder: Path
+    entries: list[Entry]
+
+    def add(self, path: Path, tags: Sequence[str] = (), name: str = "") -> Entry:
+        """Copy a texture into the folder and note what it is like; one of its name is replaced.
+
+        Raises:
+            ValueError: it is no texture file, or the library is full.
+        """
+        texture = read_texture(path)
+        if len(tags) > MAX_TAGS or len(self.entries) >= MAX_TEXTURES:
+            raise ValueError(f"expected {MAX_TAGS} tags at most, and {MAX_TEXTURES:,} textures")
+        file = f"{Path(path).stem}{SUFFIX}"
+        entry = entry_of(texture, file, tags)
+        if name:
+            entry = Entry(**{**vars(entry), "name": name})
+        self.folder.mkdir(parents=True, exist_ok=True)
+        if path.resolve() != (self.folder / file).resolve():
+            with atomic_write(self.folder / file) as part:
+                shutil.copyfile(path, part)
+        self.entries = [*(one for one in self.entries if one.file != file), entry]
+        self.write()
+        return entry
+
+    def write(self) -> None:
+        """Write the index."""
+        write_json(self.folder / INDEX, {"version": VERSION, "textures": [asdict(entry) for entry in self.entries]})
+
+    def nearest(self, to: Entry) -> list[tuple[float, Entry]]:
+        """Other entries by distance, the nearest first."""
+        return sorted(
+            ((to.distance(one), one) for one in self.entries if one.sha256 != to.sha256), key=lambda pair: pair[0]
+        )
+
+    def search(self, text: str, encoder: Encoder) -> list[tuple[float, Entry]]:
+        """Entries by how like their words are to a text, −1 to 1, the most alike first; those of unknown words are left out."""
+        wanted = encoder.encode(text)
+        found = []
+        for entry in self.entries:
+            try:
+                found.append((float(encoder.encode(entry.text) @ wanted), entry))
+            except ValueError:
+                continue
+        return sorted(found, key=lambda pair: -pair[0])
+
+
+def open_library(folder: Path, make: bool = False) -> Library:
+    """The library in a folder; a folder of textures without an index is looked through.
+
+    Args:
+        make: begin an empty one where there is none.
+
+    Raises:
+        FileNotFoundError: there is no such folder.
+        ValueError: its index is damaged.
+    """
+    path = folder / INDEX
+    if not path.exists():
+        if not folder.is_dir() and not make:
+            raise FileNotFoundError(
+                f"no such library: {folder}; 'foten library add T.foten --library {folder}' begins one"
+            )
+        files = sorted(folder.glob(f"*{SUFFIX}")) if folder.is_dir() else []
+        return Library(folder, [entry_of(read_texture(file), file.name) for file in files])
+    check_regular(path)
+    try:
+        document = parse_json(path.read_bytes())
+        if document["version"] != VERSION:
+            raise ValueError(f"version {document['version']}, expected {VERSION}: add its textures again")
+        entries = [_entry(row) for row in document["textures"]]
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
+        raise ValueError(f"{path}: this is no index of a library ({error})") from None
+    return Library(folder, entries)
+
+
+def _entry(row: dict[str, Any]) -> Entry:
+    """An entry of the index, checked."""
+    description = Description(**row["description"])
+    numbers = [value for value in vars(description).values() if value is not None]
+    bands = tuple(float(value) for value in row["bands_db"])
+    if len(bands) != len(BANDS_HZ) or not np.isfinite([*map(float, numbers), *bands]).all():
+        raise ValueError(f"the figures of {row['file']!r} are not finite")
+    if Path(row["file"]).name != row["file"]:
+        raise ValueError(f"{row['file']!r} is no file of its folder")
+    return Entry(**{**row, "description": description, "bands_db": bands, "tags": tuple(map(str, row["tags"]))})
