@@ -292,7 +292,7 @@ def test_render_says_what_became_of_samples_outside_the_range(
     entries["extrapolation_exponents"] = {"speed": 0.0, "force": 0.0}
     write_texture(dataclasses.replace(texture_, card={**texture_.card, **entries}), held)
     for speed, messages in (
-        ("1", "speed was below 5 mm/s or force below 0.3 N for 100.0 %; the vibration falls there"),
+        ("1", "speed was below 5 mm/s or force below 0.3 N for 100.0 %; the vibration falls there, to silence at rest"),
         ("200", "speed was above the trained 150 mm/s for 100.0 %; the level was held there"),
     ):
         capsys.readouterr()
@@ -310,7 +310,7 @@ RENDER = ("render", "{tex}", "-o", "{out}.wav", "--speed", "1", "--force", "1")
 @pytest.mark.parametrize(
     ("arguments", "match"),
     [
-        (["train", "{rec}", "-o", "{out}.foten"], "use --rate 1000 --trim 0 --block 500"),
+        (["train", "{rec}", "-o", "{out}.foten", "--trim", "2000"], "use --rate 1000 --trim 0 --block 500"),
         ([*TRAIN, "--rate", "5000"], "never upsampled"),
         ([*TRAIN, "--model", "fotan"], "expected one of foten-plus, foten, ten"),
         ([*TRAIN, "--recipe", "mine"], "expected one of default, paper"),

@@ -136,7 +136,8 @@ def test_a_tap_beside_strokes_does_not_cut_their_blocks_short(takes: Recording) 
         (60.0, 1, (2000.0, 2000.0)),  # the defaults
         (40.0, 1, (2000.0, 1000.0)),  # of which three blocks would judge it
         (20.0, 1, (0.0, 500.0)),
-        (8.0, 1, (2000.0, 2000.0)),  # refused with options
+        (5.0, 1, (0.0, 200.0)),  # few strokes
+        (3.0, 1, (2000.0, 2000.0)),  # refused with options
         (20.0, 4, (0.0, 2000.0)),
         (8.0, 4, (0.0, 1000.0)),
         (5.0, 6, (0.0, 500.0)),

@@ -326,6 +326,56 @@ def benchmark(name: str) -> Table:
     return Table.of(head, rows)
 
 
+FEW_STROKES: Mapping[str, str] = {
+    "before": "before: fade below, hold above",
+    "held": "held",
+    "law": "law",
+    "ours": "ours",
+    "full": "64 s of a moving hand",
+}
+"""Policies of docs/make/few_strokes.py, as people read them."""
+
+
+def few_strokes(real: bool) -> Table:
+    """Errors at speeds and forces that were not recorded, by policy."""
+    path = RESULTS / "few-strokes.csv"
+    rows = list(csv.DictReader(path.open(encoding="utf-8"))) if path.exists() else []
+    rows = [row for row in rows if (row["lsd_db"] == "") == real]
+
+    def figure(policy: str, name: str, texture: str = "") -> Number:
+        of = [float(row[name]) for row in rows if row["policy"] == policy and texture in ("", row["texture"])]
+        return mean_number([np.array(of)], 2)
+
+    if real:
+        textures = dict.fromkeys(row["texture"] for row in rows)
+        heads = ("level error [dB]", *textures)
+        return Table.of(
+            heads, [(p, *(figure(p, "level_error_db", t) for t in textures)) for p in ("held", "law") if rows]
+        )
+    heads = ("", "level error [dB]", "log-spectral distance [dB]")
+    named = FEW_STROKES.items() if rows else ()
+    return Table.of(heads, [(words, figure(p, "level_error_db"), figure(p, "lsd_db")) for p, words in named])
+
+
+def words_worth() -> Table:
+    """What names are worth over a library, by method."""
+    path = RESULTS / "words.csv"
+    rows = list(csv.DictReader(path.open(encoding="utf-8"))) if path.exists() else []
+    figures = {"lsd": "_db", "level": "_error_db", "emd": "_octaves"}
+    cells = [
+        (
+            row["method"],
+            *(
+                f"{float(row[name + unit]):.2f} ± {float(row[f'{name}_interval']):.2f}"
+                for name, unit in figures.items()
+            ),
+        )
+        for row in rows
+    ]
+    heads = ("", "log-spectral distance [dB]", "level error [dB]", "earth mover's [octave]")
+    return Table.of(heads, cells)
+
+
 def sentences(name: str) -> str:
     """What an experiment's runs say, as a list."""
     records = records_of(name)
@@ -357,6 +407,11 @@ TABLES: dict[str, dict[str, Callable[[], Table | str]]] = {
         "csv": partial(listed, *MAIN, "listener", "ingredients", "validation-listener"),
     },
     "listener.md": {"listener": listener, "recorded-longer": recorded_longer},
+    "less-than-a-recording.md": {
+        "few-strokes": partial(few_strokes, real=False),
+        "few-strokes-real": partial(few_strokes, real=True),
+        "words": words_worth,
+    },
     "model.md": {"random-part": partial(benchmark, "random-part")},
     "compared.md": {
         "table-1-small": partial(of_experiment, "table-1-small", compared),

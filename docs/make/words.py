@@ -3,8 +3,9 @@
     python docs/make/words.py --library DIR [--encoder NAME] [--csv FILE]
 
 Spectra in thirds of an octave, at the described condition and, by the powers of speed and force that go with each, at twelve more
-(30 to 200 mm/s, 0.3 to 2 N). `sliders` is a parabola in dB over octaves with the truth's level, centroid and width: what a user
-who knows them can set without a library. Figures are means over textures with 95 % intervals by the jackknife; dB, and octaves.
+(30 to 200 mm/s, 0.3 to 2 N). `sliders` is a parabola in dB over octaves, down to 30 dB below its peak, with the truth's level,
+centroid and width: what a user who knows them can set without a library. Figures are means over textures with 95 % intervals;
+dB, and octaves.
 """
 
 from __future__ import annotations
@@ -48,7 +49,7 @@ def parabola(entry: Entry) -> np.ndarray:
     """A spectrum of a level, a centroid and a width alone, and the law: (19,)."""
     one, octave = entry.description, np.log2(BANDS_HZ)
     shape = -0.5 * np.square((octave - np.log2(one.centroid_hz)) / one.width_octaves) - np.log(BANDS_HZ)
-    power = np.exp(shape)
+    power = np.maximum(np.exp(shape), 1e-3 * np.exp(shape).max())  # 30 dB below its peak it ends
     width_hz = BANDS_HZ * (2 ** (1 / 6) - 2 ** (-1 / 6))
     power *= 10 ** (one.level_db / 10) / (power * width_hz).sum()
     return np.append(10 * np.log10(np.maximum(power, 1e-18)), LAW)
@@ -73,8 +74,10 @@ def predictions(i: int, entries: list[Entry], values: np.ndarray, encoder: str |
 
 
 def interval(figures: np.ndarray) -> float:
-    """Half of a 95 % interval of a mean, by the jackknife."""
-    return float(2.06 * figures.std(ddof=1) / np.sqrt(len(figures)))
+    """Half of a 95 % interval of a mean, by Student's t."""
+    from scipy.special import stdtrit
+
+    return float(stdtrit(len(figures) - 1, 0.975) * figures.std(ddof=1) / np.sqrt(len(figures)))
 
 
 def main() -> None:

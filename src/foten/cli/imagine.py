@@ -19,7 +19,7 @@ def imagine(
         None, metavar="DIR", help="Of words: a library of 15 textures or more.", show_default="foten's few, and a guess"
     ),
     encoder: str | None = Option(
-        None, help="Of words: a sentence encoder, a folder or a name (foten[words]).", show_default="a table of words"
+        None, help="Of words: a sentence encoder, a folder or a name; extra words.", show_default="a table of words"
     ),
     rate: float | None = Option(None, help="Of words: rate of the texture (Hz).", show_default="1000"),
     scale: float | None = Option(None, metavar="MM", help="Of a pixel (mm)."),

@@ -26,7 +26,7 @@ from foten.models.texture_file import Texture, read_texture
 
 MIN_TEXTURES = 15  # of a library, below which words only move sliders
 LENGTHS = (0.0, 0.5, 0.8, 1.2, 2.0)  # of the Gaussian process, in distances of unit vectors; 0 for the linear kernel
-NOISES = (0.1, 0.3, 1.0, 3.0, 10.0)  # λ, re the kernel's own variance
+NOISES = (0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 1e6)  # λ, re the kernel's own variance; the last is the mean of all
 LAW = (0.95, 0.33)  # powers of speed and force where a library does not say
 SLIDERS = {
     "level_db": (4.0, "rough coarse bumpy jagged gritty", "smooth soft silky slick fine"),

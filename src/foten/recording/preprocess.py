@@ -22,6 +22,7 @@ SHORT_BLOCKS_MS = (2000.0, 1000.0, 500.0, 200.0, 100.0)  # of a recording too sh
 BLOCKS_OF_TAKE = 6  # of the shortest take: what is left over at its end is a twelfth of it on the mean
 ENOUGH_BLOCKS = 9  # of a split: two validate and two test
 JUDGED_BLOCKS = 23  # of a split: five test, from which intervals are drawn
+MIN_ALONE_S = 4.0  # of a recording by itself, that blocks are chosen for unasked
 MAX_TRIMMED = 0.1  # share of a recording that may be trimmed unasked
 ENOUGH_SAMPLES = 5000  # to train on, by our choice; below it a higher rate is suggested
 WRONG_SIGN = (5.0, 0.5)  # mm/s, N; what noise takes a magnitude below zero at most
@@ -105,11 +106,11 @@ def fitting_cut(recording: Recording) -> tuple[float, float]:
     """Trim and block [ms] that fit a recording: the defaults of a long one, shorter ones where too few blocks would judge it.
 
     Nothing is trimmed where that would cost more than a tenth. Each take gives `BLOCKS_OF_TAKE` blocks where it can; one of less
-    than a quarter of the usual length is no measure for the others. A single short recording needs options that a user chooses
-    (`fitting_options`).
+    than a quarter of the usual length is no measure for the others. A single recording of less than `MIN_ALONE_S` needs options
+    that a user chooses (`fitting_options`).
     """
     lengths_ms, config = np.array([1000 * take.duration_s for take in recording.takes]), PreprocessConfig()
-    if lengths_ms.size == 1 and lengths_ms[0] < 1000 * config.shortest_s:
+    if lengths_ms.size == 1 and lengths_ms[0] < 1000 * MIN_ALONE_S:
         return config.trim_ms, config.block_ms
     usual = lengths_ms >= 0.25 * np.median(lengths_ms)
     trim_ms = config.trim_ms if 2 * config.trim_ms <= MAX_TRIMMED * lengths_ms[usual].min() else 0.0

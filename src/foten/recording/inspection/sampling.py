@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from foten.recording.inspection.one_channel import slow_noise
 from foten.recording.inspection.speed_force import HAND_HZ
 from foten.recording.inspection.values import NOTE, PROBLEM, UNUSABLE, Finding, counted, places, swing
-from foten.recording.preprocess import PreprocessConfig
+from foten.recording.preprocess import MIN_ALONE_S, PreprocessConfig
 from foten.recording.recording import UNITS, Channel, Recording
 from foten.recording.split import MIN_BLOCKS
 
@@ -49,7 +49,11 @@ def check_durations(recording: Recording) -> Iterable[Finding]:
 def check_short(seconds: float, options: str) -> Iterable[Finding]:
     """Yield a note where all channels cover less than the defaults of training need, with the options that fit if any do."""
     config = PreprocessConfig()
-    if seconds < config.shortest_s:
+    if MIN_ALONE_S <= seconds < config.shortest_s:
+        cut = f"nothing is trimmed, and blocks are short; of {config.shortest_s:g} s or more they are of 2 s"
+        text = f"it lasts {seconds:.2f} s: {cut}"
+        yield Finding(NOTE, "short", "", text)
+    elif seconds < config.shortest_s:
         advice = f"train with {options}" if options else "too short to learn from; record for longer"
         needs = (
             f"trimming {config.trim_ms / 1000:g} s at both ends, {MIN_BLOCKS} blocks of {config.block_ms / 1000:g} s"
