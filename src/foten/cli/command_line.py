@@ -24,6 +24,7 @@ from foten.cli.machine import bench, devices, doctor
 from foten.cli.recordings import import_, inspect, simulate
 from foten.cli.render import play, render
 from foten.cli.serve import serve
+from foten.cli.tool import app as tool
 from foten.cli.train import train
 from foten.console import say
 from foten.study.commands import app as study
@@ -86,6 +87,7 @@ for _panel, _commands in _PANELS.items():
         app.command(_command.__name__.rstrip("_"), rich_help_panel=_panel)(_command)
     if _panel == "Change a texture":
         app.add_typer(library, name="library", rich_help_panel=_panel)
+        app.add_typer(tool, name="tool", rich_help_panel=_panel)
     if _panel == "Compare":
         app.add_typer(study, name="study", rich_help_panel=_panel)
 

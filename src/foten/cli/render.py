@@ -92,6 +92,7 @@ class RenderOptions(StrokeOptions):
     texture_file: TextureFile
     output: list[Path] = Option(..., "-o", "--output", help=".wav (float, m/s²), .csv, .npz or .png; repeatable.")
     audible: Path | None = Option(None, metavar="FILE.wav", help="Also as sound, 48 kHz, 16 bits.")
+    tool: Path | None = Option(None, metavar="TOOL.json", help="As another tool feels it, of 'foten tool measure'.")
     deterministic: Deterministic = False
 
     def __post_init__(self) -> None:
@@ -112,6 +113,10 @@ def render(options: RenderOptions) -> None:
     written = [*output] if audible is None else [*output, audible]
     check_files(written)
     texture = read_texture(options.texture_file)
+    if options.tool is not None:
+        from foten.editing.tool import read_transfer, transferred
+
+        texture = transferred(texture, read_transfer(options.tool))
     rate = texture.rate_hz
     if audible is not None:
         sinks.audible_factor(rate)
