@@ -359,6 +359,42 @@ def at_the_server(page: Any) -> None:
     page.keyboard.press("Escape")
 
 
+def test_sliders_move_the_texture_under_the_hand_and_save_it(browser: Any, link: str) -> None:
+    """What is heard is louder by what the slider says, what is said is where it comes from, and what is saved is that."""
+    with opened(browser, link) as page:
+        page.click("#textures .swatch >> text=Towel")
+        until(page, f"{STATE}.sound.id === 'towel.foten'")
+        plain = recorded(page, lambda: Pen(page).stroke(page))
+        page.keyboard.press("Escape")
+        page.click("#tune-it")
+        assert page.is_disabled("#tune-save")
+        assert look(page, "tune") == []
+        page.set_viewport_size({"width": 1280, "height": 720})
+        page.evaluate(
+            """() => {
+              const one = document.querySelector("#tune-level");
+              one.value = 6;
+              one.dispatchEvent(new Event("input", { bubbles: true }));
+            }"""
+        )
+        until(page, f"{STATE}.sound.id.startsWith('tuned-')")
+        page.evaluate("document.querySelector('#tune-level').dispatchEvent(new Event('change', { bubbles: true }))")
+        until(page, "!document.querySelector('#tune-save').disabled", 30)
+        assert page.inner_text("#now-range").startswith("edited: level +6 dB, not measured")
+        louder = recorded(page, lambda: Pen(page).stroke(page))
+        levels = [10 * np.log10(np.mean(one["samples"].astype(float) ** 2)) for one in (plain, louder)]
+        assert levels[1] - levels[0] == pytest.approx(6, abs=3)  # of two strokes
+        page.keyboard.press("Escape")
+        with page.expect_download() as download:
+            page.click("#tune-save")
+        assert download.value.suggested_filename == "towel-edited.foten"
+        assert "edited: level +6 dB" in read_texture(download.value.path()).evidence
+        page.click("#tune button[type=reset]")
+        until(page, f"{STATE}.sound.id === 'towel.foten'")
+        page.click("#tune-it")
+        assert not page.is_visible("#tune")
+
+
 def test_a_file_that_is_dropped_is_rendered_here_or_refused_in_a_line(browser: Any, link: str, tmp_path: Path) -> None:
     data, texture, path = EXAMPLE.read_bytes(), read_texture(EXAMPLE), tmp_path / "hostile.foten"
     with opened(browser, link) as page:

@@ -376,6 +376,18 @@ def words_worth() -> Table:
     return Table.of(heads, cells)
 
 
+def tools_worth() -> Table:
+    """What a tool's filter is worth, by method."""
+    path = RESULTS / "tools.csv"
+    rows = list(csv.DictReader(path.open(encoding="utf-8"))) if path.exists() else []
+    pairs = (("level_error_db", "level_se"), ("lsd_db", "lsd_se"))
+    cells = [
+        (row["tools"], row["method"], *(f"{float(row[name]):.1f} ± {float(row[error]):.1f}" for name, error in pairs))
+        for row in rows
+    ]
+    return Table.of(("", "", "level error [dB]", "log-spectral distance [dB]"), cells)
+
+
 def sentences(name: str) -> str:
     """What an experiment's runs say, as a list."""
     records = records_of(name)
@@ -410,6 +422,7 @@ TABLES: dict[str, dict[str, Callable[[], Table | str]]] = {
     "less-than-a-recording.md": {
         "few-strokes": partial(few_strokes, real=False),
         "few-strokes-real": partial(few_strokes, real=True),
+        "tools": tools_worth,
         "words": words_worth,
     },
     "model.md": {"random-part": partial(benchmark, "random-part")},

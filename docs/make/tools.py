@@ -4,8 +4,9 @@
 
 Simulated: a sphere of 0.5 to 1 mm, and one 1.6 times as large on 0.6 of the mass. The transfer is measured on one surface, 24 s
 under a moving hand, and applied to textures of five others, learned from 64 s of the first tool without a network; judged against
-the second tool at six steady conditions. `own` is learned from the second tool. With --pens, spectra of eight pens at 15 conditions,
-twice: measured at 100 mm/s and 1.5 N, judged at the others in the other repeat, over all pairs. Means ± standard errors; dB.
+the second tool at six steady conditions. `own` is learned from the second tool. With --pens, spectra of eight pens at 15
+conditions, twice: measured at 100 mm/s and 1.5 N, judged at the others in the other repeat, over all pairs. Means ± standard
+errors; dB.
 """
 
 from __future__ import annotations
@@ -61,10 +62,8 @@ def recorded(key: str, other: bool, stroke: Stroking, seed: int) -> Recording:
 def simulated(measured_on: str) -> Iterator[tuple[str, float, float]]:
     """Method, level error and log-spectral distance of each other surface."""
     cut = PreprocessConfig(trim_ms=0.0)
-    both = [
-        preprocess(recorded(measured_on, other, stroking(MEASURED_SECONDS, 20 + other, RATE_HZ), 1), cut)
-        for other in (False, True)
-    ]
+    strokes = [stroking(MEASURED_SECONDS, seed, RATE_HZ) for seed in (20, 21)]
+    both = [preprocess(recorded(measured_on, bool(other), stroke, 1), cut) for other, stroke in enumerate(strokes)]
     transfer = fitted_transfer(both[:1], both[1:])
     gain_db = float(20 * np.log10(both[1].acceleration.std() / both[0].acceleration.std()))
     for key in SURFACES:

@@ -10,7 +10,7 @@ import numpy as np
 from foten.dsp import Array
 from foten.dsp.speed_force_table import FORCE_FLOOR, SpeedForceTable
 from foten.editing.describe import Description, describe, steady_figures
-from foten.editing.edit import UNMEASURED, with_level, with_spectrum
+from foten.editing.edit import N_STEPS, UNMEASURED, with_level, with_spectrum
 from foten.models.excitation import Excitation, Scale
 from foten.models.foten_plus.definition import lattice_tensors, table_tensors
 from foten.models.foten_plus.sizes import N_INPUTS, N_PHASE_INPUTS, FotenPlusSizes
@@ -84,12 +84,23 @@ class _Side:
         return own
 
 
-def blend(first: Texture, second: Texture, at: float, seed: int = 0) -> Texture:
+def blend(
+    first: Texture,
+    second: Texture,
+    at: float,
+    seed: int = 0,
+    descriptions: tuple[Description, Description] | None = None,
+    n_steps: int = N_STEPS,
+) -> Texture:
     """The texture at a share of the way from a first to a second, 0 to 1, proved.
 
     Level, centroid and width at the described condition lie between those of the two: level in decibels, centroid over log
     frequency. The level over speed and force is blended in decibels; reflection coefficients linearly, so that every point is
     stable; tones in amplitude, once in step, and their periods over log length. The random part is that of the nearer one.
+
+    Args:
+        descriptions: of both, where they are known.
+        n_steps: of the search for centroid and width; 0 leaves them as they come.
 
     Raises:
         ValueError: `at` is out of range, the rates differ, or a model cannot be blended.
@@ -99,11 +110,12 @@ def blend(first: Texture, second: Texture, at: float, seed: int = 0) -> Texture:
     check_blendable(first, second)
     if at in (0.0, 1.0):
         return second if at else first
-    descriptions = describe(first, seed), describe(second, seed)
+    target = between(*(descriptions or (describe(first, seed), describe(second, seed))), at)
     blended = _blended(first, second, at)
-    target = between(*descriptions, at)
-    now = describe(blended, seed)
-    blended = with_spectrum(blended, now, replace(target, speed_mm_s=now.speed_mm_s, force_n=now.force_n), seed)
+    if n_steps:
+        now = describe(blended, seed)
+        here = replace(target, speed_mm_s=now.speed_mm_s, force_n=now.force_n)
+        blended = with_spectrum(blended, now, here, seed, n_steps)
     level_db = 20 * float(np.log10(max(steady_figures(blended, seed).rms, 1e-15)))
     return with_level(blended, target.level_db - level_db)
 

@@ -60,6 +60,7 @@ class Studio:
         self.trainings = TrainingQueue(captures, shelf)
         self.capture_pages: set[CapturePage] = set()
         self._matching = asyncio.Lock()
+        self._tuning = asyncio.Lock()
         self.pages: set[StrokePage] = set()
         self.n_refused = 0
 
@@ -70,6 +71,7 @@ class Studio:
             Route("/textures/{key}", self._texture),
             Route("/pictures/{name}", self._picture),
             Route("/gains", self._gains),  # ?texture=A&texture=B
+            Route("/tuned", self._tuned),  # ?texture=A&brighter=0.5&other=B&at=0.3&exact=1
             Route("/state", self._state),
             WebSocketRoute("/stroke", self._stroke),
             WebSocketRoute("/capture", self._capture),
@@ -112,6 +114,22 @@ class Studio:
                 return JSONResponse({"gains_db": await asyncio.to_thread(gains)})
         except ValueError as error:
             return missing(f"cannot be compared: {error}")
+
+    async def _tuned(self, request: Request) -> Response:
+        query = request.query_params
+        entry, other = self.shelf.get(query.get("texture", "")), self.shelf.get(query.get("other", ""))
+        if entry is None or ("other" in query and other is None):
+            return missing("there is no such texture here")
+        from foten.studio.tuning import moves_of, tuned
+
+        try:
+            moves = moves_of(query)
+            async with self._tuning:  # one at a time: a page asks again and again
+                path = None if other is None else other.path
+                data = await asyncio.to_thread(tuned, entry.path, path, moves, query.get("exact") == "1")
+        except (OSError, ValueError) as error:
+            return missing(f"{entry.name} cannot be moved so: {error}")
+        return Response(data, media_type="application/octet-stream")
 
     async def _state(self, _request: Request) -> Response:
         pages = [page.state() for page in self.pages]

@@ -6,6 +6,7 @@ import { Settings } from "./settings.js";
 import "./foten-pad.js";
 import { Taken } from "./stroke.js";
 import { Capture } from "./capture.js";
+import { Tune } from "./tune.js";
 
 const TAP_PX = 10; // that a finger moves as it taps
 
@@ -19,6 +20,8 @@ const monitor = new Monitor({
 });
 const settings = new Settings($("panel"), sound, pad);
 const taken = new Taken($("taken"), { sound, pad, groups: () => groups, use, unit: () => $("acceleration-unit").textContent });
+const others = () => textures.filter((one) => one !== chosen && one.method === "foten-plus" && !one.card);
+const tune = new Tune($("tune"), sound, { one: () => chosen, others, played: about, say });
 const pictures = new Map(); // by a texture's id: what surface.js made
 let textures = [], groups = [], chosen = null, blind = null, server = false, cannotTrain = "";
 
@@ -106,6 +109,7 @@ function mark() {
   for (const swatch of document.querySelectorAll("#textures .swatch"))
     swatch.setAttribute("aria-pressed", String(mine?.[0].id === swatch.dataset.id));
   $("compare").hidden = !mine || mine.length < 2;
+  $("tune-it").hidden = !server || !chosen || Boolean(chosen.card) || chosen.method !== "foten-plus";
 }
 
 /** Have a texture rendered: here, or by the server where its network is one that only that runs. */
@@ -125,9 +129,11 @@ async function ready(texture) {
 
 /** Put a texture under the pen; its sound follows where it plays already. */
 async function use(texture) {
+  const another = chosen !== texture;
   chosen = texture;
   hush();
   mark();
+  if (another && tune.shown) $("tune-it").hidden || blind ? tuning(false) : tune.fill();
   const info = paint(blind ? listed(texture) : texture).then(({ canvas, mm, took }) => {
     if (chosen !== texture) return;
     pad.setTile(canvas, mm);
@@ -138,11 +144,16 @@ async function use(texture) {
     await ready(texture);
     if (chosen !== texture) return;
     sound.use(texture.id);
-    const card = cardOf(await texture.bytes);
-    $("now-range").textContent = blind ? "" : [card.evidence || `learned at ${ranges(card)}`, ...creditOf(card)].join(" · ");
+    about(await texture.bytes);
     showUnit();
   }
   await info;
+}
+
+/** Say where what plays was learned, or from what it was made, and whom to name. */
+function about(bytes) {
+  const card = cardOf(bytes);
+  $("now-range").textContent = blind ? "" : [card.evidence || `learned at ${ranges(card)}`, ...creditOf(card)].join(" · ");
 }
 
 /** What is drawn is what is rendered: acceleration, or an actuator's drive. */
@@ -197,6 +208,22 @@ sound.addEventListener("failed", ({ detail }) => say(detail));
 sound.addEventListener("recorded", ({ detail }) => taken.show(detail, listed(chosen)));
 $("settings").addEventListener("click", () => settings.show());
 
+/** Show the sliders that change the texture, or hide them. */
+function tuning(on) {
+  $("tune-it").setAttribute("aria-pressed", String(on));
+  tune.show(on);
+}
+
+$("tune-it").addEventListener("click", () => attempt(async () => {
+  const on = !tune.shown;
+  if (on) {
+    endBlind();
+    await begin();
+    if (sound.server) await settings.render(""); // what is moved is rendered here
+  }
+  tuning(on);
+}));
+
 // Recording
 
 $("record").addEventListener("click", () => attempt(async () => {
@@ -225,6 +252,7 @@ const preferred = new Map(); // by the texture's title: how often each method wa
 $("compare").addEventListener("click", () => attempt(async () => {
   if (blind) return reveal();
   await begin();
+  tuning(false);
   const group = groups.find((one) => one.includes(chosen)), order = shuffled(group);
   for (const one of order) await ready(one);
   const gains = await gainsOf(order);

@@ -1,0 +1,70 @@
+"""Textures of the server moved by sliders, for the page that strokes them meanwhile."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import lru_cache
+from pathlib import Path
+
+from foten.editing.blend import blend
+from foten.editing.describe import Description, describe, period_of
+from foten.editing.edit import N_STEPS, Edit, moved_by
+from foten.models.texture_file import Texture, read_texture
+
+SLIDERS = {"level": 12.0, "brighter": 1.5, "wider": 0.6, "period": 1.0, "at": 1.0}
+"""Largest size of each slider: dB, octaves, octaves, octaves of the period, share of the way to another texture."""
+
+
+@lru_cache(maxsize=16)
+def _known(path: Path, modified_ns: int) -> tuple[Texture, Description]:
+    """A texture and its description, until its file changes."""
+    texture = read_texture(path)
+    return texture, describe(texture)
+
+
+def known(path: Path) -> tuple[Texture, Description]:
+    return _known(path, path.stat().st_mtime_ns)
+
+
+def moves_of(query: Mapping[str, str]) -> dict[str, float]:
+    """The sliders of a request, those in the middle left out; ValueError where one is no number within its range."""
+    moves = {}
+    for name, most in SLIDERS.items():
+        try:
+            value = float(query.get(name, "0"))
+        except ValueError:
+            raise ValueError(f"{name} is no number") from None
+        if not -most <= value <= most or (name == "at" and value < 0):
+            raise ValueError(f"{name} is {value:g}, expected {-most if name != 'at' else 0:g} to {most:g}")
+        if value:
+            moves[name] = value
+    return moves
+
+
+def tuned(path: Path, other: Path | None, moves: Mapping[str, float], exact: bool) -> bytes:
+    """A texture blended with another and moved, as a file's bytes.
+
+    Args:
+        exact: search until centroid and width are what was asked, as `foten edit` does; else one step towards them, for a slider
+            that moves.
+
+    Raises:
+        ValueError: it cannot be moved so.
+    """
+    texture, description = known(path)
+    if other is not None and moves.get("at"):
+        towards, its = known(other)
+        own = (description, its)
+        n_steps = N_STEPS if exact and not moves.keys() & {"brighter", "wider"} else 0  # which search by themselves
+        texture = blend(texture, towards, moves["at"], 0, own, n_steps)
+        description = describe(texture)
+    period = period_of(texture)
+    edit = Edit(
+        level_db=moves.get("level", 0.0),
+        brighter=moves.get("brighter", 0.0),
+        wider=max(moves.get("wider", 0.0), 0.05 - description.width_octaves),
+        period_mm=period * 2 ** moves["period"] if period is not None and "period" in moves else None,
+    )
+    if edit == Edit():
+        return texture.to_bytes()
+    return moved_by(texture, edit, description, 0, N_STEPS if exact else 1).to_bytes()
