@@ -10,8 +10,8 @@
 #include "resample.h"
 #include "stylus.h"
 
-enum { QUIET_EVERY = 4096 };                                        /* samples */
-static const double FADE[2] = {FOTEN_FADE_SPEED, FOTEN_FADE_FORCE}; /* mm/s and N below which a texture fades */
+enum { QUIET_EVERY = 4096 };                                           /* samples */
+static const double FADE[2] = {FOTEN_FADE_SPEED, FOTEN_FADE_FORCE};    /* mm/s and N below which a texture fades */
 static const double REACH[2] = {FOTEN_REACH_SPEED, FOTEN_REACH_FORCE}; /* that a level grows to at least */
 
 _Static_assert(ATOMIC_LLONG_LOCK_FREE == 2, "a condition is set without waiting: 64 bits have to be written at once");
