@@ -152,8 +152,8 @@ def test_tables_are_what_the_results_give() -> None:
 
 
 def test_the_repository_is_small() -> None:
-    """7 MB (1.1 of them word vectors), 580 files (sources, tests and pages: no results beyond the CSV, nor settings, which begin with a dot), and 200 kB
-    of each experiment.
+    """7 MB, of which 1.1 are word vectors; 580 files (sources, tests and pages: no results beyond the CSV, nor settings, which
+    begin with a dot); and 200 kB of each experiment.
     """
     listed = subprocess.run(["git", "ls-files", "-z"], cwd=ROOT, capture_output=True, check=False)
     if listed.returncode:
