@@ -310,7 +310,10 @@ RENDER = ("render", "{tex}", "-o", "{out}.wav", "--speed", "1", "--force", "1")
 @pytest.mark.parametrize(
     ("arguments", "match"),
     [
-        (["train", "{rec}", "-o", "{out}.foten", "--trim", "2000", "--block", "2000"], "use --rate 1000 --trim 0 --block 500"),
+        (
+            ["train", "{rec}", "-o", "{out}.foten", "--trim", "2000", "--block", "2000"],
+            "use --rate 1000 --trim 0 --block 500",
+        ),
         ([*TRAIN, "--rate", "5000"], "never upsampled"),
         ([*TRAIN, "--model", "fotan"], "expected one of foten-plus, foten, ten"),
         ([*TRAIN, "--recipe", "mine"], "expected one of default, paper"),
