@@ -1,0 +1,165 @@
+"""Adaptive measurements with people: a detection threshold, and a point that is preferred over all others.
+
+Both keep a posterior over what is asked for, show what tells most about it, and go on from the answer:
+
+    p(θ | answers) ∝ p(θ) Π p(answer | θ, shown)        shown = argmax I(θ; answer)
+
+Source: the threshold after Watson, "QUEST+: a general multidimensional Bayesian adaptive psychometric method", Journal of Vision
+17 (2017); the point after Coombs, "A theory of data" (1964): of two, the nearer to one's own ideal is chosen.
+"""
+
+from __future__ import annotations
+
+from itertools import product
+
+import numpy as np
+
+from foten.dsp import Array
+
+SLOPES = (0.1, 0.2, 0.35)  # of the psychometric function, a dB
+LAPSES = (0.01, 0.05, 0.1)  # share of answers that have nothing to do with what was shown
+SENSITIVITIES = (0.5, 1.0, 2.0)  # of a choice, a just noticeable difference
+N_PARTICLES = 4000
+N_PAIRS = 200  # tried before each choice
+SHRINK = 0.98  # of particles towards their mean where they are drawn anew (Liu and West, 2001)
+
+
+class ThresholdSearch:
+    """Threshold of detection in a choice between places or intervals, of which one holds something [dB].
+
+        search = ThresholdSearch(-60.0, 20.0)
+        level = search.stimulus()            # show it in one of three places
+        search.answer(level, correct=True)   # until search.sd is small enough
+
+    P(correct) = guess + (1 − guess − lapse) · Weibull(slope · (level − threshold)). Slope and lapse are unknown too.
+
+    Args:
+        low, high: of levels [dB], a step of 1 apart for the threshold and 2 for what is shown.
+        guess: share of correct answers where nothing is felt: one over the number of places.
+        expected: mean and standard deviation of thresholds over people [dB]; None for all alike.
+    """
+
+    def __init__(
+        self, low: float, high: float, guess: float = 1 / 3, expected: tuple[float, float] | None = None
+    ) -> None:
+        if not high - low >= 4:
+            raise ValueError(f"levels from {low:g} to {high:g} dB, expected a range of 4 dB or more")
+        if not 0 < guess < 0.8:
+            raise ValueError(f"guess is {guess:g}, expected one over the number of places")
+        self.levels = np.arange(low, high + 0.5, 2.0)
+        self._thresholds = np.arange(low, high + 0.5, 1.0)
+        grid = np.array(list(product(self._thresholds, SLOPES, LAPSES)))
+        self._threshold = grid[:, 0]
+        threshold, slope, lapse = grid.T
+        correct = [detected(level, threshold, slope, lapse, guess) for level in self.levels]
+        self._correct = np.stack(correct)  # (levels, θ)
+        prior = np.ones(len(grid))
+        if expected is not None:
+            prior = np.exp(-0.5 * np.square((self._threshold - expected[0]) / expected[1]))
+        self._posterior = prior / prior.sum()
+        self.n_answers = 0
+
+    @property
+    def threshold(self) -> float:
+        """Mean of the posterior [dB]."""
+        return float(self._posterior @ self._threshold)
+
+    @property
+    def sd(self) -> float:
+        """Its standard deviation [dB]."""
+        return float(np.sqrt(self._posterior @ np.square(self._threshold - self.threshold)))
+
+    def stimulus(self) -> float:
+        """The level that tells most [dB]."""
+        return float(self.levels[np.argmax(_information(self._correct, self._posterior))])
+
+    def answer(self, level: float, correct: bool) -> None:
+        """Take in an answer to a level of `levels`."""
+        p = self._correct[int(np.argmin(np.abs(self.levels - level)))]
+        self._posterior = self._posterior * (p if correct else 1 - p)
+        self._posterior = self._posterior / self._posterior.sum()
+        self.n_answers += 1
+
+
+def detected(level: float, threshold: Array, slope: Array, lapse: Array, guess: float) -> Array:
+    """Share of correct answers at a level [dB]: Weibull's function, 63 % of the way up at the threshold."""
+    felt = 1 - np.exp(-(10 ** (slope * (level - threshold) / 2)))
+    return np.asarray(guess + (1 - guess - lapse) * felt)
+
+
+class PreferenceSearch:
+    """The point of a box that someone likes best, by choices between two.
+
+        search = PreferenceSearch(4, seed=0)
+        first, second = search.pair()                  # points, (d,), −1 … 1 each
+        search.answer(first, second, chose_first=True)
+
+    P(first) = lapse/2 + (1 − lapse) · logistic(β (|second − x| − |first − x|)), x the ideal point, distances in units of `jnd`.
+
+    Args:
+        n: dimensions.
+        jnd: a just noticeable difference of each dimension, as a share of half of its range.
+        seed: of the particles and the pairs.
+    """
+
+    def __init__(self, n: int, jnd: float = 0.2, seed: int = 0) -> None:
+        self._rng, self._jnd = np.random.default_rng(seed), jnd
+        self._points = self._rng.uniform(-1, 1, (N_PARTICLES, n))
+        self._beta = self._rng.choice(SENSITIVITIES, N_PARTICLES)
+        self._lapse = self._rng.choice(LAPSES, N_PARTICLES)
+        self._weight = np.full(N_PARTICLES, 1 / N_PARTICLES)
+        self.n_answers = 0
+
+    @property
+    def point(self) -> Array:
+        """Mean of the posterior, (d,)."""
+        return np.asarray(self._weight @ self._points)
+
+    @property
+    def sd(self) -> Array:
+        """Its standard deviations, (d,)."""
+        return np.asarray(np.sqrt(self._weight @ np.square(self._points - self.point)))
+
+    def pair(self) -> tuple[Array, Array]:
+        """Two points between which a choice tells most: of what is thought possible, or across the box."""
+        drawn = self._points[self._rng.choice(N_PARTICLES, (N_PAIRS // 2, 2), p=self._weight)]
+        wide = self._rng.uniform(-1, 1, (N_PAIRS - len(drawn), 2, self._points.shape[1]))
+        pairs = np.concatenate([drawn, wide])
+        some = self._rng.choice(N_PARTICLES, 500, p=self._weight)
+        chosen = np.stack([self._first(a, b)[some] for a, b in pairs])
+        first, second = pairs[np.argmax(_information(chosen, np.full(500, 1 / 500)))]
+        return first, second
+
+    def _first(self, first: Array, second: Array) -> Array:
+        """Probability of choosing the first, for each particle."""
+        nearer = np.linalg.norm(second - self._points, axis=1) - np.linalg.norm(first - self._points, axis=1)
+        logistic = 0.5 + 0.5 * np.tanh(0.5 * self._beta * nearer / self._jnd)
+        return np.asarray(0.5 * self._lapse + (1 - self._lapse) * logistic)
+
+    def answer(self, first: Array, second: Array, chose_first: bool) -> None:
+        """Take in a choice."""
+        p = self._first(first, second)
+        self._weight = self._weight * (p if chose_first else 1 - p)
+        self._weight = self._weight / self._weight.sum()
+        self.n_answers += 1
+        if 1 / np.square(self._weight).sum() < N_PARTICLES / 2:
+            self._draw_anew()
+
+    def _draw_anew(self) -> None:
+        """Equal weights: particles by their weight, shrunk and jittered so that mean and variance stay."""
+        mean, sd = self.point, self.sd
+        rows = self._rng.choice(N_PARTICLES, N_PARTICLES, p=self._weight)
+        jitter = self._rng.standard_normal(self._points.shape) * sd * np.sqrt(1 - SHRINK**2)
+        self._points = np.clip(SHRINK * self._points[rows] + (1 - SHRINK) * mean + jitter, -1, 1)
+        self._beta, self._lapse = self._beta[rows], self._lapse[rows]
+        self._weight = np.full(N_PARTICLES, 1 / N_PARTICLES)
+
+
+def _information(yes: Array, weight: Array) -> Array:
+    """Mutual information of yes–no answers with probabilities (s, θ) and what is asked for, weights (θ,): (s,) [nat]."""
+    return _entropy(yes @ weight) - _entropy(yes) @ weight
+
+
+def _entropy(p: Array) -> Array:
+    p = np.clip(p, 1e-12, 1 - 1e-12)
+    return np.asarray(-p * np.log(p) - (1 - p) * np.log(1 - p))

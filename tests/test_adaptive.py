@@ -1,0 +1,66 @@
+"""Adaptive measurements find what simulated people hold, faster than chance would."""
+
+import numpy as np
+import pytest
+
+from foten.dsp.adaptive import PreferenceSearch, ThresholdSearch, detected
+
+WRONG = 0.1  # share of answers that are drawn
+
+
+def test_a_threshold_is_found_though_some_answers_are_drawn() -> None:
+    rng, errors, said = np.random.default_rng(0), [], []
+    for _ in range(20):
+        threshold = rng.uniform(-40, 0)
+        search = ThresholdSearch(-60.0, 20.0, expected=(-20.0, 15.0))
+        for _ in range(20):
+            level = search.stimulus()
+            right = rng.random() < float(detected(level, np.array(threshold), np.array(0.2), np.array(0.0), 1 / 3))
+            search.answer(level, bool(rng.random() < 1 / 3 if rng.random() < WRONG else right))
+        errors.append(search.threshold - threshold)
+        said.append(search.sd)
+    assert abs(np.mean(errors)) < 2.5
+    assert np.median(np.abs(errors)) < 3
+    assert 0.4 < np.mean(said) / np.sqrt(np.mean(np.square(errors))) < 2  # it says how well it knows
+
+
+def test_what_tells_most_is_near_the_threshold() -> None:
+    search = ThresholdSearch(-60.0, 20.0)
+    for _ in range(30):
+        level = search.stimulus()
+        search.answer(level, level > -20)
+    assert search.threshold == pytest.approx(-20, abs=3)
+    assert abs(search.stimulus() + 20) < 10
+    assert search.n_answers == 30
+
+
+def choices(ideal: np.ndarray, n: int, seed: int, adaptive: bool) -> float:
+    """Distance of what was found from an ideal point, in just noticeable differences."""
+    rng, search = np.random.default_rng(seed), PreferenceSearch(len(ideal), seed=seed)
+    for _ in range(n):
+        first, second = search.pair() if adaptive else rng.uniform(-1, 1, (2, len(ideal)))
+        nearer = np.linalg.norm(second - ideal) - np.linalg.norm(first - ideal)
+        prefers = rng.random() < 1 / (1 + np.exp(-1.5 * nearer / 0.2))
+        search.answer(first, second, bool(rng.random() < 0.5 if rng.random() < WRONG else prefers))
+    return float(np.linalg.norm(search.point - ideal)) / 0.2
+
+
+def test_a_preference_is_found_by_fewer_choices_than_at_random() -> None:
+    ideals = np.random.default_rng(1).uniform(-0.8, 0.8, (6, 3))
+    ours, drawn = ([choices(ideal, 15, i, adaptive) for i, ideal in enumerate(ideals)] for adaptive in (True, False))
+    begun = np.linalg.norm(ideals, axis=1).mean() / 0.2
+    assert np.mean(ours) < 0.5 * begun
+    assert np.mean(ours) < 0.85 * np.mean(drawn)
+
+
+def test_the_same_seed_asks_the_same() -> None:
+    first, second = (PreferenceSearch(3, seed=4).pair() for _ in range(2))
+    np.testing.assert_array_equal(first, second)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"), [((0.0, 2.0), "a range of 4 dB"), ((-60.0, 0.0, 0.9), "guess is 0.9")]
+)
+def test_what_cannot_be_is_refused(arguments: tuple[float, ...], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        ThresholdSearch(*arguments)
