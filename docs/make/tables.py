@@ -388,6 +388,23 @@ def tools_worth() -> Table:
     return Table.of(("", "", "level error [dB]", "log-spectral distance [dB]"), cells)
 
 
+def users_known() -> Table:
+    """How well simulated people are known after how many answers."""
+    path = RESULTS / "users.csv"
+    rows = list(csv.DictReader(path.open(encoding="utf-8"))) if path.exists() else []
+    answers = sorted({int(row["answers"]) for row in rows} - {0})
+
+    def cell(what: str, procedure: str, n: int) -> str:
+        of = (row for row in rows if (row["what"], row["procedure"], row["answers"]) == (what, procedure, f"{n}"))
+        row = next(of)
+        return f"{float(row['distance']):.1f} ± {float(row['distance_se']):.1f}"
+
+    kinds = dict.fromkeys((row["what"], row["procedure"]) for row in rows if row["answers"] != "0")
+    return Table.of(
+        ("", "", *(f"{n} answers" for n in answers)), [(*kind, *(cell(*kind, n) for n in answers)) for kind in kinds]
+    )
+
+
 def sentences(name: str) -> str:
     """What an experiment's runs say, as a list."""
     records = records_of(name)
@@ -423,6 +440,7 @@ TABLES: dict[str, dict[str, Callable[[], Table | str]]] = {
         "few-strokes": partial(few_strokes, real=False),
         "few-strokes-real": partial(few_strokes, real=True),
         "tools": tools_worth,
+        "users": users_known,
         "words": words_worth,
     },
     "model.md": {"random-part": partial(benchmark, "random-part")},

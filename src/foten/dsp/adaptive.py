@@ -11,6 +11,7 @@ Source: the threshold after Watson, "QUEST+: a general multidimensional Bayesian
 from __future__ import annotations
 
 from itertools import product
+from typing import Any
 
 import numpy as np
 
@@ -21,6 +22,7 @@ LAPSES = (0.01, 0.05, 0.1)  # share of answers that have nothing to do with what
 SENSITIVITIES = (0.5, 1.0, 2.0)  # of a choice, a just noticeable difference
 N_PARTICLES = 4000
 N_PAIRS = 200  # tried before each choice
+N_ASKED = 500  # particles that each of them is tried on
 SHRINK = 0.98  # of particles towards their mean where they are drawn anew (Liu and West, 2001)
 
 
@@ -125,16 +127,17 @@ class PreferenceSearch:
         drawn = self._points[self._rng.choice(N_PARTICLES, (N_PAIRS // 2, 2), p=self._weight)]
         wide = self._rng.uniform(-1, 1, (N_PAIRS - len(drawn), 2, self._points.shape[1]))
         pairs = np.concatenate([drawn, wide])
-        some = self._rng.choice(N_PARTICLES, 500, p=self._weight)
-        chosen = np.stack([self._first(a, b)[some] for a, b in pairs])
-        first, second = pairs[np.argmax(_information(chosen, np.full(500, 1 / 500)))]
+        some = self._rng.choice(N_PARTICLES, N_ASKED, p=self._weight)
+        chosen = self._first(pairs[:, :1], pairs[:, 1:], some)
+        first, second = pairs[np.argmax(_information(chosen, np.full(len(some), 1 / len(some))))]
         return first, second
 
-    def _first(self, first: Array, second: Array) -> Array:
-        """Probability of choosing the first, for each particle."""
-        nearer = np.linalg.norm(second - self._points, axis=1) - np.linalg.norm(first - self._points, axis=1)
-        logistic = 0.5 + 0.5 * np.tanh(0.5 * self._beta * nearer / self._jnd)
-        return np.asarray(0.5 * self._lapse + (1 - self._lapse) * logistic)
+    def _first(self, first: Array, second: Array, rows: Any = slice(None)) -> Array:
+        """Probability of choosing the first, for some particles: points (…, 1, d) or (d,) → (…, particles)."""
+        ideal = self._points[rows]
+        nearer = np.linalg.norm(second - ideal, axis=-1) - np.linalg.norm(first - ideal, axis=-1)
+        logistic = 0.5 + 0.5 * np.tanh(0.5 * self._beta[rows] * nearer / self._jnd)
+        return np.asarray(0.5 * self._lapse[rows] + (1 - self._lapse[rows]) * logistic)
 
     def answer(self, first: Array, second: Array, chose_first: bool) -> None:
         """Take in a choice."""
