@@ -71,11 +71,11 @@ def test_a_louder_texture_is_the_same_samples_multiplied(name: str) -> None:
 @pytest.mark.parametrize(
     ("name", "edit"),
     [
-        (WITHOUT_TONES, Edit(brighter=0.5)),
+        pytest.param(WITHOUT_TONES, Edit(brighter=0.5), marks=pytest.mark.slow),
         (WITHOUT_TONES, Edit(level_db=-3.0, brighter=-0.5, wider=0.2)),
-        (WITHOUT_TONES, Edit(wider=-0.2)),
+        pytest.param(WITHOUT_TONES, Edit(wider=-0.2), marks=pytest.mark.slow),
         (WITH_TONES, Edit(brighter=0.5)),
-        ("textured-rubber", Edit(brighter=1.0)),
+        pytest.param("textured-rubber", Edit(brighter=1.0), marks=pytest.mark.slow),
         (WITHOUT_TONES, Edit(speed_exponent=0.5, force_exponent=0.8)),
     ],
 )
@@ -191,7 +191,7 @@ def test_tones_begin_in_step() -> None:
     np.testing.assert_allclose(blending.in_step(moved, table).values, table.values, atol=0.03)  # steps of half a degree
 
 
-@pytest.mark.parametrize(("first", "second"), [(WITHOUT_TONES, WITH_TONES), ("steel-mesh-1", "textured-rubber")])
+@pytest.mark.parametrize(("first", "second"), [(WITHOUT_TONES, WITH_TONES)])
 def test_a_blend_lies_between(
     textures: dict[str, Texture], descriptions: dict[str, Description], first: str, second: str
 ) -> None:

@@ -43,7 +43,9 @@ def waves(period_mm: float, rows: int = 64, weave: bool = False) -> np.ndarray:
     return np.tile(0.5 + 0.5 * np.cos(2 * np.pi * x), (rows, 1))
 
 
-@pytest.mark.parametrize("speed", [40.0, 70.0, 100.0, 150.0, 220.0])
+@pytest.mark.parametrize(
+    "speed", [40.0, *(pytest.param(v, marks=pytest.mark.slow) for v in (70.0, 100.0, 150.0)), 220.0]
+)
 @pytest.mark.parametrize(("period_mm", "weave"), [(0.65, False), (1.3, False), (2.6, False), (1.3, True)])
 def test_a_period_vibrates_at_the_speed_over_it(period_mm: float, speed: float, weave: bool) -> None:
     """The centre of power around v/λ, to 2 %."""
@@ -64,7 +66,10 @@ def recorded(key: str, stroke: Stroking, seed: int) -> dict[str, Channel]:
     return sensor_channels(acceleration, force, p.friction, stroke, 1, rng)
 
 
-@pytest.mark.parametrize("key", ["sawn-wood", "canvas", "sandpaper-coarse"])
+SLOWLY = [pytest.param(key, marks=pytest.mark.slow) for key in ("sawn-wood", "sandpaper-coarse")]
+
+
+@pytest.mark.parametrize("key", ["canvas", *SLOWLY])
 def test_the_map_of_a_profile_gives_its_texture_back(key: str) -> None:
     """Spectra within 1.5 times the distance of a second realisation, at three conditions."""
     p = CONTACT[key]

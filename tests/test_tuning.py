@@ -23,6 +23,7 @@ TOWEL, JEANS = FOLDER / "towel.foten", FOLDER / "jeans.foten"
 needs_node = pytest.mark.skipif(shutil.which("node") is None, reason="needs Node")
 
 
+@pytest.mark.slow
 def test_exact_sliders_give_what_the_command_gives() -> None:
     moves = {"level": 3.0, "brighter": 0.5}
     expected = edited(read_texture(TOWEL), Edit(level_db=3.0, brighter=0.5)).texture
@@ -36,7 +37,7 @@ def test_a_slider_that_moves_is_nearly_there() -> None:
     assert np.log2(after.centroid_hz / before.centroid_hz) == pytest.approx(0.5, abs=0.15)
 
 
-@pytest.mark.parametrize("exact", [False, True])
+@pytest.mark.parametrize("exact", [False, pytest.param(True, marks=pytest.mark.slow)])
 def test_towards_another_texture_lies_between(exact: bool) -> None:
     ends = [describe(read_texture(path)) for path in (TOWEL, JEANS)]
     between = describe(texture_from_bytes(tuned(TOWEL, JEANS, {"at": 0.5}, exact)))
