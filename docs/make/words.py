@@ -23,7 +23,7 @@ import numpy as np
 from foten.dsp.distance import earth_mover_octaves
 from foten.editing.describe import REFERENCE, rendered, spectrum
 from foten.editing.imagine import LAW, fit, values_of
-from foten.editing.library import BANDS_HZ, Entry, bands_db, open_library
+from foten.editing.texture_library import BANDS_HZ, Entry, bands_db, open_library
 from foten.editing.words import encoder_of
 from foten.models.texture_file import read_texture
 from foten.reporting.table import Table

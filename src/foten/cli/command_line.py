@@ -19,11 +19,11 @@ from foten.cli.evaluate import evaluate, info
 from foten.cli.experiments import demo, figures, sweep, tables
 from foten.cli.export import export
 from foten.cli.imagine import imagine
-from foten.cli.library import app as library
 from foten.cli.machine import bench, devices, doctor
 from foten.cli.recordings import import_, inspect, simulate
 from foten.cli.render import play, render
 from foten.cli.serve import serve
+from foten.cli.texture_library import app as library
 from foten.cli.tool import app as tool
 from foten.cli.train import train
 from foten.console import say

@@ -68,7 +68,7 @@ def _from_words(
 ) -> None:
     from foten.editing import imagine as words
     from foten.editing.describe import describe
-    from foten.editing.library import Library, open_library
+    from foten.editing.texture_library import Library, open_library
     from foten.editing.words import encoder_of
     from foten.models.texture_file import read_texture, write_texture
     from foten.runtime.renderer import EXAMPLE

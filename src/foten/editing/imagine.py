@@ -20,7 +20,7 @@ from foten.dsp import Array
 from foten.editing.describe import REFERENCE
 from foten.editing.edit import UNMEASURED, Edit, edited
 from foten.editing.from_spectrum import Spectrum, texture_of_spectrum
-from foten.editing.library import BANDS_HZ, Entry, Library
+from foten.editing.texture_library import BANDS_HZ, Entry, Library
 from foten.editing.words import Encoder
 from foten.models.texture_file import Texture, read_texture
 

@@ -14,7 +14,7 @@ from foten.dsp.distance import log_spectral_distance
 from foten.editing.describe import Description, describe, rendered, spectrum
 from foten.editing.from_spectrum import Spectrum, interpolated, texture_of_spectrum
 from foten.editing.imagine import MIN_TEXTURES, Regression, fit, imagine, left_out_error
-from foten.editing.library import BANDS_HZ, INDEX, Entry, Library, entry_of, open_library
+from foten.editing.texture_library import BANDS_HZ, INDEX, Entry, Library, entry_of, open_library
 from foten.editing.words import SentenceEncoder, word_table
 from foten.models.texture_file import read_texture
 from foten.runtime.renderer import EXAMPLE

@@ -11,7 +11,7 @@ from typer import Argument, Option
 from foten.console import JsonOption, TextureFile, print_result, say
 
 if TYPE_CHECKING:
-    from foten.editing.library import Entry
+    from foten.editing.texture_library import Entry
 
 app = typer.Typer(help="A folder of textures, found by what they are like and by words.", no_args_is_help=True)
 Folder = Annotated[Path, Option("--library", metavar="DIR", help="The library.")]
@@ -28,7 +28,7 @@ def add(
     as_json: JsonOption = False,
 ) -> None:
     """Copy textures into a library, and note what they are like."""
-    from foten.editing.library import open_library
+    from foten.editing.texture_library import open_library
 
     if name and len(files) != 1:
         raise ValueError(f"--name is of one texture, got {len(files)}")
@@ -62,7 +62,7 @@ def _added(opened: Any, file: Path, tags: list[str], name: str) -> Entry:
 @app.command(name="list")
 def list_(library: Folder = DEFAULT, as_json: JsonOption = False) -> None:
     """Show what a library holds."""
-    from foten.editing.library import open_library
+    from foten.editing.texture_library import open_library
 
     entries = open_library(library).entries
     _print([(None, entry) for entry in entries], "", as_json, len(entries))
@@ -71,7 +71,7 @@ def list_(library: Folder = DEFAULT, as_json: JsonOption = False) -> None:
 @app.command()
 def nearest(texture_file: TextureFile, library: Folder = DEFAULT, as_json: JsonOption = False) -> None:
     """Show the textures that are most like one, by level, centroid, width and roughness, in just noticeable differences."""
-    from foten.editing.library import entry_of, open_library
+    from foten.editing.texture_library import entry_of, open_library
     from foten.models.texture_file import read_texture
 
     entry = entry_of(read_texture(texture_file), texture_file.name)
@@ -86,7 +86,7 @@ def search(
     as_json: JsonOption = False,
 ) -> None:
     """Show the textures whose names and tags are most like some words."""
-    from foten.editing.library import open_library
+    from foten.editing.texture_library import open_library
     from foten.editing.words import encoder_of
 
     _print(list(open_library(library).search(text, encoder_of(encoder))), "likeness", as_json)
