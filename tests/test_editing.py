@@ -195,7 +195,7 @@ def test_tones_begin_in_step() -> None:
 def test_a_blend_lies_between(
     textures: dict[str, Texture], descriptions: dict[str, Description], first: str, second: str
 ) -> None:
-    check_between(textures, descriptions, first, second, (0.25, 0.6))
+    check_between(textures, descriptions, first, second, (0.4,))
 
 
 @pytest.mark.slow

@@ -66,10 +66,10 @@ def recorded(key: str, stroke: Stroking, seed: int) -> dict[str, Channel]:
     return sensor_channels(acceleration, force, p.friction, stroke, 1, rng)
 
 
-SLOWLY = [pytest.param(key, marks=pytest.mark.slow) for key in ("sawn-wood", "sandpaper-coarse")]
+SLOWLY = [pytest.param(key, marks=pytest.mark.slow) for key in ("sawn-wood", "sandpaper-coarse", "canvas")]
 
 
-@pytest.mark.parametrize("key", ["canvas", *SLOWLY])
+@pytest.mark.parametrize("key", SLOWLY)
 def test_the_map_of_a_profile_gives_its_texture_back(key: str) -> None:
     """Spectra within 1.5 times the distance of a second realisation, at three conditions."""
     p = CONTACT[key]

@@ -82,11 +82,11 @@ def interval(figures: np.ndarray) -> float:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--library", type=Path, required=True)
+    parser.add_argument("--library", dest="folder", metavar="DIR", type=Path, required=True)
     parser.add_argument("--encoder", help="a sentence encoder, a folder or a name")
     parser.add_argument("--csv", type=Path, default=CSV)
     arguments = parser.parse_args()
-    library = open_library(arguments.library)
+    library = open_library(arguments.folder)
     entries = library.entries
     values = values_of(entries)
     rows: dict[str, list[tuple[float, float, float]]] = {}
