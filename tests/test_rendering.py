@@ -188,8 +188,9 @@ def test_any_stroke_gives_a_finite_bounded_vibration(
             assert np.isfinite(out).all()
             # What leaves the loop is cut; growth beyond the trained range comes after it.
             growth = np.ones(n)
-            for name, channel in (("speed", speed), ("force", force)):
-                share = np.clip(channel / used.trained_range(name)[1], 1.0, 6 / HIGH[1])  # of force, the more
+            for name, channel, reach in (("speed", speed, REACH_SPEED), ("force", force, REACH_FORCE)):
+                high = used.trained_range(name)[1]
+                share = np.clip(channel / high, 1.0, max(EXTRAPOLATION_LIMIT, reach / high))
                 growth *= share ** used.extrapolation_exponent(name)
             assert (np.abs(out) <= bound * growth * (1 + FLOAT32)).all()
 
