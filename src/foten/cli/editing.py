@@ -37,6 +37,7 @@ def edit(
     level: float = Option(0.0, metavar="DB", help="Louder by so much (dB)."),
     brighter: float = Option(0.0, metavar="OCTAVES", help="Centroid upwards (octaves)."),
     wider: float = Option(0.0, metavar="OCTAVES", help="Width of the spectrum (octaves)."),
+    rougher: float = Option(0.0, metavar="DB", help="How much the level varies under a steady hand (dB)."),
     period: float | None = Option(None, metavar="MM", help="After which the surface repeats (mm)."),
     speed_exponent: float | None = Option(None, help="Power of speed that the level grows with."),
     force_exponent: float | None = Option(None, help="Power of force that the level grows with."),
@@ -51,9 +52,11 @@ def edit(
     from foten.editing.edit import Edit, edited
     from foten.models.texture_file import read_texture, write_texture
 
-    change = Edit(level, brighter, wider, period, speed_exponent, force_exponent)
+    change = Edit(level, brighter, wider, rougher, period, speed_exponent, force_exponent)
     if not change.in_words():
-        raise ValueError("nothing is changed, expected --level, --brighter, --wider, --period or an exponent")
+        raise ValueError(
+            "nothing is changed, expected --level, --brighter, --wider, --rougher, --period or an exponent"
+        )
     check_texture(output)
     result = edited(read_texture(texture_file), change)
     write_texture(result.texture, output)

@@ -1,4 +1,4 @@
-"""A texture moved by figures that `editing.describe` measures: level, centroid, width, period, exponents."""
+"""A texture moved by figures that `editing.describe` measures: level, centroid, width, roughness, period, exponents."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from foten.editing.describe import Description, describe, steady_figures
+from foten.editing.envelope import EnvelopeCurve, with_envelope
 from foten.editing.warp import Warp, warped_reflections, warped_tones
 from foten.models.excitation import Scale
 from foten.models.foten_plus.definition import Tones
@@ -18,11 +19,15 @@ from foten.runtime.proof import Tensors, proved
 
 MAX_LEVEL_DB = 40.0
 MAX_OCTAVES = 3.0
+MAX_ROUGHER_DB = 6.0
 MAX_PERIOD_RATIO = 10.0
 MAX_EXPONENT = 2.0
 N_STEPS = 6  # of the search for a centroid and a width
 CLOSE_OCTAVES = 0.01  # enough of both
+N_ROUGHNESS_STEPS = 3
+CLOSE_ROUGHNESS_DB = 0.1
 UNREACHED_OCTAVES = 0.05  # what is further off is said
+UNREACHED_ROUGHNESS_DB = 0.25  # likewise
 MIN_STRETCH, MAX_STRETCH = 0.1, 10.0
 UNMEASURED = "not measured"  # what a card says of a texture that was not learned from a recording
 
@@ -34,6 +39,7 @@ class Edit:
     level_db: float = 0.0  # louder
     brighter: float = 0.0  # centroid, upwards [octave]
     wider: float = 0.0  # width [octave]
+    rougher: float = 0.0  # envelope: standard deviation of the level in frames of 40 ms [dB]
     period_mm: float | None = None
     speed_exponent: float | None = None  # of the level
     force_exponent: float | None = None
@@ -43,6 +49,7 @@ class Edit:
             ("level", self.level_db, MAX_LEVEL_DB, "dB"),
             ("brighter", self.brighter, MAX_OCTAVES, "octaves"),
             ("wider", self.wider, MAX_OCTAVES, "octaves"),
+            ("rougher", self.rougher, MAX_ROUGHER_DB, "dB"),
         ):
             if not -limit <= value <= limit:
                 raise ValueError(f"{name} is {value:g} {unit}, expected {-limit:g} to {limit:g}")
@@ -59,6 +66,7 @@ class Edit:
             *([f"level {self.level_db:+g} dB"] if self.level_db else []),
             *([f"centroid {self.brighter:+g} octaves"] if self.brighter else []),
             *([f"width {self.wider:+g} octaves"] if self.wider else []),
+            *([f"roughness {self.rougher:+g} dB"] if self.rougher else []),
             *([f"period {self.period_mm:g} mm"] if self.period_mm is not None else []),
             *(f"level ~ {name}^{power:g}" for name, power in exponents.items() if power is not None),
         ]
@@ -90,19 +98,30 @@ def edited(texture: Texture, edit: Edit, seed: int = 0) -> Edited:
     return Edited(moved, before, after, tuple(_unreached(edit, before, after)))
 
 
-def moved_by(texture: Texture, edit: Edit, before: Description, seed: int = 0, n_steps: int = N_STEPS) -> Texture:
-    """The same from a description that is known; with one step in a tenth of a second, and not quite there."""
+def moved_by(
+    texture: Texture,
+    edit: Edit,
+    before: Description,
+    seed: int = 0,
+    n_steps: int = N_STEPS,
+    curve: EnvelopeCurve | None = None,
+) -> Texture:
+    """The same from a description, and a curve of the envelope, that are known; with one step soon, and not quite there."""
     check_editable(texture, edit, before)
     moved = texture
     if edit.period_mm is not None:
         moved = with_period(moved, edit.period_mm)
     if edit.speed_exponent is not None or edit.force_exponent is not None:
         moved = with_exponents(moved, before, edit)
-    if edit.brighter or edit.wider:
+    if edit.brighter or edit.wider or edit.rougher:
         now = describe(moved, seed) if edit.period_mm is not None else before
         octaves, width = 2**edit.brighter, now.width_octaves + edit.wider
         target = replace(now, centroid_hz=now.centroid_hz * octaves, width_octaves=width)
-        moved = with_spectrum(moved, now, target, seed, n_steps)
+        if edit.rougher:
+            target = replace(target, roughness_db=now.roughness_db + edit.rougher)
+            moved = with_roughness(moved, now, target, curve or EnvelopeCurve(texture, seed), seed, n_steps)
+        else:
+            moved = with_spectrum(moved, now, target, seed, n_steps)
     level_db = 20 * float(np.log10(max(steady_figures(moved, seed).rms, 1e-15)))
     moved = with_level(moved, before.level_db + edit.level_db - level_db)
     words = "; ".join(part for part in (texture.evidence, f"edited: {edit.in_words()}, {UNMEASURED}") if part)
@@ -174,6 +193,27 @@ def with_exponents(texture: Texture, at: Description, edit: Edit) -> Texture:
     return restored(texture, {"extrapolation_exponents": extrapolation}, tensors)
 
 
+def with_roughness(
+    texture: Texture, before: Description, target: Description, curve: EnvelopeCurve, seed: int, n_steps: int
+) -> Texture:
+    """The texture with roughness, centroid and width of a description; each changes the others a little."""
+    rougher = target.roughness_db - before.roughness_db
+    asked, best, error = rougher, texture, np.inf
+    for _ in range(N_ROUGHNESS_STEPS if n_steps > 1 else 1):
+        moved = with_spectrum(with_envelope(texture, curve.strength(asked)), before, target, seed, n_steps)
+        if n_steps == 1:
+            return moved
+        missing = target.roughness_db - steady_figures(moved, seed).roughness_db
+        if abs(missing) < error:
+            best, error = moved, abs(missing)
+        if error < CLOSE_ROUGHNESS_DB:
+            break
+        asked += missing
+        if asked * rougher <= 0:  # rougher cannot be reached by smoother
+            break
+    return best
+
+
 def with_spectrum(
     texture: Texture, before: Description, target: Description, seed: int, n_steps: int = N_STEPS
 ) -> Texture:
@@ -232,11 +272,14 @@ def _unreached(edit: Edit, before: Description, after: Description) -> list[str]
     if edit.period_mm is not None:
         return []
     centroid, width = before.centroid_hz * 2**edit.brighter, before.width_octaves + edit.wider
-    said = []
+    roughness, said = before.roughness_db + edit.rougher, []
     if (edit.brighter or edit.wider) and abs(np.log2(after.centroid_hz / centroid)) > UNREACHED_OCTAVES:
         said.append(
             f"the centroid is {after.centroid_hz:.0f} Hz, {centroid:.0f} were asked: tones stay where the path has them"
         )
     if (edit.brighter or edit.wider) and abs(after.width_octaves - width) > UNREACHED_OCTAVES:
         said.append(f"the width is {after.width_octaves:.2f} octaves, {width:.2f} were asked")
+    if edit.rougher and abs(after.roughness_db - roughness) > UNREACHED_ROUGHNESS_DB:
+        why = "noise and tones have an envelope of their own"
+        said.append(f"the roughness is {after.roughness_db:.2f} dB, {roughness:.2f} were asked: {why}")
     return said

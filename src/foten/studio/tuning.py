@@ -9,10 +9,11 @@ from pathlib import Path
 from foten.editing.blend import blend
 from foten.editing.describe import Description, describe, period_of
 from foten.editing.edit import N_STEPS, Edit, moved_by
+from foten.editing.envelope import EnvelopeCurve
 from foten.models.texture_file import Texture, read_texture
 
-SLIDERS = {"level": 12.0, "brighter": 1.5, "wider": 0.6, "period": 1.0, "at": 1.0}
-"""Largest size of each slider: dB, octaves, octaves, octaves of the period, share of the way to another texture."""
+SLIDERS = {"level": 12.0, "brighter": 1.5, "wider": 0.6, "rougher": 3.0, "period": 1.0, "at": 1.0}
+"""Largest size of each slider: dB, octaves, octaves, dB, octaves of the period, share of the way to another texture."""
 
 
 @lru_cache(maxsize=16)
@@ -24,6 +25,11 @@ def _known(path: Path, modified_ns: int) -> tuple[Texture, Description]:
 
 def known(path: Path) -> tuple[Texture, Description]:
     return _known(path, path.stat().st_mtime_ns)
+
+
+@lru_cache(maxsize=16)
+def _curve(path: Path, modified_ns: int) -> EnvelopeCurve:
+    return EnvelopeCurve(_known(path, modified_ns)[0])
 
 
 def moves_of(query: Mapping[str, str]) -> dict[str, float]:
@@ -52,6 +58,7 @@ def tuned(path: Path, other: Path | None, moves: Mapping[str, float], exact: boo
         ValueError: it cannot be moved so.
     """
     texture, description = known(path)
+    curve = _curve(path, path.stat().st_mtime_ns) if "rougher" in moves and not moves.get("at") else None
     if other is not None and moves.get("at"):
         towards, its = known(other)
         own = (description, its)
@@ -63,8 +70,9 @@ def tuned(path: Path, other: Path | None, moves: Mapping[str, float], exact: boo
         level_db=moves.get("level", 0.0),
         brighter=moves.get("brighter", 0.0),
         wider=max(moves.get("wider", 0.0), 0.05 - description.width_octaves),
+        rougher=moves.get("rougher", 0.0),
         period_mm=period * 2 ** moves["period"] if period is not None and "period" in moves else None,
     )
     if edit == Edit():
         return texture.to_bytes()
-    return moved_by(texture, edit, description, 0, N_STEPS if exact else 1).to_bytes()
+    return moved_by(texture, edit, description, 0, N_STEPS if exact else 1, curve).to_bytes()

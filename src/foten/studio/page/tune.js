@@ -1,9 +1,9 @@
-// Sliders that move the texture under the hand while it strokes: louder, brighter, wider, another period, towards another texture.
+// Sliders that move the texture under the hand while it strokes: louder, brighter, wider, rougher, another period, towards another texture.
 //
 // The server moves it, as `foten edit` and `foten blend` do: roughly while a slider moves, to the point once it is let go. What comes
 // is a texture file like any other; the worklet fades over to it.
 
-const MOVES = { level: ["louder", 12, "dB"], brighter: ["brighter", 1.5, "oct"], wider: ["wider", 0.6, "oct"], period: ["period", 1, "oct"] };
+const MOVES = { level: ["louder", 12, "dB"], brighter: ["brighter", 1.5, "oct"], wider: ["wider", 0.6, "oct"], rougher: ["rougher", 3, "dB"], period: ["period", 1, "oct"] };
 const FADED_MS = 60; // after which the worklet has left what played before
 
 export class Tune {
@@ -58,7 +58,7 @@ export class Tune {
   label() {
     for (const [name, [, , unit]] of Object.entries(MOVES)) {
       const value = Number(this.form[name].value);
-      this.form[name].nextElementSibling.value = value ? `${value > 0 ? "+" : "−"}${Math.abs(value).toFixed(unit === "dB" ? 0 : 1)} ${unit}` : "";
+      this.form[name].nextElementSibling.value = value ? `${value > 0 ? "+" : "−"}${Math.abs(value).toFixed(name === "level" ? 0 : 1)} ${unit}` : "";
     }
     this.form.at.nextElementSibling.value = Number(this.form.at.value) ? `${Math.round(100 * this.form.at.value)} %` : "";
     this.panel.querySelector("#tune-save").disabled = !this.bytes;
