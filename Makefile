@@ -52,7 +52,7 @@ $(VENV)/.browser: $(VENV)/.installed
 
 # The page in Chromium, which the system has to have; screenshots in build/screenshots. Without it the tests are skipped.
 browser: $(VENV)/.browser
-	$(PYTEST) -m 'browser and not slow' tests/test_studio_page.py tests/test_capture_page.py tests/test_study_page.py
+	$(PYTEST) -m 'browser and not slow' tests/test_studio_page.py tests/test_capture_page.py tests/test_study_page.py tests/test_adapt_page.py
 
 lint: $(VENV)/.installed
 	$(BIN)/clang-format --dry-run -Werror native/*/*.[ch]

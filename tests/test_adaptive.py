@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from foten.dsp.adaptive import PreferenceSearch, ThresholdSearch, detected
+from foten.dsp.adaptive import Comparison, Detection, LevelSearch, PreferenceSearch
 
 WRONG = 0.1  # share of answers that are drawn
 
@@ -12,12 +12,12 @@ def test_a_threshold_is_found_though_some_answers_are_drawn() -> None:
     rng, errors, said = np.random.default_rng(0), [], []
     for _ in range(20):
         threshold = rng.uniform(-40, 0)
-        search = ThresholdSearch(-60.0, 20.0, expected=(-20.0, 15.0))
+        search = LevelSearch(-60.0, 20.0, expected=(-20.0, 15.0))
         for _ in range(20):
             level = search.stimulus()
-            right = rng.random() < float(detected(level, np.array(threshold), np.array(0.2), np.array(0.0), 1 / 3))
+            right = rng.random() < float(Detection()(level, np.array(threshold), np.array(0.2), np.array(0.0)))
             search.answer(level, bool(rng.random() < 1 / 3 if rng.random() < WRONG else right))
-        errors.append(search.threshold - threshold)
+        errors.append(search.point - threshold)
         said.append(search.sd)
     assert abs(np.mean(errors)) < 2.5
     assert np.median(np.abs(errors)) < 3
@@ -25,13 +25,34 @@ def test_a_threshold_is_found_though_some_answers_are_drawn() -> None:
 
 
 def test_what_tells_most_is_near_the_threshold() -> None:
-    search = ThresholdSearch(-60.0, 20.0)
+    search = LevelSearch(-60.0, 20.0)
     for _ in range(30):
         level = search.stimulus()
         search.answer(level, level > -20)
-    assert search.threshold == pytest.approx(-20, abs=3)
+    assert search.point == pytest.approx(-20, abs=3)
     assert abs(search.stimulus() + 20) < 10
     assert search.n_answers == 30
+
+
+def test_a_point_of_equal_strength_is_found() -> None:
+    rng, errors = np.random.default_rng(2), []
+    for _ in range(30):
+        point, search = rng.normal(-20, 6), LevelSearch(-60.0, 0.0, Comparison(), (-20.0, 6.0))
+        for _ in range(12):
+            level = search.stimulus()
+            stronger = rng.random() < float(Comparison()(level, np.array(point), np.array(0.5), np.array(0.0)))
+            search.answer(level, bool(rng.random() < 0.5 if rng.random() < WRONG else stronger))
+        errors.append(search.point - point)
+    assert abs(np.mean(errors)) < 1.5
+    assert np.median(np.abs(errors)) < 2
+
+
+def test_psychometric_functions_are_what_they_say() -> None:
+    slope, lapse = np.array(0.2), np.array(0.0)
+    assert float(Detection(0.5)(-300.0, np.array(0.0), slope, lapse)) == pytest.approx(0.5)
+    assert float(Detection(0.5)(0.0, np.array(0.0), slope, lapse)) == pytest.approx(0.5 + 0.5 * (1 - np.exp(-1)))
+    assert float(Comparison()(3.0, np.array(3.0), slope, np.array(0.1))) == pytest.approx(0.5)
+    assert float(Comparison()(99.0, np.array(0.0), np.array(1.0), np.array(0.1))) == pytest.approx(0.95)
 
 
 def choices(ideal: np.ndarray, n: int, seed: int, adaptive: bool) -> float:
@@ -58,9 +79,8 @@ def test_the_same_seed_asks_the_same() -> None:
     np.testing.assert_array_equal(first, second)
 
 
-@pytest.mark.parametrize(
-    ("arguments", "message"), [((0.0, 2.0), "a range of 4 dB"), ((-60.0, 0.0, 0.9), "guess is 0.9")]
-)
-def test_what_cannot_be_is_refused(arguments: tuple[float, ...], message: str) -> None:
-    with pytest.raises(ValueError, match=message):
-        ThresholdSearch(*arguments)
+def test_what_cannot_be_is_refused() -> None:
+    with pytest.raises(ValueError, match="a range of 4 dB"):
+        LevelSearch(0.0, 2.0)
+    with pytest.raises(ValueError, match=r"guess is 0\.9"):
+        Detection(0.9)

@@ -102,7 +102,7 @@ def test_a_tool_is_written_and_read(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"format": "other"}, "is no tool, expected 'format': 'foten-tool'"),
+        ({"format": "other"}, "is not a tool of 'foten tool measure', expected 'format': 'foten-tool'"),
         ({"version": 2}, "has version 2, expected 1"),
         ({"hz": [1.0]}, "the filter has 1 frequencies"),
         ({"gain_db": [99.0] * 28}, "a gain of the tool is beyond 60 dB"),

@@ -1,11 +1,12 @@
-"""How well simulated people are known after how many answers: detection thresholds, and what is preferred.
+"""How well simulated people are known after how many answers: thresholds, equal strength, and what is preferred.
 
     python docs/make/users.py [--people 200]
 
-Thresholds: one of three places holds a vibration; people's thresholds have a standard deviation of 8 dB, and every tenth answer
-is drawn. Preference: an ideal point in level, centroid and width, ±1 being five just noticeable differences; of two textures the
-nearer one is chosen, the more surely the nearer, but for every tenth choice. `random` shows pairs at random, `grid` walks along
-one dimension after the other and keeps the better. Means ± standard errors over people.
+Thresholds: one of three places holds a tone; people's thresholds have a standard deviation of 8 dB. Equal strength: which of two
+tones is the stronger; people's points have one of 6 dB. Preference: an ideal point of level, centroid, width and roughness, ±1
+being five just noticeable differences; of two textures the nearer one is chosen, the more surely the nearer. Every tenth answer
+is drawn. `random` shows levels and pairs at random; `grid` shows levels in turn, 8 dB apart, and walks along one dimension after
+the other, keeping the better. The last row is the whole session of `foten adapt`. Means ± standard errors over people.
 """
 
 from __future__ import annotations
@@ -17,31 +18,42 @@ from pathlib import Path
 import numpy as np
 
 from foten.dsp import Array
-from foten.dsp.adaptive import PreferenceSearch, ThresholdSearch, detected
+from foten.dsp.adaptive import Comparison, Detection, LevelSearch, PreferenceSearch
+from foten.editing.user import MOVES, TONES_HZ, UserProfile
 from foten.reporting.table import Table
+from foten.studio.adapt.session import Question, Session, answered_by
 
 CSV = Path(__file__).resolve().parents[1] / "results" / "users.csv"
 WRONG = 0.1
 JND = 0.2  # of half of a range
-N_DIMENSIONS = 3
-ANSWERS = (10, 15, 20, 25)
+N_DIMENSIONS = len(MOVES)
+ANSWERS = (8, 12, 16, 25)
 STEPS = np.linspace(-0.8, 0.8, 5)  # of the grid
+GRID_DB = 8.0
+PROCEDURES = ("adaptive", "random", "grid")
+SECONDS = {"detect": 2.9, "compare": 2.3}  # of a question on the page, with one second to answer
+
+Answers = dict[int, list[float]]
 
 
-def threshold_errors(n_people: int) -> dict[int, Array]:
-    """Errors [dB] after so many answers, (n_people,)."""
-    errors: dict[int, list[float]] = {n: [] for n in ANSWERS}
+def errors_of_levels(answers: Detection | Comparison, sd_db: float, procedure: str, n_people: int) -> Answers:
+    """Errors of a point [dB] after so many answers."""
+    errors: Answers = {n: [] for n in ANSWERS}
+    slope, guess = (0.2, answers.guess) if isinstance(answers, Detection) else (0.5, 0.5)
     for person in range(n_people):
-        rng = np.random.default_rng([person, 1])
-        threshold = rng.normal(-20, 8)
-        search = ThresholdSearch(-60.0, 20.0, expected=(-20.0, 12.0))
+        rng, of_answers = np.random.default_rng([person, 1]), np.random.default_rng([person, 4])
+        point = rng.normal(-30, sd_db)
+        search = LevelSearch(-60.0, 0.0, answers, (-30.0, 1.5 * sd_db))
+        grid = search.levels[:: round(GRID_DB / 2)]
         for n in range(1, max(ANSWERS) + 1):
-            level = search.stimulus()
-            right = rng.random() < float(detected(level, np.array(threshold), np.array(0.2), np.array(0.0), 1 / 3))
-            search.answer(level, bool(rng.random() < 1 / 3 if rng.random() < WRONG else right))
+            shown = {"adaptive": search.stimulus(), "random": rng.choice(search.levels), "grid": grid[n % len(grid)]}
+            level = float(shown[procedure])
+            yes = of_answers.random() < float(answers(level, np.array(point), np.array(slope), np.array(0.0)))
+            drawn = of_answers.random() < WRONG
+            search.answer(level, bool(of_answers.random() < guess if drawn else yes))
             if n in errors:
-                errors[n].append(search.threshold - threshold)
-    return {n: np.array(each) for n, each in errors.items()}
+                errors[n].append(search.point - point)
+    return errors
 
 
 def person_of(ideal: Array, rng: np.random.Generator) -> Callable[[Array, Array], bool]:
@@ -83,33 +95,89 @@ def by_grid(chooses: Callable[[Array, Array], bool]) -> dict[int, Array]:
     return found
 
 
+def preferences(procedure: str, n_people: int) -> Answers:
+    """Distances from ideal points [JND] after so many choices; after none at 0."""
+    found: Answers = {}
+    for person in range(n_people):
+        ideal = np.random.default_rng([person, 2]).uniform(-0.8, 0.8, N_DIMENSIONS)
+        rng = np.random.default_rng([person, 3])
+        chooses = person_of(ideal, rng)
+        points = by_grid(chooses) if procedure == "grid" else by_search(chooses, rng, procedure == "adaptive")
+        for n, point in {0: np.zeros(N_DIMENSIONS), **points}.items():
+            found.setdefault(n, []).append(float(np.linalg.norm(point - ideal)) / JND)
+    return found
+
+
+def session_of(person: int) -> tuple[UserProfile, Array, Array, Array]:
+    """A person's profile by the session of the page, with her thresholds, equal strengths and ideal point."""
+    rng = np.random.default_rng([person, 5])
+    threshold = rng.normal(-45, 8) + rng.normal(0, 4, len(TONES_HZ))
+    equal = threshold + rng.normal(0, 4, len(TONES_HZ))
+    ideal = rng.uniform(-0.8, 0.8, N_DIMENSIONS)
+    at = {hertz: i for i, hertz in enumerate(TONES_HZ)}
+    chooses = person_of(ideal, rng)
+
+    def answer(question: Question) -> int:
+        shown = question.shown
+        if question.part == "match":
+            return int(not chooses(*np.split(np.array(shown), 2)))
+        if rng.random() < WRONG:
+            return int(rng.integers(question.n_choices))
+        if question.part == "detect":
+            felt = rng.random() < 1 - np.exp(-(10 ** (0.1 * (shown[1] - threshold[at[shown[0]]]))))
+            return int(shown[2]) if felt else int(rng.integers(question.n_choices))
+        first, second = (level - equal[at[hertz]] for hertz, level in (shown[:2], shown[2:]))
+        return int(rng.random() > 1 / (1 + np.exp(-0.5 * (first - second))))
+
+    return answered_by(Session(UserProfile(), texture="felt", seed=person), answer), threshold, equal, ideal
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--people", type=int, default=200)
     n_people = parser.parse_args().people
-    heads = ["what", "procedure", "answers", "bias", "spread", "distance", "distance_se"]
-    cells = [heads]
-    for n, errors in threshold_errors(n_people).items():
+    cells = []
+
+    def row(what: str, procedure: str, answers: float, errors: Array, signed: bool) -> None:
         size = np.abs(errors)
-        figures = errors.mean(), errors.std(ddof=1), size.mean(), size.std(ddof=1) / np.sqrt(n_people)
-        cells.append(["threshold [dB]", "adaptive", str(n), *(f"{x:.3f}" for x in figures)])
-    found: dict[tuple[str, int], list[float]] = {}
-    begun = []
-    for person in range(n_people):
-        ideal = np.random.default_rng([person, 2]).uniform(-0.8, 0.8, N_DIMENSIONS)
-        begun.append(float(np.linalg.norm(ideal)) / JND)
-        for kind in ("adaptive", "random", "grid"):
-            rng = np.random.default_rng([person, 3])
-            chooses = person_of(ideal, rng)
-            points = by_grid(chooses) if kind == "grid" else by_search(chooses, rng, kind == "adaptive")
-            for n, point in points.items():
-                found.setdefault((kind, n), []).append(float(np.linalg.norm(point - ideal)) / JND)
-    for (kind, n), each in {("none", 0): begun, **found}.items():
-        distance = np.array(each)
-        se = distance.std(ddof=1) / np.sqrt(n_people)
-        cells.append(["preference [JND]", kind, str(n), "", "", f"{distance.mean():.3f}", f"{se:.3f}"])
-    Table.of(cells[0], cells[1:]).write(CSV)
-    print("\n".join(Table.of(cells[0], cells[1:]).text()))
+        spread = [f"{errors.mean():.3f}", f"{errors.std(ddof=1):.3f}"] if signed else ["", ""]
+        se = size.std(ddof=1) / np.sqrt(len(errors))
+        cells.append([what, procedure, f"{answers:g}", *spread, f"{size.mean():.3f}", f"{se:.3f}"])
+
+    for what, kind, sd_db in (("threshold [dB]", Detection(), 8.0), ("equal strength [dB]", Comparison(), 6.0)):
+        for procedure in PROCEDURES:
+            for n, errors in errors_of_levels(kind, sd_db, procedure, n_people).items():
+                row(what, procedure, n, np.array(errors), signed=True)
+    for procedure in PROCEDURES:
+        for n, distances in preferences(procedure, n_people).items():
+            if n or procedure == "adaptive":
+                row("preference [JND]", procedure if n else "none", n, np.array(distances), signed=False)
+    people = [session_of(person) for person in range(n_people)]
+    count = {
+        part: np.mean([sum(a[0] == part for a in one.answers) for one, *_ in people])
+        for part in ("detect", "compare", "match")
+    }
+    reference = TONES_HZ.index(160.0)
+    thresholds = np.concatenate([np.array(one.threshold_db) - true for one, true, *_ in people])
+    gains = np.concatenate(
+        [np.delete(np.array(one.gain_db) - (true - true[reference]), reference) for one, _, true, _ in people]
+    )
+    points = [np.array(one.moves) / list(MOVES.values()) - ideal for one, *_, ideal in people]
+    row("session: thresholds [dB]", "", round(count["detect"], 1), thresholds, signed=True)
+    row("session: equal strength [dB]", "", round(count["compare"], 1), gains, signed=True)
+    row("session: preference [JND]", "", round(count["match"], 1), np.linalg.norm(points, axis=1) / JND, signed=False)
+    minutes = sum(SECONDS[part] * count[part] for part in SECONDS) / 60
+    row(
+        "session: thresholds and equal strength [min]",
+        "",
+        round(count["detect"] + count["compare"], 1),
+        np.array([minutes, minutes]),
+        signed=False,
+    )
+    Table.of(["what", "procedure", "answers", "bias", "spread", "distance", "distance_se"], cells).write(CSV)
+    print(
+        "\n".join(Table.of(["what", "procedure", "answers", "bias", "spread", "distance", "distance_se"], cells).text())
+    )
 
 
 if __name__ == "__main__":

@@ -41,6 +41,28 @@ def parse_json(text: str | bytes) -> Any:
     return value
 
 
+def read_profile_json(path: Path, kind: str, version: int, what: str) -> dict[str, Any]:
+    """The entries of a JSON file of a kind, such as "foten-tool", and a version, without these two.
+
+    Args:
+        what: it is expected to be, for people, such as "a tool of 'foten tool measure'".
+
+    Raises:
+        FileNotFoundError: there is none.
+        ValueError: it is none of that kind.
+    """
+    check_regular(path)
+    try:
+        content: Any = parse_json(path.read_bytes())
+    except ValueError as error:
+        raise ValueError(f"{path.name} is not JSON ({error}), expected {what}") from error
+    if not isinstance(content, dict) or content.pop("format", None) != kind:
+        raise ValueError(f"{path.name} is not {what}, expected 'format': {kind!r}")
+    if (found := content.pop("version", None)) != version:
+        raise ValueError(f"{path.name} has version {found}, expected {version}; update foten?")
+    return content
+
+
 def _inside(value: Any) -> Iterable[Any]:
     return value.values() if isinstance(value, dict) else value if isinstance(value, list) else ()
 

@@ -14,6 +14,7 @@ import typer
 from typer.exceptions import Abort, TyperException
 
 from foten.atomic_write import reason
+from foten.cli.adapt import adapt
 from foten.cli.editing import blend, describe, edit
 from foten.cli.evaluate import evaluate, info
 from foten.cli.experiments import demo, figures, sweep, tables
@@ -78,7 +79,7 @@ def _global_options(
 _PANELS: dict[str, tuple[Callable[..., None], ...]] = {
     "From a recording to a texture": (simulate, import_, inspect, train, evaluate, info),
     "Stroke, play, take elsewhere": (serve, play, render, export),
-    "Change a texture": (describe, edit, blend, imagine),
+    "Change a texture": (describe, edit, blend, imagine, adapt),
     "Compare": (sweep, tables, figures),
     "This machine": (demo, devices, bench, doctor),
 }

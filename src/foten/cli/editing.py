@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 from typer import Argument, Option
 
+from foten.cli.render import UserFile, for_user
 from foten.console import JsonOption, TextureFile, check_files, print_result, say
 
 if TYPE_CHECKING:
@@ -41,6 +42,7 @@ def edit(
     period: float | None = Option(None, metavar="MM", help="After which the surface repeats (mm)."),
     speed_exponent: float | None = Option(None, help="Power of speed that the level grows with."),
     force_exponent: float | None = Option(None, help="Power of force that the level grows with."),
+    user: UserFile = None,
     as_json: JsonOption = False,
 ) -> None:
     """Change a texture by the figures that 'foten describe' measures.
@@ -48,17 +50,18 @@ def edit(
     foten edit denim.foten --level +3 --brighter 0.5 --wider 0.2 -o bright.foten
 
     foten edit mesh.foten --period 1.2 -o fine.foten: a finer weave.
+
+    foten edit mesh.foten --user me.json -o mine.foten: as a user's profile of 'foten adapt' has it.
     """
     from foten.editing.edit import Edit, edited
     from foten.models.texture_file import read_texture, write_texture
 
     change = Edit(level, brighter, wider, rougher, period, speed_exponent, force_exponent)
-    if not change.in_words():
-        raise ValueError(
-            "nothing is changed, expected --level, --brighter, --wider, --rougher, --period or an exponent"
-        )
+    if not change.in_words() and user is None:
+        expected = "--level, --brighter, --wider, --rougher, --period, an exponent or --user"
+        raise ValueError(f"nothing is changed, expected {expected}")
     check_texture(output)
-    result = edited(read_texture(texture_file), change)
+    result = edited(for_user(read_texture(texture_file), user), change)
     write_texture(result.texture, output)
     for line in result.unreached:
         say(line)

@@ -31,6 +31,7 @@ Deterministic = Annotated[bool, Option("--deterministic", help="Without excitati
 Actuator = Annotated[Path | None, Option(metavar="P.json", help="Profile of the actuator that is driven.")]
 Gain = Annotated[float | None, Option(help="Full scale (sound) or volts (daq) for 1 m/s², or for 1 of the drive.")]
 Device = Annotated[str | None, Option(help="Number or name of the sound card, as 'foten devices' lists them.")]
+UserFile = Annotated[Path | None, Option("--user", metavar="U.json", help="A user's profile, of 'foten adapt'.")]
 Channel = Annotated[int | None, Option(min=1, help="Of the sound card that is played on; 1 by default.")]
 
 
@@ -93,6 +94,7 @@ class RenderOptions(StrokeOptions):
     output: list[Path] = Option(..., "-o", "--output", help=".wav (float, m/s²), .csv, .npz or .png; repeatable.")
     audible: Path | None = Option(None, metavar="FILE.wav", help="Also as sound, 48 kHz, 16 bits.")
     tool: Path | None = Option(None, metavar="TOOL.json", help="As another tool feels it, of 'foten tool measure'.")
+    user: UserFile = None
     deterministic: Deterministic = False
 
     def __post_init__(self) -> None:
@@ -117,6 +119,7 @@ def render(options: RenderOptions) -> None:
         from foten.editing.tool import read_transfer, transferred
 
         texture = transferred(texture, read_transfer(options.tool))
+    texture = for_user(texture, options.user)
     rate = texture.rate_hz
     if audible is not None:
         sinks.audible_factor(rate)
@@ -157,6 +160,7 @@ class PlayOptions:
     seconds: float | None = Option(None, min=0.0, help="How long (s); by default until Ctrl-C, and 10 s into a file.")
     rate: float | None = Option(None, help="Of the output (Hz); by default 48000 for sound, else 8000 or more.")
     actuator: Actuator = None
+    user: UserFile = None
     gain: Gain = None
     device: Device = None
     channel: Channel = None
@@ -213,7 +217,7 @@ def play(options: PlayOptions) -> None:
 
     texture_file, to, seconds = options.texture_file or EXAMPLE, options.to, options.seconds
     profile = read_profile(options.actuator) if options.actuator is not None else None
-    texture = read_texture(texture_file)
+    texture = for_user(read_texture(texture_file), options.user)
     rate, excitation = rate_for(to, options.rate, texture.rate_hz), not options.deterministic
     renderer = Renderer(texture, rate, options.seed, excitation=excitation, actuator=profile)
     info = renderer.native_texture.info
@@ -289,6 +293,15 @@ def _lines_of(played: Played, lead_ms: float, scale: float) -> list[str]:
     if n := played.n_cut:
         lines.append(f"cut beyond full scale: {counted(n, 'sample')}; a smaller --gain than {scale:.3g} keeps them")
     return lines
+
+
+def for_user(texture: Texture, user: Path | None) -> Texture:
+    """The texture as a user's profile has it; as it is without one."""
+    if user is None:
+        return texture
+    from foten.editing.user import adapted, read_user
+
+    return adapted(texture, read_user(user))
 
 
 def provenance(texture: Texture, source: str, seed: int, deterministic: bool) -> dict[str, Any]:

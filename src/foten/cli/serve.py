@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import shutil
 import sys
+from contextlib import ExitStack
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING
 
 from typer import Argument, Option
 
 from foten.atomic_write import reason
-from foten.cli.render import Actuator, Channel, Device, Gain
+from foten.cli.render import Actuator, Channel, Device, Gain, UserFile
 from foten.console import say
 
 if TYPE_CHECKING:
@@ -30,6 +33,7 @@ def serve(
     gain: Gain = None,
     device: Device = None,
     channel: Channel = None,
+    user: UserFile = None,
     open_page: bool = Option(True, "--open/--no-open", help="Open the page in this machine's browser."),
 ) -> None:
     """Open a page to stroke textures on, with a mouse, a finger or a pen, and to capture surfaces of one's own. Ctrl-C ends it.
@@ -50,6 +54,9 @@ def serve(
     output = OutputDevice(to, None if actuator is None else read_profile(actuator), gain, device, channel)
     if output != OutputDevice():
         output.check()
+    folder = ExitStack()
+    if user is not None:
+        textures = _for_user(textures or [], user, Path(folder.enter_context(TemporaryDirectory(prefix="foten-"))))
     shelf = Shelf(textures or [])
     for captured in sorted(captures.glob(f"*/*{SUFFIX}")):
         try:
@@ -64,12 +71,12 @@ def serve(
         link = access.link(shown)
         if joined:
             say(f"a device came in; for the next one: {link}")
-            _say_code(link)
+            say_code(link)
             return
         many = counted(studio.shelf.n_names, "texture")
         say(f"{many} at {link}")
         if access.token is not None:
-            _say_code(link)
+            say_code(link)
             say("the link lets one device in; once it is used, the next is printed")
             say("the tablet warns once: the certificate was made here, for this start, and no one else vouches for it")
         say("Ctrl-C ends it")
@@ -78,10 +85,36 @@ def serve(
 
             webbrowser.open(link)
 
-    serve_studio(studio.app, host, port, announce)
+    with folder:
+        serve_studio(studio.app, host, port, announce)
 
 
-def _say_code(link: str) -> None:
+def _for_user(paths: list[Path], user: Path, folder: Path) -> list[Path]:
+    """Textures as a user's profile has them, as files in a folder, with their pictures."""
+    from foten.editing.user import adapted, read_user
+    from foten.models.texture_file import read_texture, write_texture
+    from foten.studio.shelf import PICTURES, texture_files
+
+    profile, made = read_user(user), []
+    for n, path in enumerate(texture_files(paths)):
+        place = folder / str(n)  # files of one name stay apart
+        place.mkdir()
+        texture = read_texture(path)
+        try:
+            texture = adapted(texture, profile)
+            say(f"{path.name} for {profile.name or 'the user'}")
+        except ValueError as error:
+            say(f"{path.name} as it is: {error}")
+        made.append(place / path.name)
+        write_texture(texture, made[-1])
+        for picture in (path.with_suffix(suffix) for suffix in PICTURES):
+            if picture.is_file():
+                shutil.copy(picture, place)
+    return made
+
+
+def say_code(link: str) -> None:
+    """Print a link as a code that a tablet scans."""
     import segno
 
     segno.make(link, error="l").terminal(out=sys.stderr, compact=True)

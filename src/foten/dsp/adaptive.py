@@ -1,23 +1,23 @@
-"""Adaptive measurements with people: a detection threshold, and a point that is preferred over all others.
+"""Adaptive measurements with people: a threshold, a point of equal strength, and what is preferred over all else.
 
 Both keep a posterior over what is asked for, show what tells most about it, and go on from the answer:
 
     p(θ | answers) ∝ p(θ) Π p(answer | θ, shown)        shown = argmax I(θ; answer)
 
-Source: the threshold after Watson, "QUEST+: a general multidimensional Bayesian adaptive psychometric method", Journal of Vision
+Source: levels after Watson, "QUEST+: a general multidimensional Bayesian adaptive psychometric method", Journal of Vision
 17 (2017); the point after Coombs, "A theory of data" (1964): of two, the nearer to one's own ideal is chosen.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from itertools import product
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
 from foten.dsp import Array
 
-SLOPES = (0.1, 0.2, 0.35)  # of the psychometric function, a dB
 LAPSES = (0.01, 0.05, 0.1)  # share of answers that have nothing to do with what was shown
 SENSITIVITIES = (0.5, 1.0, 2.0)  # of a choice, a just noticeable difference
 N_PARTICLES = 4000
@@ -26,67 +26,91 @@ N_ASKED = 500  # particles that each of them is tried on
 SHRINK = 0.98  # of particles towards their mean where they are drawn anew (Liu and West, 2001)
 
 
-class ThresholdSearch:
-    """Threshold of detection in a choice between places or intervals, of which one holds something [dB].
+@dataclass(frozen=True)
+class Detection:
+    """Share of right answers where one of several places or intervals holds something.
 
-        search = ThresholdSearch(-60.0, 20.0)
-        level = search.stimulus()            # show it in one of three places
-        search.answer(level, correct=True)   # until search.sd is small enough
+        P = guess + (1 − guess − lapse) · (1 − exp(−10^(slope · (level − point) / 2)))
 
-    P(correct) = guess + (1 − guess − lapse) · Weibull(slope · (level − threshold)). Slope and lapse are unknown too.
+    Weibull's function of amplitude: 63 % of the way up at the threshold.
+    """
+
+    guess: float = 1 / 3  # where nothing is felt: one over the number of places
+    slopes: ClassVar[tuple[float, ...]] = (0.1, 0.2, 0.35)  # a dB
+
+    def __post_init__(self) -> None:
+        if not 0 < self.guess < 0.8:
+            raise ValueError(f"guess is {self.guess:g}, expected one over the number of places")
+
+    def __call__(self, level: float | Array, point: Array, slope: Array, lapse: Array) -> Array:
+        felt = 1 - np.exp(-(10 ** (slope * (level - point) / 2)))
+        return np.asarray(self.guess + (1 - self.guess - lapse) * felt)
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Share of answers that what is shown is the stronger of two: a logistic function, a half at the point of equality."""
+
+    slopes: ClassVar[tuple[float, ...]] = (0.25, 0.5, 1.0)  # a dB
+
+    def __call__(self, level: float | Array, point: Array, slope: Array, lapse: Array) -> Array:
+        return np.asarray(0.5 * lapse + (1 - lapse) * (0.5 + 0.5 * np.tanh(0.5 * slope * (level - point))))
+
+
+class LevelSearch:
+    """The level at which answers turn from no to yes [dB]: a threshold of detection, or a point of equal strength.
+
+        search = LevelSearch(-60.0, 20.0)
+        level = search.stimulus()        # show it in one of three places
+        search.answer(level, yes=True)   # which was named; until search.sd is small enough
+
+    Slope and lapse are unknown too.
 
     Args:
-        low, high: of levels [dB], a step of 1 apart for the threshold and 2 for what is shown.
-        guess: share of correct answers where nothing is felt: one over the number of places.
-        expected: mean and standard deviation of thresholds over people [dB]; None for all alike.
+        low, high: of levels [dB], a step of 1 apart for what is searched for and 2 for what is shown.
+        answers: probability of a yes.
+        expected: mean and standard deviation over people [dB]; None for all alike.
     """
 
     def __init__(
-        self, low: float, high: float, guess: float = 1 / 3, expected: tuple[float, float] | None = None
+        self,
+        low: float,
+        high: float,
+        answers: Detection | Comparison = Detection(),
+        expected: tuple[float, float] | None = None,
     ) -> None:
         if not high - low >= 4:
             raise ValueError(f"levels from {low:g} to {high:g} dB, expected a range of 4 dB or more")
-        if not 0 < guess < 0.8:
-            raise ValueError(f"guess is {guess:g}, expected one over the number of places")
         self.levels = np.arange(low, high + 0.5, 2.0)
-        self._thresholds = np.arange(low, high + 0.5, 1.0)
-        grid = np.array(list(product(self._thresholds, SLOPES, LAPSES)))
-        self._threshold = grid[:, 0]
-        threshold, slope, lapse = grid.T
-        correct = [detected(level, threshold, slope, lapse, guess) for level in self.levels]
-        self._correct = np.stack(correct)  # (levels, θ)
+        grid = np.array(list(product(np.arange(low, high + 0.5, 1.0), answers.slopes, LAPSES)))
+        self._point, slope, lapse = grid.T
+        self._yes = np.stack([answers(level, self._point, slope, lapse) for level in self.levels])  # (levels, θ)
         prior = np.ones(len(grid))
         if expected is not None:
-            prior = np.exp(-0.5 * np.square((self._threshold - expected[0]) / expected[1]))
+            prior = np.exp(-0.5 * np.square((self._point - expected[0]) / expected[1]))
         self._posterior = prior / prior.sum()
         self.n_answers = 0
 
     @property
-    def threshold(self) -> float:
+    def point(self) -> float:
         """Mean of the posterior [dB]."""
-        return float(self._posterior @ self._threshold)
+        return float(self._posterior @ self._point)
 
     @property
     def sd(self) -> float:
         """Its standard deviation [dB]."""
-        return float(np.sqrt(self._posterior @ np.square(self._threshold - self.threshold)))
+        return float(np.sqrt(self._posterior @ np.square(self._point - self.point)))
 
     def stimulus(self) -> float:
         """The level that tells most [dB]."""
-        return float(self.levels[np.argmax(_information(self._correct, self._posterior))])
+        return float(self.levels[np.argmax(_information(self._yes, self._posterior))])
 
-    def answer(self, level: float, correct: bool) -> None:
+    def answer(self, level: float, yes: bool) -> None:
         """Take in an answer to a level of `levels`."""
-        p = self._correct[int(np.argmin(np.abs(self.levels - level)))]
-        self._posterior = self._posterior * (p if correct else 1 - p)
+        p = self._yes[int(np.argmin(np.abs(self.levels - level)))]
+        self._posterior = self._posterior * (p if yes else 1 - p)
         self._posterior = self._posterior / self._posterior.sum()
         self.n_answers += 1
-
-
-def detected(level: float, threshold: Array, slope: Array, lapse: Array, guess: float) -> Array:
-    """Share of correct answers at a level [dB]: Weibull's function, 63 % of the way up at the threshold."""
-    felt = 1 - np.exp(-(10 ** (slope * (level - threshold) / 2)))
-    return np.asarray(guess + (1 - guess - lapse) * felt)
 
 
 class PreferenceSearch:

@@ -124,7 +124,8 @@ def moved_by(
             moved = with_spectrum(moved, now, target, seed, n_steps)
     level_db = 20 * float(np.log10(max(steady_figures(moved, seed).rms, 1e-15)))
     moved = with_level(moved, before.level_db + edit.level_db - level_db)
-    words = "; ".join(part for part in (texture.evidence, f"edited: {edit.in_words()}, {UNMEASURED}") if part)
+    done = f"edited: {edit.in_words()}, {UNMEASURED}" if edit.in_words() else ""
+    words = "; ".join(part for part in (texture.evidence, done) if part)
     return restored(moved, {"evidence": words})
 
 

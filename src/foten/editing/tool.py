@@ -28,7 +28,7 @@ from foten.models.excitation import Scale, powers
 from foten.models.foten_plus.definition import Tones
 from foten.models.texture_file import Texture
 from foten.recording.trace import Trace
-from foten.untrusted import check_regular, parse_json
+from foten.untrusted import read_profile_json
 
 FORMAT, VERSION = "foten-tool", 1
 FRAME_S = 0.256  # of a spectrum
@@ -174,6 +174,12 @@ def transferred(texture: Texture, transfer: Transfer) -> Texture:
     Raises:
         ValueError: it is not of foten-plus.
     """
+    words = f"for the tool {transfer.second or 'of a transfer'}, by a filter and a level"
+    return filtered(texture, transfer, words, transfer.second or texture.card["tool"])
+
+
+def filtered(texture: Texture, transfer: Transfer, words: str, tool: str) -> Texture:
+    """The texture through a filter and with other powers, proved, which its card tells in words; otherwise as `transferred`."""
     card, tensors = texture.card, texture.tensors
     if card["model"] != "foten-plus":
         raise ValueError(f"the texture is of {card['model']}, expected one of foten-plus")
@@ -199,13 +205,12 @@ def transferred(texture: Texture, transfer: Transfer) -> Texture:
     limit = tensors["excitation.innovation_limit"].copy()
     limit[1] *= most
     changed["excitation.innovation_limit"] = limit
-    words = f"for the tool {transfer.second or 'of a transfer'}, by a filter and a level"
     powers_of = {
         "speed": texture.extrapolation_exponent("speed") + transfer.speed_exponent,
         "force": texture.extrapolation_exponent("force") + transfer.force_exponent,
     }
     entries = {
-        "tool": transfer.second or card["tool"],
+        "tool": tool,
         "evidence": "; ".join(part for part in (texture.evidence, words) if part)[:500],
         "extrapolation_exponents": {name: float(np.clip(power, 0.0, 2.0)) for name, power in powers_of.items()},
         "saturation": float(card["saturation"] * most),
@@ -266,15 +271,7 @@ def write_transfer(transfer: Transfer, path: Path) -> None:
 
 def read_transfer(path: Path) -> Transfer:
     """The transfer in a file, or ValueError where it is none."""
-    check_regular(path)
-    try:
-        content: Any = parse_json(path.read_bytes())
-    except ValueError as error:
-        raise ValueError(f"{path.name} is not JSON ({error}), expected a tool of 'foten tool measure'") from error
-    if not isinstance(content, dict) or content.pop("format", None) != FORMAT:
-        raise ValueError(f"{path.name} is no tool, expected 'format': {FORMAT!r}")
-    if (version := content.pop("version", None)) != VERSION:
-        raise ValueError(f"{path.name} has version {version}, expected {VERSION}; update foten?")
+    content = read_profile_json(path, FORMAT, VERSION, "a tool of 'foten tool measure'")
     try:
         lists: dict[str, Any] = {name: tuple(content.pop(name)) for name in ("hz", "gain_db", "gain_sd_db")}
         return Transfer(**content, **lists)

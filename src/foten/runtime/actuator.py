@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +12,7 @@ from numpy.typing import NDArray
 from foten.atomic_write import write_json
 from foten.dsp import Array
 from foten.runtime.binding import NativeActuator
-from foten.untrusted import check_regular, parse_json
+from foten.untrusted import read_profile_json
 
 FORMAT, VERSION = "foten-actuator", 1
 MAX_FIGURE = 1e9  # of any unit: no actuator has more
@@ -51,6 +50,13 @@ class ActuatorProfile:
         if not isinstance(self.name, str) or not isinstance(self.unit, str):
             raise ValueError("name and unit of the actuator are text")
 
+    def acceleration(self, hertz: float) -> float:
+        """Amplitude [m/s²] of a steady tone for one unit of drive."""
+        if not self.resonance_hz:
+            return abs(self.gain)
+        ratio = self.resonance_hz / hertz
+        return abs(self.gain / complex(1 - ratio * ratio, -2 * self.damping * ratio))
+
     def native(self) -> NativeActuator:
         """The kernel's structure of these figures."""
         return NativeActuator(self.resonance_hz, self.damping, self.gain, self.lowest_hz, self.limit)
@@ -63,16 +69,7 @@ def write_profile(profile: ActuatorProfile, path: Path) -> None:
 
 def read_profile(path: Path) -> ActuatorProfile:
     """Read the profile in a file, or raise ValueError where it is none, or a figure cannot be."""
-    check_regular(path)
-    try:
-        content: Any = parse_json(path.read_bytes())
-    except ValueError as error:
-        raise ValueError(f"{path.name} is not JSON ({error}), expected an actuator's profile") from error
-    if not isinstance(content, dict) or content.pop("format", None) != FORMAT:
-        raise ValueError(f"{path.name} is not an actuator's profile, expected 'format': {FORMAT!r}")
-    version = content.pop("version", None)
-    if version != VERSION:
-        raise ValueError(f"{path.name} has version {version}, expected {VERSION}; update foten?")
+    content = read_profile_json(path, FORMAT, VERSION, "an actuator's profile")
     known = sorted(field.name for field in fields(ActuatorProfile))
     if unknown := sorted(content.keys() - known):
         raise ValueError(f"{path.name} has {unknown[0]!r}, expected some of {', '.join(known)}")

@@ -42,7 +42,7 @@ class Shelf:
 
     def __init__(self, paths: Sequence[Path] = ()) -> None:
         self._entries: dict[str, Entry] = {}
-        for path in _files(paths):
+        for path in texture_files(paths):
             self.put(path)
 
     def __len__(self) -> int:
@@ -82,7 +82,8 @@ class Shelf:
         return {"textures": [entry.listed() for entry in self._entries.values()], "server": True}
 
 
-def _files(paths: Sequence[Path]) -> Iterator[Path]:
+def texture_files(paths: Sequence[Path]) -> Iterator[Path]:
+    """Texture files of paths, those in folders among them; without paths those that come along."""
     if not paths:
         yield from sorted(EXAMPLE.parent.glob(f"*{SUFFIX}"))
     for path in paths:

@@ -207,6 +207,11 @@ export class PageSound extends EventTarget {
     if (this.id) this.use(this.id);
   }
 
+  /** Play tones alone, for so many seconds: [when, Hz, peak of full scale, length] each. */
+  burst(tones, seconds) {
+    this.post({ do: "burst", tones, seconds });
+  }
+
   record(on) {
     this.post({ do: "record", on });
   }

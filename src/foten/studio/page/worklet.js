@@ -4,6 +4,7 @@ import { limited, Stream } from "./stream.js";
 
 const FADE = 512; // samples of a change from one texture to another
 const QUANTA = 6; // of 128 samples between reports: 62 times a second at 48 kHz
+const RAMP_S = 0.05; // in which a tone begins, and ends
 const LAST_EVENTS = 16; // that a texture is given which takes over during a stroke
 
 class Contact extends AudioWorkletProcessor {
@@ -23,6 +24,7 @@ class Contact extends AudioWorkletProcessor {
     this.recording = null;
     this.waiting = null; // the event whose delay is being measured
     this.stream = null; // what a server renders, and waits here to be played
+    this.tones = null; // that play alone, and how far they are
     this.port.onmessage = ({ data }) => {
       try {
         this[data.do](data);
@@ -78,6 +80,26 @@ class Contact extends AudioWorkletProcessor {
     this.recording?.events.push([this.recording.n, ...event]);
   }
 
+  /** Play tones, and nothing else meanwhile: when [s], Hz, peak of full scale and length [s] of each. */
+  burst({ tones, seconds }) {
+    this.tones = { list: tones, n: 0, end: seconds * sampleRate };
+  }
+
+  sing(out) {
+    const { tones } = this;
+    for (let i = 0; i < out.length; i++, tones.n++) {
+      out[i] = 0;
+      for (const [begin, hz, peak, length] of tones.list) {
+        const t = tones.n / sampleRate - begin;
+        if (t < 0 || t >= length) continue;
+        const ramp = Math.min(1, t / RAMP_S, (length - t) / RAMP_S);
+        out[i] += peak * (0.5 - 0.5 * Math.cos(Math.PI * ramp)) * Math.sin(2 * Math.PI * hz * t);
+      }
+    }
+    if (tones.n >= tones.end) this.tones = null;
+    return true;
+  }
+
   /** Play what comes from a server. */
   listen({ on, scale }) {
     if (on && this.stream) this.stream.scale = scale;
@@ -120,6 +142,7 @@ class Contact extends AudioWorkletProcessor {
   }
 
   process(_inputs, [[out]]) {
+    if (this.tones) return this.sing(out);
     if (this.stream) return this.play(out);
     const one = this.current, { quantum } = this;
     if (!one) return true;

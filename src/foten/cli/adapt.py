@@ -1,0 +1,84 @@
+"""`foten adapt`: how a user feels through her actuator, measured on a page."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from typer import Argument, Option
+
+from foten.cli.render import Actuator
+from foten.console import check_files, say
+
+if TYPE_CHECKING:
+    from foten.studio.access import Access
+
+
+def adapt(
+    texture_file: Path | None = Argument(
+        None, metavar="[T.foten]", help="To be matched to its real surface, which lies beside the page."
+    ),
+    output: Path = Option(..., "-o", "--output", help="The user's profile, .json; it goes on where it ended."),
+    name: str = Option("", help="Of the user, for cards of textures."),
+    feel: bool = Option(
+        True, "--feel/--no-feel", help="Thresholds and equal strength at five frequencies: four minutes."
+    ),
+    actuator: Actuator = None,
+    host: str = Option(
+        "127.0.0.1", help="127.0.0.1 for this machine, 0.0.0.0 for a tablet on the network, as 'foten serve'."
+    ),
+    port: int = Option(8000, min=0, max=65535, help="0 for any that is free."),
+    open_page: bool = Option(True, "--open/--no-open", help="Open the page in this machine's browser."),
+) -> None:
+    """Measure how a user feels through her actuator, on a page: what she detects, what is equally strong, what is most like.
+
+    foten adapt denim.foten -o me.json: four minutes of tones, then up to 25 choices with the real denim beside the page.
+
+    foten render denim.foten --user me.json …; foten serve --user me.json; foten edit denim.foten --user me.json -o mine.foten
+    """
+    from foten.cli.serve import say_code
+    from foten.editing.user import MOVES, UserProfile, read_user
+    from foten.models.texture_file import read_texture
+    from foten.runtime.actuator import read_profile
+    from foten.studio.adapt.adapt_server import AdaptServer, largest_tones_db
+    from foten.studio.adapt.session import Session
+    from foten.studio.web_server import serve as serve_page
+
+    if output.suffix != ".json":
+        raise ValueError(f"a user's profile is written as .json, got -o {output.name}")
+    if texture_file is None and not feel:
+        raise ValueError("nothing is asked, expected a texture, or no --no-feel")
+    check_files([output])
+    profile = None if actuator is None else read_profile(actuator)
+    known = profile.name or str(actuator) if profile is not None else ""
+    unit = "full scale" if profile is None else "m/s²"
+    before = UserProfile(name, known, unit)
+    if output.exists():
+        before = read_user(output)
+        if (before.actuator, before.unit) != (known, unit):
+            was = f"with the actuator {before.actuator}" if before.actuator else "without an actuator's profile"
+            raise ValueError(f"{output} was measured {was}: expected the same, or another -o")
+    texture = None if texture_file is None else read_texture(texture_file)
+    if texture is not None and (model := texture.card["model"]) != "foten-plus":
+        raise ValueError(f"{texture_file} is of {model}, expected one of foten-plus: others cannot be moved")
+    title = "" if texture is None or texture_file is None else str(texture.card["texture"]) or texture_file.stem
+    session = Session(before, largest_tones_db(profile), title, tuple(MOVES), feel)
+    server = AdaptServer(session, output, texture, profile)
+
+    def announce(access: Access, shown: str, joined: bool) -> None:
+        link = access.link(shown)
+        if session.answers and not joined:
+            say(f"{output} holds {len(session.answers)} answers: it goes on there")
+        say(f"a device came in; for another: {link}" if joined else f"open {link}")
+        if access.token is not None:
+            say_code(link)
+        elif open_page and not joined:
+            import webbrowser
+
+            webbrowser.open(link)
+        if not joined:
+            say(f"answers are kept in {output}; Ctrl-C ends it")
+
+    serve_page(server.app, host, port, announce)
+    for line in session.profile.in_words() if session.answers else ():
+        print(line)

@@ -1,0 +1,153 @@
+"""A user's profile: how strongly she feels five frequencies through her actuator, and how she likes textures moved.
+
+    answers on the page of `foten adapt` ─▶ UserProfile ─▶ adapted(texture): a texture file like any other
+
+The filter has the gains by which tones of five frequencies feel as strong as one of 160 Hz. On people whom others measured,
+accelerations of 40 to 250 Hz are felt at one amplitude: so a filter that makes them equal takes away what her actuator, her grip
+and her skin do to a spectrum. Moves are those of `editing.edit`, as she chose them beside a real surface.
+
+Source: ours; equal thresholds of acceleration after Verrillo, J. Acoust. Soc. Am. 35 (1963), as in `dsp.perception`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from foten.atomic_write import write_json
+from foten.editing.describe import describe, reference, steady_figures
+from foten.editing.edit import Edit, moved_by, with_level
+from foten.editing.tool import MAX_GAIN_DB, Transfer, filtered
+from foten.models.texture_file import Texture
+from foten.untrusted import read_profile_json
+
+FORMAT, VERSION = "foten-user", 1
+TONES_HZ = (40.0, 63.0, 100.0, 160.0, 250.0)
+REFERENCE_HZ = 160.0  # whose gain is 0
+MOVES = {"level": 6.0, "brighter": 0.75, "wider": 0.3, "rougher": 1.5}
+"""Half of the range of each move: dB, octaves, octaves, dB of the envelope. Five just noticeable differences, as is assumed."""
+
+
+@dataclass(frozen=True)
+class UserProfile:
+    """What is known of a user with an actuator. Levels are amplitudes."""
+
+    name: str = ""
+    actuator: str = ""  # its name; empty for an output whose acceleration is not known
+    unit: str = "full scale"  # that levels are re: full scale of the output, or m/s²
+    threshold_db: tuple[float, ...] = ()  # at `TONES_HZ`; empty where they were not measured
+    threshold_sd_db: tuple[float, ...] = ()
+    gain_db: tuple[float, ...] = ()  # by which the tones feel as strong as the one of `REFERENCE_HZ`
+    gain_sd_db: tuple[float, ...] = ()
+    texture: str = ""  # that was matched to a surface; empty where none was
+    moves: tuple[float, ...] = ()  # of `MOVES`, in their units
+    moves_sd: tuple[float, ...] = ()
+    answers: tuple[
+        tuple[str, tuple[float, ...], int], ...
+    ] = ()  # all that were given: part, what was shown, which was chosen
+
+    def __post_init__(self) -> None:
+        for text in (self.name, self.actuator, self.unit, self.texture):
+            if not isinstance(text, str):
+                raise ValueError("name, actuator, unit and texture of the user are text")
+        sizes = {"threshold_db": len(TONES_HZ), "gain_db": len(TONES_HZ), "moves": len(MOVES)}
+        for name, n in sizes.items():
+            for key in (name, name.replace("_db", "_sd_db") if "_db" in name else f"{name}_sd"):
+                values = getattr(self, key)
+                if len(values) not in (0, n):
+                    raise ValueError(f"{key} of the user has {len(values)} figures, expected {n}")
+                if not all(_is_number(value) for value in values):
+                    raise ValueError(f"a figure of {key} of the user is no finite number")
+        if any(abs(gain) > MAX_GAIN_DB for gain in self.gain_db):
+            raise ValueError(f"a gain of the user is beyond {MAX_GAIN_DB:g} dB")
+        for move, (name, most) in zip(self.moves, MOVES.items(), strict=False):
+            if abs(move) > most:
+                raise ValueError(f"{name} of the user is {move:g}, expected {-most:g} to {most:g}")
+
+    def in_words(self) -> list[str]:
+        """What is known, a line each."""
+        lines = []
+        if self.threshold_db:
+            felt = [f"{hz:g} Hz {db:+.0f}" for hz, db in zip(TONES_HZ, self.threshold_db, strict=True)]
+            lines.append(f"felt from {', '.join(felt)} dB re {self.unit}, to {max(self.threshold_sd_db):.0f} dB")
+        if self.gain_db:
+            gains = [f"{hz:g} Hz {db:+.0f}" for hz, db in zip(TONES_HZ, self.gain_db, strict=True)]
+            lines.append(
+                f"as strong as {REFERENCE_HZ:g} Hz with {', '.join(gains)} dB, to {max(self.gain_sd_db):.0f} dB"
+            )
+        if self.moves:
+            lines.append(f"{self.texture} is most like its surface with {self.edit.in_words() or 'nothing changed'}")
+        return lines
+
+    @property
+    def transfer(self) -> Transfer | None:
+        """The filter of the gains; None where they were not measured."""
+        if not self.gain_db:
+            return None
+        return Transfer("", self.name, TONES_HZ, self.gain_db, self.gain_sd_db, speed_mm_s=100.0, force_n=0.7)
+
+    @property
+    def edit(self) -> Edit:
+        """The moves; none where none were chosen."""
+        level, brighter, wider, rougher = self.moves or (0.0,) * len(MOVES)
+        return Edit(level_db=level, brighter=brighter, wider=wider, rougher=rougher)
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and bool(np.isfinite(value))
+
+
+def adapted(texture: Texture, profile: UserProfile, seed: int = 0) -> Texture:
+    """The texture as a user with an actuator is given it, proved.
+
+    Raises:
+        ValueError: it is not of foten-plus, or the profile is empty.
+    """
+    edit, equalised = profile.edit, equal_strength(texture, profile)
+    if edit == Edit():
+        if equalised is texture:
+            raise ValueError("the user's profile is empty: nothing was measured")
+        return equalised
+    before = describe(equalised, seed)
+    width = max(edit.wider, 0.05 - before.width_octaves)  # moves were chosen on another texture, which was wider
+    moved = moved_by(equalised, replace(edit, wider=width), before, seed)
+    words = _words(texture, profile, edit.in_words() or "a filter")
+    return Texture({**moved.card, "evidence": words}, moved.tensors)
+
+
+def equal_strength(texture: Texture, profile: UserProfile) -> Texture:
+    """The texture through the filter of a user's gains, as loud as it was where it is described."""
+    transfer = profile.transfer
+    if transfer is None:
+        return texture
+    at = replace(transfer, speed_mm_s=reference(texture, "speed"), force_n=reference(texture, "force"))
+    out = filtered(texture, at, "", texture.card["tool"])
+    out = with_level(out, 20 * float(np.log10(steady_figures(texture).rms / steady_figures(out).rms)))
+    return Texture({**out.card, "evidence": _words(texture, profile, "a filter")}, out.tensors)
+
+
+def _words(texture: Texture, profile: UserProfile, how: str) -> str:
+    """What the card says of a texture for a user."""
+    parts = [texture.evidence, f"for {profile.name or 'one user'}: {how}"]
+    return "; ".join(part for part in parts if part)[:500]
+
+
+def write_user(profile: UserProfile, path: Path) -> None:
+    """Write a profile as JSON, whole or not at all."""
+    write_json(path, {"format": FORMAT, "version": VERSION, "tones_hz": list(TONES_HZ), **asdict(profile)})
+
+
+def read_user(path: Path) -> UserProfile:
+    """The profile in a file, or ValueError where it is none."""
+    content = read_profile_json(path, FORMAT, VERSION, "a user's profile of 'foten adapt'")
+    if content.pop("tones_hz", None) != list(TONES_HZ):
+        raise ValueError(f"{path.name} is of other frequencies, expected {', '.join(f'{hz:g}' for hz in TONES_HZ)} Hz")
+    try:
+        given = [(str(part), tuple(map(float, shown)), int(which)) for part, shown, which in content.pop("answers")]
+        lists = {name: tuple(value) for name, value in content.items() if isinstance(value, list)}
+        return UserProfile(**{**content, **lists, "answers": tuple(given)})
+    except (TypeError, KeyError, ValueError) as error:
+        raise ValueError(f"{path.name} is no user's profile: {error}") from None

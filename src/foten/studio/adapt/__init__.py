@@ -1,0 +1,1 @@
+"""A user's thresholds, gains and likings, measured on a page."""
