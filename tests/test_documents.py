@@ -78,7 +78,7 @@ def serves(folder: Path, *command: str | Path) -> None:
             urllib.request.ProxyHandler({}),
         )
         with opener.open(link, timeout=30) as answer:
-            assert re.search(rb"<title>(foten|Operator)</title>", answer.read())
+            assert re.search(rb"<title>(foten|foten: your hand|Operator)</title>", answer.read())
     finally:
         process.terminate()
         process.communicate(timeout=30)

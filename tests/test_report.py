@@ -286,6 +286,22 @@ def test_figures_of_a_fast_texture_reach_half_its_rate():
     assert max(line.get_xdata().max() for line in axes.lines) == frequencies[-1] == 5000
 
 
+def test_beyond_the_recorded_range_the_figure_shows_the_law(judged, texture):
+    """The card's powers, 0.7 of speed and 0.4 of force, above the trained range; frames of the recording within it."""
+    figure = plots.reach(judged, texture)
+    for axes, (low, high), power in zip(figure.axes, ((8.0, 220.0), (0.3, 2.5)), (0.7, 0.4), strict=True):
+        recorded, beyond, inside = axes.lines
+        assert (inside.get_xdata().min(), inside.get_xdata().max()) == (low, high)
+        values, levels = beyond.get_data()
+        above = values >= high
+        assert above.sum() >= 2
+        grown = (levels[above][-1] - levels[above][0]) / np.log10(values[above][-1] / values[above][0])
+        assert grown == pytest.approx(20 * power, abs=1.0)  # an RMS of 2 s
+        assert recorded.get_xdata().size > 10
+    plain = exported("foten")
+    assert plots.reach(judged, plain) is None
+
+
 def test_spectrograms_share_a_scale_and_show_a_tone_where_it_is(judged):
     tone = np.sin(2 * np.pi * 200.0 * np.arange(2000) / 1000.0)
     figure = plots.over_time(replace(judged, synthesized={"free_run": np.tile(tone, (1, len(TEST), 1))}))
@@ -323,7 +339,7 @@ def test_a_foreign_recording_without_ceiling_or_linear_fit_is_reported(judged):
     for name in ("ar", "ar_scheduled", "ar_best"):
         judgement.document["references"][name] = dict.fromkeys(ONE_STEP) | {"order": None, "scheduled": None}
     judgement.document["reasons"] = {"references.ar": "no training blocks to fit on"}
-    text = page(judgement, _texture(split={"train": [99]}))
+    text = page(judgement, _texture(split=asdict(Split((99,), (3,), (4,), 100, BLOCK, "regrouped", 0))))
     assert any("not the recording" in note for note in cautions(judgement.document))
     step, spectrum, *_ = verdict(judgement.document)
     assert "% above persistence" in step.sentence

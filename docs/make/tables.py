@@ -388,10 +388,15 @@ def tools_worth() -> Table:
     return Table.of(("", "", "level error [dB]", "log-spectral distance [dB]"), cells)
 
 
+def users_rows() -> list[dict[str, str]]:
+    """Rows of the simulated people."""
+    path = RESULTS / "users.csv"
+    return list(csv.DictReader(path.open(encoding="utf-8"))) if path.exists() else []
+
+
 def users_known() -> Table:
     """How well simulated people are known after how many answers."""
-    path = RESULTS / "users.csv"
-    rows = list(csv.DictReader(path.open(encoding="utf-8"))) if path.exists() else []
+    rows = [row for row in users_rows() if not row["what"].startswith("session")]
     answers = sorted({int(row["answers"]) for row in rows} - {0})
 
     def cell(what: str, procedure: str, n: int) -> str:
@@ -403,6 +408,22 @@ def users_known() -> Table:
     return Table.of(
         ("", "", *(f"{n} answers" for n in answers)), [(*kind, *(cell(*kind, n) for n in answers)) for kind in kinds]
     )
+
+
+def users_session() -> Table:
+    """What the session of `foten adapt` takes and gives."""
+    rows = [row for row in users_rows() if row["what"].startswith("session")]
+    cells = [
+        (
+            row["what"].removeprefix("session: "),
+            row["answers"],
+            f"{float(row['bias']):+.1f}" if row["bias"] else "",
+            f"{float(row['spread']):.1f}" if row["spread"] else "",
+            f"{float(row['distance']):.1f}",
+        )
+        for row in rows
+    ]
+    return Table.of(("the whole session", "answers", "bias", "spread", "mean"), cells)
 
 
 def sentences(name: str) -> str:
@@ -441,6 +462,7 @@ TABLES: dict[str, dict[str, Callable[[], Table | str]]] = {
         "few-strokes-real": partial(few_strokes, real=True),
         "tools": tools_worth,
         "users": users_known,
+        "session": users_session,
         "words": words_worth,
     },
     "model.md": {"random-part": partial(benchmark, "random-part")},

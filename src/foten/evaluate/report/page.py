@@ -160,6 +160,11 @@ def _figures_section(judgement: Judgement, texture: Texture) -> str:
         *("conditions", plots.conditions(judgement, texture), "Where it is right"),
         "Each judged block at its mean speed and force; red is too loud, blue too soft.",
     )
+    reach = _figure(
+        *("reach", plots.reach(judgement, texture), "Where measured ends"),
+        "Level under a steady hand over speed and over force: shaded what was recorded, dashed what follows beyond. "
+        f"Above it {texture.extrapolation_in_words()}.",
+    )
     over_time = _figure(
         *("time", plots.over_time(judgement), "Over time"),
         "Spectrograms of the first seed on one colour scale, level in frames of 40 ms (band: lowest to highest seed), speed "
@@ -167,7 +172,7 @@ def _figures_section(judgement: Judgement, texture: Texture) -> str:
     )
     return (
         f'<section id="figures"><h2>Figures</h2>{waveform}{spectrum}<div class="pair">{bands}{conditions}</div>'
-        f"{over_time}</section>"
+        f"{reach}{over_time}</section>"
     )
 
 

@@ -15,8 +15,10 @@ from foten.evaluate.evaluate import Judgement
 from foten.evaluate.metrics import band_edges
 from foten.evaluate.report import signals
 from foten.evaluate.report.signals import LABELS, scored_conditions, scored_runs, shown_blocks, shown_run
+from foten.models.conditions import EXTRAPOLATION_LIMIT, FADE_FORCE, FADE_SPEED, REACH_FORCE, REACH_SPEED
 from foten.models.texture_file import Texture
 from foten.reporting.figure import BLUE, GREEN, MAUVE, ORANGE, PAGE, add_colour_bar, add_legend, log_hertz, new_figure
+from foten.runtime.renderer import Renderer
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -26,6 +28,8 @@ COLOURS = {"recorded": INK, "free_run": BLUE, "free_run_deterministic": ORANGE, 
 STYLES = {"free_run_deterministic": (0, (4, 2)), "free_run_ar": (0, (6, 1.5, 1.5, 1.5)), "ceiling": (0, (1.5, 1.5))}
 _SPECTROGRAM_MS = 64.0  # of a spectrogram's window: a texture's level changes within a few frames of 40 ms
 _SPECTROGRAM_COLUMNS = 700
+REACH_NEAR = math.log(1.4)  # of speed or force to the other's median
+N_REACH = 16  # speeds, or forces, that are rendered
 _SPECTROGRAM_DB = 50.0  # of the colour scale, down from the loudest recorded cell
 
 
@@ -131,6 +135,56 @@ def conditions(judgement: Judgement, texture: Texture) -> Figure | None:
     axes.margins(0.08, 0.12)
     add_legend(axes, PAGE, ncols=3, loc="lower center", bbox_to_anchor=(0.5, 1.0), columnspacing=1.2)
     return figure
+
+
+def reach(judgement: Judgement, texture: Texture) -> Figure | None:
+    """Level that is rendered over speed and over force, in the trained range and outside, where it follows a law or is held.
+
+    Dots are frames of the recording at about the other's median. None where a hand cannot be simulated: without an excitation.
+    """
+    renderer = Renderer(texture)
+    if not texture.has_excitation or renderer.native_texture.info.asks_predictor:
+        return None
+    trace = judgement.trace
+    frame = round(FRAME_MS * trace.rate_hz / 1000)
+    n = len(trace.acceleration) // frame * frame
+    of_frames = [channel[:n].reshape(-1, frame) for channel in (trace.speed, trace.force)]
+    recorded = np.stack([channel.mean(axis=1) for channel in of_frames], axis=1)  # (frames, 2)
+    level = 10 * np.log10(np.maximum(np.square(trace.acceleration[:n].reshape(-1, frame)).mean(axis=1), 1e-12))
+    moving = (recorded > (FADE_SPEED, FADE_FORCE)).all(axis=1)
+    centre = np.median(recorded[moving], axis=0) if moving.any() else np.array([100.0, 0.7])
+    figure, panels = new_figure(9.6, 3.2, PAGE, ncols=2, sharey=True)
+    reaches = (REACH_SPEED, FADE_SPEED), (REACH_FORCE, FADE_FORCE)
+    for i, (axes, channel, unit, (most, least)) in enumerate(
+        zip(panels, ("speed", "force"), ("mm/s", "N"), reaches, strict=True)
+    ):
+        low, high = texture.trained_range(channel)
+        low = max(low, least)
+        other = centre[1 - i]
+        near = moving & (np.abs(np.log(np.maximum(recorded[:, 1 - i], 1e-9) / other)) < REACH_NEAR)
+        axes.plot(recorded[near, i], level[near], ".", color=INK, alpha=0.3, markersize=3, label="recorded")
+        values = np.geomspace(0.5 * least, max(most, EXTRAPOLATION_LIMIT * high), N_REACH)
+        values = np.unique(np.concatenate([values, [low, high]]))
+        condition = [(value, other) if i == 0 else (other, value) for value in values]
+        levels = np.array([_steady_level(renderer, *pair) for pair in condition])
+        inside = (values >= low) & (values <= high)
+        axes.plot(values, levels, color=BLUE, linewidth=1.6, linestyle=(0, (3, 2)), label="free run, beyond")
+        axes.plot(values[inside], levels[inside], color=BLUE, linewidth=2.4, label="free run")
+        axes.axvspan(low, high, color=BLUE, alpha=0.08, linewidth=0)
+        at = f"{other:.2g} N" if i == 0 else f"{other:.0f} mm/s"
+        axes.set(xscale="log", xlabel=f"{channel} [{unit}], at {at}", xlim=(values[0], values[-1]))
+        axes.xaxis.set_major_formatter("{x:g}")
+    panels[0].set_ylabel(f"level [dB re 1 {judgement.document['unit']}]")
+    add_legend(panels[0], PAGE, loc="lower right")
+    return figure
+
+
+def _steady_level(renderer: Renderer, speed_mm_s: float, force_n: float) -> float:
+    """RMS of what is rendered under a steady hand [dB]."""
+    renderer.reset(0)
+    n, settle = round(2.0 * renderer.rate), round(0.5 * renderer.rate)
+    samples = renderer.render(speed_mm_s, force_n, settle + n)[settle:].astype(np.float64)
+    return 10 * math.log10(max(float(np.square(samples).mean()), 1e-12))
 
 
 def over_time(judgement: Judgement) -> Figure:
