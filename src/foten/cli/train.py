@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -175,7 +175,7 @@ def train(options: TrainOptions) -> None:
     job = options.job(recording)
     inspection = inspect_recording(recording)
     if not options.anyway:
-        check_usable(inspection, besides=("refused", "short"))  # which the training says itself
+        check_usable(unusable(inspection, besides=("refused", "short")))  # which the training says itself
     notes = list(_notes(inspection, job.preprocess.rate_hz))
     display = TrainingDisplay(config.epochs, "nat" if options.of_spectra else "sd")
     folder = RunFolder(options.run_folder or output.with_suffix(".run"), display.note)
@@ -275,13 +275,20 @@ def _summary(trained: Trained) -> str:
     return "\n".join([*lines, f"warm start {origin} at {where}, the nearest to the paper's 45 mm/s and 0.8 N"])
 
 
-def check_usable(inspection: Inspection, besides: tuple[str, ...] = ()) -> None:
-    """Refuse a recording from which nothing sensible can be learned, but for findings with some codes."""
-    findings = [
-        finding for finding in inspection.findings if finding.severity == "unusable" and finding.code not in besides
+def unusable(inspection: Inspection, in_full: Sequence[str] = (), besides: tuple[str, ...] = ()) -> list[str]:
+    """Why nothing sensible can be learned, but for findings with some codes; each as a longer sentence has it that begins so."""
+    texts = [
+        finding.text
+        for finding in inspection.findings
+        if finding.severity == "unusable" and finding.code not in besides
     ]
-    if findings:
-        raise ValueError(f"nothing sensible can be learned: {findings[0].text} (--anyway goes on)")
+    return [next((sentence for sentence in in_full if sentence.startswith(text)), text) for text in texts]
+
+
+def check_usable(refusals: Sequence[str]) -> None:
+    """Refuse a recording from which nothing sensible can be learned, with all reasons."""
+    if refusals:
+        raise ValueError(f"nothing sensible can be learned: {'. '.join(refusals)} (--anyway goes on)")
 
 
 def _notes(inspection: Inspection, rate_hz: float) -> Iterator[str]:

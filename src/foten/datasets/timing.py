@@ -16,6 +16,8 @@ from foten.recording.inspection.values import counted
 from foten.recording.recording import Channel
 
 MAX_JITTER = 0.01  # of a period, in regular times
+MIN_VALUES = 10  # of a sensor slower than the rows
+MAX_OFF = 0.25  # of its period, that its values may lie from an even grid; a lost one leaves half a period
 FILLED = ("position", "speed", "force")  # quantities that change slowly
 
 
@@ -112,6 +114,27 @@ def _last_digit(times: Array) -> float:
         if np.abs(scaled - np.round(scaled)).max() <= 1e-6 + 4e-16 * np.abs(scaled).max():
             return 10.0**-digits
     return float(np.spacing(np.float32(np.abs(times).max())))  # single precision somewhere on the way
+
+
+def of_slower_sensor(channel: Channel) -> tuple[Channel, float]:
+    """Channel without its blank rows where the others are those of a sensor slower than the rows; and rows from value to value.
+
+    They are where all lie within a row of a straight line in time, and nearer to it than a lost value would leave them.
+    """
+    known, times = np.flatnonzero(~np.isnan(channel.samples)), channel.times
+    if known.size < MIN_VALUES or known.size == channel.samples.size:
+        return channel, 1.0
+    number, first = np.arange(known.size), times[known[0]]
+    period, offset = np.polyfit(number, times[known] - first, 1).tolist()
+    row = float(np.median(np.diff(times)))
+    even = first + offset + period * number
+    if np.abs(times[known] - even).max() > min(row, MAX_OFF * period):
+        return channel, 1.0
+    # The ends are known to a row, so the rate to two rows in the whole.
+    rate_hz = (
+        float(round(1 / period)) if abs(round(1 / period) * period - 1) * known.size * period <= 2 * row else 1 / period
+    )
+    return Channel(channel.samples[known], rate_hz, even), float(np.diff(known).mean())
 
 
 def irregular(times: Array, rate_hz: float) -> str:

@@ -22,8 +22,7 @@ def check_missing(recording: Recording) -> Iterable[Finding]:
     """Yield problems where acceleration, speed or force is missing, or the acceleration slower than the default rate."""
     axes = recording.axes("acceleration")
     if not axes:
-        text = "there is no acceleration: nothing to learn from; speed and force can still drive a renderer"
-        yield Finding(UNUSABLE, "missing", "acceleration", text)
+        yield Finding(UNUSABLE, "missing", "acceleration", "there is no acceleration to learn from")
     elif axes[0].rate_hz < PreprocessConfig().rate_hz:
         rate = f"{axes[0].rate_hz:g}"
         text = f"acceleration was captured at {rate} Hz and is never upsampled: train with --rate {rate} or lower"
