@@ -636,7 +636,7 @@ def test_what_is_missing_is_named_and_columns_that_may_be_positions(tmp_path):
 def test_all_that_is_missing_is_refused_in_one_message_that_can_be_copied(tmp_path, capsys):
     """Each was told after the one before had been mended, and the columns were left out in silence."""
     header = "t [s],Acc [g],Load X [gf],Load Z [gf],Grip [N],Tip X [um],Tip Y [um],Cam X [mm],Cam Y [mm]"
-    path = _csv(tmp_path / "a.csv", header, TIME, ACC, *[100 * FORCE] * 3, 1000 * SPEED, 1000 * SPEED, SPEED, SPEED)
+    path = _csv(tmp_path / "a.csv", header, TIME, ACC, *[100 * FORCE] * 3, *[250 * SPEED] * 2, *[SPEED] * 2)
     arguments = ["import", str(path), "-o", str(tmp_path / "a.h5")]
     assert _status(arguments) == 2
     refusal = capsys.readouterr().err.splitlines()[-1]
@@ -650,7 +650,7 @@ def test_all_that_is_missing_is_refused_in_one_message_that_can_be_copied(tmp_pa
     )
     assert _status([*arguments, "--map", speed[0], "--map", force[0]]) == 0
     recording = load_recording(tmp_path / "a.h5")
-    np.testing.assert_allclose(recording["position_x"].samples, SPEED, rtol=1e-12)
+    np.testing.assert_allclose(recording["position_x"].samples, SPEED / 4, rtol=1e-12)
     np.testing.assert_allclose(recording["force_z"].samples, FORCE * 0.980665, rtol=1e-12)
 
 
