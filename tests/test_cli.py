@@ -207,9 +207,13 @@ def test_render_writes_each_output(texture: Path, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("sizes", "mae_scaled", "words"),
     [
-        ({}, 0.95, "improves one-step predictions by 5.0 %, and draws the innovations"),
+        ({}, 0.95, "improves one-step predictions by 5.0 %, and makes the random part of a rendering"),
         ({"network_in_loop": False}, 0.9999, "does not improve one-step predictions; a rendering does without it"),
-        ({"n_tones": 3}, 0.9, "improves one-step predictions by 10.0 %; another draws what tones leave"),
+        (
+            {"n_tones": 3},
+            0.9,
+            "improves one-step predictions by 10.0 %; a second one makes the part of a rendering that is not tones",
+        ),
     ],
 )
 def test_what_the_network_is_for_is_said_plainly(

@@ -133,8 +133,8 @@ def network_summary(card: Mapping[str, Any]) -> str:
     if not sizes["network_in_loop"]:
         return f"{improves}; a rendering does without it, as it did not help on the validation blocks"
     if sizes["n_tones"]:
-        return f"{improves}; another draws what tones leave of a rendering"
-    return f"{improves}, and draws the innovations of a rendering"
+        return f"{improves}; a second one makes the part of a rendering that is not tones"
+    return f"{improves}, and makes the random part of a rendering"
 
 
 def validation_summary(card: Mapping[str, Any]) -> str:

@@ -46,13 +46,9 @@ def check_durations(recording: Recording) -> Iterable[Finding]:
 
 
 def check_short(seconds: float, options: str) -> Iterable[Finding]:
-    """Yield a note where all channels cover less than the defaults of training need, with the options that fit if any do."""
+    """Yield a note where all channels cover too little for a cut that is chosen unasked, with the options that fit if any do."""
     config = PreprocessConfig()
-    if MIN_ALONE_S <= seconds < config.shortest_s:
-        cut = f"nothing is trimmed, and blocks are short; of {config.shortest_s:g} s or more they are of 2 s"
-        text = f"it lasts {seconds:.2f} s: {cut}"
-        yield Finding(NOTE, "short", "", text)
-    elif seconds < config.shortest_s:
+    if seconds < min(MIN_ALONE_S, config.shortest_s):
         advice = f"train with {options}" if options else "too short to learn from; record for longer"
         needs = (
             f"trimming {config.trim_ms / 1000:g} s at both ends, {MIN_BLOCKS} blocks of {config.block_ms / 1000:g} s"

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from foten.dsp import Array, perception
+from foten.recording.preprocess import cut_in_words
 from foten.recording.recording import Channel
 
 UNUSABLE, PROBLEM, NOTE = "unusable", "problem", "note"
@@ -81,6 +82,7 @@ class Inspection:
     options: str  # of `foten train` that fit the recording; empty where it is too short for any
     recording_sha256: str
     takes_s: tuple[float, ...] = ()  # time that each covers, where there are several
+    cut_ms: tuple[float, float] | None = None  # trim and block that training chooses; None where it chooses none
 
     @property
     def problems(self) -> tuple[Finding, ...]:
@@ -126,6 +128,8 @@ class Inspection:
             "carried_by_rate_hz": {f"{rate:g}": share for rate, share in self.carried.items()},
             "options": self.options,
             "takes_s": list(self.takes_s),
+            "trim_ms": self.cut_ms and self.cut_ms[0],
+            "block_ms": self.cut_ms and self.cut_ms[1],
             "usable": not self.unusable,
             "verdict": self.verdict,
         }
@@ -154,6 +158,8 @@ class Inspection:
         if self.carried:
             advice = f"; train with {self.options}" if self.options else ""
             lines.append(f"of the perceived power, {perception.in_words(self.carried)}{advice}")
+        if self.cut_ms is not None:
+            lines.append(f"training cuts it into {cut_in_words(*self.cut_ms)}; --block and --trim choose others")
         for severity in (UNUSABLE, PROBLEM, NOTE):
             lines += [f"{severity:<8} {f.text}" for f in self.findings if f.severity == severity]
         return "\n".join([*lines, self.verdict])
