@@ -154,6 +154,33 @@ def test_ctrl_c_in_the_first_epoch_leaves_the_playable_file(
     sound = tmp_path / "s.wav"
     stroke = ["--speed", "100", "--force", "1", "--seconds", "0.2"]
     assert _status(["render", str(out), *stroke, "-o", str(sound)]) == 0
+    capsys.readouterr()
+    early = "its training has not ended: this is the early texture, without its network"
+    assert _status(["info", str(out)]) == 0
+    assert f"unfinished    {early}\n" in capsys.readouterr().out
+    assert _status(["evaluate", str(out), str(recording), "--report", str(tmp_path / "r")]) == 0
+    shown = capsys.readouterr()
+    assert f"p.foten: {early}" in shown.err.splitlines()
+    assert shown.out.startswith("Its training has not ended: ")
+    assert "<p class=headline>Its training has not ended: " in (tmp_path / "r" / "report.html").read_text()
+
+
+def test_a_finished_texture_says_nothing_of_its_training_and_one_trained_range(
+    texture: Path, recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """One texture was for 0.07 to 330.4, 0–330 and 5 to 329 mm/s."""
+    capsys.readouterr()
+    assert _status(["info", str(texture)]) == 0
+    said = capsys.readouterr().out
+    low, high = read_texture(texture).trained_range("speed")
+    words = f"{float(f'{round(low):.2g}'):g} to {float(f'{round(high):.2g}'):g} mm/s and "
+    assert f"trained range {words}" in said
+    assert "unfinished" not in said
+    assert _status(["evaluate", str(texture), str(recording), "--report", str(tmp_path)]) == 0
+    assert "not ended" not in "".join(capsys.readouterr())
+    assert f"<dt>trained range</dt><dd>{words}" in (tmp_path / "report.html").read_text()
+    assert _status(["export", str(texture), "-o", str(tmp_path / "t.h")]) == 0
+    assert f"Hz, for {words}" in (tmp_path / "t.h").read_text()
 
 
 def test_a_disk_that_fills_up_while_training_costs_no_more_than_the_run_folder(

@@ -287,6 +287,10 @@ def test_inspection_and_training_give_a_short_recording_the_same_options(seconds
     inspection = inspect_recording(recording)
     assert inspection.options == inspection.to_dict()["options"] == options
     assert f"train with {options}\n" in inspection.to_text()
+    cut = (
+        "\ntraining cuts it into blocks of 500 ms, with nothing trimmed at the ends; --block and --trim choose others\n"
+    )
+    assert (cut in inspection.to_text()) == (seconds == 20)
     if seconds < 14:
         assert f"14 s: train with {options}" in _text(inspection, "short")
         with pytest.raises(ValueError, match=f"less than 5 blocks of 2000 ms; use {options}$"):
@@ -388,7 +392,7 @@ def test_the_last_line_says_what_a_recording_is_good_for():
     assert re.fullmatch(r"usable from \d+ to \d+ mm/s and from [\d.]+ to [\d.]+ N, a small part.*", few.verdict)
     assert few.to_text().splitlines()[-1] == few.verdict
     clipped = _inspect({**_clean(), "acceleration": np.clip(_clean()["acceleration"], -3, 3)})
-    assert clipped.verdict.startswith("usable with care (2 problems above) from 15 to 225 mm/s and from 0.")
+    assert clipped.verdict.startswith("usable with care (2 problems above) from 15 to 220 mm/s and from 0.")
     grams = _inspect({**_clean(), "force": _clean()["force"] / 9.80665e-3})
     assert grams.verdict.startswith("record again: nothing of the plane up to 300 mm/s and 10 N was visited, only")
 

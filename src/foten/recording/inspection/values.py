@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from foten.dsp import Array, perception
 from foten.recording.preprocess import cut_in_words
-from foten.recording.recording import Channel
+from foten.recording.recording import Channel, range_in_words
 
 UNUSABLE, PROBLEM, NOTE = "unusable", "problem", "note"
 N_PLACES = 200  # that a finding lists
@@ -60,6 +60,16 @@ class Coverage:
     force_range: tuple[float, float]  # likewise [N]
 
     @property
+    def speed_in_words(self) -> str:
+        """Range of speed: "5 to 330 mm/s"."""
+        return range_in_words("speed", *self.speed_range)
+
+    @property
+    def force_in_words(self) -> str:
+        """Range of force: "0.18 to 3.2 N"."""
+        return range_in_words("force", *self.force_range)
+
+    @property
     def covered(self) -> int:
         """Number of cells with `CELL_S` or more."""
         return int((self.seconds >= CELL_S).sum())
@@ -99,11 +109,9 @@ class Inspection:
         """What it is good for, in a line."""
         if self.unusable or self.coverage is None:
             return f"record again: {self.unusable or 'speed or force is missing'}"
-        (slow, quick), (light, heavy) = self.coverage.speed_range, self.coverage.force_range
         n = len(self.problems)
         usable = f"usable with care ({counted(n, 'problem')} above)" if n else "usable"
-        light, heavy = float(f"{light:.2g}"), float(f"{heavy:.2g}")
-        text = f"{usable} from {slow:.0f} to {quick:.0f} mm/s and from {light:g} to {heavy:g} N"
+        text = f"{usable} from {self.coverage.speed_in_words} and from {self.coverage.force_in_words}"
         if self.coverage.fraction < MIN_COVERED:
             text += ", a small part of what hands do: vary speed and force separately"
         return text
@@ -150,11 +158,10 @@ class Inspection:
                 f"{channel.minimum:>11.4g}{channel.maximum:>11.4g}{channel.rms:>10.4g}{floor:>11}"
             )
         if self.coverage is not None:
-            cells, speed, force = self.coverage, self.coverage.speed_range, self.coverage.force_range
-            lines.append(
-                f"speed–force plane: {cells.covered} of {cells.seconds.size} cells visited ({cells.fraction:.0%}), "
-                f"speed {speed[0]:.4g} to {speed[1]:.4g} mm/s, force {force[0]:.3g} to {force[1]:.3g} N"
-            )
+            cells = self.coverage
+            visited = f"{cells.covered} of {cells.seconds.size} cells visited ({cells.fraction:.0%})"
+            ranges = f"speed {self.coverage.speed_in_words}, force {self.coverage.force_in_words}"
+            lines.append(f"speed–force plane: {visited}, while moving in contact {ranges}")
         if self.carried:
             advice = f"; train with {self.options}" if self.options else ""
             lines.append(f"of the perceived power, {perception.in_words(self.carried)}{advice}")
