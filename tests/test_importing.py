@@ -644,7 +644,7 @@ def test_all_that_is_missing_is_refused_in_one_message_that_can_be_copied(tmp_pa
     force = "force_x=Load X [gf],force_z=Load Z [gf]", "force=Grip [N]"
     assert refusal == (
         "foten: nothing sensible can be learned: there is no speed, and no position to take it from; it may be Tip X [um] and "
-        f"Tip Y [um] or Cam X [mm] and Cam Y [mm]: add --map '{speed[0]}' or --map '{speed[1]}'. there is no normal force "
+        f"Tip Y [um] or Cam X [mm] and Cam Y [mm]: add --map '{speed[0]}' or --map '{speed[1]}'. There is no normal force "
         f"(force or force_z); it may be Load X [gf] and Load Z [gf] or Grip [N]: add --map '{force[0]}' or --map '{force[1]}' "
         "(--anyway goes on)"
     )
@@ -712,6 +712,15 @@ def test_a_sensor_slower_than_the_rows_has_a_rate_of_its_own(tmp_path, rate_hz, 
     every = f"position_x, position_y: a value every {row_hz / rate_hz:.3g} rows, taken as sensors at {rate_hz} Hz"
     assert every in decisions
     assert not any("ends" in line for line in recording.history)
+
+
+def test_a_rate_given_of_a_slower_sensor_is_the_sensors(tmp_path):
+    sparse = np.full(N, np.nan)
+    sparse[::8] = SPEED[::8]
+    path = _csv(tmp_path / "a.csv", "acc,speed", ACC, sparse)
+    recording = _import(path, rate="1000,speed=125")
+    assert (recording["speed"].rate_hz, recording["speed"].times_s) == (125, None)
+    np.testing.assert_array_equal(recording["speed"].samples, SPEED[::8])
 
 
 @pytest.mark.parametrize("lost", [[], [400], [5], [100, 200, 300, 400]])

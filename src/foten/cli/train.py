@@ -295,7 +295,9 @@ def unusable(inspection: Inspection, in_full: Sequence[str] = (), besides: tuple
 def check_usable(refusals: Sequence[str]) -> None:
     """Refuse a recording from which nothing sensible can be learned, with all reasons."""
     if refusals:
-        raise ValueError(f"nothing sensible can be learned: {'. '.join(refusals)} (--anyway goes on)")
+        first, *others = refusals
+        sentences = ". ".join([first, *(f"{text[0].upper()}{text[1:]}" for text in others)])
+        raise ValueError(f"nothing sensible can be learned: {sentences} (--anyway goes on)")
 
 
 def _notes(inspection: Inspection, rate_hz: float) -> Iterator[str]:

@@ -157,6 +157,8 @@ def _converted(
         unused.append(f"rate {overall:g} Hz not used: {path.name} {why} {rate_hz:g} Hz")
     samples = column.samples if factor == 1 else column.samples * factor
     channel, n_rows = of_slower_sensor(Channel(samples, rate_hz, times))
+    if n_rows > 1 and name in options.rates_hz:  # given of the sensor, not of the rows
+        channel = Channel(channel.samples, rate_hz)
     if column.n_blank >= n_rows:
         history.append(f"{name} ends {counted(column.n_blank, 'row')} before the table does")
     on_rows = f"{{}}: a value every {n_rows:.3g} rows, taken as {{}} at {channel.rate_hz:.6g} Hz" if n_rows > 1 else ""

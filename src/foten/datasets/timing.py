@@ -161,7 +161,8 @@ def filled(name: str, channel: Channel, gap_ms: float, column: Column) -> tuple[
     known = np.flatnonzero(~np.isnan(samples))
 
     def place(sample: int) -> str:
-        return f"{times[sample]:.6g} s{column.row_of(sample)}"
+        in_rows = samples.size == column.samples.size  # a slower sensor's are not
+        return f"{times[sample]:.6g} s{column.row_of(sample) if in_rows else ''}"
 
     infinite = np.flatnonzero(np.isinf(samples))
     if infinite.size:
