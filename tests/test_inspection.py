@@ -236,7 +236,7 @@ def test_only_the_limit_of_the_simulated_accelerometer_clips(key, digits):
 
 @pytest.mark.parametrize(
     ("height", "severity", "advice"),
-    [(0.5, NOTE, "nothing to do: the low-pass .* leaves 0.0"), (300, PROBLEM, "blank their cells .* --fill-gaps 3")],
+    [(0.3, NOTE, "nothing to do: the low-pass .* leaves 0.0"), (300, PROBLEM, "blank their cells .* --fill-gaps 3")],
 )
 def test_a_spike_comes_with_what_to_do(height, severity, advice):
     samples = _clean()

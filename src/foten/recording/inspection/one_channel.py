@@ -12,8 +12,8 @@ from foten.recording.inspection.values import NOTE, PROBLEM, UNUSABLE, ChannelRe
 from foten.recording.recording import UNITS, Channel, Recording
 
 MIN_FLAT, MIN_FLAT_ALONE = 3, 5  # equal samples at an extreme that are clipped: in several places, and in a single one
-FEW_CLIPPED = 1e-3  # of the samples
-SMOOTHED = 0.05  # of the range of a force or speed, that a spike may leave behind the low-pass of training
+FEW = 1e-3  # of the samples, that may be clipped or a spike
+SMOOTHED = 0.02  # of the range of a force or speed, that a spike may leave behind the low-pass of training
 FRAME_S = 0.05  # in which the level of an acceleration is measured
 _GUESSES = {
     "speed": (
@@ -89,13 +89,14 @@ def check_spikes(name: str, channel: Channel) -> Iterable[Finding]:
         where = f"{x[largest]:.6g} {UNITS[name]} at sample {largest} ({channel.times[largest]:.3f} s)"
         text = f"{name}: {counted(spikes.size, 'spike')} of one or two samples, the largest {where}"
         # What a second-order low-pass leaves of a pulse of two samples: twice the largest value of its impulse response.
+        few = spikes.size <= FEW * x.size
         left = float(removed.max()) * min(1.0, 0.92 * 2 * np.pi * HAND_HZ / channel.rate_hz)
         if name.startswith("acceleration"):
             severity, advice = (
                 PROBLEM,
                 "if they are no impacts, cut the table there and import the pieces with --append",
             )
-        elif not name.startswith("position") and left <= SMOOTHED * swing(x, 0.01):
+        elif name.startswith(("force", "speed")) and few and left <= SMOOTHED * swing(x, 0.01):
             severity, advice = NOTE, f"nothing to do: the low-pass of training leaves {left:.2g} {UNITS[name]} of it"
         else:
             gap_ms = int(np.ceil(3000 / channel.rate_hz))
@@ -123,7 +124,7 @@ def check_clipping(name: str, channel: Channel) -> Iterable[Finding]:
         flat = lengths[cut]
         if flat.size and flat.max() >= MIN_FLAT * usual and (flat.size > 1 or flat.max() >= MIN_FLAT_ALONE):
             stays = f"stays at its {what} value, {extreme:.5g} {UNITS[name]}, for {counted(flat.sum(), 'sample')}"
-            few = flat.sum() <= FEW_CLIPPED * x.size
+            few = flat.sum() <= FEW * x.size
             advice = "so few change little: nothing to do" if few else "record again with a larger range"
             text = f"{name} is clipped: it {stays} in {counted(flat.size, 'place')}; {advice}"
             yield Finding(NOTE if few else PROBLEM, "clipping", name, text, places(channel, starts[cut]))
