@@ -154,6 +154,33 @@ def test_ctrl_c_in_the_first_epoch_leaves_the_playable_file(
     sound = tmp_path / "s.wav"
     stroke = ["--speed", "100", "--force", "1", "--seconds", "0.2"]
     assert _status(["render", str(out), *stroke, "-o", str(sound)]) == 0
+    capsys.readouterr()
+    early = "its training has not ended: this is the early texture, without its network"
+    assert _status(["info", str(out)]) == 0
+    assert f"unfinished    {early}\n" in capsys.readouterr().out
+    assert _status(["evaluate", str(out), str(recording), "--report", str(tmp_path / "r")]) == 0
+    shown = capsys.readouterr()
+    assert f"p.foten: {early}" in shown.err.splitlines()
+    assert shown.out.startswith("Its training has not ended: ")
+    assert "<p class=headline>Its training has not ended: " in (tmp_path / "r" / "report.html").read_text()
+
+
+def test_a_finished_texture_says_nothing_of_its_training_and_one_trained_range(
+    texture: Path, recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """One texture was for 0.07 to 330.4, 0–330 and 5 to 329 mm/s."""
+    capsys.readouterr()
+    assert _status(["info", str(texture)]) == 0
+    said = capsys.readouterr().out
+    low, high = read_texture(texture).trained_range("speed")
+    words = f"{float(f'{round(low):.2g}'):g} to {float(f'{round(high):.2g}'):g} mm/s and "
+    assert f"trained range {words}" in said
+    assert "unfinished" not in said
+    assert _status(["evaluate", str(texture), str(recording), "--report", str(tmp_path)]) == 0
+    assert "not ended" not in "".join(capsys.readouterr())
+    assert f"<dt>trained range</dt><dd>{words}" in (tmp_path / "report.html").read_text()
+    assert _status(["export", str(texture), "-o", str(tmp_path / "t.h")]) == 0
+    assert f"Hz, for {words}" in (tmp_path / "t.h").read_text()
 
 
 def test_a_disk_that_fills_up_while_training_costs_no_more_than_the_run_folder(
@@ -207,9 +234,13 @@ def test_render_writes_each_output(texture: Path, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("sizes", "mae_scaled", "words"),
     [
-        ({}, 0.95, "improves one-step predictions by 5.0 %, and draws the innovations"),
+        ({}, 0.95, "improves one-step predictions by 5.0 %, and makes the random part of a rendering"),
         ({"network_in_loop": False}, 0.9999, "does not improve one-step predictions; a rendering does without it"),
-        ({"n_tones": 3}, 0.9, "improves one-step predictions by 10.0 %; another draws what tones leave"),
+        (
+            {"n_tones": 3},
+            0.9,
+            "improves one-step predictions by 10.0 %; a second one makes the part of a rendering that is not tones",
+        ),
     ],
 )
 def test_what_the_network_is_for_is_said_plainly(

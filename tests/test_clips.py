@@ -409,7 +409,7 @@ def test_a_site_has_as_many_textures_as_are_named(tmp_path: Path, capsys: pytest
     paths = [tmp_path / f"{name}.foten" for name in ("mesh", "mesh-foten", "towel")]
     for path, texture, name in zip(paths, (mesh, other, mesh), ("steel-mesh-1", "steel-mesh-1", "towel"), strict=True):
         write_texture(type(texture)({**texture.card, "texture": name}, texture.tensors), path)
-    site = tmp_path / "site"
+    site = tmp_path / "new" / "site"  # with the folder above it
     assert _status(["export", *map(str, paths), "--to", "web", "-o", str(site)]) == 0
     assert "3 textures" in capsys.readouterr().out
     listed = json.loads((site / "textures.json").read_text())["textures"]

@@ -108,6 +108,12 @@ def test_ar_20_is_fitted_on_the_training_blocks_alone(judged: Judgement, trace: 
     assert scheduled == pytest.approx(expected, rel=1e-6)
 
 
+def test_the_envelope_needs_a_second_of_what_is_scored(judged: Judgement) -> None:
+    """Of blocks of 1000 ms, 800 ms are scored, and "blocks under 1 s" was the reason."""
+    assert judged.document["ceiling"]["modulation_db"] is None
+    assert judged.document["reasons"]["ceiling.modulation_db"] == "less than 1 s of a block is scored"
+
+
 def test_the_free_run_of_ar_20_is_that_of_the_training_blocks(judged: Judgement, trace: Trace) -> None:
     fitted = least_squares(trace, SPLIT.train, 20)
     expected = synthesize_linear(fitted, trace, SPLIT.test, SCALING, 0)

@@ -145,7 +145,8 @@ def test_a_map_adds_to_what_the_headers_say(tmp_path):
     """It replaced all of it: whoever named one column lost the others."""
     path = _csv(tmp_path / "a.csv", "t,acc,v,Fz_norm [au],f_reib", TIME, ACC, SPEED, FORCE, FORCE)
     _, decisions = import_recording([path], ImportOptions())
-    assert "force may be Fz_norm [au]: add --map 'force=Fz_norm [au]'" in decisions
+    missing = "there is no normal force (force or force_z); it may be Fz_norm [au]: add --map 'force=Fz_norm [au]'"
+    assert missing in decisions
     recording = _import(path, map="force=Fz_norm [au]", unit="force=*2")
     assert set(recording.channels) == {"acceleration", "speed", "force"}
     np.testing.assert_array_equal(recording["force"].samples, 2 * FORCE)
@@ -628,5 +629,124 @@ def test_floats_stay_and_tracks_are_numbered(tmp_path):
 def test_what_is_missing_is_named_and_columns_that_may_be_positions(tmp_path):
     path = _csv(tmp_path / "a.csv", "t,acc,X,Y,force", TIME, ACC, SPEED, SPEED, FORCE)
     decisions = import_recording([path], ImportOptions())[1]
-    assert "there is no speed, and no position to take it from" in decisions
-    assert "X and Y may be positions: --map position_x=X,position_y=Y,…" in decisions
+    missing = "there is no speed, and no position to take it from; it may be X and Y: "
+    assert f"{missing}add --map position_x=X,position_y=Y" in decisions
+
+
+def test_all_that_is_missing_is_refused_in_one_message_that_can_be_copied(tmp_path, capsys):
+    """Each was told after the one before had been mended, and the columns were left out in silence."""
+    header = "t [s],Acc [g],Load X [gf],Load Z [gf],Grip [N],Tip X [um],Tip Y [um],Cam X [mm],Cam Y [mm]"
+    path = _csv(tmp_path / "a.csv", header, TIME, ACC, *[100 * FORCE] * 3, *[250 * SPEED] * 2, *[SPEED] * 2)
+    arguments = ["import", str(path), "-o", str(tmp_path / "a.h5")]
+    assert _status(arguments) == 2
+    refusal = capsys.readouterr().err.splitlines()[-1]
+    speed = "position_x=Tip X [um],position_y=Tip Y [um]", "position_x=Cam X [mm],position_y=Cam Y [mm]"
+    force = "force_x=Load X [gf],force_z=Load Z [gf]", "force=Grip [N]"
+    assert refusal == (
+        "foten: nothing sensible can be learned: there is no speed, and no position to take it from; it may be Tip X [um] and "
+        f"Tip Y [um] or Cam X [mm] and Cam Y [mm]: add --map '{speed[0]}' or --map '{speed[1]}'. There is no normal force "
+        f"(force or force_z); it may be Load X [gf] and Load Z [gf] or Grip [N]: add --map '{force[0]}' or --map '{force[1]}' "
+        "(--anyway goes on)"
+    )
+    assert _status([*arguments, "--map", speed[0], "--map", force[0]]) == 0
+    recording = load_recording(tmp_path / "a.h5")
+    np.testing.assert_allclose(recording["position_x"].samples, SPEED / 4, rtol=1e-12)
+    np.testing.assert_allclose(recording["force_z"].samples, FORCE * 0.980665, rtol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("header", "channels"),
+    [
+        ("t,acc,Load X [gf],Load Y [gf],Load Z [gf],speed", "acceleration force_x force_y force_z speed"),
+        ("t,acc,LoadZ [N],speed", "acceleration force_z speed"),
+        ("t,Head x [g],Head y [g],Head z [g],speed,force", "acceleration_x acceleration_y acceleration_z speed force"),
+        ("t,acc,Tip X [um],Tip Y [um],Tip Z [um],force", "acceleration position_x position_y position_z force"),
+        ("t,acc,Tip Z [um],Tip X [um],Tip Y [um],force", "acceleration position_x position_y position_z force"),
+        ("t,acc,Height [mm],Tip X [mm],Tip Y [mm],force", "acceleration position_x position_y force"),
+        # In doubt nothing is taken.
+        ("t,acc,Load X [N],Load Z [N],Grip [N],speed", "acceleration speed"),
+        ("t,acc,Tip X [mm],Tip Y [mm],Cam X [mm],Cam Y [mm],force", "acceleration force"),
+        ("t,acc,Tip X [mm],Cam X [mm],force", "acceleration force"),
+        ("t,acc,Drag X [mm],speed,force", "acceleration speed force"),
+        ("t,acc,Friction X [N],Friction Z [N],speed", "acceleration speed"),
+        ("t,acc,Max [mm],Index [mm],force", "acceleration position_x position_y force"),  # which name no axis
+    ],
+)
+def test_unit_and_axis_say_what_a_column_of_an_unknown_name_is(tmp_path, header, channels):
+    """`Load X [gf]` and `Tip X [um]` were left out."""
+    names = header.split(",")
+    path = _csv(tmp_path / "a.csv", header, TIME, *(ACC + 3 * k for k in range(1, len(names))))
+    recording, decisions = import_recording([path], ImportOptions())
+    assert set(recording.channels) == set(channels.split())
+    by_axis = {name.split(" [")[0][-1:].lower(): k for k, name in enumerate(names) if k}
+    for name, channel in recording.channels.items():
+        axis = name.partition("_")[2]
+        if axis and "Max" not in header:  # the axis of the name, wherever it stands
+            factor = {"[gf]": 0.00980665, "[g]": 9.80665, "[um]": 1e-3}.get(names[by_axis[axis]].split()[-1], 1.0)
+            np.testing.assert_allclose(channel.samples, (ACC + 3 * by_axis[axis]) * factor, rtol=1e-12)
+    by_unit = re.search(r"\((.+) by unit\)", decisions[0])
+    left_out = "".join(line for line in decisions if line.startswith("left out"))
+    known = {name for name in names if "[" in name and name not in left_out}
+    assert (set(by_unit[1].split(", ")) if by_unit else set()) == known
+
+
+@pytest.mark.parametrize("clock", ["time column", "--rate"])
+@pytest.mark.parametrize(("rate_hz", "late", "rounding"), [(120, 0, np.round), (333, 4, np.ceil), (2000, 9, np.floor)])
+def test_a_sensor_slower_than_the_rows_has_a_rate_of_its_own(tmp_path, rate_hz, late, rounding, clock):
+    """A tracker in every 83rd row was "2879 gaps"; straight lines between made its noise another's."""
+    n, row_hz = 20_000, 10_000
+    rows = late + rounding(np.arange(0, n, row_hz / rate_hz)).astype(int)
+    rows = rows[rows < n]
+    moved = 30 * np.sin(2 * np.pi * 1.5 * np.arange(n) / row_hz)
+    sparse = np.full(n, np.nan)
+    sparse[rows] = moved[rows]
+    header, first = ("t", [37 + np.arange(n) / row_hz]) if clock == "time column" else ("n", [np.zeros(n)])
+    acc = np.random.default_rng(0).standard_normal(n)
+    path = _csv(tmp_path / "a.csv", f"{header},acc,force,Tip X [mm],Tip Y [mm]", *first, acc, acc, sparse, sparse)
+    recording, decisions = import_recording([path], ImportOptions(rate_hz=None if header == "t" else row_hz))
+    channel = recording["position_x"]
+    assert channel.rate_hz == rate_hz
+    assert recording["acceleration"].times_s is None
+    np.testing.assert_array_equal(channel.samples, moved[rows])
+    assert np.abs(channel.times - rows / row_hz).max() <= 1 / row_hz
+    every = f"position_x, position_y: a value every {row_hz / rate_hz:.3g} rows, taken as sensors at {rate_hz} Hz"
+    assert every in decisions
+    assert not any("ends" in line for line in recording.history)
+
+
+def test_a_rate_given_of_a_slower_sensor_is_the_sensors(tmp_path):
+    sparse = np.full(N, np.nan)
+    sparse[::8] = SPEED[::8]
+    path = _csv(tmp_path / "a.csv", "acc,speed", ACC, sparse)
+    recording = _import(path, rate="1000,speed=125")
+    assert (recording["speed"].rate_hz, recording["speed"].times_s) == (125, None)
+    np.testing.assert_array_equal(recording["speed"].samples, SPEED[::8])
+
+
+@pytest.mark.parametrize("lost", [[], [400], [5], [100, 200, 300, 400]])
+def test_a_lost_value_is_no_slower_sensor(tmp_path, lost):
+    """Neither in every row nor in every tenth; what is irregular stays a gap."""
+    for every in (1, 10):
+        sparse = np.full(20_000 // (10 // every), np.nan)
+        at = np.delete(np.arange(0, sparse.size, every), lost)
+        sparse[at] = at / 10
+        path = _csv(tmp_path / "a.csv", "speed", sparse[: at[-1] + 1])
+        if lost:
+            with pytest.raises(ValueError, match="speed: samples are missing, NaN or blank in"):
+                _import(path, rate=10_000)
+        else:
+            assert _import(path, rate=10_000)["speed"].rate_hz == 10_000 / every
+
+
+def test_texture_and_tool_stated_above_the_table_are_taken_unless_given(tmp_path, capsys):
+    above = "Device;TexRig\nSurface: walnut, planed\nTool:\tsteel ball\n\nt\tacc\tspeed\tforce\n"
+    rows = "\n".join("\t".join(map(str, row)) for row in zip(TIME, ACC, SPEED, FORCE, strict=True))
+    (tmp_path / "run3.txt").write_text(f"{above}{rows}\n")
+    arguments = ["import", str(tmp_path / "run3.txt"), "-o", str(tmp_path / "a.h5")]
+    assert _status(arguments) == 0
+    recording = load_recording(tmp_path / "a.h5")
+    assert (recording.texture, recording.tool) == ("walnut, planed", "steel ball")
+    assert "texture: walnut, planed, as stated above the table; --texture gives another" in capsys.readouterr().err
+    assert _status([*arguments, "--texture", "oak"]) == 0
+    assert (load_recording(tmp_path / "a.h5").texture, load_recording(tmp_path / "a.h5").tool) == ("oak", "steel ball")
+    assert "texture: walnut" not in capsys.readouterr().err

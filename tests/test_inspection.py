@@ -14,7 +14,7 @@ from foten.datasets.hdf5 import write_recording
 from foten.datasets.importing import import_recording
 from foten.datasets.options import ImportOptions, parse_pairs
 from foten.recording.inspection import inspect_recording
-from foten.recording.inspection.values import PROBLEM, UNUSABLE
+from foten.recording.inspection.values import NOTE, PROBLEM, UNUSABLE
 from foten.recording.preprocess import preprocess
 from foten.recording.recording import Channel, Recording
 from foten.reporting.recording_pictures import coverage, density, overview, write_pictures
@@ -205,6 +205,63 @@ def test_a_smooth_rounded_force_cut_off_at_its_tops_is_clipped(hz):
     assert "highest value, 1.25 N" in _text(inspection, "clipping")
 
 
+@pytest.mark.parametrize("share", [0.98, 0.3])
+def test_few_peaks_at_the_limit_of_an_accelerometer_are_clipped(share):
+    """Runs of 3, 5 and 3 equal samples at 3001.0 mg were none: they were held against the few other pairs of equal samples."""
+    t = np.arange(40_000) / 10_000
+    strength = 1 + 0.8 * np.sin(2 * np.pi * 0.6 * t)
+    x = np.round(strength * np.sin(2 * np.pi * 180 * t) + 0.2 * np.sin(2 * np.pi * 37.3 * t), 4)
+    for limit, expected in ((share * x.max(), True), (x.max(), False)):
+        recording = Recording({"acceleration": Channel(np.minimum(x, np.round(limit, 4)), 10_000.0)})
+        found = [f for f in inspect_recording(recording).findings if f.code == "clipping"]
+        assert bool(found) == expected
+        if expected:
+            few = share == 0.98
+            assert ("so few change little: nothing to do" in found[0].text) == few == (found[0].severity == NOTE)
+
+
+@pytest.mark.parametrize("key", ["plastic-mesh", "towel", "smooth-rubber", "linear-cloth"])
+@pytest.mark.parametrize("digits", [None, 2, 3])
+def test_only_the_limit_of_the_simulated_accelerometer_clips(key, digits):
+    recording = simulate(key, seconds=12, seed=1)
+    rounded = {
+        name: Channel(c.samples if digits is None else np.round(c.samples, digits), c.rate_hz, c.times_s)
+        for name, c in recording.channels.items()
+    }
+    clipped = [f.channel for f in inspect_recording(Recording(rounded)).findings if f.code == "clipping"]
+    assert bool(clipped) == (key in ("plastic-mesh", "towel"))
+    for name in clipped:  # within a step of its converter
+        assert np.abs(rounded[name].samples).max() == pytest.approx(3 * 9.80665, abs=0.03)
+
+
+@pytest.mark.parametrize(
+    ("height", "severity", "advice"),
+    [(0.3, NOTE, "nothing to do: the low-pass .* leaves 0.0"), (300, PROBLEM, "blank their cells .* --fill-gaps 3")],
+)
+def test_a_spike_comes_with_what_to_do(height, severity, advice):
+    samples = _clean()
+    samples["force"][5000] += height
+    inspection = _inspect(samples)
+    assert ("spikes", "force") in _codes(inspection, severity)
+    assert re.search(advice, _text(inspection, "spikes"))
+    samples["acceleration"][777] = 200
+    assert "if they are no impacts, cut the table there" in _text(_inspect(samples), "spikes", "acceleration")
+
+
+def test_axes_of_one_sensor_jump_together_under_an_impact():
+    """The load cell's x and y were "probably not in time order" beside its z."""
+    rng = np.random.default_rng(3)
+    t = np.arange(40_000) / 10_000
+    struck = np.zeros(t.size)
+    for at in rng.integers(60, 240, 250).cumsum():
+        struck[at : at + 30] = 0.1
+    z = 1.6 + 0.9 * np.sin(2 * np.pi * 0.43 * t) + struck + rng.normal(0, 0.001, t.size)
+    samples = {"force_z": z, "force_x": z / 3 + rng.normal(0, 0.001, t.size), "acceleration": rng.normal(0, 1, t.size)}
+    inspection = _inspect(samples, dict.fromkeys(samples, 10_000.0))
+    assert {f.channel for f in inspection.findings if f.code == "jumps"} == {"force_z", "force_x"}
+    assert not any(f.code == "order" for f in inspection.findings)
+
+
 def test_a_channel_that_starts_late_leaves_the_common_part():
     samples = _clean()
     times = np.arange(3000, N - 2000) / RATE
@@ -213,8 +270,9 @@ def test_a_channel_that_starts_late_leaves_the_common_part():
     assert [f.channel for f in inspection.findings if f.code == "durations"] == ["speed"]
     assert _text(inspection, "durations").startswith("speed covers 3.00 to 18.00 s, of 0.00 to 20.00 s: training uses")
     first = {name: x[:16_000] for name, x in samples.items()} | {"speed": late["speed"][:13_000]}
-    text = _text(_inspect(first, times={"speed": times[:13_000]}), "short")  # of 16 s, the 13 that are common
-    assert text == "it lasts 13.00 s: nothing is trimmed, and blocks are short; of 14 s or more they are of 2 s"
+    inspection = _inspect(first, times={"speed": times[:13_000]})
+    assert inspection.cut_ms == (0, 500)  # of 16 s, the 13 that are common
+    assert "\ntraining cuts it into blocks of 500 ms, with nothing trimmed" in inspection.to_text()
 
 
 @pytest.mark.parametrize(
@@ -229,6 +287,10 @@ def test_inspection_and_training_give_a_short_recording_the_same_options(seconds
     inspection = inspect_recording(recording)
     assert inspection.options == inspection.to_dict()["options"] == options
     assert f"train with {options}\n" in inspection.to_text()
+    cut = (
+        "\ntraining cuts it into blocks of 500 ms, with nothing trimmed at the ends; --block and --trim choose others\n"
+    )
+    assert (cut in inspection.to_text()) == (seconds == 20)
     if seconds < 14:
         assert f"14 s: train with {options}" in _text(inspection, "short")
         with pytest.raises(ValueError, match=f"less than 5 blocks of 2000 ms; use {options}$"):
@@ -330,7 +392,7 @@ def test_the_last_line_says_what_a_recording_is_good_for():
     assert re.fullmatch(r"usable from \d+ to \d+ mm/s and from [\d.]+ to [\d.]+ N, a small part.*", few.verdict)
     assert few.to_text().splitlines()[-1] == few.verdict
     clipped = _inspect({**_clean(), "acceleration": np.clip(_clean()["acceleration"], -3, 3)})
-    assert clipped.verdict.startswith("usable with care (2 problems above) from 15 to 225 mm/s and from 0.")
+    assert clipped.verdict.startswith("usable with care (2 problems above) from 15 to 220 mm/s and from 0.")
     grams = _inspect({**_clean(), "force": _clean()["force"] / 9.80665e-3})
     assert grams.verdict.startswith("record again: nothing of the plane up to 300 mm/s and 10 N was visited, only")
 

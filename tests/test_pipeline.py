@@ -97,6 +97,10 @@ def test_a_texture_is_playable_before_the_network_is_fitted(recording: Recording
     assert abs(metrics["level_errors_db"][-1]) < 1.0  # twelve seconds of a resonance tell no more of its level
     assert (metrics["best_epoch"], metrics["n_epochs"]) == (0, 0)
     assert rendered(playable).std() > 0
+    assert playable.card["training"]["unfinished"] is True
+    assert playable.unfinished
+    assert "unfinished" not in again.texture.card["training"]
+    assert not again.texture.unfinished
     assert again.texture.to_bytes() == trained.texture.to_bytes()
 
 

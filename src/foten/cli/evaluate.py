@@ -37,6 +37,8 @@ def evaluate(
 
     check_folder(report, "--report")
     texture, recording = read_texture(texture_file), load_takes(recording_files)
+    if texture.unfinished:
+        say(f"{texture_file.name}: {texture.unfinished}")
     reference = reference_for(recording, texture, trim, block, listener)
     judgement = judge.evaluate(
         texture, recording, reference, seed, lambda stage: say(f"{stage} …"), trim, block, listener
@@ -50,6 +52,7 @@ def evaluate(
 
 def info(texture_file: TextureFile, as_json: JsonOption = False) -> None:
     """Show what a texture file holds, and prove it on its golden windows."""
+    from foten.models.conditions import FADE_FORCE, FADE_SPEED
     from foten.models.registry import GRAPH
     from foten.models.texture_file import read_texture
     from foten.runtime.native import NativeTexture
@@ -67,15 +70,15 @@ def info(texture_file: TextureFile, as_json: JsonOption = False) -> None:
     rows = {
         "texture": card["texture"] or "(unnamed)",
         **({"made": texture.evidence} if texture.evidence else {}),
+        **({"unfinished": texture.unfinished} if texture.unfinished else {}),
         "model": f"{card['model']}, {holds}",
         "history": f"a prediction is made from the last {card['window']} samples",
         **_linear_model(texture),
         **_takes(card),
         "cost": f"{cost:,} multiply-adds a rendered sample",
         "rate": f"{texture.rate_hz:g} Hz",
-        "trained speed": "{:.4g} to {:.4g} mm/s".format(*(round(end, 3) for end in texture.trained_range("speed"))),
-        "trained force": "{:.3g} to {:.3g} N".format(*texture.trained_range("force")),
-        "above these": texture.extrapolation_in_words(),
+        "trained range": f"{texture.trained_range_in_words()}; a rendering fades below {FADE_SPEED:g} mm/s and {FADE_FORCE:g} N",
+        "above it": texture.extrapolation_in_words(),
         "acceleration": f"{texture.scaling.sd[0]:.4g} {unit} standard deviation",
         "delay": f"{card['delay_ms']:.1f} ms, of the {card['lowpass_hz']:g} Hz low-pass of speed and force",
         "excitation": "yes" if texture.has_excitation else "no",
@@ -133,8 +136,8 @@ def network_summary(card: Mapping[str, Any]) -> str:
     if not sizes["network_in_loop"]:
         return f"{improves}; a rendering does without it, as it did not help on the validation blocks"
     if sizes["n_tones"]:
-        return f"{improves}; another draws what tones leave of a rendering"
-    return f"{improves}, and draws the innovations of a rendering"
+        return f"{improves}; a second one makes the part of a rendering that is not tones"
+    return f"{improves}, and makes the random part of a rendering"
 
 
 def validation_summary(card: Mapping[str, Any]) -> str:

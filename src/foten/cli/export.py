@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from typer import Argument, Option
 
 from foten.cli.render import Actuator, StrokeOptions, provenance, rendered_by
-from foten.console import check_files, options_from, print_result
+from foten.console import check_files, check_folder, options_from, print_result
 
 if TYPE_CHECKING:
     from foten.export.clip import Clip
@@ -20,6 +20,7 @@ SUFFIXES = {f".{name}": name for name in ("ahap", "haptic", "hjif", "onnx", "wav
 SUFFIXES |= {".json": "android", ".h": "c"}
 """The format that a name has."""
 CLIPS = ("wav", "csv", "npz", "ahap", "haptic", "hjif", "hjif-parametric", "android")
+FOLDERS = ("web", "unity")  # which are made with the folders above them
 TEXTURES = ("c", "onnx", "web", "unity")
 
 
@@ -45,7 +46,10 @@ class ExportOptions(StrokeOptions):
         if kind not in (*CLIPS, *TEXTURES):
             what = f"--to {self.to}" if self.to else f"the name {self.output.name}"
             raise ValueError(f"{what} is no format, expected --to {', '.join((*CLIPS, *TEXTURES))}")
-        check_files([self.output])
+        if kind in FOLDERS:
+            check_folder(self.output)
+        else:
+            check_files([self.output])
         of_clip = self.seed or None, self.full_scale, self.actuator
         if kind in TEXTURES and (self.has_stroke or of_clip != (None, None, None)):
             raise ValueError(f"{kind} holds the texture itself: leave out the stroke and its options")

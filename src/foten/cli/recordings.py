@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from typer import Argument, Exit, Option
 
 from foten.atomic_write import write_json
-from foten.cli.train import Anyway, check_usable
+from foten.cli.train import Anyway, check_usable, unusable
 from foten.console import JsonOption, RecordingFile, check_files, check_folder, folder_option, print_result, refuse, say
 
 if TYPE_CHECKING:
@@ -164,11 +164,14 @@ def import_(
     else:
         imported, decisions = _import_capture(files, pen, pressure, options)
     inspection = inspect_recording(imported)
+    refusals = () if anyway else unusable(inspection, decisions)
     for decision in decisions:
-        if decision != inspection.unusable or anyway:  # else the refusal says it
+        if decision not in refusals:
             say(decision)
-    if not anyway:
-        check_usable(inspection)
+    check_usable(refusals)
+    for field, given in {"texture": texture, "tool": tool}.items():
+        if (text := getattr(imported, field)) and not given and not files[0].is_dir():
+            say(f"{field}: {text}, as stated above the table; --{field} gives another")
     stated = {"texture": texture, "tool": tool, "sensors": sensors, "notes": notes}
     named = {
         "texture": imported.texture or _named(files[0]),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -175,7 +175,7 @@ def train(options: TrainOptions) -> None:
     job = options.job(recording)
     inspection = inspect_recording(recording)
     if not options.anyway:
-        check_usable(inspection, besides=("refused", "short"))  # which the training says itself
+        check_usable(unusable(inspection, besides=("refused", "short")))  # which the training says itself
     notes = list(_notes(inspection, job.preprocess.rate_hz))
     display = TrainingDisplay(config.epochs, "nat" if options.of_spectra else "sd")
     folder = RunFolder(options.run_folder or output.with_suffix(".run"), display.note)
@@ -246,6 +246,7 @@ def _document(trained: Trained) -> dict[str, Any]:
 def _summary(trained: Trained) -> str:
     """Result of a training, in lines."""
     from foten.recording.inspection.values import counted
+    from foten.recording.preprocess import cut_in_words
 
     card, trace = trained.texture.card, trained.trace
     metrics, sizes, condition = card["metrics"], card["sizes"], card["warm_start"]["recorded"]
@@ -261,27 +262,42 @@ def _summary(trained: Trained) -> str:
     if metrics.get("validation_mae_scaled_lattice") is not None:
         summary += f", {metrics['validation_mae_scaled_lattice']:.4f} sd without its network"
     lines = [summary]
-    if trace.take_blocks:
-        block_s = trace.block / trace.rate_hz
-        lines.append(f"{len(trace.take_blocks)} takes, {len(trace) / trace.rate_hz:g} s in blocks of {block_s:g} s")
+    takes = f"{len(trace.take_blocks)} takes, " if trace.take_blocks else ""
+    trim_ms, block_ms = trace.preprocess["trim_ms"], 1000 * trace.block / trace.rate_hz
+    lines.append(f"{takes}{len(trace) / trace.rate_hz:g} s in {trace.n_blocks} {cut_in_words(trim_ms, block_ms)}")
     if card["model"] == "foten-plus":
         lines.append(f"network: {network_summary(card)}")
     lines.append(f"above the trained range {trained.texture.extrapolation_in_words()}")
     if trace.n_uncovered:
-        lines.append(f"left out: {counted(trace.n_uncovered, 'sample')}, not covered by every channel")
+        lines.append(f"not used: {_duration(trace.n_uncovered, trace.rate_hz)} that only some of the sensors recorded")
     if trace.n_dropped:
-        lines.append(f"left out: {counted(trace.n_dropped, 'sample')} at the end, too few for a block")
+        lines.append(f"not used: {_duration(trace.n_dropped, trace.rate_hz)} at the end, too short for another block")
     where = f"{condition['speed']:.0f} mm/s and {condition['force']:.2f} N"
     return "\n".join([*lines, f"warm start {origin} at {where}, the nearest to the paper's 45 mm/s and 0.8 N"])
 
 
-def check_usable(inspection: Inspection, besides: tuple[str, ...] = ()) -> None:
-    """Refuse a recording from which nothing sensible can be learned, but for findings with some codes."""
-    findings = [
-        finding for finding in inspection.findings if finding.severity == "unusable" and finding.code not in besides
+def _duration(n_samples: int, rate_hz: float) -> str:
+    """Time that some samples last, in words."""
+    seconds = n_samples / rate_hz
+    return f"{seconds:.2f} s" if seconds >= 1 else f"{1000 * seconds:.0f} ms"
+
+
+def unusable(inspection: Inspection, in_full: Sequence[str] = (), besides: tuple[str, ...] = ()) -> list[str]:
+    """Why nothing sensible can be learned, but for findings with some codes; each as a longer sentence has it that begins so."""
+    texts = [
+        finding.text
+        for finding in inspection.findings
+        if finding.severity == "unusable" and finding.code not in besides
     ]
-    if findings:
-        raise ValueError(f"nothing sensible can be learned: {findings[0].text} (--anyway goes on)")
+    return [next((sentence for sentence in in_full if sentence.startswith(text)), text) for text in texts]
+
+
+def check_usable(refusals: Sequence[str]) -> None:
+    """Refuse a recording from which nothing sensible can be learned, with all reasons."""
+    if refusals:
+        first, *others = refusals
+        sentences = ". ".join([first, *(f"{text[0].upper()}{text[1:]}" for text in others)])
+        raise ValueError(f"nothing sensible can be learned: {sentences} (--anyway goes on)")
 
 
 def _notes(inspection: Inspection, rate_hz: float) -> Iterator[str]:

@@ -17,6 +17,7 @@ from foten.untrusted import brief, printable
 MAX_SAMPLES = 200_000_000  # of a file: half an hour of ten channels at 10 kHz
 MAX_COLUMNS = 4096  # of a file
 MAX_NAME_CHARACTERS = 200  # of what a message repeats
+MAX_PREAMBLE_CHARACTERS = 2000  # of the lines above a table
 
 
 @dataclass(frozen=True)
@@ -36,7 +37,8 @@ class Column:
 
     def __post_init__(self) -> None:
         for text in ("name", "unit", "fault", "preamble"):
-            object.__setattr__(self, text, printable(getattr(self, text)[:MAX_NAME_CHARACTERS]))
+            at_most = MAX_PREAMBLE_CHARACTERS if text == "preamble" else MAX_NAME_CHARACTERS
+            object.__setattr__(self, text, printable(getattr(self, text)[:at_most]))
 
     @property
     def n_rows(self) -> int:

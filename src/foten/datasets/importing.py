@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import hashlib
 import shlex
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -16,9 +16,10 @@ import numpy as np
 
 from foten.datasets.binary import read_hdf5, read_matlab, read_numpy, read_tdms, read_wav
 from foten.datasets.bounds import check_channel, check_overlap
-from foten.datasets.columns import Column, check_width
+from foten.datasets.columns import MAX_NAME_CHARACTERS, Column, check_width
 from foten.datasets.mapping import (
     added_mapping,
+    by_unit,
     columns_of,
     guessed_mapping,
     guesses_of_missing,
@@ -27,8 +28,8 @@ from foten.datasets.mapping import (
 )
 from foten.datasets.options import ImportOptions
 from foten.datasets.pen import PenClock, joined, pen_channels
-from foten.datasets.tabular import read_delimited, read_excel
-from foten.datasets.timing import filled, irregular, rate_and_source, times_of
+from foten.datasets.tabular import read_delimited, read_excel, stated_above
+from foten.datasets.timing import filled, irregular, of_slower_sensor, rate_and_source, times_of
 from foten.datasets.units import factor_of, quantity, split_header
 from foten.dsp import Array
 from foten.recording.capture_folder import PenEvents
@@ -92,13 +93,15 @@ def import_recording(paths: Sequence[Path], options: ImportOptions) -> tuple[Rec
     mapping = (*options.mapping, *added)
     if added:
         pairs = shlex.quote(",".join(f"{channel}={name}" for channel, name in added))
-        decisions.append(f"{'also ' * bool(options.mapping)}taken from the headers: --map {pairs}")
+        units = f" ({', '.join(measured)} by unit)" if (measured := by_unit(files, added)) else ""
+        decisions.append(f"{'also ' * bool(options.mapping)}taken from the headers{units}: --map {pairs}")
+    above = "; ".join({column.preamble: "" for there in files.values() for column in there if column.preamble})
     if not options.mapping:
         left_out = [name for name in names_of(files) if name not in {reference for _, reference in mapping}]
         decisions += [f"left out: {', '.join(left_out)}"] if left_out else []
-        decisions += guesses_of_missing(files, mapping)
-        above = {column.preamble for there in files.values() for column in there if column.preamble}
-        decisions += [f"above the table: {text}; --tool, --sensors and --notes keep such things" for text in above]
+        keep = "--tool, --sensors and --notes keep such things"
+        decisions += [f"above the table: {above[:MAX_NAME_CHARACTERS]}; {keep}"] if above else []
+    guesses = guesses_of_missing(files, mapping)
     options = replace(options, mapping=mapping)
     clocks = [clock for channel, name in mapping if channel == "time" for clock in columns_of(files, channel, name)]
     columns = {channel: columns_of(files, channel, name)[0] for channel, name in mapping if channel != "time"}
@@ -114,31 +117,36 @@ def import_recording(paths: Sequence[Path], options: ImportOptions) -> tuple[Rec
     digests = {path: hashlib.sha256(path.read_bytes()).hexdigest() for path in {c.file for c in columns.values()}}
     history: list[str] = []
     channels: dict[str, Channel] = {}
+    slower: dict[str, list[str]] = {}
     for name, column in columns.items():
         path = column.file
         history.append(f"{name} is column {column.name} of {path.name} (sha256 {digests[path][:16]})")
-        channels[name], on_column, on_rate = _converted(name, column, clocks, files[path], options)
+        channels[name], on_column, on_rate, on_rows = _converted(name, column, clocks, files[path], options)
         history += on_column
         decisions += on_rate
-    channels = _on_one_clock(channels, columns, options.fill_gaps_ms, history)
+        if on_rows:
+            slower.setdefault(on_rows, []).append(name)
+    for sentence, names in slower.items():
+        decisions.append(sentence.format(", ".join(names), "sensors" if len(names) > 1 else "a sensor"))
+    channels = _on_one_clock(channels, columns, {clock.file for clock in clocks}, options.fill_gaps_ms, history)
     recording = _checked(channels, history, options.force_units)
     decisions += _on_units(recording, columns, clocks, options)
-    decisions += [finding.text for finding in check_missing(recording)]
-    names = {name.lower(): name for name in names_of(files)}
-    if not recording.movement and {"x", "y"} <= names.keys():
-        x, y = names["x"], names["y"]
-        decisions.append(f"{x} and {y} may be positions: --map position_x={x},position_y={y},…")
+    for finding in check_missing(recording):
+        guess = guesses.get(finding.channel, "") if finding.code == "missing" else ""
+        decisions.append(f"{finding.text}{'; ' * bool(guess)}{guess}")
+    recording = replace(recording, **dict[str, Any](stated_above(above)))
     return recording, list(dict.fromkeys(decisions))
 
 
 def _converted(
     name: str, column: Column, clocks: Sequence[Column], beside: Sequence[Column], options: ImportOptions
-) -> tuple[Channel, list[str], list[str]]:
-    """Channel of a column, with the mapped time columns and all columns of its file; history, and on a rate not used."""
+) -> tuple[Channel, list[str], list[str], str]:
+    """Channel of a column, with the mapped time columns and all columns of its file.
+
+    And its history, sentences on a rate that is not used, and one on a sensor slower than the rows.
+    """
     path = column.file
     history = []
-    if column.n_blank:
-        history.append(f"{name} ends {counted(column.n_blank, 'row')} before the table does")
     factor, on_unit = factor_of(name, column.name, column.unit, options.units.get(name))
     times, on_time = times_of(name, column, clocks, options)
     rate_hz, on_rate = rate_and_source(name, column, times, options, beside)
@@ -147,19 +155,34 @@ def _converted(
     if overall is not None and abs(overall - rate_hz) > 1e-6 * overall:
         why = "states" if times is None else "has a time column,"
         unused.append(f"rate {overall:g} Hz not used: {path.name} {why} {rate_hz:g} Hz")
+    samples = column.samples if factor == 1 else column.samples * factor
+    channel, n_rows = of_slower_sensor(Channel(samples, rate_hz, times))
+    if n_rows > 1 and name in options.rates_hz:  # given of the sensor, not of the rows
+        channel = Channel(channel.samples, rate_hz)
+    if column.n_blank >= n_rows:
+        history.append(f"{name} ends {counted(column.n_blank, 'row')} before the table does")
+    on_rows = f"{{}}: a value every {n_rows:.3g} rows, taken as {{}} at {channel.rate_hz:.6g} Hz" if n_rows > 1 else ""
+    history += [on_rows.format(name, "a sensor")] if on_rows else []
+    rate_hz = channel.rate_hz
     if quantity(name) == "acceleration" and rate_hz < MIN_ACCELERATION_HZ and not options.force_units:
         hint = "is the rate right?" if times is None else "was the time given in ms? Then: --unit time=ms"
         slow = f"{name} has a rate of {rate_hz:g} Hz, too slow for any vibration"
         raise ValueError(f"{slow}; {hint} (--force-units imports it)")
-    samples = column.samples if factor == 1 else column.samples * factor
-    return Channel(samples, rate_hz, times), history, unused
+    return channel, history, unused, on_rows
 
 
 def _on_one_clock(
-    channels: Mapping[str, Channel], columns: Mapping[str, Column], fill_gaps_ms: float, history: list[str]
+    channels: Mapping[str, Channel],
+    columns: Mapping[str, Column],
+    clocked: Collection[Path],
+    fill_gaps_ms: float,
+    history: list[str],
 ) -> dict[str, Channel]:
-    """Channels whose times count from where the acceleration starts, which must stay on its grid; gaps are filled if asked."""
-    starts = {name: channel.span_s[0] for name, channel in channels.items() if channel.times_s is not None}
+    """Channels whose times count from where the acceleration starts, which must stay on its grid; gaps are filled if asked.
+
+    Times of a file without a clock, not among `clocked`, are those of its rows, which count from 0.
+    """
+    starts = {name: channel.span_s[0] for name, channel in channels.items() if columns[name].file in clocked}
     of_acceleration = [start for name, start in starts.items() if quantity(name) == "acceleration"]
     origin = min(of_acceleration or starts.values(), default=0.0)
     if origin:
@@ -167,7 +190,7 @@ def _on_one_clock(
     shifted = {}
     for name, channel in channels.items():
         if channel.times_s is not None:
-            times = channel.times_s - origin
+            times = channel.times_s - (origin if columns[name].file in clocked else 0.0)
             why = irregular(times, channel.rate_hz)
             channel = replace(channel, times_s=times if why else None)
             history += [f"{name} keeps its own times: {why}"] if why else []

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import re
 import shlex
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -13,7 +14,7 @@ from foten.datasets.columns import Column
 from foten.datasets.options import ImportOptions
 from foten.datasets.timing import rate_of, rises
 from foten.datasets.units import CLOCK, FACTORS, canonical, factor_of, quantity, split_header
-from foten.recording.recording import AXES
+from foten.recording.recording import AXES, UNITS
 
 Files = Mapping[Path, list[Column]]
 
@@ -35,8 +36,13 @@ _AXES: Mapping[str, str] = {
     "y": "y quer lateral transversal",
     "z": "z hoch vertikal vertical",
 }
+_OF_AXIS = re.compile(
+    rf"(?P<name>|.*[ _.-]|.*[a-z](?=[XYZ]$))(?P<axis>(?i:{'|'.join(map(re.escape, ' '.join(_AXES.values()).split()))}))"
+)
 _NOT_NORMAL = ("fric", "reib", "frott", "tang", "shear", "scher", "later", "quer")
 """Beginnings of words, of a force that is not the normal one."""
+_IN_ORDER = (("acceleration", 3), ("position", 2))
+"""Columns of a quantity that are its axes in order where none names an axis."""
 
 _GUESSES: Mapping[str, frozenset[str]] = {
     "time": frozenset(_TIMES.split()),
@@ -108,36 +114,56 @@ def added_mapping(files: Files, mapping: Sequence[tuple[str, str]]) -> tuple[tup
     )
 
 
-def guesses_of_missing(files: Files, mapping: Sequence[tuple[str, str]]) -> list[str]:
-    """Sentences on columns that may be what a mapping lacks, by how their names begin."""
-    mapped, taken = {quantity(channel) for channel, _ in mapping}, {name for _, name in mapping}
-    mapped |= {"speed"} if "position" in mapped else set()
-    others = [
-        (name, column)
-        for columns in files.values()
-        for column in columns
-        if (name := name_of(files, column)) not in taken
-    ]
-    sentences = []
+def guesses_of_missing(files: Files, mapping: Sequence[tuple[str, str]]) -> dict[str, str]:
+    """Columns that may be acceleration, speed or force, by quantity, each with the --map to add.
+
+    By their units, the columns of one name and several axes together; else by how their names begin.
+    """
+    taken = {id(column) for channel, reference in mapping for column in columns_of(files, channel, reference)}
+    others = [c for columns in files.values() for c in columns if id(c) not in taken and c.n_rows > 1 and not c.fault]
+    guesses = {}
     for kind, beginnings in {
         "acceleration": _ACCELERATIONS,
-        "force": f"{_FORCES} {_NORMAL_FORCES}",
         "speed": _SPEEDS,
+        "force": f"{_FORCES} {_NORMAL_FORCES}",
     }.items():
-        if kind in mapped:
-            continue
+        could = _candidates(others, kind)
+        if kind == "speed":
+            could += _candidates(others, "position")
+            named = {column.name.lower(): column for column in others if not column.unit}
+            could += [{f"position_{axis}": named[axis] for axis in "xy"}] if {"x", "y"} <= named.keys() else []
         known = tuple(word for word in beginnings.split() if len(word) > 1 or kind == "force")
-        could = [
-            name
-            for name, column in others
-            if not column.fault
-            and column.name.lower().startswith(known)
-            and not any(word in column.name.lower() for word in _NOT_NORMAL)
-        ]
+        normal = [c for c in others if not any(word in c.name.lower() for word in _NOT_NORMAL)]
+        could = could or [{kind: column} for column in normal if column.name.lower().startswith(known)]
         if could:
-            pairs = shlex.quote(f"{kind}={could[0]}")
-            sentences.append(f"{kind} may be {' or '.join(could[:3])}: add --map {pairs}")
-    return sentences
+            names = (" and ".join(name_of(files, column) for column in channels.values()) for channels in could[:3])
+            guesses[kind] = f"it may be {' or '.join(names)}: add {' or '.join(_option(files, c) for c in could[:3])}"
+    return guesses
+
+
+def _option(files: Files, channels: Mapping[str, Column]) -> str:
+    """Option --map of some channels, to copy."""
+    return f"--map {shlex.quote(','.join(f'{name}={name_of(files, column)}' for name, column in channels.items()))}"
+
+
+def _axis(column: Column, kind: str) -> tuple[str, str]:
+    """Name without its axis, and x, y or z: `Load X [gf]`, `LoadX`, `load_x` → `load`, `x`; no axis where the name has none."""
+    name = split_header(column.name, kind)[0]
+    match = _OF_AXIS.fullmatch(name)
+    axis = match and next((axis for axis in AXES if match["axis"].lower() in _AXES[axis].split()), None)
+    return (match["name"].strip(" _.-").lower(), axis) if match and axis else (name.lower(), "")
+
+
+def _candidates(columns: Sequence[Column], kind: str) -> list[dict[str, Column]]:
+    """Columns in units of a quantity by channel: the axes of one name together, others each by itself."""
+    groups: dict[str, dict[str, Column]] = {}
+    for column in columns:
+        if _is(column, kind):
+            name, axis = ("", "") if kind == "speed" else _axis(column, kind)
+            key = name if axis and f"{kind}_{axis}" not in groups.get(name, {}) else f"{name} {id(column)}"
+            groups.setdefault(key, {})[f"{kind}_{axis}" if axis else kind] = column
+    channels = [{channel: group[channel] for channel in UNITS if channel in group} for group in groups.values()]
+    return [group for group in channels if kind != "position" or {"position_x", "position_y"} <= group.keys()]
 
 
 def _by_headers(files: Files) -> dict[str, list[Column]]:
@@ -157,14 +183,25 @@ def _by_headers(files: Files) -> dict[str, list[Column]]:
     ):
         places["time"] = clocks
     for kind in ("acceleration", "force", "speed", "position"):
-        measured = [column for column in others if _is(column, kind)]
-        if kind in there or ("speed" in there and kind == "position") or ("position" in there and kind == "speed"):
+        if kind in there or ("speed" in places and kind == "position") or ("position" in there and kind == "speed"):
             continue
-        if len(measured) == 1 and kind != "position":
-            places[kind] = measured
-        elif (kind, len(measured)) in (("acceleration", 3), ("position", 2)) and "speed" not in places:
+        candidates = _candidates(others, kind)
+        measured = [column for column in others if _is(column, kind)]
+        if len(candidates) == 1:
+            places |= {channel: [column] for channel, column in candidates[0].items()}
+        elif (kind, len(measured)) in _IN_ORDER and not any(_axis(column, kind)[1] for column in measured):
             places |= {f"{kind}_{axis}": [column] for axis, column in zip(AXES, measured, strict=False)}
     return places
+
+
+def by_unit(files: Files, mapping: Sequence[tuple[str, str]]) -> list[str]:
+    """Names of the columns of a mapping of which no header says what they are, but their unit."""
+    columns = [(name, channel, columns_of(files, channel, name)[0]) for channel, name in mapping]
+    return [
+        name
+        for name, channel, column in columns
+        if _is(column, quantity(channel)) and _header(column, channel) not in _GUESSES[channel]
+    ]
 
 
 def _is(column: Column, kind: str) -> bool:

@@ -23,6 +23,12 @@ COMMENTS = ("#", "%", "//")  # that a line of comment begins with
 _DECIMAL_COMMA = re.compile(r"[-+]?\d*,\d+([eE][-+]?\d+)?")
 _NO_THOUSANDS = re.compile(r"[-+]?(?:0|\d{4,}|\d*(?=,\d{1,2}$)|\d*(?=,\d{4,}$)),\d+([eE][-+]?\d+)?")
 _DECIMAL_POINT = re.compile(r"[-+]?\d*\.\d+([eE][-+]?\d+)?")
+_STATED = re.compile(r"(?:^|; )(\w+) ?[:=] *([^;]*[^;\s])")
+_FIELDS = {
+    "texture": "surface texture material oberfläche textur superficie textura",
+    "tool": "tool werkzeug outil herramienta",
+}
+"""Fields of a recording, and the words of a line above the table that state them."""
 MAX_CELLS = 50_000_000  # of a sheet
 MAX_ROWS = 2_000_000  # of a sheet; a program of tables has 1,048,576
 
@@ -183,6 +189,15 @@ def _table(rows: list[list[Any]], where: str, comments: Collection[int] = ()) ->
         _column(Column(name, unit=unit, preamble=preamble, row_numbers=row_numbers), cells)
         for name, unit, cells in zip(names, units, zip(*(rows[i] for i in data), strict=True), strict=True)
     ]
+
+
+def stated_above(preamble: str) -> dict[str, str]:
+    """Texture and tool, where lines above a table state them: `Surface: walnut board`, `Tool: steel ball`."""
+    stated = {key.lower(): text for key, text in _STATED.findall(preamble)}
+    found = {
+        field: next((stated[word] for word in words.split() if word in stated), "") for field, words in _FIELDS.items()
+    }
+    return {field: text for field, text in found.items() if text}
 
 
 def _are_units(words: list[str]) -> bool:

@@ -16,6 +16,8 @@ from foten.recording.inspection.values import counted
 from foten.recording.recording import Channel
 
 MAX_JITTER = 0.01  # of a period, in regular times
+MIN_VALUES = 10  # of a sensor slower than the rows
+MAX_OFF = 0.25  # of its period, that its values may lie from an even grid; a lost one leaves half a period
 FILLED = ("position", "speed", "force")  # quantities that change slowly
 
 
@@ -114,6 +116,27 @@ def _last_digit(times: Array) -> float:
     return float(np.spacing(np.float32(np.abs(times).max())))  # single precision somewhere on the way
 
 
+def of_slower_sensor(channel: Channel) -> tuple[Channel, float]:
+    """Channel without its blank rows where the others are those of a sensor slower than the rows; and rows from value to value.
+
+    They are where all lie within a row of a straight line in time, and nearer to it than a lost value would leave them.
+    """
+    known, times = np.flatnonzero(~np.isnan(channel.samples)), channel.times
+    if known.size < MIN_VALUES or known.size == channel.samples.size:
+        return channel, 1.0
+    number, first = np.arange(known.size), times[known[0]]
+    period, offset = np.polyfit(number, times[known] - first, 1).tolist()
+    row = float(np.median(np.diff(times)))
+    even = first + offset + period * number
+    if np.abs(times[known] - even).max() > min(row, MAX_OFF * period):
+        return channel, 1.0
+    # The ends are known to a row, so the rate to two rows in the whole.
+    rate_hz = (
+        float(round(1 / period)) if abs(round(1 / period) * period - 1) * known.size * period <= 2 * row else 1 / period
+    )
+    return Channel(channel.samples[known], rate_hz, even), float(np.diff(known).mean())
+
+
 def irregular(times: Array, rate_hz: float) -> str:
     """Reason why times that count from the recording's start are not i / rate, or nothing."""
     period = 1 / rate_hz
@@ -138,7 +161,8 @@ def filled(name: str, channel: Channel, gap_ms: float, column: Column) -> tuple[
     known = np.flatnonzero(~np.isnan(samples))
 
     def place(sample: int) -> str:
-        return f"{times[sample]:.6g} s{column.row_of(sample)}"
+        in_rows = samples.size == column.samples.size  # a slower sensor's are not
+        return f"{times[sample]:.6g} s{column.row_of(sample) if in_rows else ''}"
 
     infinite = np.flatnonzero(np.isinf(samples))
     if infinite.size:

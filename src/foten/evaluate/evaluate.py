@@ -32,7 +32,7 @@ ANCHOR_ORDER = 20  # of the linear predictor that every model is held against
 _WHY_UNKNOWN = {
     "level_bias_db": "blocks hold no frame of 40 ms after their first fifth",
     "level_corr": "the level does not vary",
-    "modulation_db": "blocks under 1 s",
+    "modulation_db": "less than 1 s of a block is scored",
 }
 
 
@@ -135,6 +135,7 @@ def evaluate(
         "rate_hz": texture.rate_hz,
         "split": "foreign" if split is None else split.method,
         "split_sha256": None if split is None else split.sha256(),
+        "unfinished": texture.unfinished,
         "seed": seed,
         "n_blocks": len(blocks),
         "block": trace.block,

@@ -23,8 +23,7 @@ def write_c_header(texture: Texture, path: Path) -> str:
     """Write a texture as a header and return the name of its bytes in C."""
     name, data, card = identifier(str(texture.card["texture"]) or path.stem), texture.to_bytes(), texture.card
     body = ",\n".join(", ".join(map(str, data[i : i + _ROW])) for i in range(0, len(data), _ROW))
-    (slow, fast), (light, firm) = texture.trained_range("speed"), texture.trained_range("force")
-    trained = f"{slow:.0f} to {fast:.0f} mm/s, {light:.1f} to {firm:.1f} N"
+    trained = texture.trained_range_in_words()
     # Of anyone's file, in a comment, which it must not end.
     made = f" * {printable(texture.evidence).replace('*/', '* /')}\n" if texture.evidence else ""
     credit = made + (f" * Credit: {printable(texture.credit).replace('*/', '* /')}\n" if texture.credit else "")

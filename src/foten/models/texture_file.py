@@ -21,7 +21,7 @@ from foten.models.conditions import REACH_FORCE, REACH_SPEED
 from foten.models.model_sizes import ModelSizes, shortened
 from foten.models.registry import GRAPH, MODELS, sizes_of
 from foten.recording.preprocess import PreprocessConfig
-from foten.recording.recording import RELATIVE, UNITS
+from foten.recording.recording import RELATIVE, UNITS, range_in_words
 from foten.recording.scaling import Scaling
 from foten.recording.split import Split
 from foten.recording.trace import CHANNELS
@@ -100,6 +100,13 @@ class Texture:
         return str(self.card.get(EVIDENCE, ""))
 
     @property
+    def unfinished(self) -> str:
+        """Sentence on a texture that was written before its training ended; empty for others."""
+        if not self.card["training"].get("unfinished", False):
+            return ""
+        return "its training has not ended: this is the early texture, without its network"
+
+    @property
     def has_excitation(self) -> bool:
         """Whether there is a random part."""
         return self.sizes.excited or not self.predicts_samples
@@ -113,6 +120,10 @@ class Texture:
         """Lowest and highest trained `speed` [mm/s] or `force` [N]."""
         low, high = self.card["trained_range"][channel]
         return float(low), float(high)
+
+    def trained_range_in_words(self) -> str:
+        """Trained range of speed and force: "0 to 330 mm/s and 0.18 to 3.2 N"."""
+        return " and ".join(range_in_words(channel, *self.trained_range(channel)) for channel in ("speed", "force"))
 
     def extrapolation_exponent(self, channel: str) -> float:
         """The power of `speed` or `force` that the level grows with above its trained range."""
@@ -253,6 +264,10 @@ def check_card(card: Any) -> None:
             raise ValueError(
                 f"{key!r} in the card is {shortened(card[key])}, expected a text of {MAX_CREDIT} characters at most"
             )
+    if not isinstance(card["training"].get("unfinished", False), bool):
+        raise ValueError(
+            f"'unfinished' in the card's training is {shortened(card['training']['unfinished'])}, expected true"
+        )
     takes = card.get("takes", [])
     if not isinstance(takes, list) or not all(_is_take(take) for take in takes):
         raise ValueError(f"the takes in the card are {shortened(takes)}, expected a name, seconds and blocks of each")

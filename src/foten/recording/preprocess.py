@@ -123,6 +123,12 @@ def fitting_cut(recording: Recording) -> tuple[float, float]:
     return trim_ms, next(filter(fits, SHORT_BLOCKS_MS), SHORT_BLOCKS_MS[-1])
 
 
+def cut_in_words(trim_ms: float, block_ms: float) -> str:
+    """Blocks and trim of a recording, in words."""
+    trimmed = f"{trim_ms:g} ms trimmed at both ends" if trim_ms else "nothing trimmed at the ends"
+    return f"blocks of {block_ms:g} ms, with {trimmed}"
+
+
 def preprocess(recording: Recording, config: PreprocessConfig | None = None, n_blocks: int | None = None) -> Trace:
     """Trace of a recording: whole blocks of acceleration, speed and force at one rate.
 

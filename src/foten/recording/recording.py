@@ -29,6 +29,13 @@ RELATIVE = "relative"
 LIMITS: Mapping[str, float] = {"speed": 5000.0, "acceleration": 1000.0, "force": 500.0, "position": 10_000.0}
 """Beyond these no hand stroked a surface: mm/s, m/s², N, mm."""
 
+
+def range_in_words(channel: str, low: float, high: float) -> str:
+    """Range of speeds or forces, to two digits and speeds in whole mm/s: "5 to 330 mm/s"."""
+    first, last = (float(f"{round(end) if channel == 'speed' else end:.2g}") for end in (low, high))
+    return f"{first:g} to {last:g} {UNITS[channel]}"
+
+
 HOLE = 1.5  # median steps between two times; more, and samples were lost
 
 

@@ -75,7 +75,6 @@ def _about_section(document: Mapping[str, Any], texture: Texture) -> str:
     takes = texture.card.get("takes")
     card, block_ms = texture.card, 1000 * document["block"] / document["rate_hz"]
     split = f"{document['split']} {(document['split_sha256'] or '')[:10]}".rstrip()
-    (slow, fast), (light, heavy) = (texture.trained_range(channel) for channel in ("speed", "force"))
     facts = {
         "model": document["model"],
         "rate": f"{document['rate_hz']:g} Hz",
@@ -84,7 +83,7 @@ def _about_section(document: Mapping[str, Any], texture: Texture) -> str:
         **({"takes": f"{len(takes)}, {sum(take['seconds'] for take in takes):g} s"} if takes else {}),
         "seed": document["seed"],
         "recorded sd": f"{document['sd_m_s2']:.4g} {document['unit']}",
-        "trained range": f"{slow:.0f}–{fast:.0f} mm/s, {light:.2f}–{heavy:.2f} N",
+        "trained range": texture.trained_range_in_words(),
         "above it": texture.extrapolation_in_words(),
         "tool": card["tool"] or "not stated",
         "sensors": card["sensors"] or "not stated",

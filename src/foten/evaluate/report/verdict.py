@@ -12,6 +12,8 @@ from foten.dsp.level import frame_means
 from foten.evaluate.evaluate import Judgement
 from foten.evaluate.report.signals import frame_errors, scored_conditions, shown_run
 from foten.models.conditions import FADE_FORCE, FADE_SPEED
+from foten.recording.inspection.speed_force import EXTREMES
+from foten.recording.recording import range_in_words
 from foten.reporting.table import minus, signed
 
 
@@ -83,7 +85,12 @@ def verdict(document: Mapping[str, Any]) -> list[Finding]:
 
 
 def headline(judgement: Judgement) -> str:
-    """What a texture is good for, in a line of plain words."""
+    """What a texture is good for, in a line of plain words; first, where it is so, that its training has not ended."""
+    early = judgement.document.get("unfinished")
+    return f"{early[0].upper()}{early[1:]}. {_good_for(judgement)}" if early else _good_for(judgement)
+
+
+def _good_for(judgement: Judgement) -> str:
     document, key = judgement.document, shown_run(judgement)
     if key is None:
         return f"Not judged: {reason(document, 'free_run')}."
@@ -111,10 +118,10 @@ def headline(judgement: Judgement) -> str:
     doubts += ["its level does not follow the hand"] * (dynamics.tone == "bad")
     doubts += [f"only {document['n_blocks']} blocks judge it"] * (document["n_blocks"] < FEW_BLOCKS)
     if all(right):
-        low, high = np.maximum(np.quantile(scored_conditions(judgement)[0], [0.01, 0.99]), FADE_SPEED)
+        low, high = np.maximum(np.quantile(scored_conditions(judgement)[0], EXTREMES), FADE_SPEED)
         near = "as near as a second stroke's" if spectrum.tone == "good" else _distance(document, key)
         worst = max(0.1, *map(abs, biases))
-        usable = f"Usable{' with care' * bool(doubts)} from {low:.0f} to {high:.0f} mm/s"
+        usable = f"Usable{' with care' * bool(doubts)} from {range_in_words('speed', low, high)}, where it was judged"
         text = f"{usable}: level within {worst:.1f} dB on average, spectrum {near}"
     else:
         wrong = [one for one, fine in zip(ranges, right, strict=True) if not fine]

@@ -19,7 +19,14 @@ from foten.recording.inspection.speed_force import (
     speed_force_of,
 )
 from foten.recording.inspection.values import PROBLEM, UNUSABLE, ChannelReport, Finding, Inspection
-from foten.recording.preprocess import SHORT_BLOCKS_MS, PreprocessConfig, fitting_cut, fitting_options, preprocess
+from foten.recording.preprocess import (
+    MIN_ALONE_S,
+    SHORT_BLOCKS_MS,
+    PreprocessConfig,
+    fitting_cut,
+    fitting_options,
+    preprocess,
+)
 from foten.recording.recording import Channel, Recording, common_span_s
 from foten.recording.scaling import fit_scaling
 from foten.recording.split import MIN_BLOCKS
@@ -30,7 +37,9 @@ OF_ALL_TAKES = ("range", "coverage", "short")  # codes of what one take may lack
 def inspect_recording(recording: Recording) -> Inspection:
     """Numbers of each channel, findings, and the coverage of speed and force, of all takes together."""
     if not recording.later_takes:
-        return _inspected(recording)[0]
+        inspection = _inspected(recording)[0]
+        is_cut = not inspection.unusable and "--block" not in inspection.options
+        return replace(inspection, cut_ms=fitting_cut(recording)) if is_cut else inspection
     takes = recording.takes
     inspections, hands = zip(*map(_inspected, takes), strict=True)
     findings = _findings_of(takes, inspections)
@@ -52,7 +61,8 @@ def inspect_recording(recording: Recording) -> Inspection:
     options = f"--rate {rate_hz:g}"
     reports = tuple(map(_pooled, zip(*(inspection.channels for inspection in inspections), strict=True)))
     about = psd, shares, options, recording.sha256()
-    return Inspection(reports, tuple(findings), coverage, *about, tuple(take.duration_s for take in takes))
+    lengths_s = tuple(take.duration_s for take in takes)
+    return Inspection(reports, tuple(findings), coverage, *about, lengths_s, (trim_ms, block_ms))
 
 
 def _findings_of(takes: Sequence[Recording], inspections: Sequence[Inspection]) -> list[Finding]:
@@ -128,7 +138,7 @@ def _inspected(recording: Recording) -> tuple[Inspection, SpeedForce | None]:
     rate_hz = perception.smallest_rate(shares) if shares else PreprocessConfig().rate_hz
     start_s, end_s = common_span_s(recording.channels.values())
     options = f"--rate {rate_hz:g}"
-    if end_s - start_s < PreprocessConfig().shortest_s:
+    if end_s - start_s < MIN_ALONE_S:
         options = fitting_options(end_s - start_s, rate_hz, captured_hz)
     findings += sampling.check_short(end_s - start_s, options)
     if speed_force is not None and captured_hz is not None and not any(finding.code == "short" for finding in findings):

@@ -8,19 +8,12 @@ import numpy as np
 
 from foten.dsp import Array
 from foten.recording.inspection.speed_force import CONTACT_N, HAND_HZ, MOVING_MM_S, SpeedForce
-from foten.recording.inspection.values import (
-    NOTE,
-    PROBLEM,
-    UNUSABLE,
-    ChannelReport,
-    Finding,
-    counted,
-    places,
-    runs,
-    swing,
-)
+from foten.recording.inspection.values import NOTE, PROBLEM, UNUSABLE, ChannelReport, Finding, counted, places, swing
 from foten.recording.recording import UNITS, Channel, Recording
 
+MIN_FLAT, MIN_FLAT_ALONE = 3, 5  # equal samples at an extreme that are clipped: in several places, and in a single one
+FEW = 1e-3  # of the samples, that may be clipped or a spike
+SMOOTHED = 0.02  # of the range of a force or speed, that a spike may leave behind the low-pass of training
 FRAME_S = 0.05  # in which the level of an acceleration is measured
 _GUESSES = {
     "speed": (
@@ -76,7 +69,7 @@ def check_units(name: str, channel: Channel, recording: Recording) -> Iterable[F
 
 
 def check_spikes(name: str, channel: Channel) -> Iterable[Finding]:
-    """Yield a problem where one or two samples stand alone, far from their neighbours.
+    """Yield a problem, or a note of what training smooths away, where one or two samples stand alone, far from their neighbours.
 
     A median filter of five removes single outliers and, in a fast signal, the peaks of the vibration, so an outlier is what
     exceeds a high percentile of the removed part by far.
@@ -95,32 +88,46 @@ def check_spikes(name: str, channel: Channel) -> Iterable[Finding]:
         largest = int(spikes[np.argmax(removed[spikes])])
         where = f"{x[largest]:.6g} {UNITS[name]} at sample {largest} ({channel.times[largest]:.3f} s)"
         text = f"{name}: {counted(spikes.size, 'spike')} of one or two samples, the largest {where}"
-        yield Finding(PROBLEM, "spikes", name, text, places(channel, spikes))
+        # What a second-order low-pass leaves of a pulse of two samples: twice the largest value of its impulse response.
+        few = spikes.size <= FEW * x.size
+        left = float(removed.max()) * min(1.0, 0.92 * 2 * np.pi * HAND_HZ / channel.rate_hz)
+        if name.startswith("acceleration"):
+            severity, advice = (
+                PROBLEM,
+                "if they are no impacts, cut the table there and import the pieces with --append",
+            )
+        elif name.startswith(("force", "speed")) and few and left <= SMOOTHED * swing(x, 0.01):
+            severity, advice = NOTE, f"nothing to do: the low-pass of training leaves {left:.2g} {UNITS[name]} of it"
+        else:
+            gap_ms = int(np.ceil(3000 / channel.rate_hz))
+            severity, advice = PROBLEM, f"blank their cells in the table and import it with --fill-gaps {gap_ms}"
+        yield Finding(severity, "spikes", name, f"{text}; {advice}", places(channel, spikes))
 
 
 def check_clipping(name: str, channel: Channel) -> Iterable[Finding]:
-    """Yield a problem where a channel stays at its highest or lowest value for several samples."""
+    """Yield a problem, or a note of few samples, where a channel stays at its highest or lowest value."""
     x = channel.samples
-    starts, ends = runs(np.append(False, np.diff(x) == 0))
-    starts = starts - 1  # the first of the equal samples
-    lengths = ends - starts
-    if not lengths.size or x.min() == x.max():
+    if x.min() == x.max():
         return
-    values = x[starts]
+    changes = np.flatnonzero(np.diff(x)) + 1
+    starts, ends = np.append(0, changes), np.append(changes, x.size)
+    values, lengths = x[starts], ends - starts
     quantum = float(np.median(np.diff(np.unique(x))))
-    # A coarse or slow sensor repeats every value; clipping makes its extremes much flatter than that.
-    others = lengths[(values != x.max()) & (values != x.min())]
+    # A coarse or slow sensor repeats every value, and a hand pauses; clipping makes extremes much flatter than that.
+    others = lengths[(values != x.max()) & (values != x.min()) & ((lengths > 1) | name.startswith("acceleration"))]
     usual = float(np.quantile(others, 0.99)) if others.size > 20 else 1.0
     for extreme, what in ((x.max(), "highest"), (x.min(), "lowest")):
         if extreme == 0 or (name == "speed" and extreme < MOVING_MM_S):
             continue  # a natural bound
-        at = np.flatnonzero((values == extreme) & (lengths >= 3))
+        at = np.flatnonzero((values == extreme) & (lengths >= MIN_FLAT))
         cut = [i for i in at if _leaves_steeply(x, starts[i], ends[i], quantum)]
         flat = lengths[cut]
-        if flat.size and flat.max() >= 3 * usual and (flat.size > 1 or flat.max() >= 5):
+        if flat.size and flat.max() >= MIN_FLAT * usual and (flat.size > 1 or flat.max() >= MIN_FLAT_ALONE):
             stays = f"stays at its {what} value, {extreme:.5g} {UNITS[name]}, for {counted(flat.sum(), 'sample')}"
-            text = f"{name} is clipped: it {stays} in {counted(flat.size, 'place')}: was the sensor at its limit?"
-            yield Finding(PROBLEM, "clipping", name, text, places(channel, starts[cut]))
+            few = flat.sum() <= FEW * x.size
+            advice = "so few change little: nothing to do" if few else "record again with a larger range"
+            text = f"{name} is clipped: it {stays} in {counted(flat.size, 'place')}; {advice}"
+            yield Finding(NOTE if few else PROBLEM, "clipping", name, text, places(channel, starts[cut]))
 
 
 def _leaves_steeply(x: Array, start: int, end: int, quantum: float) -> bool:

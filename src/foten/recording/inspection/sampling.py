@@ -22,8 +22,7 @@ def check_missing(recording: Recording) -> Iterable[Finding]:
     """Yield problems where acceleration, speed or force is missing, or the acceleration slower than the default rate."""
     axes = recording.axes("acceleration")
     if not axes:
-        text = "there is no acceleration: nothing to learn from; speed and force can still drive a renderer"
-        yield Finding(UNUSABLE, "missing", "acceleration", text)
+        yield Finding(UNUSABLE, "missing", "acceleration", "there is no acceleration to learn from")
     elif axes[0].rate_hz < PreprocessConfig().rate_hz:
         rate = f"{axes[0].rate_hz:g}"
         text = f"acceleration was captured at {rate} Hz and is never upsampled: train with --rate {rate} or lower"
@@ -47,13 +46,9 @@ def check_durations(recording: Recording) -> Iterable[Finding]:
 
 
 def check_short(seconds: float, options: str) -> Iterable[Finding]:
-    """Yield a note where all channels cover less than the defaults of training need, with the options that fit if any do."""
+    """Yield a note where all channels cover too little for a cut that is chosen unasked, with the options that fit if any do."""
     config = PreprocessConfig()
-    if MIN_ALONE_S <= seconds < config.shortest_s:
-        cut = f"nothing is trimmed, and blocks are short; of {config.shortest_s:g} s or more they are of 2 s"
-        text = f"it lasts {seconds:.2f} s: {cut}"
-        yield Finding(NOTE, "short", "", text)
-    elif seconds < config.shortest_s:
+    if seconds < min(MIN_ALONE_S, config.shortest_s):
         advice = f"train with {options}" if options else "too short to learn from; record for longer"
         needs = (
             f"trimming {config.trim_ms / 1000:g} s at both ends, {MIN_BLOCKS} blocks of {config.block_ms / 1000:g} s"
@@ -128,7 +123,9 @@ def check_order(recording: Recording) -> Iterable[Finding]:
             evidence.append(f"{at.size} jumps by {share:.0%} of its range, faster than a hand moves")
         if name in many and (piece := _piece(at)):
             evidence.append(f"jumps at multiples of {piece} samples, as if pieces of {piece} rows were shuffled")
-        for other in [other for other in many if other != name and name in many]:
+        # The axes of one sensor jump together under any impact; different sensors do where rows were shuffled.
+        sensor = name.split("_")[0]
+        for other in [other for other in many if other.split("_")[0] != sensor and name in many]:
             common = np.isin(at, many[other]).mean()
             is_beside = slow[other].samples.size == channel.samples.size
             if is_beside and common > max(0.25, 3 * many[other].size / channel.samples.size):

@@ -19,6 +19,7 @@ MOVING_MM_S = 5.0  # less speed is rest
 MIN_LOSS_S = 0.005  # a shorter loss of contact is noise of the force sensor
 HAND_HZ = 20.0  # a hand's movement holds nothing above; the low-pass of Sec. V-b
 TRAINING_HZ = PreprocessConfig().rate_hz  # at which training synchronises speed and force
+EXTREMES = (0.001, 0.999)  # quantiles that a range of speed or force reaches to
 CELL_MM_S, CELL_N = 25.0, 0.5  # of the coverage
 USUAL_MM_S, USUAL_N = (300.0, 5.0)  # largest speed and force in use; the coverage is larger where the recording is
 
@@ -85,7 +86,7 @@ def coverage_of(speed_force: SpeedForce) -> Coverage | None:
         return None
     conditions, cells, ranges = (speed_force.speed[stroking], speed_force.force[stroking]), [], []
     for samples, cell, usual in zip(conditions, (CELL_MM_S, CELL_N), (USUAL_MM_S, USUAL_N), strict=True):
-        low, high = np.quantile(samples, [0.001, 0.999]).tolist()
+        low, high = np.quantile(samples, EXTREMES).tolist()
         ranges.append((low, high))
         top = min(max(usual, high), 2 * usual)
         cells.append(np.arange(0, np.ceil(top / cell - 1e-9) + 1) * cell)
@@ -120,7 +121,7 @@ def check_ranges(coverage: Coverage) -> Iterable[Finding]:
     if heavy < 6:
         yield Finding(NOTE, "range", "force", f"force above {heavy:.2g} N never visited: {grows}")
     if not coverage.fraction:
-        held = f"{slow:.3g} to {quick:.3g} mm/s and {light:.3g} to {heavy:.3g} N"
+        held = f"{coverage.speed_in_words} and {coverage.force_in_words}"
         text = f"nothing of the plane up to {coverage.speed_edges[-1]:g} mm/s and {coverage.force_edges[-1]:g} N was visited"
         yield Finding(UNUSABLE, "coverage", "", f"{text}, only {held}: are the units right?")
     elif coverage.fraction < 0.15:

@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from foten.dsp import Array, perception
-from foten.recording.recording import Channel
+from foten.recording.preprocess import cut_in_words
+from foten.recording.recording import Channel, range_in_words
 
 UNUSABLE, PROBLEM, NOTE = "unusable", "problem", "note"
 N_PLACES = 200  # that a finding lists
@@ -59,6 +60,16 @@ class Coverage:
     force_range: tuple[float, float]  # likewise [N]
 
     @property
+    def speed_in_words(self) -> str:
+        """Range of speed: "5 to 330 mm/s"."""
+        return range_in_words("speed", *self.speed_range)
+
+    @property
+    def force_in_words(self) -> str:
+        """Range of force: "0.18 to 3.2 N"."""
+        return range_in_words("force", *self.force_range)
+
+    @property
     def covered(self) -> int:
         """Number of cells with `CELL_S` or more."""
         return int((self.seconds >= CELL_S).sum())
@@ -81,6 +92,7 @@ class Inspection:
     options: str  # of `foten train` that fit the recording; empty where it is too short for any
     recording_sha256: str
     takes_s: tuple[float, ...] = ()  # time that each covers, where there are several
+    cut_ms: tuple[float, float] | None = None  # trim and block that training chooses; None where it chooses none
 
     @property
     def problems(self) -> tuple[Finding, ...]:
@@ -97,11 +109,9 @@ class Inspection:
         """What it is good for, in a line."""
         if self.unusable or self.coverage is None:
             return f"record again: {self.unusable or 'speed or force is missing'}"
-        (slow, quick), (light, heavy) = self.coverage.speed_range, self.coverage.force_range
         n = len(self.problems)
         usable = f"usable with care ({counted(n, 'problem')} above)" if n else "usable"
-        light, heavy = float(f"{light:.2g}"), float(f"{heavy:.2g}")
-        text = f"{usable} from {slow:.0f} to {quick:.0f} mm/s and from {light:g} to {heavy:g} N"
+        text = f"{usable} from {self.coverage.speed_in_words} and from {self.coverage.force_in_words}"
         if self.coverage.fraction < MIN_COVERED:
             text += ", a small part of what hands do: vary speed and force separately"
         return text
@@ -126,6 +136,8 @@ class Inspection:
             "carried_by_rate_hz": {f"{rate:g}": share for rate, share in self.carried.items()},
             "options": self.options,
             "takes_s": list(self.takes_s),
+            "trim_ms": self.cut_ms and self.cut_ms[0],
+            "block_ms": self.cut_ms and self.cut_ms[1],
             "usable": not self.unusable,
             "verdict": self.verdict,
         }
@@ -146,14 +158,15 @@ class Inspection:
                 f"{channel.minimum:>11.4g}{channel.maximum:>11.4g}{channel.rms:>10.4g}{floor:>11}"
             )
         if self.coverage is not None:
-            cells, speed, force = self.coverage, self.coverage.speed_range, self.coverage.force_range
-            lines.append(
-                f"speed–force plane: {cells.covered} of {cells.seconds.size} cells visited ({cells.fraction:.0%}), "
-                f"speed {speed[0]:.4g} to {speed[1]:.4g} mm/s, force {force[0]:.3g} to {force[1]:.3g} N"
-            )
+            cells = self.coverage
+            visited = f"{cells.covered} of {cells.seconds.size} cells visited ({cells.fraction:.0%})"
+            ranges = f"speed {self.coverage.speed_in_words}, force {self.coverage.force_in_words}"
+            lines.append(f"speed–force plane: {visited}, while moving in contact {ranges}")
         if self.carried:
             advice = f"; train with {self.options}" if self.options else ""
             lines.append(f"of the perceived power, {perception.in_words(self.carried)}{advice}")
+        if self.cut_ms is not None:
+            lines.append(f"training cuts it into {cut_in_words(*self.cut_ms)}; --block and --trim choose others")
         for severity in (UNUSABLE, PROBLEM, NOTE):
             lines += [f"{severity:<8} {f.text}" for f in self.findings if f.severity == severity]
         return "\n".join([*lines, self.verdict])

@@ -96,7 +96,8 @@ function creditOf({ authors, source, doi, photo, licence }) {
 
 /** Speeds and forces that a texture was recorded at. */
 function ranges({ trained_range: { speed, force } }) {
-  return `${speed[0].toFixed(0)}–${speed[1].toFixed(0)} mm/s, ${force[0].toFixed(1)}–${force[1].toFixed(1)} N`;
+  const [fast, firm] = [speed.map(Math.round), force].map((ends) => ends.map((end) => Number(end.toPrecision(2))).join("–"));
+  return `${fast} mm/s, ${firm} N`;
 }
 
 /** What stands on the shelf for a texture: the first of its methods. */
