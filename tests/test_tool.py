@@ -139,6 +139,12 @@ def test_the_commands(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Non
     assert _status(["tool", "measure", *files, "-o", path]) == 0
     assert "gain [dB]" in capsys.readouterr().out
     assert np.abs(read_transfer(Path(path)).gain_db).max() < 3  # the same surface and tool
+    sds = read_transfer(Path(path)).gain_sd_db
+    assert _status(["tool", "measure", *files, *reversed(files), "-o", path]) == 0  # on two surfaces, turned round
+    assert np.abs(read_transfer(Path(path)).gain_db).max() < 1e-3
+    assert np.mean(read_transfer(Path(path)).gain_sd_db) < 1.2 * np.mean(sds)
+    assert _status(["tool", "measure", *files, files[0], "-o", path]) == 2
+    assert "3 recordings, expected pairs" in capsys.readouterr().err
     outputs = [str(tmp_path / name) for name in ("plain.npz", "other.npz")]
     stroke = ["--speed", "80", "--force", "0.8", "--seconds", "1"]
     assert _status(["render", str(FOLDER / "towel.foten"), *stroke, "-o", outputs[0]]) == 0

@@ -168,7 +168,7 @@ def main() -> None:
     row("session: preference [JND]", "", round(count["match"], 1), np.linalg.norm(points, axis=1) / JND, signed=False)
     minutes = sum(SECONDS[part] * count[part] for part in SECONDS) / 60
     row(
-        "session: thresholds and equal strength [min]",
+        "session: time, a second an answer [min]",
         "",
         round(count["detect"] + count["compare"], 1),
         np.array([minutes, minutes]),

@@ -9,7 +9,7 @@ import typer
 from typer import Argument, Option
 
 from foten.cli.editing import check_texture
-from foten.console import JsonOption, RecordingFile, TextureFile, check_files, print_result
+from foten.console import JsonOption, TextureFile, check_files, print_result
 
 if TYPE_CHECKING:
     from foten.editing.tool import Transfer
@@ -19,8 +19,9 @@ app = typer.Typer(help="Another tool: measured once, then applied to any texture
 
 @app.command()
 def measure(
-    first: RecordingFile,
-    second: Path = Argument(..., metavar="B.h5", help="The same surface with the other tool."),
+    recordings: list[Path] = Argument(
+        ..., metavar="A.h5 B.h5 …", help="A surface with your textures' tool and with the other; more surfaces likewise."
+    ),
     output: Path = Option(..., "-o", "--output", help="The tool to write, .json."),
     rate: float = Option(1000.0, help="Of the textures that it is for (Hz)."),
     as_json: JsonOption = False,
@@ -28,6 +29,8 @@ def measure(
     """Measure how a tool differs from that of your textures: stroke one surface with both, over the same speeds and forces.
 
     foten tool measure pen-a.h5 pen-b.h5 -o pen-b.json
+
+    foten tool measure wood-a.h5 wood-b.h5 felt-a.h5 felt-b.h5 -o pen-b.json: on two surfaces
 
     foten render denim.foten --tool pen-b.json --speed 80 --force 0.8 --seconds 3 -o denim-b.wav
     """
@@ -37,14 +40,15 @@ def measure(
 
     if output.suffix != ".json":
         raise ValueError(f"a tool is written as .json, got -o {output.name}")
+    if len(recordings) % 2:
+        raise ValueError(f"{len(recordings)} recordings, expected pairs: a surface with one tool, then with the other")
     check_files([output])
-    recordings = [load_recording(path) for path in (first, second)]
-    traces = []
-    for recording in recordings:
+    loaded, traces = [load_recording(path) for path in recordings], []
+    for recording in loaded:
         _, block_ms = fitting_cut(recording)
         traces.append(preprocess(recording, PreprocessConfig(rate_hz=rate, trim_ms=0.0, block_ms=block_ms)))
-    names = [recording.tool or path.stem for recording, path in zip(recordings, (first, second), strict=True)]
-    transfer = fitted_transfer(traces[:1], traces[1:], (names[0], names[1]))
+    names = [recording.tool or path.stem for recording, path in zip(loaded[:2], recordings[:2], strict=True)]
+    transfer = fitted_transfer(traces[::2], traces[1::2], (names[0], names[1]))
     write_transfer(transfer, output)
     text = "\n".join([*_lines(transfer), f"wrote {output}; next: foten tool apply T.foten {output} -o T-b.foten"])
     print_result({"output": str(output), **vars(transfer)}, text, as_json)
