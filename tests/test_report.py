@@ -446,7 +446,7 @@ def _off(judged, errors):
     [
         (
             (0, 0, 0),
-            r"Usable with care from \d+ to \d+ mm/s, where it was judged: level within 0.1 dB on average, "
+            r"Usable with care from \d+ to \d+ mm/s, where it was judged: level within 0.1 dB at each of them, "
             r"spectrum 2.\d dB away \(a second stroke's: 2.\d dB\); a step ahead a simple predictor is better; "
             r"only 4 blocks judge it.",
         ),

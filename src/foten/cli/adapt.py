@@ -36,7 +36,7 @@ def adapt(
 
     foten render denim.foten --user me.json …; foten serve --user me.json; foten edit denim.foten --user me.json -o mine.foten
     """
-    from foten.cli.serve import say_code
+    from foten.cli.serve import open_in_browser, say_code
     from foten.editing.user import MOVES, UserProfile, read_user
     from foten.models.texture_file import read_texture
     from foten.runtime.actuator import read_profile
@@ -73,9 +73,7 @@ def adapt(
         if access.token is not None:
             say_code(link)
         elif open_page and not joined:
-            import webbrowser
-
-            webbrowser.open(link)
+            open_in_browser(link)
         if not joined:
             say(f"answers are kept in {output}; Ctrl-C ends it")
 

@@ -81,9 +81,7 @@ def serve(
             say("the tablet warns once: the certificate was made here, for this start, and no one else vouches for it")
         say("Ctrl-C ends it")
         if open_page and access.token is None:
-            import webbrowser
-
-            webbrowser.open(link)
+            open_in_browser(link)
 
     with folder:
         serve_studio(studio.app, host, port, announce)
@@ -111,6 +109,14 @@ def _for_user(paths: list[Path], user: Path, folder: Path) -> list[Path]:
             if picture.is_file():
                 shutil.copy(picture, place)
     return made
+
+
+def open_in_browser(link: str) -> None:
+    """Open a page on this machine, or say that it has to be opened by hand."""
+    import webbrowser
+
+    if not webbrowser.open(link):
+        say("no browser could be opened here: open the link above")
 
 
 def say_code(link: str) -> None:

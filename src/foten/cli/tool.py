@@ -20,7 +20,9 @@ app = typer.Typer(help="Another tool: measured once, then applied to any texture
 @app.command()
 def measure(
     recordings: list[Path] = Argument(
-        ..., metavar="A.h5 B.h5 …", help="A surface with your textures' tool and with the other; more surfaces likewise."
+        ...,
+        metavar="A.h5 B.h5 …",
+        help="A surface with your textures' tool and with the other; more surfaces likewise.",
     ),
     output: Path = Option(..., "-o", "--output", help="The tool to write, .json."),
     rate: float = Option(1000.0, help="Of the textures that it is for (Hz)."),

@@ -119,10 +119,10 @@ def _good_for(judgement: Judgement) -> str:
     doubts += [f"only {document['n_blocks']} blocks judge it"] * (document["n_blocks"] < FEW_BLOCKS)
     if all(right):
         low, high = np.maximum(np.quantile(scored_conditions(judgement)[0], EXTREMES), FADE_SPEED)
-        near = "as near as a second stroke's" if spectrum.tone == "good" else _distance(document, key)
+        near = f"as near as {_ceiling(document)}" if spectrum.tone == "good" else _distance(document, key)
         worst = max(0.1, *map(abs, biases))
         usable = f"Usable{' with care' * bool(doubts)} from {range_in_words('speed', low, high)}, where it was judged"
-        text = f"{usable}: level within {worst:.1f} dB on average, spectrum {near}"
+        text = f"{usable}: level within {worst:.1f} dB at each of them, spectrum {near}"
     else:
         wrong = [one for one, fine in zip(ranges, right, strict=True) if not fine]
         low, high, bias = max(wrong, key=lambda one: abs(one[2]))
@@ -140,8 +140,16 @@ def _good_for(judgement: Judgement) -> str:
 def _distance(document: Mapping[str, Any], key: str) -> str:
     """Distance of a run's spectrum, beside that of what it may be compared with."""
     distance, linear, ceiling = (document[run]["lsd_db"] for run in (key, "free_run_ar", "ceiling"))
-    beside = f" (a second stroke's: {ceiling:.1f} dB)" if ceiling else f" (AR(20): {linear:.1f} dB)" if linear else ""
+    beside = (
+        f" ({_ceiling(document)}: {ceiling:.1f} dB)" if ceiling else f" (AR(20): {linear:.1f} dB)" if linear else ""
+    )
     return f"{distance:.1f} dB away{beside}"
+
+
+def _ceiling(document: Mapping[str, Any]) -> str:
+    """Whose distance the ceiling is, in a word: a second realisation's, or that of another stretch of the recording."""
+    recorded = "training block" in str(document["ceiling"].get("of"))
+    return "another recorded stretch's" if recorded else "a second stroke's"
 
 
 def _levels_by_speed(judgement: Judgement, key: str) -> list[tuple[float, float, float]]:

@@ -138,7 +138,7 @@ def check_order(recording: Recording) -> Iterable[Finding]:
             text = f"{name} {what} in {where}; were lost markers written as 0? Blank them and import with --fill-gaps"
             yield Finding(PROBLEM, "jumps", name, text, places(channel, at))
         elif at.size:
-            text = f"{name} {what} in {where}, faster than a hand moves"
+            text = f"{name} {what} in {where}, faster than a hand moves; nothing to do where the sensor feels the vibration"
             yield Finding(NOTE, "jumps", name, text, places(channel, at))
 
 
