@@ -1,4 +1,4 @@
-"""Cost of a sample of edited, transferred and blended textures, beside that of the textures that they were made from.
+"""Cost of a sample of edited, rougher, transferred and blended textures, beside that of the textures that they were made from.
 
     python benchmarks/edited.py
 
@@ -18,6 +18,7 @@ import numpy as np
 
 from foten.editing.blend import blend
 from foten.editing.edit import Edit, edited
+from foten.editing.envelope import with_envelope
 from foten.editing.tool import Transfer, transferred
 from foten.models.texture_file import Texture, read_texture
 from foten.reporting.table import Table
@@ -51,10 +52,17 @@ def main() -> None:
     for name, texture in plain.items():
         changed = {"plain": texture, "edited": edited(texture, Edit(level_db=3, brighter=0.3)).texture}
         changed["transferred"] = transferred(texture, TOOL)
+        changed["rougher"] = with_envelope(texture, 0.5)
         each = costs(changed)
-        ratios = (float(np.median(each[kind] / each["plain"])) for kind in ("edited", "transferred"))
+        ratios = (float(np.median(each[kind] / each["plain"])) for kind in ("edited", "transferred", "rougher"))
         cells.append((name, f"{np.median(each['plain']):.2f}", *(f"{ratio:.2f}" for ratio in ratios)))
-    print("\n".join(Table.of(("texture", "plain [µs]", "edited ÷ plain", "transferred ÷ plain"), cells).text()))
+    print(
+        "\n".join(
+            Table.of(
+                ("texture", "plain [µs]", "edited ÷ plain", "transferred ÷ plain", "rougher ÷ plain"), cells
+            ).text()
+        )
+    )
     cells = []
     for first, second in itertools.combinations(plain, 2):
         each = costs({"a": plain[first], "b": plain[second], "blend": blend(plain[first], plain[second], 0.4)})

@@ -35,7 +35,7 @@ needs_node = pytest.mark.skipif(shutil.which("node") is None, reason="needs Node
 
 @pytest.fixture
 def server(tmp_path: Path) -> AdaptServer:
-    session = Session(UserProfile("Ada"), texture="towel", limits=SHORT)
+    session = Session(UserProfile("Ada"), "towel", limits=SHORT)
     return AdaptServer(session, tmp_path / "ada.json", read_texture(TOWEL))
 
 
@@ -53,7 +53,7 @@ def test_all_is_asked_and_each_answer_is_kept(server: AdaptServer, client: TestC
             sides = [client.get(f"/pair/{question['n']}/{which}") for which in (0, 1)]
             assert [side.status_code for side in sides] == [200, 200]
             assert sides[0].content != sides[1].content
-            assert "for Ada: a filter; edited: " in texture_from_bytes(sides[0].content).evidence
+            assert "for the user Ada: a filter, not measured; edited: " in texture_from_bytes(sides[0].content).evidence
         else:
             assert sum(tone is not None for tone in question["tones"]) == (1 if question["part"] == "detect" else 2)
         assert client.post("/answer", json={"n": question["n"], "which": 1}).status_code == 200
@@ -164,7 +164,7 @@ from foten.models.texture_file import read_texture
 from foten.studio.adapt.adapt_server import AdaptServer
 from foten.studio.adapt.session import Limits, Session
 from foten.studio.web_server import serve
-session = Session(UserProfile("Ada"), texture="towel", limits=Limits(detect=(1, 1), compare=(1, 1), match=(2, 3)))
+session = Session(UserProfile("Ada"), "towel", limits=Limits(detect=(1, 1), compare=(1, 1), match=(2, 3)))
 server = AdaptServer(session, Path({output!r}), read_texture(Path({texture!r})))
 serve(server.app, "127.0.0.1", 0, lambda access, shown, joined: print(access.link(shown), flush=True))
 """
@@ -207,7 +207,11 @@ def test_a_user_is_measured_in_a_browser(tmp_path: Path) -> None:
                     assert time.monotonic() < deadline
                     page.wait_for_timeout(20)
             for n in range(2):
-                until(page, "document.querySelectorAll('#choice [role=radio]').length === 2", 30)
+                if not n:
+                    until(page, "document.querySelector('#choose').textContent === 'Yes'", 30)
+                    page.fill("#choice input", "-12")
+                    complaints += look(page, "adapt-volume", ("tablet",))
+                    page.click("#choose")
                 until(page, "document.querySelector('#choose').textContent === 'Try B too'", 30)
                 assert page.locator("#choose").is_disabled()
                 page.mouse.move(300, 300)
@@ -230,5 +234,6 @@ def test_a_user_is_measured_in_a_browser(tmp_path: Path) -> None:
         process.communicate(timeout=20)
     assert not complaints
     profile = read_user(output)
-    assert [part for part, *_ in profile.answers] == ["detect"] * 5 + ["compare"] * 4 + ["match"] * 2
+    assert [part for part, *_ in profile.answers] == ["detect"] * 5 + ["compare"] * 4 + ["match:towel"] * 2
     assert profile.answers[-1][2] == 1  # B
+    assert profile.volume_db == -12

@@ -13,9 +13,9 @@ from foten.cli.command_line import _status
 from foten.editing.describe import describe, rendered, spectrum
 from foten.editing.user import MOVES, TONES_HZ, UserProfile, adapted, equal_strength, read_user, write_user
 from foten.models.texture_file import read_texture
-from foten.runtime.actuator import ActuatorProfile
+from foten.runtime.actuator import ActuatorProfile, write_profile
 from foten.runtime.renderer import EXAMPLE
-from foten.studio.adapt.adapt_server import largest_tones_db
+from foten.studio.adapt.adapt_server import largest_tones_db, reachable
 from foten.studio.adapt.session import Limits, Question, Session, answered_by
 
 TOWEL = EXAMPLE.parent / "towel.foten"
@@ -54,14 +54,14 @@ def test_people_are_found_though_some_answers_are_drawn() -> None:
     thresholds, gains, begun, left = [], [], [], []
     for seed in range(8):
         person = Person(seed)
-        profile = answered_by(Session(UserProfile(), texture="felt", seed=seed), person)
+        profile = answered_by(Session(UserProfile(), "felt", seed=seed), person)
         thresholds += [found - person.threshold[hz] for hz, found in zip(TONES_HZ, profile.threshold_db, strict=True)]
         equal = [person.equal[hz] - person.equal[160.0] for hz in TONES_HZ]
         gains += [found - true for found, true in zip(profile.gain_db, equal, strict=True)]
         begun.append(np.linalg.norm(person.ideal))
         left.append(np.linalg.norm(np.array(profile.moves) / list(MOVES.values()) - person.ideal))
         assert sum(part == "detect" for part, *_ in profile.answers) <= 60
-        assert sum(part == "match" for part, *_ in profile.answers) <= 25
+        assert sum(part == "match:felt" for part, *_ in profile.answers) <= 25
     assert abs(np.mean(thresholds)) < 2
     assert np.std(thresholds) < 6
     assert abs(np.mean(gains)) < 1
@@ -70,34 +70,100 @@ def test_people_are_found_though_some_answers_are_drawn() -> None:
 
 
 def test_a_session_goes_on_where_it_ended() -> None:
-    whole = answered_by(Session(UserProfile(), texture="felt", seed=3), Person(1))
+    whole = answered_by(Session(UserProfile(), "felt", seed=3), Person(1))
     for n in (1, 30, 70, len(whole.answers) - 3):
-        session = Session(replace(UserProfile(), texture="felt", answers=whole.answers[:n]), texture="felt", seed=3)
+        first = Session(UserProfile(), "felt", seed=3)
+        for _, _, which in whole.answers[:n]:
+            assert first.question is not None
+            first.answer(first.question.n, which)
+        session = Session(first.profile, "felt", seed=3)
         assert session.question is not None
-        assert len(session.answers) == n
+        assert session.question == first.question
         for _, _, which in whole.answers[n:]:
             session.answer(session.question.n, which)
         assert session.question is None
         assert session.profile == whole
-    again = Session(whole, texture="felt", seed=3)
+    again = Session(whole, "felt", seed=3)
     assert again.question is None
     assert again.profile == whole
 
 
-def test_another_texture_is_matched_anew_and_what_was_felt_stays() -> None:
-    whole = answered_by(Session(UserProfile(), texture="felt", seed=3), Person(1))
-    session = Session(whole, texture="denim", seed=4, feel=False)
-    assert session.question is not None
-    assert session.question.part == "match"
-    profile = answered_by(session, Person(2))
+def test_no_answer_is_lost_whatever_is_asked_next() -> None:
+    """Parts of a session in any order, ended in the middle: what was given before is there, and is gone on with."""
+    person = Person(1)
+    whole = answered_by(Session(UserProfile(), "felt", seed=3), person)
+    kept = set(whole.answers)
+    tones = Session(whole, seed=3)  # without a texture
+    assert tones.question is None
+    assert set(tones.profile.answers) == kept
+    denim = Session(whole, "denim", seed=4, feel=False)
+    assert denim.question is not None
+    for n in range(1, 9):
+        denim.answer(denim.question.n, person(denim.question))
+        profile = denim.profile
+        assert set(profile.answers) > kept
+        assert (profile.texture, profile.moves) == (whole.texture, whole.moves) or n == 8  # a few say nothing yet
     assert profile.texture == "denim"
-    assert profile.gain_db == whole.gain_db
-    felt = [answer for answer in whole.answers if answer[0] != "match"]
-    assert list(profile.answers[: len(felt)]) == felt
+    again = Session(profile, "denim", seed=4, feel=False)
+    assert again.preference.n_answers == 8
+    assert set(Session(profile, "felt", seed=3).profile.answers) == set(profile.answers)
+
+
+def test_choices_without_the_gains_that_are_measured_later_do_not_count() -> None:
+    first = answered_by(Session(UserProfile(), "felt", seed=3, feel=False), Person(1))
+    later = Session(first, "felt", seed=3)
+    assert later.n_dropped == len(first.answers)
+    assert not later.profile.moves
+    assert not later.profile.answers
+
+
+def test_who_feels_nothing_has_no_gains_and_begins_anew() -> None:
+    rng = np.random.default_rng(0)
+    session = Session(UserProfile(), "felt")
+    profile = answered_by(session, lambda question: int(rng.integers(question.n_choices)))
+    assert session.silent
+    assert (profile.threshold_db, profile.gain_db, profile.answers) == ((), (), ())
+    question = Session(profile, "felt").question
+    assert question is not None
+    assert question.part == "detect"
+
+
+def test_a_tone_that_the_output_cannot_make_strong_enough_has_a_gain_above_it() -> None:
+    """40 Hz wanted 12 dB above the largest tone: the gain is not cut where the levels end; what is not felt is hardly known."""
+    found, unfelt = [], []
+    for seed in range(8):
+        person = Person(seed)
+        person.threshold = dict.fromkeys(TONES_HZ, -25.0) | {40.0: -9.0}
+        person.equal = dict.fromkeys(TONES_HZ, -15.0) | {40.0: 5.0}
+        session = Session(UserProfile(), seed=seed)
+        profile = answered_by(session, person)
+        found += [profile.gain_db[0]] if 40.0 not in session.unfelt_hz else []
+        person.threshold[40.0] = 30.0
+        unfelt.append(answered_by(Session(UserProfile(), seed=seed), person))
+    assert len(found) >= 4
+    assert np.mean(found) == pytest.approx(20.0, abs=3.0)
+    unknown = [profile for profile in unfelt if profile.gain_sd_db[0] == 20.0]
+    assert len(unknown) >= 5  # by chance some answers are right
+    assert all(profile.gain_db[0] == profile.gain_db[1] for profile in unknown)
+    assert all(profile.gain_db[0] > 10 for profile in unfelt if profile not in unknown)  # all others were stronger
+
+
+def test_moves_stay_within_what_a_texture_reaches() -> None:
+    """Jeans cannot be made smoother: the envelope is searched for from there upwards, and what hardly changes is left out."""
+    ranges = reachable(read_texture(EXAMPLE.parent / "jeans.foten"))
+    low, high = ranges["rougher"]
+    assert low > -0.1
+    assert 0.3 < high <= 1.5
+    session = Session(UserProfile(), "jeans", ranges, feel=False)
+    assert session.moves(-np.ones(4))[3] == pytest.approx(low)
+    assert session.moves(np.ones(4)) == pytest.approx([6.0, 0.75, 0.3, high])
+    narrow = {name: ends for name, ends in ranges.items() if name != "rougher"}
+    profile = answered_by(Session(UserProfile(), "jeans", narrow, feel=False), Person(3, n_moves=3))
+    assert (profile.moves[3], profile.moves_sd[3]) == (0.0, 0.0)
 
 
 def test_a_part_that_has_not_ended_says_nothing() -> None:
-    session, person = Session(UserProfile(), texture="felt", limits=Limits(detect=(2, 2), compare=(2, 2))), Person(5)
+    session, person = Session(UserProfile(), "felt", limits=Limits(detect=(2, 2), compare=(2, 2))), Person(5)
     for _ in range(9):
         assert session.question is not None
         session.answer(session.question.n, person(session.question))
@@ -141,7 +207,7 @@ def test_gains_are_those_of_the_spectrum_and_the_level_stays() -> None:
     assert ratio[40] - ratio[100] == pytest.approx(6.0, abs=1.2)  # bands of 15 Hz under a slope, an estimate of 120 s
     assert ratio[250] - ratio[100] == pytest.approx(-6.0, abs=1.2)
     assert describe(out).level_db == pytest.approx(describe(texture).level_db, abs=0.01)
-    assert out.evidence == "for Ada: a filter"
+    assert out.evidence == "for the user Ada: a filter, not measured"
 
 
 def test_moves_are_those_of_an_edit() -> None:
@@ -151,7 +217,9 @@ def test_moves_are_those_of_an_edit() -> None:
     assert after.level_db - before.level_db == pytest.approx(3.0, abs=0.01)
     assert np.log2(after.centroid_hz / before.centroid_hz) == pytest.approx(0.25, abs=0.05)
     assert after.roughness_db - before.roughness_db == pytest.approx(0.5, abs=0.25)
-    assert adapted(texture, profile).evidence.startswith("for Ada: level +3 dB, centroid +0.25 octaves")
+    assert adapted(texture, profile).evidence == (
+        "for the user Ada: a filter, level +3 dB, centroid +0.25 octaves, roughness +0.5 dB, not measured"
+    )
 
 
 def test_an_empty_profile_is_refused() -> None:
@@ -179,6 +247,11 @@ def test_a_profile_comes_back_from_its_file(tmp_path: Path) -> None:
         ({"tones_hz": [1.0]}, "is of other frequencies, expected 40, 63, 100, 160, 250 Hz"),
         ({"colour": 1}, "is no user's profile"),
         ({"answers": 3}, "is no user's profile"),
+        ({"answers": [["detect", [41, -45, 0], 0]]}, "an answer of the user is ('detect', (41.0"),
+        ({"answers": [["detect", [160], 0]]}, "which is none to any question"),
+        ({"answers": [["match:a", [0.1, 0.2], 2]]}, "which is none to any question"),
+        ({"max_db": []}, "max_db of the user has 0 figures, expected 5"),
+        ({"volume_db": None}, "volume_db of the user is no finite number"),
         ({"name": 3}, "name, actuator, unit and texture of the user are text"),
     ],
 )
@@ -200,7 +273,7 @@ def test_commands_take_a_user(tmp_path: Path, capsys: pytest.CaptureFixture[str]
     path, texture = tmp_path / "u.json", tmp_path / "towel-ada.foten"
     write_user(GAINS, path)
     assert _status(["edit", str(TOWEL), "--user", str(path), "-o", str(texture)]) == 0
-    assert read_texture(texture).evidence == "for Ada: a filter"
+    assert read_texture(texture).evidence == "for the user Ada: a filter, not measured"
     stroke = ["--speed", "80", "--force", "0.8", "--seconds", "1"]
     for arguments, name in (([str(TOWEL), "--user", str(path)], "a.csv"), ([str(texture)], "b.csv")):
         assert _status(["render", *arguments, *stroke, "-o", str(tmp_path / name)]) == 0
@@ -226,10 +299,29 @@ def test_what_cannot_be_adapted_is_refused(
     assert not list(tmp_path.iterdir())
 
 
-def test_another_actuator_needs_another_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    write_user(UserProfile("Ada", "coil", "m/s²"), tmp_path / "me.json")
-    assert _status(["adapt", "-o", str(tmp_path / "me.json")]) == 2
+def test_another_actuator_or_user_needs_another_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    me, coil = str(tmp_path / "me.json"), str(tmp_path / "coil.json")
+    write_user(UserProfile("Ada", "coil", "m/s²"), Path(me))
+    assert _status(["adapt", "-o", me]) == 2
     assert "was measured with the actuator coil: expected the same, or another -o" in capsys.readouterr().err
+    write_profile(ActuatorProfile("coil", gain=3.0, limit=2.0), Path(coil))
+    assert _status(["adapt", "-o", me, "--actuator", coil]) == 2
+    assert "with the actuator coil, whose figures were others" in capsys.readouterr().err
+    write_user(UserProfile("Ada"), Path(me))
+    assert _status(["adapt", "-o", me, "--name", "Bea"]) == 2
+    assert "is of Ada, not of Bea" in capsys.readouterr().err
+
+
+def test_a_response_is_not_taken_off_twice(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    me, coil = str(tmp_path / "me.json"), str(tmp_path / "coil.json")
+    write_user(GAINS, Path(me))
+    write_profile(ActuatorProfile("coil", gain=3.0, limit=2.0), Path(coil))
+    command = ["play", str(TOWEL), "--user", me, "--actuator", coil, "--to", str(tmp_path / "a.wav"), "--seconds", "1"]
+    assert _status(command) == 2
+    assert "was measured without --actuator, so its response is in the profile" in capsys.readouterr().err
+    mine = adapted(read_texture(TOWEL), GAINS)
+    with pytest.raises(ValueError, match="one for a user already"):
+        adapted(mine, GAINS)
 
 
 def test_a_texture_without_a_network_is_adapted_too() -> None:

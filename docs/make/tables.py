@@ -359,8 +359,9 @@ def few_strokes(real: bool) -> Table:
 
 def words_worth() -> Table:
     """What names are worth over a library, by method."""
-    path = RESULTS / "words.csv"
-    rows = list(csv.DictReader(path.open(encoding="utf-8"))) if path.exists() else []
+    paths = RESULTS / "words.csv", RESULTS / "words-sentence-encoder.csv"
+    rows, encoded = (list(csv.DictReader(path.open(encoding="utf-8"))) if path.exists() else [] for path in paths)
+    rows += [{**row, "method": "words, sentence encoder"} for row in encoded if row["method"] == "words"]
     figures = {"lsd": "_db", "level": "_error_db", "emd": "_octaves"}
     cells = [
         (

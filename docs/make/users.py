@@ -129,7 +129,7 @@ def session_of(person: int) -> tuple[UserProfile, Array, Array, Array]:
         first, second = (level - equal[at[hertz]] for hertz, level in (shown[:2], shown[2:]))
         return int(rng.random() > 1 / (1 + np.exp(-0.5 * (first - second))))
 
-    return answered_by(Session(UserProfile(), texture="felt", seed=person), answer), threshold, equal, ideal
+    return answered_by(Session(UserProfile(), "felt", seed=person), answer), threshold, equal, ideal
 
 
 def main() -> None:
@@ -153,27 +153,22 @@ def main() -> None:
             if n or procedure == "adaptive":
                 row("preference [JND]", procedure if n else "none", n, np.array(distances), signed=False)
     people = [session_of(person) for person in range(n_people)]
-    count = {
-        part: np.mean([sum(a[0] == part for a in one.answers) for one, *_ in people])
+    answers = {
+        part: np.array([sum(key.startswith(part) for key, *_ in profile.answers) for profile, *_ in people])
         for part in ("detect", "compare", "match")
     }
     reference = TONES_HZ.index(160.0)
-    thresholds = np.concatenate([np.array(one.threshold_db) - true for one, true, *_ in people])
+    thresholds = np.concatenate([np.array(profile.threshold_db) - true for profile, true, *_ in people])
     gains = np.concatenate(
-        [np.delete(np.array(one.gain_db) - (true - true[reference]), reference) for one, _, true, _ in people]
+        [np.delete(np.array(profile.gain_db) - (true - true[reference]), reference) for profile, _, true, _ in people]
     )
-    points = [np.array(one.moves) / list(MOVES.values()) - ideal for one, *_, ideal in people]
-    row("session: thresholds [dB]", "", round(count["detect"], 1), thresholds, signed=True)
-    row("session: equal strength [dB]", "", round(count["compare"], 1), gains, signed=True)
-    row("session: preference [JND]", "", round(count["match"], 1), np.linalg.norm(points, axis=1) / JND, signed=False)
-    minutes = sum(SECONDS[part] * count[part] for part in SECONDS) / 60
-    row(
-        "session: time, a second an answer [min]",
-        "",
-        round(count["detect"] + count["compare"], 1),
-        np.array([minutes, minutes]),
-        signed=False,
-    )
+    points = [np.array(profile.moves) / list(MOVES.values()) - ideal for profile, *_, ideal in people]
+    n = {part: round(float(each.mean()), 1) for part, each in answers.items()}
+    minutes = sum(SECONDS[part] * answers[part] for part in SECONDS) / 60
+    row("session: thresholds [dB]", "", n["detect"], thresholds, signed=True)
+    row("session: equal strength [dB]", "", n["compare"], gains, signed=True)
+    row("session: preference [JND]", "", n["match"], np.linalg.norm(points, axis=1) / JND, signed=False)
+    row("session: time, a second an answer [min]", "", n["detect"] + n["compare"], minutes, signed=False)
     Table.of(["what", "procedure", "answers", "bias", "spread", "distance", "distance_se"], cells).write(CSV)
     print(
         "\n".join(Table.of(["what", "procedure", "answers", "bias", "spread", "distance", "distance_se"], cells).text())

@@ -11,7 +11,21 @@ from foten.cli.render import Actuator
 from foten.console import check_files, say
 
 if TYPE_CHECKING:
+    from foten.editing.user import UserProfile
     from foten.studio.access import Access
+
+MAX_OFF_DB = 0.01  # of the largest tones of an actuator, from one session to the next
+
+
+def _going_on(stored: UserProfile, now: UserProfile, output: Path) -> UserProfile:
+    """The stored profile, or ValueError where it is another user's, or of another actuator."""
+    if now.name and now.name != stored.name:
+        raise ValueError(f"{output} is of {stored.name or 'a nameless user'}, not of {now.name}: expected another -o")
+    if stored.unit != now.unit or any(abs(a - b) > MAX_OFF_DB for a, b in zip(stored.max_db, now.max_db, strict=True)):
+        was = f"with the actuator {stored.actuator}" if stored.actuator else "without an actuator's profile"
+        also = ", whose figures were others" if stored.actuator == now.actuator else ""
+        raise ValueError(f"{output} was measured {was}{also}: expected the same, or another -o")
+    return stored
 
 
 def adapt(
@@ -37,11 +51,11 @@ def adapt(
     foten render denim.foten --user me.json …; foten serve --user me.json; foten edit denim.foten --user me.json -o mine.foten
     """
     from foten.cli.serve import open_in_browser, say_code
-    from foten.editing.user import MOVES, UserProfile, read_user
+    from foten.editing.user import UserProfile, read_user
     from foten.models.texture_file import read_texture
     from foten.runtime.actuator import read_profile
-    from foten.studio.adapt.adapt_server import AdaptServer, largest_tones_db
-    from foten.studio.adapt.session import Session
+    from foten.studio.adapt.adapt_server import AdaptServer, largest_tones_db, reachable
+    from foten.studio.adapt.session import FULL_RANGES, Session
     from foten.studio.web_server import serve as serve_page
 
     if output.suffix != ".json":
@@ -50,19 +64,19 @@ def adapt(
         raise ValueError("nothing is asked, expected a texture, or no --no-feel")
     check_files([output])
     profile = None if actuator is None else read_profile(actuator)
-    known = profile.name or str(actuator) if profile is not None else ""
-    unit = "full scale" if profile is None else "m/s²"
-    before = UserProfile(name, known, unit)
+    known = "" if profile is None else profile.name or str(actuator)
+    before = UserProfile(name, known, "full scale" if profile is None else "m/s²", largest_tones_db(profile))
     if output.exists():
-        before = read_user(output)
-        if (before.actuator, before.unit) != (known, unit):
-            was = f"with the actuator {before.actuator}" if before.actuator else "without an actuator's profile"
-            raise ValueError(f"{output} was measured {was}: expected the same, or another -o")
-    texture = None if texture_file is None else read_texture(texture_file)
-    if texture is not None and (model := texture.card["model"]) != "foten-plus":
-        raise ValueError(f"{texture_file} is of {model}, expected one of foten-plus: others cannot be moved")
+        before = _going_on(read_user(output), before, output)
+    texture, ranges = None if texture_file is None else read_texture(texture_file), {}
+    if texture is not None:
+        if (model := texture.card["model"]) != "foten-plus":
+            raise ValueError(f"{texture_file} is of {model}, expected one of foten-plus: others cannot be moved")
+        ranges = reachable(texture)
     title = "" if texture is None or texture_file is None else str(texture.card["texture"]) or texture_file.stem
-    session = Session(before, largest_tones_db(profile), title, tuple(MOVES), feel)
+    session = Session(before, title, ranges or FULL_RANGES, feel)
+    if session.n_dropped:
+        say(f"{session.n_dropped} choices were made without the gains that are measured now: they are asked anew")
     server = AdaptServer(session, output, texture, profile)
 
     def announce(access: Access, shown: str, joined: bool) -> None:

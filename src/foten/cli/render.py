@@ -16,6 +16,7 @@ from foten.console import JsonOption, TextureFile, check_files, options_from, pr
 
 if TYPE_CHECKING:
     from foten.dsp import Array
+    from foten.editing.user import UserProfile
     from foten.models.texture_file import Texture
     from foten.runtime.live.play import ConditionAt, Played
     from foten.runtime.native import NativeInfo
@@ -217,7 +218,7 @@ def play(options: PlayOptions) -> None:
 
     texture_file, to, seconds = options.texture_file or EXAMPLE, options.to, options.seconds
     profile = read_profile(options.actuator) if options.actuator is not None else None
-    texture = for_user(read_texture(texture_file), options.user)
+    texture = for_user(read_texture(texture_file), options.user, options.actuator)
     rate, excitation = rate_for(to, options.rate, texture.rate_hz), not options.deterministic
     renderer = Renderer(texture, rate, options.seed, excitation=excitation, actuator=profile)
     info = renderer.native_texture.info
@@ -295,13 +296,25 @@ def _lines_of(played: Played, lead_ms: float, scale: float) -> list[str]:
     return lines
 
 
-def for_user(texture: Texture, user: Path | None) -> Texture:
+def for_user(texture: Texture, user: Path | None, actuator: Path | None = None) -> Texture:
     """The texture as a user's profile has it; as it is without one."""
     if user is None:
         return texture
-    from foten.editing.user import adapted, read_user
+    from foten.editing.user import adapted
 
-    return adapted(texture, read_user(user))
+    return adapted(texture, user_with(user, actuator))
+
+
+def user_with(user: Path, actuator: Path | None) -> UserProfile:
+    """The profile in a file, or ValueError where it holds the response of an actuator that is compensated as well."""
+    from foten.editing.user import read_user
+
+    profile = read_user(user)
+    if actuator is not None and profile.unit == "full scale":
+        raise ValueError(
+            f"{user} was measured without --actuator, so its response is in the profile: leave one of them out"
+        )
+    return profile
 
 
 def provenance(texture: Texture, source: str, seed: int, deterministic: bool) -> dict[str, Any]:

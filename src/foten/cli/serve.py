@@ -12,10 +12,11 @@ from typing import TYPE_CHECKING
 from typer import Argument, Option
 
 from foten.atomic_write import reason
-from foten.cli.render import Actuator, Channel, Device, Gain, UserFile
+from foten.cli.render import Actuator, Channel, Device, Gain, UserFile, user_with
 from foten.console import say
 
 if TYPE_CHECKING:
+    from foten.editing.user import UserProfile
     from foten.studio.access import Access
 
 
@@ -56,7 +57,8 @@ def serve(
         output.check()
     folder = ExitStack()
     if user is not None:
-        textures = _for_user(textures or [], user, Path(folder.enter_context(TemporaryDirectory(prefix="foten-"))))
+        place = Path(folder.enter_context(TemporaryDirectory(prefix="foten-")))
+        textures = _for_user(textures or [], user_with(user, actuator), place)
     shelf = Shelf(textures or [])
     for captured in sorted(captures.glob(f"*/*{SUFFIX}")):
         try:
@@ -87,13 +89,13 @@ def serve(
         serve_studio(studio.app, host, port, announce)
 
 
-def _for_user(paths: list[Path], user: Path, folder: Path) -> list[Path]:
+def _for_user(paths: list[Path], profile: UserProfile, folder: Path) -> list[Path]:
     """Textures as a user's profile has them, as files in a folder, with their pictures."""
-    from foten.editing.user import adapted, read_user
+    from foten.editing.user import adapted
     from foten.models.texture_file import read_texture, write_texture
     from foten.studio.shelf import PICTURES, texture_files
 
-    profile, made = read_user(user), []
+    written = []
     for n, path in enumerate(texture_files(paths)):
         place = folder / str(n)  # files of one name stay apart
         place.mkdir()
@@ -103,12 +105,12 @@ def _for_user(paths: list[Path], user: Path, folder: Path) -> list[Path]:
             say(f"{path.name} for {profile.name or 'the user'}")
         except ValueError as error:
             say(f"{path.name} as it is: {error}")
-        made.append(place / path.name)
-        write_texture(texture, made[-1])
+        written.append(place / path.name)
+        write_texture(texture, written[-1])
         for picture in (path.with_suffix(suffix) for suffix in PICTURES):
             if picture.is_file():
                 shutil.copy(picture, place)
-    return made
+    return written
 
 
 def open_in_browser(link: str) -> None:

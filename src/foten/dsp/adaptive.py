@@ -70,6 +70,7 @@ class LevelSearch:
         low, high: of levels [dB], a step of 1 apart for what is searched for and 2 for what is shown.
         answers: probability of a yes.
         expected: mean and standard deviation over people [dB]; None for all alike.
+        above_db: how far above `high`, which is the loudest that can be shown, the searched level may lie.
     """
 
     def __init__(
@@ -78,11 +79,12 @@ class LevelSearch:
         high: float,
         answers: Detection | Comparison = Detection(),
         expected: tuple[float, float] | None = None,
+        above_db: float = 0.0,
     ) -> None:
         if not high - low >= 4:
             raise ValueError(f"levels from {low:g} to {high:g} dB, expected a range of 4 dB or more")
         self.levels = np.arange(low, high + 0.5, 2.0)
-        grid = np.array(list(product(np.arange(low, high + 0.5, 1.0), answers.slopes, LAPSES)))
+        grid = np.array(list(product(np.arange(low, high + above_db + 0.5, 1.0), answers.slopes, LAPSES)))
         self._point, slope, lapse = grid.T
         self._yes = np.stack([answers(level, self._point, slope, lapse) for level in self.levels])  # (levels, θ)
         prior = np.ones(len(grid))
@@ -121,14 +123,15 @@ class PreferenceSearch:
         search.answer(first, second, chose_first=True)
 
     P(first) = lapse/2 + (1 − lapse) · logistic(β (|second − x| − |first − x|)), x the ideal point, distances in units of `jnd`.
+    The searches are ours, since of the libraries for them questplus is under the GPL and AEPsych needs NumPy below 2.
 
     Args:
         n: dimensions.
-        jnd: a just noticeable difference of each dimension, as a share of half of its range.
+        jnd: a just noticeable difference of all dimensions or of each, (n,), as a share of half of its range.
         seed: of the particles and the pairs.
     """
 
-    def __init__(self, n: int, jnd: float = 0.2, seed: int = 0) -> None:
+    def __init__(self, n: int, jnd: float | Array = 0.2, seed: int = 0) -> None:
         self._rng, self._jnd = np.random.default_rng(seed), jnd
         self._points = self._rng.uniform(-1, 1, (N_PARTICLES, n))
         self._beta = self._rng.choice(SENSITIVITIES, N_PARTICLES)
@@ -159,8 +162,8 @@ class PreferenceSearch:
     def _first(self, first: Array, second: Array, rows: Any = slice(None)) -> Array:
         """Probability of choosing the first, for some particles: points (…, 1, d) or (d,) → (…, particles)."""
         ideal = self._points[rows]
-        nearer = np.linalg.norm(second - ideal, axis=-1) - np.linalg.norm(first - ideal, axis=-1)
-        logistic = 0.5 + 0.5 * np.tanh(0.5 * self._beta[rows] * nearer / self._jnd)
+        away = (np.linalg.norm((point - ideal) / self._jnd, axis=-1) for point in (second, first))
+        logistic = 0.5 + 0.5 * np.tanh(0.5 * self._beta[rows] * (next(away) - next(away)))
         return np.asarray(0.5 * self._lapse[rows] + (1 - self._lapse[rows]) * logistic)
 
     def answer(self, first: Array, second: Array, chose_first: bool) -> None:

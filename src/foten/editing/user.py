@@ -19,16 +19,21 @@ import numpy as np
 
 from foten.atomic_write import write_json
 from foten.editing.describe import describe, reference, steady_figures
-from foten.editing.edit import Edit, moved_by, with_level
+from foten.editing.edit import UNMEASURED, Edit, edited, with_level
 from foten.editing.tool import MAX_GAIN_DB, Transfer, filtered
 from foten.models.texture_file import Texture
 from foten.untrusted import read_profile_json
 
 FORMAT, VERSION = "foten-user", 1
 TONES_HZ = (40.0, 63.0, 100.0, 160.0, 250.0)
+FOR_USER = "for the user "
 REFERENCE_HZ = 160.0  # whose gain is 0
 MOVES = {"level": 6.0, "brighter": 0.75, "wider": 0.3, "rougher": 1.5}
 """Half of the range of each move: dB, octaves, octaves, dB of the envelope. Five just noticeable differences, as is assumed."""
+
+
+Answer = tuple[str, tuple[float, ...], int]
+"""Part ("detect", "compare", or "match:" and a texture's name), what was shown, and the number of what was chosen."""
 
 
 @dataclass(frozen=True)
@@ -38,6 +43,8 @@ class UserProfile:
     name: str = ""
     actuator: str = ""  # its name; empty for an output whose acceleration is not known
     unit: str = "full scale"  # that levels are re: full scale of the output, or m/s²
+    max_db: tuple[float, ...] = (0.0,) * len(TONES_HZ)  # the largest tones at `TONES_HZ`, which answers are relative to
+    volume_db: float = 0.0  # of the page as the texture was matched, where no actuator is known
     threshold_db: tuple[float, ...] = ()  # at `TONES_HZ`; empty where they were not measured
     threshold_sd_db: tuple[float, ...] = ()
     gain_db: tuple[float, ...] = ()  # by which the tones feel as strong as the one of `REFERENCE_HZ`
@@ -53,19 +60,24 @@ class UserProfile:
         for text in (self.name, self.actuator, self.unit, self.texture):
             if not isinstance(text, str):
                 raise ValueError("name, actuator, unit and texture of the user are text")
-        sizes = {"threshold_db": len(TONES_HZ), "gain_db": len(TONES_HZ), "moves": len(MOVES)}
-        for name, n in sizes.items():
-            for key in (name, name.replace("_db", "_sd_db") if "_db" in name else f"{name}_sd"):
-                values = getattr(self, key)
-                if len(values) not in (0, n):
-                    raise ValueError(f"{key} of the user has {len(values)} figures, expected {n}")
-                if not all(_is_number(value) for value in values):
-                    raise ValueError(f"a figure of {key} of the user is no finite number")
+        n, k = len(TONES_HZ), len(MOVES)
+        sizes = {"threshold_db": n, "threshold_sd_db": n, "gain_db": n, "gain_sd_db": n, "moves": k, "moves_sd": k}
+        for name, size in {**sizes, "max_db": n}.items():
+            values = getattr(self, name)
+            if len(values) != size and not (name in sizes and not values):
+                raise ValueError(f"{name} of the user has {len(values)} figures, expected {size}")
+            if not all(map(_is_number, values)):
+                raise ValueError(f"a figure of {name} of the user is no finite number")
+        if not _is_number(self.volume_db):
+            raise ValueError("volume_db of the user is no finite number")
         if any(abs(gain) > MAX_GAIN_DB for gain in self.gain_db):
             raise ValueError(f"a gain of the user is beyond {MAX_GAIN_DB:g} dB")
-        for move, (name, most) in zip(self.moves, MOVES.items(), strict=False):
-            if abs(move) > most:
-                raise ValueError(f"{name} of the user is {move:g}, expected {-most:g} to {most:g}")
+        for move, (name, limit) in zip(self.moves, MOVES.items(), strict=False):
+            if abs(move) > limit:
+                raise ValueError(f"{name} of the user is {move:g}, expected {-limit:g} to {limit:g}")
+        for answer in self.answers:
+            if not _is_answer(*answer):
+                raise ValueError(f"an answer of the user is {str(answer)[:60]}, which is none to any question")
 
     def in_words(self) -> list[str]:
         """What is known, a line each."""
@@ -79,7 +91,10 @@ class UserProfile:
                 f"as strong as {REFERENCE_HZ:g} Hz with {', '.join(gains)} dB, to {max(self.gain_sd_db):.0f} dB"
             )
         if self.moves:
-            lines.append(f"{self.texture} is most like its surface with {self.edit.in_words() or 'nothing changed'}")
+            at = "" if self.actuator else f", at a volume of {self.volume_db:g} dB"
+            lines.append(
+                f"{self.texture} is most like its surface with {self.edit.in_words() or 'nothing changed'}{at}"
+            )
         return lines
 
     @property
@@ -100,12 +115,25 @@ def _is_number(value: Any) -> bool:
     return isinstance(value, int | float) and not isinstance(value, bool) and bool(np.isfinite(value))
 
 
+def _is_answer(part: str, shown: tuple[float, ...], which: int) -> bool:
+    """Whether an answer is one to a question of a part."""
+    if not all(map(_is_number, shown)):
+        return False
+    if part == "detect":
+        return len(shown) == 3 and shown[0] in TONES_HZ and which in range(3)
+    if part == "compare":
+        return len(shown) == 4 and {shown[0], shown[2]} <= set(TONES_HZ) and which in range(2)
+    return part.startswith("match:") and len(shown) in range(2, 2 * len(MOVES) + 1, 2) and which in range(2)
+
+
 def adapted(texture: Texture, profile: UserProfile, seed: int = 0) -> Texture:
     """The texture as a user with an actuator is given it, proved.
 
     Raises:
-        ValueError: it is not of foten-plus, or the profile is empty.
+        ValueError: it is not of foten-plus, is one for a user already, or the profile is empty.
     """
+    if FOR_USER in texture.evidence:
+        raise ValueError("the texture is one for a user already")
     edit, equalised = profile.edit, equal_strength(texture, profile)
     if edit == Edit():
         if equalised is texture:
@@ -113,9 +141,11 @@ def adapted(texture: Texture, profile: UserProfile, seed: int = 0) -> Texture:
         return equalised
     before = describe(equalised, seed)
     width = max(edit.wider, 0.05 - before.width_octaves)  # moves were chosen on another texture, which was wider
-    moved = moved_by(equalised, replace(edit, wider=width), before, seed)
-    words = _words(texture, profile, edit.in_words() or "a filter")
-    return Texture({**moved.card, "evidence": words}, moved.tensors)
+    result = edited(equalised, replace(edit, wider=width), seed)
+    filtered_first = "a filter, " if profile.transfer else ""
+    reached = f", as far as it goes ({'; '.join(result.unreached)})" if result.unreached else ""
+    words = _words(texture, profile, f"{filtered_first}{edit.in_words()}{reached}")
+    return Texture({**result.texture.card, "evidence": words}, result.texture.tensors)
 
 
 def equal_strength(texture: Texture, profile: UserProfile) -> Texture:
@@ -131,7 +161,7 @@ def equal_strength(texture: Texture, profile: UserProfile) -> Texture:
 
 def _words(texture: Texture, profile: UserProfile, how: str) -> str:
     """What the card says of a texture for a user."""
-    parts = [texture.evidence, f"for {profile.name or 'one user'}: {how}"]
+    parts = [texture.evidence, f"{FOR_USER}{profile.name or 'nameless'}: {how}, {UNMEASURED}"]
     return "; ".join(part for part in parts if part)[:500]
 
 
@@ -146,8 +176,8 @@ def read_user(path: Path) -> UserProfile:
     if content.pop("tones_hz", None) != list(TONES_HZ):
         raise ValueError(f"{path.name} is of other frequencies, expected {', '.join(f'{hz:g}' for hz in TONES_HZ)} Hz")
     try:
-        given = [(str(part), tuple(map(float, shown)), int(which)) for part, shown, which in content.pop("answers")]
+        answers = [(str(part), tuple(map(float, shown)), int(which)) for part, shown, which in content.pop("answers")]
         lists = {name: tuple(value) for name, value in content.items() if isinstance(value, list)}
-        return UserProfile(**{**content, **lists, "answers": tuple(given)})
+        return UserProfile(**{**content, **lists, "answers": tuple(answers)})
     except (TypeError, KeyError, ValueError) as error:
         raise ValueError(f"{path.name} is no user's profile: {error}") from None

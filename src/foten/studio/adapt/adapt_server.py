@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import asdict
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -19,18 +18,20 @@ from starlette.types import ASGIApp
 from foten.atomic_write import reason
 from foten.editing.describe import Description, describe
 from foten.editing.edit import Edit, moved_by
-from foten.editing.envelope import EnvelopeCurve
+from foten.editing.envelope import STRENGTHS, EnvelopeCurve
 from foten.editing.user import MOVES, TONES_HZ, UserProfile, adapted, equal_strength, write_user
 from foten.models.texture_file import Texture
 from foten.runtime.actuator import ActuatorProfile
 from foten.studio.access import Access, Guarded
-from foten.studio.adapt.session import Question, Session
+from foten.studio.adapt.session import FULL_RANGES, Question, Session
 from foten.studio.page_files import page_files
 from foten.studio.studio_server import missing, page_file
 from foten.untrusted import parse_json
 
 PAGES = Path(__file__).with_name("pages")
 MAX_BODY = 1000  # bytes of an answer
+MIN_ROUGHER_DB = 0.3  # of the envelope: what can be changed by less is left out
+VOLUMES_DB = (-40.0, 12.0)
 KNEE = 0.8  # of an actuator's limit, from which on the drive bends
 
 
@@ -40,6 +41,15 @@ def largest_tones_db(actuator: ActuatorProfile | None) -> tuple[float, ...]:
         return (0.0,) * len(TONES_HZ)
     drive = KNEE * actuator.limit if actuator.limit else 1.0
     return tuple(20 * float(np.log10(drive * actuator.acceleration(hertz))) for hertz in TONES_HZ)
+
+
+def reachable(texture: Texture) -> dict[str, tuple[float, float]]:
+    """From where to where each of `MOVES` changes a texture: its envelope has bounds of its own."""
+    curve, ranges = EnvelopeCurve(texture), dict(FULL_RANGES)
+    low, high = ranges.pop("rougher")
+    plain = curve.roughness_db[STRENGTHS.index(0.0)]
+    reached = max(low, float(curve.roughness_db[0] - plain)), min(high, float(curve.roughness_db[-1] - plain))
+    return ranges | ({"rougher": reached} if reached[1] - reached[0] >= MIN_ROUGHER_DB else {})
 
 
 class Matched:
@@ -72,6 +82,8 @@ class AdaptServer:
         self._matched: Matched | None = None
         self._pair: tuple[int, tuple[bytes, bytes]] | None = None
         self._one = asyncio.Lock()
+        # Where an actuator is known, what is rendered is an acceleration, and has one volume.
+        self._volume_set = actuator is not None or any(part.startswith("match:") for part, *_ in session.answers)
 
     def app(self, access: Access) -> ASGIApp:
         """Application, behind its access."""
@@ -86,18 +98,19 @@ class AdaptServer:
 
     def state(self) -> dict[str, Any]:
         """What the page has to show."""
-        question, profile = self.session.question, self.session.profile
+        question, profile, coil = self.session.question, self.session.profile, self.actuator
         actuator = None
-        if self.actuator is not None:
-            one = self.actuator
-            full_scale = 1.0 if one.unit == "full scale" else one.limit or 1.0
-            actuator = {**asdict(one), "full_scale": full_scale, "knee": KNEE if one.limit else 1.0}
+        if coil is not None:
+            full_scale = 1.0 if coil.unit == "full scale" else coil.limit or 1.0
+            actuator = {**asdict(coil), "full_scale": full_scale, "knee": KNEE if coil.limit else 1.0}
         return {
             "question": None if question is None else _for_page(question),
             "progress": self.session.progress,
             "matched": self.session.preference.n_answers,
             "can_stop": self.session.preference.n_answers >= self.session.limits.match[0],
             "texture": self.session.texture,
+            "silent": self.session.silent,
+            "volume_set": self._volume_set,
             "actuator": actuator,
             "tones_hz": list(TONES_HZ),
             "moves": dict(MOVES),
@@ -127,6 +140,15 @@ class AdaptServer:
                 raise ValueError(f"{self.session.limits.match[0]} choices are the fewest that say something")
             self.session.stop()
             return
+        if (volume_db := message.get("volume_db")) is not None:
+            low, high = VOLUMES_DB
+            if isinstance(volume_db, bool) or not isinstance(volume_db, int | float) or not low <= volume_db <= high:
+                raise ValueError(f"the volume is {volume_db!r:.20}, expected {low:g} to {high:g} dB")
+            if self._volume_set:
+                raise ValueError("the volume stays as it was when the first pair was compared")
+            self.session.set_volume(float(volume_db))
+            self._volume_set = True
+            return
         n, which = message.get("n"), message.get("which")
         if type(n) is not int or type(which) is not int:
             raise ValueError("an answer has n and which, whole numbers")
@@ -153,15 +175,20 @@ class AdaptServer:
         return self._matched.moved(*self.session.moves(first)), self._matched.moved(*self.session.moves(second))
 
     async def _texture(self, request: Request) -> Response:
-        """The texture as it is, and as the profile has it."""
-        kind = request.path_params["kind"]
-        if self.texture is None or kind not in ("plain", "adapted"):
+        """The texture as it is, as strong at all frequencies, and as the profile has it."""
+        plain = self.texture
+        if plain is None:
+            return missing("there is no texture here")
+        kinds: dict[str, Callable[[], Texture]] = {
+            "plain": lambda: plain,
+            "equal": lambda: equal_strength(plain, self.session.profile),
+            "adapted": lambda: adapted(plain, self.session.profile),
+        }
+        if (kind := request.path_params["kind"]) not in kinds:
             return missing("there is no such texture here")
-        if kind == "plain":
-            return Response(self.texture.to_bytes(), media_type="application/octet-stream")
         try:
             async with self._one:
-                texture = await asyncio.to_thread(partial(adapted, self.texture, self.session.profile))
+                texture = await asyncio.to_thread(kinds[kind])
         except ValueError as error:
             return missing(str(error))
         return Response(texture.to_bytes(), media_type="application/octet-stream")

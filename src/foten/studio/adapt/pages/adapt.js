@@ -33,7 +33,16 @@ async function attempt(how) {
     await how();
   } catch (error) {
     say(error.message);
+    const again = Object.assign(document.createElement("button"), { type: "button", className: "link", textContent: "Try again" });
+    again.addEventListener("click", () => attempt(resume));
+    $("message").append(" ", again);
   }
+}
+
+/** Go on as the server has it. */
+async function resume() {
+  state = await (await asked("session")).json();
+  await go();
 }
 
 const wait = (seconds) => new Promise((done) => setTimeout(done, 1000 * seconds));
@@ -65,9 +74,17 @@ async function go() {
   return tones(question);
 }
 
-async function answer(n, which) {
-  state = await (await asked("answer", { n, which })).json();
+/** Tell the server, and go on with what it asks then: also where it refused, or another page was quicker. */
+async function answer(message) {
+  let refused = "";
+  try {
+    state = await (await asked("answer", message)).json();
+  } catch (error) {
+    refused = error.message;
+    state = await (await asked("session")).json();
+  }
   await go();
+  if (refused) say(refused);
 }
 
 // Tones
@@ -84,7 +101,7 @@ async function tones({ n, part, tones }) {
     const light = Object.assign(document.createElement("button"), { type: "button", textContent: String(i + 1), disabled: true });
     light.addEventListener("click", () => {
       for (const one of lights) one.disabled = true;
-      attempt(() => answer(n, i));
+      attempt(() => answer({ n, which: i }));
     });
     return light;
   });
@@ -109,7 +126,7 @@ async function tones({ n, part, tones }) {
 
 addEventListener("keydown", (e) => {
   const light = $("lights").children[Number(e.key) - 1];
-  if (!$("tones").hidden && light && !e.repeat) light.click();
+  if (!$("tones").hidden && !$("panel").open && light && !e.repeat) light.click();
 });
 
 // Pairs
@@ -135,7 +152,7 @@ async function load(paths) {
   const fetched = await Promise.all(["textures/plain.foten", ...paths].map(async (path) => (await asked(path)).arrayBuffer()));
   const [plain, ...sides] = fetched;
   await sound.start();
-  settings.setVolume(); // as it was chosen
+  sound.setVolume(state.profile.volume_db);
   if (!reference) {
     reference = await sound.load("plain", plain.slice());
     painted(plain, state.texture).then(({ canvas, mm }) => pad.setTile(canvas, mm), () => {});
@@ -143,7 +160,23 @@ async function load(paths) {
   for (const [i, bytes] of sides.entries()) sound.know(`side-${i}`, { ...(await sound.load(`side-${i}`, bytes)), accelerationSd: reference.accelerationSd });
 }
 
+/** The loudness of an output that is not known is set by hand, once. */
+async function volume() {
+  view("match");
+  const slider = Object.assign(document.createElement("input"), { type: "range", min: -40, max: 12, step: 1, value: -6 });
+  slider.setAttribute("aria-label", "Volume");
+  slider.addEventListener("input", () => sound.setVolume(Number(slider.value)));
+  $("choice").querySelector("h2").textContent = "About as strong as the real surface?";
+  $("stop").hidden = true;
+  await load(["textures/equal.foten"]);
+  sound.setVolume(Number(slider.value));
+  sound.use("side-0");
+  $("choice").querySelector("[role=radiogroup]").replaceChildren(slider);
+  Object.assign($("choose"), { disabled: false, textContent: "Yes", onclick: () => attempt(() => answer({ volume_db: Number(slider.value) })) });
+}
+
 async function match() {
+  if (!state.volume_set) return volume();
   const { n } = state.question, choose = $("choose"), tried = new Set();
   view("match");
   $("choice").querySelector("h2").textContent = "Which is nearer to the real surface?";
@@ -158,20 +191,22 @@ async function match() {
     choose.textContent = tried.size < 2 ? `Try ${"AB"[1 - i]} too` : `${"AB"[i]} is nearer`;
     choose.onclick = () => {
       choose.disabled = true;
-      attempt(() => answer(n, i));
+      attempt(() => answer({ n, which: i }));
     };
   });
 }
 
-$("stop").addEventListener("click", () => attempt(async () => {
-  state = await (await asked("answer", { stop: true })).json();
-  await go();
-}));
+$("stop").addEventListener("click", () => attempt(() => answer({ stop: true })));
 
 // The end
 
 async function end() {
   view("end");
+  if (state.silent) {
+    $("done").textContent = "Nothing was felt at 160 Hz";
+    $("moves").textContent = "Is it the right output, and does the actuator move? Start again once it does.";
+    return;
+  }
   document.body.classList.add("ended");
   const { profile, file } = state;
   $("done").textContent = `Kept in ${file}`;
@@ -212,21 +247,25 @@ function drawCurve({ gain_db, gain_sd_db }) {
 sound.addEventListener("failed", ({ detail }) => say(detail));
 $("settings").addEventListener("click", () => settings.show());
 $("go").addEventListener("click", () => attempt(async () => {
+  $("go").disabled = true;
   await sound.start();
-  if (state.actuator) {
-    const { resonance_hz, damping, gain, lowest_hz, limit, full_scale } = state.actuator;
-    sound.actuate({ resonanceHz: resonance_hz, damping, gain, lowestHz: lowest_hz, limit, fullScale: full_scale });
-  } else sound.actuate(null);
+  const one = state.actuator;
+  sound.actuate(one && { resonanceHz: one.resonance_hz, damping: one.damping, gain: one.gain, lowestHz: one.lowest_hz, limit: one.limit, fullScale: one.full_scale });
   await go();
 }));
 
 attempt(async () => {
   state = await (await asked("session")).json();
   drawProgress();
-  const feels = "detect" in state.progress, name = titled(state.texture || "texture");
-  if (!state.question) return end();
-  const begins = { detect: "Three lights come on in turn, and one of them vibrates. Four minutes.", compare: "Two lights come on in turn. One minute." };
-  $("what").textContent = begins[state.question.part] ?? `Lay ${name.toLowerCase()} beside this, and stroke both.`;
-  if (feels && state.texture && state.question.part !== "match") $("what").textContent += ` Then lay ${name.toLowerCase()} beside this.`;
+  const part = state.question?.part, name = titled(state.texture || "texture").toLowerCase();
+  const beside = `lay ${name} beside this, and stroke both.`;
+  const begins = {
+    detect: "Three lights come on in turn, and one of them vibrates. Four minutes.",
+    compare: "Two lights come on in turn. One minute.",
+    match: beside[0].toUpperCase() + beside.slice(1),
+  };
+  $("what").textContent = begins[part] ?? "All was asked.";
+  if (state.texture && part && part !== "match") $("what").textContent += ` Then ${beside}`;
+  if (!part) $("go").textContent = "Show";
   document.documentElement.dataset.ready = "";
 });
