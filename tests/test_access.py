@@ -14,7 +14,7 @@ from starlette.testclient import TestClient
 from starlette.websockets import WebSocketDisconnect
 
 from foten.runtime.renderer import EXAMPLE
-from foten.studio.access import Access, access_to, write_certificate
+from foten.studio.access import Access, Admitted, access_to, certificate_for, write_certificate
 from foten.studio.shelf import Shelf
 from foten.studio.studio_server import Studio
 from test_studio_server import HERE, LOCAL, WS
@@ -55,6 +55,47 @@ def test_a_certificate_is_for_the_hosts_and_its_key_is_for_the_owner_alone(tmp_p
     assert names == (("IP Address", "192.0.2.7"), ("DNS", "localhost"))
     if os.name == "posix":
         assert key.stat().st_mode & 0o077 == 0
+
+
+def test_a_certificate_is_kept_while_it_holds_for_the_hosts(tmp_path: Path) -> None:
+    first = certificate_for(tmp_path, ["192.0.2.7", "localhost"])[0].read_bytes()
+    assert certificate_for(tmp_path, ["localhost"])[0].read_bytes() == first
+    second = certificate_for(tmp_path, ["192.0.2.8"])[0].read_bytes()
+    assert second != first
+    (tmp_path / "certificate.pem").write_text("none")
+    certificate, key = certificate_for(tmp_path, ["192.0.2.8"])
+    ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER).load_cert_chain(certificate, key)
+    if os.name == "posix":
+        assert key.stat().st_mode & 0o077 == 0
+
+
+def test_who_was_let_in_is_known_to_the_next_server_by_a_hash(tmp_path: Path) -> None:
+    path = tmp_path / "devices.json"
+    secret, key = Admitted(path).add(), Admitted(path).add("operator")
+    again = Admitted(path)
+    assert again.knows(secret)
+    assert again.knows(key, "operator")
+    for other, kind in ((secret, "operator"), (key, "device"), ("x", "device"), ("", "device"), ("\udc80é", "device")):
+        assert not again.knows(other, kind)
+    assert not again.knows(None)
+    assert secret not in path.read_text()
+    if os.name == "posix":
+        assert path.stat().st_mode & 0o077 == 0
+    path.write_text("[3]")
+    with pytest.raises(ValueError, match="holds no devices that were let in"):
+        Admitted(path)
+
+
+def test_two_links_have_a_token_each(studio: Studio) -> None:
+    access, renewed, device = on_the_network(studio)
+    assert access.other_token not in (None, access.token)
+    assert access.link("192.0.2.7", "operator", other=True, key="k").endswith(f"?token={access.other_token}&key=k")
+    first, second = device(), device()
+    assert first.get("/", params={"token": access.other_token}).status_code == 303
+    assert renewed[0].token == access.token
+    assert renewed[0].other_token != access.other_token
+    assert second.get("/", params={"token": access.token}).status_code == 303
+    assert device().get("/", params={"token": access.other_token}).status_code == 403
 
 
 def on_the_network(studio: Studio) -> tuple[Access, list[Access], Any]:

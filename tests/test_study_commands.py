@@ -99,13 +99,20 @@ def started_study(path: Path, *options: str) -> tuple[subprocess.Popen[str], str
     assert process.stderr is not None
     operator = next(line for line in process.stderr if line.startswith("operator: ")).split()[-1]
     participants = next(line for line in process.stderr if line.startswith("participants at ")).split()[-1]
-    threading.Thread(target=_read_out, args=(process.stderr,), daemon=True).start()  # so that it never waits for us
+    lines = SAID[process.pid] = []
+    threading.Thread(
+        target=_read_out, args=(process.stderr, lines), daemon=True
+    ).start()  # so that it never waits for us
     return process, operator, participants
 
 
-def _read_out(stream: IO[str]) -> None:
+SAID: dict[int, list[str]] = {}  # by process, what it said after it began
+
+
+def _read_out(stream: IO[str], lines: list[str]) -> None:
     with stream:
-        stream.read()
+        for line in stream:
+            lines.append(line)
 
 
 def test_a_study_that_runs_ends_cleanly_and_goes_on(tmp_path: Path) -> None:

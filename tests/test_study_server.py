@@ -23,8 +23,8 @@ from foten.runtime.renderer import EXAMPLE
 from foten.study.design import study_text
 from foten.study.loading import load_study
 from foten.study.page_sockets import ELSEWHERE
-from foten.study.store import Store
-from foten.study.study_server import OPERATOR_COOKIE, StudyServer, study_files
+from foten.study.store import FullError, Store
+from foten.study.study_server import OPERATOR, OPERATOR_COOKIE, StudyServer, study_files
 from test_studio_server import HERE, LOCAL, WS
 
 NAMES = ("artificial-grass", "steel-mesh-1", *(f"surface-{i}" for i in range(3, 13)))
@@ -221,7 +221,7 @@ def test_two_screens_are_joined_by_a_code_and_the_operator_lets_trials_begin(tmp
     server = server_of(study_file(tmp_path, screens="2", operator="true", practice="0"))
     with contextlib.ExitStack() as stack:
         client = stack.enter_context(served(server))
-        cookie = {"cookie": f"{OPERATOR_COOKIE}={server.operator_key}"}
+        cookie = {"cookie": f"{OPERATOR_COOKIE}={server.admitted.add(OPERATOR)}"}
         operator = stack.enter_context(client.websocket_connect(f"{WS}/operate", headers=cookie))
         a, b, c = (stack.enter_context(client.websocket_connect(f"{WS}/session")) for _ in range(3))
 
@@ -289,6 +289,54 @@ def test_a_trial_lasts_as_long_as_the_study_asks_and_goes_on_after_a_restart_wit
     with Store(tmp_path / "study.db") as store:
         (row,) = store.ratings()
         assert row["switches"] == 2
+
+
+def test_contact_before_a_restart_counts_too(tmp_path: Path) -> None:
+    """What was stroked before the server was killed is in the rating's contact time, and its stroke is stored."""
+    path = study_file(tmp_path, practice="0")
+    first = server_of(path)
+    with joined(first, rate_hz=8000) as page:
+        page.to_trial()
+        page.stroke(40)
+        page.stroke_until_it_sounds()
+        code = page.code
+        log = first.sessions[1]._log
+        deadline = time.monotonic() + 10
+        while len(log.conditions) < 20:
+            page.bytes += len(page.socket.receive().get("bytes") or b"")
+            assert time.monotonic() < deadline
+    before = log.summary()["contact_s"]
+    assert before > 0
+    with joined(server_of(path), code=code, rate_hz=8000) as page:
+        page.answer(44.0)
+    with Store(tmp_path / "study.db") as store:
+        (row,) = store.ratings()
+        assert row["measured"]["contact_s"] == pytest.approx(before, abs=0.02)  # a block or two are in the air
+        assert row["measured"]["n_contacts"] == 1
+        assert store.strokes(1, 1).shape == (50, 4)
+
+
+def test_strokes_wait_for_room_on_the_disk_and_the_operator_sees_it(tmp_path: Path) -> None:
+    server = server_of(study_file(tmp_path, practice="0"))
+    add = server.store.add_strokes
+
+    def full(*_: Any) -> None:
+        raise FullError("study.db: the disk is full")
+
+    with joined(server, rate_hz=8000) as page:
+        page.to_trial()
+        server.store.add_strokes = full  # type: ignore[method-assign]
+        page.stroke(30)
+        page.stroke_until_it_sounds()
+        page.answer(33.0)
+        assert page.step["id"] == "trial:2"
+        assert server.sessions[1].for_operator()["n_unsaved"] == 40
+        server.store.add_strokes = add  # type: ignore[method-assign]
+        page.stroke(5)  # of the next trial
+        page.answer(34.0)
+        assert "n_unsaved" not in server.sessions[1].for_operator()
+    assert server.store.strokes(1, 1).shape == (40, 4)
+    assert server.store.strokes(1, 2).shape == (5, 4)
 
 
 def test_the_page_that_strokes_is_the_one_that_sounds(tmp_path: Path) -> None:

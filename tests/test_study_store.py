@@ -236,7 +236,7 @@ def test_a_newer_database_and_no_database_are_refused_in_a_line(tmp_path: Path, 
     connection = sqlite3.connect(store.path)
     connection.execute(f"PRAGMA user_version = {VERSION + 1}")
     connection.close()
-    with pytest.raises(ValueError, match=r"is of version 2, and this foten knows up to 1: update foten"):
+    with pytest.raises(ValueError, match=r"is of version 3, and this foten knows up to 2: update foten"):
         Store(store.path)
     (tmp_path / "text.db").write_text("hello " * 1000)
     with pytest.raises(ValueError, match="is no study of foten, or is damaged"):

@@ -6,6 +6,7 @@ The token in a link lets one device in: it is exchanged for a secret of that dev
 from __future__ import annotations
 
 import datetime
+import hashlib
 import hmac
 import ipaddress
 import secrets
@@ -18,6 +19,9 @@ from starlette.datastructures import Headers, MutableHeaders
 from starlette.requests import HTTPConnection
 from starlette.responses import PlainTextResponse, RedirectResponse
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+from foten.atomic_write import write_json
+from foten.untrusted import check_regular, parse_json
 
 COOKIE = "foten"
 LOOPBACK = ("127.0.0.1", "localhost", "::1")
@@ -48,16 +52,18 @@ class Access:
     token: str | None = field(default=None, repr=False)
     on_joined: Callable[[Access], None] | None = field(default=None, repr=False, compare=False)
     """Takes the access with the next token, each time that a token was used up."""
+    other_token: str | None = field(default=None, repr=False)  # of another link: who uses one does not use up both
 
     @property
     def scheme(self) -> str:
         """`https` where others may listen, else `http`: loopback is a secure context by itself."""
         return "http" if self.token is None else "https"
 
-    def link(self, host: str, page: str = "", **query: str) -> str:
-        """Address to open, of a page and with a query."""
+    def link(self, host: str, page: str = "", other: bool = False, **query: str) -> str:
+        """Address to open, of a page and with a query, by the one token or the other."""
         name = f"[{host}]" if ":" in host else host
-        parts = urlencode(query if self.token is None else {"token": self.token, **query})
+        token = self.other_token if other else self.token
+        parts = urlencode(query if token is None else {"token": token, **query})
         return f"{self.scheme}://{name}:{self.port}/{page}" + (f"?{parts}" if parts else "")
 
     def knows(self, authority: str) -> bool:
@@ -76,22 +82,61 @@ def access_to(
     """Access to a server that listens at a host: with a token where that is not this machine alone."""
     if host.lower() in LOOPBACK:
         return Access(LOOPBACK, port)
-    return Access(tuple(dict.fromkeys((host, *addresses, *LOOPBACK))), port, _secret(), on_joined)
+    return Access(tuple(dict.fromkeys((host, *addresses, *LOOPBACK))), port, _secret(), on_joined, _secret())
+
+
+class Admitted:
+    """Those who were let in, by hashes of the secrets that they were given; in a file they are let in again by the next server.
+
+    Args:
+        path: of the file, in a folder for its owner alone; None for as long as this server runs.
+
+    Raises:
+        ValueError: the file is none of hashes.
+    """
+
+    def __init__(self, path: Path | None = None) -> None:
+        self._path = path
+        self._hashes: dict[str, list[str]] = {}
+        if path is not None and path.exists():
+            check_regular(path)
+            try:
+                stored = parse_json(path.read_bytes())
+                self._hashes = {str(kind): [str(one) for one in hashes] for kind, hashes in stored.items()}
+            except (ValueError, AttributeError, TypeError) as error:
+                raise ValueError(f"{path} holds no devices that were let in; remove it, and they ask anew") from error
+
+    def add(self, kind: str = "device") -> str:
+        """A secret for one more of a kind."""
+        secret = _secret()
+        self._hashes.setdefault(kind, []).append(_hash(secret))
+        if self._path is not None:
+            write_json(self._path, self._hashes)
+            self._path.chmod(0o600)
+        return secret
+
+    def knows(self, secret: str | None, kind: str = "device") -> bool:
+        """Whether a secret was given to one of a kind, in a time that says nothing of it."""
+        return secret is not None and any([is_same(_hash(secret), known) for known in self._hashes.get(kind, [])])
+
+
+def _hash(secret: str) -> str:
+    return hashlib.sha256(secret.encode("utf-8", "replace")).hexdigest()
 
 
 class Guarded:
     """An application behind its access: wrong hosts, origins and strange devices are refused with a reason before it is asked."""
 
-    def __init__(self, app: ASGIApp, access: Access) -> None:
+    def __init__(self, app: ASGIApp, access: Access, admitted: Admitted | None = None) -> None:
         self._app, self._access = app, access  # the access is that of the newest link
-        self._devices: list[str] = []  # the secrets of those that came in
+        self._admitted = admitted or Admitted()
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         if scope["type"] == "lifespan":
             await self._app(scope, receive, send)
             return
         connection = HTTPConnection(scope)
-        token, known = connection.query_params.get("token"), self._knows(connection.cookies.get(COOKIE))
+        token, known = connection.query_params.get("token"), self._admitted.knows(connection.cookies.get(COOKIE))
         if why := self._refused(connection.headers, scope, token, known):
             await _refuse(scope, receive, send, why)
             return
@@ -119,18 +164,16 @@ class Guarded:
         if known:
             await response(scope, receive, send)
             return
-        access = self._access = replace(self._access, token=_secret())
-        self._devices.append(_secret())
+        other = is_same(connection.query_params["token"], self._access.other_token or "")
+        used, fresh = self._access, _secret()
+        access = self._access = replace(used, other_token=fresh) if other else replace(used, token=fresh)
         # A cookie that scripts cannot read. `lax`, as `strict` ones stay away from a page that was opened by a link on another.
-        response.set_cookie(COOKIE, self._devices[-1], httponly=True, samesite="lax", secure=True)
+        response.set_cookie(COOKIE, self._admitted.add(), httponly=True, samesite="lax", secure=True)
         try:
             await response(scope, receive, send)
         finally:  # the old link is used up, even where nobody took the answer
             if access.on_joined is not None:
                 access.on_joined(access)
-
-    def _knows(self, secret: str | None) -> bool:
-        return secret is not None and any([is_same(secret, device) for device in self._devices])
 
     def _refused(self, headers: Headers, scope: Scope, token: str | None, known: bool) -> str:
         host = headers.get("host", "")
@@ -141,8 +184,8 @@ class Guarded:
         asks = scope["type"] == "http" and scope["method"] in ("GET", "HEAD")
         if not asks and str(origin).lower() != expected.lower():
             return f"the origin is {str(origin)[:80]!r}, expected this server's own page"
-        expected_token = self._access.token
-        if not known and expected_token is not None and not (asks and token and is_same(token, expected_token)):
+        tokens = [expected for expected in (self._access.token, self._access.other_token) if expected is not None]
+        if not known and tokens and not (asks and token and any([is_same(token, expected) for expected in tokens])):
             what = "the token is missing, wrong or used, as a link lets one device in"
             return f"{what}: open the newest link, or scan the newest code, that the server printed"
         return ""
@@ -169,6 +212,28 @@ async def _refuse(scope: Scope, receive: Receive, send: Send, why: str, status: 
         await send({"type": "websocket.close", "code": 1008, "reason": why[:120]})
         return
     await PlainTextResponse(f"{why}\n", status_code=status)(scope, receive, send)
+
+
+def certificate_for(folder: Path, hosts: Iterable[str]) -> tuple[Path, Path]:
+    """The paths of a certificate and its key in a folder: those that lie there, while they hold for the hosts, or new ones.
+
+    A browser that was told to trust it need not be told again.
+    """
+    from cryptography import x509
+
+    hosts = list(hosts)
+    paths = folder / "certificate.pem", folder / "key.pem"
+    if all(path.is_file() for path in paths):
+        try:
+            certificate = x509.load_pem_x509_certificate(paths[0].read_bytes())
+            names = certificate.extensions.get_extension_for_class(x509.SubjectAlternativeName).value
+            known = {str(name.value) for name in names}
+            lasts = certificate.not_valid_after_utc - datetime.datetime.now(datetime.UTC)
+            if lasts > datetime.timedelta(days=1) and known >= set(hosts):
+                return paths
+        except (ValueError, x509.ExtensionNotFound):
+            pass  # none of ours: made anew
+    return write_certificate(folder, hosts)
 
 
 def write_certificate(folder: Path, hosts: Iterable[str]) -> tuple[Path, Path]:
@@ -204,6 +269,7 @@ def write_certificate(folder: Path, hosts: Iterable[str]) -> tuple[Path, Path]:
     )
     paths = folder / "certificate.pem", folder / "key.pem"
     paths[0].write_bytes(certificate.public_bytes(form.Encoding.PEM))
+    paths[1].unlink(missing_ok=True)
     paths[1].touch(mode=0o600)
     paths[1].write_bytes(key.private_bytes(form.Encoding.PEM, form.PrivateFormat.PKCS8, form.NoEncryption()))
     return paths

@@ -12,7 +12,7 @@ from pathlib import Path
 import uvicorn
 from starlette.types import ASGIApp
 
-from foten.studio.access import LOOPBACK, Access, access_to, write_certificate
+from foten.studio.access import LOOPBACK, Access, access_to, certificate_for
 from foten.studio.messages import MAX_BYTES
 
 SHUTDOWN_S = 3
@@ -51,7 +51,11 @@ def listening(host: str, port: int) -> socket.socket:
 
 
 def serve(
-    app: Callable[[Access], ASGIApp], host: str, port: int, announce: Callable[[Access, str, bool], None]
+    app: Callable[[Access], ASGIApp],
+    host: str,
+    port: int,
+    announce: Callable[[Access, str, bool], None],
+    folder: Path | None = None,
 ) -> None:
     """Serve until Ctrl-C or SIGTERM.
 
@@ -59,6 +63,7 @@ def serve(
         app: gives the application, behind its access.
         announce: takes the access, the host to open, and whether a device came in by the link before: once it listens, and
             with each new link.
+        folder: where the certificate is kept, for the owner alone; None for one that ends with the server.
 
     Raises:
         OSError: it cannot listen there.
@@ -72,8 +77,9 @@ def serve(
         access = access_to(host, port, others, lambda renewed: announce(renewed, shown, True))
         files: dict[str, str] = {}
         if access.token is not None:
-            folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="foten-")))
-            certificate, key = write_certificate(folder, access.hosts)
+            folder = folder or Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="foten-")))
+            folder.mkdir(mode=0o700, exist_ok=True)
+            certificate, key = certificate_for(folder, access.hosts)
             files = {"ssl_certfile": str(certificate), "ssl_keyfile": str(key)}
         config = uvicorn.Config(
             app(access),

@@ -116,7 +116,7 @@ def run(
     import webbrowser
     from functools import partial
 
-    from foten.studio.access import Access
+    from foten.studio.access import Access, Admitted
     from foten.studio.web_server import serve
     from foten.study.loading import load_study
     from foten.study.study_server import StudyServer
@@ -126,11 +126,13 @@ def run(
     database = output or study.with_suffix(".db")
     store = loaded.open_store(database, simulated)
     store.hold()
-    server = StudyServer(store, loaded)
+    folder = database.with_suffix(".access")
+    folder.mkdir(mode=0o700, exist_ok=True)
+    server = StudyServer(store, loaded, Admitted(folder / "devices.json"))
 
     def announce(access: Access, host: str, joined: bool) -> None:
         server.link = partial(access.link, host)
-        participants, operator = server.link(), server.link("operator", key=server.operator_key)
+        participants, operator = server.link(), server.link("operator", other=True, key=server.operator_key)
         if joined:
             say(f"a device came in; for the next one: {participants} or, for the operator, {operator}")
             return
@@ -138,13 +140,16 @@ def run(
         say("\n".join([*loaded.stimuli.doubts, f"operator: {operator}", f"participants at {participants}"]))
         if access.token is not None:
             say("each link lets one device in; the next is printed then, and the operator's page shows codes to scan")
+            say(
+                f"devices that were let in stay so, by {folder}: whoever reads that folder can be taken for this server"
+            )
         say("Ctrl-C ends it; the same command goes on where it was")
         if open_page and access.token is None:
             webbrowser.open(operator)
 
     try:
         with loaded.noise():
-            serve(server.app, host, port, announce)
+            serve(server.app, host, port, announce, folder)
     finally:
         store.close()
 

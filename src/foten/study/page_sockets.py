@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from foten.study.study_server import StudyServer
 
 REFRESH_S = 0.5  # between two pictures of the study
+MISSED, EVENT_BYTES = b"m", 32  # before events that are sent again, since the server did not store them
 ELSEWHERE = 4001  # the code of a WebSocket's end, of those that are free for programs
 SIDES = ("virtual", "real")
 PARTICIPANT = Protocol(
@@ -71,10 +72,11 @@ class ParticipantPage(PageSocket):
             await session.leave(self)
 
     async def take_bytes(self, data: bytes) -> None:
-        events = self.events_in(data)
+        missed = data.startswith(MISSED) and len(data) % EVENT_BYTES == 1
+        events = self.events_in(data[1:] if missed else data)
         if self._session is None or not self.strokes:
             raise RefusedError("events of a page that does not stroke")
-        await self._session.push(self, events)
+        await (self._session.push_missed if missed else self._session.push)(self, events)
 
     async def do(self, message: Mapping[str, Any]) -> None:
         kind, session = message["do"], self._session

@@ -18,7 +18,7 @@ from foten.atomic_write import atomic_write
 from foten.study.orders import Trial
 
 APPLICATION_ID = 0x666F7465  # "fote"
-VERSION = 1  # of the file
+VERSION = 2  # of the file
 TABLES = """
 CREATE TABLE study (
     id INTEGER PRIMARY KEY CHECK (id = 1), title TEXT NOT NULL, design TEXT NOT NULL, folder TEXT NOT NULL, seed INTEGER NOT NULL,
@@ -60,7 +60,8 @@ CREATE UNIQUE INDEX one_rating ON ratings (participant, trial) WHERE corrects IS
 CREATE UNIQUE INDEX one_correction ON ratings (corrects) WHERE corrects IS NOT NULL;
 CREATE TABLE strokes (
     participant INTEGER NOT NULL REFERENCES participants (number), trial INTEGER NOT NULL, part INTEGER NOT NULL,
-    at TEXT NOT NULL, events BLOB NOT NULL, PRIMARY KEY (participant, trial, part)
+    at TEXT NOT NULL, events BLOB NOT NULL, block_ms REAL NOT NULL, conditions BLOB NOT NULL,
+    PRIMARY KEY (participant, trial, part)
 ) STRICT;
 CREATE TABLE switches (
     id INTEGER PRIMARY KEY, participant INTEGER NOT NULL REFERENCES participants (number), trial INTEGER NOT NULL,

@@ -7,7 +7,8 @@ import contextlib
 import math
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -15,8 +16,11 @@ from numpy.typing import NDArray
 
 from foten.runtime.live.devices import SOUND_RATE_HZ
 from foten.runtime.live.live import LiveStatistics, Timing
+from foten.runtime.renderer import Renderer
+from foten.runtime.stylus import PressureCalibration, Stylus
 from foten.studio.live_contact import Contact
 from foten.studio.messages import RefusedError
+from foten.studio.players import BLOCK_MS
 from foten.study.design import Design, Question
 from foten.study.orders import Trial
 from foten.study.store import Rated
@@ -26,7 +30,7 @@ if TYPE_CHECKING:
     from foten.study.study_server import StudyServer
 
 MAX_ANSWER_LENGTH = 2000  # characters
-SAVE_STROKES_S = 3.0  # between two writings of a stroke
+SAVE_STROKES_S = 1.0  # between two writings of a stroke
 CLOCK_TOLERANCE_S = 0.25  # by which a page's clock may be ahead of the server's
 MIN_CONTACT_N = 0.01  # of force, below which the pen does not count as in contact
 
@@ -50,13 +54,16 @@ class Session:
         self.pages: set[ParticipantPage] = set()
         self.contact: Contact | None = None
         self._page: ParticipantPage | None = None  # that the contact plays for
-        self._unsaved: list[NDArray[np.float64]] = []  # events
+        self._unsaved: dict[int, Unsaved] = {}  # by trial, also of those that were rated while the disk was full
+        self._n_stored: dict[int, int] = {}  # events in the database, by trial
         self._saved_at = 0.0
         self._changing = asyncio.Lock()
         self._arrive()
         step = self.step
         if step["kind"] == "trial":  # as it was before the server ended
             self.n_switches = server.store.switches(number, step["trial"].number)
+            self._log.earlier, self._log.earlier_block_ms = server.store.contact(number, step["trial"].number)
+            self._n_stored[step["trial"].number] = len(server.store.strokes(number, step["trial"].number))
 
     @property
     def step(self) -> Step:
@@ -84,7 +91,7 @@ class Session:
             texture, rating, setup = design.textures[trial.texture], design.rating, design.setup
             shown |= {"practice": trial.practice, "real_side": setup.real_side, "screens": setup.screens}
             shown |= {"question": rating.question, "lowest": rating.lowest, "highest": rating.highest}
-            shown |= {"min_s": rating.min_seconds, "side": self.side}
+            shown |= {"min_s": rating.min_seconds, "side": self.side, "stored": self._n_stored.get(trial.number, 0)}
             if setup.show_names:
                 shown |= {"name": texture.name, "picture": f"pictures/{trial.texture}" if texture.picture else None}
         return shown
@@ -110,7 +117,7 @@ class Session:
                 return
             await self._store(step, message)
             self.done.add(step_id)
-            await self.end_contact(save=False)
+            await self.end_contact()
             self._arrive()
             if self.step["kind"] == "end":
                 with contextlib.suppress(OSError):
@@ -170,7 +177,7 @@ class Session:
         """Hold the trial that is shown, or let it go on."""
         self.held = held and self.step["kind"] == "trial"
         if self.held:
-            await self.end_contact(save=True)
+            await self.end_contact()
         await self.show()
 
     async def push(self, page: ParticipantPage, events: NDArray[np.float64]) -> None:
@@ -184,16 +191,32 @@ class Session:
                     await self._open(page, step["trial"])
         if self.contact is not None:
             self.contact.push(events)
-            self._unsaved.append(events)
+            self._of_trial(step["trial"]).events.append(events)
             if time.monotonic() - self._saved_at > SAVE_STROKES_S:
                 await self.save_strokes()
 
+    async def push_missed(self, page: ParticipantPage, events: NDArray[np.float64]) -> None:
+        """Take in events that were rendered by a server that was killed before it stored them: stored, not rendered again."""
+        step = self.step
+        if step["kind"] != "trial":
+            return
+        trial = step["trial"]
+        texture = self.server.stimuli.bytes_of[trial.texture, trial.method]
+        conditions = await asyncio.to_thread(conditions_of, events, texture, page.calibration)
+        unsaved = self._of_trial(trial)
+        unsaved.events.append(events)
+        unsaved.conditions.extend(conditions)
+        self._unsaved[trial.number] = replace(unsaved, block_ms=unsaved.block_ms or BLOCK_MS)
+        self._log.conditions.extend(conditions)
+        self._log.earlier_block_ms = self._log.earlier_block_ms or BLOCK_MS
+
     async def _open(self, page: ParticipantPage, trial: Trial) -> None:
         server, key = self.server, (trial.texture, trial.method)
-        plays_in_page, conditions = server.output is None, self._log.conditions
+        plays_in_page, log = server.output is None, self._log
 
         def on_block(samples: NDArray[np.float32], speed: float, force: float) -> None:
-            conditions.append((speed, force))
+            log.conditions.append((speed, force))
+            self._of_trial(trial).conditions.append((speed, force))
             if plays_in_page:
                 page.blocks.put(samples * np.float32(contact.gain), speed, force)  # the page bends what is too loud
 
@@ -206,25 +229,47 @@ class Session:
         except (OSError, ValueError) as error:
             raise RefusedError(f"nothing can be played: {error}") from error
         self._log.contacts.append(player.statistics)
+        unsaved = self._of_trial(trial)
+        self._unsaved[trial.number] = replace(unsaved, block_ms=player.statistics.block_ms)
         self.contact, self._page, self._saved_at = contact, page, time.monotonic()
 
-    async def save_strokes(self) -> None:
-        """Write the events that are not in the database yet."""
-        events, self._unsaved = self._unsaved, []
-        self._saved_at = time.monotonic()
-        step = self.step
-        if not events or step["kind"] != "trial":
-            return
-        number, trial, stroke = self.number, step["trial"].number, np.concatenate(events)
-        with contextlib.suppress(OSError):
-            await self.server.on_disk(lambda: self.server.store.add_strokes(number, trial, stroke))
+    def _of_trial(self, trial: Trial) -> Unsaved:
+        return self._unsaved.setdefault(trial.number, Unsaved())
 
-    async def end_contact(self, save: bool) -> None:
-        """End playing, and save the strokes where the trial goes on later."""
-        if save:
-            await self.save_strokes()
-        else:
-            self._unsaved = []
+    async def save_strokes(self) -> None:
+        """Write what is not in the database yet; where the disk has no room, it is kept and tried again."""
+        self._saved_at = time.monotonic()
+        for trial, unsaved in list(self._unsaved.items()):
+            events, conditions = unsaved.events, unsaved.conditions
+            if not events and not conditions:
+                continue
+            self._unsaved[trial] = replace(unsaved, events=[], conditions=[])
+            part = (
+                np.concatenate([np.zeros((0, 4)), *events]),
+                np.array(list(conditions)).reshape(-1, 2),
+                unsaved.block_ms,
+            )
+            try:
+                await self.server.on_disk(partial(self.server.store.add_strokes, self.number, trial, *part))
+            except OSError:
+                later = self._unsaved[trial]
+                self._unsaved[trial] = replace(
+                    later, events=events + later.events, conditions=conditions + later.conditions
+                )
+                continue
+            self._n_stored[trial] = self._n_stored.get(trial, 0) + len(part[0])
+            for page in [page for page in self.pages if page.strokes]:
+                await page.say({"stored": self._n_stored[trial], "trial": f"trial:{trial}"})
+
+    @property
+    def n_unsaved(self) -> int:
+        """Events that the disk has had no room for."""
+        present = self.step["trial"].number if self.step["kind"] == "trial" else None
+        return sum(len(events) for trial, one in self._unsaved.items() if trial != present for events in one.events)
+
+    async def end_contact(self) -> None:
+        """End playing, and save the strokes."""
+        await self.save_strokes()
         contact, self.contact = self.contact, None
         if contact is not None:
             with contextlib.suppress(OSError, ValueError, RuntimeError):
@@ -234,7 +279,7 @@ class Session:
         """Go on without a page: its strokes are saved, and its trial stays where it is."""
         self.pages.discard(page)
         if self._page is page:
-            await self.end_contact(save=True)
+            await self.end_contact()
             self._page = None
 
     def for_operator(self) -> dict[str, Any]:
@@ -247,10 +292,21 @@ class Session:
         if step["kind"] == "trial":
             texture = self.server.design.textures[step["trial"].texture]
             shown |= {"texture": texture.name, "real": texture.real, "practice": step["trial"].practice}
+        if n := self.n_unsaved:
+            shown["n_unsaved"] = n
         if self.contact is not None:
             live = self.contact.player.statistics  # how long a block takes would tell methods apart
             shown |= {"n_missed": live.n_missed, "n_underruns": live.n_underruns}
         return shown
+
+
+@dataclass(frozen=True)
+class Unsaved:
+    """What of a trial is not in the database yet."""
+
+    events: list[NDArray[np.float64]] = field(default_factory=list)
+    conditions: list[tuple[float, float]] = field(default_factory=list)
+    block_ms: float = 0.0
 
 
 @dataclass
@@ -259,16 +315,19 @@ class TrialLog:
 
     conditions: list[tuple[float, float]] = field(default_factory=list)  # speed [mm/s], force [N] at each block's end
     contacts: list[LiveStatistics] = field(default_factory=list)
+    earlier: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 2)))  # conditions before the server began
+    earlier_block_ms: float = 0.0
 
     def summary(self) -> dict[str, Any]:
         """Seconds in contact; of them the 10th, 50th and 90th percentile of speed [mm/s] and force [N]; p99 of a block's
         rendering [ms], blocks that came late, and under-runs.
         """
-        block, block_ms = Timing(), 0.0
+        block, block_ms = Timing(), self.earlier_block_ms
         for contact in self.contacts:
             block.counts += contact.block.counts
             block.largest_s, block_ms = max(block.largest_s, contact.block.largest_s), contact.block_ms
-        in_contact = np.array([c for c in list(self.conditions) if c[1] > MIN_CONTACT_N]).reshape(-1, 2)
+        every = np.concatenate([self.earlier, np.array(list(self.conditions)).reshape(-1, 2)])
+        in_contact = every[every[:, 1] > MIN_CONTACT_N]
         result: dict[str, Any] = {"contact_s": round(block_ms / 1000 * len(in_contact), 3)}
         for name, values in zip(("speed_mm_s", "force_n"), in_contact.T, strict=True):
             for percent in (10, 50, 90):
@@ -279,8 +338,23 @@ class TrialLog:
             "block_p99_ms": round(p99_ms, 4) if math.isfinite(p99_ms) else None,
             "n_missed": sum(contact.n_missed for contact in self.contacts),
             "n_underruns": sum(contact.n_underruns for contact in self.contacts),
-            "n_contacts": len(self.contacts),
+            "n_contacts": len(self.contacts) + bool(len(self.earlier)),
         }
+
+
+def conditions_of(
+    events: NDArray[np.float64], texture: bytes, calibration: PressureCalibration
+) -> list[tuple[float, float]]:
+    """Speed [mm/s] and force [N] at the end of each block of events (n, 4), as a rendering of them would have had."""
+    renderer = Renderer(texture)
+    stylus, per_block = Stylus(renderer, calibration), max(1, round(BLOCK_MS / 1000 * renderer.texture_rate))
+    times, conditions, n = events[:, 3] - events[0, 3], [], 0
+    for k in range(math.ceil(float(times[-1]) / BLOCK_MS * 1000) + 1):
+        while n < len(events) and times[n] <= k * BLOCK_MS / 1000:
+            stylus.push(*events[n].tolist())
+            n += 1
+        conditions.append([stylus.next_condition() for _ in range(per_block)][-1])
+    return conditions
 
 
 def steps_of(design: Design, trials: Sequence[Trial]) -> list[Step]:

@@ -26,6 +26,9 @@ BUSY_S = 10.0  # to wait for another writer
 FULL = ("SQLITE_FULL", "SQLITE_IOERR", "SQLITE_READONLY", "SQLITE_CANTOPEN")  # how errors of a disk are called
 
 
+NO_CONDITIONS: NDArray[np.float64] = np.zeros((0, 2))
+
+
 class FullError(OSError):
     """The disk has no room for an answer, which was not taken."""
 
@@ -72,6 +75,10 @@ class Store(contextlib.AbstractContextManager["Store"]):
         if version > schema.VERSION:
             newest = f"this foten knows up to {schema.VERSION}"
             raise ValueError(f"{self.path} is of version {version}, and {newest}: update foten")
+        if version < schema.VERSION:
+            raise ValueError(
+                f"{self.path} is of version {version}, expected {schema.VERSION}: analyse it with the foten that made it"
+            )
         execute("PRAGMA journal_mode = WAL")
         execute("PRAGMA synchronous = FULL")  # of write-ahead logging: a commit waits for the disk
         execute("PRAGMA foreign_keys = ON")
@@ -238,23 +245,40 @@ class Store(contextlib.AbstractContextManager["Store"]):
         rows = self._rows("SELECT count(*) FROM switches WHERE participant = ? AND trial = ?", participant, trial)
         return int(rows[0][0])
 
-    def add_strokes(self, participant: int, trial: int, events: NDArray[np.float64]) -> None:
-        """Store events of a pen: x, y [mm], pressure, t [s], shape (n, 4)."""
-        packed = zlib.compress(np.ascontiguousarray(events, dtype="<f8").tobytes())
+    def add_strokes(
+        self,
+        participant: int,
+        trial: int,
+        events: NDArray[np.float64],
+        conditions: NDArray[np.float64] = NO_CONDITIONS,
+        block_ms: float = 0.0,
+    ) -> None:
+        """Store a part of a trial's contact.
+
+        Args:
+            events: of the pen: x, y [mm], pressure, t [s], shape (n, 4).
+            conditions: speed [mm/s] and force [N] at the end of each rendered block, shape (k, 2).
+            block_ms: length of a block.
+        """
+        packed = (_packed(array) for array in (events, conditions))
         with self._writing():
             self._execute(
-                "INSERT INTO strokes SELECT ?, ?, coalesce(max(part) + 1, 0), ?, ? FROM strokes "
+                "INSERT INTO strokes SELECT ?, ?, coalesce(max(part) + 1, 0), ?, ?, ?, ? FROM strokes "
                 "WHERE participant = ? AND trial = ?",
-                *(participant, trial, now(), packed, participant, trial),
+                *(participant, trial, now(), next(packed), block_ms, next(packed), participant, trial),
             )
 
     def strokes(self, participant: int, trial: int) -> NDArray[np.float64]:
         """Events of a trial: x, y [mm], pressure, t [s], shape (n, 4)."""
-        rows = self._rows(
-            "SELECT events FROM strokes WHERE participant = ? AND trial = ? ORDER BY part", participant, trial
-        )
-        data = b"".join(zlib.decompress(row[0]) for row in rows)
-        return np.frombuffer(data, dtype="<f8").reshape(-1, 4)
+        return _unpacked([row["events"] for row in self._strokes(participant, trial)], 4)
+
+    def contact(self, participant: int, trial: int) -> tuple[NDArray[np.float64], float]:
+        """Speed [mm/s] and force [N] of each rendered block of a trial so far, (k, 2), and a block's length [ms]."""
+        rows = self._strokes(participant, trial)
+        return _unpacked([row["conditions"] for row in rows], 2), max((row["block_ms"] for row in rows), default=0.0)
+
+    def _strokes(self, participant: int, trial: int) -> list[sqlite3.Row]:
+        return self._rows("SELECT * FROM strokes WHERE participant = ? AND trial = ? ORDER BY part", participant, trial)
 
     def ratings(self) -> list[dict[str, Any]]:
         """Valid ratings without practice: participant, trial, texture, method (as numbers and as keys), rating, response_s,
@@ -360,6 +384,14 @@ class Store(contextlib.AbstractContextManager["Store"]):
         if busy:
             why = "in use, and parts of it may keep what was removed: end 'foten study run', do it again"
             raise OSError(f"{self.path.name} is {why}")
+
+
+def _packed(array: NDArray[np.float64]) -> bytes:
+    return zlib.compress(np.ascontiguousarray(array, dtype="<f8").tobytes())
+
+
+def _unpacked(parts: list[bytes], n_columns: int) -> NDArray[np.float64]:
+    return np.frombuffer(b"".join(map(zlib.decompress, parts)), dtype="<f8").reshape(-1, n_columns)
 
 
 def _lock(file: int) -> None:

@@ -19,7 +19,7 @@ from starlette.routing import Route, WebSocketRoute
 from starlette.types import ASGIApp
 from starlette.websockets import WebSocket
 
-from foten.studio.access import Access, Guarded, is_same
+from foten.studio.access import Access, Admitted, Guarded, is_same
 from foten.studio.messages import RefusedError
 from foten.studio.page_files import page_files
 from foten.studio.players import Player, RoundRobinRenderer
@@ -31,18 +31,25 @@ from foten.study.session import Session
 from foten.study.store import Store
 
 OPERATOR_COOKIE = "foten-operator"
+OPERATOR = "operator"  # a kind of those who were let in
 LETTERS = "ABCDEFGHJKMNPQRSTUVWXYZ"  # that are not taken for one another
 CODE_LETTERS = 5
 MAX_PAGES = 64
+SAVE_AGAIN_S = 5.0  # between two tries to write strokes that the disk had no room for
 PAGES = Path(__file__).with_name("pages")
 OPERATOR_PAGE = "operator.html"
 SHARED = ("studio.css", "pad.js", "settings.js", "stream.js")  # not the kernel, whose bytes name models
 
 
 class StudyServer:
-    """A study that runs, with its database."""
+    """A study that runs, with its database.
 
-    def __init__(self, store: Store, study: Study) -> None:
+    Args:
+        admitted: devices and operators who were let in, also by a server before this one.
+    """
+
+    def __init__(self, store: Store, study: Study, admitted: Admitted | None = None) -> None:
+        self.admitted = admitted or Admitted()
         self.store, self.design, self.stimuli, self.output = store, study.design, study.stimuli, study.output
         self.operator_key = secrets.token_urlsafe(16)
         self.gains = {key: stimulus.gain_db for key, stimulus in store.stimuli().items()}
@@ -97,14 +104,24 @@ class StudyServer:
             WebSocketRoute("/operate", self._serve_operator),
             Route("/{name:path}", self._file),
         ]
-        return Guarded(Starlette(routes=routes, lifespan=self._lifespan), access)
+        return Guarded(Starlette(routes=routes, lifespan=self._lifespan), access, self.admitted)
 
     @contextlib.asynccontextmanager
     async def _lifespan(self, _app: Starlette) -> AsyncIterator[None]:
+        again = asyncio.create_task(self._save_again())
         yield
+        again.cancel()
         for session in self.sessions.values():
-            await session.end_contact(save=True)
+            await session.end_contact()
         self.disk.shutdown()
+
+    async def _save_again(self) -> None:
+        """Write what the disk had no room for, once it has."""
+        while True:
+            await asyncio.sleep(SAVE_AGAIN_S)
+            for session in self.sessions.values():
+                if session.n_unsaved:
+                    await session.save_strokes()
 
     async def _file(self, request: Request) -> Response:
         return page_file(study_files(), request.path_params["name"] or "study.html")
@@ -121,7 +138,9 @@ class StudyServer:
         if key is not None and is_same(key, self.operator_key):
             response = RedirectResponse("/operator", status_code=303)
             secure = request.url.scheme == "https"
-            response.set_cookie(OPERATOR_COOKIE, self.operator_key, httponly=True, samesite="lax", secure=secure)
+            response.set_cookie(
+                OPERATOR_COOKIE, self.admitted.add(OPERATOR), httponly=True, samesite="lax", secure=secure
+            )
             return response
         if not self._is_operator(request):
             why = "this page is the operator's: open the link that the server printed\n"
@@ -145,7 +164,7 @@ class StudyServer:
         return Response(drawn.getvalue(), media_type="image/svg+xml")
 
     def _is_operator(self, connection: HTTPConnection) -> bool:
-        return is_same(connection.cookies.get(OPERATOR_COOKIE, ""), self.operator_key)
+        return self.admitted.knows(connection.cookies.get(OPERATOR_COOKIE), OPERATOR)
 
     async def _serve_page(self, socket: WebSocket) -> None:
         await serve_page(socket, self.pages, MAX_PAGES, lambda socket: ParticipantPage(self, socket))

@@ -74,8 +74,9 @@ function fill(row, one) {
   const facts = [trial && (one.practice ? "practice" : `trial ${one.n + 1} of ${one.of}`), trial && (one.held ? "held" : `on the ${one.side} surface, ${one.switches} switches`)];
   if (one.n_missed !== undefined) facts.push(`${one.n_missed} blocks late, ${one.n_underruns} under-runs`);
   const away = !one.pages.length && one.kind !== "end";
+  if (one.n_unsaved) facts.unshift(`the disk is full: ${one.n_unsaved} events of the pen wait for room`);
   row.querySelector("span").textContent = away ? "no page is connected" : facts.filter(Boolean).join(" · ");
-  row.querySelector("span").classList.toggle("away", away);
+  row.querySelector("span").classList.toggle("away", away || Boolean(one.n_unsaved));
   row.querySelector("progress").value = one.n / one.of;
   for (const button of row.querySelectorAll("[data-what]")) {
     const { what } = button.dataset;

@@ -2,7 +2,7 @@
 import { Pad } from "./pad.js";
 import { Settings } from "./settings.js";
 
-const RETRY_MS = [300, 600, 1200, 2500];
+const RETRY_MS = [200, 400, 800, 1000];
 const ELSEWHERE = 4001; // as the server closes a page that another one takes the place of
 const AGAIN_MS = 1500;
 const MOST_AT_ONCE = 64; // events in a message
@@ -79,6 +79,7 @@ class Study {
     this.role = ["stroke", "answer"].includes(given.get("role")) ? given.get("role") : "all";
     this.code = null;
     this.waiting = []; // events that go out together
+    this.unstored = { id: null, base: 0, events: [] }; // that the server has not stored yet, and how many it has of the trial
     this.tries = 0;
     this.joining();
     if (given.get("code")) this.join(given.get("code"));
@@ -118,9 +119,11 @@ class Study {
       sessionStorage.removeItem("foten-fresh");
       this.plays = message.plays;
       this.tries = 0;
+      this.joinedAgain = true;
       history.replaceState(null, "", `?${new URLSearchParams({ code: this.code, ...(this.role !== "all" && { role: this.role }) })}`);
       this.show("");
     } else if (message.refused) this.refused(message);
+    else if (message.stored !== undefined) this.stored(message.trial, message.stored);
     else if (message.step) this.arrive(message.step);
   }
 
@@ -167,7 +170,29 @@ class Study {
     this.say(this.pending);
   }
 
+  /** The server has stored so many events of a trial: the others are kept, and sent again where it is lost before. */
+  stored(id, n) {
+    const { unstored } = this;
+    if (unstored.id !== id) return;
+    unstored.events.splice(0, Math.max(0, n - unstored.base));
+    unstored.base = Math.max(unstored.base, n);
+  }
+
+  sendAgain(step) {
+    const { unstored } = this;
+    if (unstored.id !== step.id) return;
+    this.stored(step.id, step.stored);
+    for (let i = 0; i < unstored.events.length; i += MOST_AT_ONCE) {
+      const events = unstored.events.slice(i, i + MOST_AT_ONCE).flat(), bytes = new Uint8Array(1 + 8 * events.length);
+      bytes[0] = "m".charCodeAt(0);
+      bytes.set(new Uint8Array(Float64Array.from(events).buffer), 1);
+      this.socket.send(bytes);
+    }
+  }
+
   arrive(step) {
+    if (this.joinedAgain && step.kind === "trial" && this.role !== "answer") this.sendAgain(step);
+    this.joinedAgain = false;
     this.pending ??= JSON.parse(localStorage.getItem(this.kept) ?? "null");
     if (this.pending?.step === step.id) {
       this.say(this.pending); // of before the connection broke
@@ -316,6 +341,7 @@ class Study {
       box.append(el("section", { className: "rate", ariaLabel: "Rating" }, el("h2", {}, step.question), scale.element, next));
     }
     this.begin(step.id);
+    if (this.unstored.id !== step.id) this.unstored = { id: step.id, base: step.stored ?? 0, events: [] };
     this.sound.afresh();
     this.put(box);
     this.pad.resize();
@@ -383,8 +409,10 @@ class Study {
     this.waiting.push([x, y, pressure, t]);
     if (this.waiting.length > 1) return;
     queueMicrotask(() => {
-      if (this.socket?.readyState === WebSocket.OPEN)
+      if (this.socket?.readyState === WebSocket.OPEN) {
+        if (this.unstored.id === this.step?.id) this.unstored.events.push(...this.waiting);
         for (let i = 0; i < this.waiting.length; i += MOST_AT_ONCE) this.socket.send(Float64Array.from(this.waiting.slice(i, i + MOST_AT_ONCE).flat()));
+      }
       this.waiting = [];
     });
   }
