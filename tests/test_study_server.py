@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import json
 import re
+import sqlite3
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -20,6 +21,7 @@ from starlette.websockets import WebSocketDisconnect
 
 from foten.models.texture_file import read_texture, write_texture
 from foten.runtime.renderer import EXAMPLE
+from foten.study import store as store_module
 from foten.study.design import study_text
 from foten.study.loading import load_study
 from foten.study.page_sockets import ELSEWHERE
@@ -187,7 +189,9 @@ def test_no_byte_that_a_participant_is_sent_names_or_orders_methods(tmp_path: Pa
                     if page.step["kind"] == "trial":
                         page.stroke()
                     page.answer()
-                said.append([text.replace(page.code, "CODE") for text in page.texts])
+                # When a stroke was stored is a matter of time.
+                texts = [text for text in page.texts if not text.startswith('{"stored"')]
+                said.append([text.replace(page.code, "CODE") for text in texts])
         for name in ("", *study_files()):
             answer = client.get(f"/{name}")
             said.append([answer.text, str(answer.headers)])
@@ -270,25 +274,74 @@ def test_two_screens_are_joined_by_a_code_and_the_operator_lets_trials_begin(tmp
 def test_a_trial_lasts_as_long_as_the_study_asks_and_goes_on_after_a_restart_with_what_was_counted(
     tmp_path: Path,
 ) -> None:
-    """The page has counted on while the server was away: its answer is good at once."""
+    """By the server's own clock, whatever the page says, from when the trial was shown first."""
     path = study_file(tmp_path, practice="0", min_seconds="3")
     with joined(server_of(path), rate_hz=8000) as page:
         page.to_trial()
-        page.stroke()
+        begin = time.monotonic()
+        page.stroke_until_it_sounds()
         for side in ("real", "virtual"):
             page.say(do="side", side=side)
             page.until("step")
         code, step_id = page.code, page.step["id"]
     with joined(server_of(path), code=code.lower()) as page:
         assert page.step["id"] == step_id
-        refused = page.done(rating=5.0, seconds=0.2)
+        refused = page.done(rating=5.0, seconds=99.0)
         assert "explore both surfaces for 3 s first" in refused["refused"]
         assert (refused["step"], refused["again"]) == ("trial:1", False)
-        page.done(rating=44.0, seconds=9.0)
+        time.sleep(max(0.0, begin + 2.9 - time.monotonic()))
+        page.done(rating=44.0, seconds=0.1)
         assert page.step["id"] == "trial:2"
     with Store(tmp_path / "study.db") as store:
         (row,) = store.ratings()
         assert row["switches"] == 2
+
+
+def test_a_trial_that_was_not_stroked_is_not_rated(tmp_path: Path) -> None:
+    server = server_of(study_file(tmp_path, practice="0", min_seconds="0.3"))
+    with joined(server, rate_hz=8000) as page:
+        page.to_trial()
+        time.sleep(0.3)
+        assert page.done(rating=5.0, seconds=99.0)["refused"] == "stroke the virtual surface first"
+        page.stroke_until_it_sounds()
+        page.done(rating=5.0)
+        assert page.step["id"] == "trial:2"
+
+
+def test_another_program_that_holds_the_file_costs_no_answer(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(store_module, "BUSY_S", 0.2)
+    server = server_of(study_file(tmp_path, practice="0"))
+    with joined(server, rate_hz=8000) as page:
+        page.to_trial()
+        other = sqlite3.connect(tmp_path / "study.db", isolation_level=None)
+        other.execute("BEGIN IMMEDIATE")
+        refused = page.answer(33.0)
+        assert "another program holds the file" in refused["refused"]
+        assert refused["again"]
+        other.execute("ROLLBACK")
+        other.close()
+        page.answer(33.0)
+        assert page.step["id"] == "trial:2"
+    assert [row["rating"] for row in server.store.ratings()] == [33.0]
+
+
+def test_what_no_page_sends_is_refused_in_a_line(tmp_path: Path) -> None:
+    """Half of a surrogate pair in an answer, a picture of five thousand digits, one fresh code of two pages at once."""
+    server = server_of(study_file(tmp_path))
+    with served(server) as client:
+        assert client.get(f"/pictures/{'9' * 5000}").status_code == 404
+        with client.websocket_connect(f"{WS}/session") as one, client.websocket_connect(f"{WS}/session") as other:
+            for socket in (one, other):
+                socket.send_text(json.dumps({"do": "join", "fresh": "ABCDE"}))
+            codes = [json.loads(socket.receive_text()).get("joined") for socket in (one, other)]
+            assert codes == ["ABCDE", "ABCDE"]
+        assert len(server.sessions) == 1
+        with client.websocket_connect(f"{WS}/session") as socket:
+            page = Page(socket, code="ABCDE")
+            while page.step["kind"] != "questions":
+                page.answer()
+            answers = {q["key"]: "\udc80" for q in page.step["questions"]}
+            assert "characters of text" in page.done(answers=answers)["refused"]
 
 
 def test_contact_before_a_restart_counts_too(tmp_path: Path) -> None:

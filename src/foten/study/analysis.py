@@ -212,6 +212,8 @@ def _cautions(ratings: Ratings, effects: Sequence[Effect], rates: dict[str, floa
         cautions.append(f"ratings corrected by hand: {corrected}; the log of the study says which")
     if under := sum(bool(row["measured"].get("n_underruns")) for row in ratings.rows):
         cautions.append(f"trials in which the sound had under-runs: {under}")
+    if without := sum(row["measured"].get("contact_s") == 0 for row in ratings.rows):
+        cautions.append(f"trials that were rated without a stroke on the virtual surface: {without}")
     return cautions
 
 

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import time
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
@@ -133,8 +132,7 @@ class ParticipantPage(PageSocket):
         session = self._session
         if session is None:
             return
-        if session.step["kind"] == "trial" and not session.held and not session.shown_at:
-            session.shown_at = time.monotonic()
+        await session.begin_showing()
         await self.say({"step": session.shown()})
 
 

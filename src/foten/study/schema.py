@@ -67,6 +67,10 @@ CREATE TABLE switches (
     id INTEGER PRIMARY KEY, participant INTEGER NOT NULL REFERENCES participants (number), trial INTEGER NOT NULL,
     side TEXT NOT NULL, marked_by TEXT NOT NULL, at TEXT NOT NULL
 ) STRICT;
+CREATE TABLE shown (
+    participant INTEGER NOT NULL REFERENCES participants (number), trial INTEGER NOT NULL, at REAL NOT NULL,
+    PRIMARY KEY (participant, trial)
+) STRICT;
 CREATE TABLE log (id INTEGER PRIMARY KEY, at TEXT NOT NULL, what TEXT NOT NULL) STRICT;
 """
 
@@ -83,7 +87,7 @@ GUARDS = {
         for table in ("ratings", "participants")
     },
 }
-TABLES_BY_PARTICIPANT = ("switches", "strokes", "ratings", "steps", "answers", "abouts", "consents", "trials")
+TABLES_BY_PARTICIPANT = ("switches", "strokes", "shown", "ratings", "steps", "answers", "abouts", "consents", "trials")
 
 # Ratings, of each chain of corrections the last.
 VALID_RATINGS = "SELECT * FROM ratings WHERE NOT EXISTS (SELECT 1 FROM ratings later WHERE later.corrects = ratings.id)"

@@ -58,12 +58,16 @@ class Session:
         self._n_stored: dict[int, int] = {}  # events in the database, by trial
         self._saved_at = 0.0
         self._changing = asyncio.Lock()
+        self._log = TrialLog()
         self._arrive()
         step = self.step
         if step["kind"] == "trial":  # as it was before the server ended
             self.n_switches = server.store.switches(number, step["trial"].number)
             self._log.earlier, self._log.earlier_block_ms = server.store.contact(number, step["trial"].number)
             self._n_stored[step["trial"].number] = len(server.store.strokes(number, step["trial"].number))
+            since = server.store.shown(number, step["trial"].number)
+            if since is not None and not self.held:
+                self.shown_at = time.monotonic() - max(0.0, time.time() - since)  # 0 where the clock was set back
 
     @property
     def step(self) -> Step:
@@ -100,6 +104,14 @@ class Session:
         """Show the step on all pages."""
         for page in list(self.pages):
             await page.show()
+
+    async def begin_showing(self) -> None:
+        """Count the time of a trial from when it is shown first."""
+        if self.step["kind"] == "trial" and not self.held and not self.shown_at:
+            self.shown_at = time.monotonic()
+            trial = self.step["trial"].number
+            with contextlib.suppress(OSError):
+                await self.server.on_disk(lambda: self.server.store.add_shown(self.number, trial))
 
     async def finish(self, step_id: str, message: Mapping[str, Any]) -> None:
         """Take the answers of a step, into the database, and go on; a completed step is left as it is.
@@ -146,9 +158,10 @@ class Session:
             raise NotYetError("the operator holds this trial; your answer is kept here")
         min_s = self.server.design.rating.min_seconds
         shown_s = time.monotonic() - self.shown_at if self.shown_at else 0.0
-        # The page has counted on while the server was away.
-        if max(shown_s, message.get("seconds", 0.0)) < min_s - CLOCK_TOLERANCE_S:
+        if shown_s < min_s - CLOCK_TOLERANCE_S:  # by this clock: a page could say anything
             raise RefusedError(f"explore both surfaces for {min_s:g} s first")
+        if min_s and not self._log.summary()["contact_s"]:
+            raise RefusedError("stroke the virtual surface first")
 
     def _rated(self, message: Mapping[str, Any]) -> Rated:
         log = self._log.summary()
@@ -393,8 +406,8 @@ def checked_answers(questions: Sequence[Question], answers: Any) -> tuple[dict[s
         raise RefusedError("answers are no object")
     for question in questions:
         answer = answers.get(question.key, "")
-        if not isinstance(answer, str) or len(answer) > MAX_ANSWER_LENGTH:
-            raise RefusedError(f"{question.text}: expected up to {MAX_ANSWER_LENGTH} characters")
+        if not isinstance(answer, str) or len(answer) > MAX_ANSWER_LENGTH or not _is_text(answer):
+            raise RefusedError(f"{question.text}: expected up to {MAX_ANSWER_LENGTH} characters of text")
         answer = answer.strip()
         if not answer:
             if question.required:
@@ -406,6 +419,15 @@ def checked_answers(questions: Sequence[Question], answers: Any) -> tuple[dict[s
             raise RefusedError(f"{question.text}: {answer[:40]!r} is none of the choices")
         (private if question.private else public)[question.key] = answer
     return public, private
+
+
+def _is_text(text: str) -> bool:
+    """Whether a text can be stored: half of a surrogate pair cannot."""
+    try:
+        text.encode()
+    except UnicodeEncodeError:
+        return False
+    return True
 
 
 def _is_number(text: str) -> bool:

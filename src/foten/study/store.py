@@ -6,6 +6,7 @@ import contextlib
 import hashlib
 import json
 import sqlite3
+import time
 import zlib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
@@ -24,6 +25,7 @@ from foten.untrusted import check_regular
 
 BUSY_S = 10.0  # to wait for another writer
 FULL = ("SQLITE_FULL", "SQLITE_IOERR", "SQLITE_READONLY", "SQLITE_CANTOPEN")  # how errors of a disk are called
+HELD = ("SQLITE_BUSY", "SQLITE_LOCKED")  # and of another program that holds the file
 
 
 NO_CONDITIONS: NDArray[np.float64] = np.zeros((0, 2))
@@ -123,6 +125,8 @@ class Store(contextlib.AbstractContextManager["Store"]):
             if isinstance(error, sqlite3.OperationalError) and error.sqlite_errorname.startswith(FULL):
                 why = "the disk is full or cannot be written; what was there is there"
                 raise FullError(f"{self.path.name}: {why}") from error
+            if isinstance(error, sqlite3.OperationalError) and error.sqlite_errorname.startswith(HELD):
+                raise OSError(f"{self.path.name}: another program holds the file; what was there is there") from error
             raise
 
     def _execute(self, statement: str, *values: Any) -> sqlite3.Cursor:
@@ -239,6 +243,16 @@ class Store(contextlib.AbstractContextManager["Store"]):
         with self._writing():
             values = participant, trial, side, marked_by, now()
             self._execute(f"INSERT INTO switches ({columns}) VALUES (?, ?, ?, ?, ?)", *values)
+
+    def add_shown(self, participant: int, trial: int) -> None:
+        """Store that a trial is shown, the first time."""
+        with self._writing():
+            self._execute("INSERT OR IGNORE INTO shown VALUES (?, ?, ?)", participant, trial, time.time())
+
+    def shown(self, participant: int, trial: int) -> float | None:
+        """Since when a trial has been shown [s, the system's clock]; None where it has not."""
+        rows = self._rows("SELECT at FROM shown WHERE participant = ? AND trial = ?", participant, trial)
+        return float(rows[0]["at"]) if rows else None
 
     def switches(self, participant: int, trial: int) -> int:
         """How often a hand went over in a trial."""

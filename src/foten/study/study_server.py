@@ -56,6 +56,7 @@ class StudyServer:
         self.player: Callable[[float], Player] = (study.output or RoundRobinRenderer()).player
         self.link: Callable[..., str]  # by which the next device comes in, as `Access.link` gives it
         self.sessions: dict[int, Session] = {}
+        self._beginning = asyncio.Lock()
         self.pages: set[ParticipantPage] = set()
         self.operators: set[OperatorPage] = set()
         # One thread: SQLite waits for the disk, which the sound must not.
@@ -80,11 +81,12 @@ class StudyServer:
         code = code or "".join(secrets.choice(LETTERS) for _ in range(CODE_LETTERS))
         if len(code) != CODE_LETTERS or not set(code) <= set(LETTERS):
             raise RefusedError(f"join: fresh is {code[:40]!r}, expected {CODE_LETTERS} letters")
-        known = next((session for session in self.sessions.values() if session.code == code), None)
-        try:
-            return known or await self.on_disk(lambda: self._session(self.store.join(code), code))
-        except (ValueError, OSError) as error:
-            raise RefusedError(str(error)) from error
+        async with self._beginning:  # two pages may ask with one code
+            known = next((session for session in self.sessions.values() if session.code == code), None)
+            try:
+                return known or await self.on_disk(lambda: self._session(self.store.join(code), code))
+            except (ValueError, OSError) as error:
+                raise RefusedError(str(error)) from error
 
     def by_code(self, code: str) -> Session:
         """Session that a code names, or raise RefusedError."""
@@ -98,7 +100,7 @@ class StudyServer:
         self.link = partial(access.link, access.hosts[0])
         routes = [
             Route("/operator", self._operator),
-            Route("/pictures/{number:int}", self._picture),
+            Route("/pictures/{number}", self._picture),
             Route("/codes/{code}.svg", self._code),
             WebSocketRoute("/session", self._serve_page),
             WebSocketRoute("/operate", self._serve_operator),
@@ -119,7 +121,7 @@ class StudyServer:
         """Write what the disk had no room for, once it has."""
         while True:
             await asyncio.sleep(SAVE_AGAIN_S)
-            for session in self.sessions.values():
+            for session in list(self.sessions.values()):
                 if session.n_unsaved:
                     await session.save_strokes()
 
@@ -127,9 +129,9 @@ class StudyServer:
         return page_file(study_files(), request.path_params["name"] or "study.html")
 
     async def _picture(self, request: Request) -> Response:
-        number = request.path_params["number"]
-        textures = self.design.textures
-        path = textures[number].picture if number < len(textures) else None
+        textures, number = self.design.textures, request.path_params["number"]
+        known = dict(zip(map(str, range(len(textures))), textures, strict=True))
+        path = known[number].picture if number in known else None
         shown = path is not None and self.design.setup.show_names
         return FileResponse(path) if path is not None and shown else missing("there is no such picture here")
 
