@@ -189,7 +189,7 @@ def test_a_user_is_measured_in_a_browser(tmp_path: Path) -> None:
             page.on("console", lambda message: message.type == "error" and complaints.append(message.text))
             page.goto(link)
             page.wait_for_selector("html[data-ready]")
-            complaints += look(page, "adapt-start")
+            complaints += look(page, "adapt-start", ("tablet",))
             page.click("#go")
             for n in range(9):
                 until(
@@ -197,7 +197,7 @@ def test_a_user_is_measured_in_a_browser(tmp_path: Path) -> None:
                     "!document.querySelector('#lights button:disabled') && !document.querySelector('#tones').hidden",
                 )
                 if n == 3:
-                    complaints += look(page, "adapt-tones")
+                    complaints += look(page, "adapt-tones", ("phone",))
                 if n % 2:
                     page.keyboard.press("2")
                 else:
@@ -220,13 +220,13 @@ def test_a_user_is_measured_in_a_browser(tmp_path: Path) -> None:
                 page.mouse.up()
                 page.click("#choice [role=radio]:nth-child(2)")
                 if not n:
-                    complaints += look(page, "adapt-match")
+                    complaints += look(page, "adapt-match", ("phone", "desktop"))
                 page.click("#choose")
             until(page, "!document.querySelector('#stop').hidden", 30)
             page.click("#stop")
             until(page, "!document.querySelector('#end').hidden")
             until(page, "document.querySelector('#choice [aria-checked=true]')?.textContent === 'yours'", 30)
-            complaints += look(page, "adapt-end")
+            complaints += look(page, "adapt-end", ("phone", "desktop"))
             assert page.locator("#done").inner_text() == "Kept in ada.json"
             assert page.locator("#curve circle").count() == 5
     finally:

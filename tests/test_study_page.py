@@ -205,6 +205,10 @@ def test_nothing_is_chosen_before_someone_chooses_and_an_answer_is_kept_while_th
         page.focus(".scale input")
         page.keyboard.press("ArrowRight")
         assert page.get_attribute(".scale input", "aria-valuetext") == "51"
+        page.focus("#pad")
+        page.keyboard.down("ArrowRight")
+        page.wait_for_timeout(700)
+        page.keyboard.up("ArrowRight")
     until(page, "document.querySelector('#message').textContent.startsWith('No connection')")
     page.fill(".scale input", "83")
     until(page, "!document.querySelector('button.big').disabled")

@@ -73,7 +73,20 @@ def main() -> None:
             of_textures(context.new_page(), link)
         with tempfile.TemporaryDirectory() as folder, of_a_study(Path(folder)) as (operator, participants, *_):
             of_participants(context.new_page(), context.new_page(), operator, participants)
+        with tempfile.TemporaryDirectory() as folder:
+            profile = str(Path(folder) / "me.json")
+            with served("adapt", "--no-open", "--port", "0", "-o", profile) as (link, *_):
+                of_a_user(browser.new_context(viewport=SIZE, color_scheme="light").new_page(), link)
         browser.close()
+
+
+def of_a_user(page: Any, link: str) -> None:
+    """Three lights that were on."""
+    page.goto(link)
+    page.wait_for_selector("html[data-ready]")
+    page.click("#go")
+    page.wait_for_selector("#lights button:not([disabled])")
+    page.screenshot(path=PICTURES / "page-adapt.jpg", **FORM)
 
 
 def of_textures(page: Any, link: str) -> None:

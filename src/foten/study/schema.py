@@ -60,7 +60,7 @@ CREATE UNIQUE INDEX one_rating ON ratings (participant, trial) WHERE corrects IS
 CREATE UNIQUE INDEX one_correction ON ratings (corrects) WHERE corrects IS NOT NULL;
 CREATE TABLE strokes (
     participant INTEGER NOT NULL REFERENCES participants (number), trial INTEGER NOT NULL, part INTEGER NOT NULL,
-    at TEXT NOT NULL, events BLOB NOT NULL, block_ms REAL NOT NULL, conditions BLOB NOT NULL,
+    at TEXT NOT NULL, events BLOB NOT NULL, conditions BLOB NOT NULL,
     PRIMARY KEY (participant, trial, part)
 ) STRICT;
 CREATE TABLE switches (

@@ -7,7 +7,7 @@ import contextlib
 import math
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -32,6 +32,7 @@ if TYPE_CHECKING:
 MAX_ANSWER_LENGTH = 2000  # characters
 SAVE_STROKES_S = 1.0  # between two writings of a stroke
 CLOCK_TOLERANCE_S = 0.25  # by which a page's clock may be ahead of the server's
+MAX_APART_S = 0.25  # of two events of one contact: a pen at rest sends few
 MIN_CONTACT_N = 0.01  # of force, below which the pen does not count as in contact
 
 
@@ -63,8 +64,9 @@ class Session:
         step = self.step
         if step["kind"] == "trial":  # as it was before the server ended
             self.n_switches = server.store.switches(number, step["trial"].number)
-            self._log.earlier, self._log.earlier_block_ms = server.store.contact(number, step["trial"].number)
-            self._n_stored[step["trial"].number] = len(server.store.strokes(number, step["trial"].number))
+            self._log.earlier = server.store.conditions(number, step["trial"].number)
+            self._log.events = [server.store.strokes(number, step["trial"].number)]
+            self._n_stored[step["trial"].number] = len(self._log.events[0])
             since = server.store.shown(number, step["trial"].number)
             if since is not None and not self.held:
                 self.shown_at = time.monotonic() - max(0.0, time.time() - since)  # 0 where the clock was set back
@@ -205,6 +207,7 @@ class Session:
         if self.contact is not None:
             self.contact.push(events)
             self._of_trial(step["trial"]).events.append(events)
+            self._log.events.append(events)
             if time.monotonic() - self._saved_at > SAVE_STROKES_S:
                 await self.save_strokes()
 
@@ -219,9 +222,8 @@ class Session:
         unsaved = self._of_trial(trial)
         unsaved.events.append(events)
         unsaved.conditions.extend(conditions)
-        self._unsaved[trial.number] = replace(unsaved, block_ms=unsaved.block_ms or BLOCK_MS)
         self._log.conditions.extend(conditions)
-        self._log.earlier_block_ms = self._log.earlier_block_ms or BLOCK_MS
+        self._log.events.append(events)
 
     async def _open(self, page: ParticipantPage, trial: Trial) -> None:
         server, key = self.server, (trial.texture, trial.method)
@@ -242,8 +244,6 @@ class Session:
         except (OSError, ValueError) as error:
             raise RefusedError(f"nothing can be played: {error}") from error
         self._log.contacts.append(player.statistics)
-        unsaved = self._of_trial(trial)
-        self._unsaved[trial.number] = replace(unsaved, block_ms=player.statistics.block_ms)
         self.contact, self._page, self._saved_at = contact, page, time.monotonic()
 
     def _of_trial(self, trial: Trial) -> Unsaved:
@@ -256,19 +256,13 @@ class Session:
             events, conditions = unsaved.events, unsaved.conditions
             if not events and not conditions:
                 continue
-            self._unsaved[trial] = replace(unsaved, events=[], conditions=[])
-            part = (
-                np.concatenate([np.zeros((0, 4)), *events]),
-                np.array(list(conditions)).reshape(-1, 2),
-                unsaved.block_ms,
-            )
+            self._unsaved[trial] = Unsaved()
+            part = np.concatenate([np.zeros((0, 4)), *events]), np.array(list(conditions)).reshape(-1, 2)
             try:
                 await self.server.on_disk(partial(self.server.store.add_strokes, self.number, trial, *part))
             except OSError:
                 later = self._unsaved[trial]
-                self._unsaved[trial] = replace(
-                    later, events=events + later.events, conditions=conditions + later.conditions
-                )
+                self._unsaved[trial] = Unsaved(events + later.events, conditions + later.conditions)
                 continue
             self._n_stored[trial] = self._n_stored.get(trial, 0) + len(part[0])
             for page in [page for page in self.pages if page.strokes]:
@@ -319,29 +313,28 @@ class Unsaved:
 
     events: list[NDArray[np.float64]] = field(default_factory=list)
     conditions: list[tuple[float, float]] = field(default_factory=list)
-    block_ms: float = 0.0
 
 
 @dataclass
 class TrialLog:
     """A trial through all its contacts: a lost connection or a hold begins another contact."""
 
+    events: list[NDArray[np.float64]] = field(default_factory=list)  # of the pen
     conditions: list[tuple[float, float]] = field(default_factory=list)  # speed [mm/s], force [N] at each block's end
     contacts: list[LiveStatistics] = field(default_factory=list)
     earlier: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 2)))  # conditions before the server began
-    earlier_block_ms: float = 0.0
 
     def summary(self) -> dict[str, Any]:
-        """Seconds in contact; of them the 10th, 50th and 90th percentile of speed [mm/s] and force [N]; p99 of a block's
-        rendering [ms], blocks that came late, and under-runs.
+        """Seconds in contact, by the pen's own clock; of its blocks the 10th, 50th and 90th percentile of speed [mm/s] and
+        force [N]; p99 of a block's rendering [ms], blocks that came late, and under-runs.
         """
-        block, block_ms = Timing(), self.earlier_block_ms
+        block = Timing()
         for contact in self.contacts:
             block.counts += contact.block.counts
-            block.largest_s, block_ms = max(block.largest_s, contact.block.largest_s), contact.block_ms
+            block.largest_s = max(block.largest_s, contact.block.largest_s)
         every = np.concatenate([self.earlier, np.array(list(self.conditions)).reshape(-1, 2)])
         in_contact = every[every[:, 1] > MIN_CONTACT_N]
-        result: dict[str, Any] = {"contact_s": round(block_ms / 1000 * len(in_contact), 3)}
+        result: dict[str, Any] = {"contact_s": round(contact_s(np.concatenate([np.zeros((0, 4)), *self.events])), 3)}
         for name, values in zip(("speed_mm_s", "force_n"), in_contact.T, strict=True):
             for percent in (10, 50, 90):
                 result[f"{name}_p{percent}"] = round(float(np.percentile(values, percent)), 4) if values.size else None
@@ -353,6 +346,12 @@ class TrialLog:
             "n_underruns": sum(contact.n_underruns for contact in self.contacts),
             "n_contacts": len(self.contacts) + bool(len(self.earlier)),
         }
+
+
+def contact_s(events: NDArray[np.float64]) -> float:
+    """Seconds that a pen was on the surface: between events (n, 4) that are no further apart than those of a pen."""
+    apart = np.diff(events[:, 3])
+    return float(apart[(events[:-1, 2] > 0) & (apart > 0) & (apart <= MAX_APART_S)].sum())
 
 
 def conditions_of(

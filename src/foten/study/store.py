@@ -260,36 +260,29 @@ class Store(contextlib.AbstractContextManager["Store"]):
         return int(rows[0][0])
 
     def add_strokes(
-        self,
-        participant: int,
-        trial: int,
-        events: NDArray[np.float64],
-        conditions: NDArray[np.float64] = NO_CONDITIONS,
-        block_ms: float = 0.0,
+        self, participant: int, trial: int, events: NDArray[np.float64], conditions: NDArray[np.float64] = NO_CONDITIONS
     ) -> None:
         """Store a part of a trial's contact.
 
         Args:
             events: of the pen: x, y [mm], pressure, t [s], shape (n, 4).
             conditions: speed [mm/s] and force [N] at the end of each rendered block, shape (k, 2).
-            block_ms: length of a block.
         """
         packed = (_packed(array) for array in (events, conditions))
         with self._writing():
             self._execute(
-                "INSERT INTO strokes SELECT ?, ?, coalesce(max(part) + 1, 0), ?, ?, ?, ? FROM strokes "
+                "INSERT INTO strokes SELECT ?, ?, coalesce(max(part) + 1, 0), ?, ?, ? FROM strokes "
                 "WHERE participant = ? AND trial = ?",
-                *(participant, trial, now(), next(packed), block_ms, next(packed), participant, trial),
+                *(participant, trial, now(), *packed, participant, trial),
             )
 
     def strokes(self, participant: int, trial: int) -> NDArray[np.float64]:
         """Events of a trial: x, y [mm], pressure, t [s], shape (n, 4)."""
         return _unpacked([row["events"] for row in self._strokes(participant, trial)], 4)
 
-    def contact(self, participant: int, trial: int) -> tuple[NDArray[np.float64], float]:
-        """Speed [mm/s] and force [N] of each rendered block of a trial so far, (k, 2), and a block's length [ms]."""
-        rows = self._strokes(participant, trial)
-        return _unpacked([row["conditions"] for row in rows], 2), max((row["block_ms"] for row in rows), default=0.0)
+    def conditions(self, participant: int, trial: int) -> NDArray[np.float64]:
+        """Speed [mm/s] and force [N] at the end of each rendered block of a trial so far, (k, 2)."""
+        return _unpacked([row["conditions"] for row in self._strokes(participant, trial)], 2)
 
     def _strokes(self, participant: int, trial: int) -> list[sqlite3.Row]:
         return self._rows("SELECT * FROM strokes WHERE participant = ? AND trial = ? ORDER BY part", participant, trial)
