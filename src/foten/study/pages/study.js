@@ -409,10 +409,9 @@ class Study {
     this.waiting.push([x, y, pressure, t]);
     if (this.waiting.length > 1) return;
     queueMicrotask(() => {
-      if (this.socket?.readyState === WebSocket.OPEN) {
-        if (this.unstored.id === this.step?.id) this.unstored.events.push(...this.waiting);
+      if (this.unstored.id === this.step?.id) this.unstored.events.push(...this.waiting); // also while the server is away
+      if (this.socket?.readyState === WebSocket.OPEN)
         for (let i = 0; i < this.waiting.length; i += MOST_AT_ONCE) this.socket.send(Float64Array.from(this.waiting.slice(i, i + MOST_AT_ONCE).flat()));
-      }
       this.waiting = [];
     });
   }
