@@ -15,8 +15,8 @@ from foten.editing.user import MOVES, TONES_HZ, UserProfile, adapted, equal_stre
 from foten.models.texture_file import read_texture
 from foten.runtime.actuator import ActuatorProfile, write_profile
 from foten.runtime.renderer import EXAMPLE
-from foten.studio.adapt.adapt_server import largest_tones_db, reachable
-from foten.studio.adapt.session import Limits, Question, Session, answered_by
+from foten.studio.adapt_server import largest_tones_db, reachable
+from foten.studio.adapt_session import Limits, Question, Session, answered_by
 
 TOWEL = EXAMPLE.parent / "towel.foten"
 GAINS = UserProfile("Ada", gain_db=(6.0, 3.0, 0.0, 0.0, -6.0), gain_sd_db=(1.0,) * 5)

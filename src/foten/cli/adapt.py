@@ -54,8 +54,8 @@ def adapt(
     from foten.editing.user import UserProfile, read_user
     from foten.models.texture_file import read_texture
     from foten.runtime.actuator import read_profile
-    from foten.studio.adapt.adapt_server import AdaptServer, largest_tones_db, reachable
-    from foten.studio.adapt.session import FULL_RANGES, Session
+    from foten.studio.adapt_server import AdaptServer, largest_tones_db, reachable
+    from foten.studio.adapt_session import FULL_RANGES, Session
     from foten.studio.web_server import serve as serve_page
 
     if output.suffix != ".json":

@@ -23,12 +23,12 @@ from foten.editing.user import MOVES, TONES_HZ, UserProfile, adapted, equal_stre
 from foten.models.texture_file import Texture
 from foten.runtime.actuator import ActuatorProfile
 from foten.studio.access import Access, Guarded
-from foten.studio.adapt.session import FULL_RANGES, Question, Session
+from foten.studio.adapt_session import FULL_RANGES, Question, Session
 from foten.studio.page_files import page_files
 from foten.studio.studio_server import missing, page_file
 from foten.untrusted import parse_json
 
-PAGES = Path(__file__).with_name("pages")
+PAGES = Path(__file__).with_name("adapt_pages")
 MAX_BODY = 1000  # bytes of an answer
 MIN_ROUGHER_DB = 0.3  # of the envelope: what can be changed by less is left out
 VOLUMES_DB = (-40.0, 12.0)

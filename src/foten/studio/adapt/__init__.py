@@ -1,1 +1,0 @@
-"""A user's thresholds, gains and likings, measured on a page."""
