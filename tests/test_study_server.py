@@ -21,10 +21,12 @@ from starlette.websockets import WebSocketDisconnect
 
 from foten.models.texture_file import read_texture, write_texture
 from foten.runtime.renderer import EXAMPLE
+from foten.runtime.stylus import PressureCalibration
 from foten.study import store as store_module
 from foten.study.design import study_text
 from foten.study.loading import load_study
 from foten.study.page_sockets import ELSEWHERE
+from foten.study.session import conditions_of
 from foten.study.store import FullError, Store
 from foten.study.study_server import OPERATOR, OPERATOR_COOKIE, StudyServer, study_files
 from test_studio_server import HERE, LOCAL, WS
@@ -367,6 +369,20 @@ def test_contact_before_a_restart_counts_too(tmp_path: Path) -> None:
         assert row["measured"]["contact_s"] == pytest.approx(before, abs=0.02)  # a block or two are in the air
         assert row["measured"]["n_contacts"] == 1
         assert store.strokes(1, 1).shape == (50, 4)
+
+
+def test_events_that_are_sent_again_have_the_speed_and_force_of_a_stroke_and_no_end_of_time() -> None:
+    """100 mm/s at the paper's force of a pressure of 0.5; a day between two events is no stroke of a day."""
+    t = np.arange(64) / 120
+    events = np.stack([100 * t, 0 * t, 0.5 + 0 * t, 7.0 + t], axis=1)
+    conditions = np.array(conditions_of(events, EXAMPLE.read_bytes(), PressureCalibration()))
+    assert len(conditions) == pytest.approx(1000 * t[-1] / 8, abs=2)
+    speed, force = conditions[len(conditions) // 2 :].mean(axis=0)
+    assert speed == pytest.approx(100, rel=0.05)
+    assert force == pytest.approx(0.13 * np.exp(3.32 * 0.5), rel=0.05)
+    events[32:, 3] += 86_400.0
+    assert len(conditions_of(events, EXAMPLE.read_bytes(), PressureCalibration())) < 120
+    assert len(conditions_of(events[::-1], EXAMPLE.read_bytes(), PressureCalibration())) == 1
 
 
 def test_strokes_wait_for_room_on_the_disk_and_the_operator_sees_it(tmp_path: Path) -> None:

@@ -212,7 +212,7 @@ class Session:
                 await self.save_strokes()
 
     async def push_missed(self, page: ParticipantPage, events: NDArray[np.float64]) -> None:
-        """Take in events that were rendered by a server that was killed before it stored them: stored, not rendered again."""
+        """Take in events that a server did not store before it was killed, or that fell into its absence: not rendered."""
         step = self.step
         if step["kind"] != "trial":
             return
@@ -357,13 +357,18 @@ def contact_s(events: NDArray[np.float64]) -> float:
 def conditions_of(
     events: NDArray[np.float64], texture: bytes, calibration: PressureCalibration
 ) -> list[tuple[float, float]]:
-    """Speed [mm/s] and force [N] at the end of each block of events (n, 4), as a rendering of them would have had."""
+    """Speed [mm/s] and force [N] at the end of each block of events (n, 4), as a rendering of them would have had.
+
+    What lies further apart than events of one contact is moved together: a page may send any times.
+    """
     renderer = Renderer(texture)
     stylus, per_block = Stylus(renderer, calibration), max(1, round(BLOCK_MS / 1000 * renderer.texture_rate))
-    times, conditions, n = events[:, 3] - events[0, 3], [], 0
+    times = np.append(0.0, np.cumsum(np.clip(np.diff(events[:, 3]), 0.0, MAX_APART_S)))
+    conditions, n = [], 0
     for k in range(math.ceil(float(times[-1]) / BLOCK_MS * 1000) + 1):
         while n < len(events) and times[n] <= k * BLOCK_MS / 1000:
-            stylus.push(*events[n].tolist())
+            x, y, pressure = events[n, :3].tolist()
+            stylus.push(x, y, pressure, float(times[n]))
             n += 1
         conditions.append([stylus.next_condition() for _ in range(per_block)][-1])
     return conditions
