@@ -21,7 +21,7 @@ pytest.importorskip("statsmodels")
 from foten.cli.command_line import _status
 from foten.datasets.importing import read_stroke
 from foten.runtime.stroke import tabled_stroke
-from foten.study.store import Store
+from foten.study.store import Store, Stroked
 from test_study_server import study_file
 
 STUDY = [sys.executable, "-c", "from foten.cli import main; main()", "study"]
@@ -64,7 +64,7 @@ def test_from_texture_files_to_a_report_without_anyone(tmp_path: Path) -> None:
     assert not (tmp_path / "r").exists()
     foten("backup", database, "-o", tmp_path / "copy.db")
     with Store(database) as store:
-        store.add_strokes(1, 3, np.array([[0.4 * k, 0.0, 0.5, 7.0 + 0.005 * k] for k in range(100)]))
+        store.add_strokes(1, 3, [Stroked(0, np.array([[0.4 * k, 0.0, 0.5, 7.0 + 0.005 * k] for k in range(100)]))])
     strokes = ("strokes", database, "--participant", "1", "-o", tmp_path / "stroke.csv")
     assert "100 events, 0.5 s" in foten(*strokes, "--trial", "3")
     stroke = tabled_stroke(read_stroke(tmp_path / "stroke.csv", {}), 1000.0)

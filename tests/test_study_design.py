@@ -35,7 +35,7 @@ def test_a_new_study_file_reads_back(study: Path) -> None:
     assert [texture.key for texture in design.textures] == ["mesh", "my towel"]
     assert design.methods == ("ar", "foten")
     assert design.textures[0].files["ar"] == study.parent / "mesh-ar.foten"
-    assert design.rating.min_seconds == 3.0
+    assert design.task.min_seconds == 3.0
     assert [(q.private, q.at) for q in design.questions] == 4 * [(True, "start")] + [(False, "end")]
     assert text == study.read_text(encoding="utf-8")
 

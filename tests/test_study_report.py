@@ -29,7 +29,7 @@ def database(path: Path, n: int, methods: int, textures: int, simulated: bool = 
         for i in range(n):
             number = store.join(f"C{i}")
             rated = {
-                f"trial:{trial.number}": Rated(float(ratings[i, trial.method, trial.texture]), 4.0)
+                f"trial:{trial.number}": Rated({"similarity": float(ratings[i, trial.method, trial.texture])}, 4.0)
                 for trial in store.trials(number)
             }
             store.take_steps(number, rated)

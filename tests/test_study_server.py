@@ -108,7 +108,7 @@ class Page:
         """Do what the step asks for."""
         kind = self.step["kind"]
         if kind == "trial":
-            return self.done(rating=rating, seconds=2.5, underruns=0)
+            return self.done(values={"similarity": rating}, seconds=2.5, underruns=0)
         if kind == "questions":
             given = {
                 q["key"]: {"number": "30", "choice": (q["options"] or [""])[0]}.get(q["kind"], "fine")
@@ -213,13 +213,13 @@ def test_an_answer_that_is_said_again_counts_once(tmp_path: Path) -> None:
     server = server_of(study_file(tmp_path, practice="0"))
     with joined(server) as page:
         page.to_trial()
-        page.done(rating=40.0)
-        page.say(do="done", step="trial:1", rating=90.0)  # the page did not learn that it was taken
+        page.done(values={"similarity": 40.0})
+        page.say(do="done", step="trial:1", values={"similarity": 90.0})  # the page did not learn that it was taken
         assert page.until("step", "refused")["step"]["id"] == "trial:2"
-        page.say(do="done", step="trial:4", rating=90.0)
+        page.say(do="done", step="trial:4", values={"similarity": 90.0})
         assert "it is the turn of trial:2" in page.until("step", "refused")["refused"]
         page.say(do="done", step="trial:2")
-        assert "rating is missing" in page.until("step", "refused")["refused"]
+        assert "values are None, expected similarity" in page.until("step", "refused")["refused"]
     assert [row["rating"] for row in server.store.ratings()] == [40.0]
 
 
@@ -252,7 +252,7 @@ def test_two_screens_are_joined_by_a_code_and_the_operator_lets_trials_begin(tmp
         assert (one["held"], one["pages"]) == (True, ["answer", "stroke"])
         assert one["texture"] in NAMES
         assert "method" not in one
-        assert "the operator holds this trial" in screen.done(rating=5.0)["refused"]
+        assert "the operator holds this trial" in screen.done(values={"similarity": 5.0})["refused"]
         operate(do="go", number=1)
         assert not tablet.until("step")["step"]["held"]
         assert not screen.until("step")["step"]["held"]
@@ -288,11 +288,11 @@ def test_a_trial_lasts_as_long_as_the_study_asks_and_goes_on_after_a_restart_wit
         code, step_id = page.code, page.step["id"]
     with joined(server_of(path), code=code.lower()) as page:
         assert page.step["id"] == step_id
-        refused = page.done(rating=5.0, seconds=99.0)
+        refused = page.done(values={"similarity": 5.0}, seconds=99.0)
         assert "explore both surfaces for 3 s first" in refused["refused"]
         assert (refused["step"], refused["again"]) == ("trial:1", False)
         time.sleep(max(0.0, begin + 2.9 - time.monotonic()))
-        page.done(rating=44.0, seconds=0.1)
+        page.done(values={"similarity": 44.0}, seconds=0.1)
         assert page.step["id"] == "trial:2"
     with Store(tmp_path / "study.db") as store:
         (row,) = store.ratings()
@@ -304,9 +304,9 @@ def test_a_trial_that_was_not_stroked_is_not_rated(tmp_path: Path) -> None:
     with joined(server, rate_hz=8000) as page:
         page.to_trial()
         time.sleep(0.3)
-        assert page.done(rating=5.0, seconds=99.0)["refused"] == "stroke the virtual surface first"
+        assert page.done(values={"similarity": 5.0}, seconds=99.0)["refused"] == "stroke the virtual surface first"
         page.stroke_until_it_sounds()
-        page.done(rating=5.0)
+        page.done(values={"similarity": 5.0})
         assert page.step["id"] == "trial:2"
 
 

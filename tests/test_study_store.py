@@ -18,7 +18,7 @@ import pytest
 from foten import __version__
 from foten.study.orders import orders
 from foten.study.schema import VERSION, Stimulus, create
-from foten.study.store import FullError, Rated, Store
+from foten.study.store import FullError, Rated, Store, Stroked
 
 TEXTURES, METHODS = 3, 2
 SECOND_RATING = (
@@ -51,15 +51,15 @@ def test_orders_and_stimuli_are_there_before_anyone_comes_and_are_not_written_ov
 
 def test_a_step_is_stored_once(store: Store) -> None:
     number = store.join("KXWQA")
-    rated = 3, Rated(62.0, 12.5, 4, {"contact_s": 9.0})
+    rated = 3, Rated({"similarity": 62.0}, 12.5, 4, {"contact_s": 9.0})
     assert store.take_step(number, "trial:3", rated)
-    assert not store.take_step(number, "trial:3", (3, Rated(10.0)))
+    assert not store.take_step(number, "trial:3", (3, Rated({"similarity": 10.0})))
     (row,) = store.ratings()
     assert (row["rating"], row["response_s"], row["switches"], row["measured"]) == (62.0, 12.5, 4, {"contact_s": 9.0})
     digest = f"{row['texture']}{row['method']}" * 8
     assert (row["software"], row["simulated"], row["sha256"]) == (__version__, 0, digest)
     assert store.done(number) == {"trial:3"}
-    store.take_step(number, "trial:0", (0, Rated(50.0)))  # practice, which is stored and not analysed
+    store.take_step(number, "trial:0", (0, Rated({"similarity": 50.0})))  # practice, which is stored and not analysed
     assert len(store.ratings()) == store.counts()[number]["n"] == 1
     assert store.check() == []
 
@@ -75,7 +75,7 @@ def test_codes_and_numbers_are_given_once(store: Store) -> None:
 
 def test_ratings_are_only_added_and_corrected_by_new_rows(store: Store) -> None:
     number = store.join("A")
-    store.take_step(number, "trial:1", (1, Rated(62.0)))
+    store.take_step(number, "trial:1", (1, Rated({"similarity": 62.0})))
     for statement in ("UPDATE ratings SET rating = 0", "DELETE FROM ratings", "UPDATE trials SET method = 0"):
         with pytest.raises(sqlite3.IntegrityError, match="only added to"):
             store._connection.execute(statement)
@@ -100,7 +100,7 @@ def test_ratings_are_only_added_and_corrected_by_new_rows(store: Store) -> None:
 def test_simulated_and_real_ratings_do_not_mix(tmp_path: Path, store: Store) -> None:
     simulated = Store(made(tmp_path / "simulated.db", simulated=True))
     number = simulated.join("A")
-    simulated.take_step(number, "trial:1", (1, Rated(5.0)))
+    simulated.take_step(number, "trial:1", (1, Rated({"similarity": 5.0})))
     assert simulated.ratings()[0]["simulated"] == 1
     for one, kind in ((store, 1), (simulated, 0)):
         with pytest.raises(sqlite3.IntegrityError, match="do not go into one file"):
@@ -122,8 +122,8 @@ def test_what_people_say_of_themselves_lies_apart(store: Store) -> None:
 def test_strokes_come_back_as_they_went_in(store: Store) -> None:
     number = store.join("A")
     events = np.random.default_rng(0).normal(size=(500, 4))
-    store.add_strokes(number, 1, events[:200])
-    store.add_strokes(number, 1, events[200:])
+    store.add_strokes(number, 1, [Stroked(0, events[:200])])
+    store.add_strokes(number, 1, [Stroked(0, events[200:])])
     np.testing.assert_array_equal(store.strokes(number, 1), events)
     assert store.strokes(number, 2).shape == (0, 4)
 
@@ -134,9 +134,9 @@ def filled(store: Store) -> list[int]:
         answers, private = {"q": f"SECRET-{number}"}, {"age": f"PRIVATE-{number}"}
         store.take_step(number, "questions:start", answers=answers, private=private)
         for trial in range(1, 7):
-            store.add_strokes(number, trial, np.full((50, 4), float(number)))
+            store.add_strokes(number, trial, [Stroked(0, np.full((50, 4), float(number)))])
             store.add_switch(number, trial, "real", "operator")
-            rated = Rated(10.0 * number, 3.0, 1, {"note": f"MEASURED-{number}"})
+            rated = Rated({"similarity": 10.0 * number}, 3.0, 1, {"note": f"MEASURED-{number}"})
             store.take_step(number, f"trial:{trial}", (trial, rated))
     return numbers
 
@@ -173,7 +173,7 @@ def test_a_backup_while_it_is_written_to_is_whole_and_one_file(tmp_path: Path, s
     other = Store(store.path)
     number = other.join("LATER")
     for trial in (1, 2):
-        other.take_step(number, f"trial:{trial}", (trial, Rated(1.0)))
+        other.take_step(number, f"trial:{trial}", (trial, Rated({"similarity": 1.0})))
         path = tmp_path / f"copy{trial}.db"
         assert store.backup(path) == 18 + trial
         assert path.read_bytes()[18:20] == b"\1\1"  # no write-ahead log, without which it could not be opened
@@ -213,15 +213,15 @@ def no_bytes(store: Store) -> Iterator[None]:
 @pytest.mark.parametrize(("refuses", "code"), [(no_pages, "SQLITE_FULL"), (no_bytes, "SQLITE_IOERR_WRITE")])
 def test_a_disk_that_takes_no_more_is_said_and_nothing_is_lost(store: Store, refuses: Any, code: str) -> None:
     number = store.join("A")
-    store.take_step(number, "trial:1", (1, Rated(62.0)))
+    store.take_step(number, "trial:1", (1, Rated({"similarity": 62.0})))
     events = np.random.default_rng(0).normal(size=(9000, 4))
     message = "the disk is full or cannot be written; what was there is there"
     with refuses(store), pytest.raises(FullError, match=message) as full:
-        store.add_strokes(number, 2, events)
+        store.add_strokes(number, 2, [Stroked(0, events)])
     assert full.value.__cause__.sqlite_errorname == code  # type: ignore[union-attr]
     assert [row["rating"] for row in store.ratings()] == [62.0]
-    assert store.take_step(number, "trial:2", (2, Rated(30.0)))
-    store.add_strokes(number, 2, events)
+    assert store.take_step(number, "trial:2", (2, Rated({"similarity": 30.0})))
+    store.add_strokes(number, 2, [Stroked(0, events)])
     assert store.check() == []
 
 
@@ -236,7 +236,7 @@ def test_a_newer_database_and_no_database_are_refused_in_a_line(tmp_path: Path, 
     connection = sqlite3.connect(store.path)
     connection.execute(f"PRAGMA user_version = {VERSION + 1}")
     connection.close()
-    with pytest.raises(ValueError, match=r"is of version 3, and this foten knows up to 2: update foten"):
+    with pytest.raises(ValueError, match=r"is of version 4, and this foten knows up to 3: update foten"):
         Store(store.path)
     (tmp_path / "text.db").write_text("hello " * 1000)
     with pytest.raises(ValueError, match="is no study of foten, or is damaged"):
@@ -252,7 +252,7 @@ def _writes_for_ever(path: str, said: object) -> None:
     store = Store(Path(path))
     number = store.join("KILL")
     for trial in range(1, 7):
-        store.take_step(number, f"trial:{trial}", (trial, Rated(float(trial))))
+        store.take_step(number, f"trial:{trial}", (trial, Rated({"similarity": float(trial)})))
         said.send(trial)  # type: ignore[attr-defined]
         time.sleep(0.01)
 

@@ -12,12 +12,18 @@ from string import Template
 from typing import Any
 
 from foten.models.texture_file import read_texture
+from foten.study.orders import conditions
 from foten.untrusted import check_regular
 
 WHEN = ("start", "end")
 KINDS = ("text", "number", "choice", "slider")
-SIDES = ("left", "right")
+SIDES = ("left", "right", "none")
 ORDERS = ("balanced", "random")
+CHOICES = {"paired": ("A", "B"), "abx": ("A", "B"), "oddity": ("1", "2", "3"), "threshold": ("1", "2", "3")}
+TASKS = ("rating", *CHOICES)
+FEEDBACK = ("none", "practice", "all")
+MEASURES = ("detection", "difference")
+CHOICE = "choice"  # key of an answer that is one of several
 MAX_PARTICIPANTS, MAX_TRIALS = 1000, 2000
 MAX_TEXT_LENGTH = 8000  # characters
 TEMPLATE = Path(__file__).with_name("new_study.toml")
@@ -28,13 +34,39 @@ Then say how similar they are. There are no wrong answers."""
 
 
 @dataclass(frozen=True)
-class Rating:
-    """The scale on which a participant answers."""
+class Scale:
+    """A scale of 0 to 100 on which a participant answers."""
 
+    key: str
+    question: str
+    lowest: str  # 0
+    highest: str  # 100
+
+
+@dataclass(frozen=True)
+class Task:
+    """What a participant does in a trial.
+
+    - rating: one surface, on one scale or several.
+    - paired: two methods of a texture: which is nearer to the real surface?
+    - abx: two methods and X, which is one of both: which?
+    - oddity: three surfaces, one of them by another method: which?
+    - threshold: three surfaces; one vibrates, or vibrates more, at a level that follows the answers.
+    """
+
+    kind: str = "rating"
     question: str = "How similar are the virtual and the real surface?"
     lowest: str = "completely different"  # 0
     highest: str = "completely the same"  # 100, as in Sec. VII
     min_seconds: float = 0.0  # of a trial, before an answer is taken
+    repeats: int = 1  # of each comparison
+    feedback: str = "practice"  # whether the answer was right, where one is
+    measures: str = "detection"  # of a threshold: or the difference in level that is just noticeable
+    answers: int = 25  # to each threshold
+    low_db: float = (
+        -60.0
+    )  # of what a threshold's trials play: re the recorded level, or of the increment re the pedestal
+    high_db: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -105,7 +137,8 @@ class Design:
     match_levels: bool = True  # methods of a texture are played equally loud
     instructions: str = INSTRUCTIONS
     consent: str = ""  # nothing is asked for without
-    rating: Rating = field(default_factory=Rating)
+    task: Task = field(default_factory=Task)
+    scales: tuple[Scale, ...] = ()  # of the task `rating`; none for the one of similarity
     setup: Setup = field(default_factory=Setup)
     output: Output = field(default_factory=Output)
     noise: Noise | None = None
@@ -117,9 +150,27 @@ class Design:
         return tuple(self.textures[0].files)
 
     @property
+    def repeats(self) -> int:
+        """How often each condition of a texture is asked."""
+        return self.task.answers if self.task.kind == "threshold" else self.task.repeats
+
+    @property
     def n_trials(self) -> int:
         """Number of a participant's trials that count."""
-        return len(self.textures) * len(self.methods)
+        return len(self.textures) * len(conditions(self.task.kind, len(self.methods), self.repeats))
+
+    @property
+    def asked(self) -> tuple[Scale, ...]:
+        """Scales of a trial; none where one of several surfaces is chosen."""
+        task = self.task
+        if task.kind != "rating":
+            return ()
+        return self.scales or (Scale("similarity", task.question, task.lowest, task.highest),)
+
+    @property
+    def real_side(self) -> str:
+        """Where the real surface lies; nowhere for a task that is about virtual ones alone."""
+        return self.setup.real_side if self.task.kind in ("rating", "paired") else "none"
 
 
 def read_design(path: Path) -> tuple[Design, str]:
@@ -143,18 +194,19 @@ def read_design(path: Path) -> tuple[Design, str]:
 
 def _design(document: Mapping[str, Any], folder: Path) -> Design:
     tables = dict(document)
-    textures, questions = tables.pop("textures", {}), tables.pop("questions", [])
-    if not isinstance(textures, dict) or not isinstance(questions, list):
-        raise ValueError("expected tables [textures.KEY] and [[questions]]")
+    textures, questions, scales = tables.pop("textures", {}), tables.pop("questions", []), tables.pop("scales", [])
+    if not isinstance(textures, dict) or not isinstance(questions, list) or not isinstance(scales, list):
+        raise ValueError("expected tables [textures.KEY], [[questions]] and [[scales]]")
     parts: dict[str, Any] = {
         name: _filled(kind, tables.pop(name), f"[{name}]", folder)
-        for name, kind in {"rating": Rating, "setup": Setup, "output": Output, "noise": Noise}.items()
+        for name, kind in {"task": Task, "setup": Setup, "output": Output, "noise": Noise}.items()
         if name in tables
     }
     parts["textures"] = tuple(_texture(key, table, folder) for key, table in textures.items())
     parts["questions"] = tuple(
         _filled(Question, table, f"question {i + 1}", folder) for i, table in enumerate(questions)
     )
+    parts["scales"] = tuple(_filled(Scale, table, f"scale {i + 1}", folder) for i, table in enumerate(scales))
     design: Design = _filled(Design, tables, "the study", folder, **parts)
     _check(design)
     return design
@@ -218,8 +270,8 @@ def _converted(value: Any, type_names: list[str], folder: Path) -> Any:
 def _check(design: Design) -> None:
     if len(design.textures) < 1:
         raise ValueError("there is no texture, expected [textures.KEY] for each")
-    methods = design.methods
-    if len(methods) < 2:
+    methods, task = design.methods, design.task
+    if len(methods) < 2 and task.kind != "threshold":
         raise ValueError(f"texture {design.textures[0].key} has {len(methods)} method, expected two or more to compare")
     for texture in design.textures:
         if set(texture.files) != set(methods):
@@ -231,13 +283,20 @@ def _check(design: Design) -> None:
     _check_different([texture.name for texture in design.textures], "textures with one name")
     _check_different(list(methods), "methods with one name")
     _check_different([question.key for question in design.questions], "questions with one key")
+    _check_different([scale.key for scale in design.scales], "scales with one key")
+    if design.scales and task.kind != "rating":
+        raise ValueError(f"there are [[scales]], and the task is {task.kind}: they belong to the task rating")
     bounds: dict[str, tuple[float, float, float]] = {
         "participants": (design.participants, 1, MAX_PARTICIPANTS),
         "trials": (design.n_trials, 2, MAX_TRIALS),
         "seed": (design.seed, 0, 2**63 - 1),
         "practice": (design.practice, 0, design.n_trials),
         "break_every": (design.break_every, 0, MAX_TRIALS),
-        "min_seconds": (design.rating.min_seconds, 0, 600),
+        "min_seconds": (task.min_seconds, 0, 600),
+        "repeats": (task.repeats, 1, 100),
+        "answers": (task.answers, 8, 200),
+        "low_db": (task.low_db, -90, task.high_db - 4),
+        "high_db": (task.high_db, -86, 24),
         "screens": (design.setup.screens, 1, 2),
         "volume_db": (design.output.volume_db, -60, 24),
     }
@@ -246,9 +305,15 @@ def _check(design: Design) -> None:
     for name, (value, low, high) in bounds.items():
         if not low <= value <= high:
             raise ValueError(f"{name} is {value:g}, expected {low:g} to {high:g}")
-    for name, text, choices in (("order", design.order, ORDERS), ("real_side", design.setup.real_side, SIDES)):
+    chosen = {"order": (design.order, ORDERS), "real_side": (design.setup.real_side, SIDES)}
+    chosen |= {
+        "task: kind": (task.kind, TASKS),
+        "feedback": (task.feedback, FEEDBACK),
+        "measures": (task.measures, MEASURES),
+    }
+    for name, (text, choices) in chosen.items():
         if text not in choices:
-            raise ValueError(f"{name} is {text!r:.40}, expected {' or '.join(choices)}")
+            raise ValueError(f"{name} is {text!r:.40}, expected {', '.join(choices[:-1])} or {choices[-1]}")
     for question in design.questions:
         _check_question(question, design.n_trials)
     files = [file for texture in design.textures for file in texture.files.values()]
@@ -285,7 +350,7 @@ def study_text(title: str, textures: Mapping[str, Mapping[str, str]], participan
         lines += ['real = ""               # which sample the operator lays down', f"[textures.{key}.methods]"]
         lines += [f"{_key(method)} = {_quoted(file)}" for method, file in files.items()]
     values = {"title": _quoted(title), "participants": participants, "seed": seed, "instructions": INSTRUCTIONS}
-    values |= {name: _quoted(getattr(Rating, name)) for name in ("question", "lowest", "highest")}
+    values |= {name: _quoted(getattr(Task, name)) for name in ("question", "lowest", "highest")}
     return Template(TEMPLATE.read_text(encoding="utf-8")).substitute(values) + "\n".join(lines) + "\n"
 
 

@@ -6,26 +6,65 @@ Source: Williams, Australian Journal of Scientific Research A 2, 149 (1949).
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import combinations
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 Rows = NDArray[np.int64]
+Condition = tuple[int, int | None]  # a method, and another one that it is compared with
+Presentation = tuple[bool, int]  # whether both methods change places, and the target
+
+# What a trial of each kind of task holds, as often as one another.
+PRESENTATIONS: dict[str, tuple[Presentation, ...]] = {
+    "rating": ((False, 0),),
+    "paired": ((False, 0), (True, 0)),
+    "abx": ((False, 0), (False, 1), (True, 0), (True, 1)),
+    "oddity": tuple((swapped, target) for swapped in (False, True) for target in range(3)),
+    "threshold": tuple((False, target) for target in range(3)),
+}
 
 
 @dataclass(frozen=True)
 class Trial:
-    """A comparison of a participant."""
+    """A question to a participant: a texture by one method, or by two that are compared.
+
+    Of ABX the target is which of both X is; of an oddity and of a threshold in which interval the other one is.
+    """
 
     number: int  # from 1; practice trials are 0 and below
     texture: int
     method: int
+    other: int | None = None
+    target: int = 0
 
     @property
     def practice(self) -> bool:
         """Whether it does not count."""
         return self.number < 1
+
+    def intervals(self, task: str) -> tuple[int, ...]:
+        """Methods of what is stroked, in the order shown."""
+        pair = self.method, self.method if self.other is None else self.other
+        if task == "paired":
+            return pair
+        if task == "abx":
+            return (*pair, pair[self.target])
+        if task in ("oddity", "threshold"):
+            return tuple(pair[i == self.target] for i in range(3))
+        return (self.method,)
+
+
+def conditions(task: str, n_methods: int, repeats: int = 1) -> list[Condition]:
+    """What a participant judges on each texture: methods, or pairs of them."""
+    methods = range(n_methods)
+    asked: list[Condition] = [(method, None) for method in methods]
+    if task in ("paired", "abx", "oddity"):
+        asked = [*combinations(methods, 2)]
+    return repeats * asked
 
 
 def williams(k: int) -> Rows:
@@ -38,27 +77,58 @@ def williams(k: int) -> Rows:
 
 
 def orders(
-    n_participants: int, n_textures: int, n_methods: int, seed: int, practice: int, order: str
+    n_participants: int,
+    n_textures: int,
+    n_methods: int,
+    seed: int,
+    practice: int,
+    order: str,
+    task: str = "rating",
+    repeats: int = 1,
 ) -> list[list[Trial]]:
     """Trials of each participant, practice first.
 
     Args:
-        n_textures, n_methods: each texture with each method is a trial.
+        n_textures, n_methods: each texture with each method, or each pair of them, is a trial.
         seed: of everything that is drawn.
         practice: how many trials come before, drawn from the same.
-        order: "balanced", or "random" for a permutation drawn for each participant, as in Sec. VII.
+        order: "balanced", or "random" for a permutation drawn for each participant, as in Sec. VII. A threshold's answers come in
+            rounds, each of all textures and methods in an order of its own.
+        task: one of `PRESENTATIONS`.
+        repeats: how often each condition is asked; of a threshold, how many answers it takes.
     """
-    rng, n_trials = np.random.default_rng(seed), n_textures * n_methods
-    if order == "balanced":
-        counted = _balanced(rng, n_participants, n_textures, n_methods)
+    rng, per_texture = np.random.default_rng(seed), conditions(task, n_methods, repeats)
+    n_conditions = len(per_texture)
+    n_trials = n_textures * n_conditions
+    if task == "threshold":
+        rounds = [np.arange(n_trials).reshape(n_textures, repeats, n_methods)[:, r].ravel() for r in range(repeats)]
+        counted = [[int(i) for one in rounds for i in rng.permutation(one)] for _ in range(n_participants)]
+    elif order == "balanced":
+        counted = _balanced(rng, n_participants, n_textures, n_conditions)
     else:
         counted = [rng.permutation(n_trials).tolist() for _ in range(n_participants)]
     result = []
-    for pairs in counted:
+    for indices in counted:
         drawn = rng.permutation(n_trials)[:practice].tolist()
-        numbered = enumerate([*drawn, *pairs], 1 - practice)
-        result.append([Trial(number, *divmod(pair, n_methods)) for number, pair in numbered])
+        decks: dict[Condition, Iterator[Presentation]] = {}
+        trials = []
+        for number, index in enumerate([*drawn, *indices], 1 - practice):
+            texture, condition = divmod(index, n_conditions)
+            method, other = per_texture[condition]
+            key = (texture, method) if task == "threshold" else (method, other)
+            swapped, target = next(decks.setdefault(key, _presentations(rng, task)))
+            if swapped and other is not None:
+                method, other = other, method
+            trials.append(Trial(number, texture, method, other, target))
+        result.append(trials)
     return result
+
+
+def _presentations(rng: np.random.Generator, task: str) -> Iterator[Presentation]:
+    """Presentations of a kind of task without end, each as often as the others, in an order that is drawn."""
+    deck = PRESENTATIONS[task]
+    while True:
+        yield from (deck[i] for i in (rng.permutation(len(deck)) if len(deck) > 1 else (0,)))
 
 
 def _balanced(rng: np.random.Generator, n: int, textures: int, methods: int) -> list[list[int]]:
@@ -89,14 +159,11 @@ def square(n_textures: int, n_methods: int) -> int:
     return math.lcm(len(williams(n_textures)), len(williams(n_methods)))
 
 
-def planned(
-    n_participants: int, n_textures: int, n_methods: int, seed: int, practice: int, order: str
-) -> list[list[Trial]]:
-    """Orders that a study stores: of its participants, and behind them a quarter more for those who leave."""
-    counts = n_textures, n_methods, seed, practice, order
+def planned(n_participants: int, *plan: Any, **task: Any) -> list[list[Trial]]:
+    """Orders that a study stores, of the arguments of `orders`: its participants', and a quarter more for those who leave."""
     # Not the first of a longer list: within a square those who come would then be any of its rows.
     n_with_reserves = n_participants + max(2, n_participants // 4)
-    return orders(n_participants, *counts) + orders(n_with_reserves, *counts)[n_participants:]
+    return orders(n_participants, *plan, **task) + orders(n_with_reserves, *plan, **task)[n_participants:]
 
 
 def _rounds(rng: np.random.Generator, rows: Rows, n_rounds: int) -> list[int]:
@@ -111,19 +178,28 @@ def _rounds(rng: np.random.Generator, rows: Rows, n_rounds: int) -> list[int]:
     return chosen
 
 
-def balance(orders: list[list[Trial]], n_textures: int, n_methods: int) -> dict[str, tuple[int, int]]:
+def balance(
+    orders: list[list[Trial]], n_textures: int, n_methods: int, task: str = "rating"
+) -> dict[str, tuple[int, int]]:
     """Smallest and largest count of a texture's method in a round, of a texture at a place of a round, and of a texture behind
-    another one within a round.
+    another one within a round; of tasks that compare, how often each method is shown first, and how often each interval is the
+    other one, in the place of the method's round.
     """
-    counted = np.array([[(t.texture, t.method) for t in trials if not t.practice] for trials in orders])
-    # (participants, rounds, places) each.
-    texture, method = np.moveaxis(counted.reshape(-1, n_methods, n_textures, 2), -1, 0)
-    _, in_round, place = np.indices(texture.shape)
-    rounds = np.zeros((n_textures, n_methods, n_methods), dtype=int)
+    counted = [[trial for trial in trials if not trial.practice] for trials in orders]
+    # (participants, rounds, places).
+    texture = np.array([[trial.texture for trial in trials] for trials in counted]).reshape(len(orders), -1, n_textures)
+    place = np.indices(texture.shape)[2]
     places, behind = (np.zeros((n_textures, n_textures), dtype=int) for _ in range(2))
-    np.add.at(rounds, (texture, method, in_round), 1)
     np.add.at(places, (texture, place), 1)
     np.add.at(behind, (texture[..., :-1], texture[..., 1:]), 1)
-    different = behind[~np.eye(n_textures, dtype=bool)]
-    named = {"method in round": rounds, "texture at place": places, "neighbours": different}
+    named = {"texture at place": places, "neighbours": behind[~np.eye(n_textures, dtype=bool)]}
+    methods = np.array([[trial.method for trial in trials] for trials in counted])
+    if task == "rating":
+        rounds = np.zeros((n_textures, n_methods, n_methods), dtype=int)
+        np.add.at(rounds, (texture, methods.reshape(texture.shape), np.indices(texture.shape)[1]), 1)
+        named["method in round"] = rounds
+    else:
+        named["method first"] = np.bincount(methods.ravel(), minlength=n_methods)
+        targets = [trial.target for trials in counted for trial in trials]
+        named["target"] = np.bincount(targets, minlength=1 + max(target for _, target in PRESENTATIONS[task]))
     return {name: (int(counts.min()), int(counts.max())) for name, counts in named.items() if counts.size}

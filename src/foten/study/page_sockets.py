@@ -22,21 +22,21 @@ if TYPE_CHECKING:
     from foten.study.study_server import StudyServer
 
 REFRESH_S = 0.5  # between two pictures of the study
-MISSED, EVENT_BYTES = b"m", 32  # before events that are sent again, since the server did not store them
+MISSED, EVENT_BYTES = b"m", 32  # and a surface's number, before events that are sent again, since they were not stored
 ELSEWHERE = 4001  # the code of a WebSocket's end, of those that are free for programs
 SIDES = ("virtual", "real")
 PARTICIPANT = Protocol(
     {
         # A fresh code is drawn by the page of a new participant, where there is no operator.
         "join": ((), ("code", "fresh", "role", "rate_hz", "volume_db", *CALIBRATION)),
-        "done": (("step",), ("rating", "seconds", "underruns", "answers")),
-        "side": (("side",), ()),
+        "done": (("step",), ("values", "seconds", "underruns", "answers")),
+        "side": (("side",), ("interval",)),
     },
     {
         **PLAYING_FIELDS,
         "role": ("all", "stroke", "answer"),
         "side": SIDES,
-        "rating": (0.0, 100.0),
+        "interval": (0, 2),
         "seconds": (0.0, 1e6),
         "underruns": (0, 1e6),
         "code": None,
@@ -71,11 +71,14 @@ class ParticipantPage(PageSocket):
             await session.leave(self)
 
     async def take_bytes(self, data: bytes) -> None:
-        missed = data.startswith(MISSED) and len(data) % EVENT_BYTES == 1
-        events = self.events_in(data[1:] if missed else data)
+        missed = data.startswith(MISSED) and len(data) % EVENT_BYTES == 2
+        events = self.events_in(data[2:] if missed else data)
         if self._session is None or not self.strokes:
             raise RefusedError("events of a page that does not stroke")
-        await (self._session.push_missed if missed else self._session.push)(self, events)
+        if missed:
+            await self._session.push_missed(self, data[1], events)
+        else:
+            await self._session.push(self, events)
 
     async def do(self, message: Mapping[str, Any]) -> None:
         kind, session = message["do"], self._session
@@ -86,17 +89,19 @@ class ParticipantPage(PageSocket):
         elif kind == "done":
             await self._finish(session, message)
         elif kind == "side":
-            await session.turn(str(message["side"]), "participant")
+            await session.turn(str(message["side"]), "participant", message.get("interval"))
 
     async def _finish(self, session: Session, message: Mapping[str, Any]) -> None:
         """Take an answer; a refusal says whether it may be sent again as it is."""
         before = session.step["id"]
         try:
-            await session.finish(str(message["step"]), message)
+            feedback = await session.finish(str(message["step"]), message)
         except RefusedError as refused:
             again = isinstance(refused, NotYetError)
             await self.say({"refused": str(refused), "step": message["step"], "again": again})
             return
+        if feedback is not None:
+            await self.say({"feedback": feedback})
         if session.step["id"] != before:
             await session.show()
         else:

@@ -135,7 +135,9 @@ def simulate_ratings(store: Store, raters: Raters, n: int, missing: float, seed:
         trials = store.trials(number)
         n_done = len(trials) if rng.random() >= missing else int(rng.integers(1, len(trials)))
         rated = {
-            f"trial:{t.number}": Rated(float(np.round(ratings[i, t.method, t.texture])), float(rng.gamma(9, 2.5)), 0)
+            f"trial:{t.number}": Rated(
+                {"similarity": float(np.round(ratings[i, t.method, t.texture]))}, float(rng.gamma(9, 2.5)), 0
+            )
             for t in trials[:n_done]
         }
         store.take_steps(number, rated)

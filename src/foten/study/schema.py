@@ -18,7 +18,7 @@ from foten.atomic_write import atomic_write
 from foten.study.orders import Trial
 
 APPLICATION_ID = 0x666F7465  # "fote"
-VERSION = 2  # of the file
+VERSION = 3  # of the file
 TABLES = """
 CREATE TABLE study (
     id INTEGER PRIMARY KEY CHECK (id = 1), title TEXT NOT NULL, design TEXT NOT NULL, folder TEXT NOT NULL, seed INTEGER NOT NULL,
@@ -29,8 +29,10 @@ CREATE TABLE stimuli (
     sha256 TEXT NOT NULL, gain_db REAL NOT NULL, PRIMARY KEY (texture, method)
 ) STRICT;
 CREATE TABLE trials (
-    participant INTEGER NOT NULL, trial INTEGER NOT NULL, texture INTEGER NOT NULL, method INTEGER NOT NULL,
-    PRIMARY KEY (participant, trial), FOREIGN KEY (texture, method) REFERENCES stimuli (texture, method)
+    participant INTEGER NOT NULL, trial INTEGER NOT NULL, texture INTEGER NOT NULL, method INTEGER NOT NULL, other INTEGER,
+    target INTEGER NOT NULL, PRIMARY KEY (participant, trial),
+    FOREIGN KEY (texture, method) REFERENCES stimuli (texture, method),
+    FOREIGN KEY (texture, other) REFERENCES stimuli (texture, method)
 ) STRICT;
 CREATE TABLE participants (
     number INTEGER PRIMARY KEY, code TEXT NOT NULL UNIQUE, joined TEXT NOT NULL, simulated INTEGER NOT NULL
@@ -52,15 +54,16 @@ CREATE TABLE steps (
 ) STRICT;
 CREATE TABLE ratings (
     id INTEGER PRIMARY KEY, participant INTEGER NOT NULL REFERENCES participants (number), trial INTEGER NOT NULL,
-    rating REAL NOT NULL CHECK (rating BETWEEN 0 AND 100), response_s REAL, switches INTEGER, measured TEXT NOT NULL,
+    scale TEXT NOT NULL, rating REAL NOT NULL CHECK (rating BETWEEN 0 AND 100), response_s REAL,
+    switches INTEGER, measured TEXT NOT NULL,
     at TEXT NOT NULL, software TEXT NOT NULL, simulated INTEGER NOT NULL, corrects INTEGER REFERENCES ratings (id),
     reason TEXT NOT NULL, FOREIGN KEY (participant, trial) REFERENCES trials (participant, trial)
 ) STRICT;
-CREATE UNIQUE INDEX one_rating ON ratings (participant, trial) WHERE corrects IS NULL;
+CREATE UNIQUE INDEX one_rating ON ratings (participant, trial, scale) WHERE corrects IS NULL;
 CREATE UNIQUE INDEX one_correction ON ratings (corrects) WHERE corrects IS NOT NULL;
 CREATE TABLE strokes (
     participant INTEGER NOT NULL REFERENCES participants (number), trial INTEGER NOT NULL, part INTEGER NOT NULL,
-    at TEXT NOT NULL, events BLOB NOT NULL, conditions BLOB NOT NULL,
+    interval INTEGER NOT NULL, at TEXT NOT NULL, events BLOB NOT NULL, conditions BLOB NOT NULL,
     PRIMARY KEY (participant, trial, part)
 ) STRICT;
 CREATE TABLE switches (
@@ -123,7 +126,7 @@ def create(
     if path.exists():
         raise ValueError(f"{path} is there already, and may hold answers: go on with it, or give another name")
     study = (title, text, str(folder.resolve()), seed, int(simulated), now(), __version__)
-    trials = [(i + 1, t.number, t.texture, t.method) for i, trials in enumerate(orders) for t in trials]
+    trials = [(i + 1, *astuple(t)) for i, trials in enumerate(orders) for t in trials]
     with atomic_write(path) as part, contextlib.closing(sqlite3.connect(part)) as connection, connection:
         connection.execute(f"PRAGMA application_id = {APPLICATION_ID}")
         connection.execute(f"PRAGMA user_version = {VERSION}")
@@ -132,7 +135,7 @@ def create(
             connection.execute(f"CREATE TRIGGER {name} {guard}")
         connection.execute("INSERT INTO study VALUES (1, ?, ?, ?, ?, ?, ?, ?)", study)
         connection.executemany("INSERT INTO stimuli VALUES (?, ?, ?, ?, ?, ?)", map(astuple, stimuli))
-        connection.executemany("INSERT INTO trials VALUES (?, ?, ?, ?)", trials)
+        connection.executemany("INSERT INTO trials VALUES (?, ?, ?, ?, ?, ?)", trials)
         connection.execute("INSERT INTO log (at, what) VALUES (?, ?)", (now(), f"made by foten {__version__}"))
 
 
@@ -143,7 +146,7 @@ def faults_of(connection: sqlite3.Connection) -> list[str]:
         f"a row of {row[0]} names something that is not there" for row in connection.execute("PRAGMA foreign_key_check")
     ]
     twice = connection.execute(
-        "SELECT participant, trial FROM ratings WHERE corrects IS NULL GROUP BY participant, trial HAVING count(*) > 1"
+        "SELECT participant, trial FROM ratings WHERE corrects IS NULL GROUP BY participant, trial, scale HAVING count(*) > 1"
     )
     return faults + [f"participant {row[0]}, trial {row[1]}: rated twice" for row in twice]
 

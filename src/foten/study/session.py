@@ -7,8 +7,9 @@ import contextlib
 import math
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from functools import partial
+from itertools import groupby
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -21,9 +22,10 @@ from foten.runtime.stylus import PressureCalibration, Stylus
 from foten.studio.live_contact import Contact
 from foten.studio.messages import RefusedError
 from foten.studio.players import BLOCK_MS
-from foten.study.design import Design, Question
+from foten.study.design import CHOICE, CHOICES, Design, Question
 from foten.study.orders import Trial
-from foten.study.store import Rated
+from foten.study.store import Rated, Stroked
+from foten.study.thresholds import gain_db, level_search
 
 if TYPE_CHECKING:
     from foten.study.page_sockets import ParticipantPage
@@ -33,6 +35,10 @@ MAX_ANSWER_LENGTH = 2000  # characters
 SAVE_STROKES_S = 1.0  # between two writings of a stroke
 CLOCK_TOLERANCE_S = 0.25  # by which a page's clock may be ahead of the server's
 MAX_APART_S = 0.25  # of two events of one contact: a pen at rest sends few
+INTERVALS = {"rating": (), "paired": ("A", "B"), "abx": ("A", "B", "X"), "oddity": ("1", "2", "3")}
+INTERVALS["threshold"] = INTERVALS["oddity"]
+SEED_STEP = 10_000_000  # between the noise of two surfaces
+NO_CONDITIONS: NDArray[np.float64] = np.zeros((0, 2))
 MIN_CONTACT_N = 0.01  # of force, below which the pen does not count as in contact
 
 
@@ -64,9 +70,10 @@ class Session:
         step = self.step
         if step["kind"] == "trial":  # as it was before the server ended
             self.n_switches = server.store.switches(number, step["trial"].number)
-            self._log.earlier = server.store.conditions(number, step["trial"].number)
-            self._log.events = [server.store.strokes(number, step["trial"].number)]
-            self._n_stored[step["trial"].number] = len(self._log.events[0])
+            stroked = server.store.parts(number, step["trial"].number)
+            self._log.earlier = np.concatenate([NO_CONDITIONS, *(part.conditions for part in stroked)])
+            self._log.events = [(part.interval, part.events) for part in stroked]
+            self._n_stored[step["trial"].number] = sum(len(part.events) for part in stroked)
             since = server.store.shown(number, step["trial"].number)
             if since is not None and not self.held:
                 self.shown_at = time.monotonic() - max(0.0, time.time() - since)  # 0 where the clock was set back
@@ -79,8 +86,9 @@ class Session:
     def _arrive(self) -> None:
         """Begin a step: with an operator, a trial waits until the real sample lies there."""
         self.held = self.step["kind"] == "trial" and self.server.design.setup.operator
-        self.side, self.n_switches, self.shown_at = "virtual", 0, 0.0
+        self.side, self.interval, self.n_switches, self.shown_at = "virtual", 0, 0, 0.0
         self._log = TrialLog()
+        self._level_db: float | None = None  # of a threshold's trial, once it is stroked
 
     def shown(self) -> Step:
         """The step as a participant's page gets it: nothing of methods."""
@@ -94,10 +102,15 @@ class Session:
             ]
         if step["kind"] == "trial":
             trial: Trial = step["trial"]
-            texture, rating, setup = design.textures[trial.texture], design.rating, design.setup
-            shown |= {"practice": trial.practice, "real_side": setup.real_side, "screens": setup.screens}
-            shown |= {"question": rating.question, "lowest": rating.lowest, "highest": rating.highest}
-            shown |= {"min_s": rating.min_seconds, "side": self.side, "stored": self._n_stored.get(trial.number, 0)}
+            texture, task, setup = design.textures[trial.texture], design.task, design.setup
+            shown |= {"practice": trial.practice, "real_side": design.real_side, "screens": setup.screens}
+            shown |= {"task": task.kind, "question": task.question, "scales": [asdict(scale) for scale in design.asked]}
+            shown |= {
+                "intervals": INTERVALS[task.kind],
+                "choices": CHOICES.get(task.kind, ()),
+                "interval": self.interval,
+            }
+            shown |= {"min_s": task.min_seconds, "side": self.side, "stored": self._n_stored.get(trial.number, 0)}
             if setup.show_names:
                 shown |= {"name": texture.name, "picture": f"pictures/{trial.texture}" if texture.picture else None}
         return shown
@@ -115,20 +128,23 @@ class Session:
             with contextlib.suppress(OSError):
                 await self.server.on_disk(lambda: self.server.store.add_shown(self.number, trial))
 
-    async def finish(self, step_id: str, message: Mapping[str, Any]) -> None:
+    async def finish(self, step_id: str, message: Mapping[str, Any]) -> dict[str, Any] | None:
         """Take the answers of a step, into the database, and go on; a completed step is left as it is.
+
+        Returns:
+            Whether the answer was right, and what would have been, where the study says so; otherwise None.
 
         Raises:
             RefusedError: it is not this step's turn, or an answer is missing or wrong, or cannot be stored.
         """
         async with self._changing:
             if step_id in self.done:
-                return  # sent again by a page that did not learn that it was taken
+                return None  # sent again by a page that did not learn that it was taken
             step = self.step
             if step_id != step["id"]:
                 raise RefusedError(f"it is the turn of {step['id']}, not of {step_id[:40]!r}")
             if step["kind"] == "end":
-                return
+                return None
             await self._store(step, message)
             self.done.add(step_id)
             await self.end_contact()
@@ -136,6 +152,17 @@ class Session:
             if self.step["kind"] == "end":
                 with contextlib.suppress(OSError):
                     await self.server.on_disk(lambda: self.server.store.take_step(self.number, "end"))
+            return self._feedback(step, message)
+
+    def _feedback(self, step: Step, message: Mapping[str, Any]) -> dict[str, Any] | None:
+        task = self.server.design.task
+        if step["kind"] != "trial" or task.kind not in ("abx", "oddity", "threshold"):
+            return None
+        trial: Trial = step["trial"]
+        if task.feedback == "none" or (task.feedback == "practice" and not trial.practice):
+            return None
+        right = message["values"][CHOICE] == trial.target
+        return {"right": right, "was": CHOICES[task.kind][trial.target]}
 
     async def _store(self, step: Step, message: Mapping[str, Any]) -> None:
         store, number = self.server.store, self.number
@@ -145,47 +172,62 @@ class Session:
         elif step["kind"] == "questions":
             answers["answers"], answers["private"] = checked_answers(step["questions"], message.get("answers", {}))
         elif step["kind"] == "trial":
-            self._check_trial_may_end(message)
+            self._check_trial_may_end()
+            values = checked_values(self.server.design, message.get("values"))
             await self.save_strokes()
-            answers["rated"] = step["trial"].number, self._rated(message)
+            level_db = await self._level(step["trial"]) if self.server.design.task.kind == "threshold" else None
+            answers["rated"] = step["trial"].number, self._rated(values, level_db, message)
         try:
             await self.server.on_disk(lambda: store.take_step(number, step["id"], **answers))
         except OSError as error:
             raise NotYetError(f"not stored, and your answer is kept here: {error}") from error
 
-    def _check_trial_may_end(self, message: Mapping[str, Any]) -> None:
-        if "rating" not in message:
-            raise RefusedError("done: rating is missing")
+    def _check_trial_may_end(self) -> None:
         if self.held:
             raise NotYetError("the operator holds this trial; your answer is kept here")
-        min_s = self.server.design.rating.min_seconds
+        task = self.server.design.task
+        min_s = task.min_seconds
         shown_s = time.monotonic() - self.shown_at if self.shown_at else 0.0
         if shown_s < min_s - CLOCK_TOLERANCE_S:  # by this clock: a page could say anything
             raise RefusedError(f"explore both surfaces for {min_s:g} s first")
-        if min_s and not self._log.summary()["contact_s"]:
-            raise RefusedError("stroke the virtual surface first")
+        n_intervals = max(1, len(INTERVALS[task.kind]))
+        if min_s and not all(self._log.contact_s(interval) for interval in range(n_intervals)):
+            raise RefusedError("stroke the virtual surface first" if n_intervals == 1 else "stroke each surface first")
 
-    def _rated(self, message: Mapping[str, Any]) -> Rated:
+    def _rated(self, values: Mapping[str, float], level_db: float | None, message: Mapping[str, Any]) -> Rated:
         log = self._log.summary()
+        if (n_intervals := len(INTERVALS[self.server.design.task.kind])) > 1:
+            log |= {f"contact_s_{i + 1}": round(self._log.contact_s(i), 3) for i in range(n_intervals)}
+        if level_db is not None:
+            log["level_db"] = level_db
         if self.server.output is None:  # the sound runs dry in the tablet, if anywhere, and its page counts that
             log["n_underruns"] = message.get("underruns")
         page = next((page for page in self.pages if page.strokes), None)
         if page is not None:
             log |= {"volume_db": page.volume_db, "rate_hz": page.rate_hz}
-        return Rated(message["rating"], message.get("seconds"), self.n_switches, log)
+        return Rated(values, message.get("seconds"), self.n_switches, log)
 
-    async def turn(self, side: str, marked_by: str) -> None:
-        """Go over to the real or the virtual surface; on the real surface the virtual one is silent."""
-        step = self.step
-        if step["kind"] != "trial" or self.held or side == self.side:
+    async def turn(self, side: str, marked_by: str, interval: int | None = None) -> None:
+        """Go over to the real surface, or to a virtual one, of several by its number; on the real one the virtual are silent."""
+        step, design = self.step, self.server.design
+        intervals = INTERVALS[design.task.kind]
+        interval = self.interval if interval is None else int(interval)
+        if side == "real" and design.real_side == "none":
+            raise RefusedError("this study has no real surface")
+        if not 0 <= interval < max(1, len(intervals)):
+            raise RefusedError(f"side: interval is {interval}, expected one of {len(intervals)}")
+        if step["kind"] != "trial" or self.held or (side, interval) == (self.side, self.interval):
             return
-        self.side = side
+        moved, self.side, self.interval = interval != self.interval, side, interval
         self.n_switches += 1
-        trial = step["trial"].number
+        trial: Trial = step["trial"]
+        named = f"virtual {intervals[interval]}" if side == "virtual" and intervals else side
         with contextlib.suppress(OSError):  # a full disk does not stop a hand; the answer will say it
-            await self.server.on_disk(lambda: self.server.store.add_switch(self.number, trial, side, marked_by))
-        if side == "real" and self.contact is not None:
+            await self.server.on_disk(lambda: self.server.store.add_switch(self.number, trial.number, named, marked_by))
+        if self.contact is not None and side == "real":
             self.contact.lift()
+        if self.contact is not None and moved and self._page is not None:
+            await self._put_under_pen(self.contact, self._page, trial)
         await self.show()
 
     async def hold(self, held: bool) -> None:
@@ -206,45 +248,71 @@ class Session:
                     await self._open(page, step["trial"])
         if self.contact is not None:
             self.contact.push(events)
-            self._of_trial(step["trial"]).events.append(events)
-            self._log.events.append(events)
+            self._of_trial(step["trial"]).events.append((self.interval, events))
+            self._log.events.append((self.interval, events))
             if time.monotonic() - self._saved_at > SAVE_STROKES_S:
                 await self.save_strokes()
 
-    async def push_missed(self, page: ParticipantPage, events: NDArray[np.float64]) -> None:
+    async def push_missed(self, page: ParticipantPage, interval: int, events: NDArray[np.float64]) -> None:
         """Take in events that a server did not store before it was killed, or that fell into its absence: not rendered."""
         step = self.step
         if step["kind"] != "trial":
             return
         trial = step["trial"]
-        texture = self.server.stimuli.bytes_of[trial.texture, trial.method]
+        methods = trial.intervals(self.server.design.task.kind)
+        if not interval < len(methods):
+            raise RefusedError(f"events of surface {interval + 1}, expected one of {len(methods)}")
+        texture = self.server.stimuli.bytes_of[trial.texture, methods[interval]]
         conditions = await asyncio.to_thread(conditions_of, events, texture, page.calibration)
         unsaved = self._of_trial(trial)
-        unsaved.events.append(events)
-        unsaved.conditions.extend(conditions)
+        unsaved.events.append((interval, events))
+        unsaved.conditions.extend((interval, *condition) for condition in conditions)
         self._log.conditions.extend(conditions)
-        self._log.events.append(events)
+        self._log.events.append((interval, events))
 
     async def _open(self, page: ParticipantPage, trial: Trial) -> None:
-        server, key = self.server, (trial.texture, trial.method)
+        server = self.server
         plays_in_page, log = server.output is None, self._log
 
         def on_block(samples: NDArray[np.float32], speed: float, force: float) -> None:
             log.conditions.append((speed, force))
-            self._of_trial(trial).conditions.append((speed, force))
+            self._of_trial(trial).conditions.append((self.interval, speed, force))
             if plays_in_page:
                 page.blocks.put(samples * np.float32(contact.gain), speed, force)  # the page bends what is too loud
 
         try:
             player = await asyncio.to_thread(server.player, page.rate_hz if plays_in_page else SOUND_RATE_HZ)
             contact = Contact(player, on_block)
-            contact.set_volume(server.design.output.volume_db + server.gains[key])
-            seed = 1000 * self.number + trial.number + 500
+        except (OSError, ValueError) as error:
+            raise RefusedError(f"nothing can be played: {error}") from error
+        await self._put_under_pen(contact, page, trial)
+        self._log.contacts.append(player.statistics)
+        self.contact, self._page, self._saved_at = contact, page, time.monotonic()
+
+    async def _put_under_pen(self, contact: Contact, page: ParticipantPage, trial: Trial) -> None:
+        """Let a contact render the surface that is stroked, at its level."""
+        server, task = self.server, self.server.design.task
+        key = trial.texture, trial.intervals(task.kind)[self.interval]
+        volume_db = server.design.output.volume_db + server.gains[key]
+        if task.kind == "threshold":
+            volume_db += gain_db(task, await self._level(trial), self.interval == trial.target)
+        contact.set_volume(volume_db)
+        seed = 1000 * self.number + trial.number + 500 + SEED_STEP * self.interval  # no two surfaces of one noise
+        try:
             await asyncio.to_thread(contact.open, server.stimuli.bytes_of[key], page.calibration, seed)
         except (OSError, ValueError) as error:
             raise RefusedError(f"nothing can be played: {error}") from error
-        self._log.contacts.append(player.statistics)
-        self.contact, self._page, self._saved_at = contact, page, time.monotonic()
+
+    async def _level(self, trial: Trial) -> float:
+        """Level of a threshold's trial, which the answers before it lead to [dB]."""
+        if self._level_db is None:
+            store, task, of = self.server.store, self.server.design.task, (self.number, trial.texture, trial.method)
+            if trial.practice:
+                self._level_db = task.high_db
+            else:
+                answers = await self.server.on_disk(lambda: store.levels(*of))
+                self._level_db = level_search(task, answers).stimulus()
+        return self._level_db
 
     def _of_trial(self, trial: Trial) -> Unsaved:
         return self._unsaved.setdefault(trial.number, Unsaved())
@@ -253,18 +321,17 @@ class Session:
         """Write what is not in the database yet; where the disk has no room, it is kept and tried again."""
         self._saved_at = time.monotonic()
         for trial, unsaved in list(self._unsaved.items()):
-            events, conditions = unsaved.events, unsaved.conditions
-            if not events and not conditions:
+            if not unsaved.events and not unsaved.conditions:
                 continue
             self._unsaved[trial] = Unsaved()
-            part = np.concatenate([np.zeros((0, 4)), *events]), np.array(list(conditions)).reshape(-1, 2)
+            parts = unsaved.parts()
             try:
-                await self.server.on_disk(partial(self.server.store.add_strokes, self.number, trial, *part))
+                await self.server.on_disk(partial(self.server.store.add_strokes, self.number, trial, parts))
             except OSError:
                 later = self._unsaved[trial]
-                self._unsaved[trial] = Unsaved(events + later.events, conditions + later.conditions)
+                self._unsaved[trial] = Unsaved(unsaved.events + later.events, unsaved.conditions + later.conditions)
                 continue
-            self._n_stored[trial] = self._n_stored.get(trial, 0) + len(part[0])
+            self._n_stored[trial] = self._n_stored.get(trial, 0) + sum(len(part.events) for part in parts)
             for page in [page for page in self.pages if page.strokes]:
                 await page.say({"stored": self._n_stored[trial], "trial": f"trial:{trial}"})
 
@@ -272,7 +339,7 @@ class Session:
     def n_unsaved(self) -> int:
         """Events that the disk has had no room for."""
         present = self.step["trial"].number if self.step["kind"] == "trial" else None
-        return sum(len(events) for trial, one in self._unsaved.items() if trial != present for events in one.events)
+        return sum(len(events) for trial, one in self._unsaved.items() if trial != present for _, events in one.events)
 
     async def end_contact(self) -> None:
         """End playing, and save the strokes."""
@@ -295,7 +362,12 @@ class Session:
         done = [s["id"] in self.done for s in self.steps if s["kind"] == "trial" and s["n"] > 0]
         shown: dict[str, Any] = {"number": self.number, "code": self.code, "step": step["id"], "kind": step["kind"]}
         shown |= {"n": sum(done), "of": len(done), "held": self.held}
-        shown |= {"pages": sorted(page.role for page in self.pages), "side": self.side, "switches": self.n_switches}
+        shown |= {
+            "pages": sorted(page.role for page in self.pages),
+            "side": self.side,
+            "real_side": self.server.design.real_side,
+            "switches": self.n_switches,
+        }
         if step["kind"] == "trial":
             texture = self.server.design.textures[step["trial"].texture]
             shown |= {"texture": texture.name, "real": texture.real, "practice": step["trial"].practice}
@@ -309,20 +381,35 @@ class Session:
 
 @dataclass(frozen=True)
 class Unsaved:
-    """What of a trial is not in the database yet."""
+    """What of a trial is not in the database yet, each with the number of its surface."""
 
-    events: list[NDArray[np.float64]] = field(default_factory=list)
-    conditions: list[tuple[float, float]] = field(default_factory=list)
+    events: list[tuple[int, NDArray[np.float64]]] = field(default_factory=list)
+    conditions: list[tuple[int, float, float]] = field(default_factory=list)
+
+    def parts(self) -> list[Stroked]:
+        """Events in their order, and behind them the conditions of each surface."""
+        runs = groupby(self.events, lambda one: one[0])
+        parts = [Stroked(interval, np.concatenate([events for _, events in run])) for interval, run in runs]
+        conditions = np.array(list(self.conditions)).reshape(-1, 3)
+        for interval in np.unique(conditions[:, 0]):
+            of_interval = conditions[conditions[:, 0] == interval, 1:]
+            parts.append(Stroked(int(interval), np.zeros((0, 4)), of_interval))
+        return parts
 
 
 @dataclass
 class TrialLog:
     """A trial through all its contacts: a lost connection or a hold begins another contact."""
 
-    events: list[NDArray[np.float64]] = field(default_factory=list)  # of the pen
+    events: list[tuple[int, NDArray[np.float64]]] = field(default_factory=list)  # of the pen, by surface
     conditions: list[tuple[float, float]] = field(default_factory=list)  # speed [mm/s], force [N] at each block's end
     contacts: list[LiveStatistics] = field(default_factory=list)
-    earlier: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 2)))  # conditions before the server began
+    earlier: NDArray[np.float64] = field(default_factory=lambda: NO_CONDITIONS)  # conditions before the server began
+
+    def contact_s(self, interval: int) -> float:
+        """Seconds in contact with one of the surfaces."""
+        runs = groupby(self.events, lambda one: one[0])
+        return sum(contact_s(np.concatenate([part for _, part in run])) for number, run in runs if number == interval)
 
     def summary(self) -> dict[str, Any]:
         """Seconds in contact, by the pen's own clock; of its blocks the 10th, 50th and 90th percentile of speed [mm/s] and
@@ -334,7 +421,7 @@ class TrialLog:
             block.largest_s = max(block.largest_s, contact.block.largest_s)
         every = np.concatenate([self.earlier, np.array(list(self.conditions)).reshape(-1, 2)])
         in_contact = every[every[:, 1] > MIN_CONTACT_N]
-        result: dict[str, Any] = {"contact_s": round(contact_s(np.concatenate([np.zeros((0, 4)), *self.events])), 3)}
+        result: dict[str, Any] = {"contact_s": round(sum(map(self.contact_s, {i for i, _ in self.events})), 3)}
         for name, values in zip(("speed_mm_s", "force_n"), in_contact.T, strict=True):
             for percent in (10, 50, 90):
                 result[f"{name}_p{percent}"] = round(float(np.percentile(values, percent)), 4) if values.size else None
@@ -346,6 +433,23 @@ class TrialLog:
             "n_underruns": sum(contact.n_underruns for contact in self.contacts),
             "n_contacts": len(self.contacts) + bool(len(self.earlier)),
         }
+
+
+def checked_values(design: Design, values: Any) -> dict[str, float]:
+    """Answer of a trial: a number for each scale, or which surface was chosen.
+
+    Raises:
+        RefusedError: a value is missing, or out of range.
+    """
+    choices = CHOICES.get(design.task.kind, ())
+    keys = [scale.key for scale in design.asked] or [CHOICE]
+    highest = len(choices) - 1 if choices else 100
+    if not isinstance(values, dict) or set(values) != set(keys):
+        raise RefusedError(f"done: values are {values!r:.60}, expected {', '.join(keys)}")
+    for key, value in values.items():
+        if type(value) not in (int, float) or not 0 <= value <= highest or (choices and value != int(value)):
+            raise RefusedError(f"done: {key[:40]} is {value!r:.40}, expected 0 to {highest}")
+    return {key: float(values[key]) for key in keys}
 
 
 def contact_s(events: NDArray[np.float64]) -> float:

@@ -8,7 +8,7 @@ import json
 import sqlite3
 import time
 import zlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -28,9 +28,6 @@ FULL = ("SQLITE_FULL", "SQLITE_IOERR", "SQLITE_READONLY", "SQLITE_CANTOPEN")  # 
 HELD = ("SQLITE_BUSY", "SQLITE_LOCKED")  # and of another program that holds the file
 
 
-NO_CONDITIONS: NDArray[np.float64] = np.zeros((0, 2))
-
-
 class FullError(OSError):
     """The disk has no room for an answer, which was not taken."""
 
@@ -39,10 +36,21 @@ class FullError(OSError):
 class Rated:
     """Outcome of a trial."""
 
-    rating: float
+    values: Mapping[str, float]  # by scale: 0 … 100, or under `choice` which surface was chosen, from 0
     response_s: float | None = None  # from when the trial was shown
     switches: int | None = None  # between the real and the virtual surface
     log: Mapping[str, Any] = field(default_factory=dict)  # of `session.TrialLog`
+
+
+@dataclass(frozen=True)
+class Stroked:
+    """Part of a trial's contact, on one of its surfaces."""
+
+    interval: int
+    events: NDArray[np.float64]  # of the pen: x, y [mm], pressure, t [s], shape (n, 4)
+    conditions: NDArray[np.float64] = field(
+        default_factory=lambda: np.zeros((0, 2))
+    )  # speed [mm/s], force [N] by block
 
 
 class Store(contextlib.AbstractContextManager["Store"]):
@@ -155,7 +163,9 @@ class Store(contextlib.AbstractContextManager["Store"]):
 
     def trials(self, participant: int) -> list[Trial]:
         """Trials of a participant in their order."""
-        rows = self._rows("SELECT trial, texture, method FROM trials WHERE participant = ? ORDER BY trial", participant)
+        rows = self._rows(
+            "SELECT trial, texture, method, other, target FROM trials WHERE participant = ? ORDER BY trial", participant
+        )
         return [Trial(*row) for row in rows]
 
     def stimuli(self) -> dict[tuple[int, int], Stimulus]:
@@ -209,32 +219,42 @@ class Store(contextlib.AbstractContextManager["Store"]):
 
     def _add_rating(self, participant: int, trial: int, rated: Rated, at: str) -> None:
         log = json.dumps(dict(rated.log), allow_nan=False)
-        answer = (rated.rating, rated.response_s, rated.switches, log, at, __version__, self.simulated)
-        self._execute(
-            "INSERT INTO ratings (participant, trial, rating, response_s, switches, measured, at, software, simulated, reason) "
-            "VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, '')",
-            *(participant, trial, *answer),
-        )
+        about = (rated.response_s, rated.switches, log, at, __version__, self.simulated)
+        for scale, value in rated.values.items():
+            self._execute(
+                "INSERT INTO ratings (participant, trial, scale, rating, response_s, switches, measured, at, software, "
+                "simulated, reason) VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, '')",
+                *(participant, trial, scale, value, *about),
+            )
 
-    def correct(self, participant: int, trial: int, rating: float, reason: str) -> None:
+    def correct(self, participant: int, trial: int, rating: float, reason: str, scale: str | None = None) -> None:
         """Put another rating in the place of the valid one; the old row stays.
 
+        Args:
+            scale: its key, where a trial has several.
+
         Raises:
-            ValueError: that trial has no rating, the new one is out of range, or the reason is empty.
+            ValueError: that trial has no rating, or several, the new one is out of range, or the reason is empty.
         """
         if not 0 <= rating <= 100:
             raise ValueError(f"the rating is {rating:g}, expected 0 to 100")
         if not reason.strip():
             raise ValueError("a correction needs a reason")
+        rated = f"({schema.VALID_RATINGS}) WHERE participant = ? AND trial = ?"
+        scales = [str(row[0]) for row in self._rows(f"SELECT scale FROM {rated}", participant, trial)]
+        if scale is None and len(scales) > 1:
+            raise ValueError(f"trial {trial} has a rating on each of {', '.join(scales)}: which one?")
         with self._writing():
             corrected = self._execute(
-                "INSERT INTO ratings (participant, trial, rating, response_s, switches, measured, at, software, simulated, "
-                "corrects, reason) SELECT participant, trial, ?, response_s, switches, measured, ?, ?, simulated, id, ? "
-                f"FROM ({schema.VALID_RATINGS}) WHERE participant = ? AND trial = ?",
-                *(rating, now(), __version__, reason, participant, trial),
+                "INSERT INTO ratings (participant, trial, scale, rating, response_s, switches, measured, at, software, "
+                "simulated, corrects, reason) SELECT participant, trial, scale, ?, response_s, switches, measured, ?, ?, "
+                "simulated, id, ? "
+                f"FROM {rated} AND scale = ?",
+                *(rating, now(), __version__, reason, participant, trial, scale or "".join(scales)),
             )
             if not corrected.rowcount:
-                raise ValueError(f"participant {participant} has no rating of trial {trial}")
+                of = f"trial {trial}" if scale is None else f"trial {trial} on the scale {scale!r}"
+                raise ValueError(f"participant {participant} has no rating of {of}")
             self._log(f"participant {participant}, trial {trial}: corrected to {rating:g}: {reason}")
 
     def add_switch(self, participant: int, trial: int, side: str, marked_by: str) -> None:
@@ -259,53 +279,62 @@ class Store(contextlib.AbstractContextManager["Store"]):
         rows = self._rows("SELECT count(*) FROM switches WHERE participant = ? AND trial = ?", participant, trial)
         return int(rows[0][0])
 
-    def add_strokes(
-        self, participant: int, trial: int, events: NDArray[np.float64], conditions: NDArray[np.float64] = NO_CONDITIONS
-    ) -> None:
-        """Store a part of a trial's contact.
-
-        Args:
-            events: of the pen: x, y [mm], pressure, t [s], shape (n, 4).
-            conditions: speed [mm/s] and force [N] at the end of each rendered block, shape (k, 2).
-        """
-        packed = (_packed(array) for array in (events, conditions))
+    def add_strokes(self, participant: int, trial: int, parts: Sequence[Stroked]) -> None:
+        """Store parts of a trial's contact, all or none."""
         with self._writing():
-            self._execute(
-                "INSERT INTO strokes SELECT ?, ?, coalesce(max(part) + 1, 0), ?, ?, ? FROM strokes "
-                "WHERE participant = ? AND trial = ?",
-                *(participant, trial, now(), *packed, participant, trial),
-            )
+            for part in parts:
+                self._execute(
+                    "INSERT INTO strokes SELECT ?, ?, coalesce(max(part) + 1, 0), ?, ?, ?, ? FROM strokes "
+                    "WHERE participant = ? AND trial = ?",
+                    *(participant, trial, part.interval, now(), _packed(part.events), _packed(part.conditions)),
+                    *(participant, trial),
+                )
 
     def strokes(self, participant: int, trial: int) -> NDArray[np.float64]:
         """Events of a trial: x, y [mm], pressure, t [s], shape (n, 4)."""
-        return _unpacked([row["events"] for row in self._strokes(participant, trial)], 4)
+        return np.concatenate([np.zeros((0, 4)), *(part.events for part in self.parts(participant, trial))])
 
-    def conditions(self, participant: int, trial: int) -> NDArray[np.float64]:
-        """Speed [mm/s] and force [N] at the end of each rendered block of a trial so far, (k, 2)."""
-        return _unpacked([row["conditions"] for row in self._strokes(participant, trial)], 2)
-
-    def _strokes(self, participant: int, trial: int) -> list[sqlite3.Row]:
-        return self._rows("SELECT * FROM strokes WHERE participant = ? AND trial = ? ORDER BY part", participant, trial)
+    def parts(self, participant: int, trial: int) -> list[Stroked]:
+        """Parts of a trial's contact, in their order."""
+        query = "SELECT * FROM strokes WHERE participant = ? AND trial = ? ORDER BY part"
+        return [
+            Stroked(int(row["interval"]), _unpacked(row["events"], 4), _unpacked(row["conditions"], 2))
+            for row in self._rows(query, participant, trial)
+        ]
 
     def ratings(self) -> list[dict[str, Any]]:
-        """Valid ratings without practice: participant, trial, texture, method (as numbers and as keys), rating, response_s,
-        switches, measured, simulated, sha256, corrected.
+        """Valid ratings without practice: participant, trial, scale, texture, method and other (as numbers and as keys), target,
+        rating, response_s, switches, measured, simulated, sha256, corrected.
         """
         rows = self._rows(
-            f"SELECT r.*, t.texture, t.method, s.texture_key, s.method_key, s.sha256 FROM ({schema.VALID_RATINGS}) r "
+            "SELECT r.*, t.texture, t.method, t.other, t.target, s.texture_key, s.method_key, s.sha256, "
+            f"o.method_key AS other_key FROM ({schema.VALID_RATINGS}) r "
             "JOIN trials t ON t.participant = r.participant AND t.trial = r.trial "
-            "JOIN stimuli s ON s.texture = t.texture AND s.method = t.method WHERE r.trial > 0 ORDER BY r.participant, r.trial"
+            "JOIN stimuli s ON s.texture = t.texture AND s.method = t.method "
+            "LEFT JOIN stimuli o ON o.texture = t.texture AND o.method = t.other "
+            "WHERE r.trial > 0 ORDER BY r.participant, r.trial, r.id"
         )
         return [
             {**dict(row), "measured": json.loads(row["measured"]), "corrected": row["corrects"] is not None}
             for row in rows
         ]
 
+    def levels(self, participant: int, texture: int, method: int) -> list[tuple[float, bool]]:
+        """Levels [dB] that a participant's threshold was asked at so far, and whether each answer was right."""
+        rows = self._rows(
+            "SELECT r.rating, r.measured, t.target FROM ratings r "
+            "JOIN trials t ON t.participant = r.participant AND t.trial = r.trial "
+            "WHERE r.corrects IS NULL AND r.participant = ? AND t.texture = ? AND t.method = ? AND r.trial > 0 ORDER BY r.trial",
+            *(participant, texture, method),
+        )
+        return [(float(json.loads(row["measured"])["level_db"]), row["rating"] == row["target"]) for row in rows]
+
     def counts(self) -> dict[int, dict[str, Any]]:
-        """By participant: code, number of ratings, when they joined and when the last answer came."""
+        """By participant: code, number of rated trials, when they joined and when the last answer came."""
         rows = self._rows(
             "SELECT p.number, p.code, p.joined, "
-            "(SELECT count(*) FROM ratings r WHERE r.participant = p.number AND r.corrects IS NULL AND r.trial > 0) AS n, "
+            "(SELECT count(DISTINCT r.trial) FROM ratings r WHERE r.participant = p.number AND r.corrects IS NULL "
+            "AND r.trial > 0) AS n, "
             "(SELECT max(at) FROM steps s WHERE s.participant = p.number) AS last, "
             "(SELECT count(*) FROM steps s WHERE s.participant = p.number AND s.step = 'end') AS ended "
             "FROM participants p ORDER BY p.number"
@@ -397,8 +426,8 @@ def _packed(array: NDArray[np.float64]) -> bytes:
     return zlib.compress(np.ascontiguousarray(array, dtype="<f8").tobytes())
 
 
-def _unpacked(parts: list[bytes], n_columns: int) -> NDArray[np.float64]:
-    return np.frombuffer(b"".join(map(zlib.decompress, parts)), dtype="<f8").reshape(-1, n_columns)
+def _unpacked(part: bytes, n_columns: int) -> NDArray[np.float64]:
+    return np.frombuffer(zlib.decompress(part), dtype="<f8").reshape(-1, n_columns)
 
 
 def _lock(file: int) -> None:

@@ -183,9 +183,9 @@ class Study {
     if (unstored.id !== step.id) return;
     this.stored(step.id, step.stored);
     for (let i = 0; i < unstored.events.length; i += MOST_AT_ONCE) {
-      const events = unstored.events.slice(i, i + MOST_AT_ONCE).flat(), bytes = new Uint8Array(1 + 8 * events.length);
+      const events = unstored.events.slice(i, i + MOST_AT_ONCE).flat(), bytes = new Uint8Array(2 + 8 * events.length);
       bytes[0] = "m".charCodeAt(0);
-      bytes.set(new Uint8Array(Float64Array.from(events).buffer), 1);
+      bytes.set(new Uint8Array(Float64Array.from(events).buffer), 2);
       this.socket.send(bytes);
     }
   }
@@ -324,8 +324,8 @@ class Study {
       this.picture(step.picture);
     }
     if (answers) {
-      const scale = this.scale(step.lowest, step.highest, step.question);
-      const next = el("button", { className: "big", type: "button", onclick: () => this.done({ rating: Number(scale.input.value), seconds: this.seconds, underruns: this.sound.underruns }) }, "Next");
+      const [{ key, lowest, highest, question }] = step.scales, scale = this.scale(lowest, highest, question);
+      const next = el("button", { className: "big", type: "button", onclick: () => this.done({ values: { [key]: Number(scale.input.value) }, seconds: this.seconds, underruns: this.sound.underruns }) }, "Next");
       next.dataset.needs = "rating";
       const check = () => {
         this.ready = Boolean(scale.input.dataset.set) && !this.step.held && this.seconds >= step.min_s;
@@ -334,7 +334,7 @@ class Study {
       this.check = check;
       scale.input.addEventListener("set", check);
       if (this.pending?.step === step.id) {
-        scale.input.value = this.pending.rating; // as it was chosen before the page was loaded again
+        scale.input.value = this.pending.values[key]; // as it was chosen before the page was loaded again
         scale.input.dispatchEvent(new Event("input"));
       }
       if (step.min_s) setTimeout(check, 1000 * step.min_s + 50);
