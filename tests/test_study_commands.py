@@ -51,7 +51,7 @@ def test_from_texture_files_to_a_report_without_anyone(tmp_path: Path) -> None:
     assert "simulated raters rated 2 methods on 3 textures" in said
     page = (results / "report.html").read_text(encoding="utf-8")
     assert "Simulated ratings: of a model of raters, and not of people." in page
-    assert "did not rate everything" in page
+    assert "did not answer everything" in page
     with (results / "ratings-wide.csv").open(newline="", encoding="utf-8") as file:
         wide = list(csv.reader(file))
     assert wide[0][:3] == ["participant", "simulated", "ar.artificial-grass"]

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from foten import __version__
+from foten.reporting.table import minus
 from foten.study.analysis import Result, analyse, null_rates
 from foten.study.orders import orders
 from foten.study.raters import Raters
@@ -38,7 +39,7 @@ def database(path: Path, n: int, methods: int, textures: int, simulated: bool = 
 
 def results(path: Path, reference: str | None = None) -> Result:
     with Store(path) as store:
-        return analyse(store, reference)
+        return analyse(store, reference)[0]
 
 
 def table(path: Path) -> list[dict[str, str]]:
@@ -60,7 +61,7 @@ def asked(tmp_path_factory: pytest.TempPathFactory) -> Path:
     with Store(path) as store:
         for i, one in enumerate(private):
             store.take_step(i + 1, "questions:start", answers={"remarks": f"fine, {i}"}, private=one)
-    write_report(results(path), folder / "r")
+    write_report([results(path)], folder / "r")
     return folder / "r"
 
 
@@ -86,7 +87,7 @@ def test_what_participants_say_of_themselves_comes_out_in_sum(asked: Path) -> No
 
 def test_too_few_ratings_and_another_reference_are_refused(tmp_path: Path) -> None:
     path = database(tmp_path / "s.db", 2, 2, 2)
-    with pytest.raises(ValueError, match="2 participants have rated everything, of 2 who began: expected three"):
+    with pytest.raises(ValueError, match="2 participants have answered everything, of 2 who began: expected three"):
         results(path)
     with pytest.raises(ValueError, match="the reference is 'x', expected one of m0, m1"):
         results(path, "x")
@@ -104,10 +105,10 @@ def test_every_column_has_a_meaning_and_every_table_says_that_ratings_are_simula
 
 def test_those_of_people_do_not(tmp_path: Path) -> None:
     path = database(tmp_path / "s.db", 4, 2, 2, simulated=False)
-    assert "## Participants" not in _markdown(results(path))
+    assert "## Participants" not in _markdown([results(path)])
     with Store(path) as store:
         store.take_step(1, "questions:end", answers={"remarks": "fine"}, private={"age": "30"})
-    write_report(results(path), tmp_path / "r")
+    write_report([results(path)], tmp_path / "r")
     for file in (tmp_path / "r").glob("*.csv"):
         assert {row.get("simulated", "0") for row in table(file)} <= {"0"}, file.name
     assert "| age | 1 | 30 |\n" in (tmp_path / "r/report.md").read_text(encoding="utf-8")  # one has no SD
@@ -144,7 +145,7 @@ def section(report: str, title: str) -> str:
 
 def test_tables_hold_the_numbers_and_are_short(tmp_path: Path) -> None:
     result = results(database(tmp_path / "s.db", 14, 4, 3))
-    write_report(result, tmp_path)
+    write_report([result], tmp_path)
     page = (tmp_path / "report.html").read_text(encoding="utf-8")
     assert page.count("<details>") == 3  # 18 tests: a table for each texture
     assert page.count("<svg") == 2
@@ -154,7 +155,7 @@ def test_tables_hold_the_numbers_and_are_short(tmp_path: Path) -> None:
     signed = section(report, "Wilcoxon's signed-rank tests, averaged across textures")
     assert "| pair | W | p | p Holm | rank-biserial |" in signed
     assert f"| {' − '.join(first['pair'])} | {first['w']:.2f} |" in signed
-    assert f"| {first['rank_biserial']:.3f} |" in signed
+    assert f"| {minus(format(first['rank_biserial'], '.3f'))} |" in signed
     assert f"| {result.document['reliability']['icc_mean']:.3f} |" in section(report, "Reliability")
     with_others = result.document["reliability"]["with_others"]
     shown = section(report, "Each participant's correlation with the others")
@@ -163,15 +164,17 @@ def test_tables_hold_the_numbers_and_are_short(tmp_path: Path) -> None:
     assert shown.index(f"| {lowest} | {with_others[lowest]:.3f} |") == shown.index("| ", shown.index("---|\n"))
     assert f"| {highest} |" not in shown
     assert report.count("| 95 % CI, not adjusted |") == 4  # pairs overall, and of three textures
-    assert json.loads((tmp_path / "results.json").read_text(encoding="utf-8")) == result.document
+    assert json.loads((tmp_path / "results.json").read_text(encoding="utf-8"))["results"] == {
+        "similarity": result.document
+    }
 
 
 def test_few_tests_within_textures_are_one_table_and_many_show_the_lowest_p(tmp_path: Path) -> None:
-    report = _markdown(results(database(tmp_path / "few.db", 5, 3, 4)))
+    report = _markdown([results(database(tmp_path / "few.db", 5, 3, 4))])
     within = section(report, "Tests within textures")
     assert within.count("\n| ") - 1 == 12
     assert "| t3 | m1 − m2 |" in within
-    report = _markdown(results(database(tmp_path / "many.db", 5, 6, 2)))
+    report = _markdown([results(database(tmp_path / "many.db", 5, 6, 2))])
     assert report.count("The 12 lowest p of 15 pairs; pairs.csv has all.") == 3
     assert max(part.count("\n| ") - 1 for part in report.split("\n## ")) == MAX_ROWS
 
@@ -196,4 +199,4 @@ def test_sentences_name_the_family(
     if textures == 1:
         assert f"methods on 1 texture ({8 * methods} ratings)" in text
         assert "textures" not in text
-        assert "across textures" not in _markdown(result)
+        assert "across textures" not in _markdown([result])

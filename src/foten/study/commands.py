@@ -26,6 +26,14 @@ Database = Annotated[Path, Argument(metavar="STUDY.db", help="Ratings of a study
 Participant = Annotated[int, Option("--participant", min=1, help="Number of the participant.")]
 TrialNumber = Annotated[int, Option("--trial", help="Number of the trial.")]
 Sd = Annotated[float, Option(min=0.1, help="Standard deviation of ratings between raters (points).")]
+Effect = Annotated[
+    float | None,
+    Option(
+        help="Where surfaces are chosen: the share of choices of one method over each other one (paired, 0.65), d′ (abx, oddity, "
+        "1), or by how many dB its threshold is lower (3).",
+        show_default=False,
+    ),
+]
 Correlation = Annotated[float, Option(min=0, max=0.99, help="Between two ratings of one rater.")]
 
 
@@ -75,9 +83,12 @@ def check(study: StudyFile, as_json: JsonOption = False) -> None:
     loaded = load_study(study)
     loaded.check_devices()
     design, stimuli = loaded.design, loaded.stimuli
-    spread = balance(loaded.orders()[: design.participants], len(design.textures), len(design.methods))
+    shape = len(design.textures), len(design.methods)
+    spread = balance(loaded.orders()[: design.participants], *shape, design.task.kind)
     minutes = design.n_trials * MINUTES_PER_TRIAL
-    counts = f"{len(design.textures)} textures × {len(design.methods)} methods: {design.n_trials} trials"
+    of_each = {"rating": "", "threshold": f" × {design.repeats} answers"}
+    of_each |= {kind: f" in pairs × {design.repeats}" for kind in ("paired", "abx", "oddity")}
+    counts = f"{shape[0]} textures × {shape[1]} methods{of_each[design.task.kind]}: {design.n_trials} trials"
     rows = [
         f"{counts} of each of {design.participants} participants, {design.practice} of practice before",
         *(f"{name}: {low} to {high} times" for name, (low, high) in spread.items()),
@@ -87,6 +98,7 @@ def check(study: StudyFile, as_json: JsonOption = False) -> None:
         f"about {minutes:.0f} minutes of each participant, where a trial is as long as the paper's",
     ]
     document = {
+        "task": design.task.kind,
         "trials": design.n_trials,
         "participants": design.participants,
         "balance": spread,
@@ -183,6 +195,7 @@ def simulate(
     study: StudyFile,
     output: Path = Option(..., "-o", "--output", metavar="STUDY.db", help="A new database, marked as simulated."),
     difference: float = Option(10.0, help="Points of the scale that one method is better by, to the raters."),
+    effect: Effect = None,
     better: str | None = Option(None, metavar="METHOD", help="That is better; by default the last."),
     sd: Sd = 10.67,
     correlation: Correlation = 0.3,
@@ -193,8 +206,9 @@ def simulate(
 
     foten study simulate similarity.toml -o simulated.db --difference 10
     """
+    from foten.study.choosers import DEFAULT_EFFECTS, simulate_study
     from foten.study.loading import load_study
-    from foten.study.raters import raters_for, simulate_ratings
+    from foten.study.raters import raters_for
 
     if output.exists():
         raise ValueError(f"{output} is there already: give another name")
@@ -205,9 +219,10 @@ def simulate(
     index = -1 if better is None else methods.index(better)
     raters = raters_for(len(methods), len(loaded.design.textures), difference, sd, correlation, index)
     with loaded.open_store(output, simulated=True) as store:
-        simulate_ratings(store, raters, loaded.design.participants, missing, seed)
+        effect = DEFAULT_EFFECTS.get(loaded.design.task.kind, 0.0) if effect is None else effect
+        simulate_study(store, loaded.design, raters, effect, index, missing, seed)
         n = len(store.ratings())
-    print(f"wrote {output}: {n} simulated ratings of {loaded.design.participants} raters")
+    print(f"wrote {output}: {n} simulated answers of {loaded.design.participants} raters")
     print(f"next: foten study analyze {output} -o results")
 
 
@@ -219,8 +234,17 @@ def power(
     difference: float | None = Option(
         None, help="Points that the last method is better by; by default the paper's effects where there are 4 × 12."
     ),
-    sd: Sd = 10.67,
+    sd: float | None = Option(
+        None, min=0.1, help="Of answers between raters: points, or dB of thresholds.", show_default="10.67, or 6 dB"
+    ),
     correlation: Correlation = 0.3,
+    effect: Effect = None,
+    task: str | None = Option(
+        None, help="rating, paired, abx, oddity or threshold, without a study file.", show_default="rating"
+    ),
+    repeats: int | None = Option(
+        None, min=1, help="Of each pair on each texture, without a study file.", show_default="1"
+    ),
     studies: int = Option(500, min=50, help="That are simulated for each number of participants."),
     seed: int = Option(0, min=0, help="Of the simulation."),
     as_json: JsonOption = False,
@@ -230,19 +254,27 @@ def power(
     foten study power --difference 9
     """
     from foten.reporting.table import Table
+    from foten.study.choosers import DEFAULT_EFFECTS, THRESHOLD_SPREAD_DB
     from foten.study.design import read_design
-    from foten.study.raters import needed, paper_raters, raters_for
+    from foten.study.raters import PAPER_SD, needed, paper_raters, raters_for
 
     if study is not None:
-        refuse("is in the study file", methods=methods, textures=textures)
+        refuse("is in the study file", methods=methods, textures=textures, task=task, repeats=repeats)
         design, _ = read_design(study)
         methods, textures = len(design.methods), len(design.textures)
+        task, repeats = design.task.kind, design.repeats
     methods, textures = methods or 4, textures or 12
+    if task == "threshold":
+        difference, sd = DEFAULT_EFFECTS[task] if effect is None else effect, sd or THRESHOLD_SPREAD_DB
+    elif task not in (None, "rating"):
+        _print_power_of_choices(task, methods, textures * (repeats or 1), effect, min(studies, 200), seed, as_json)
+        return
     if difference is None and (methods, textures) == (4, 12):
-        raters, of = paper_raters(sd, correlation), "the paper's effects (Sec. VII)"
+        raters, of = paper_raters(sd or PAPER_SD, correlation), "the paper's effects (Sec. VII)"
     else:
-        points = 8.75 if difference is None else difference
-        raters, of = raters_for(methods, textures, points, sd, correlation), f"a difference of {points:g} points"
+        points, unit = 8.75 if difference is None else difference, "dB" if task == "threshold" else "points"
+        raters = raters_for(methods, textures, points, sd or PAPER_SD, correlation)
+        of = f"a difference of {points:g} {unit}"
     table, smallest = needed(raters, studies, seed)
     cells = [[f"{row['participants']:.0f}", *(f"{share:.2f}" for share in list(row.values())[1:])] for row in table]
     rows = [f"{of}, {methods} methods × {textures} textures, sd {raters.sd:g}, correlation {correlation:g}, α = 0.05"]
@@ -254,6 +286,28 @@ def power(
     print_result({"power": table, "participants": smallest}, "\n".join(rows), as_json)
 
 
+def _print_power_of_choices(
+    task: str, methods: int, per_pair: int, effect: float | None, studies: int, seed: int, as_json: bool
+) -> None:
+    from foten.reporting.table import Table
+    from foten.study.choosers import DEFAULT_EFFECTS, Choosers, needed
+
+    if task not in ("paired", "abx", "oddity"):
+        raise ValueError(f"--task is {task!r}, expected rating, paired, abx, oddity or threshold")
+    effect = DEFAULT_EFFECTS[task] if effect is None else effect
+    table, smallest = needed(Choosers(task, methods, effect), per_pair, studies, seed)
+    cells = [[f"{row['participants']:.0f}", f"{row['any']:.2f}", f"{row['pair']:.2f}"] for row in table]
+    what = f"{100 * effect:.0f} % of choices for one method" if task == "paired" else f"d′ = {effect:g}"
+    pair = "the better method from another one" if task == "paired" else "two methods"
+    rows = [
+        f"{what}, {methods} methods, {per_pair} trials of each pair by each participant, α = 0.05",
+        *Table.of(table[0], cells).text(),
+        f"participants who find a pair in 80 % of studies: {'more than 60' if smallest is None else smallest}",
+        f"any: the test of all methods; pair: {pair}, adjusted for all pairs",
+    ]
+    print_result({"power": table, "participants": smallest}, "\n".join(rows), as_json)
+
+
 @app.command()
 def analyze(
     database: Database,
@@ -261,21 +315,32 @@ def analyze(
     reference: str | None = Option(
         None, metavar="METHOD", help="Compare the others with this one alone; by default all pairs."
     ),
+    correction: str = Option("bonferroni", help="Of the stars of Fig. 9: bonferroni, as in the paper, or holm."),
     as_json: JsonOption = False,
 ) -> None:
-    """Analyse ratings: analyses of variance, paired tests, ranks, a mixed model, reliability; figures, a report, tidy tables.
+    """Analyse answers: analyses of variance, paired tests, ranks, a mixed model, reliability of ratings and thresholds; strengths
+    of paired comparisons; d′ of ABX and oddity; figures, a report, tidy tables. Of fewer than three participants the tables.
 
     foten study analyze similarity.db -o results
     """
-    from foten.study.analysis import analyse
-    from foten.study.report import write_report
+    from foten.study.analysis import CORRECTIONS, TooFewError, analyse, read_ratings
+    from foten.study.report import write_data, write_report
 
     check_folder(output)
+    if correction not in CORRECTIONS:
+        raise ValueError(f"--correction is {correction!r}, expected {' or '.join(CORRECTIONS)}")
     with _store(database) as store:
-        result = analyse(store, reference)
-    written = write_report(result, output)
+        try:
+            results = analyse(store, reference, correction)
+        except TooFewError as error:
+            written = write_data(read_ratings(store), output)
+            say(f"wrote {', '.join(str(path) for path in written)}")
+            say(f"no report: {error}")
+            return
+    written = write_report(results, output)
     say(f"wrote {', '.join(str(path) for path in written)}")
-    print_result(result.document, "\n".join(result.sentences), as_json)
+    document = {result.ratings.key: result.document for result in results}
+    print_result(document, "\n".join(sentence for result in results for sentence in result.sentences), as_json)
 
 
 @app.command()

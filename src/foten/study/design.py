@@ -162,10 +162,7 @@ class Design:
     @property
     def asked(self) -> tuple[Scale, ...]:
         """Scales of a trial; none where one of several surfaces is chosen."""
-        task = self.task
-        if task.kind != "rating":
-            return ()
-        return self.scales or (Scale("similarity", task.question, task.lowest, task.highest),)
+        return asked_in(self.task, self.scales)
 
     @property
     def real_side(self) -> str:
@@ -190,6 +187,23 @@ def read_design(path: Path) -> tuple[Design, str]:
         return _design(document, path.parent), text
     except ValueError as error:
         raise ValueError(f"{path.name}: {error}") from error
+
+
+def task_of(text: str) -> tuple[Task, tuple[Scale, ...]]:
+    """Task and scales of a study file's text, whatever became of the files that it names."""
+    document = tomllib.loads(text)
+    task: Task = _filled(Task, document.get("task", {}), "[task]", Path())
+    scales = tuple(
+        _filled(Scale, table, f"scale {i + 1}", Path()) for i, table in enumerate(document.get("scales", []))
+    )
+    return task, asked_in(task, scales)
+
+
+def asked_in(task: Task, scales: tuple[Scale, ...]) -> tuple[Scale, ...]:
+    """Scales of a trial; none where one of several surfaces is chosen."""
+    if task.kind != "rating":
+        return ()
+    return scales or (Scale("similarity", task.question, task.lowest, task.highest),)
 
 
 def _design(document: Mapping[str, Any], folder: Path) -> Design:

@@ -8,7 +8,6 @@ import numpy as np
 
 from foten.study.orders import square
 from foten.study.statistics import ALPHA, Array, anova, paired_tests
-from foten.study.store import Rated, Store
 
 PAPER_METHODS = ("ar", "dstn", "ldhtd", "foten")
 PAPER_PARTICIPANTS, PAPER_TEXTURES = 21, 12
@@ -124,20 +123,3 @@ def participants_for(methods: int, textures: int) -> int:
     _, n = needed(raters_for(methods, textures, MIN_DIFFERENCE), 300, 0)
     n, cycle = n or 40, square(textures, methods)
     return -(-n // cycle) * cycle if cycle <= 48 else n
-
-
-def simulate_ratings(store: Store, raters: Raters, n: int, missing: float, seed: int) -> None:
-    """Let n raters answer; a share of them leaves before the end."""
-    rng = np.random.default_rng(seed)
-    ratings = raters.draw(rng, n)
-    for i in range(n):
-        number = store.join(f"SIM{i + 1:03d}")
-        trials = store.trials(number)
-        n_done = len(trials) if rng.random() >= missing else int(rng.integers(1, len(trials)))
-        rated = {
-            f"trial:{t.number}": Rated(
-                {"similarity": float(np.round(ratings[i, t.method, t.texture]))}, float(rng.gamma(9, 2.5)), 0
-            )
-            for t in trials[:n_done]
-        }
-        store.take_steps(number, rated)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import html
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -14,9 +14,10 @@ import pandas
 
 from foten.atomic_write import atomic_write
 from foten.reporting.figure import inline_svg, write_figure
-from foten.reporting.table import Table
-from foten.study.analysis import Result
-from foten.study.rating_figures import bars, panels
+from foten.reporting.table import Table, minus
+from foten.study.analysis import MIN_CORRELATED, Ratings, Result
+from foten.study.design import CHOICES
+from foten.study.rating_figures import figures_of
 
 MAX_ROWS = 12  # of a table that people read; the rest is CSV
 CI = "95 % CI, not adjusted"
@@ -29,94 +30,171 @@ OF_VARIANCE = {"name": "effect", "f": "F", "df": "df", "epsilon": "ε", "p_corre
 OF_VARIANCE |= {"partial_eta2": "η² partial", "generalised_eta2": "η² generalised", "mauchly_p": "Mauchly p"}
 OF_MIXED = {"name": "effect", "f": "F", "df": "df", "p": "p"}
 MARK = "Simulated ratings: of a model of raters, and not of people."
-FIGURES = {
-    "ratings": "Mean ratings of each method on each texture",
-    "textures": "Ratings of each participant, a panel for each texture",
-}
+OF_STRENGTHS = {"method": "method", "log_odds": "log-odds", "ci95": CI}
+OF_CHOICES = {"pair": "pair", "share": "first chosen [%]", "difference": "difference of log-odds", "ci95": CI, "t": "t"}
+OF_CHOICES |= {"p_bonferroni": "p Bonferroni", "p_holm": "p Holm"}
+OF_SENSITIVITY = {"pair": "pair", "n_trials": "trials", "share": "right [%]", "d_prime": "d′", "ci95": CI}
+OF_SENSITIVITY |= {"p_bonferroni": "p Bonferroni", "p_holm": "p Holm"}
+SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 WITHIN = "Tests within textures"
 SUMMARY = ["question", "n", "mean", "sd", "answer", "count"]  # of what participants say of themselves
 STYLE = Path(__file__).with_name("report.css")
-DICTIONARY = (  # columns of ratings.csv, meaning, unit
-    ("participant", "number of the participant", ""),
-    ("trial", "in which order it was rated, from 1", ""),
-    ("texture", "key of the texture", ""),
-    ("method", "key of the method", ""),
-    ("rating", "0 completely different … 100 completely the same", "points"),
-    ("response_s", "from when the trial was shown to the answer", "s"),
-    ("switches", "how often the hand went over between the real and the virtual surface", ""),
-    ("corrected", "1 where a correction holds, and not the first answer", ""),
-    ("simulated", "1 where a model of raters answered", ""),
-    ("contact_s", "the pen on the virtual surface", "s"),
-    *((f"speed_mm_s_p{p}", f"{p}th percentile of the speed while in contact", "mm/s") for p in (10, 50, 90)),
-    *((f"force_n_p{p}", f"{p}th percentile of the force while in contact", "N") for p in (10, 50, 90)),
-    ("block_p99_ms", "99 % of blocks were rendered within", "ms"),
-    ("n_missed", "blocks that came late", ""),
-    ("n_underruns", "times that the sound had nothing to play", ""),
-    ("software", "version of foten that stored the answer", ""),
-    ("sha256", "of the texture file", ""),
-    ("at", "when the answer was stored (UTC)", ""),
+DICTIONARY = (  # columns of ratings.csv, meaning, unit, and of which tasks; of all where there is none
+    ("participant", "number of the participant", "", ()),
+    ("trial", "in which order it was answered, from 1", "", ()),
+    ("scale", "key of the scale", "", ("rating",)),
+    ("texture", "key of the texture", "", ()),
+    ("method", "key of the method; of several surfaces that of the first, or of both that are alike", "", ()),
+    ("other", "key of the method that it is compared with", "", ("paired", "abx", "oddity")),
+    ("rating", "0 to 100 from the lowest to the highest end of the scale", "points", ("rating",)),
+    ("choice", "which surface was chosen", "", ("paired", "abx", "oddity", "threshold")),
+    ("chosen", "key of its method", "", ("paired",)),
+    ("target", "which surface would have been right", "", ("abx", "oddity", "threshold")),
+    ("right", "1 where it was chosen", "", ("abx", "oddity", "threshold")),
+    (
+        "level_db",
+        "level that was played: of the vibration re recorded, or of the increment re the pedestal",
+        "dB",
+        ("threshold",),
+    ),
+    ("response_s", "from when the trial was shown to the answer", "s", ()),
+    ("switches", "how often the hand went over to another surface", "", ()),
+    ("corrected", "1 where a correction holds, and not the first answer", "", ()),
+    ("simulated", "1 where a model of raters answered", "", ()),
+    ("contact_s", "the pen on virtual surfaces", "s", ()),
+    *((f"contact_s_{n}", f"the pen on surface {n}", "s", ("paired", "abx", "oddity", "threshold")) for n in (1, 2)),
+    ("contact_s_3", "the pen on surface 3", "s", ("abx", "oddity", "threshold")),
+    *((f"speed_mm_s_p{p}", f"{p}th percentile of the speed while in contact", "mm/s", ()) for p in (10, 50, 90)),
+    *((f"force_n_p{p}", f"{p}th percentile of the force while in contact", "N", ()) for p in (10, 50, 90)),
+    ("block_p99_ms", "99 % of blocks were rendered within", "ms", ()),
+    ("n_missed", "blocks that came late", "", ()),
+    ("n_underruns", "times that the sound had nothing to play", "", ()),
+    ("software", "version of foten that stored the answer", "", ()),
+    ("sha256", "of the texture file", "", ()),
+    ("at", "when the answer was stored (UTC)", "", ()),
 )
 
 
-def write_report(result: Result, folder: Path) -> list[Path]:
-    """Write report.html, report.md, results.json, ratings.csv (long), ratings-wide.csv, dictionary.csv, pairs.csv, answers.csv,
-    participants.csv, and the figures as PDF and PNG; return their paths.
+def write_report(results: Sequence[Result], folder: Path) -> list[Path]:
+    """Write report.html, report.md, results.json, pairs.csv, the figures as PDF and PNG, and what `write_data` does; return their
+    paths.
     """
-    folder.mkdir(parents=True, exist_ok=True)
-    figures = {"ratings": bars(result), "textures": panels(result)}
-    pictures = [folder / f"{name}.{form}" for name in figures for form in ("png", "pdf")]
-    for path in pictures:
-        write_figure(figures[path.stem], path, dpi=150)
-    svgs = {name: inline_svg(figure, name, FIGURES[name]) for name, figure in figures.items()}
-    texts = {
-        "report.html": _html(result, svgs),
-        "report.md": _markdown(result),
-        "results.json": json.dumps(result.document, indent=1, allow_nan=False) + "\n",
+    paths = write_data([result.ratings for result in results], folder)
+    svgs: list[dict[str, str]] = []
+    for result in results:
+        svgs.append({})
+        for name, (figure, description) in figures_of(result).items():
+            for form in ("png", "pdf"):
+                paths.append(folder / f"{name}{_suffix(result, results)}.{form}")
+                write_figure(figure, paths[-1], dpi=150)
+            letters = "".join(filter(str.isalpha, f"{name}{_suffix(result, results)}"))
+            svgs[-1][name] = inline_svg(figure, letters, description)
+    document = {
+        name: value for name, value in results[0].document.items() if name in ("title", "simulated", "software", "task")
     }
-    for name, frame in _frames(result).items():
-        texts[name] = frame.to_csv(index=False, float_format="%.6g", lineterminator="\n")
-    for name, text in texts.items():
-        with atomic_write(folder / name) as part:
-            part.write_text(text, encoding="utf-8", newline="")
-    return [*(folder / name for name in texts), *pictures]
+    document["results"] = {result.ratings.key: result.document for result in results}
+    texts = {
+        "report.html": _html(results, svgs),
+        "report.md": _markdown(results),
+        "results.json": json.dumps(document, indent=1, allow_nan=False) + "\n",
+    }
+    return [*_written(folder, texts | _csv({"pairs.csv": _pairs_frame(results)})), *paths]
 
 
-def _frames(result: Result) -> dict[str, pandas.DataFrame]:
-    """Tables of the folder by file; a cell without a value is empty.
+def write_data(every: Sequence[Ratings], folder: Path) -> list[Path]:
+    """Write ratings.csv (long), ratings-wide.csv, dictionary.csv, answers.csv and participants.csv of answers on some scales,
+    also of a single participant; return their paths.
 
     The wide one has a row for each participant, as JASP and jamovi want repeated measures.
     """
-    ratings, document = result.ratings, result.document
-    rows = [
-        {**row["measured"], **row, "texture": row["texture_key"], "method": row["method_key"]} for row in ratings.rows
-    ]
-    numbers = sorted({row["participant"] for row in ratings.rows})
-    names = [f"{method}.{texture}" for method in ratings.methods for texture in ratings.textures]
-    wide = pandas.DataFrame(ratings.values.reshape(len(numbers), -1), numbers, names).reset_index(names="participant")
+    folder.mkdir(parents=True, exist_ok=True)
+    ratings = every[0]
+    columns = dictionary_of(ratings)
+    rows = sorted(rows_of(every), key=lambda row: (row["participant"], row["trial"]))
+    wide = pandas.DataFrame({"participant": ratings.numbers})
+    for one in every:
+        scale = f"{one.key}." if len(every) > 1 else ""
+        names = [f"{scale}{condition}.{texture}" for condition in one.conditions for texture in one.textures]
+        values = pandas.DataFrame(one.values.reshape(len(one.numbers), -1), columns=names)
+        wide = pandas.concat([wide, values], axis=1)
     if ratings.simulated:
         wide.insert(1, "simulated", 1)
-    pairs = []
-    for texture, tests in {"": document["pairs_overall"], **document["pairs_within_textures"]}.items():
-        for test in tests:
-            first, second = test["pair"]
-            numbers_of_test = {name: value for name, value in test.items() if name != "pair"}
-            pairs.append({"texture": texture, "first": first, "second": second, **numbers_of_test})
-    marked = {
-        "pairs.csv": pandas.DataFrame(pairs),
-        "answers.csv": pandas.DataFrame(ratings.answers, columns=["participant", "question", "answer", "at"]),
-        "participants.csv": _participants(result),
-    }
-    return {
-        "ratings.csv": pandas.DataFrame(rows, columns=[name for name, *_ in DICTIONARY]).astype({"corrected": int}),
+    answers = pandas.DataFrame(ratings.answers, columns=["participant", "question", "answer", "at"])
+    marked = {"answers.csv": answers, "participants.csv": _participants(ratings)}
+    frames = {
+        "ratings.csv": pandas.DataFrame(rows, columns=[name for name, *_ in columns]),
         "ratings-wide.csv": wide,
-        "dictionary.csv": pandas.DataFrame(DICTIONARY, columns=["column", "meaning", "unit"]),
+        "dictionary.csv": pandas.DataFrame(columns, columns=["column", "meaning", "unit"]),
         **{name: frame.assign(simulated=int(ratings.simulated)) for name, frame in marked.items()},
     }
+    return _written(folder, _csv(frames))
 
 
-def _participants(result: Result) -> pandas.DataFrame:
+def dictionary_of(ratings: Ratings) -> list[tuple[str, str, str]]:
+    """Columns of a study's ratings.csv, their meaning and unit."""
+    return [
+        (name, meaning, unit) for name, meaning, unit, tasks in DICTIONARY if not tasks or ratings.task.kind in tasks
+    ]
+
+
+def rows_of(every: Sequence[Ratings]) -> list[dict[str, Any]]:
+    """Answers in long form, by the columns of the dictionary."""
+    rows = []
+    for row in (row for ratings in every for row in ratings.rows):
+        tidy = {**row["measured"], **row, "corrected": int(row["corrected"])}
+        tidy |= {"texture": row["texture_key"], "method": row["method_key"], "other": row["other_key"]}
+        if labels := CHOICES.get(every[0].task.kind):
+            number = int(row["rating"])
+            tidy |= {"choice": labels[number], "target": labels[row["target"]], "right": int(number == row["target"])}
+            tidy["chosen"] = tidy["other"] if number else tidy["method"]
+        rows.append(tidy)
+    return rows
+
+
+def _csv(frames: Mapping[str, pandas.DataFrame]) -> dict[str, str]:
+    """Texts of tables; a cell without a value is empty."""
+    return {name: frame.to_csv(index=False, float_format="%.6g", lineterminator="\n") for name, frame in frames.items()}
+
+
+def _written(folder: Path, texts: Mapping[str, str]) -> list[Path]:
+    for name, text in texts.items():
+        with atomic_write(folder / name) as part:
+            part.write_text(text, encoding="utf-8", newline="")
+    return [folder / name for name in texts]
+
+
+def _suffix(result: Result, results: Sequence[Result]) -> str:
+    return f"-{result.ratings.key}" if len(results) > 1 else ""
+
+
+def _pairs_frame(results: Sequence[Result]) -> pandas.DataFrame:
+    """Tests of all pairs, over all textures and of each."""
+    rows = []
+    for result in results:
+        scale = {"scale": result.ratings.key} if len(results) > 1 else {}
+        for texture, tests in _tests_by_texture(result).items():
+            for test in tests:
+                first, second = test["pair"]
+                numbers = {name: value for name, value in test.items() if name != "pair"}
+                rows.append({**scale, "texture": texture, "first": first, "second": second, **numbers})
+    columns = None if rows else ["texture", "first", "second"]
+    return pandas.DataFrame(rows, columns=columns).assign(simulated=int(results[0].ratings.simulated))
+
+
+def _tests_by_texture(result: Result) -> dict[str, list[dict[str, Any]]]:
+    """Tests of pairs by texture, of all textures under an empty name."""
+    document = result.document
+    if "strengths" in document:
+        within = {texture: one["pairs"] for texture, one in document["strengths_within_textures"].items()}
+        return {"": document["strengths"]["pairs"], **within}
+    if "sensitivity" in document:
+        return {"": document["sensitivity"], **document["sensitivity_within_textures"]}
+    return {"": document.get("pairs_overall", []), **document.get("pairs_within_textures", {})}
+
+
+def _participants(ratings: Ratings) -> pandas.DataFrame:
     """Summary of the private answers: a row for a question that has numbers, else a row for each answer."""
-    abouts = pandas.DataFrame(result.ratings.abouts, columns=["question", "answer"], dtype=str)
+    abouts = pandas.DataFrame(ratings.abouts, columns=["question", "answer"], dtype=str)
     abouts["answer"] = abouts["answer"].str.split().str.join(" ")
     rows: list[dict[str, Any]] = []
     for question, answers in abouts[abouts["answer"] != ""].groupby("question", sort=False)["answer"]:
@@ -132,7 +210,7 @@ def _participants_table(result: Result) -> list[Table]:
     """The same to be read; none where nothing was asked."""
     rows = [
         ["" if pandas.isna(cell) else f"{cell:.6g}" if isinstance(cell, float) else str(cell) for cell in row]
-        for row in _participants(result).itertuples(index=False)
+        for row in _participants(result.ratings).itertuples(index=False)
     ]
     notes = (f"The first {MAX_ROWS} of {len(rows)} rows; participants.csv has all.",) if len(rows) > MAX_ROWS else ()
     table = replace(Table.of(SUMMARY, rows[:MAX_ROWS]), title="Participants", notes=notes)
@@ -141,12 +219,29 @@ def _participants_table(result: Result) -> list[Table]:
 
 def _tables(result: Result) -> list[Table]:
     """Tables for people, but for those of each texture."""
+    document = result.document
+    if "strengths" in document:
+        return [
+            _table("Strengths", document["strengths"]["methods"], OF_STRENGTHS),
+            _tests("Pairs", document["strengths"]["pairs"], OF_CHOICES, "pairs.csv"),
+        ]
+    if "sensitivity" in document:
+        return [_tests("Pairs", document["sensitivity"], OF_SENSITIVITY, "pairs.csv")]
+    means = _table(_title(result), [row for row in document["means"] if row["texture"] is None], OF_MEANS)
+    return [means, *_tables_of_tests(result)] if "anova_one_way" in document else [means]
+
+
+def _title(result: Result) -> str:
+    quantity = result.ratings.quantity
+    return "Ratings" if result.ratings.task.kind == "rating" else f"{quantity.capitalize()} [{result.ratings.unit}]"
+
+
+def _tables_of_tests(result: Result) -> list[Table]:
     document, several = result.document, len(result.ratings.textures) > 1
     across = ", averaged across textures" if several else ""
     (one_way,) = document["anova_one_way"]
     effects = [{**one_way, "name": "method, averaged" if several else "method"}, *document["anova_two_way"]]
     tables = [
-        _table("Ratings", [row for row in document["means"] if row["texture"] is None], OF_MEANS),
         _table("Analyses of variance", effects, OF_VARIANCE),
         _tests(f"Pairs{across}", document["pairs_overall"], OF_PAIRS, "pairs.csv"),
         _tests(f"Wilcoxon's signed-rank tests{across}", document["wilcoxon"], OF_RANKS, "results.json"),
@@ -158,23 +253,23 @@ def _tables(result: Result) -> list[Table]:
         {"of": "of one rater, ICC(2,1)", "value": agreement["icc_single"]},
         {"of": "of the mean of all, ICC(2,k)", "value": agreement["icc_mean"]},
     ]
+    tables.append(_table("Reliability", icc, {"of": "intraclass correlation", "value": "value"}))
+    if len(result.ratings.conditions) * len(result.ratings.textures) < MIN_CORRELATED:
+        return tables
     each = [{"participant": number, "r": r} for number, r in agreement["with_others"].items()]
     each.sort(key=lambda row: -2.0 if row["r"] is None else row["r"])
     notes = (f"The lowest {MAX_ROWS} of {len(each)}; results.json has all.",) if len(each) > MAX_ROWS else ()
     who = "Each participant's correlation with the others"
-    return [
-        *_participants_table(result),
-        *tables,
-        _table("Reliability", icc, {"of": "intraclass correlation", "value": "value"}),
-        _table(who, each[:MAX_ROWS], {"participant": "participant", "r": "correlation"}, notes),
-    ]
+    return [*tables, _table(who, each[:MAX_ROWS], {"participant": "participant", "r": "correlation"}, notes)]
 
 
 def _within(result: Result) -> list[Table]:
     """Tests within textures: a single table, or a table for each texture where that has too many rows; none of one texture."""
-    tests_of = result.document["pairs_within_textures"]
-    columns = {key: head for key, head in OF_PAIRS.items() if key != "t"}
-    if len(tests_of) == 1:
+    tests_of = {texture: tests for texture, tests in _tests_by_texture(result).items() if texture}
+    heads = {"strengths": OF_CHOICES, "sensitivity": OF_SENSITIVITY}
+    usual = {key: head for key, head in OF_PAIRS.items() if key != "t"}
+    columns = next((head for key, head in heads.items() if key in result.document), usual)
+    if len(tests_of) < 2:
         return []
     if sum(len(tests) for tests in tests_of.values()) > MAX_ROWS:
         return [_tests(f"Tests within {texture}", tests, columns, "pairs.csv") for texture, tests in tests_of.items()]
@@ -199,11 +294,18 @@ def _table(title: str, rows: Sequence[dict[str, Any]], columns: dict[str, str], 
 
 def _cell(row: dict[str, Any], key: str) -> str:
     if key == "ci95":
-        return f"{_short(row['ci95_low'])} to {_short(row['ci95_high'])}"
+        ends = ("−∞", "∞") if "d_prime" in row else ("–", "–")
+        return " to ".join(
+            end if row[k] is None else _short(row[k]) for k, end in zip(("ci95_low", "ci95_high"), ends, strict=True)
+        )
     if key == "pair":
-        return " − ".join(row["pair"])
-    if key in ("mean", "sd", "difference"):
-        return f"{row[key]:.2f}"  # points
+        return (", " if "d_prime" in row else " − ").join(row["pair"])
+    if key in ("mean", "sd", "difference", "log_odds", "d_prime"):
+        return minus(f"{row[key]:.2f}")
+    if key == "share":
+        return f"{100 * row[key]:.0f}"
+    if key == "n_trials":
+        return f"{row[key]:.0f}"
     if key == "df":
         return ", ".join(f"{df:.0f}" for df in row["df"])
     return row[key] if isinstance(row[key], str) else _short(row[key])
@@ -212,25 +314,24 @@ def _cell(row: dict[str, Any], key: str) -> str:
 def _short(value: float | None) -> str:
     if value is None:
         return "–"
-    return f"{value:.2e}" if 0 < abs(value) < 5e-4 else f"{value:.3f}" if abs(value) < 10 else f"{value:.2f}"
+    if 0 < abs(value) < 5e-4:
+        mantissa, exponent = f"{value:.1e}".split("e")
+        return minus(f"{mantissa} · 10{str(int(exponent)).translate(SUPERSCRIPTS)}")
+    return minus(f"{value:.3f}" if abs(value) < 10 else f"{value:.2f}")
 
 
-def _html(result: Result, figures: dict[str, str]) -> str:
-    title, within = html.escape(result.ratings.title), _within(result)
+def _html(results: Sequence[Result], figures: Sequence[Mapping[str, str]]) -> str:
+    first = results[0]
+    title = html.escape(first.ratings.title)
     parts = [f"<h1>{title}</h1>"]
-    if result.ratings.simulated:
+    if first.ratings.simulated:
         parts.append(f'<p class="mark">{html.escape(MARK)}</p>')
-    parts += [f'<p class="note">{html.escape(caution)}</p>' for caution in result.cautions]
-    parts.append(f"<h2>Ratings by method and texture</h2><figure>{figures['ratings']}</figure>")
-    parts.append("<h2>In words</h2>")
-    parts += [f"<p>{html.escape(sentence)}</p>" for sentence in result.sentences]
-    parts += [f"<h2>{html.escape(table.title)}</h2>{_html_of(table)}" for table in _tables(result)]
-    if within:
-        parts.append(f"<h2>{WITHIN}</h2>")
-        folded = "<details><summary>{}</summary>{}</details>" if len(within) > 1 else "{1}"
-        parts += [folded.format(html.escape(table.title), _html_of(table)) for table in within]
-    parts.append(f"<h2>Each texture</h2><figure>{figures['textures']}</figure>")
-    parts.append("<p>ratings.csv beside this page holds every rating; dictionary.csv says what its columns mean.</p>")
+    for result, drawn in zip(results, figures, strict=True):
+        if len(results) > 1:
+            parts.append(f"<h2>{html.escape(result.ratings.quantity.capitalize())}</h2>")
+        parts += _html_of_result(result, drawn)
+    parts += [f"<h2>{html.escape(table.title)}</h2>{_html_of(table)}" for table in _participants_table(first)]
+    parts.append("<p>ratings.csv beside this page holds every answer; dictionary.csv says what its columns mean.</p>")
     head = f'<meta charset="utf-8"><meta name="viewport" content="width=device-width"><title>{title}</title>'
     style = STYLE.read_text(encoding="utf-8")
     body = "\n".join(parts)
@@ -238,17 +339,39 @@ def _html(result: Result, figures: dict[str, str]) -> str:
     return f"<!doctype html>\n{page}\n"
 
 
+def _html_of_result(result: Result, figures: Mapping[str, str]) -> list[str]:
+    parts = [f'<p class="note">{html.escape(caution)}</p>' for caution in result.cautions]
+    names = list(figures)
+    parts.append(f"<figure>{figures[names[0]]}</figure><h2>In words</h2>")
+    parts += [f"<p>{html.escape(sentence)}</p>" for sentence in result.sentences]
+    parts += [f"<h2>{html.escape(table.title)}</h2>{_html_of(table)}" for table in _tables(result)]
+    if within := _within(result):
+        parts.append(f"<h2>{WITHIN}</h2>")
+        folded = "<details><summary>{}</summary>{}</details>" if len(within) > 1 else "{1}"
+        parts += [folded.format(html.escape(table.title), _html_of(table)) for table in within]
+    parts += [f"<h2>Each texture</h2><figure>{figures[name]}</figure>" for name in names[1:]]
+    return parts
+
+
 def _html_of(table: Table) -> str:
     return "".join(f"<p>{html.escape(note)}</p>" for note in table.notes) + table.html("")
 
 
-def _markdown(result: Result) -> str:
-    parts = [f"# {result.ratings.title}"]
-    if result.ratings.simulated:
+def _markdown(results: Sequence[Result]) -> str:
+    parts = [f"# {results[0].ratings.title}"]
+    if results[0].ratings.simulated:
         parts.append(f"**{MARK}**")
-    parts += [f"> {caution}" for caution in result.cautions]
-    parts += ["![Ratings by method and texture](ratings.png)", *result.sentences]
-    tables = *_tables(result), *_within(result)
-    parts += [f"#{html.escape(table.markdown().rstrip(), quote=False)}" for table in tables]  # HTML would pass through
-    parts.append("![Each texture](textures.png)")
+    for result in results:
+        suffix, (first, *others) = _suffix(result, results), figures_of(result)
+        if len(results) > 1:
+            parts.append(f"# {result.ratings.quantity.capitalize()}")
+        parts += [f"> {caution}" for caution in result.cautions]
+        parts += [f"![{_title(result)}]({first}{suffix}.png)", *result.sentences]
+        tables = *_tables(result), *_within(result)
+        parts += [
+            f"#{html.escape(table.markdown().rstrip(), quote=False)}" for table in tables
+        ]  # HTML would pass through
+        parts += [f"![Each texture]({name}{suffix}.png)" for name in others]
+    tables = tuple(_participants_table(results[0]))
+    parts += [f"#{html.escape(table.markdown().rstrip(), quote=False)}" for table in tables]
     return "\n\n".join(parts) + "\n"
