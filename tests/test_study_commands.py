@@ -57,8 +57,8 @@ def test_from_texture_files_to_a_report_without_anyone(tmp_path: Path) -> None:
     assert wide[0][:3] == ["participant", "simulated", "ar.artificial-grass"]
     assert 12 <= len(wide) <= 16  # who left during practice has no row
     document = json.loads((results / "results.json").read_text(encoding="utf-8"))
-    assert document["anova_one_way"][0]["p_corrected"] < 0.01
-    assert document["mixed_model"]["n_participants"] == len(wide) - 1
+    assert document["results"]["similarity"]["anova_one_way"][0]["p_corrected"] < 0.01
+    assert document["results"]["similarity"]["mixed_model"]["n_participants"] == len(wide) - 1
     assert "is there already" in foten("simulate", study, "-o", database, ok=False)
     assert "expected one of ar, dstn" in foten("analyze", database, "--reference", "x", "-o", tmp_path / "r", ok=False)
     assert not (tmp_path / "r").exists()

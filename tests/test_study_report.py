@@ -151,6 +151,7 @@ def test_tables_hold_the_numbers_and_are_short(tmp_path: Path) -> None:
     assert page.count("<svg") == 2
     report = (tmp_path / "report.md").read_text(encoding="utf-8")
     assert max(part.count("\n| ") - 1 for part in report.split("\n## ")) == MAX_ROWS
+    assert result.document["correction"] == "bonferroni"  # as in the paper
     first = result.document["wilcoxon"][0]
     signed = section(report, "Wilcoxon's signed-rank tests, averaged across textures")
     assert "| pair | W | p | p Holm | rank-biserial |" in signed

@@ -302,13 +302,13 @@ def _check(design: Design) -> None:
         raise ValueError(f"there are [[scales]], and the task is {task.kind}: they belong to the task rating")
     bounds: dict[str, tuple[float, float, float]] = {
         "participants": (design.participants, 1, MAX_PARTICIPANTS),
+        "repeats": (task.repeats, 1, 100),
+        "answers": (task.answers, 8, 200),
         "trials": (design.n_trials, 2, MAX_TRIALS),
         "seed": (design.seed, 0, 2**63 - 1),
         "practice": (design.practice, 0, design.n_trials),
         "break_every": (design.break_every, 0, MAX_TRIALS),
         "min_seconds": (task.min_seconds, 0, 600),
-        "repeats": (task.repeats, 1, 100),
-        "answers": (task.answers, 8, 200),
         "low_db": (task.low_db, -90, task.high_db - 4),
         "high_db": (task.high_db, -86, 24),
         "screens": (design.setup.screens, 1, 2),

@@ -1,0 +1,359 @@
+"""The kinds of questions of a study: plan, page as the server sees it, statistics, simulated people, report."""
+
+from __future__ import annotations
+
+import csv
+import json
+from collections import Counter
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+pytest.importorskip("starlette")
+pytest.importorskip("statsmodels")
+from scipy import stats
+
+from foten.study.analysis import TooFewError, analyse, read_ratings
+from foten.study.choosers import Choosers, power, simulate_study
+from foten.study.design import TASKS, Task, read_design
+from foten.study.loading import load_study
+from foten.study.orders import PRESENTATIONS, balance, orders
+from foten.study.raters import raters_for
+from foten.study.report import write_data, write_report
+from foten.study.statistics import ALPHA, anova
+from foten.study.store import Rated, Store
+from foten.study.thresholds import SILENT_DB, gain_db, level_search, noticeable_db, thresholds_of
+from test_study_server import joined, server_of, study_file
+
+COMPARING = ("paired", "abx", "oddity")
+N_NULL = 1000
+NULL_LIMITS = stats.binom.ppf([0.025, 0.975], N_NULL, ALPHA) / N_NULL  # 0.037 to 0.064
+
+
+def task_file(
+    folder: Path, kind: str, lines: str = "", n_methods: int = 3, n_textures: int = 2, **changes: str
+) -> Path:
+    path = study_file(folder, n_textures, n_methods, participants=12, practice="0", **changes)
+    text = path.read_text(encoding="utf-8").replace('kind = "rating"', f'kind = "{kind}"\n{lines}')
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def simulated(folder: Path, kind: str, lines: str = "", effect: float = 0.0, **options: Any) -> Store:
+    study = load_study(task_file(folder, kind, lines, **options))
+    store = study.open_store(folder / "s.db", simulated=True)
+    raters = raters_for(len(study.design.methods), len(study.design.textures), 10.0)
+    simulate_study(store, study.design, raters, effect, -1, 0.0, 3)
+    return store
+
+
+# Plan
+
+
+@pytest.mark.parametrize("kind", COMPARING)
+def test_every_pair_is_shown_in_each_way_as_often_as_in_the_others(kind: str) -> None:
+    """A presentation of a pair comes as often as each other one in the trials of a participant, up to one."""
+    for trials in orders(9, 6, 3, 5, 2, "balanced", kind, repeats=2):
+        shown = Counter((frozenset((t.method, t.other)), t.method > (t.other or 0), t.target) for t in trials)
+        assert len(shown) == 3 * len(PRESENTATIONS[kind])
+        assert max(shown.values()) - min(shown.values()) <= 1
+        pairs = Counter((t.texture, frozenset((t.method, t.other))) for t in trials if not t.practice)
+        assert set(pairs.values()) == {2}
+        assert len(pairs) == 6 * 3
+
+
+def test_intervals_hold_what_the_task_says() -> None:
+    for kind in ("abx", "oddity"):
+        for trial in orders(1, 3, 3, 1, 0, "random", kind)[0]:
+            shown = trial.intervals(kind)
+            assert len(shown) == 3
+            if kind == "abx":
+                assert shown[2] == shown[trial.target]
+                assert shown[0] != shown[1]
+            else:
+                odd = shown[trial.target]
+                assert [method for method in shown if method != odd] == 2 * [trial.method]
+                assert odd == trial.other
+
+
+def test_thresholds_are_asked_in_rounds_that_each_hold_all() -> None:
+    for trials in orders(3, 2, 3, 1, 0, "balanced", "threshold", repeats=12):
+        rounds = np.array([(t.texture, t.method) for t in trials]).reshape(12, 6, 2)
+        assert all(len(set(map(tuple, one))) == 6 for one in rounds.tolist())
+        targets = Counter((t.texture, t.method, t.target) for t in trials)
+        assert set(targets.values()) == {4}
+    assert balance(orders(6, 2, 3, 1, 0, "balanced", "threshold", repeats=9), 2, 3, "threshold")["method first"] == (
+        108,
+        108,
+    )
+
+
+@pytest.mark.parametrize(
+    ("kind", "lines", "why"),
+    [
+        ("guess", "", "task: kind is 'guess', expected rating, paired, abx, oddity or threshold"),
+        ("paired", "repeats = 101", "repeats is 101, expected 1 to 100"),
+        ("threshold", "answers = 3", "answers is 3, expected 8 to 200"),
+        ("threshold", "low_db = -3.0", "low_db is -3, expected -90 to -4"),
+        ("threshold", 'measures = "pitch"', "measures is 'pitch', expected detection or difference"),
+        ("abx", 'feedback = "loud"', "feedback is 'loud', expected none, practice or all"),
+    ],
+)
+def test_a_task_that_cannot_be_is_refused(tmp_path: Path, kind: str, lines: str, why: str) -> None:
+    with pytest.raises(ValueError, match=why):
+        read_design(task_file(tmp_path, kind, lines))
+
+
+def test_scales_belong_to_ratings_and_have_names_of_their_own(tmp_path: Path) -> None:
+    scale = '[[scales]]\nkey = "rough"\nquestion = "How rough?"\nlowest = "smooth"\nhighest = "rough"\n'
+    path = task_file(tmp_path, "paired")
+    path.write_text(path.read_text(encoding="utf-8") + scale, encoding="utf-8")
+    with pytest.raises(ValueError, match=r"there are \[\[scales\]\], and the task is paired"):
+        read_design(path)
+    path = task_file(tmp_path, "rating")
+    path.write_text(path.read_text(encoding="utf-8") + 2 * scale, encoding="utf-8")
+    with pytest.raises(ValueError, match="two scales with one key"):
+        read_design(path)
+
+
+def test_one_method_is_enough_for_a_threshold_alone(tmp_path: Path) -> None:
+    assert read_design(task_file(tmp_path, "threshold", n_methods=1))[0].n_trials == 2 * 25
+    with pytest.raises(ValueError, match="has 1 method, expected two or more"):
+        read_design(task_file(tmp_path, "oddity", n_methods=1))
+
+
+# Trials
+
+
+@pytest.mark.parametrize("kind", COMPARING)
+def test_a_choice_is_stored_with_the_contact_of_each_surface(tmp_path: Path, kind: str) -> None:
+    server = server_of(task_file(tmp_path, kind, min_seconds="0.001"))
+    n = 2 if kind == "paired" else 3
+    with joined(server) as page:
+        page.to_trial()
+        step = page.step
+        assert (step["task"], len(step["intervals"]), step["scales"]) == (kind, n, [])
+        assert step["real_side"] == ("right" if kind == "paired" else "none")
+        for interval in range(n):
+            if interval:
+                page.say(do="side", side="virtual", interval=interval)
+                assert page.until("step")["step"]["interval"] == interval
+            page.stroke()
+            if interval == n - 2:
+                assert page.done(values={"choice": 1})["refused"] == "stroke each surface first"
+        assert "choice is 3, expected 0 to" in page.done(values={"choice": 3})["refused"]
+        assert "choice is 0.5" in page.done(values={"choice": 0.5})["refused"]
+        assert "expected choice" in page.done(values={"similarity": 3})["refused"]
+        page.done(values={"choice": 1}, seconds=2.0)
+        assert page.step["id"] != step["id"]
+    (row,) = server.store.ratings()
+    assert (row["scale"], row["rating"], row["switches"]) == ("choice", 1.0, n - 1)
+    assert row["other"] is not None
+    assert all(row["measured"][f"contact_s_{i + 1}"] == pytest.approx(0.09, abs=0.02) for i in range(n))
+    assert [part.interval for part in server.store.parts(1, 1) if len(part.events)] == list(range(n))
+
+
+def test_surfaces_of_one_trial_sound_as_their_methods_do(tmp_path: Path) -> None:
+    """What is rendered for an interval is the method that the order says, at its gain."""
+    server = server_of(task_file(tmp_path, "oddity"))
+    opened: list[bytes] = []
+    with joined(server) as page:
+        page.to_trial()
+        session = server.sessions[1]
+        page.stroke_until_it_sounds()
+        assert session.contact is not None
+        original = session.contact.open
+
+        def watched(texture: bytes, *others: Any) -> None:
+            opened.append(texture)
+            original(texture, *others)
+
+        session.contact.open = watched  # type: ignore[method-assign]
+        for interval in (1, 2):
+            page.say(do="side", side="virtual", interval=interval)
+            page.until("step")
+        trial = server.store.trials(1)[0]
+    expected = [server.stimuli.bytes_of[trial.texture, method] for method in trial.intervals("oddity")[1:]]
+    assert opened == expected
+
+
+def test_several_scales_are_stored_each_and_all_are_needed(tmp_path: Path) -> None:
+    path = task_file(tmp_path, "rating")
+    scales = "".join(
+        f'[[scales]]\nkey = "{key}"\nquestion = "How {key}?"\nlowest = "not"\nhighest = "very"\n'
+        for key in ("rough", "hard")
+    )
+    path.write_text(path.read_text(encoding="utf-8") + scales, encoding="utf-8")
+    server = server_of(path)
+    with joined(server) as page:
+        page.to_trial()
+        assert [scale["key"] for scale in page.step["scales"]] == ["rough", "hard"]
+        assert "expected rough, hard" in page.done(values={"rough": 3})["refused"]
+        page.done(values={"rough": 30, "hard": 70.5})
+    rows = server.store.ratings()
+    assert [(row["scale"], row["rating"]) for row in rows] == [("rough", 30.0), ("hard", 70.5)]
+    with pytest.raises(ValueError, match="a rating on each of rough, hard: which one"):
+        server.store.correct(1, 1, 50.0, "why")
+    server.store.correct(1, 1, 50.0, "a slip", "hard")
+    assert {row["scale"]: row["rating"] for row in server.store.ratings()} == {"rough": 30.0, "hard": 50.0}
+
+
+def test_the_level_follows_the_answers_also_after_a_restart(tmp_path: Path) -> None:
+    path = task_file(tmp_path, "threshold", "answers = 8", n_methods=1, n_textures=1)
+    levels: list[float] = []
+    for _ in range(2):  # the server begins again in the middle
+        server = server_of(path)
+        code = {} if not server.sessions else {"code": server.sessions[1].code}
+        with joined(server, **code) as page:
+            page.to_trial()
+            for _ in range(4):
+                n = page.step["n"]
+                trial = server.store.trials(1)[n - 1]
+                page.done(values={"choice": trial.target})
+        rows = server.store.ratings()
+        levels = [row["measured"]["level_db"] for row in rows]
+        server.store.close()
+    task = Task("threshold", answers=8)
+    expected: list[tuple[float, bool]] = []
+    for level in levels:
+        assert level == level_search(task, expected).stimulus()
+        expected.append((level, True))
+    assert len(levels) == 8
+    assert levels[-1] < levels[0]  # who is always right is asked at lower levels
+
+
+def test_feedback_says_what_would_have_been_right(tmp_path: Path) -> None:
+    server = server_of(task_file(tmp_path, "oddity", 'feedback = "all"'))
+    with joined(server) as page:
+        page.to_trial()
+        trial = server.store.trials(1)[0]
+        page.say(do="done", step=page.step["id"], values={"choice": (trial.target + 1) % 3})
+        assert page.until("feedback")["feedback"] == {"right": False, "was": "123"[trial.target]}
+    server = server_of(task_file(tmp_path / ".", "oddity").rename(tmp_path / "other.toml"))
+    with joined(server) as page:
+        page.to_trial()
+        page.done(values={"choice": 0})
+        assert not [text for text in page.texts if "feedback" in text]  # of practice alone, by default
+
+
+def test_a_surface_of_detection_is_silent_but_the_target_and_one_of_a_difference_is_louder() -> None:
+    detection, difference = Task("threshold"), Task("threshold", measures="difference")
+    assert (gain_db(detection, -20.0, True), gain_db(detection, -20.0, False)) == (-20.0, SILENT_DB)
+    assert gain_db(difference, -20.0, False) == 0.0
+    assert gain_db(difference, 0.0, True) == pytest.approx(20 * np.log10(2))
+    assert noticeable_db(-11.7) == pytest.approx(2.0, abs=0.02)
+
+
+# Statistics
+
+
+def test_thresholds_of_simulated_people_are_found() -> None:
+    """Bias within 1 dB and a spread of about 3 dB with 25 answers, as `dsp.adaptive` has them."""
+    true = np.linspace(-45.0, -15.0, 40)
+    errors = thresholds_of(Task("threshold"), true, np.random.default_rng(1)) - true
+    assert abs(errors.mean()) < 1.2
+    assert errors.std() < 4.0
+
+
+def null_rate(kind: str, n_studies: int = N_NULL) -> float:
+    """Share of null studies of 16 people in which the overall test of a task finds something; of a single pair where d′ is
+    tested, since the smallest adjusted p of several is conservative.
+    """
+    rng = np.random.default_rng(7)
+    if kind in COMPARING:
+        n_methods, per_pair = (3, 6) if kind == "paired" else (2, 12)
+        choosers = NoPreference(kind, n_methods, 0.5) if kind == "paired" else Choosers(kind, n_methods, 0.0)
+        return float(np.mean([choosers.p_values(rng, 16, per_pair)[0] < ALPHA for _ in range(n_studies)]))
+    if kind == "rating":
+        y = raters_for(2, 1, 0.0).draw(rng, 16, n_studies)
+        return float((anova(y)[0].p_corrected < ALPHA).mean())
+    task = Task("threshold", answers=8)
+    people = rng.normal(-30.0, 5.0, (n_studies, 10, 1)) + rng.normal(0.0, 1.0, (n_studies, 10, 2))
+    y = thresholds_of(task, people, rng)[..., None]
+    return float((anova(y)[0].p_corrected < ALPHA).mean())
+
+
+class NoPreference(Choosers):
+    """People with preferences of their own, and none that they share."""
+
+    def people(self, rng: np.random.Generator, n: int) -> Any:
+        return self.spread * rng.standard_normal((n, self.n_methods))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", TASKS)
+def test_null_studies_find_something_in_one_of_twenty(kind: str) -> None:
+    rate = null_rate(kind)
+    print(f"{kind}: {100 * rate:.1f} % of {N_NULL} null studies")
+    assert NULL_LIMITS[0] <= rate <= NULL_LIMITS[1]
+
+
+@pytest.mark.parametrize(("kind", "weak", "strong"), [("paired", 0.55, 0.8), ("abx", 0.5, 2.0), ("oddity", 0.5, 2.0)])
+def test_power_grows_with_the_effect_and_with_people(kind: str, weak: float, strong: float) -> None:
+    few, many = (power(Choosers(kind, 3, strong), n, 6, 40, 0)["pair"] for n in (4, 21))
+    assert power(Choosers(kind, 3, weak), 21, 6, 40, 0)["pair"] < many
+    assert few < many
+    assert many > 0.8
+
+
+# Reports
+
+
+@pytest.mark.parametrize("kind", TASKS)
+def test_a_report_says_what_simulated_people_were_given(tmp_path: Path, kind: str) -> None:
+    effects = {"paired": 0.85, "abx": 2.5, "oddity": 2.5, "threshold": 8.0}
+    lines = "answers = 10" if kind == "threshold" else "repeats = 3" * (kind in ("abx", "oddity"))
+    with simulated(tmp_path, kind, lines, effects.get(kind, 0.0), n_methods=2 + (kind == "paired")) as store:
+        (result,) = analyse(store)
+        every = read_ratings(store)
+    write_report([result], tmp_path / "r")
+    page = (tmp_path / "r" / "report.html").read_text(encoding="utf-8")
+    assert page.count("<svg") == 2
+    document = json.loads((tmp_path / "r" / "results.json").read_text(encoding="utf-8"))
+    assert document["task"] == kind
+    of_kind = document["results"][result.ratings.key]
+    assert of_kind == result.document
+    with (tmp_path / "r" / "ratings.csv").open(newline="", encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) == len(every[0].rows)
+    names = list(rows[0])
+    with (tmp_path / "r" / "dictionary.csv").open(newline="", encoding="utf-8") as file:
+        assert [row["column"] for row in csv.DictReader(file)] == names
+    if kind == "paired":
+        best = max(of_kind["strengths"]["methods"], key=lambda row: row["log_odds"])
+        assert best["method"] == result.ratings.methods[-1]
+        assert of_kind["strengths"]["overall"]["p"] < ALPHA
+        shares = [
+            float(row["chosen"] == result.ratings.methods[-1])
+            for row in rows
+            if result.ratings.methods[-1] in (row["method"], row["other"])
+        ]
+        assert np.mean(shares) == pytest.approx(0.85, abs=0.1)
+    elif kind in ("abx", "oddity"):
+        (pair,) = of_kind["sensitivity"]
+        assert pair["share"] == pytest.approx(np.mean([float(row["right"]) for row in rows]))
+        assert pair["ci95_low"] < 2.5 < (pair["ci95_high"] or np.inf)
+        assert pair["p"] < ALPHA
+    elif kind == "threshold":
+        means = [row["mean"] for row in of_kind["means"] if row["texture"] is None]
+        assert means[0] - means[1] == pytest.approx(8.0, abs=3.0)
+        assert {row["level_db"] != "" for row in rows} == {True}
+
+
+def test_a_pilot_of_one_has_its_tables(tmp_path: Path) -> None:
+    with load_study(task_file(tmp_path, "abx")).open_store(tmp_path / "s.db") as store:
+        with pytest.raises(ValueError, match="holds no answers yet"):
+            read_ratings(store)
+        store.take_step(store.join("ALONE"), "trial:1", (1, Rated({"choice": 1.0}, 2.0, 2)))
+        with pytest.raises(TooFewError, match="0 participants have answered everything, of 1 who began"):
+            analyse(store)
+        write_data(read_ratings(store), tmp_path / "r")
+    assert (tmp_path / "r" / "ratings.csv").read_text(encoding="utf-8").count("\n") == 2
+    assert not (tmp_path / "r" / "report.html").exists()
+
+
+def test_stars_are_by_the_correction_that_is_asked_for(tmp_path: Path) -> None:
+    with simulated(tmp_path, "threshold", "answers = 8", n_textures=1, n_methods=2) as store:
+        assert analyse(store, None, "holm")[0].document["correction"] == "holm"
