@@ -3,7 +3,11 @@
 from __future__ import annotations
 
 import csv
+import io
 import json
+import re
+import time
+import zipfile
 from collections import Counter
 from pathlib import Path
 from typing import Any
@@ -19,13 +23,15 @@ from foten.study.analysis import TooFewError, analyse, read_ratings
 from foten.study.choosers import Choosers, power, simulate_study
 from foten.study.design import TASKS, Task, read_design
 from foten.study.loading import load_study
+from foten.study.markers import NAME, Markers
 from foten.study.orders import PRESENTATIONS, balance, orders
 from foten.study.raters import raters_for
+from foten.study.record import bids, events_of, psych_ds
 from foten.study.report import write_data, write_report
 from foten.study.statistics import ALPHA, anova
 from foten.study.store import Rated, Store
 from foten.study.thresholds import SILENT_DB, gain_db, level_search, noticeable_db, thresholds_of
-from test_study_server import joined, server_of, study_file
+from test_study_server import joined, served, server_of, study_file
 
 COMPARING = ("paired", "abx", "oddity")
 N_NULL = 1000
@@ -357,3 +363,102 @@ def test_a_pilot_of_one_has_its_tables(tmp_path: Path) -> None:
 def test_stars_are_by_the_correction_that_is_asked_for(tmp_path: Path) -> None:
     with simulated(tmp_path, "threshold", "answers = 8", n_textures=1, n_methods=2) as store:
         assert analyse(store, None, "holm")[0].document["correction"] == "holm"
+
+
+# For the record
+
+
+def test_the_record_holds_every_answer_and_says_what_columns_mean(tmp_path: Path) -> None:
+    """Psych-DS's rules: names of files, `variableMeasured` of all columns, the fields that a description needs."""
+    with simulated(tmp_path, "oddity", effect=1.0, n_methods=2) as store:
+        store.take_step(1, "questions:end", answers={"remarks": "fine"}, private={"age": "30"})
+        texts = psych_ds(store)
+        n = len(store.ratings())
+    description = json.loads(texts["dataset_description.json"])
+    assert {"@context", "@type", "name", "description", "variableMeasured"} <= description.keys()
+    assert (description["@context"], description["@type"]) == ("https://schema.org", "Dataset")
+    variables = {one["name"] for one in description["variableMeasured"]}
+    assert all(one["@type"] == "PropertyValue" and one["description"] for one in description["variableMeasured"])
+    data = {name: text for name, text in texts.items() if name.startswith("data/")}
+    assert len(data) == 3
+    for name, text in data.items():
+        assert re.fullmatch(r"data/([a-z]+-[a-zA-Z0-9]+)(_[a-z]+-[a-zA-Z0-9]+)*_data\.csv", name)
+        assert set(next(csv.reader(text.splitlines()))) <= variables
+    (ratings,) = [text for name, text in data.items() if "description" not in name]
+    assert ratings.count("\n") == n + 1
+    assert all("30" not in text or "age" in text for text in data.values())
+
+
+def test_events_say_when_each_trial_was_shown_stroked_and_answered(tmp_path: Path) -> None:
+    server = server_of(task_file(tmp_path, "paired"))
+    with joined(server) as page:
+        page.to_trial()
+        begin = time.time()
+        start = time.monotonic()
+        for surface in range(2):
+            if surface:
+                page.say(do="side", side="virtual", interval=1)
+                page.until("step")
+            down = time.monotonic()
+            for k in range(31):
+                event = [0.8 * k, 0.0, 0.5 * (k < 30), time.monotonic() - start]
+                page.socket.send_bytes(np.array(event, dtype="<f8").tobytes())
+                time.sleep(max(0.0, down + 0.01 * (k + 1) - time.monotonic()))
+        page.done(values={"choice": 0})
+        took = time.time() - begin
+    events = [event for event in events_of(server.store, 1) if event["trial"] == 1]
+    moments = [event for event in events if event["trial_type"] != "switch"]
+    assert [event["trial_type"] for event in moments] == ["trial", "contact", "contact", "answer"]
+    trial, first, second, answer = moments
+    assert (first["surface"], second["surface"]) == (1, 2)
+    assert first["duration"] == pytest.approx(0.3, abs=0.1)
+    assert answer["value"] == 0.0
+    assert trial["onset"] == 0.0
+    assert answer["onset"] == pytest.approx(trial["duration"])
+    assert 0.6 <= trial["duration"] <= took + 1.0
+    assert first["onset"] < answer["onset"]
+    texts = bids(server.store)
+    assert texts["participants.tsv"] == "participant_id\nsub-1\n"
+    header = texts["sub-1/beh/sub-1_task-paired_events.tsv"].splitlines()[0].split("\t")
+    assert header[:3] == ["onset", "duration", "trial_type"]
+    assert set(header[2:]) == json.loads(texts["task-paired_events.json"]).keys()
+
+
+def test_the_operator_downloads_what_there_is_and_a_participant_does_not(tmp_path: Path) -> None:
+    server = server_of(task_file(tmp_path, "abx"))
+    with served(server) as client:
+        assert client.get("/data.zip").status_code == 404
+        client.get("/operator", params={"key": server.operator_key})
+        assert "no answers yet" in client.get("/data.zip").text
+        server.store.take_step(server.store.join("ALONE"), "trial:1", (1, Rated({"choice": 1.0}, 2.0, 2)))
+        archive = zipfile.ZipFile(io.BytesIO(client.get("/data.zip").content))
+    assert {name.split("/")[0] for name in archive.namelist()} == {"psych-ds", "bids"}
+
+
+def test_markers_name_trials_contacts_and_answers_and_no_method(tmp_path: Path) -> None:
+    server, sent = server_of(task_file(tmp_path, "abx")), list[dict[str, Any]]()
+
+    class Recorder:
+        def send(self, event: str, **about: Any) -> None:
+            sent.append({"event": event, **about})
+
+    server.markers = Recorder()  # type: ignore[assignment]
+    with joined(server) as page:
+        page.to_trial()
+        page.stroke()
+        page.socket.send_bytes(np.array([9.0, 0.0, 0.0, 0.1], dtype="<f8").tobytes())
+        page.done(values={"choice": 1})
+    of_trial = [marker["event"] for marker in sent if marker["trial"] == 1]
+    assert of_trial == ["trial", "contact", "lift", "answer"]
+    assert not any(repr(method) in str(sent) for method in server.design.methods)
+
+
+def test_markers_reach_a_recorder() -> None:
+    pylsl = pytest.importorskip("pylsl")
+    markers = Markers("A study")
+    streams = pylsl.resolve_byprop("name", NAME, timeout=5)
+    inlet = pylsl.StreamInlet(streams[0])
+    inlet.open_stream(timeout=5)
+    markers.send("trial", participant=1, trial=2)
+    sample, _ = inlet.pull_sample(timeout=5)
+    assert json.loads(sample[0]) == {"event": "trial", "participant": 1, "trial": 2}

@@ -119,6 +119,7 @@ def run(
     simulated: bool = Option(
         False, "--simulated", help="Those who answer are programs: the ratings are marked as simulated for ever."
     ),
+    lsl: bool = Option(False, "--lsl", help="Send markers of trials, contacts and answers by Lab Streaming Layer."),
     open_page: bool = Option(True, "--open/--no-open", help="Open the operator's page in this machine's browser."),
 ) -> None:
     """Run a study: participants' pages and the operator's. Ctrl-C ends it; the same command goes on where it was.
@@ -131,16 +132,18 @@ def run(
     from foten.studio.access import Access, Admitted
     from foten.studio.web_server import serve
     from foten.study.loading import load_study
+    from foten.study.markers import Markers
     from foten.study.study_server import StudyServer
 
     loaded = load_study(study)
     loaded.check_devices()
+    markers = Markers(loaded.design.title) if lsl else None
     database = output or study.with_suffix(".db")
     store = loaded.open_store(database, simulated)
     store.hold()
     folder = database.with_suffix(".access")
     folder.mkdir(mode=0o700, exist_ok=True)
-    server = StudyServer(store, loaded, Admitted(folder / "devices.json"))
+    server = StudyServer(store, loaded, Admitted(folder / "devices.json"), markers)
 
     def announce(access: Access, host: str, joined: bool) -> None:
         server.link = partial(access.link, host)
@@ -341,6 +344,28 @@ def analyze(
     say(f"wrote {', '.join(str(path) for path in written)}")
     document = {result.ratings.key: result.document for result in results}
     print_result(document, "\n".join(sentence for result in results for sentence in result.sentences), as_json)
+
+
+@app.command()
+def export(
+    database: Database,
+    output: Annotated[Path, folder_option("Of the data set; made if there is none.")] = Path("dataset"),
+    to: str = Option(
+        "psych-ds", help="psych-ds: tidy tables and what their columns mean; bids: events of each participant."
+    ),
+) -> None:
+    """Write a study as a data set for the record, from the first answer on.
+
+    foten study export similarity.db -o dataset
+    """
+    from foten.study.record import FORMATS, write_record
+
+    check_folder(output)
+    if to not in FORMATS:
+        raise ValueError(f"--to is {to!r}, expected {' or '.join(FORMATS)}")
+    with _store(database) as store:
+        written = write_record(store, to, output)
+    print(f"wrote {len(written)} files to {output}")
 
 
 @app.command()

@@ -120,7 +120,7 @@ def write_data(every: Sequence[Ratings], folder: Path) -> list[Path]:
     if ratings.simulated:
         wide.insert(1, "simulated", 1)
     answers = pandas.DataFrame(ratings.answers, columns=["participant", "question", "answer", "at"])
-    marked = {"answers.csv": answers, "participants.csv": _participants(ratings)}
+    marked = {"answers.csv": answers, "participants.csv": participants_frame(ratings)}
     frames = {
         "ratings.csv": pandas.DataFrame(rows, columns=[name for name, *_ in columns]),
         "ratings-wide.csv": wide,
@@ -192,7 +192,7 @@ def _tests_by_texture(result: Result) -> dict[str, list[dict[str, Any]]]:
     return {"": document.get("pairs_overall", []), **document.get("pairs_within_textures", {})}
 
 
-def _participants(ratings: Ratings) -> pandas.DataFrame:
+def participants_frame(ratings: Ratings) -> pandas.DataFrame:
     """Summary of the private answers: a row for a question that has numbers, else a row for each answer."""
     abouts = pandas.DataFrame(ratings.abouts, columns=["question", "answer"], dtype=str)
     abouts["answer"] = abouts["answer"].str.split().str.join(" ")
@@ -210,7 +210,7 @@ def _participants_table(result: Result) -> list[Table]:
     """The same to be read; none where nothing was asked."""
     rows = [
         ["" if pandas.isna(cell) else f"{cell:.6g}" if isinstance(cell, float) else str(cell) for cell in row]
-        for row in _participants(result.ratings).itertuples(index=False)
+        for row in participants_frame(result.ratings).itertuples(index=False)
     ]
     notes = (f"The first {MAX_ROWS} of {len(rows)} rows; participants.csv has all.",) if len(rows) > MAX_ROWS else ()
     table = replace(Table.of(SUMMARY, rows[:MAX_ROWS]), title="Participants", notes=notes)

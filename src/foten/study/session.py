@@ -88,6 +88,7 @@ class Session:
         self.held = self.step["kind"] == "trial" and self.server.design.setup.operator
         self.side, self.interval, self.n_switches, self.shown_at = "virtual", 0, 0, 0.0
         self._log = TrialLog()
+        self._down = False  # the pen, on a surface that is rendered
         self._level_db: float | None = None  # of a threshold's trial, once it is stroked
 
     def shown(self) -> Step:
@@ -115,6 +116,13 @@ class Session:
                 shown |= {"name": texture.name, "picture": f"pictures/{trial.texture}" if texture.picture else None}
         return shown
 
+    def _mark(self, event: str, **about: Any) -> None:
+        """Send a marker of the present trial, where somebody asked for them."""
+        if self.server.markers is not None:
+            trial: Trial = self.step["trial"]
+            texture = self.server.design.textures[trial.texture].key
+            self.server.markers.send(event, participant=self.number, trial=trial.number, texture=texture, **about)
+
     async def show(self) -> None:
         """Show the step on all pages."""
         for page in list(self.pages):
@@ -125,6 +133,7 @@ class Session:
         if self.step["kind"] == "trial" and not self.held and not self.shown_at:
             self.shown_at = time.monotonic()
             trial = self.step["trial"].number
+            self._mark("trial")
             with contextlib.suppress(OSError):
                 await self.server.on_disk(lambda: self.server.store.add_shown(self.number, trial))
 
@@ -146,6 +155,8 @@ class Session:
             if step["kind"] == "end":
                 return None
             await self._store(step, message)
+            if step["kind"] == "trial":
+                self._mark("answer", values=message["values"])
             self.done.add(step_id)
             await self.end_contact()
             self._arrive()
@@ -248,6 +259,10 @@ class Session:
                     await self._open(page, step["trial"])
         if self.contact is not None:
             self.contact.push(events)
+            down = bool(events[-1, 2] > 0)
+            if down != self._down:
+                self._mark("contact" if down else "lift", surface=self.interval + 1)
+            self._down = down
             self._of_trial(step["trial"]).events.append((self.interval, events))
             self._log.events.append((self.interval, events))
             if time.monotonic() - self._saved_at > SAVE_STROKES_S:

@@ -10,6 +10,7 @@ import time
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from datetime import datetime
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -296,11 +297,24 @@ class Store(contextlib.AbstractContextManager["Store"]):
 
     def parts(self, participant: int, trial: int) -> list[Stroked]:
         """Parts of a trial's contact, in their order."""
+        return [part for part, _ in self.timed_parts(participant, trial)]
+
+    def timed_parts(self, participant: int, trial: int) -> list[tuple[Stroked, float]]:
+        """Parts of a trial's contact, and when each was stored [s, the system's clock]."""
         query = "SELECT * FROM strokes WHERE participant = ? AND trial = ? ORDER BY part"
         return [
-            Stroked(int(row["interval"]), _unpacked(row["events"], 4), _unpacked(row["conditions"], 2))
+            (
+                Stroked(int(row["interval"]), _unpacked(row["events"], 4), _unpacked(row["conditions"], 2)),
+                _seconds(row["at"]),
+            )
             for row in self._rows(query, participant, trial)
         ]
+
+    def moments(self, participant: int, table: str) -> list[dict[str, Any]]:
+        """Rows of a participant in `ratings`, `switches` or `shown`, with `at_s` [s, system's clock]; of ratings the first."""
+        first = " AND corrects IS NULL" if table == "ratings" else ""
+        rows = self._rows(f"SELECT * FROM {table} WHERE participant = ?{first} ORDER BY at", participant)
+        return [{**dict(row), "at_s": _seconds(row["at"])} for row in rows]
 
     def ratings(self) -> list[dict[str, Any]]:
         """Valid ratings without practice: participant, trial, scale, texture, method and other (as numbers and as keys), target,
@@ -420,6 +434,11 @@ class Store(contextlib.AbstractContextManager["Store"]):
         if busy:
             why = "in use, and parts of it may keep what was removed: end 'foten study run', do it again"
             raise OSError(f"{self.path.name} is {why}")
+
+
+def _seconds(at: str | float) -> float:
+    """A stored time as seconds of the system's clock."""
+    return at if isinstance(at, float) else datetime.fromisoformat(at).timestamp()
 
 
 def _packed(array: NDArray[np.float64]) -> bytes:

@@ -26,6 +26,7 @@ from foten.studio.players import Player, RoundRobinRenderer
 from foten.studio.studio_server import missing, page_file
 from foten.studio.websocket import serve_page
 from foten.study.loading import Study
+from foten.study.markers import Markers
 from foten.study.page_sockets import OperatorPage, ParticipantPage
 from foten.study.session import Session
 from foten.study.store import Store
@@ -46,9 +47,13 @@ class StudyServer:
 
     Args:
         admitted: devices and operators who were let in, also by a server before this one.
+        markers: takes what happens in trials.
     """
 
-    def __init__(self, store: Store, study: Study, admitted: Admitted | None = None) -> None:
+    def __init__(
+        self, store: Store, study: Study, admitted: Admitted | None = None, markers: Markers | None = None
+    ) -> None:
+        self.markers = markers
         self.admitted = admitted or Admitted()
         self.store, self.design, self.stimuli, self.output = store, study.design, study.stimuli, study.output
         self.operator_key = secrets.token_urlsafe(16)
@@ -102,6 +107,7 @@ class StudyServer:
             Route("/operator", self._operator),
             Route("/pictures/{number}", self._picture),
             Route("/codes/{code}.svg", self._code),
+            Route("/data.zip", self._data),
             WebSocketRoute("/session", self._serve_page),
             WebSocketRoute("/operate", self._serve_operator),
             Route("/{name:path}", self._file),
@@ -164,6 +170,21 @@ class StudyServer:
         drawn = io.BytesIO()
         segno.make(self.link(**query), error="l").save(drawn, kind="svg", scale=8, border=2)
         return Response(drawn.getvalue(), media_type="image/svg+xml")
+
+    async def _data(self, request: Request) -> Response:
+        """All answers so far, to be saved."""
+        if not self._is_operator(request):
+            return missing("this is the operator's")
+        from foten.study.record import zipped
+
+        try:
+            data = await self.on_disk(lambda: zipped(self.store))
+        except ValueError as error:
+            return missing(str(error))
+        name = f"{self.store.path.stem}.zip"
+        return Response(
+            data, media_type="application/zip", headers={"content-disposition": f'attachment; filename="{name}"'}
+        )
 
     def _is_operator(self, connection: HTTPConnection) -> bool:
         return self.admitted.knows(connection.cookies.get(OPERATOR_COOKIE), OPERATOR)

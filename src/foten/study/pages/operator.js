@@ -37,6 +37,7 @@ function show({ title, planned, simulated, screens, sessions, link: newest }) {
   const ended = sessions.filter((one) => one.kind === "end").length;
   $("count").value = `${ended} of ${planned} have finished`;
   $("none").hidden = sessions.length > 0;
+  $("data").hidden = !sessions.some((one) => one.n > 0);
   // Those at work first; who has finished stays below.
   const order = [...sessions].sort((a, b) => (a.kind === "end") - (b.kind === "end") || b.number - a.number);
   const known = new Map([...$("people").children].map((row) => [Number(row.dataset.number), row]));

@@ -1,0 +1,236 @@
+"""A study for the record: as a Psych-DS data set, and as events in BIDS.
+
+Sources: Psych-DS, rules and conventions of its documentation (2025); Gorgolewski et al., Scientific Data 3, 160044 (2016), for
+BIDS, here with behavioural data alone.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import re
+import zipfile
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas
+
+from foten import __version__
+from foten.atomic_write import atomic_write
+from foten.study.analysis import Ratings, read_ratings
+from foten.study.report import SUMMARY, dictionary_of, participants_frame, rows_of
+from foten.study.session import MAX_APART_S
+from foten.study.store import Store
+
+BIDS_VERSION = "1.9.0"
+ANSWERS = (  # columns of the answers that are not private, meaning, unit
+    ("question", "key of the question", ""),
+    ("answer", "what was answered", ""),
+)
+OF_SUMMARY = {
+    "n": "how many answered it",
+    "mean": "mean of answers that are numbers",
+    "sd": "their standard deviation",
+    "count": "how many gave this answer",
+}
+EVENTS = {
+    "onset": ("from when the first trial was shown", "s"),
+    "duration": ("how long it lasted; 0 for a moment", "s"),
+    "trial_type": (
+        "trial: from shown to answered; contact: the pen on a virtual surface; switch: to another; answer",
+        "",
+    ),
+    "trial": ("number of the trial; 0 and below are practice", ""),
+    "texture": ("key of the texture", ""),
+    "surface": ("of a contact or switch: which surface", ""),
+    "scale": ("of an answer: key of the scale, or choice", ""),
+    "value": ("of an answer: rating, or number of the chosen surface from 0", ""),
+}
+
+
+def psych_ds(store: Store) -> dict[str, str]:
+    """Texts of a Psych-DS data set by file: a tidy table of all answers, those to questionnaires, and what every column means.
+
+    Answers to private questions are there in sum, without numbers of participants.
+
+    Raises:
+        ValueError: there is no answer yet.
+    """
+    every = read_ratings(store)
+    ratings = every[0]
+    study = re.sub(r"[^a-zA-Z0-9]", "", ratings.title)[:40] or "study"
+    name = f"study-{study}_task-{ratings.task.kind}"
+    columns = dictionary_of(ratings)
+    rows = sorted(rows_of(every), key=lambda row: (row["participant"], row["trial"]))
+    frames = {f"{name}_data.csv": pandas.DataFrame(rows, columns=[column for column, *_ in columns])}
+    variables = {column: (meaning, unit) for column, meaning, unit in columns}
+    if ratings.answers:
+        frame = pandas.DataFrame(ratings.answers, columns=["participant", "question", "answer", "at"])
+        frames[f"{name}_description-answers_data.csv"] = frame
+        variables |= {column: (meaning, unit) for column, meaning, unit in ANSWERS}
+    if ratings.abouts:
+        frames[f"{name}_description-participants_data.csv"] = participants_frame(ratings)
+        variables |= {column: (meaning, unit) for column, meaning, unit in ANSWERS}
+        variables |= {column: (OF_SUMMARY[column], "") for column in SUMMARY if column in OF_SUMMARY}
+    description = {
+        "@context": "https://schema.org",
+        "@type": "Dataset",
+        "name": ratings.title,
+        "description": _description(ratings),
+        "variableMeasured": [
+            {"@type": "PropertyValue", "name": column, "description": meaning} | ({"unitText": unit} if unit else {})
+            for column, (meaning, unit) in variables.items()
+        ],
+    }
+    texts = {
+        "dataset_description.json": json.dumps(description, indent=1, ensure_ascii=False) + "\n",
+        "README.md": f"# {ratings.title}\n\n{_description(ratings)}\n\nWhat columns mean: `dataset_description.json`.\n",
+        "CHANGES.md": f"# Changes\n\n- exported by foten {__version__}\n",
+    }
+    for file, frame in frames.items():
+        texts[f"data/{file}"] = frame.to_csv(index=False, float_format="%.6g", lineterminator="\n")
+    return texts
+
+
+def bids(store: Store) -> dict[str, str]:
+    """Texts of a BIDS data set by file: each participant's trials, contacts, switches and answers as events in time.
+
+    A contact's time is that of its storing less the pen's own clock, right to about the delay of the network.
+
+    Raises:
+        ValueError: there is no answer yet.
+    """
+    every = read_ratings(store)
+    ratings = every[0]
+    description = {
+        "Name": ratings.title,
+        "BIDSVersion": BIDS_VERSION,
+        "DatasetType": "raw",
+        "GeneratedBy": [{"Name": "foten", "Version": ratings.software}],
+    }
+    width = len(str(max(ratings.numbers)))
+    texts = {
+        "dataset_description.json": json.dumps(description, indent=1, ensure_ascii=False) + "\n",
+        "README": f"{ratings.title}\n\n{_description(ratings)}\n",
+        "participants.tsv": "participant_id\n" + "".join(f"sub-{n:0{width}d}\n" for n in ratings.numbers),
+        f"task-{ratings.task.kind}_events.json": json.dumps(
+            {
+                column: {"Description": meaning} | ({"Units": unit} if unit else {})
+                for column, (meaning, unit) in EVENTS.items()
+                if column not in ("onset", "duration")
+            },
+            indent=1,
+        )
+        + "\n",
+    }
+    for number in ratings.numbers:
+        frame = pandas.DataFrame(events_of(store, number), columns=list(EVENTS))
+        tsv = frame.to_csv(index=False, sep="\t", float_format="%.3f", na_rep="n/a", lineterminator="\n")
+        texts[f"sub-{number:0{width}d}/beh/sub-{number:0{width}d}_task-{ratings.task.kind}_events.tsv"] = tsv
+    return texts
+
+
+def _description(ratings: Ratings) -> str:
+    who = "simulated raters" if ratings.simulated else "participants"
+    b = len(ratings.textures)
+    return (
+        f"A study of virtual surfaces, by foten {ratings.software}: {len(ratings.numbers)} {who}, task {ratings.task.kind}, "
+        f"{len(ratings.methods)} methods ({', '.join(ratings.methods)}) on {b} texture{'s' * (b > 1)} "
+        f"({', '.join(ratings.textures)})."
+    )
+
+
+def events_of(store: Store, participant: int) -> list[dict[str, Any]]:
+    """Events of a participant in the order of time, each by the columns of `EVENTS`."""
+    stimuli, trials = store.stimuli(), {trial.number: trial for trial in store.trials(participant)}
+    events: list[dict[str, Any]] = []
+    answered: dict[int, float] = {}
+    for row in store.moments(participant, "ratings"):
+        answered[row["trial"]] = row["at_s"]
+        events.append(
+            {
+                "at": row["at_s"],
+                "trial_type": "answer",
+                "trial": row["trial"],
+                "scale": row["scale"],
+                "value": row["rating"],
+            }
+        )
+    for row in store.moments(participant, "switches"):
+        events.append({"at": row["at_s"], "trial_type": "switch", "trial": row["trial"], "surface": row["side"]})
+    for row in store.moments(participant, "shown"):
+        until = answered.get(row["trial"], row["at_s"])
+        duration = max(0.0, until - row["at_s"])
+        events.append({"at": row["at_s"], "duration": duration, "trial_type": "trial", "trial": row["trial"]})
+    for number in sorted(trials):
+        for at, duration, interval in _contacts(store, participant, number):
+            contact = {
+                "at": at,
+                "duration": duration,
+                "trial_type": "contact",
+                "trial": number,
+                "surface": interval + 1,
+            }
+            events.append(contact)
+    events.sort(key=lambda event: event["at"])
+    begin = next(
+        (event["at"] for event in events if event["trial_type"] == "trial"), events[0]["at"] if events else 0.0
+    )
+    return [
+        {
+            "duration": 0.0,
+            **event,
+            "onset": event["at"] - begin,
+            "texture": stimuli[trials[event["trial"]].texture, 0].texture_key,
+        }
+        for event in events
+    ]
+
+
+def _contacts(store: Store, participant: int, trial: int) -> list[tuple[float, float, int]]:
+    """Contacts of a trial: system time of its begin [s], how long it lasted [s], and the number of the surface."""
+    parts = [(part, at) for part, at in store.timed_parts(participant, trial) if len(part.events)]
+    if not parts:
+        return []
+    # A part is stored at its last event or later: the clocks differ by the least of all.
+    offset = min(at - float(part.events[-1, 3]) for part, at in parts)
+    contacts: list[tuple[float, float, int]] = []
+    for part, _ in parts:
+        times, down = part.events[:, 3], part.events[:, 2] > 0
+        apart = np.diff(times, prepend=-np.inf)
+        starts = down & ~(np.append(False, down[:-1]) & (apart <= MAX_APART_S) & (apart >= 0))
+        for begin in np.flatnonzero(starts):
+            end = begin
+            while end + 1 < len(times) and down[end] and 0 <= times[end + 1] - times[end] <= MAX_APART_S:
+                end += 1
+            at, last = offset + float(times[begin]), contacts[-1] if contacts else None
+            if last and last[2] == part.interval and 0 <= at - last[0] - last[1] <= MAX_APART_S:
+                contacts[-1] = last[0], at + float(times[end] - times[begin]) - last[0], part.interval
+            else:
+                contacts.append((at, float(times[end] - times[begin]), part.interval))
+    return contacts
+
+
+FORMATS: Mapping[str, Callable[[Store], dict[str, str]]] = {"psych-ds": psych_ds, "bids": bids}
+
+
+def write_record(store: Store, form: str, folder: Path) -> list[Path]:
+    """Write a study in a form of `FORMATS` into a folder; the paths of its files."""
+    texts = FORMATS[form](store)
+    for name, text in texts.items():
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        with atomic_write(folder / name) as part:
+            part.write_text(text, encoding="utf-8", newline="")
+    return [folder / name for name in texts]
+
+
+def zipped(store: Store) -> bytes:
+    """A study in all forms, a folder each, as a ZIP file."""
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
+        for form, texts_of in FORMATS.items():
+            for name, text in texts_of(store).items():
+                archive.writestr(f"{form}/{name}", text)
+    return buffer.getvalue()
