@@ -244,7 +244,7 @@ def oddity(right: Array, trials: Array) -> Sensitivity:
     """Sensitivity by the oddity task of three intervals; `_sensitivity` says how.
 
     p is the binomial mid-p of all trials. It holds whatever interval participants lean to if the odd one's is drawn anew for each
-    trial; if the odd one is in each interval equally often p is a little too large for those who lean.
+    trial; if the odd one is in each interval equally often p is too large for those who lean.
 
     Args:
         right: number of right answers of each participant, shape (n,).
