@@ -13,9 +13,11 @@ import threading
 import time
 import urllib.request
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
+from http.client import HTTPConnection
 from pathlib import Path
 from typing import Any
+from urllib.parse import urlsplit
 
 import numpy as np
 import pytest
@@ -23,6 +25,8 @@ import pytest
 pytest.importorskip("starlette")
 from numpy.typing import NDArray
 from starlette.testclient import TestClient
+from websockets.sync.client import connect as connect_page
+from websockets.typing import Origin
 
 from foten.models.texture_file import read_texture, write_texture
 from foten.runtime.actuator import ActuatorProfile
@@ -249,9 +253,10 @@ def test_a_shelf_says_what_is_missing(tmp_path: Path) -> None:
 
 
 @contextmanager
-def serving(*arguments: str) -> Iterator[tuple[subprocess.Popen[str], str]]:
-    """A server, until it has ended cleanly, and the link that it printed."""
-    command = [sys.executable, "-c", "from foten.cli import main; main()", "serve", "--no-open", "--port", "0"]
+def serving(*arguments: str, after: str = "pass") -> Iterator[tuple[subprocess.Popen[str], str]]:
+    """A server, begun after a statement, until it has ended cleanly, and the link that it printed."""
+    code = f"{after}; from foten.cli import main; main()"
+    command = [sys.executable, "-c", code, "serve", "--no-open", "--port", "0"]
     process = subprocess.Popen([*command, *arguments], stderr=subprocess.PIPE, text=True, start_new_session=True)
     assert process.stderr is not None
     try:
@@ -291,6 +296,83 @@ def test_on_a_network_the_next_link_is_printed_once_one_is_used() -> None:
             assert link.partition("?")[0] == before.partition("?")[0]
             assert link != before
             assert "▀" in "".join(process.stderr.readline() for _ in range(5))  # and its code
+
+
+def closed_after(connections: list[socket.socket], patience_s: float) -> float:
+    """Seconds until the server has closed all of some connections."""
+    begin = time.monotonic()
+    for connection in connections:
+        connection.settimeout(max(0.01, begin + patience_s - time.monotonic()))
+        try:
+            while connection.recv(1000):
+                pass
+        except ConnectionError:
+            pass
+    return time.monotonic() - begin
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="has no limit of open files")
+@pytest.mark.parametrize("host", ["127.0.0.1", "0.0.0.0"])
+def test_connections_that_ask_nothing_shut_nobody_out(host: str) -> None:
+    """Three times as many as the server may have files; one that speaks slowly is closed, an open WebSocket goes on."""
+    own = ssl.create_default_context()
+    own.check_hostname, own.verify_mode = False, ssl.CERT_NONE
+    limit = "import resource; resource.setrlimit(resource.RLIMIT_NOFILE, (128, 128))"
+    deadline = "import foten.studio.web_server as server; server.REQUEST_S = 1.0"
+    with serving(str(EXAMPLE), "--host", host, after=f"{limit}; {deadline}") as (process, link), ExitStack() as stack:
+        assert process.stderr is not None
+        cookies = urllib.request.HTTPCookieProcessor()
+        check_page(link, urllib.request.HTTPSHandler(context=own), cookies)
+        address = urlsplit(link)
+        encrypted = own if address.scheme == "https" else None
+        if encrypted is not None:
+            link = next(line for line in process.stderr if "for the next one: " in line).rsplit(" ", 1)[-1].strip()
+        there = (address.hostname or "", address.port or 0)
+
+        def connect() -> socket.socket:
+            return stack.enter_context(socket.create_connection(there, timeout=5))
+
+        def part_of_a_head() -> socket.socket:
+            connection = connect()
+            if encrypted is not None:
+                connection = stack.enter_context(encrypted.wrap_socket(connection))
+            connection.sendall(b"GET / HTTP/1.1\r\nHost: ")
+            return connection
+
+        page = stack.enter_context(
+            connect_page(
+                f"{address.scheme.replace('http', 'ws')}://{address.netloc}/stroke",
+                ssl=encrypted,
+                proxy=None,
+                origin=Origin(f"{address.scheme}://{address.netloc}"),
+                additional_headers={"Cookie": "; ".join(f"{one.name}={one.value}" for one in cookies.cookiejar)},
+            )
+        )
+        idle = [connect() for _ in range(400)]
+        begin = time.monotonic()
+        check_page(link, urllib.request.HTTPSHandler(context=own), urllib.request.HTTPCookieProcessor())
+        page_s = time.monotonic() - begin
+        closed_s = closed_after([*idle, *[part_of_a_head() for _ in range(10)]], 5.0)
+        print(f"a new device has the page after {page_s:.2f} s, all others are closed after {closed_s:.2f} s")
+        assert page_s < 2.0
+        page.send(json.dumps({"do": "open", "texture": KEY, "rate_hz": 8000}))
+        assert "opened" in json.loads(page.recv(timeout=5))
+
+
+def test_the_next_request_of_a_connection_has_a_deadline_too() -> None:
+    deadline = "import foten.studio.web_server as server; server.NEXT_REQUEST_S = 0.5"
+    with serving(str(EXAMPLE), after=deadline) as (_, link):
+        connection = HTTPConnection(urlsplit(link).netloc, timeout=5)
+        connection.connect()
+        used = connection.sock
+        for _ in range(3):
+            connection.request("GET", "/state")
+            assert connection.getresponse().read()
+            time.sleep(0.3)
+            assert connection.sock is used
+        used.sendall(b"GET /state HTTP/1.1\r\n")
+        assert closed_after([used], 5.0) < 2.0
+        connection.close()
 
 
 def test_an_address_of_ipv6_is_in_brackets() -> None:

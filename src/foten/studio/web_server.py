@@ -1,21 +1,31 @@
-"""A server as a process: it listens, says where, and ends cleanly."""
+"""A server as a process: it listens, says where, and ends cleanly; connections that ask nothing are few and short."""
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
 import ipaddress
 import socket
+import ssl
 import tempfile
+from collections import Counter
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import uvicorn
-from starlette.types import ASGIApp
+from starlette.types import ASGIApp, Receive, Scope, Send
 
 from foten.studio.access import LOOPBACK, Access, access_to, certificate_for
 from foten.studio.messages import MAX_BYTES
 
 SHUTDOWN_S = 3
+REQUEST_S = 5.0  # from a connection to the whole head of its first request, encryption included
+NEXT_REQUEST_S = 10.0  # from an answer to the whole head of the next request; uvicorn closes after 5 s without a byte
+LINGER_S = 30.0  # that an answer on its way to a slow tablet may still take, once its connection is to be closed
+MAX_WAITING = 512  # connections without a request
+MAX_FILES = 4096  # that are asked for, of which a connection is one
+NO_FILE_S = 0.05  # to wait where the system has none left
 
 
 def addresses() -> list[str]:
@@ -46,7 +56,7 @@ def listening(host: str, port: int) -> socket.socket:
             "is another studio running? --port 0 takes any that is free" if port else "is that address this machine's?"
         )
         raise OSError(f"cannot listen at {host}, port {port}: {hint}") from error
-    listener.listen(128)
+    listener.listen(1024)  # a tablet that is not let into the queue tries again after a second
     return listener
 
 
@@ -81,8 +91,11 @@ def serve(
             folder.mkdir(mode=0o700, exist_ok=True)
             certificate, key = certificate_for(folder, access.hosts)
             files = {"ssl_certfile": str(certificate), "ssl_keyfile": str(key)}
+        connections = Connections(app(access), min(MAX_WAITING, _allowed_files() // 2))
         config = uvicorn.Config(
-            app(access),
+            connections,
+            http="h11",  # bounds a head; another parser that happens to be installed may not
+            proxy_headers=False,  # a connection is known by its own address
             log_level="warning",
             access_log=False,
             server_header=False,
@@ -92,17 +105,157 @@ def serve(
             timeout_graceful_shutdown=SHUTDOWN_S,
             **files,  # type: ignore[arg-type]
         )
-        _Server(config, lambda: announce(access, shown, False)).run(sockets=[listener])
+        _Server(config, connections, lambda: announce(access, shown, False)).run(sockets=[listener])
+
+
+def _allowed_files() -> int:
+    """How many files this process may have open, after its limit was raised as far as it may be."""
+    try:
+        import resource
+    except ImportError:  # Windows
+        return MAX_FILES
+    allowed, limit = resource.getrlimit(resource.RLIMIT_NOFILE)
+    wanted = MAX_FILES if limit == resource.RLIM_INFINITY else min(MAX_FILES, limit)
+    if allowed == resource.RLIM_INFINITY or allowed >= wanted:
+        return wanted if allowed == resource.RLIM_INFINITY else allowed
+    with contextlib.suppress(OSError, ValueError):
+        resource.setrlimit(resource.RLIMIT_NOFILE, (wanted, limit))
+        return wanted
+    return allowed
+
+
+class _Connection:
+    """A connection, from when it is accepted."""
+
+    def __init__(self, accepted: socket.socket, peer: tuple[str, int]) -> None:
+        self.socket, self.peer = accepted, peer
+        self.task: asyncio.Task[None] | None = None  # that makes it ready
+        self.transport: asyncio.Transport | None = None  # once it is ready
+        self.timer: asyncio.TimerHandle | None = None  # while it waits
+        self.n_requests = 0  # that are being answered
+        self.was_asked = self.lingers = False
+
+
+class Connections:
+    """An application with the connections that ask it.
+
+    A connection waits while none of its requests is being answered: to be encrypted, for the head of a request, or for the
+    next one. It may wait for so long, and so many may wait: one more takes the place of the oldest, of the address that has
+    the most. An open WebSocket is a request that is being answered.
+    """
+
+    def __init__(self, app: ASGIApp, max_waiting: int) -> None:
+        self._app, self._max_waiting = app, max_waiting
+        self._by_peer: dict[tuple[str, int], _Connection] = {}
+        self._waiting: dict[_Connection, None] = {}  # the oldest first
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        connection = self._by_peer.get(tuple(scope.get("client") or ()))
+        if connection is None:
+            await self._app(scope, receive, send)
+            return
+        connection.n_requests += 1
+        connection.was_asked = True
+        self._stop_waiting(connection)
+        try:
+            await self._app(scope, receive, send)
+        finally:
+            connection.n_requests -= 1
+            if not connection.n_requests:
+                self._wait(connection, NEXT_REQUEST_S)
+
+    async def accept(
+        self, listener: socket.socket, protocol: Callable[[], asyncio.Protocol], encryption: ssl.SSLContext | None
+    ) -> None:
+        """Accept connections for ever."""
+        loop = asyncio.get_running_loop()
+        listener.setblocking(False)
+        while True:
+            try:
+                accepted, address = await loop.sock_accept(listener)
+            except OSError:  # there is no file left, or who asked is gone
+                self._drop_oldest()
+                await asyncio.sleep(NO_FILE_S)
+                continue
+            for gone in [connection for connection in self._waiting if connection.socket.fileno() < 0]:
+                self._forget(gone)
+            if len(self._waiting) >= self._max_waiting:
+                self._drop_oldest()
+            connection = _Connection(accepted, address[:2])
+            self._by_peer[connection.peer] = connection
+            connection.task = asyncio.create_task(self._connect(connection, protocol, encryption))
+            self._wait(connection, REQUEST_S)
+            await asyncio.sleep(0)  # a socket that is there already is accepted without a pause
+
+    async def _connect(
+        self, connection: _Connection, protocol: Callable[[], asyncio.Protocol], encryption: ssl.SSLContext | None
+    ) -> None:
+        try:
+            connection.transport, _ = await asyncio.get_running_loop().connect_accepted_socket(
+                protocol,
+                connection.socket,
+                ssl=encryption,
+                ssl_handshake_timeout=None if encryption is None else REQUEST_S,
+            )
+        except OSError:  # gone, or it speaks something else
+            connection.socket.close()
+
+    def _wait(self, connection: _Connection, for_s: float) -> None:
+        self._waiting[connection] = None
+        connection.timer = asyncio.get_running_loop().call_later(for_s, self._expire, connection)
+
+    def _stop_waiting(self, connection: _Connection) -> None:
+        self._waiting.pop(connection, None)
+        if connection.timer is not None:
+            connection.timer.cancel()
+
+    def _forget(self, connection: _Connection) -> None:
+        self._stop_waiting(connection)
+        if self._by_peer.get(connection.peer) is connection:
+            del self._by_peer[connection.peer]
+
+    def _expire(self, connection: _Connection) -> None:
+        if connection.transport is not None and connection.was_asked and not connection.lingers:
+            connection.lingers = True
+            connection.transport.close()  # once what was written has left
+            self._wait(connection, LINGER_S)
+        else:
+            self._drop(connection)
+
+    def _drop(self, connection: _Connection) -> None:
+        self._forget(connection)
+        if connection.transport is not None:
+            connection.transport.abort()
+        elif connection.task is not None:
+            connection.task.cancel()
+
+    def _drop_oldest(self) -> None:
+        counts = Counter(connection.peer[0] for connection in self._waiting)
+        max_count = max(counts.values(), default=0)
+        oldest = next((connection for connection in self._waiting if counts[connection.peer[0]] == max_count), None)
+        if oldest is not None:
+            self._drop(oldest)
 
 
 class _Server(uvicorn.Server):
-    """A server that says when it has started."""
+    """A server whose connections are accepted here, which says when it has started."""
 
-    def __init__(self, config: uvicorn.Config, on_start: Callable[[], None]) -> None:
+    def __init__(self, config: uvicorn.Config, connections: Connections, on_start: Callable[[], None]) -> None:
         super().__init__(config)
-        self._on_start = on_start
+        self._connections, self._on_start = connections, on_start
 
     async def startup(self, sockets: list[socket.socket] | None = None) -> None:
-        await super().startup(sockets=sockets)
-        if self.started:
-            self._on_start()
+        await super().startup(sockets=[])
+        if not self.started:
+            return
+        assert sockets is not None
+
+        kind: Callable[..., asyncio.Protocol] = self.config.http_protocol_class
+        protocol = partial(kind, config=self.config, server_state=self.server_state, app_state=self.lifespan.state)
+        self._accepting = asyncio.create_task(self._connections.accept(sockets[0], protocol, self.config.ssl))
+        self._on_start()
+
+    async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
+        self._accepting.cancel()
+        await asyncio.wait({self._accepting})
+        await super().shutdown(sockets=sockets)
