@@ -5,7 +5,9 @@ from __future__ import annotations
 import contextlib
 import json
 import re
+import socket
 import sqlite3
+import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -16,12 +18,18 @@ import pytest
 
 pytest.importorskip("starlette")
 pytest.importorskip("statsmodels")
+import uvicorn
 from starlette.testclient import TestClient
 from starlette.websockets import WebSocketDisconnect
+from websockets.sync.client import ClientConnection as Connection
+from websockets.sync.client import connect as connect_page
+from websockets.typing import Origin
 
 from foten.models.texture_file import read_texture, write_texture
 from foten.runtime.renderer import EXAMPLE
 from foten.runtime.stylus import PressureCalibration
+from foten.studio.access import LOOPBACK, Access
+from foten.studio.websocket import MAX_WAITING_BLOCKS, MAX_WAITING_TEXTS
 from foten.study import store as store_module
 from foten.study.design import study_text
 from foten.study.loading import load_study
@@ -426,6 +434,71 @@ def test_the_page_that_strokes_is_the_one_that_sounds(tmp_path: Path) -> None:
     (row,) = server.store.ratings()
     assert row["measured"]["n_contacts"] >= 2
     assert len(server.store.strokes(1, 1)) > 10  # of both; what the old one still had on its way is not taken any more
+
+
+def page_of(connection: Connection, **joining: Any) -> Page:
+    """A participant's page at a real connection, as `Page` has it at a test client's."""
+
+    class Socket:
+        send_text = send_bytes = staticmethod(connection.send)
+
+        @staticmethod
+        def receive() -> dict[str, Any]:
+            received = connection.recv(timeout=20)
+            return {"type": "websocket.send", "text" if isinstance(received, str) else "bytes": received}
+
+    return Page(Socket(), **joining)
+
+
+def test_a_page_that_reads_nothing_holds_nobody_up(tmp_path: Path) -> None:
+    """A tablet strokes and takes nothing that it is sent, on a real socket of small buffers: its strokes are stored, what waits
+    for it is bounded, its participant answers on another screen, another participant goes on.
+    """
+    server = server_of(study_file(tmp_path, practice="0", screens="2"))
+    with contextlib.ExitStack() as stack:
+        listener = stack.enter_context(socket.create_server(("127.0.0.1", 0)))
+        listener.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 4096)
+        port = listener.getsockname()[1]
+        app = server.app(Access(LOOPBACK, port))
+        running = uvicorn.Server(uvicorn.Config(app, log_level="warning", ws="websockets-sansio", ws_max_size=8192))
+        thread = threading.Thread(target=running.run, kwargs={"sockets": [listener]})
+        thread.start()
+        stack.callback(thread.join, 20)
+        stack.callback(lambda: setattr(running, "should_exit", True))
+
+        def connect(**options: Any) -> Connection:
+            raw = stack.enter_context(socket.socket())
+            raw.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+            raw.connect(("127.0.0.1", port))
+            there = f"127.0.0.1:{port}"
+            return stack.enter_context(
+                connect_page(f"ws://{there}/session", sock=raw, origin=Origin(f"http://{there}"), **options)
+            )
+
+        screen = page_of(connect(), role="answer")
+        screen.to_trial()
+        tablet = page_of(connect(max_queue=1, close_timeout=0.1), code=screen.code, role="stroke", rate_hz=192_000)
+        (page,) = [page for page in server.pages if page.strokes]
+        deadline, n = time.monotonic() + 20, 0
+        while page.blocks.n_unsent < 200:  # the socket took nothing for a second and a half
+            tablet.stroke(10)
+            n += 10
+            time.sleep(0.05)
+            assert time.monotonic() < deadline
+        other = page_of(connect())
+        begin = time.monotonic()
+        other.answer()
+        screen.answer(61.0)
+        assert screen.step["id"] == "trial:2"
+        assert time.monotonic() - begin < 2.0
+        assert page.blocks._waiting.qsize() <= MAX_WAITING_BLOCKS
+        for _ in range(MAX_WAITING_TEXTS + 1):
+            page.say({"step": screen.step})
+        assert page._waiting.qsize() <= MAX_WAITING_TEXTS + 1
+        again = page_of(connect(), code=screen.code, role="stroke", rate_hz=8000)  # and the tablet's next page joins
+        assert again.step["id"] == "trial:2"
+        assert server.store.strokes(1, 1).shape == (n, 4)
+    assert not thread.is_alive()
 
 
 def test_a_page_that_joins_again_is_no_second_participant(tmp_path: Path) -> None:

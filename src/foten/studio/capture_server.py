@@ -114,16 +114,14 @@ class CapturePage(PageSocket):
     """A page that captures; a message that is refused ends its capture, for something of it would be missing."""
 
     def __init__(self, socket: WebSocket, trainings: TrainingQueue) -> None:
-        super().__init__(socket, CAPTURE, self._send, max_messages_per_s=MAX_CAPTURE_MESSAGES_PER_S)
+        super().__init__(socket, CAPTURE, max_messages_per_s=MAX_CAPTURE_MESSAGES_PER_S)
         self._trainings = trainings
         self._capture: CaptureSession | None = None
-        self._outgoing: asyncio.Queue[Mapping[str, Any]] = asyncio.Queue()
 
-    async def refuse(self, why: str) -> None:
+    def refuse(self, why: str) -> None:
         """End the capture, and say why."""
         self._capture = None
-        self.n_refused += 1
-        self._outgoing.put_nowait({"refused": why})
+        super().refuse(why)
 
     async def take_bytes(self, data: bytes) -> None:
         kind, values = parse_capture_bytes(data)
@@ -140,7 +138,7 @@ class CapturePage(PageSocket):
             if missing := why_not():
                 raise RefusedError(missing)
             self._capture = CaptureSession(About.of(message))
-            self._outgoing.put_nowait({"ready": True})
+            self.say({"ready": True})
         elif message["do"] == "discard":
             self._capture = None
         else:
@@ -150,17 +148,13 @@ class CapturePage(PageSocket):
             except OSError as error:
                 raise RefusedError(f"the capture cannot be kept: {reason(error)}") from error
             self._trainings.n_saved += 1
-            self._outgoing.put_nowait({"saved": folder.name, "seconds": capture.seconds})
-            self._trainings.start(folder, self._outgoing.put_nowait)
+            self.say({"saved": folder.name, "seconds": capture.seconds})
+            self._trainings.start(folder, self.say)
 
     def _current(self, what: str) -> CaptureSession:
         if self._capture is None:
             raise RefusedError(f"{what} before a capture was begun")
         return self._capture
-
-    async def _send(self) -> None:
-        while True:
-            await self.say(await self._outgoing.get())
 
 
 class CaptureSession:

@@ -179,9 +179,9 @@ class StrokePage(PageSocket):
             known["stylus"] = contact.stylus_counts
         return known
 
-    async def refuse(self, why: str) -> None:
+    def refuse(self, why: str) -> None:
         self._studio.n_refused += 1
-        await super().refuse(why)
+        super().refuse(why)
 
     async def take_bytes(self, data: bytes) -> None:
         events = self.events_in(data)
@@ -198,7 +198,7 @@ class StrokePage(PageSocket):
             await self._open(message)
         elif kind == "close":
             await self.leave()
-            await self.say({"closed": True})
+            self.say({"closed": True})
         elif self._contact is None:
             raise RefusedError(f"{kind} before a texture was opened")
         elif kind == "calibrate":
@@ -228,7 +228,7 @@ class StrokePage(PageSocket):
             await self.leave()
             raise RefusedError(f"{entry.key} cannot be played: {error}") from error
         self._texture, self._sink, self._rate_hz = entry.key, sink, rate_hz
-        await self.say({"opened": entry.key, "sink": sink, "rate_hz": rate_hz})
+        self.say({"opened": entry.key, "sink": sink, "rate_hz": rate_hz})
 
     def _actuate(self, message: Mapping[str, Any]) -> None:
         assert self._contact is not None
@@ -245,13 +245,13 @@ class StrokePage(PageSocket):
             contact = self._contact
             if contact is None:
                 continue
-            await self.say({"state": self.state()})
+            self.say({"state": self.state()})
             if not contact.player.running and contact is self._contact:
                 self._contact = None
                 try:
                     await asyncio.to_thread(contact.close)
                 except (OSError, ValueError, RuntimeError) as error:
-                    await self.say({"refused": f"{self._texture} plays no more: {error}"})
+                    self.say({"refused": f"{self._texture} plays no more: {error}"})
 
 
 _TYPES = {".mjs": "text/javascript", ".js": "text/javascript", ".wasm": "application/wasm", ".html": "text/html"}

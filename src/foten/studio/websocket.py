@@ -28,6 +28,8 @@ from foten.studio.messages import (
 MAX_REFUSED = 1000  # messages of a page, after which it is sent away
 MAX_MESSAGES_PER_S = 1200.0  # a pen has at most a thousand events a second
 MAX_WAITING_BLOCKS = 64  # for a page that does not take them; the oldest go
+MAX_WAITING_TEXTS = 200  # and messages, of which none may be left out: the page is sent away, and may come back
+GOODBYE_S = 2.0  # for a page that is sent away to take what it was told before
 CONDITION_BYTES = 8  # speed [mm/s] and force [N] before the samples of a block
 Sender = Callable[[], Coroutine[Any, Any, None]]
 
@@ -47,6 +49,8 @@ class PageSocket:
     ) -> None:
         self.socket, self.n_refused = socket, 0
         self._protocol, self._senders = protocol, senders
+        self._waiting: asyncio.Queue[str | tuple[int, str]] = asyncio.Queue()
+        self._ended = False
         self._messages, self._events = Allowance(max_messages_per_s), Allowance(MAX_EVENTS_PER_S)
 
     async def leave(self) -> None:
@@ -67,19 +71,37 @@ class PageSocket:
             raise RefusedError(f"more than {MAX_EVENTS_PER_S:g} events a second")
         return events
 
-    async def refuse(self, why: str) -> None:
+    def refuse(self, why: str) -> None:
         """Say why a message was refused."""
         self.n_refused += 1
-        await self.say({"refused": why})
+        self.say({"refused": why})
 
-    async def say(self, document: Mapping[str, Any]) -> None:
-        """Send a message; a page that is gone gets none."""
-        with contextlib.suppress(RuntimeError, WebSocketDisconnect):
-            await self.socket.send_text(json.dumps(document, allow_nan=False))
+    def say(self, document: Mapping[str, Any]) -> None:
+        """Send a message when the page takes it: who says something does not wait for a page that stalls."""
+        if self._waiting.qsize() >= MAX_WAITING_TEXTS:
+            self.end(1013, "this page does not take what it is sent")
+        if not self._ended:
+            self._waiting.put_nowait(json.dumps(document, allow_nan=False))
+
+    def end(self, code: int, why: str) -> None:
+        """Send the page away, after what was said before."""
+        if not self._ended:
+            self._ended = True
+            self._waiting.put_nowait((code, why))
+
+    async def _send(self) -> None:
+        with contextlib.suppress(RuntimeError, WebSocketDisconnect):  # the page is gone
+            while True:
+                message = await self._waiting.get()
+                if isinstance(message, str):
+                    await self.socket.send_text(message)
+                else:
+                    await self.socket.close(*message)
+                    return
 
     async def run(self) -> None:
         """Take messages until the page goes, or until `MAX_REFUSED` were refused."""
-        tasks = [asyncio.create_task(sender()) for sender in self._senders]
+        tasks = [asyncio.create_task(sender()) for sender in (self._send, *self._senders)]
         try:
             while True:
                 received = await self.socket.receive()
@@ -87,7 +109,8 @@ class PageSocket:
                     return
                 await self._take(received)
                 if self.n_refused > MAX_REFUSED:
-                    await self.socket.close(1008, f"{MAX_REFUSED} messages were refused")
+                    self.end(1008, f"{MAX_REFUSED} messages were refused")
+                    await asyncio.wait(tasks[:1], timeout=GOODBYE_S)
                     return
         except WebSocketDisconnect:
             pass
@@ -108,7 +131,8 @@ class PageSocket:
             else:
                 await self.take_bytes(data)
         except RefusedError as refused:
-            await self.refuse(str(refused))
+            self.refuse(str(refused))
+            await asyncio.sleep(0)  # a page that sends nothing else is told between two messages that are there already
 
 
 P = TypeVar("P", bound=PageSocket)

@@ -6,11 +6,10 @@ No page gets anything of methods: trials go out by number, textures by name wher
 from __future__ import annotations
 
 import asyncio
-import contextlib
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
-from starlette.websockets import WebSocket, WebSocketDisconnect
+from starlette.websockets import WebSocket
 
 from foten.runtime.live.devices import SOUND_RATE_HZ
 from foten.runtime.stylus import PressureCalibration
@@ -98,10 +97,10 @@ class ParticipantPage(PageSocket):
             feedback = await session.finish(str(message["step"]), message)
         except RefusedError as refused:
             again = isinstance(refused, NotYetError)
-            await self.say({"refused": str(refused), "step": message["step"], "again": again})
+            self.say({"refused": str(refused), "step": message["step"], "again": again})
             return
         if feedback is not None:
-            await self.say({"feedback": feedback})
+            self.say({"feedback": feedback})
         if session.step["id"] != before:
             await session.show()
         else:
@@ -120,17 +119,12 @@ class ParticipantPage(PageSocket):
         self.calibration = pressure_calibration(message)
         for other in list(session.pages):  # a tab that was forgotten, or this page before its connection was lost
             if other.strokes == self.strokes or "all" in (other.role, self.role):
-                await other.make_way()
+                await other.leave()
+                other.end(ELSEWHERE, "open on another page")
         self._session = session
         session.pages.add(self)
-        await self.say({"joined": session.code, "plays": server.output is None})
+        self.say({"joined": session.code, "plays": server.output is None})
         await self.show()
-
-    async def make_way(self) -> None:
-        """Leave the participant to another page."""
-        await self.leave()
-        with contextlib.suppress(RuntimeError, WebSocketDisconnect):
-            await self.socket.close(ELSEWHERE, "open on another page")
 
     async def show(self) -> None:
         """Show the step."""
@@ -138,7 +132,7 @@ class ParticipantPage(PageSocket):
         if session is None:
             return
         await session.begin_showing()
-        await self.say({"step": session.shown()})
+        self.say({"step": session.shown()})
 
 
 class OperatorPage(PageSocket):
@@ -152,7 +146,7 @@ class OperatorPage(PageSocket):
         server, kind = self._server, message["do"]
         if kind == "begin":
             new = await server.begin()
-            await self.say({"started": new.number, "code": new.code})
+            self.say({"started": new.number, "code": new.code})
             return
         session = server.sessions.get(int(message["number"]))
         if session is None:
@@ -170,5 +164,5 @@ class OperatorPage(PageSocket):
         while True:
             # Another link after each use: the codes to scan are drawn anew.
             sessions = [session.for_operator() for session in server.sessions.values()]
-            await self.say({**about, "link": server.link(), "sessions": sessions})
+            self.say({**about, "link": server.link(), "sessions": sessions})
             await asyncio.sleep(REFRESH_S)

@@ -348,7 +348,7 @@ class Session:
                 continue
             self._n_stored[trial] = self._n_stored.get(trial, 0) + sum(len(part.events) for part in parts)
             for page in [page for page in self.pages if page.strokes]:
-                await page.say({"stored": self._n_stored[trial], "trial": f"trial:{trial}"})
+                page.say({"stored": self._n_stored[trial], "trial": f"trial:{trial}"})
 
     @property
     def n_unsaved(self) -> int:
