@@ -263,6 +263,51 @@ def test_a_trial_that_is_held_keeps_what_was_chosen_and_its_time(browser: Any, t
         assert [row["rating"] for row in store.ratings()] == [83.0]
 
 
+def test_a_second_device_waits_for_the_operator_to_let_it_go_on(browser: Any, tmp_path: Path) -> None:
+    options = ("--port", "0", "--host", "0.0.0.0")
+    process, operator_link, link = started_study(study_file(tmp_path, practice="0"), *options)
+
+    def device(to: str) -> Any:
+        page = browser.new_context(ignore_https_errors=True).new_page()
+        page.goto(local(to))
+        page.wait_for_selector("html[data-ready]")
+        return page
+
+    def next_link(n: int) -> str:
+        deadline = time.monotonic() + 10
+        while len(links := re.findall(r"for the next one: (\S+)", "".join(SAID[process.pid]))) < n:
+            assert time.monotonic() < deadline
+            time.sleep(0.05)
+        return str(links[-1])
+
+    try:
+        operator, first = device(operator_link), device(link)
+        second = device(next_link(2))
+        first.click("button.big")
+        until(first, "window.study.code !== null")
+        to_trial(first)
+        code = first.evaluate("window.study.code")
+        for what, then in (("Refuse", "Not on this device"), ("Allow", "How similar")):
+            second.fill("#code", code)
+            second.click("button.big")
+            until(second, "document.querySelector('#content').textContent.includes('let this one go on: request')")
+            operator.wait_for_selector(f"[data-what={what}]:visible")
+            assert "another device asks to go on: request" in operator.inner_text("#people")
+            operator.click(f"[data-what={what}]")
+            until(second, f"document.querySelector('#content').textContent.includes('{then}')")
+            operator.wait_for_selector(f"[data-what={what}]", state="hidden")
+            if what == "Refuse":
+                assert first.evaluate("window.study.socket.readyState") == 1
+                second.reload()
+        until(first, "document.querySelector('#content').textContent.includes('Open on another page')")
+        assert second.evaluate("window.study.step.id") == "trial:1"
+        second.reload()  # by the code in its address, as its own
+        until(second, "window.study.step?.id === 'trial:1'")
+    finally:
+        process.send_signal(signal.SIGTERM)
+        process.wait(timeout=30)
+
+
 def test_the_pages_are_accessible_and_look_as_the_screenshots_show(browser: Any, tmp_path: Path) -> None:
     context = browser.new_context()
     violations: list[Any] = []

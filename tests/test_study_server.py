@@ -9,7 +9,7 @@ import socket
 import sqlite3
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -28,12 +28,12 @@ from websockets.typing import Origin
 from foten.models.texture_file import read_texture, write_texture
 from foten.runtime.renderer import EXAMPLE
 from foten.runtime.stylus import PressureCalibration
-from foten.studio.access import LOOPBACK, Access
+from foten.studio.access import LOOPBACK, Access, Admitted
 from foten.studio.websocket import MAX_WAITING_BLOCKS, MAX_WAITING_TEXTS
 from foten.study import store as store_module
 from foten.study.design import study_text
 from foten.study.loading import load_study
-from foten.study.page_sockets import ELSEWHERE
+from foten.study.page_sockets import ELSEWHERE, JOIN_AGAIN, NOT_ALLOWED
 from foten.study.session import conditions_of
 from foten.study.store import FullError, Store
 from foten.study.study_server import OPERATOR, OPERATOR_COOKIE, StudyServer, study_files
@@ -499,6 +499,147 @@ def test_a_page_that_reads_nothing_holds_nobody_up(tmp_path: Path) -> None:
         assert again.step["id"] == "trial:2"
         assert server.store.strokes(1, 1).shape == (n, 4)
     assert not thread.is_alive()
+
+
+NETWORK = Access(("192.0.2.7",), 8443, "token", other_token="other")
+
+
+class Devices:
+    """Devices of a network, and the operator, at one server."""
+
+    def __init__(self, server: StudyServer, client: TestClient) -> None:
+        self.server, self.client = server, client
+
+    def connect(self, path: str, **cookies: str) -> Any:
+        cookie = "; ".join(f"{name.replace('_', '-')}={secret}" for name, secret in cookies.items())
+        headers = {"cookie": cookie, "origin": "https://192.0.2.7:8443"}
+        return self.client.websocket_connect(f"wss://192.0.2.7:8443/{path}", headers=headers)
+
+    def new(self) -> str:
+        """Secret of a device that came by a link."""
+        return self.server.admitted.add()
+
+    @contextlib.contextmanager
+    def page(self, device: str, **joining: Any) -> Iterator[Page]:
+        with self.connect("session", foten=device) as socket:
+            yield Page(socket, **joining)
+
+    @contextlib.contextmanager
+    def asking(self, device: str, **joining: Any) -> Iterator[tuple[Any, int]]:
+        """A page that has to ask, and the number of its request."""
+        with self.connect("session", foten=device) as socket:
+            socket.send_text(json.dumps({"do": "join", **joining}))
+            said = json.loads(socket.receive_text())
+            assert set(said) == {"asks"}
+            yield socket, said["asks"]
+
+    @contextlib.contextmanager
+    def operator(self) -> Iterator[Any]:
+        """What an operator's page says, until what it is shown of the only participant, or is refused, is as a function wants."""
+        secrets = {"foten": self.new(), OPERATOR_COOKIE.replace("-", "_"): self.server.admitted.add(OPERATOR)}
+        with self.connect("operate", **secrets) as socket:
+
+            def operate(wanted: Callable[[dict[str, Any]], bool], **message: Any) -> None:
+                if message:
+                    socket.send_text(json.dumps({"number": 1, **message}))
+                while True:
+                    said = json.loads(socket.receive_text())
+                    if any(map(wanted, said.get("sessions", [said]))):
+                        return
+
+            yield operate
+
+
+@contextlib.contextmanager
+def on_the_network(server: StudyServer) -> Iterator[Devices]:
+    with TestClient(server.app(NETWORK), base_url="https://192.0.2.7:8443") as client:
+        yield Devices(server, client)
+
+
+def closed_by(socket: Any) -> int:
+    while (message := socket.receive())["type"] != "websocket.close":
+        pass
+    return int(message["code"])
+
+
+def test_who_knows_a_code_goes_on_where_another_device_was_once_the_operator_allows_it(tmp_path: Path) -> None:
+    server = server_of(study_file(tmp_path))
+    with on_the_network(server) as devices, devices.operator() as operate:
+        tablet, other = devices.new(), devices.new()
+        with devices.page(tablet, fresh="KXWQA") as page:
+            with devices.asking(other, code="kxwqa") as (socket, request):
+                operate(lambda shown: shown.get("asks") == request)
+                socket.send_text(json.dumps({"do": "done", "step": "consent"}))
+                assert "before a code was given" in json.loads(socket.receive_text())["refused"]
+                page.answer()  # the page that is there goes on
+                assert page.step["kind"] == "questions"
+                operate(lambda shown: "asks" not in shown, do="refuse", request=request)
+                assert closed_by(socket) == NOT_ALLOWED
+            with devices.page(
+                tablet, code="KXWQA"
+            ) as again:  # the same device takes over, as a page that is loaded again
+                assert closed_by(page.socket) == ELSEWHERE
+                for joining in ({"code": "KXWQA"}, {"fresh": "KXWQA"}, {"code": "KXWQA", "role": "answer"}):
+                    with devices.asking(other, **joining):
+                        pass
+                with devices.asking(other, code="KXWQA") as (socket, request):
+                    assert request == 5
+                    operate(lambda said: "does not ask any more" in said.get("refused", ""), do="allow", request=4)
+                    operate(lambda shown: "asks" not in shown, do="allow", request=request)
+                    assert closed_by(socket) == JOIN_AGAIN
+                again.answer()  # it is there until the other one has come
+            with devices.page(other, code="KXWQA") as page:
+                assert page.step["kind"] == "instructions"
+                with devices.asking(tablet, code="KXWQA") as (_, request):
+                    operate(lambda shown: shown.get("asks") == request and shown["pages"] == ["all"])
+    assert server.store.done(1) == {"consent", "questions:start"}
+
+
+def test_the_first_device_of_each_role_joins_freely_and_they_stay_theirs_after_a_restart(tmp_path: Path) -> None:
+    path, known = study_file(tmp_path, screens="2"), tmp_path / "devices.json"
+    server = server_of(path)
+    server.admitted = Admitted(known)
+    with on_the_network(server) as devices:
+        tablet, screen, other = devices.new(), devices.new(), devices.new()
+        with (
+            devices.page(tablet, fresh="KXWQA", role="stroke"),
+            devices.page(screen, code="KXWQA", role="answer") as page,
+        ):
+            page.answer()
+            for role in ("all", "stroke", "answer"):
+                with devices.asking(other, code="KXWQA", role=role):
+                    pass
+            with devices.asking(tablet, code="KXWQA"):  # as the only page, in the screen's place
+                pass
+    server.store.close()
+    assert not any(secret in known.read_text() for secret in (tablet, screen, other))
+    server = server_of(path)
+    server.admitted = Admitted(known)
+    said: list[str] = []
+    server.say = said.append
+    with on_the_network(server) as devices:
+        with devices.asking(other, code="KXWQA", role="stroke"), devices.page(tablet, code="KXWQA", role="stroke"):
+            pass
+        with devices.page(screen, code="KXWQA", role="answer") as page:
+            assert page.step["kind"] == "questions"
+        # No operator's page is open: who began the server is told.
+        assert len(said) == 1
+        assert said[0].startswith(
+            "participant 1, KXWQA: another device asks to go on, request 1; allow it at https://192."
+        )
+        assert said[0].endswith(f"/operator?token=other&key={server.operator_key}")
+
+
+def test_a_disk_that_refuses_the_devices_shuts_none_out(tmp_path: Path) -> None:
+    server = server_of(study_file(tmp_path))
+    server.admitted = Admitted(tmp_path / "no folder" / "devices.json")
+    with (
+        on_the_network(server) as devices,
+        devices.page(devices.new(), fresh="KXWQA") as page,
+        devices.asking(devices.new(), code="KXWQA"),
+    ):
+        page.answer()
+    assert server.store.done(1) == {"consent"}
 
 
 def test_a_page_that_joins_again_is_no_second_participant(tmp_path: Path) -> None:

@@ -5,6 +5,7 @@ The token in a link lets one device in: it is exchanged for a secret of that dev
 
 from __future__ import annotations
 
+import contextlib
 import datetime
 import hashlib
 import hmac
@@ -110,10 +111,24 @@ class Admitted:
         """A secret for one more of a kind."""
         secret = _secret()
         self._hashes.setdefault(kind, []).append(_hash(secret))
-        if self._path is not None:
-            write_json(self._path, self._hashes)
-            self._path.chmod(0o600)
+        self._write()
         return secret
+
+    def put(self, kind: str, secret: str) -> None:
+        """Let a secret be the only one of a kind."""
+        if self._hashes.get(kind) != [_hash(secret)]:
+            self._hashes[kind] = [_hash(secret)]
+            self._write()
+
+    def has(self, kind: str) -> bool:
+        """Whether there is one of a kind."""
+        return kind in self._hashes
+
+    def _write(self) -> None:
+        if self._path is not None:
+            with contextlib.suppress(OSError):  # they are known to this server, and to the next once the disk has room
+                write_json(self._path, self._hashes)
+                self._path.chmod(0o600)
 
     def knows(self, secret: str | None, kind: str = "device") -> bool:
         """Whether a secret was given to one of a kind, in a time that says nothing of it."""

@@ -144,10 +144,11 @@ def run(
     folder = database.with_suffix(".access")
     folder.mkdir(mode=0o700, exist_ok=True)
     server = StudyServer(store, loaded, Admitted(folder / "devices.json"), markers)
+    server.say = say
 
     def announce(access: Access, host: str, joined: bool) -> None:
         server.link = partial(access.link, host)
-        participants, operator = server.link(), server.link("operator", other=True, key=server.operator_key)
+        participants, operator = server.link(), server.operator_link
         if joined:
             say(f"a device came in; for the next one: {participants} or, for the operator, {operator}")
             return

@@ -22,7 +22,8 @@ if TYPE_CHECKING:
 
 REFRESH_S = 0.5  # between two pictures of the study
 MISSED, EVENT_BYTES = b"m", 32  # and a surface's number, before events that are sent again, since they were not stored
-ELSEWHERE = 4001  # the code of a WebSocket's end, of those that are free for programs
+ELSEWHERE, NOT_ALLOWED = 4001, 4002  # codes of a WebSocket's end, of those that are free for programs
+JOIN_AGAIN = 1012  # a page connects again by itself
 SIDES = ("virtual", "real")
 PARTICIPANT = Protocol(
     {
@@ -44,8 +45,15 @@ PARTICIPANT = Protocol(
     },
 )
 OPERATOR = Protocol(
-    {"begin": ((), ()), "hold": (("number",), ()), "go": (("number",), ()), "side": (("number", "side"), ())},
-    {"number": (1, 1e6), "side": SIDES},
+    {
+        "begin": ((), ()),
+        "hold": (("number",), ()),
+        "go": (("number",), ()),
+        "side": (("number", "side"), ()),
+        "allow": (("number", "request"), ()),
+        "refuse": (("number", "request"), ()),
+    },
+    {"number": (1, 1e6), "side": SIDES, "request": (1, 1e9)},
 )
 
 
@@ -56,6 +64,9 @@ class ParticipantPage(PageSocket):
         self._server, self.blocks = server, BlockQueue(socket)
         super().__init__(socket, PARTICIPANT, self.blocks.send)
         self._session: Session | None = None
+        self._asks: Session | None = None  # where another device was
+        self._request = 0  # its number, also of one that was decided
+        self.device = server.device_of(socket)
         self.role, self.rate_hz, self.volume_db = "all", SOUND_RATE_HZ, 0.0
         self.calibration = PressureCalibration()
 
@@ -65,6 +76,8 @@ class ParticipantPage(PageSocket):
         return self.role != "answer"
 
     async def leave(self) -> None:
+        if self._asks is not None:
+            self._asks.asking.pop(self._request, None)
         session, self._session = self._session, None
         if session is not None:
             await session.leave(self)
@@ -117,6 +130,10 @@ class ParticipantPage(PageSocket):
         self.rate_hz = float(message.get("rate_hz", SOUND_RATE_HZ))
         self.volume_db = float(message.get("volume_db", 0.0))
         self.calibration = pressure_calibration(message)
+        if not session.is_open_to(self.device, self.role):
+            self._ask(session)
+            return
+        session.give(self.device, self.role)
         for other in list(session.pages):  # a tab that was forgotten, or this page before its connection was lost
             if other.strokes == self.strokes or "all" in (other.role, self.role):
                 await other.leave()
@@ -125,6 +142,16 @@ class ParticipantPage(PageSocket):
         session.pages.add(self)
         self.say({"joined": session.code, "plays": server.output is None})
         await self.show()
+
+    def _ask(self, session: Session) -> None:
+        """Wait for the operator, who allows what a code alone does not: to go on where another device was."""
+        server, asks_again = self._server, self._request > 0
+        self._asks, self._request = session, next(server.requests)
+        session.asking[self._request] = self
+        self.say({"asks": self._request})
+        if not server.operators and not asks_again:
+            who = f"participant {session.number}, {session.code}: another device asks to go on"
+            server.say(f"{who}, request {self._request}; allow it at {server.operator_link}")
 
     async def show(self) -> None:
         """Show the step."""
@@ -153,6 +180,15 @@ class OperatorPage(PageSocket):
             raise RefusedError(f"there is no participant {message['number']}")
         if kind == "side":
             await session.turn(str(message["side"]), "operator")
+        elif kind in ("allow", "refuse"):
+            page = session.asking.pop(int(message["request"]), None)
+            if page is None:
+                raise RefusedError("that device does not ask any more")
+            if kind == "allow":
+                session.give(page.device, page.role)
+                page.end(JOIN_AGAIN, "the operator lets this device go on")
+            else:
+                page.end(NOT_ALLOWED, "the operator does not let this device go on")
         else:
             await session.hold(kind == "hold")
 

@@ -39,6 +39,7 @@ INTERVALS = {"rating": (), "paired": ("A", "B"), "abx": ("A", "B", "X"), "oddity
 INTERVALS["threshold"] = INTERVALS["oddity"]
 SEED_STEP = 10_000_000  # between the noise of two surfaces
 NO_CONDITIONS: NDArray[np.float64] = np.zeros((0, 2))
+PLACES = {"all": ("stroke", "answer"), "stroke": ("stroke",), "answer": ("answer",)}  # that a page of a role takes
 MIN_CONTACT_N = 0.01  # of force, below which the pen does not count as in contact
 
 
@@ -59,6 +60,7 @@ class Session:
         self.server, self.number, self.code = server, number, code
         self.steps, self.done = steps_of(server.design, trials), done
         self.pages: set[ParticipantPage] = set()
+        self.asking: dict[int, ParticipantPage] = {}  # to go on where another device was, by the number of the request
         self.contact: Contact | None = None
         self._page: ParticipantPage | None = None  # that the contact plays for
         self._unsaved: dict[int, Unsaved] = {}  # by trial, also of those that were rated while the disk was full
@@ -90,6 +92,20 @@ class Session:
         self._log = TrialLog()
         self._down = False  # the pen, on a surface that is rendered
         self._level_db: float | None = None  # of a threshold's trial, once it is stroked
+
+    def is_open_to(self, device: str | None, role: str) -> bool:
+        """Whether a device may take a role without being allowed: it had it last, or none had it yet."""
+        admitted, places = self.server.admitted, self._places(role)
+        return device is None or all(not admitted.has(place) or admitted.knows(device, place) for place in places)
+
+    def give(self, device: str | None, role: str) -> None:
+        """Let a device be the last that had a role, also for the next server."""
+        if device is not None:
+            for place in self._places(role):
+                self.server.admitted.put(place, device)
+
+    def _places(self, role: str) -> list[str]:
+        return [f"{self.code} {place}" for place in PLACES[role]]
 
     def shown(self) -> Step:
         """The step as a participant's page gets it: nothing of methods."""
@@ -388,6 +404,8 @@ class Session:
             shown |= {"texture": texture.name, "real": texture.real, "practice": step["trial"].practice}
         if n := self.n_unsaved:
             shown["n_unsaved"] = n
+        if self.asking:
+            shown["asks"] = min(self.asking)
         if self.contact is not None:
             live = self.contact.player.statistics  # how long a block takes would tell methods apart
             shown |= {"n_missed": live.n_missed, "n_underruns": live.n_underruns}

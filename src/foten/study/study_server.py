@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import io
+import itertools
 import secrets
 from collections.abc import AsyncIterator, Callable
 from concurrent.futures import ThreadPoolExecutor
@@ -19,7 +20,7 @@ from starlette.routing import Route, WebSocketRoute
 from starlette.types import ASGIApp
 from starlette.websockets import WebSocket
 
-from foten.studio.access import Access, Admitted, Guarded, is_same
+from foten.studio.access import COOKIE, Access, Admitted, Guarded, is_same
 from foten.studio.messages import RefusedError
 from foten.studio.page_files import page_files
 from foten.studio.players import Player, RoundRobinRenderer
@@ -60,6 +61,9 @@ class StudyServer:
         self.gains = {key: stimulus.gain_db for key, stimulus in store.stimuli().items()}
         self.player: Callable[[float], Player] = (study.output or RoundRobinRenderer()).player
         self.link: Callable[..., str]  # by which the next device comes in, as `Access.link` gives it
+        self.say: Callable[[str], None] = lambda line: None  # to who began the server
+        self.requests = itertools.count(1)  # of devices that ask to go on where another was
+        self._has_devices = False
         self.sessions: dict[int, Session] = {}
         self._beginning = asyncio.Lock()
         self.pages: set[ParticipantPage] = set()
@@ -102,7 +106,7 @@ class StudyServer:
 
     def app(self, access: Access) -> ASGIApp:
         """Application, behind its access."""
-        self.link = partial(access.link, access.hosts[0])
+        self.link, self._has_devices = partial(access.link, access.hosts[0]), access.token is not None
         routes = [
             Route("/operator", self._operator),
             Route("/pictures/{number}", self._picture),
@@ -185,6 +189,15 @@ class StudyServer:
         return Response(
             data, media_type="application/zip", headers={"content-disposition": f'attachment; filename="{name}"'}
         )
+
+    def device_of(self, connection: HTTPConnection) -> str | None:
+        """Secret of the device that a page is on; None for a server of this machine alone, which is one device."""
+        return connection.cookies.get(COOKIE) if self._has_devices else None
+
+    @property
+    def operator_link(self) -> str:
+        """Address of the operator's page, by the newest link."""
+        return self.link("operator", other=True, key=self.operator_key)
 
     def _is_operator(self, connection: HTTPConnection) -> bool:
         return self.admitted.knows(connection.cookies.get(OPERATOR_COOKIE), OPERATOR)

@@ -58,6 +58,8 @@ function newRow(one, screens) {
     element.addEventListener("click", what);
     row.querySelector(".do").append(element);
   };
+  button("Allow", () => ask({ do: "allow", number: one.number, request: Number(row.dataset.asks) }));
+  button("Refuse", () => ask({ do: "refuse", number: one.number, request: Number(row.dataset.asks) }));
   button("Go", () => ask({ do: "go", number: one.number }));
   button("Hold", () => ask({ do: "hold", number: one.number }));
   button("Real", () => ask({ do: "side", number: one.number, side: "real" }));
@@ -76,12 +78,15 @@ function fill(row, one) {
   if (one.n_missed !== undefined) facts.push(`${one.n_missed} blocks late, ${one.n_underruns} under-runs`);
   const away = !one.pages.length && one.kind !== "end";
   if (one.n_unsaved) facts.unshift(`the disk is full: ${one.n_unsaved} events of the pen wait for room`);
-  row.querySelector("span").textContent = away ? "no page is connected" : facts.filter(Boolean).join(" · ");
-  row.querySelector("span").classList.toggle("away", away || Boolean(one.n_unsaved));
+  const asks = one.asks && `another device asks to go on: request ${one.asks}`;
+  row.dataset.asks = one.asks ?? "";
+  row.querySelector("span").textContent = [asks, ...(away ? ["no page is connected"] : facts)].filter(Boolean).join(" · ");
+  row.querySelector("span").classList.toggle("away", away || Boolean(one.n_unsaved || one.asks));
   row.querySelector("progress").value = one.n / one.of;
   for (const button of row.querySelectorAll("[data-what]")) {
     const { what } = button.dataset;
-    button.hidden = one.kind === "end" || (what !== "Code" && !trial) || (what === "Go" && !one.held) || (what === "Hold" && one.held) || (["Real", "Virtual"].includes(what) && (one.held || what.toLowerCase() === one.side));
+    if (["Allow", "Refuse"].includes(what)) button.hidden = !one.asks;
+    else button.hidden = one.kind === "end" || (what !== "Code" && !trial) || (what === "Go" && !one.held) || (what === "Hold" && one.held) || (["Real", "Virtual"].includes(what) && (one.held || what.toLowerCase() === one.side));
   }
 }
 

@@ -4,6 +4,9 @@ import { Settings } from "./settings.js";
 
 const RETRY_MS = [200, 400, 800, 1000];
 const ELSEWHERE = 4001; // as the server closes a page that another one takes the place of
+const NOT_ALLOWED = 4002; // and one that the operator does not let go on where another device was
+const ASKS = (request) => `This participant is on another device, or was last. The operator is asked to let this one go on: request ${request}.`;
+const REFUSED = ["Not on this device", "The operator did not let this device go on. Load this page again to ask once more."];
 const AGAIN_MS = 1500;
 const MOST_AT_ONCE = 64; // events in a message
 const $ = (id) => document.getElementById(id);
@@ -104,6 +107,7 @@ class Study {
     socket.onclose = ({ code, reason }) => {
       if (socket !== this.socket) return;
       if (code === ELSEWHERE) return this.put(el("div", { className: "page" }, el("h2", {}, "Open on another page"), el("p", {}, "Go on there, or load this page again to go on here.")));
+      if (code === NOT_ALLOWED) return this.put(el("div", { className: "page" }, el("h2", {}, REFUSED[0]), el("p", {}, REFUSED[1])));
       this.show(reason || (this.code ? "No connection. Your answers are kept; this page goes on by itself." : "The server cannot be reached."), true);
       setTimeout(() => this.connect(), RETRY_MS[Math.min(this.tries++, RETRY_MS.length - 1)]);
     };
@@ -121,6 +125,10 @@ class Study {
       this.tries = 0;
       this.joinedAgain = true;
       history.replaceState(null, "", `?${new URLSearchParams({ code: this.code, ...(this.role !== "all" && { role: this.role }) })}`);
+      this.show("");
+    } else if (message.asks) {
+      this.step = null; // what is shown once it is allowed is shown anew
+      this.put(el("div", { className: "page" }, el("h2", {}, "One moment, please"), el("p", {}, ASKS(message.asks))));
       this.show("");
     } else if (message.refused) this.refused(message);
     else if (message.stored !== undefined) this.stored(message.trial, message.stored);
