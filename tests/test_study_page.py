@@ -263,6 +263,33 @@ def test_a_trial_that_is_held_keeps_what_was_chosen_and_its_time(browser: Any, t
         assert [row["rating"] for row in store.ratings()] == [83.0]
 
 
+def test_a_tablets_clock_that_is_set_back_holds_no_trial_up(browser: Any, tmp_path: Path) -> None:
+    with running(study_file(tmp_path, practice="0", min_seconds="1")) as (_, link):
+        page = browser.new_page()
+        begin(page, link)
+        to_trial(page)
+        page.evaluate("{ const clock = Date.now; Date.now = () => clock() - 3.6e6; }")
+        page.focus("#pad")
+        page.keyboard.down("ArrowRight")
+        page.wait_for_timeout(700)
+        page.keyboard.up("ArrowRight")
+        page.fill(".scale input", "40")
+        until(page, "!document.querySelector('button.big').disabled")
+        page.click("button.big")
+        until(page, "window.study.step.id === 'trial:2'")
+        # Set back, and the page is loaded again: it knows a time that is to come.
+        page.evaluate("""() => {
+          const known = JSON.parse(sessionStorage.getItem("foten-begun"));
+          sessionStorage.setItem("foten-begun", JSON.stringify({ ...known, at: known.at + 3.6e6 }));
+        }""")
+        page.reload()
+        until(page, "window.study.step?.id === 'trial:2' && window.study.seconds >= 0")
+        page.close()
+    with Store(tmp_path / "study.db") as store:
+        (row,) = store.ratings()
+        assert 0.7 < row["response_s"] < 30
+
+
 def test_a_second_device_waits_for_the_operator_to_let_it_go_on(browser: Any, tmp_path: Path) -> None:
     options = ("--port", "0", "--host", "0.0.0.0")
     process, operator_link, link = started_study(study_file(tmp_path, practice="0"), *options)

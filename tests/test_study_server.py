@@ -670,6 +670,115 @@ def test_the_operators_page_is_the_operators(tmp_path: Path) -> None:
         assert client.get("/codes/AAAAA.svg").status_code == 404  # there is no such participant
 
 
+def test_a_clock_that_is_set_back_changes_no_order_and_no_time(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """By an hour, between a trial's being shown and its answer, and once more after a restart."""
+    path, clock = study_file(tmp_path, practice="0", min_seconds="1.5"), time.time
+    server = server_of(path)
+    with joined(server, rate_hz=8000) as page:
+        page.to_trial()
+        page.stroke(30)
+        page.stroke_until_it_sounds()
+        monkeypatch.setattr(time, "time", lambda: clock() - 3600)
+        assert "explore both surfaces" in page.answer(11.0)["refused"]
+        time.sleep(1.3)
+        page.answer(11.0)
+        page.bytes = 0
+        page.stroke_until_it_sounds()
+        code = page.code
+    monkeypatch.setattr(time, "time", lambda: clock() - 7200)
+    server.store.close()
+    server = server_of(path)
+    with joined(server, code=code, rate_hz=8000) as page:
+        # From the restart on: how long it had been shown is not known.
+        assert "explore both surfaces" in page.answer(22.0)["refused"]
+        time.sleep(1.3)
+        page.answer(22.0)
+        while page.step["kind"] != "end":
+            if page.step["kind"] == "trial":
+                page.stroke_until_it_sounds()
+                time.sleep(1.3)
+            page.answer(33.0)
+    rows = server.store.ratings()
+    assert [(row["trial"], row["rating"]) for row in rows] == [(1, 11.0), (2, 22.0), (3, 33.0), (4, 33.0)]
+    assert {row["response_s"] for row in rows} == {2.5}  # as the page counts
+    assert rows[0]["at"] > rows[1]["at"]  # as the clock said
+    assert rows[0]["measured"]["contact_s"] == pytest.approx(0.38, abs=0.01)
+    assert len(server.store.strokes(1, 1)) == 40
+    assert server.store.check() == []
+
+
+def test_answers_stay_in_the_order_in_which_they_were_given(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    server, clock = server_of(study_file(tmp_path)), time.time
+    server.store.join("KXWQA")
+    for n in range(3):
+        monkeypatch.setattr(time, "time", lambda n=n: clock() - 3600 * n)
+        server.store.take_step(1, f"questions:{n}", answers={f"question {n}": "fine"})
+    assert [answer["question"] for answer in server.store.answers()] == ["question 0", "question 1", "question 2"]
+
+
+def test_nothing_is_lost_while_the_file_cannot_be_written(tmp_path: Path) -> None:
+    """A medium that turns read-only in the middle of a trial, as SQLite says it: strokes, when the hand went over, since when
+    the next trial is shown, and that the participant came to the end, are written once it can be again.
+    """
+    path = study_file(tmp_path, practice="0", operator="true")
+    server = server_of(path)
+
+    def set_read_only(on: bool) -> None:
+        server.store._connection.execute(f"PRAGMA query_only = {'ON' if on else 'OFF'}")
+
+    with served(server) as client, client.websocket_connect(f"{WS}/session") as socket:
+        code = client.portal.call(server.begin).code
+        session, page = server.sessions[1], Page(socket, code=code, rate_hz=8000)
+
+        def go() -> None:
+            client.portal.call(session.hold, False)
+            page.step = page.until("step")["step"]
+
+        page.to_trial()
+        set_read_only(True)
+        begin = time.time()
+        go()
+        for side in ("virtual", "real", "virtual"):
+            if side != page.step["side"]:
+                page.say(do="side", side=side)
+                page.step = page.until("step")["step"]
+            page.stroke(10)
+        refused = page.answer(61.0)
+        assert "your answer is kept here: study.db: the disk is full or cannot be written" in refused["refused"]
+        assert refused["again"]
+        assert session.for_operator()["n_unsaved"] == 3  # and the strokes of the trial that goes on
+        assert server.store.switches(1, 1) == 0
+        set_read_only(False)
+        end = time.time()
+        page.answer(61.0)
+        assert "n_unsaved" not in session.for_operator()
+        assert (page.step["id"], server.store.switches(1, 1), len(server.store.strokes(1, 1))) == ("trial:2", 2, 20)
+        shown = server.store.shown(1, 1)
+        assert shown is not None
+        assert begin - 0.01 <= shown <= end
+        while page.step["kind"] == "trial":
+            go()
+            page.answer(50.0)
+        write = server.store.take_step
+
+        def take_step(number: int, step: str, **answers: Any) -> bool:
+            set_read_only(step == "end")  # as soon as the last answer is stored
+            return write(number, step, **answers)
+
+        server.store.take_step = take_step  # type: ignore[method-assign]
+        while page.step["kind"] != "end":
+            page.answer()
+        assert server.store.counts()[1]["ended"] == 0
+        server.store.take_step = write  # type: ignore[method-assign]
+        set_read_only(False)
+    server.store.close()
+    with joined(server_of(path), code=code) as page:  # that the server did not come to
+        assert page.step["kind"] == "end"
+    with Store(tmp_path / "study.db") as store:
+        assert store.counts()[1]["ended"] == 1
+        assert [row["rating"] for row in store.ratings()] == [61.0, 50.0, 50.0, 50.0]
+
+
 def test_a_full_disk_is_said_to_the_page_and_the_answer_can_be_given_again(tmp_path: Path) -> None:
     server = server_of(study_file(tmp_path, practice="0"))
     with joined(server) as page:

@@ -17,7 +17,7 @@ import pytest
 
 from foten import __version__
 from foten.study.orders import orders
-from foten.study.schema import VERSION, Stimulus, create
+from foten.study.schema import VERSION, Stimulus, create, now
 from foten.study.store import FullError, Rated, Store, Stroked
 
 TEXTURES, METHODS = 3, 2
@@ -135,7 +135,7 @@ def filled(store: Store) -> list[int]:
         store.take_step(number, "questions:start", answers=answers, private=private)
         for trial in range(1, 7):
             store.add_strokes(number, trial, [Stroked(0, np.full((50, 4), float(number)))])
-            store.add_switch(number, trial, "real", "operator")
+            store.add_switch(number, trial, "real", "operator", now())
             rated = Rated({"similarity": 10.0 * number}, 3.0, 1, {"note": f"MEASURED-{number}"})
             store.take_step(number, f"trial:{trial}", (trial, rated))
     return numbers

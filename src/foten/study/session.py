@@ -6,7 +6,7 @@ import asyncio
 import contextlib
 import math
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from functools import partial
 from itertools import groupby
@@ -24,6 +24,7 @@ from foten.studio.messages import RefusedError
 from foten.studio.players import BLOCK_MS
 from foten.study.design import CHOICE, CHOICES, Design, Question
 from foten.study.orders import Trial
+from foten.study.schema import now
 from foten.study.store import Rated, Stroked
 from foten.study.thresholds import gain_db, level_search
 
@@ -65,6 +66,8 @@ class Session:
         self._page: ParticipantPage | None = None  # that the contact plays for
         self._unsaved: dict[int, Unsaved] = {}  # by trial, also of those that were rated while the disk was full
         self._n_stored: dict[int, int] = {}  # events in the database, by trial
+        self._refused: list[Callable[[], Any]] = []  # other changes that the disk had no room for, in their order
+        self._writing = asyncio.Lock()
         self._saved_at = 0.0
         self._changing = asyncio.Lock()
         self._log = TrialLog()
@@ -145,13 +148,26 @@ class Session:
             await page.show()
 
     async def begin_showing(self) -> None:
-        """Count the time of a trial from when it is shown first."""
-        if self.step["kind"] == "trial" and not self.held and not self.shown_at:
+        """Count the time of a trial from when it is shown first; the end is completed once it is shown."""
+        step, store = self.step, self.server.store
+        if step["kind"] == "trial" and not self.held and not self.shown_at:
             self.shown_at = time.monotonic()
-            trial = self.step["trial"].number
             self._mark("trial")
-            with contextlib.suppress(OSError):
-                await self.server.on_disk(lambda: self.server.store.add_shown(self.number, trial))
+            await self._write(partial(store.add_shown, self.number, step["trial"].number, time.time()))
+        elif step["kind"] == "end" and step["id"] not in self.done:
+            self.done.add(step["id"])
+            await self._write(partial(store.take_step, self.number, step["id"]))
+
+    async def _write(self, *changes: Callable[[], Any]) -> None:
+        """Write changes, and those before that the disk refused: a full disk does not stop a hand, the answer will say it."""
+        async with self._writing:
+            waiting, self._refused = [*self._refused, *changes], []
+            try:
+                while waiting:
+                    await self.server.on_disk(waiting[0])
+                    del waiting[0]
+            except OSError:
+                self._refused = waiting
 
     async def finish(self, step_id: str, message: Mapping[str, Any]) -> dict[str, Any] | None:
         """Take the answers of a step, into the database, and go on; a completed step is left as it is.
@@ -176,9 +192,6 @@ class Session:
             self.done.add(step_id)
             await self.end_contact()
             self._arrive()
-            if self.step["kind"] == "end":
-                with contextlib.suppress(OSError):
-                    await self.server.on_disk(lambda: self.server.store.take_step(self.number, "end"))
             return self._feedback(step, message)
 
     def _feedback(self, step: Step, message: Mapping[str, Any]) -> dict[str, Any] | None:
@@ -249,8 +262,7 @@ class Session:
         self.n_switches += 1
         trial: Trial = step["trial"]
         named = f"virtual {intervals[interval]}" if side == "virtual" and intervals else side
-        with contextlib.suppress(OSError):  # a full disk does not stop a hand; the answer will say it
-            await self.server.on_disk(lambda: self.server.store.add_switch(self.number, trial.number, named, marked_by))
+        await self._write(partial(self.server.store.add_switch, self.number, trial.number, named, marked_by, at=now()))
         if self.contact is not None and side == "real":
             self.contact.lift()
         if self.contact is not None and moved and self._page is not None:
@@ -351,6 +363,7 @@ class Session:
     async def save_strokes(self) -> None:
         """Write what is not in the database yet; where the disk has no room, it is kept and tried again."""
         self._saved_at = time.monotonic()
+        await self._write()
         for trial, unsaved in list(self._unsaved.items()):
             if not unsaved.events and not unsaved.conditions:
                 continue
@@ -368,9 +381,10 @@ class Session:
 
     @property
     def n_unsaved(self) -> int:
-        """Events that the disk has had no room for."""
+        """Events, of the pen and others, that the disk has had no room for."""
         present = self.step["trial"].number if self.step["kind"] == "trial" else None
-        return sum(len(events) for trial, one in self._unsaved.items() if trial != present for _, events in one.events)
+        strokes = [events for trial, one in self._unsaved.items() if trial != present for _, events in one.events]
+        return len(self._refused) + sum(map(len, strokes))
 
     async def end_contact(self) -> None:
         """End playing, and save the strokes."""

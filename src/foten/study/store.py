@@ -6,7 +6,6 @@ import contextlib
 import hashlib
 import json
 import sqlite3
-import time
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -258,17 +257,17 @@ class Store(contextlib.AbstractContextManager["Store"]):
                 raise ValueError(f"participant {participant} has no rating of {of}")
             self._log(f"participant {participant}, trial {trial}: corrected to {rating:g}: {reason}")
 
-    def add_switch(self, participant: int, trial: int, side: str, marked_by: str) -> None:
-        """Store that a hand went over to the real or the virtual surface."""
+    def add_switch(self, participant: int, trial: int, side: str, marked_by: str, at: str) -> None:
+        """Store that a hand went over to the real or the virtual surface, and when, as `now` gives it."""
         columns = "participant, trial, side, marked_by, at"
         with self._writing():
-            values = participant, trial, side, marked_by, now()
+            values = participant, trial, side, marked_by, at
             self._execute(f"INSERT INTO switches ({columns}) VALUES (?, ?, ?, ?, ?)", *values)
 
-    def add_shown(self, participant: int, trial: int) -> None:
-        """Store that a trial is shown, the first time."""
+    def add_shown(self, participant: int, trial: int, at: float) -> None:
+        """Store since when a trial is shown [s, the system's clock], the first time."""
         with self._writing():
-            self._execute("INSERT OR IGNORE INTO shown VALUES (?, ?, ?)", participant, trial, time.time())
+            self._execute("INSERT OR IGNORE INTO shown VALUES (?, ?, ?)", participant, trial, at)
 
     def shown(self, participant: int, trial: int) -> float | None:
         """Since when a trial has been shown [s, the system's clock]; None where it has not."""
@@ -357,7 +356,7 @@ class Store(contextlib.AbstractContextManager["Store"]):
 
     def answers(self) -> list[dict[str, Any]]:
         """Answers to the questions that are not private."""
-        return [dict(row) for row in self._rows("SELECT * FROM answers ORDER BY participant, at")]
+        return [dict(row) for row in self._rows("SELECT * FROM answers ORDER BY participant, rowid")]
 
     def abouts(self) -> list[dict[str, Any]]:
         """Answers to the private questions, in an order that is not the participants' and without their numbers."""

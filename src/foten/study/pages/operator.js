@@ -77,7 +77,7 @@ function fill(row, one) {
   const facts = [trial && (one.practice ? "practice" : `trial ${one.n + 1} of ${one.of}`), trial && (one.held ? "held" : `on the ${one.side} surface, ${one.switches} switches`)];
   if (one.n_missed !== undefined) facts.push(`${one.n_missed} blocks late, ${one.n_underruns} under-runs`);
   const away = !one.pages.length && one.kind !== "end";
-  if (one.n_unsaved) facts.unshift(`the disk is full: ${one.n_unsaved} events of the pen wait for room`);
+  if (one.n_unsaved) facts.unshift(`the disk is full: ${one.n_unsaved} events wait for room`);
   const asks = one.asks && `another device asks to go on: request ${one.asks}`;
   row.dataset.asks = one.asks ?? "";
   row.querySelector("span").textContent = [asks, ...(away ? ["no page is connected"] : facts)].filter(Boolean).join(" · ");

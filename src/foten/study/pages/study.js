@@ -9,6 +9,7 @@ const ASKS = (request) => `This participant is on another device, or was last. T
 const REFUSED = ["Not on this device", "The operator did not let this device go on. Load this page again to ask once more."];
 const AGAIN_MS = 1500;
 const MOST_AT_ONCE = 64; // events in a message
+const now = () => performance.timeOrigin + performance.now(); // ms; the system's clock may be set back
 const $ = (id) => document.getElementById(id);
 const given = new URLSearchParams(location.search);
 
@@ -359,13 +360,14 @@ class Study {
   /** Count from when a trial is shown first, a page that is loaded again too; not while it is held. */
   begin(id) {
     const known = JSON.parse(sessionStorage.getItem("foten-begun") ?? "null");
-    this.clock = known?.id === id && known.code === this.code ? known : { id, code: this.code, at: Date.now(), held: 0, since: null };
+    const goes = known?.id === id && known.code === this.code && Math.max(known.at, known.since) <= now();
+    this.clock = goes ? known : { id, code: this.code, at: now(), held: 0, since: null };
   }
 
   hold(held) {
     const { clock } = this;
-    if (held) clock.since ??= Date.now();
-    else if (clock.since !== null) [clock.held, clock.since] = [clock.held + Date.now() - clock.since, null];
+    if (held) clock.since ??= now();
+    else if (clock.since !== null) [clock.held, clock.since] = [clock.held + now() - clock.since, null];
     sessionStorage.setItem("foten-begun", JSON.stringify(clock));
     const cover = document.querySelector(".held");
     if (cover) cover.hidden = !held;
@@ -374,7 +376,7 @@ class Study {
 
   get seconds() {
     const { clock } = this;
-    return ((clock.since ?? Date.now()) - clock.at - clock.held) / 1000;
+    return ((clock.since ?? now()) - clock.at - clock.held) / 1000;
   }
 
   async picture(url) {
