@@ -45,7 +45,7 @@ CHROMIUM = next(
 pytestmark = [pytest.mark.browser, pytest.mark.skipif(CHROMIUM is None, reason="needs Chromium: apt install chromium")]
 DOCS = Path(__file__).parents[1] / "docs"
 SHOTS = Path(__file__).parents[1] / "build" / "screenshots"
-SIZES = {"phone": (390, 844), "tablet": (820, 1180), "desktop": (1280, 800)}
+SIZES = {"phone": (390, 844), "tablet": (820, 1180), "desktop": (1280, 800), "landscape": (1024, 768)}
 QUANTUM = 128  # samples that an AudioWorklet renders at once
 
 
@@ -78,7 +78,7 @@ def chromium(*flags: str) -> Iterator[Any]:
         browser.close()
 
 
-def look(page: Any, name: str, sizes: Sequence[str] = tuple(SIZES), part: str = "html") -> list[Any]:
+def look(page: Any, name: str, sizes: Sequence[str] = ("phone", "tablet", "desktop"), part: str = "html") -> list[Any]:
     """Take screenshots of a page for people, light and dark, and return what axe-core complains of in a part of it."""
     axe = pytest.importorskip(
         "axe_playwright_python.sync_playwright", reason="needs axe-core: pip install '.[browser]'"

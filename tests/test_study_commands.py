@@ -21,6 +21,7 @@ pytest.importorskip("statsmodels")
 from foten.cli.command_line import _status
 from foten.datasets.importing import read_stroke
 from foten.runtime.stroke import tabled_stroke
+from foten.study.languages import read_language
 from foten.study.store import Store, Stroked
 from test_study_server import study_file
 
@@ -41,7 +42,10 @@ def test_from_texture_files_to_a_report_without_anyone(tmp_path: Path) -> None:
     study, database, results = tmp_path / "mine.toml", tmp_path / "mine.db", tmp_path / "results"
     textures = sorted(tmp_path.glob("*.foten"))
     assert "3 textures × 2 methods, 15 participants" in foten("new", study, *textures, "--participants", "15")
-    assert "6 trials of each of 15 participants" in foten("check", study)
+    checked = foten("check", study)
+    assert "6 trials of each of 15 participants" in checked
+    assert "about 11 minutes of each participant" in checked
+    assert "the real surface: whether it is touched is not checked" in checked
     foten("simulate", study, "-o", database, "--difference", "12", "--better", "dstn", "--missing", "0.2")
     status = foten("status", database)
     assert "15 simulated raters" in status
@@ -84,6 +88,19 @@ def test_what_a_command_refuses_is_a_line(tmp_path: Path) -> None:
     assert "has one method, expected two texture files or more" in refused
     assert not (tmp_path / "x.toml").exists()
     assert "no such file" in foten("status", tmp_path / "nothing.db", ok=False)
+
+
+def test_a_study_of_one_texture_in_another_language(tmp_path: Path) -> None:
+    study_file(tmp_path, 1, 2)
+    study = tmp_path / "mine.toml"
+    said = foten("new", study, *sorted(tmp_path.glob("*.foten")), "--participants", "1", "--language", "ko")
+    assert "1 texture × 2 methods, 1 participant\n" in said
+    assert read_language("ko").new["title"] in study.read_text(encoding="utf-8")
+    checked = foten("check", study)
+    assert "1 texture × 2 methods: 2 trials of each of 1 participant, 2 of practice" in checked
+    assert "the Korean texts have not been reviewed by a speaker" in checked
+    refused = foten("new", tmp_path / "x.toml", *tmp_path.glob("*.foten"), "--language", "xx", ok=False)
+    assert "language is 'xx', expected one of en, de" in refused
 
 
 def test_power_says_how_many() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from itertools import pairwise
 from pathlib import Path
@@ -9,13 +10,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from foten.study.design import read_design, study_text
+from foten.study import languages
+from foten.study.design import TASKS, read_design, study_text, task_of, titled
+from foten.study.languages import read_language
 from foten.study.orders import balance, orders, planned, square, williams
 
 FILES = {
     "mesh": {"ar": "mesh-ar.foten", "foten": "mesh.foten"},
     "my towel": {"ar": "towel-ar.foten", "foten": "towel.foten"},
 }
+CODES = ("en", "de", "fr", "es", "ja", "ko", "zh")
 
 
 @pytest.fixture
@@ -36,6 +40,7 @@ def test_a_new_study_file_reads_back(study: Path) -> None:
     assert design.methods == ("ar", "foten")
     assert design.textures[0].files["ar"] == study.parent / "mesh-ar.foten"
     assert design.task.min_seconds == 3.0
+    assert [texture.name for texture in design.textures] == ["Mesh", "My towel"]
     assert [(q.private, q.at) for q in design.questions] == 4 * [(True, "start")] + [(False, "end")]
     assert text == study.read_text(encoding="utf-8")
 
@@ -54,11 +59,19 @@ BAD = [
     ('foten = "mesh.foten"', 'foten = "mesh-ar.foten"', "two methods of mesh with one file"),
     ('foten = "mesh.foten"', 'Ar = "mesh.foten"', "one lacks"),
     ('foten = "mesh.foten"\n', "", "texture mesh has 1 method, expected two or more to compare"),
-    ('name = "my towel"', 'name = "Mesh"', "two textures with one name: 'Mesh' and 'mesh'"),
+    ('name = "My towel"', 'name = "mesh"', "two textures with one name: 'mesh' and 'Mesh'"),
     ('at = "end"', 'at = "middle"', "question remarks: at is 'middle', expected start, end, or after how many trials"),
     ('key = "handedness"', 'key = "age"', "two questions with one key"),
     ('options = ["right", "left", "either"]', "", "question handedness: a choice has two options or more"),
     ("title =", "title", "study.toml is no TOML"),
+    ('language = "en"', 'language = "tlh"', "language is 'tlh', expected one of en, de, fr, es, ja, ko, zh"),
+    ('language = "en"', 'language = ["en"]', r"language is \['en'\], expected one of en"),
+    ("[task]", '[words]\nnxt = "On"\n[task]', r"\[words\] has 'nxt', expected a key of .*: is 'next' meant\?"),
+    ("[task]", "[words]\nnext = 3\n[task]", r"\[words\]: next is 3, expected text"),
+    ("[task]", '[words]\nnext = " "\n[task]', r"\[words\]: next is ' ', expected text"),
+    ("[task]", '[words]\nbreak = "{n}"\n[task]', r"\[words\]: break has {n}, expected {n}, {total}"),
+    ("[task]", '[words]\nnext = "On {n}"\n[task]', r"\[words\]: next has {n}, expected none"),
+    ("title =", "words = 3\ntitle =", r"\[words\] is 3, expected a table"),
 ]
 
 
@@ -70,6 +83,80 @@ def test_a_bad_study_file_is_refused_in_a_line(study: Path, given: str, instead:
     with pytest.raises((ValueError, FileNotFoundError), match=why) as refused:
         read_design(study)
     assert len(str(refused.value).splitlines()) == 1 or "TOML" in why
+
+
+@pytest.mark.parametrize("code", CODES)
+def test_a_language_has_all_words_and_each_has_its_placeholders(code: str) -> None:
+    """And nothing is the same as in English but a few words that are; those that a speaker has not read are said to be so."""
+    language, english = read_language(code), read_language()
+    assert language.reviewed == (code == "en")
+    assert language.dir == "ltr"
+    for texts, originals in ((language.words, english.words), (language.new, english.new)):
+        assert texts.keys() == originals.keys()
+        same = {key for key, text in texts.items() if text == originals[key]}
+        assert code == "en" or same <= {"code", "volume", "force", "surface_n"}, same
+
+
+def test_a_word_that_a_language_lacks_is_an_error_and_never_english(
+    study: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    study.write_text(study.read_text(encoding="utf-8").replace('"en"', '"fr"'), encoding="utf-8")
+    tables = languages.TABLES.read_text(encoding="utf-8")
+    for given, instead, why in (
+        ('next = "Suivant"', "", "languages.toml: French lacks 'next'"),
+        ('next = "Suivant"', 'next = "Suivant"\nnext_one = ""', "languages.toml: French alone has 'next_one'"),
+        ("terminé {n} sur", "terminé sur", "languages.toml: French: break has {total}, expected {n}, {total}"),
+    ):
+        changed = tmp_path / "languages.toml"
+        changed.write_text(tables.replace(given, instead), encoding="utf-8")
+        monkeypatch.setattr(languages, "TABLES", changed)
+        languages._tables.cache_clear()
+        with pytest.raises(ValueError, match=re.escape(why)):
+            read_design(study)
+    monkeypatch.undo()
+    languages._tables.cache_clear()
+    read_design(study)
+
+
+def test_what_a_study_file_leaves_out_is_of_its_language(study: Path) -> None:
+    """And what it says is its own; the minutes of the consent are those of as many trials."""
+    text = study_text("Titel", FILES, 12, 3, "de")
+    german = read_language("de")
+    study.write_text(text, encoding="utf-8")
+    design, _ = read_design(study)
+    assert (design.language.code, design.task.question) == ("de", german.words["question"])
+    assert design.questions[1].options == ("rechts", "links", "mit beiden")
+    assert "Sie dauert etwa 8 Minuten;" in design.consent  # 90 / 48 minutes for each of 4 trials
+    for name in ("question", "lowest", "highest"):
+        text = re.sub(rf"^{name} = .*$", "", text, flags=re.M)
+    text = re.sub(r'^instructions = """.*?"""', 'words.highest = "ganz gleich"', text, flags=re.M | re.S)
+    study.write_text(text.replace('"de"', '"ja"'), encoding="utf-8")
+    design, _ = read_design(study)
+    japanese = read_language("ja")
+    assert (design.task.lowest, design.task.highest) == (japanese.words["lowest"], "ganz gleich")
+    assert design.instructions == japanese.words["instructions"]
+    assert "Sie dauert" in design.consent
+
+
+@pytest.mark.parametrize("kind", [kind for kind in TASKS if kind != "rating"])
+def test_each_task_has_its_question_and_its_instructions_in_the_language(study: Path, kind: str) -> None:
+    text = re.sub(r'^instructions = """.*?"""', "", study_text("제목", FILES, 12, 3, "ko"), flags=re.M | re.S)
+    study.write_text(
+        re.sub(r"^question = .*$", "", text, flags=re.M).replace('"rating"', f'"{kind}"'), encoding="utf-8"
+    )
+    design, _ = read_design(study)
+    words = read_language("ko").words
+    assert design.instructions == words[f"instructions_{kind}"]
+    questions = {"paired": "which_nearer", "abx": "which_x", "oddity": "which_odd", "threshold": "which_felt"}
+    assert design.task.question == words[questions[kind]]
+    assert task_of(study.read_text(encoding="utf-8"))[0] == design.task
+
+
+@pytest.mark.parametrize(
+    ("name", "shown"), [("steel-mesh-1", "Steel mesh 1"), ("äcker__b", "Äcker b"), ("T1", "T1"), ("--", "--")]
+)
+def test_participants_read_a_name_as_people_write_it(name: str, shown: str) -> None:
+    assert titled(name) == shown
 
 
 def test_a_study_without_textures_is_refused(tmp_path: Path) -> None:

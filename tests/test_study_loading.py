@@ -59,3 +59,10 @@ def test_levels_are_matched_and_stored(tmp_path: Path) -> None:
         assert list(store.stimuli().values()) == listed
     unmatched = load_study(study_file(tmp_path, match_levels="false", to='"null"'))
     assert {stimulus.gain_db for stimulus in unmatched.stimuli.listed} == {0.0}
+
+
+def test_texts_that_no_speaker_has_read_are_a_doubt(tmp_path: Path) -> None:
+    assert load_study(study_file(tmp_path)).doubts == []
+    assert load_study(study_file(tmp_path, language="de")).doubts == [
+        "the German texts have not been reviewed by a speaker"
+    ]

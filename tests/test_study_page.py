@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import json
 import os
 import random
 import re
@@ -15,6 +16,7 @@ from typing import Any
 
 import pytest
 
+from foten.study.languages import read_language
 from foten.study.store import Store
 from test_studio_page import CHROMIUM, chromium, look, playwright, until
 from test_study_commands import SAID, started_study
@@ -335,6 +337,171 @@ def test_a_second_device_waits_for_the_operator_to_let_it_go_on(browser: Any, tm
         process.wait(timeout=30)
 
 
+# Visible texts of a page; those that are cut; those under the message, or under the ring around what has the focus.
+LOOK = """() => {
+  const dialog = document.querySelector("dialog[open]"), message = document.querySelector("#message");
+  const texts = [], cut = [], covered = [], seen = [];
+  for (const element of (dialog ?? document.body).querySelectorAll("*")) {
+    if (!element.checkVisibility({ visibilityProperty: true })) continue;
+    for (const name of ["aria-label", "aria-valuetext", "placeholder", "title", "alt"])
+      if (element.getAttribute(name)) texts.push(element.getAttribute(name));
+    const isInline = getComputedStyle(element).display === "inline";
+    const isCut = !isInline && (element.scrollWidth > element.clientWidth || element.scrollHeight > element.clientHeight);
+    for (const node of element.childNodes) {
+      if (node.nodeType !== Node.TEXT_NODE || !node.data.trim()) continue;
+      texts.push(node.data.trim());
+      if (isCut) cut.push(node.data);
+      const range = document.createRange();
+      range.selectNodeContents(node);
+      for (const box of range.getClientRects()) seen.push({ element, box, text: node.data });
+    }
+  }
+  const meets = (a, b) => a.left < b.right && b.left < a.right && a.top < b.bottom && b.top < a.bottom;
+  const within = (a, b) => a.left >= b.left && a.right <= b.right && a.top >= b.top && a.bottom <= b.bottom;
+  const grown = (a, by) => ({ left: a.left - by, right: a.right + by, top: a.top - by, bottom: a.bottom + by });
+  const focused = document.activeElement.closest(".choice") ?? document.activeElement;
+  let { outlineOffset, outlineWidth, outlineStyle } = getComputedStyle(focused), box = focused.getBoundingClientRect();
+  let inner = parseFloat(outlineOffset), outer = outlineStyle === "none" ? inner : inner + parseFloat(outlineWidth);
+  if (focused.matches(".scale input:focus-visible") && outlineStyle === "none") { // around its track, in its middle
+    const middle = (box.top + box.bottom) / 2, half = 0.3 * parseFloat(getComputedStyle(document.documentElement).fontSize);
+    [box, inner, outer] = [{ left: box.left, right: box.right, top: middle - half, bottom: middle + half }, 3, 6];
+  }
+  for (const { element, box: at, text } of seen) {
+    if (outer > inner && meets(at, grown(box, outer)) && !within(at, grown(box, inner))) covered.push(["ring", text]);
+    if (!message.hidden && element !== message && meets(at, message.getBoundingClientRect())) covered.push(["message", text]);
+  }
+  const small = [...document.querySelectorAll(".choice")].filter((choice) => choice.clientHeight < 44);
+  return { texts, cut, covered, small: small.map((choice) => choice.textContent) };
+}"""
+
+
+@pytest.mark.parametrize(
+    "code", ["de", *(pytest.param(c, marks=pytest.mark.slow) for c in ("en", "fr", "es", "ja", "ko", "zh"))]
+)
+def test_a_participant_reads_one_language_and_all_of_each_text(browser: Any, tmp_path: Path, code: str) -> None:
+    """Through all pages: nothing of another language, nothing cut or covered, nothing that axe-core complains of."""
+    changes = {"practice": "1", "break_every": "1", "real_checked": "true", "min_seconds": "2"}
+    study = study_file(tmp_path, 1, 2, language=code, **changes)
+    text = study.read_text(encoding="utf-8").replace("required = false", "required = true", 2)
+    study.write_text(text, encoding="utf-8")
+    language = read_language(code)
+    known = [re.sub(r"\\{\w+\\}", ".+", re.escape(t)) for t in (*language.words.values(), *language.new.values())]
+    known += ["Surfaces", "Artificial grass", r"[\d.,]+( / \d+| dB)?"]
+    context = browser.new_context()
+    page = context.new_page()
+    faults: list[Any] = []
+    heights: set[int] = set()  # of the surface, which does not move
+    page.on("pageerror", lambda error: faults.append(str(error)))
+
+    def check(name: str) -> None:
+        faults.extend(look(page, f"study-{code}-{name}", ("landscape",)))
+        seen = page.evaluate(LOOK)
+        faults.extend(
+            (name, "of another language", t) for t in seen["texts"] if not re.fullmatch("|".join(known), t, re.S)
+        )
+        faults.extend((name, what, seen[what]) for what in ("cut", "covered", "small") if seen[what])
+
+    def lacks(key: str, **values: object) -> None:
+        until(page, f"document.querySelector('#lacks').textContent === {json.dumps(language.say(key, **values))}")
+        assert page.is_disabled("button.big")
+        check(key)
+        heights.add(page.evaluate("document.querySelector('#pad').clientHeight"))
+
+    def go_on(kind: str) -> None:
+        page.click("button.big")
+        until(page, f"window.study.step?.kind === '{kind}'")
+        check(kind)
+
+    with running(study) as (_, link):
+        page.goto(link)
+        page.wait_for_selector("html[data-ready]")
+        check("welcome")
+        page.click("button.link")
+        check("settings")
+        page.click("#weigh")
+        check("settings-mouse")
+        page.evaluate("window.study.settings.pressure = 0.5")
+        for grams in ("10", "100"):
+            page.fill("#grams", grams)
+            page.click("#add")
+        check("settings-weighed")
+        page.click("#paper")
+        page.keyboard.press("Escape")
+        page.fill("#code", "AAAAA")
+        page.keyboard.press("Enter")
+        until(page, "!document.querySelector('#message').hidden")
+        check("refused")
+        page.fill("#code", "")
+        page.click("button.big")
+        until(page, "window.study.step?.kind === 'consent'")
+        check("consent")
+        go_on("questions")
+        page.click("button.big")
+        invalid = "[...document.querySelectorAll('input:invalid')].map((field) => field.validationMessage)"
+        missing = [language.say("answer_missing", question=language.new[key]) for key in ("age", "handedness")]
+        assert page.evaluate(invalid)[:2] == missing
+        page.fill("input[type=number]", "40")
+        for i in range(3):
+            page.focus(f"fieldset >> nth={i} >> input >> nth=0")
+            page.keyboard.press("Space")
+            check(f"choice-{i}")
+        go_on("instructions")
+        page.click("button.big")
+        until(page, "window.study.step?.kind === 'trial'")
+        lacks("stroke_first")
+        page.focus("#pad")
+        page.keyboard.down("ArrowRight")
+        page.wait_for_timeout(500)
+        page.keyboard.up("ArrowRight")
+        lacks("touch_real", real=language.words["real_surface"])
+        page.focus(".real")
+        page.keyboard.press("Enter")
+        page.reload()  # what counts was counted, but for the time: by the page's own clock it begins anew
+        until(page, "window.study.step?.kind === 'trial'")
+        page.evaluate("window.study.clock.at = Date.now() + 1e6")
+        page.evaluate("window.study.check()")
+        lacks("explore_first", s=2)
+        page.evaluate("window.study.clock.at -= 2e6")
+        page.evaluate("window.study.check()")
+        lacks("choose_place")
+        page.focus(".scale input")
+        page.keyboard.press("ArrowRight")
+        until(page, "!document.querySelector('button.big').disabled")
+        check("chosen")
+        for key in ("no_connection", "not_stored"):
+            page.evaluate(f"window.study.show({json.dumps(language.words[key])}, true)")
+            check(key)
+        page.evaluate("window.study.show('')")
+        page.click("button.big")
+        other = context.new_page()
+        until(page, "window.study.step.id === 'trial:1'")
+        other.goto(page.url)
+        until(page, "document.querySelector('h2') !== null && window.study.step.id === 'trial:1'")
+        page.wait_for_selector(f"h2 >> text={language.words['moved_heading']}")
+        check("moved")
+        page, _ = other, page.close()
+        page.on("pageerror", lambda error: faults.append(str(error)))
+        for kind in ("break", "questions"):
+            until(page, "window.study.step?.kind === 'trial'")
+            page.focus("#pad")
+            page.keyboard.down("ArrowRight")
+            page.wait_for_timeout(500)
+            page.keyboard.up("ArrowRight")
+            page.click(".real")
+            page.fill(".scale input", "70")
+            page.wait_for_timeout(2200)
+            go_on(kind)
+            if kind == "break":
+                page.click("button.big")
+        page.fill("textarea", "…")
+        go_on("end")
+    until(page, "!document.querySelector('#message').hidden")
+    check("no-connection")
+    context.close()
+    assert not faults
+    assert len(heights) == 1
+
+
 def test_the_pages_are_accessible_and_look_as_the_screenshots_show(browser: Any, tmp_path: Path) -> None:
     context = browser.new_context()
     violations: list[Any] = []
@@ -345,6 +512,11 @@ def test_the_pages_are_accessible_and_look_as_the_screenshots_show(browser: Any,
         violations.extend(look(page, f"study-{name}", sizes))
 
     with running(study_file(tmp_path, practice="0", break_every="1")) as (operator, link):
+        other = context.new_page()
+        other.goto(operator)
+        other.wait_for_selector("#none:visible >> text=Scan its code with the tablet")
+        assert not other.is_visible("#lets-go")
+        check(other, "operator-empty")
         page = context.new_page()
         page.goto(link)
         page.wait_for_selector("html[data-ready]")
@@ -353,9 +525,9 @@ def test_the_pages_are_accessible_and_look_as_the_screenshots_show(browser: Any,
             page.click("button.big")
             until(page, f"window.study.step?.kind === '{kind}'")
             check(page, kind)
-        other = context.new_page()
-        other.goto(operator)
-        other.wait_for_selector("#people li")
+        page.click(".real")
+        other.wait_for_selector("#people >> text=on the real surface, 1 switch")
+        assert other.is_visible("text=Whether the real surface is touched is not checked.")
         check(other, "operator")
         other.click("[data-what=Code]")
         other.wait_for_selector("#invite[open] img")

@@ -28,10 +28,11 @@ from websockets.typing import Origin
 from foten.models.texture_file import read_texture, write_texture
 from foten.runtime.renderer import EXAMPLE
 from foten.runtime.stylus import PressureCalibration
-from foten.studio.access import LOOPBACK, Access, Admitted
+from foten.studio.access import LOOPBACK, Access, Admitted, access_to
 from foten.studio.websocket import MAX_WAITING_BLOCKS, MAX_WAITING_TEXTS
 from foten.study import store as store_module
-from foten.study.design import study_text
+from foten.study.design import study_text, titled
+from foten.study.languages import read_language
 from foten.study.loading import load_study
 from foten.study.page_sockets import ELSEWHERE, JOIN_AGAIN, NOT_ALLOWED
 from foten.study.session import conditions_of
@@ -43,7 +44,9 @@ NAMES = ("artificial-grass", "steel-mesh-1", *(f"surface-{i}" for i in range(3, 
 METHODS = ("ar", "dstn", "ldhtd", "foten")
 
 
-def study_file(folder: Path, n_textures: int = 2, n_methods: int = 2, participants: int = 3, **changes: str) -> Path:
+def study_file(
+    folder: Path, n_textures: int = 2, n_methods: int = 2, participants: int = 3, language: str = "en", **changes: str
+) -> Path:
     """A study of textures that come along, under other names, and lines of its file replaced by others."""
     sources = [read_texture(path) for path in sorted(EXAMPLE.parent.glob("*.foten"))]
     files: dict[str, dict[str, str]] = {}
@@ -53,7 +56,7 @@ def study_file(folder: Path, n_textures: int = 2, n_methods: int = 2, participan
             path = folder / f"{name}-{method}.foten"
             write_texture(type(source)({**source.card, "texture": name, "licence": method}, source.tensors), path)
             files.setdefault(name, {})[method] = path.name
-    text = study_text("Surfaces", files, participants, 1).replace("min_seconds = 3 ", "min_seconds = 0")
+    text = study_text("Surfaces", files, participants, 1, language).replace("min_seconds = 3 ", "min_seconds = 0")
     for given, instead in changes.items():
         line = re.search(rf"^{given} = .*$", text, re.M)
         assert line is not None, given
@@ -258,9 +261,9 @@ def test_two_screens_are_joined_by_a_code_and_the_operator_lets_trials_begin(tmp
         while (one := until("sessions")["sessions"][0])["kind"] != "trial":
             pass
         assert (one["held"], one["pages"]) == (True, ["answer", "stroke"])
-        assert one["texture"] in NAMES
+        assert one["texture"] in map(titled, NAMES)
         assert "method" not in one
-        assert "the operator holds this trial" in screen.done(values={"similarity": 5.0})["refused"]
+        assert "The operator holds this trial" in screen.done(values={"similarity": 5.0})["refused"]
         operate(do="go", number=1)
         assert not tablet.until("step")["step"]["held"]
         assert not screen.until("step")["step"]["held"]
@@ -276,7 +279,7 @@ def test_two_screens_are_joined_by_a_code_and_the_operator_lets_trials_begin(tmp
         assert server.store.ratings()[0]["switches"] == 1
         operate(do="go", number=9)
         assert "there is no participant 9" in until("refused")["refused"]
-        for joining, why in (({}, "ask the operator for a code"), ({"code": "AAAAA"}, "there is no such code")):
+        for joining, why in (({}, "ask the operator for a code"), ({"code": "AAAAA"}, "There is no such code")):
             c.send_text(json.dumps({"do": "join", **joining}))
             assert why in json.loads(c.receive_text())["refused"]
 
@@ -297,7 +300,7 @@ def test_a_trial_lasts_as_long_as_the_study_asks_and_goes_on_after_a_restart_wit
     with joined(server_of(path), code=code.lower()) as page:
         assert page.step["id"] == step_id
         refused = page.done(values={"similarity": 5.0}, seconds=99.0)
-        assert "explore both surfaces for 3 s first" in refused["refused"]
+        assert "Explore both surfaces for 3\u00a0s first" in refused["refused"]
         assert (refused["step"], refused["again"]) == ("trial:1", False)
         time.sleep(max(0.0, begin + 2.9 - time.monotonic()))
         page.done(values={"similarity": 44.0}, seconds=0.1)
@@ -312,7 +315,7 @@ def test_a_trial_that_was_not_stroked_is_not_rated(tmp_path: Path) -> None:
     with joined(server, rate_hz=8000) as page:
         page.to_trial()
         time.sleep(0.3)
-        assert page.done(values={"similarity": 5.0}, seconds=99.0)["refused"] == "stroke the virtual surface first"
+        assert page.done(values={"similarity": 5.0}, seconds=99.0)["refused"] == "Stroke the virtual surface first"
         page.stroke_until_it_sounds()
         page.done(values={"similarity": 5.0})
         assert page.step["id"] == "trial:2"
@@ -326,12 +329,14 @@ def test_another_program_that_holds_the_file_costs_no_answer(tmp_path: Path, mon
         other = sqlite3.connect(tmp_path / "study.db", isolation_level=None)
         other.execute("BEGIN IMMEDIATE")
         refused = page.answer(33.0)
-        assert "another program holds the file" in refused["refused"]
+        assert "Your answer is kept here and sent again" in refused["refused"]
         assert refused["again"]
+        assert "another program holds the file" in server.sessions[1].for_operator()["trouble"]
         other.execute("ROLLBACK")
         other.close()
         page.answer(33.0)
         assert page.step["id"] == "trial:2"
+        assert "trouble" not in server.sessions[1].for_operator()
     assert [row["rating"] for row in server.store.ratings()] == [33.0]
 
 
@@ -679,7 +684,7 @@ def test_a_clock_that_is_set_back_changes_no_order_and_no_time(tmp_path: Path, m
         page.stroke(30)
         page.stroke_until_it_sounds()
         monkeypatch.setattr(time, "time", lambda: clock() - 3600)
-        assert "explore both surfaces" in page.answer(11.0)["refused"]
+        assert "Explore both surfaces" in page.answer(11.0)["refused"]
         time.sleep(1.3)
         page.answer(11.0)
         page.bytes = 0
@@ -690,7 +695,7 @@ def test_a_clock_that_is_set_back_changes_no_order_and_no_time(tmp_path: Path, m
     server = server_of(path)
     with joined(server, code=code, rate_hz=8000) as page:
         # From the restart on: how long it had been shown is not known.
-        assert "explore both surfaces" in page.answer(22.0)["refused"]
+        assert "Explore both surfaces" in page.answer(22.0)["refused"]
         time.sleep(1.3)
         page.answer(22.0)
         while page.step["kind"] != "end":
@@ -779,13 +784,85 @@ def test_nothing_is_lost_while_the_file_cannot_be_written(tmp_path: Path) -> Non
         assert [row["rating"] for row in store.ratings()] == [61.0, 50.0, 50.0, 50.0]
 
 
+def test_the_real_surface_is_asked_for_before_each_rating_where_the_study_says_so(tmp_path: Path) -> None:
+    server = server_of(study_file(tmp_path, practice="0", real_checked="true"))
+    with joined(server, rate_hz=8000) as page:
+        page.to_trial()
+        for _ in range(2):
+            assert page.step["lacks_real"]
+            assert page.answer(33.0)["refused"] == "Tap “real surface” when you touch the real one"
+            page.say(do="side", side="real")
+            page.step = page.until("step")["step"]
+            assert not page.step["lacks_real"]
+            page.answer(33.0)
+    assert len(server.store.ratings()) == 2
+
+
+def test_a_participant_is_refused_in_the_language_of_the_study(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Until all places are taken; the operator is told in English what is the matter."""
+    server = server_of(study_file(tmp_path, practice="0", participants=1, language="de", min_seconds="0.5"))
+    german = read_language("de")
+
+    def refused(**joining: Any) -> str:
+        with client.websocket_connect(f"{WS}/session") as socket:
+            socket.send_text(json.dumps({"do": "join", **joining}))
+            return str(json.loads(socket.receive_text())["refused"])
+
+    with served(server) as client, client.websocket_connect(f"{WS}/session") as socket:
+        page = Page(socket, rate_hz=8000)
+        assert page.answer()["step"]["kind"] == "questions"
+        assert page.done(answers={"age": "old"})["refused"] == german.say("not_a_number", question=german.new["age"])
+        page.to_trial()
+        assert page.answer()["refused"] == "Erkunden Sie zuerst 1\u00a0s lang beide Oberflächen"
+        time.sleep(0.5)
+        assert page.answer()["refused"] == german.words["stroke_first"]
+        monkeypatch.setattr(server, "player", lambda _: (_ for _ in ()).throw(OSError("no such device")))
+        page.stroke(1)
+        assert page.until("refused")["refused"] == german.words["cannot_play"]
+        assert server.sessions[1].for_operator()["trouble"] == "nothing can be played: no such device"
+        assert refused(code="AAAAA") == german.words["no_such_code"]
+        for fresh in ("ABCDE", "ABCDF"):  # and two more are planned than were asked for
+            server.store.join(fresh)
+        assert refused() == german.words["all_begun"]
+        server.store._connection.execute("PRAGMA query_only = ON")
+        assert refused() == german.words["cannot_begin"]
+        cookie = {"cookie": f"{OPERATOR_COOKIE}={server.admitted.add(OPERATOR)}"}
+        with client.websocket_connect(f"{WS}/operate", headers=cookie) as operator:
+            operator.send_text(json.dumps({"do": "begin"}))
+            while "refused" not in (document := json.loads(operator.receive_text())):
+                pass
+            assert "the disk is full or cannot be written" in document["refused"]
+
+
+def test_the_page_comes_with_its_words(tmp_path: Path) -> None:
+    """And nothing of them, nor of the title, is taken for HTML."""
+    path = study_file(tmp_path, language="ja", title='"a < b & \\"c\\""')
+    path.write_text(path.read_text(encoding="utf-8") + '[words]\nnext = "</script>&\\"$x"\n', encoding="utf-8")
+    with served(server_of(path)) as client:
+        page = client.get("/").text
+        assert client.get("/study.html").text == page
+    words = json.loads(re.findall(r'<script type="application/json" id="words">(.*?)</script>', page)[0])
+    assert words == {**read_language("ja").words, "next": '</script>&"$x'}
+    assert '<html lang="ja" dir="ltr">' in page
+    assert page.count("a &lt; b &amp; &quot;c&quot;") == 2
+    assert "$" not in page.replace("$x", "")
+
+
+def test_a_device_that_was_not_let_in_is_refused_in_the_language_of_the_study(tmp_path: Path) -> None:
+    server = server_of(study_file(tmp_path, language="zh"))
+    access = access_to("0.0.0.0", 8000, ("192.0.2.1",))
+    with TestClient(server.app(access), base_url="https://192.0.2.1:8000") as client:
+        assert client.get("/?token=used").text == f"{read_language('zh').words['link_used']}\n"
+
+
 def test_a_full_disk_is_said_to_the_page_and_the_answer_can_be_given_again(tmp_path: Path) -> None:
     server = server_of(study_file(tmp_path, practice="0"))
     with joined(server) as page:
         page.to_trial()
         server.store._connection.execute("PRAGMA query_only = ON")
         refused = page.answer(33.0)
-        assert "not stored, and your answer is kept here: study.db: the disk is full" in refused["refused"]
+        assert "Not stored yet. Your answer is kept here" in refused["refused"]
+        assert server.sessions[1].for_operator()["trouble"].startswith("study.db: the disk is full")
         assert refused["again"]
         server.store._connection.execute("PRAGMA query_only = OFF")
         page.answer(33.0)

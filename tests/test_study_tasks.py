@@ -148,7 +148,7 @@ def test_a_choice_is_stored_with_the_contact_of_each_surface(tmp_path: Path, kin
                 assert page.until("step")["step"]["interval"] == interval
             page.stroke()
             if interval == n - 2:
-                assert page.done(values={"choice": 1})["refused"] == "stroke each surface first"
+                assert page.done(values={"choice": 1})["refused"] == "Stroke each surface first."
         assert "choice is 3, expected 0 to" in page.done(values={"choice": 3})["refused"]
         assert "choice is 0.5" in page.done(values={"choice": 0.5})["refused"]
         assert "expected choice" in page.done(values={"similarity": 3})["refused"]
@@ -353,7 +353,7 @@ def test_a_pilot_of_one_has_its_tables(tmp_path: Path) -> None:
         with pytest.raises(ValueError, match="holds no answers yet"):
             read_ratings(store)
         store.take_step(store.join("ALONE"), "trial:1", (1, Rated({"choice": 1.0}, 2.0, 2)))
-        with pytest.raises(TooFewError, match="0 participants have answered everything, of 1 who began"):
+        with pytest.raises(TooFewError, match="participants who have answered everything: 0, of 1 who began"):
             analyse(store)
         write_data(read_ratings(store), tmp_path / "r")
     assert (tmp_path / "r" / "ratings.csv").read_text(encoding="utf-8").count("\n") == 2

@@ -27,6 +27,10 @@ from foten.untrusted import check_regular, parse_json
 COOKIE = "foten"
 LOOPBACK = ("127.0.0.1", "localhost", "::1")
 CERTIFICATE_DAYS = 30
+STRANGER = (
+    "the token is missing, wrong or used, as a link lets one device in: open the newest link, or scan the newest code, "
+    "that the server printed"
+)
 
 # Scripts, styles and connections of the page's own origin alone; nobody frames it. Compiling WebAssembly is called
 # `wasm-unsafe-eval`. The page is isolated from others, which gives it precise clocks.
@@ -140,11 +144,17 @@ def _hash(secret: str) -> str:
 
 
 class Guarded:
-    """An application behind its access: wrong hosts, origins and strange devices are refused with a reason before it is asked."""
+    """An application behind its access: wrong hosts, origins and strange devices are refused with a reason before it is asked.
 
-    def __init__(self, app: ASGIApp, access: Access, admitted: Admitted | None = None) -> None:
+    Args:
+        for_strangers: the reason for a device that was not let in.
+    """
+
+    def __init__(
+        self, app: ASGIApp, access: Access, admitted: Admitted | None = None, for_strangers: str = STRANGER
+    ) -> None:
         self._app, self._access = app, access  # the access is that of the newest link
-        self._admitted = admitted or Admitted()
+        self._admitted, self._for_strangers = admitted or Admitted(), for_strangers
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         if scope["type"] == "lifespan":
@@ -201,8 +211,7 @@ class Guarded:
             return f"the origin is {str(origin)[:80]!r}, expected this server's own page"
         tokens = [expected for expected in (self._access.token, self._access.other_token) if expected is not None]
         if not known and tokens and not (asks and token and any([is_same(token, expected) for expected in tokens])):
-            what = "the token is missing, wrong or used, as a link lets one device in"
-            return f"{what}: open the newest link, or scan the newest code, that the server printed"
+            return self._for_strangers
         return ""
 
 
@@ -224,7 +233,7 @@ def _ahead(headers: Headers) -> bool:
 async def _refuse(scope: Scope, receive: Receive, send: Send, why: str, status: int = 403) -> None:
     if scope["type"] == "websocket":
         await receive()
-        await send({"type": "websocket.close", "code": 1008, "reason": why[:120]})
+        await send({"type": "websocket.close", "code": 1008, "reason": why.encode()[:120].decode(errors="ignore")})
         return
     await PlainTextResponse(f"{why}\n", status_code=status)(scope, receive, send)
 

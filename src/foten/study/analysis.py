@@ -115,8 +115,10 @@ def analyse(store: Store, reference: str | None = None, correction: str = "bonfe
     if reference is not None and reference not in ratings.methods:
         raise ValueError(f"the reference is {reference!r}, expected one of {', '.join(ratings.methods)}")
     if len(ratings.complete) < MIN_COMPLETE:
-        many = f"{len(ratings.complete)} participants have answered everything, of {len(ratings.numbers)} who began"
-        raise TooFewError(f"{many}: expected three or more; foten study status says who is where")
+        answered = (
+            f"participants who have answered everything: {len(ratings.complete)}, of {len(ratings.numbers)} who began"
+        )
+        raise TooFewError(f"{answered}; expected three or more; foten study status says who is where")
     if ratings.task.kind in CHOICES and ratings.task.kind != "threshold":
         return [analyse_choices(ratings, reference, correction)]
     index = None if reference is None else ratings.methods.index(reference)

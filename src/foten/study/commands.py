@@ -19,8 +19,6 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 
-MINUTES_PER_TRIAL = 90 / 48  # Sec. VII: 90 minutes for 48 comparisons
-
 StudyFile = Annotated[Path, Argument(metavar="STUDY.toml", help="A study file, as 'foten study new' writes it.")]
 Database = Annotated[Path, Argument(metavar="STUDY.db", help="Ratings of a study, as 'foten study run' keeps them.")]
 Participant = Annotated[int, Option("--participant", min=1, help="Number of the participant.")]
@@ -43,7 +41,8 @@ def new(
     textures: list[Path] = Argument(
         ..., metavar="T.foten…", help="Texture files: two methods or more of each texture."
     ),
-    title: str = Option("How similar are these surfaces?", help="Shown to participants."),
+    title: str | None = Option(None, help="Shown to participants.", show_default="How similar are these surfaces?"),
+    language: str = Option("en", help="Of all that participants read: en, de, fr, es, ja, ko or zh."),
     participants: int | None = Option(
         None, min=1, help="How many; by default as many as a difference of 8.75 points needs, in whole squares."
     ),
@@ -54,12 +53,15 @@ def new(
     foten study new similarity.toml denim-ar.foten denim.foten mesh-ar.foten mesh.foten
     """
     from foten.atomic_write import atomic_write
+    from foten.recording.inspection.values import counted
     from foten.study.design import files_by_method, study_text
+    from foten.study.languages import read_language
     from foten.study.raters import MIN_DIFFERENCE, participants_for
 
     check_files([output])
     if output.exists():
         raise ValueError(f"{output} is there already: edit it, or give another name")
+    title = title or read_language(language).new["title"]
     files, doubts = files_by_method(textures, output.parent)
     for doubt in doubts:
         say(doubt)
@@ -67,16 +69,18 @@ def new(
     if participants is None:
         participants = participants_for(methods, len(files))
         why = f"a difference of {MIN_DIFFERENCE:g} points on a texture is found in 80 % of studies of that size"
-        say(f"{participants} participants: {why}; foten study power says more")
+        say(f"{counted(participants, 'participant')}: {why}; foten study power says more")
     with atomic_write(output) as part:
-        part.write_text(study_text(title, files, participants, seed), encoding="utf-8")
-    print(f"wrote {output}: {len(files)} textures × {methods} methods, {participants} participants")
+        part.write_text(study_text(title, files, participants, seed, language), encoding="utf-8")
+    sizes = f"{counted(len(files), 'texture')} × {counted(methods, 'method')}"
+    print(f"wrote {output}: {sizes}, {counted(participants, 'participant')}")
     print(f"next: edit it, then foten study check {output}")
 
 
 @app.command()
 def check(study: StudyFile, as_json: JsonOption = False) -> None:
     """Check a study file: texture files, levels, balance of the orders, devices, and how long it takes."""
+    from foten.recording.inspection.values import counted
     from foten.study.loading import load_study
     from foten.study.orders import balance
 
@@ -85,17 +89,19 @@ def check(study: StudyFile, as_json: JsonOption = False) -> None:
     design, stimuli = loaded.design, loaded.stimuli
     shape = len(design.textures), len(design.methods)
     spread = balance(loaded.orders()[: design.participants], *shape, design.task.kind)
-    minutes = design.n_trials * MINUTES_PER_TRIAL
-    of_each = {"rating": "", "threshold": f" × {design.repeats} answers"}
+    of_each = {"rating": "", "threshold": f" × {counted(design.repeats, 'answer')}"}
     of_each |= {kind: f" in pairs × {design.repeats}" for kind in ("paired", "abx", "oddity")}
-    counts = f"{shape[0]} textures × {shape[1]} methods{of_each[design.task.kind]}: {design.n_trials} trials"
+    sizes = f"{counted(shape[0], 'texture')} × {counted(shape[1], 'method')}{of_each[design.task.kind]}"
+    real = "asked for before each rating" if design.setup.real_checked else "whether it is touched is not checked"
     rows = [
-        f"{counts} of each of {design.participants} participants, {design.practice} of practice before",
+        f"{sizes}: {counted(design.n_trials, 'trial')} of each of {counted(design.participants, 'participant')}, "
+        f"{design.practice} of practice before",
         *(f"{name}: {low} to {high} times" for name, (low, high) in spread.items()),
         *(f"{s.texture_key}, {s.method_key}: {s.gain_db:+.1f} dB" for s in stimuli.listed),
-        *stimuli.doubts,
+        *loaded.doubts,
         f"plays through {design.output.to}",
-        f"about {minutes:.0f} minutes of each participant, where a trial is as long as the paper's",
+        f"about {design.minutes} minutes of each participant, where a trial is as long as the paper's",
+        f"the real surface: {real}",
     ]
     document = {
         "task": design.task.kind,
@@ -103,7 +109,7 @@ def check(study: StudyFile, as_json: JsonOption = False) -> None:
         "participants": design.participants,
         "balance": spread,
         "gains_db": {f"{s.texture_key}/{s.method_key}": s.gain_db for s in stimuli.listed},
-        "doubts": stimuli.doubts,
+        "doubts": loaded.doubts,
     }
     print_result(document, "\n".join(rows), as_json)
 
@@ -153,7 +159,7 @@ def run(
             say(f"a device came in; for the next one: {participants} or, for the operator, {operator}")
             return
         say(f"{loaded.design.title}: {len(store.codes())} of {loaded.design.participants} have begun, in {database}")
-        say("\n".join([*loaded.stimuli.doubts, f"operator: {operator}", f"participants at {participants}"]))
+        say("\n".join([*loaded.doubts, f"operator: {operator}", f"participants at {participants}"]))
         if access.token is not None:
             say("each link lets one device in; the next is printed then, and the operator's page shows codes to scan")
             say(
@@ -173,11 +179,13 @@ def run(
 @app.command()
 def status(database: Database, as_json: JsonOption = False) -> None:
     """Print who has rated how much, and whether the file is sound; also while the study runs."""
+    from foten.recording.inspection.values import counted
+
     with _store(database) as store:
         counts, faults, log = store.counts(), store.check(), store.log()
-        kind = "simulated raters" if store.simulated else "participants"
+        kind, n = "simulated rater" if store.simulated else "participant", sum(count["n"] for count in counts.values())
         trials = sum(trial.number > 0 for trial in store.trials(store.ordered()[0]))
-        rows = [f"{store.study['title']}: {len(counts)} {kind}, {sum(count['n'] for count in counts.values())} ratings"]
+        rows = [f"{store.study['title']}: {counted(len(counts), kind)}, {counted(n, 'rating')}"]
         for number, row in counts.items():
             last = (row["last"] or row["joined"])[:16].replace("T", " ")
             rows.append(f"{number:4d}  {row['code']}  {row['n']:3d} of {trials}  last {last}")
@@ -210,6 +218,7 @@ def simulate(
 
     foten study simulate similarity.toml -o simulated.db --difference 10
     """
+    from foten.recording.inspection.values import counted
     from foten.study.choosers import DEFAULT_EFFECTS, simulate_study
     from foten.study.loading import load_study
     from foten.study.raters import raters_for
@@ -226,7 +235,7 @@ def simulate(
         effect = DEFAULT_EFFECTS.get(loaded.design.task.kind, 0.0) if effect is None else effect
         simulate_study(store, loaded.design, raters, effect, index, missing, seed)
         n = len(store.ratings())
-    print(f"wrote {output}: {n} simulated answers of {loaded.design.participants} raters")
+    print(f"wrote {output}: {counted(n, 'simulated answer')} of {counted(loaded.design.participants, 'rater')}")
     print(f"next: foten study analyze {output} -o results")
 
 
@@ -257,6 +266,7 @@ def power(
 
     foten study power --difference 9
     """
+    from foten.recording.inspection.values import counted
     from foten.reporting.table import Table
     from foten.study.choosers import DEFAULT_EFFECTS, THRESHOLD_SPREAD_DB
     from foten.study.design import read_design
@@ -278,10 +288,11 @@ def power(
     else:
         points, unit = 8.75 if difference is None else difference, "dB" if task == "threshold" else "points"
         raters = raters_for(methods, textures, points, sd or PAPER_SD, correlation)
-        of = f"a difference of {points:g} {unit}"
+        of = f"a difference of {points:g} {unit.removesuffix('s') if points == 1 else unit}"
     table, smallest = needed(raters, studies, seed)
     cells = [[f"{row['participants']:.0f}", *(f"{share:.2f}" for share in list(row.values())[1:])] for row in table]
-    rows = [f"{of}, {methods} methods × {textures} textures, sd {raters.sd:g}, correlation {correlation:g}, α = 0.05"]
+    sizes = f"{counted(methods, 'method')} × {counted(textures, 'texture')}"
+    rows = [f"{of}, {sizes}, sd {raters.sd:g}, correlation {correlation:g}, α = 0.05"]
     rows += Table.of(table[0], cells).text()
     rows += [
         f"participants who find a pair in 80 % of studies: {'more than 60' if smallest is None else smallest}",
@@ -293,6 +304,7 @@ def power(
 def _print_power_of_choices(
     task: str, methods: int, per_pair: int, effect: float | None, studies: int, seed: int, as_json: bool
 ) -> None:
+    from foten.recording.inspection.values import counted
     from foten.reporting.table import Table
     from foten.study.choosers import DEFAULT_EFFECTS, Choosers, needed
 
@@ -304,7 +316,7 @@ def _print_power_of_choices(
     what = f"{100 * effect:.0f} % of choices for one method" if task == "paired" else f"d′ = {effect:g}"
     pair = "the better method from another one" if task == "paired" else "two methods"
     rows = [
-        f"{what}, {methods} methods, {per_pair} trials of each pair by each participant, α = 0.05",
+        f"{what}, {methods} methods, {counted(per_pair, 'trial')} of each pair by each participant, α = 0.05",
         *Table.of(table[0], cells).text(),
         f"participants who find a pair in 80 % of studies: {'more than 60' if smallest is None else smallest}",
         f"any: the test of all methods; pair: {pair}, adjusted for all pairs",
@@ -359,6 +371,7 @@ def export(
 
     foten study export similarity.db -o dataset
     """
+    from foten.recording.inspection.values import counted
     from foten.study.record import FORMATS, write_record
 
     check_folder(output)
@@ -366,7 +379,7 @@ def export(
         raise ValueError(f"--to is {to!r}, expected {' or '.join(FORMATS)}")
     with _store(database) as store:
         written = write_record(store, to, output)
-    print(f"wrote {len(written)} files to {output}")
+    print(f"wrote {counted(len(written), 'file')} to {output}")
 
 
 @app.command()
@@ -383,6 +396,7 @@ def strokes(
     import csv
 
     from foten.atomic_write import atomic_write
+    from foten.recording.inspection.values import counted
 
     check_files([output])
     with _store(database) as store:
@@ -393,7 +407,7 @@ def strokes(
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(("t", "x", "y", "pressure"))
         writer.writerows([f"{value:.6f}" for value in (t - events[0, 3], x, y, p)] for x, y, p, t in events)
-    print(f"wrote {output}: {len(events)} events, {events[-1, 3] - events[0, 3]:.1f} s")
+    print(f"wrote {output}: {counted(len(events), 'event')}, {events[-1, 3] - events[0, 3]:.1f} s")
 
 
 @app.command()
@@ -427,10 +441,12 @@ def backup(
     database: Database, output: Path = Option(..., "-o", "--output", metavar="COPY.db", help="The copy to write.")
 ) -> None:
     """Copy a study's file, also while the study runs."""
+    from foten.recording.inspection.values import counted
+
     check_files([output])
     with _store(database) as store:
         n = store.backup(output)
-    print(f"wrote {output}: {n} ratings, and every check holds")
+    print(f"wrote {output}: {counted(n, 'rating')}, and every check holds")
 
 
 def _store(database: Path) -> Store:

@@ -6,12 +6,13 @@ import json
 import os
 import tomllib
 from collections.abc import Mapping, Sequence
-from dataclasses import MISSING, dataclass, field, fields
+from dataclasses import MISSING, dataclass, field, fields, replace
 from pathlib import Path
 from string import Template
 from typing import Any
 
 from foten.models.texture_file import read_texture
+from foten.study.languages import ENGLISH, Language, filled, read_language
 from foten.study.orders import conditions
 from foten.untrusted import check_regular
 
@@ -24,13 +25,17 @@ TASKS = ("rating", *CHOICES)
 FEEDBACK = ("none", "practice", "all")
 MEASURES = ("detection", "difference")
 CHOICE = "choice"  # key of an answer that is one of several
+QUESTIONS = {  # keys of words
+    "paired": "which_nearer",
+    "abx": "which_x",
+    "oddity": "which_odd",
+    "detection": "which_felt",
+    "difference": "which_stronger",
+}
 MAX_PARTICIPANTS, MAX_TRIALS = 1000, 2000
 MAX_TEXT_LENGTH = 8000  # characters
+MINUTES_PER_TRIAL = 90 / 48  # Sec. VII: 90 minutes for 48 comparisons
 TEMPLATE = Path(__file__).with_name("new_study.toml")
-
-INSTRUCTIONS = """Stroke the virtual surface on the tablet, then the real one beside it, with the tool that belongs to each.
-Go back and forth as often as you like, slowly and quickly, lightly and firmly.
-Then say how similar they are. There are no wrong answers."""
 
 
 @dataclass(frozen=True)
@@ -45,7 +50,7 @@ class Scale:
 
 @dataclass(frozen=True)
 class Task:
-    """What a participant does in a trial.
+    """What a participant does in a trial; empty texts are those of the study's language.
 
     - rating: one surface, on one scale or several.
     - paired: two methods of a texture: which is nearer to the real surface?
@@ -55,9 +60,9 @@ class Task:
     """
 
     kind: str = "rating"
-    question: str = "How similar are the virtual and the real surface?"
-    lowest: str = "completely different"  # 0
-    highest: str = "completely the same"  # 100, as in Sec. VII
+    question: str = ""
+    lowest: str = ""  # 0
+    highest: str = ""  # 100, as in Sec. VII
     min_seconds: float = 0.0  # of a trial, before an answer is taken
     repeats: int = 1  # of each comparison
     feedback: str = "practice"  # whether the answer was right, where one is
@@ -76,6 +81,7 @@ class Setup:
     screens: int = 1  # 2: they stroke on a tablet and answer on another screen
     operator: bool = False  # who lays down the real sample, and lets each trial begin
     real_side: str = "right"  # of the virtual surface, where the real sample lies; Fig. 8
+    real_checked: bool = False  # a trial is not rated before it was said that the real surface is touched
     show_names: bool = True  # of textures, to participants
 
 
@@ -135,8 +141,9 @@ class Design:
     practice: int = 2  # trials before those that count
     break_every: int = 16  # trials; 0 for none
     match_levels: bool = True  # methods of a texture are played equally loud
-    instructions: str = INSTRUCTIONS
-    consent: str = ""  # nothing is asked for without
+    language: Language = field(default_factory=read_language)  # that participants read
+    instructions: str = ""  # those of the language
+    consent: str = ""  # nothing is asked for without; {minutes} is how long it takes
     task: Task = field(default_factory=Task)
     scales: tuple[Scale, ...] = ()  # of the task `rating`; none for the one of similarity
     setup: Setup = field(default_factory=Setup)
@@ -169,6 +176,11 @@ class Design:
         """Where the real surface lies; nowhere for a task that is about virtual ones alone."""
         return self.setup.real_side if self.task.kind in ("rating", "paired") else "none"
 
+    @property
+    def minutes(self) -> int:
+        """Minutes of a participant, where a trial is as long as the paper's."""
+        return round(self.n_trials * MINUTES_PER_TRIAL)
+
 
 def read_design(path: Path) -> tuple[Design, str]:
     """Study in a TOML file, and the file's text.
@@ -192,7 +204,7 @@ def read_design(path: Path) -> tuple[Design, str]:
 def task_of(text: str) -> tuple[Task, tuple[Scale, ...]]:
     """Task and scales of a study file's text, whatever became of the files that it names."""
     document = tomllib.loads(text)
-    task: Task = _filled(Task, document.get("task", {}), "[task]", Path())
+    task = _worded(_filled(Task, document.get("task", {}), "[task]", Path()), _language(document))
     scales = tuple(
         _filled(Scale, table, f"scale {i + 1}", Path()) for i, table in enumerate(document.get("scales", []))
     )
@@ -221,9 +233,27 @@ def _design(document: Mapping[str, Any], folder: Path) -> Design:
         _filled(Question, table, f"question {i + 1}", folder) for i, table in enumerate(questions)
     )
     parts["scales"] = tuple(_filled(Scale, table, f"scale {i + 1}", folder) for i, table in enumerate(scales))
+    language = parts["language"] = _language(tables)
+    task = parts["task"] = _worded(parts.get("task", Task()), language)
     design: Design = _filled(Design, tables, "the study", folder, **parts)
     _check(design)
-    return design
+    consent = filled(design.consent, minutes=design.minutes)
+    key = "scales" if len(design.scales) > 1 else task.kind
+    instructions = design.instructions or language.words.get(f"instructions_{key}", language.words["instructions"])
+    return replace(design, consent=consent, instructions=instructions)
+
+
+def _language(tables: dict[str, Any]) -> Language:
+    """Language of a study file, with the words that it says instead; both are taken out."""
+    return read_language(tables.pop("language", ENGLISH), tables.pop("words", None))
+
+
+def _worded(task: Task, language: Language) -> Task:
+    """A task with the words of the language where it has none."""
+    key = QUESTIONS.get(task.measures if task.kind == "threshold" else task.kind, "question")
+    texts = {"question": language.words[key], "lowest": language.words["lowest"], "highest": language.words["highest"]}
+    question, lowest, highest = (getattr(task, name) or text for name, text in texts.items())
+    return replace(task, question=question, lowest=lowest, highest=highest)
 
 
 def _texture(key: str, table: Any, folder: Path) -> Texture:
@@ -236,7 +266,7 @@ def _texture(key: str, table: Any, folder: Path) -> Texture:
             raise ValueError(f"{where}: {method} is {file!r:.40}, expected the name of a texture file")
         files[method] = folder / file
     others = {name: value for name, value in table.items() if name != "methods"}
-    texture: Texture = _filled(Texture, {"name": key, **others}, where, folder, key=key, files=files)
+    texture: Texture = _filled(Texture, {"name": titled(key), **others}, where, folder, key=key, files=files)
     return texture
 
 
@@ -355,17 +385,27 @@ def _check_different(names: list[str], what: str) -> None:
         seen[name.casefold().strip()] = name
 
 
-def study_text(title: str, textures: Mapping[str, Mapping[str, str]], participants: int, seed: int) -> str:
-    """Text of a study file, for textures by name, each with its files by method."""
+def study_text(
+    title: str, textures: Mapping[str, Mapping[str, str]], participants: int, seed: int, language: str = ENGLISH
+) -> str:
+    """Text of a study file in a language, for textures by name, each with its files by method."""
     lines = []
     for name, files in textures.items():
         key = _key(name)
-        lines += ["", f"[textures.{key}]", f"name = {_quoted(name)}"]
+        lines += ["", f"[textures.{key}]", f"name = {_quoted(titled(name))}"]
         lines += ['real = ""               # which sample the operator lays down', f"[textures.{key}.methods]"]
         lines += [f"{_key(method)} = {_quoted(file)}" for method, file in files.items()]
-    values = {"title": _quoted(title), "participants": participants, "seed": seed, "instructions": INSTRUCTIONS}
-    values |= {name: _quoted(getattr(Task, name)) for name in ("question", "lowest", "highest")}
+    texts = read_language(language)
+    values = {name: _quoted(text) for name, text in {**texts.words, **texts.new, "title": title}.items()}
+    values |= {"participants": str(participants), "seed": str(seed), "language": _quoted(language)}
+    values |= {"instructions": texts.words["instructions"], "consent": texts.new["consent"]}  # of several lines
     return Template(TEMPLATE.read_text(encoding="utf-8")).substitute(values) + "\n".join(lines) + "\n"
+
+
+def titled(name: str) -> str:
+    """A texture's name as people write it, and as the page of textures does: `steel-mesh-1`, "Steel mesh 1"."""
+    words = " ".join(name.replace("-", " ").replace("_", " ").split())
+    return words[:1].upper() + words[1:] or name
 
 
 def files_by_method(paths: Sequence[Path], folder: Path) -> tuple[dict[str, dict[str, str]], list[str]]:

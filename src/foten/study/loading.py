@@ -26,7 +26,7 @@ DOUBTFUL_GAIN_DB = 10.0
 
 @dataclass(frozen=True)
 class Stimuli:
-    """What is compared, and what a person should know before the first participant."""
+    """What is compared, and what of it is doubtful."""
 
     listed: list[Stimulus]
     bytes_of: Mapping[tuple[int, int], bytes]  # by texture and method
@@ -80,6 +80,12 @@ class Study:
     design: Design
     stimuli: Stimuli
     output: OutputDevice | None  # None where the pages play
+
+    @property
+    def doubts(self) -> list[str]:
+        """What a person should know before the first participant."""
+        name, reviewed = self.design.language.name, self.design.language.reviewed
+        return [*self.stimuli.doubts, *([] if reviewed else [f"the {name} texts have not been reviewed by a speaker"])]
 
     def orders(self) -> list[list[Trial]]:
         """Trials of the participants, and of some more for those who leave."""

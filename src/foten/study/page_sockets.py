@@ -25,6 +25,8 @@ MISSED, EVENT_BYTES = b"m", 32  # and a surface's number, before events that are
 ELSEWHERE, NOT_ALLOWED = 4001, 4002  # codes of a WebSocket's end, of those that are free for programs
 JOIN_AGAIN = 1012  # a page connects again by itself
 SIDES = ("virtual", "real")
+LETTERS = "ABCDEFGHJKMNPQRSTUVWXYZ"  # of a code, that are not taken for one another
+CODE_LENGTH = 5
 PARTICIPANT = Protocol(
     {
         # A fresh code is drawn by the page of a new participant, where there is no operator.
@@ -120,11 +122,8 @@ class ParticipantPage(PageSocket):
             await self.show()
 
     async def _join(self, message: Mapping[str, Any]) -> None:
-        server = self._server
         code = message.get("code")
-        if code is None and server.design.setup.operator:
-            raise RefusedError("ask the operator for a code")
-        session = await server.begin(message.get("fresh")) if code is None else server.by_code(str(code))
+        session = await self._begin(message.get("fresh")) if code is None else self._server.by_code(str(code))
         await self.leave()
         self.role = str(message.get("role", "all"))
         self.rate_hz = float(message.get("rate_hz", SOUND_RATE_HZ))
@@ -140,7 +139,7 @@ class ParticipantPage(PageSocket):
                 other.end(ELSEWHERE, "open on another page")
         self._session = session
         session.pages.add(self)
-        self.say({"joined": session.code, "plays": server.output is None})
+        self.say({"joined": session.code, "plays": self._server.output is None})
         await self.show()
 
     def _ask(self, session: Session) -> None:
@@ -152,6 +151,20 @@ class ParticipantPage(PageSocket):
         if not server.operators and not asks_again:
             who = f"participant {session.number}, {session.code}: another device asks to go on"
             server.say(f"{who}, request {self._request}; allow it at {server.operator_link}")
+
+    async def _begin(self, fresh: str | None) -> Session:
+        """Session of a new participant; why there is none in the participant's words."""
+        design = self._server.design
+        if design.setup.operator:
+            raise RefusedError(design.language.say("ask_for_code"))
+        if fresh is not None and (len(fresh) != CODE_LENGTH or not set(fresh) <= set(LETTERS)):
+            raise RefusedError(f"join: fresh is {fresh[:40]!r}, expected {CODE_LENGTH} letters")
+        try:
+            return await self._server.begin(fresh)
+        except ValueError as error:
+            raise RefusedError(design.language.say("all_begun")) from error
+        except OSError as error:
+            raise RefusedError(design.language.say("cannot_begin")) from error
 
     async def show(self) -> None:
         """Show the step."""
@@ -172,7 +185,10 @@ class OperatorPage(PageSocket):
     async def do(self, message: Mapping[str, Any]) -> None:
         server, kind = self._server, message["do"]
         if kind == "begin":
-            new = await server.begin()
+            try:
+                new = await server.begin()
+            except (ValueError, OSError) as error:
+                raise RefusedError(str(error)) from error
             self.say({"started": new.number, "code": new.code})
             return
         session = server.sessions.get(int(message["number"]))
@@ -196,7 +212,7 @@ class OperatorPage(PageSocket):
         server = self._server
         design = server.design
         about = {"title": design.title, "planned": design.participants, "simulated": server.store.simulated}
-        about |= {"operator": design.setup.operator, "screens": design.setup.screens}
+        about |= {name: getattr(design.setup, name) for name in ("operator", "screens", "real_checked")}
         while True:
             # Another link after each use: the codes to scan are drawn anew.
             sessions = [session.for_operator() for session in server.sessions.values()]

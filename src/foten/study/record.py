@@ -19,6 +19,7 @@ import pandas
 
 from foten import __version__
 from foten.atomic_write import atomic_write
+from foten.recording.inspection.values import counted
 from foten.study.analysis import Ratings, read_ratings
 from foten.study.report import SUMMARY, dictionary_of, participants_frame, rows_of
 from foten.study.session import MAX_APART_S
@@ -133,12 +134,11 @@ def bids(store: Store) -> dict[str, str]:
 
 
 def _description(ratings: Ratings) -> str:
-    who = "simulated raters" if ratings.simulated else "participants"
-    b = len(ratings.textures)
+    who = counted(len(ratings.numbers), "simulated rater" if ratings.simulated else "participant")
+    methods, textures = counted(len(ratings.methods), "method"), counted(len(ratings.textures), "texture")
     return (
-        f"A study of virtual surfaces, by foten {ratings.software}: {len(ratings.numbers)} {who}, task {ratings.task.kind}, "
-        f"{len(ratings.methods)} methods ({', '.join(ratings.methods)}) on {b} texture{'s' * (b > 1)} "
-        f"({', '.join(ratings.textures)})."
+        f"A study of virtual surfaces, by foten {ratings.software}: {who}, task {ratings.task.kind}, "
+        f"{methods} ({', '.join(ratings.methods)}) on {textures} ({', '.join(ratings.textures)})."
     )
 
 

@@ -23,6 +23,7 @@ from foten.studio.live_contact import Contact
 from foten.studio.messages import RefusedError
 from foten.studio.players import BLOCK_MS
 from foten.study.design import CHOICE, CHOICES, Design, Question
+from foten.study.languages import Language
 from foten.study.orders import Trial
 from foten.study.schema import now
 from foten.study.store import Rated, Stroked
@@ -69,12 +70,14 @@ class Session:
         self._refused: list[Callable[[], Any]] = []  # other changes that the disk had no room for, in their order
         self._writing = asyncio.Lock()
         self._saved_at = 0.0
+        self.trouble = ""  # for the operator: why the last answer was not stored, or nothing plays
         self._changing = asyncio.Lock()
         self._log = TrialLog()
         self._arrive()
         step = self.step
         if step["kind"] == "trial":  # as it was before the server ended
-            self.n_switches = server.store.switches(number, step["trial"].number)
+            sides = server.store.switches(number, step["trial"].number)
+            self.n_switches, self.n_real = len(sides), sides.count("real")
             stroked = server.store.parts(number, step["trial"].number)
             self._log.earlier = np.concatenate([NO_CONDITIONS, *(part.conditions for part in stroked)])
             self._log.events = [(part.interval, part.events) for part in stroked]
@@ -91,7 +94,8 @@ class Session:
     def _arrive(self) -> None:
         """Begin a step: with an operator, a trial waits until the real sample lies there."""
         self.held = self.step["kind"] == "trial" and self.server.design.setup.operator
-        self.side, self.interval, self.n_switches, self.shown_at = "virtual", 0, 0, 0.0
+        self.side, self.interval, self.shown_at = "virtual", 0, 0.0
+        self.n_switches = self.n_real = 0  # to the real surface
         self._log = TrialLog()
         self._down = False  # the pen, on a surface that is rendered
         self._level_db: float | None = None  # of a threshold's trial, once it is stroked
@@ -114,7 +118,7 @@ class Session:
         """The step as a participant's page gets it: nothing of methods."""
         step, design = self.step, self.server.design
         shown: Step = {name: value for name, value in step.items() if name not in ("trial", "questions")}
-        shown |= {"title": design.title, "simulated": self.server.store.simulated, "held": self.held}
+        shown |= {"simulated": self.server.store.simulated, "held": self.held}
         if step["kind"] == "questions":
             shown["questions"] = [
                 {"key": q.key, "text": q.text, "kind": q.kind, "options": list(q.options), "required": q.required}
@@ -131,6 +135,7 @@ class Session:
                 "interval": self.interval,
             }
             shown |= {"min_s": task.min_seconds, "side": self.side, "stored": self._n_stored.get(trial.number, 0)}
+            shown |= {"lacks_real": self.lacks_real}
             if setup.show_names:
                 shown |= {"name": texture.name, "picture": f"pictures/{trial.texture}" if texture.picture else None}
         return shown
@@ -210,7 +215,9 @@ class Session:
         if step["kind"] == "consent":
             answers["consent"] = step["text"]
         elif step["kind"] == "questions":
-            answers["answers"], answers["private"] = checked_answers(step["questions"], message.get("answers", {}))
+            answers["answers"], answers["private"] = checked_answers(
+                step["questions"], message.get("answers", {}), self.server.design.language
+            )
         elif step["kind"] == "trial":
             self._check_trial_may_end()
             values = checked_values(self.server.design, message.get("values"))
@@ -220,19 +227,29 @@ class Session:
         try:
             await self.server.on_disk(lambda: store.take_step(number, step["id"], **answers))
         except OSError as error:
-            raise NotYetError(f"not stored, and your answer is kept here: {error}") from error
+            self.trouble = str(error)
+            raise NotYetError(self.server.design.language.say("not_stored")) from error
+        self.trouble = ""
+
+    @property
+    def lacks_real(self) -> bool:
+        """Whether nobody has said in this trial that the real surface is touched, where that is asked for."""
+        design = self.server.design
+        return design.setup.real_checked and design.real_side != "none" and not self.n_real
 
     def _check_trial_may_end(self) -> None:
+        language, task = self.server.design.language, self.server.design.task
         if self.held:
-            raise NotYetError("the operator holds this trial; your answer is kept here")
-        task = self.server.design.task
+            raise NotYetError(language.say("operator_holds"))
         min_s = task.min_seconds
         shown_s = time.monotonic() - self.shown_at if self.shown_at else 0.0
         if shown_s < min_s - CLOCK_TOLERANCE_S:  # by this clock: a page could say anything
-            raise RefusedError(f"explore both surfaces for {min_s:g} s first")
+            raise RefusedError(language.say("explore_first", s=math.ceil(min_s)))
         n_intervals = max(1, len(INTERVALS[task.kind]))
         if min_s and not all(self._log.contact_s(interval) for interval in range(n_intervals)):
-            raise RefusedError("stroke the virtual surface first" if n_intervals == 1 else "stroke each surface first")
+            raise RefusedError(language.say("stroke_first" if n_intervals == 1 else "stroke_each"))
+        if self.lacks_real:
+            raise RefusedError(language.say("touch_real", real=language.say("real_surface")))
 
     def _rated(self, values: Mapping[str, float], level_db: float | None, message: Mapping[str, Any]) -> Rated:
         log = self._log.summary()
@@ -260,6 +277,7 @@ class Session:
             return
         moved, self.side, self.interval = interval != self.interval, side, interval
         self.n_switches += 1
+        self.n_real += side == "real"
         trial: Trial = step["trial"]
         named = f"virtual {intervals[interval]}" if side == "virtual" and intervals else side
         await self._write(partial(self.server.store.add_switch, self.number, trial.number, named, marked_by, at=now()))
@@ -327,7 +345,7 @@ class Session:
             player = await asyncio.to_thread(server.player, page.rate_hz if plays_in_page else SOUND_RATE_HZ)
             contact = Contact(player, on_block)
         except (OSError, ValueError) as error:
-            raise RefusedError(f"nothing can be played: {error}") from error
+            raise self._unplayable(error) from error
         await self._put_under_pen(contact, page, trial)
         self._log.contacts.append(player.statistics)
         self.contact, self._page, self._saved_at = contact, page, time.monotonic()
@@ -344,7 +362,12 @@ class Session:
         try:
             await asyncio.to_thread(contact.open, server.stimuli.bytes_of[key], page.calibration, seed)
         except (OSError, ValueError) as error:
-            raise RefusedError(f"nothing can be played: {error}") from error
+            raise self._unplayable(error) from error
+        self.trouble = ""
+
+    def _unplayable(self, error: Exception) -> RefusedError:
+        self.trouble = f"nothing can be played: {error}"
+        return RefusedError(self.server.design.language.say("cannot_play"))
 
     async def _level(self, trial: Trial) -> float:
         """Level of a threshold's trial, which the answers before it lead to [dB]."""
@@ -420,6 +443,8 @@ class Session:
             shown["n_unsaved"] = n
         if self.asking:
             shown["asks"] = min(self.asking)
+        if self.trouble:
+            shown["trouble"] = self.trouble
         if self.contact is not None:
             live = self.contact.player.statistics  # how long a block takes would tell methods apart
             shown |= {"n_missed": live.n_missed, "n_underruns": live.n_underruns}
@@ -549,7 +574,9 @@ def _questions(questions: Sequence[Question], at: str | int) -> list[Step]:
     return [{"id": f"questions:{at}", "kind": "questions", "questions": chosen}] if chosen else []
 
 
-def checked_answers(questions: Sequence[Question], answers: Any) -> tuple[dict[str, str], dict[str, str]]:
+def checked_answers(
+    questions: Sequence[Question], answers: Any, language: Language
+) -> tuple[dict[str, str], dict[str, str]]:
     """Answers of a questionnaire by question, those that are not private and those that are.
 
     Raises:
@@ -566,10 +593,10 @@ def checked_answers(questions: Sequence[Question], answers: Any) -> tuple[dict[s
         answer = answer.strip()
         if not answer:
             if question.required:
-                raise RefusedError(f"{question.text}: an answer is missing")
+                raise RefusedError(language.say("answer_missing", question=question.text))
             continue
         if question.kind in ("number", "slider") and not _is_number(answer):
-            raise RefusedError(f"{question.text}: {answer[:40]!r} is no number")
+            raise RefusedError(language.say("not_a_number", question=question.text))
         if question.kind == "choice" and answer not in question.options:
             raise RefusedError(f"{question.text}: {answer[:40]!r} is none of the choices")
         (private if question.private else public)[question.key] = answer

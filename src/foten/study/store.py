@@ -274,10 +274,10 @@ class Store(contextlib.AbstractContextManager["Store"]):
         rows = self._rows("SELECT at FROM shown WHERE participant = ? AND trial = ?", participant, trial)
         return float(rows[0]["at"]) if rows else None
 
-    def switches(self, participant: int, trial: int) -> int:
-        """How often a hand went over in a trial."""
-        rows = self._rows("SELECT count(*) FROM switches WHERE participant = ? AND trial = ?", participant, trial)
-        return int(rows[0][0])
+    def switches(self, participant: int, trial: int) -> list[str]:
+        """Surfaces that a hand went over to in a trial, in order."""
+        query = "SELECT side FROM switches WHERE participant = ? AND trial = ? ORDER BY id"
+        return [str(row["side"]) for row in self._rows(query, participant, trial)]
 
     def add_strokes(self, participant: int, trial: int, parts: Sequence[Stroked]) -> None:
         """Store parts of a trial's contact, all or none."""

@@ -4,18 +4,21 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import html
 import io
 import itertools
+import json
 import secrets
 from collections.abc import AsyncIterator, Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from pathlib import Path
+from string import Template
 from typing import Any
 
 from starlette.applications import Starlette
 from starlette.requests import HTTPConnection, Request
-from starlette.responses import FileResponse, PlainTextResponse, RedirectResponse, Response
+from starlette.responses import FileResponse, HTMLResponse, PlainTextResponse, RedirectResponse, Response
 from starlette.routing import Route, WebSocketRoute
 from starlette.types import ASGIApp
 from starlette.websockets import WebSocket
@@ -28,18 +31,16 @@ from foten.studio.studio_server import missing, page_file
 from foten.studio.websocket import serve_page
 from foten.study.loading import Study
 from foten.study.markers import Markers
-from foten.study.page_sockets import OperatorPage, ParticipantPage
+from foten.study.page_sockets import CODE_LENGTH, LETTERS, OperatorPage, ParticipantPage
 from foten.study.session import Session
 from foten.study.store import Store
 
 OPERATOR_COOKIE = "foten-operator"
 OPERATOR = "operator"  # a kind of those who were let in
-LETTERS = "ABCDEFGHJKMNPQRSTUVWXYZ"  # that are not taken for one another
-CODE_LETTERS = 5
 MAX_PAGES = 64
 SAVE_AGAIN_S = 5.0  # between two tries to write strokes that the disk had no room for
 PAGES = Path(__file__).with_name("pages")
-OPERATOR_PAGE = "operator.html"
+PAGE, OPERATOR_PAGE = "study.html", "operator.html"
 SHARED = ("studio.css", "pad.js", "settings.js", "stream.js")  # not the kernel, whose bytes name models
 
 
@@ -85,24 +86,20 @@ class StudyServer:
         """Session of a new participant, under a code that the page drew: a page that asks again gets the same.
 
         Raises:
-            RefusedError: the code is none, or all participants of the design have begun.
+            ValueError: all participants of the design have begun.
+            OSError: nothing can be stored.
         """
-        code = code or "".join(secrets.choice(LETTERS) for _ in range(CODE_LETTERS))
-        if len(code) != CODE_LETTERS or not set(code) <= set(LETTERS):
-            raise RefusedError(f"join: fresh is {code[:40]!r}, expected {CODE_LETTERS} letters")
+        code = code or "".join(secrets.choice(LETTERS) for _ in range(CODE_LENGTH))
         async with self._beginning:  # two pages may ask with one code
             known = next((session for session in self.sessions.values() if session.code == code), None)
-            try:
-                return known or await self.on_disk(lambda: self._session(self.store.join(code), code))
-            except (ValueError, OSError) as error:
-                raise RefusedError(str(error)) from error
+            return known or await self.on_disk(lambda: self._session(self.store.join(code), code))
 
     def by_code(self, code: str) -> Session:
         """Session that a code names, or raise RefusedError."""
         for session in self.sessions.values():
             if is_same(code.strip().upper(), session.code):
                 return session
-        raise RefusedError("there is no such code; the operator's page shows it")
+        raise RefusedError(self.design.language.say("no_such_code"))
 
     def app(self, access: Access) -> ASGIApp:
         """Application, behind its access."""
@@ -116,7 +113,8 @@ class StudyServer:
             WebSocketRoute("/operate", self._serve_operator),
             Route("/{name:path}", self._file),
         ]
-        return Guarded(Starlette(routes=routes, lifespan=self._lifespan), access, self.admitted)
+        app = Starlette(routes=routes, lifespan=self._lifespan)
+        return Guarded(app, access, self.admitted, self.design.language.say("link_used"))
 
     @contextlib.asynccontextmanager
     async def _lifespan(self, _app: Starlette) -> AsyncIterator[None]:
@@ -136,7 +134,17 @@ class StudyServer:
                     await session.save_strokes()
 
     async def _file(self, request: Request) -> Response:
-        return page_file(study_files(), request.path_params["name"] or "study.html")
+        name = request.path_params["name"]
+        return HTMLResponse(self._page()) if name in ("", PAGE) else page_file(study_files(), name)
+
+    def _page(self) -> str:
+        """The participants' page in their language, which it has before any connection."""
+        language = self.design.language
+        values = {"language": language.code, "dir": language.dir, "title": self.design.title}
+        values |= {name: language.say(name) for name in ("simulated", "progress", "no_script", "set_up")}
+        words = json.dumps(dict(language.words), ensure_ascii=False).replace("<", "\\u003c")  # nothing ends the script
+        escaped = {name: html.escape(value) for name, value in values.items()}
+        return Template((PAGES / PAGE).read_text(encoding="utf-8")).substitute(escaped, words=words)
 
     async def _picture(self, request: Request) -> Response:
         textures, number = self.design.textures, request.path_params["number"]
@@ -213,7 +221,7 @@ class StudyServer:
 
 
 def study_files() -> dict[str, Path]:
-    """Files of the participants' page by name."""
+    """Files beside the participants' page by name."""
     shared = page_files()
-    files = {path.name: path for path in PAGES.iterdir() if path.is_file() and path.name != OPERATOR_PAGE}
+    files = {path.name: path for path in PAGES.iterdir() if path.suffix != ".html"}
     return files | {name: shared[name] for name in SHARED}

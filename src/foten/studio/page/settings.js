@@ -9,6 +9,37 @@ const GRAM_N = 0.00980665;
 const OTHERS = "others"; // asks for their names
 const STEADY = 0.03, STEADY_MS = 300; // pressure within which, and for how long, a pen is held still on the scale
 
+// Of the parts that a study's page shows too, which speaks other languages. It is JSON, and read by the study as such.
+export const WORDS = {
+  "settings": "Settings",
+  "close": "Close",
+  "volume": "Volume",
+  "off": "off",
+  "force": "Force",
+  "force_how": "Lay the tablet on a kitchen scale, press the pen here, and write what the scale shows.",
+  "press_here": "Press here",
+  "grams_label": "grams on the scale",
+  "grams": "grams",
+  "add": "Add",
+  "paper": "Paper's",
+  "curve": "{low} N at the lightest touch to {high} N at full pressure",
+  "curve_weighed": "{curve}, from {n} weighings",
+  "equation": "F = {a} N · exp({b} · pressure), Eq. 12 of the paper",
+  "too_few": "{n} weighed: three or more, light to firm, are needed",
+  "no_pressure": "A finger or a mouse has no pressure: the slider on the surface sets its force.",
+  "hold_still": "Hold the pen still for half a second, then lift it.",
+  "size": "Size",
+  "size_how": "Hold the short side of a bank card to the bar, and make the bar as long.",
+  "bar_length": "length of the bar"
+};
+
+/** Return text with values in the place of `{names}`. */
+export const filled = (text, values) => text.replace(/\{(\w+)\}/g, (name, key) => values[key] ?? name);
+
+/** Return a number as the page's language writes it. */
+export const written = (value, digits = 0) =>
+  new Intl.NumberFormat(document.documentElement.lang || undefined, { minimumFractionDigits: digits, maximumFractionDigits: digits }).format(value);
+
 /** Return the median pressure of the longest stretch that a pen was held still, of [ms, pressure] in their order; null where it was not. */
 export function steady(samples) {
   let best = null;
@@ -51,11 +82,11 @@ export function actuatorOf(text) {
   };
 }
 
-/** Return a and b of force = a exp(b pressure) nearest to pairs [pressure, N] in the mean square of force. Throws what is missing. */
+/** Return a and b of force = a exp(b pressure) nearest to pairs [pressure, N] in the mean square of force; null where they are too few. */
 export function fitted(pairs) {
   const used = pairs.filter(([p, f]) => p > 0 && p <= 1 && f > 0);
   const span = Math.max(...used.map(([p]) => p)) - Math.min(...used.map(([p]) => p));
-  if (used.length < 3 || !(span >= 0.1)) throw new Error("three weighings or more, light to firm, are needed");
+  if (used.length < 3 || !(span >= 0.1)) return null;
   const mean = (of) => used.reduce((sum, one) => sum + of(one), 0) / used.length;
   const p0 = mean(([p]) => p), l0 = mean(([, f]) => Math.log(f));
   let b = mean(([p, f]) => (p - p0) * (Math.log(f) - l0)) / mean(([p]) => (p - p0) ** 2), c = l0 - b * p0, damping = 1e-3;
@@ -82,26 +113,26 @@ export function fitted(pairs) {
 }
 
 export class Settings {
-  constructor(dialog, sound, pad) {
-    Object.assign(this, { dialog, sound, pad });
+  constructor(dialog, sound, pad, words = WORDS) {
+    Object.assign(this, { dialog, sound, pad, words });
     this.calibration = JSON.parse(localStorage.getItem("calibration") ?? "null") ?? PAPER;
     this.actuator = JSON.parse(localStorage.getItem("actuator") ?? "null");
     this.weighings = [];
     dialog.innerHTML = `
-      <form method="dialog"><button class="icon close" aria-label="Close"><svg viewBox="0 0 24 24" aria-hidden="true"><path d="m6 6 12 12M18 6 6 18"/></svg></button></form>
-      <h2>Settings</h2>
+      <form method="dialog"><button class="icon close"><svg viewBox="0 0 24 24" aria-hidden="true"><path d="m6 6 12 12M18 6 6 18"/></svg></button></form>
+      <h2 data-words="settings"></h2>
       <div class="row" id="paths" hidden><label for="path">Rendered</label><select id="path"><option value="">in this page</option><option value="stream">by the server, played here</option><option value="device">by the server, played there</option></select></div>
       <div class="row" id="output" data-part="output"><label for="sink">Output</label><select id="sink"></select><label for="channel">Channel</label><select id="channel"></select></div>
-      <div class="row"><label for="volume">Volume</label><input id="volume" type="range" min="-40" max="12" step="1"><output id="volume-db"></output></div>
-      <h3>Force</h3>
-      <p>Lay the tablet on a kitchen scale, press the pen here, and write what the scale shows.</p>
-      <div class="row"><button id="weigh" class="plain" type="button">Press here</button><output id="pressure">0.00</output>
-        <input id="grams" type="number" min="1" max="3000" step="1" aria-label="grams on the scale" placeholder="grams"><button id="add" class="plain" type="button">Add</button><button id="paper" class="plain" type="button">Paper's</button></div>
+      <div class="row"><label for="volume" data-words="volume"></label><input id="volume" type="range" min="-40" max="12" step="1"><output id="volume-db"></output></div>
+      <h3 data-words="force"></h3>
+      <p data-words="force_how"></p>
+      <div class="row"><button id="weigh" class="plain" type="button" data-words="press_here"></button><output id="pressure"></output>
+        <input id="grams" type="number" min="1" max="3000" step="1"><button id="add" class="plain" type="button" data-words="add"></button><button id="paper" class="plain" type="button" data-words="paper"></button></div>
       <p><output id="curve"></output></p>
-      <h3>Size</h3>
-      <p>Hold the short side of a bank card to the bar, and make the bar as long.</p>
+      <h3 data-words="size"></h3>
+      <p data-words="size_how"></p>
       <div class="card"><div id="card"></div></div>
-      <input id="size" type="range" step="1" aria-label="length of the bar">
+      <input id="size" type="range" step="1">
       <section data-part="actuator"><h3>Actuator</h3>
       <div class="row"><button id="profile-open" class="plain" type="button">Open a profile</button><button id="profile-none" class="plain" type="button" hidden>None</button><input id="profile" type="file" accept=".json" hidden><output id="actuator"></output></div>
       <div class="row" id="drive" hidden><label for="full-scale">Full scale of the output is</label><input id="full-scale" type="number" min="0" step="any"><span id="drive-unit"></span></div>
@@ -113,6 +144,11 @@ export class Settings {
       <div class="row"><label for="buffer">Buffer</label><select id="buffer"><option value="quick">the shortest that the device has</option><option value="steady">longer, if it crackles</option></select></div></section>`;
     const $ = (id) => dialog.querySelector(`#${id}`);
     this.$ = $;
+    for (const element of dialog.querySelectorAll("[data-words]")) element.textContent = words[element.dataset.words];
+    dialog.querySelector(".close").ariaLabel = words.close;
+    Object.assign($("grams"), { ariaLabel: words.grams_label, placeholder: words.grams });
+    $("size").ariaLabel = words.bar_length;
+    $("pressure").value = written(0, 2);
     $("volume").value = Number(localStorage.getItem("volume") ?? sound.volumeDb);
     $("volume").addEventListener("input", () => this.setVolume());
     this.setVolume();
@@ -220,14 +256,14 @@ export class Settings {
   setVolume() {
     const db = Number(this.$("volume").value);
     localStorage.setItem("volume", db);
-    this.$("volume-db").value = db <= -40 ? "off" : `${db} dB`;
+    this.$("volume-db").value = db <= -40 ? this.words.off : `${written(db)} dB`;
     this.sound.setVolume(db);
   }
 
   /** A pen that leaves the scale presses less and less: what counts is where it was held still. */
   weigh(e) {
     if (e.pointerType !== "pen") {
-      this.$("curve").value = "A finger or a mouse has no pressure: the slider on the surface sets its force.";
+      this.$("curve").value = this.words.no_pressure;
       return;
     }
     if (e.type === "pointerdown") {
@@ -237,11 +273,11 @@ export class Settings {
     if (!this.pressed) return;
     const ends = e.type === "pointerup" || e.type === "pointercancel";
     this.pressed.push([e.timeStamp, ends ? this.pressed.at(-1)?.[1] ?? 0 : e.pressure]);
-    if (!ends) return void (this.$("pressure").value = e.pressure.toFixed(2));
+    if (!ends) return void (this.$("pressure").value = written(e.pressure, 2));
     this.pressure = steady(this.pressed);
     this.pressed = null;
-    this.$("pressure").value = this.pressure?.toFixed(2) ?? "–";
-    if (this.pressure === null) this.$("curve").value = "Hold the pen still for half a second, then lift it.";
+    this.$("pressure").value = this.pressure === null ? "–" : written(this.pressure, 2);
+    if (this.pressure === null) this.$("curve").value = this.words.hold_still;
   }
 
   add() {
@@ -249,11 +285,9 @@ export class Settings {
     if (!(grams > 0) || !this.pressure) return;
     this.weighings.push([this.pressure, grams * GRAM_N]);
     this.$("grams").value = "";
-    try {
-      this.setCalibration(fitted(this.weighings));
-    } catch (error) {
-      this.$("curve").value = `${this.weighings.length} weighed: ${error.message}`;
-    }
+    const calibration = fitted(this.weighings);
+    if (calibration) this.setCalibration(calibration);
+    else this.$("curve").value = filled(this.words.too_few, { n: this.weighings.length });
   }
 
   setCalibration(calibration) {
@@ -264,10 +298,10 @@ export class Settings {
   }
 
   curve() {
-    const { newtons: a, steepness: b } = this.calibration;
-    const from = this.weighings.length ? `, from ${this.weighings.length} weighings` : "";
-    this.$("curve").value = `${a.toFixed(2)} N at the lightest touch to ${(a * Math.exp(b)).toFixed(1)} N at full pressure${from}`;
-    this.$("curve").title = `F = ${a.toFixed(2)} N · exp(${b.toFixed(2)} · pressure), Eq. 12 of the paper`;
+    const { words, weighings: { length: n }, calibration: { newtons: a, steepness: b } } = this;
+    const curve = filled(words.curve, { low: written(a, 2), high: written(a * Math.exp(b), 1) });
+    this.$("curve").value = n ? filled(words.curve_weighed, { curve, n }) : curve;
+    this.$("curve").title = filled(words.equation, { a: written(a, 2), b: written(b, 2) });
   }
 
   /** The bar has all lengths that the slider has: what is cut off would be measured wrong without a word. */

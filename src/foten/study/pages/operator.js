@@ -26,9 +26,10 @@ function connect() {
   };
 }
 
+const counted = (n, what) => `${n} ${what}${n === 1 ? "" : what.endsWith("ch") ? "es" : "s"}`;
 const ask = (message) => socket.readyState === WebSocket.OPEN && socket.send(JSON.stringify(message));
 
-function show({ title, planned, simulated, screens, sessions, link: newest }) {
+function show({ title, planned, simulated, operator, screens, real_checked: realChecked, sessions, link: newest }) {
   if (newest !== link && invited && $("invite").open) invite({ ...invited, screens }); // a link lets one device in
   link = newest;
   $("title").textContent = title;
@@ -38,6 +39,8 @@ function show({ title, planned, simulated, screens, sessions, link: newest }) {
   $("count").value = `${ended} of ${planned} have finished`;
   $("none").hidden = sessions.length > 0;
   $("data").hidden = !sessions.some((one) => one.n > 0);
+  $("lets-go").hidden = !operator;
+  $("unchecked").hidden = realChecked || !sessions.length;
   // Those at work first; who has finished stays below.
   const order = [...sessions].sort((a, b) => (a.kind === "end") - (b.kind === "end") || b.number - a.number);
   const known = new Map([...$("people").children].map((row) => [Number(row.dataset.number), row]));
@@ -74,14 +77,15 @@ function fill(row, one) {
   who.replaceChildren(String(one.number), small);
   const trial = one.kind === "trial";
   row.querySelector("strong").textContent = trial ? `${one.texture}${one.real ? `: ${one.real}` : ""}` : KINDS[one.kind];
-  const facts = [trial && (one.practice ? "practice" : `trial ${one.n + 1} of ${one.of}`), trial && (one.held ? "held" : `on the ${one.side} surface, ${one.switches} switches`)];
-  if (one.n_missed !== undefined) facts.push(`${one.n_missed} blocks late, ${one.n_underruns} under-runs`);
+  const facts = [trial && (one.practice ? "practice" : `trial ${one.n + 1} of ${one.of}`), trial && (one.held ? "held" : `on the ${one.side} surface, ${counted(one.switches, "switch")}`)];
+  if (one.n_missed !== undefined) facts.push(`${counted(one.n_missed, "block")} late, ${counted(one.n_underruns, "under-run")}`);
   const away = !one.pages.length && one.kind !== "end";
-  if (one.n_unsaved) facts.unshift(`the disk is full: ${one.n_unsaved} events wait for room`);
+  if (one.n_unsaved) facts.unshift(`the disk is full: ${counted(one.n_unsaved, "event")} of the pen still to be written`);
+  if (one.trouble) facts.unshift(one.trouble);
   const asks = one.asks && `another device asks to go on: request ${one.asks}`;
   row.dataset.asks = one.asks ?? "";
   row.querySelector("span").textContent = [asks, ...(away ? ["no page is connected"] : facts)].filter(Boolean).join(" · ");
-  row.querySelector("span").classList.toggle("away", away || Boolean(one.n_unsaved || one.asks));
+  row.querySelector("span").classList.toggle("away", away || Boolean(one.n_unsaved || one.trouble || one.asks));
   row.querySelector("progress").value = one.n / one.of;
   for (const button of row.querySelectorAll("[data-what]")) {
     const { what } = button.dataset;

@@ -1,17 +1,18 @@
 // A participant's page: one step after another, as the server says. An answer is kept here until the server has it.
 import { Pad } from "./pad.js";
-import { Settings } from "./settings.js";
+import { filled, Settings, written } from "./settings.js";
 
 const RETRY_MS = [200, 400, 800, 1000];
 const ELSEWHERE = 4001; // as the server closes a page that another one takes the place of
 const NOT_ALLOWED = 4002; // and one that the operator does not let go on where another device was
-const ASKS = (request) => `This participant is on another device, or was last. The operator is asked to let this one go on: request ${request}.`;
-const REFUSED = ["Not on this device", "The operator did not let this device go on. Load this page again to ask once more."];
+const TOO_MANY = 1013; // and one that would be too many
 const AGAIN_MS = 1500;
 const MOST_AT_ONCE = 64; // events in a message
 const now = () => performance.timeOrigin + performance.now(); // ms; the system's clock may be set back
 const $ = (id) => document.getElementById(id);
 const given = new URLSearchParams(location.search);
+const words = JSON.parse($("words").textContent); // of the study's language
+const worded = (key, values = {}) => filled(words[key], values);
 
 /** Return an element with attributes and children. */
 function el(name, attributes = {}, ...children) {
@@ -77,9 +78,9 @@ class Output extends EventTarget {
 class Study {
   constructor() {
     this.sound = new Output();
-    this.surface = el("canvas", { tabIndex: 0, id: "pad", role: "application", ariaLabel: "The virtual surface. Stroke it with the pen, a finger or the mouse; or with the arrow keys." });
+    this.surface = el("canvas", { tabIndex: 0, id: "pad", role: "application", ariaLabel: words.surface_label });
     this.pad = new Pad(this.surface, (...event) => this.event(...event));
-    this.settings = new Settings($("panel"), this.sound, this.pad);
+    this.settings = new Settings($("panel"), this.sound, this.pad, words);
     this.role = ["stroke", "answer"].includes(given.get("role")) ? given.get("role") : "all";
     this.code = null;
     this.waiting = []; // events that go out together
@@ -105,11 +106,11 @@ class Study {
       this.say({ do: "join", role: this.role, rate_hz: this.sound.context?.sampleRate ?? 48000, volume_db: this.sound.volumeDb, newtons, steepness, ...(code && { code }), ...fresh });
     };
     socket.onmessage = ({ data }) => (typeof data === "string" ? this.told(JSON.parse(data)) : this.played(data));
-    socket.onclose = ({ code, reason }) => {
+    socket.onclose = ({ code }) => {
       if (socket !== this.socket) return;
-      if (code === ELSEWHERE) return this.put(el("div", { className: "page" }, el("h2", {}, "Open on another page"), el("p", {}, "Go on there, or load this page again to go on here.")));
-      if (code === NOT_ALLOWED) return this.put(el("div", { className: "page" }, el("h2", {}, REFUSED[0]), el("p", {}, REFUSED[1])));
-      this.show(reason || (this.code ? "No connection. Your answers are kept; this page goes on by itself." : "The server cannot be reached."), true);
+      if (code === ELSEWHERE) return this.put(el("div", { className: "page" }, el("h2", {}, words.moved_heading), el("p", {}, words.moved)));
+      if (code === NOT_ALLOWED) return this.put(el("div", { className: "page" }, el("h2", {}, words.not_allowed_heading), el("p", {}, words.not_allowed)));
+      this.show(code === TOO_MANY ? words.too_many_pages : this.code ? words.no_connection : words.no_server, true);
       setTimeout(() => this.connect(), RETRY_MS[Math.min(this.tries++, RETRY_MS.length - 1)]);
     };
   }
@@ -129,7 +130,7 @@ class Study {
       this.show("");
     } else if (message.asks) {
       this.step = null; // what is shown once it is allowed is shown anew
-      this.put(el("div", { className: "page" }, el("h2", {}, "One moment, please"), el("p", {}, ASKS(message.asks))));
+      this.put(el("div", { className: "page" }, el("h2", {}, words.one_moment), el("p", {}, worded("asks", { n: message.asks }))));
       this.show("");
     } else if (message.refused) this.refused(message);
     else if (message.stored !== undefined) this.stored(message.trial, message.stored);
@@ -212,13 +213,11 @@ class Study {
     }
     const same = this.step?.id === step.id;
     this.step = step;
-    $("title").textContent = step.title;
-    document.title = step.title;
     $("simulated").hidden = !step.simulated;
     const counts = step.kind === "trial" || step.kind === "break";
     $("progress").hidden = !counts;
     $("progress").value = counts ? Math.max(0, step.n - (step.kind === "trial" ? 1 : 0)) / step.of : 0;
-    $("count").value = !counts ? "" : step.practice ? "practice" : `${Math.max(1, step.n)} / ${step.of}`;
+    $("count").value = !counts ? "" : step.practice ? words.practice : `${written(Math.max(1, step.n))} / ${written(step.of)}`;
     if (!same) this.page(step);
     else if (step.kind === "trial") this.side(step.side);
     if (step.kind === "trial") this.hold(step.held);
@@ -233,24 +232,27 @@ class Study {
   }
 
   busy(on) {
-    for (const button of document.querySelectorAll("#content .big")) button.disabled = on || (button.dataset.needs === "rating" && !this.ready);
+    const lacks = this.lacks?.() ?? "";
+    for (const button of document.querySelectorAll("#content .big")) button.disabled = on || Boolean(button.dataset.needs && lacks);
+    if ($("lacks")) $("lacks").textContent = on ? words.one_moment : lacks;
   }
 
   // The pages
 
   put(...children) {
+    this.lacks = null;
     $("content").replaceChildren(...children);
   }
 
   joining() {
-    const code = el("input", { id: "code", type: "text", maxLength: 5, autocomplete: "off", ariaLabel: "Code", placeholder: "CODE" });
+    const code = el("input", { id: "code", type: "text", maxLength: 5, autocomplete: "off", ariaLabel: words.code, placeholder: words.code });
     this.put(
       el("form", { className: "page", onsubmit: (e) => (e.preventDefault(), this.busy(true), this.start().then(() => this.join(code.value.trim() || null))) },
-        el("h2", {}, "Welcome"),
-        el("p", {}, "Enter the code that you were given, or begin as a new participant."),
+        el("h2", {}, words.welcome),
+        el("p", {}, words.welcome_how),
         code,
-        el("button", { className: "big", type: "submit" }, "Begin"),
-        el("button", { className: "link", type: "button", onclick: () => this.settings.show() }, "Set up this tablet"),
+        el("button", { className: "big", type: "submit" }, words.begin),
+        el("button", { className: "link", type: "button", onclick: () => this.settings.show() }, words.set_up),
       ),
     );
   }
@@ -265,25 +267,25 @@ class Study {
   }
 
   consent({ text }) {
-    this.put(el("div", { className: "page" }, el("h2", {}, "Before you begin"), el("p", {}, text), this.next("I agree and take part")));
+    this.put(el("div", { className: "page" }, el("h2", {}, words.consent_heading), el("p", {}, text), this.next(words.agree)));
   }
 
   instructions({ text }) {
-    this.put(el("div", { className: "page" }, el("h2", {}, "How it goes"), el("p", {}, text), this.next("Start")));
+    this.put(el("div", { className: "page" }, el("h2", {}, words.instructions_heading), el("p", {}, text), this.next(words.start)));
   }
 
   pause({ n, of }) {
-    this.put(el("div", { className: "page" }, el("h2", {}, "Take a break"), el("p", {}, `${n} of ${of} are behind you. Go on when you like.`), this.next("Go on")));
+    this.put(el("div", { className: "page" }, el("h2", {}, words.break_heading), el("p", {}, worded("break", { n: written(n), total: written(of) })), this.next(words.go_on)));
   }
 
   end() {
-    this.put(el("div", { className: "page" }, el("h2", {}, "Thank you"), el("p", {}, "That was all. Your answers are stored.")));
+    this.put(el("div", { className: "page" }, el("h2", {}, words.end_heading), el("p", {}, words.end)));
   }
 
   questions({ questions }) {
     const form = el("form", { className: "page" });
     const fields = questions.map((question) => this.question(question));
-    form.append(el("h2", {}, "A few questions"), ...fields.map(({ element }) => element), el("button", { className: "big", type: "submit" }, "Next"));
+    form.append(el("h2", {}, words.questions_heading), ...fields.map(({ element }) => element), el("button", { className: "big", type: "submit" }, words.next));
     form.addEventListener("submit", (e) => {
       e.preventDefault();
       this.done({ answers: Object.fromEntries(questions.map((question, i) => [question.key, fields[i].value()])) });
@@ -292,29 +294,34 @@ class Study {
   }
 
   question({ key, text, kind, options, required }) {
-    const label = required ? text : `${text} (if you like)`;
+    const label = required ? text : worded("if_you_like", { question: text });
+    // In the study's language, which need not be the browser's; what is wrong is wrong until someone changes it.
+    const checks = {
+      oninvalid: ({ target }) => target.setCustomValidity(worded(target.validity.badInput ? "not_a_number" : "answer_missing", { question: text })),
+      oninput: ({ target }) => document.getElementsByName(target.name).forEach((input) => input.setCustomValidity("")),
+    };
     if (kind === "choice") {
-      const inputs = options.map((option) => el("input", { type: "radio", name: key, value: option, required }));
+      const inputs = options.map((option) => el("input", { type: "radio", name: key, value: option, required, ...checks }));
       return {
-        element: el("fieldset", {}, el("legend", {}, label), ...inputs.map((input) => el("label", {}, input, input.value))),
+        element: el("fieldset", {}, el("legend", {}, label), ...inputs.map((input) => el("label", { className: "choice" }, input, el("span", {}, input.value)))),
         value: () => inputs.find((input) => input.checked)?.value ?? "",
       };
     }
     if (kind === "slider") {
-      const scale = this.scale("0", "100", label);
+      const scale = this.scale(written(0), written(100), label);
       return { element: el("div", {}, el("p", {}, label), scale.element), value: () => (scale.input.dataset.set ? scale.input.value : "") };
     }
-    const input = kind === "number" ? el("input", { type: "number", step: "any", required, name: key }) : el("textarea", { rows: 2, maxLength: 2000, required, name: key });
+    const input = kind === "number" ? el("input", { type: "number", step: "any", required, name: key, ...checks }) : el("textarea", { rows: 2, maxLength: 2000, required, name: key, ...checks });
     return { element: el("label", {}, label, input), value: () => input.value };
   }
 
   /** A slider without a position until one is chosen. */
   scale(lowest, highest, label) {
     const input = el("input", { type: "range", min: 0, max: 100, step: 1, value: 50, ariaLabel: label });
-    input.setAttribute("aria-valuetext", "not set");
+    input.setAttribute("aria-valuetext", words.not_set);
     const set = () => {
       input.dataset.set = "true";
-      input.setAttribute("aria-valuetext", input.value);
+      input.setAttribute("aria-valuetext", written(input.value));
       input.dispatchEvent(new Event("set"));
     };
     for (const type of ["input", "pointerup"]) input.addEventListener(type, set);
@@ -324,37 +331,48 @@ class Study {
   trial(step) {
     const { role } = this, strokes = role !== "answer", answers = role !== "stroke";
     const box = el("div", { className: `trial ${role}` });
-    this.ready = false;
-    this.check = null;
+    let lacks = null;
     if (strokes) {
-      this.realButton = el("button", { className: "real", type: "button", onclick: () => this.turn("real") }, "real surface");
-      this.virtual = el("div", { className: "virtual" }, this.surface, step.name ? el("b", {}, step.name) : null, el("div", { className: "held", hidden: !step.held }, "One moment, please"));
+      this.realButton = el("button", { className: "real", type: "button", onclick: () => this.turn("real") }, words.real_surface);
+      this.virtual = el("div", { className: "virtual" }, this.surface, step.name ? el("b", {}, step.name) : null, el("div", { className: "held", hidden: !step.held }, words.one_moment));
       box.append(el("div", { className: `surfaces ${step.real_side}` }, this.virtual, this.realButton));
       this.picture(step.picture);
     }
     if (answers) {
       const [{ key, lowest, highest, question }] = step.scales, scale = this.scale(lowest, highest, question);
-      const next = el("button", { className: "big", type: "button", onclick: () => this.done({ values: { [key]: Number(scale.input.value) }, seconds: this.seconds, underruns: this.sound.underruns }) }, "Next");
+      const next = el("button", { className: "big", type: "button", onclick: () => this.done({ values: { [key]: Number(scale.input.value) }, seconds: this.seconds, underruns: this.sound.underruns }) }, words.next);
       next.dataset.needs = "rating";
-      const check = () => {
-        this.ready = Boolean(scale.input.dataset.set) && !this.step.held && this.seconds >= step.min_s;
-        this.busy(Boolean(this.pending));
-      };
-      this.check = check;
-      scale.input.addEventListener("set", check);
+      next.setAttribute("aria-describedby", "lacks");
+      lacks = () => this.lacking(scale.input);
+      scale.input.addEventListener("set", () => this.check());
       if (this.pending?.step === step.id) {
         scale.input.value = this.pending.values[key]; // as it was chosen before the page was loaded again
         scale.input.dispatchEvent(new Event("input"));
       }
-      if (step.min_s) setTimeout(check, 1000 * step.min_s + 50);
-      box.append(el("section", { className: "rate", ariaLabel: "Rating" }, el("h2", {}, step.question), scale.element, next));
+      if (step.min_s) setTimeout(() => this.check(), 1000 * step.min_s + 50);
+      box.append(el("section", { className: "rate", ariaLabel: words.rating }, el("h2", {}, step.question), el("p", { id: "lacks" }), scale.element, next));
     }
     this.begin(step.id);
     if (this.unstored.id !== step.id) this.unstored = { id: step.id, base: step.stored ?? 0, events: [] };
     this.sound.afresh();
     this.put(box);
+    this.lacks = lacks;
     this.pad.resize();
     this.side(step.side);
+  }
+
+  /** What a trial lacks before it can be rated, in words; empty where it lacks nothing. */
+  lacking(input) {
+    const { step } = this, stroked = this.role !== "all" || this.unstored.base + this.unstored.events.length > 0;
+    if (step.held) return words.one_moment;
+    if (step.min_s && !stroked) return words.stroke_first;
+    if (step.lacks_real) return worded("touch_real", { real: words.real_surface });
+    if (this.seconds < step.min_s) return worded("explore_first", { s: written(Math.ceil(step.min_s)) });
+    return input.dataset.set ? "" : words.choose_place;
+  }
+
+  check() {
+    this.busy(Boolean(this.pending));
   }
 
   /** Count from when a trial is shown first, a page that is loaded again too; not while it is held. */
@@ -371,7 +389,7 @@ class Study {
     sessionStorage.setItem("foten-begun", JSON.stringify(clock));
     const cover = document.querySelector(".held");
     if (cover) cover.hidden = !held;
-    this.check?.();
+    this.check();
   }
 
   get seconds() {
@@ -407,7 +425,8 @@ class Study {
     try {
       await this.sound.start();
     } catch (error) {
-      this.show(error.message);
+      console.error(error);
+      this.show(words.cannot_play);
     }
   }
 
@@ -419,7 +438,9 @@ class Study {
     this.waiting.push([x, y, pressure, t]);
     if (this.waiting.length > 1) return;
     queueMicrotask(() => {
-      if (this.unstored.id === this.step?.id) this.unstored.events.push(...this.waiting); // also while the server is away
+      const { unstored } = this, isFirst = unstored.base + unstored.events.length === 0;
+      if (unstored.id === this.step?.id) unstored.events.push(...this.waiting); // also while the server is away
+      if (isFirst) this.check();
       if (this.socket?.readyState === WebSocket.OPEN)
         for (let i = 0; i < this.waiting.length; i += MOST_AT_ONCE) this.socket.send(Float64Array.from(this.waiting.slice(i, i + MOST_AT_ONCE).flat()));
       this.waiting = [];
