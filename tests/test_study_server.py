@@ -749,7 +749,8 @@ def test_nothing_is_lost_while_the_file_cannot_be_written(tmp_path: Path) -> Non
                 page.step = page.until("step")["step"]
             page.stroke(10)
         refused = page.answer(61.0)
-        assert "your answer is kept here: study.db: the disk is full or cannot be written" in refused["refused"]
+        assert refused["refused"].startswith("Not stored yet. Your answer is kept here")
+        assert "study.db: the disk is full or cannot be written" in session.trouble
         assert refused["again"]
         assert session.for_operator()["n_unsaved"] == 3  # and the strokes of the trial that goes on
         assert server.store.switches(1, 1) == 0

@@ -7,10 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from foten.study import raters
 from foten.study.choices import abx, abx_share, bradley_terry, oddity, oddity_share
-from foten.study.design import CHOICE, Design
-from foten.study.orders import Trial
-from foten.study.raters import AIM, Raters
+from foten.study.design import CHOICE, Design, repeats_of_new
+from foten.study.orders import Trial, conditions, square
+from foten.study.raters import AIM, MIN_DIFFERENCE, PAPER_SD, Raters
 from foten.study.statistics import ALPHA, Array, pairs
 from foten.study.store import Rated, Store
 from foten.study.thresholds import simulated_answers
@@ -18,6 +19,13 @@ from foten.study.thresholds import simulated_answers
 SHOWN = (4, 8, 12, 16, 21, 30, 40, 60)  # numbers of participants whose power is printed
 SHARE_RIGHT: dict[str, Callable[[Array], Array]] = {"abx": abx_share, "oddity": oddity_share}
 DEFAULT_EFFECTS = {"paired": 0.65, "abx": 1.0, "oddity": 1.0, "threshold": 3.0}
+EFFECTS = {
+    "rating": f"a difference of {MIN_DIFFERENCE:g} points on a texture",
+    "paired": f"a share of {DEFAULT_EFFECTS['paired']:.0%} of choices over another method".replace("%", " %"),
+    "abx": f"d′ = {DEFAULT_EFFECTS['abx']:g} between two methods",
+    "oddity": f"d′ = {DEFAULT_EFFECTS['oddity']:g} between two methods",
+    "threshold": f"a difference of {DEFAULT_EFFECTS['threshold']:g} dB between two methods' thresholds",
+}
 THRESHOLD_SD_DB = 5.0  # of thresholds between people
 THRESHOLD_SPREAD_DB = 6.0  # with what 25 answers leave open, 3.3 dB
 
@@ -115,19 +123,34 @@ def needed(
     return rows, next((n for n, row in zip(shown, rows, strict=True) if row["pair"] >= AIM), None)
 
 
+def participants_for(task: str, methods: int, textures: int) -> tuple[int, bool]:
+    """Number of participants of a new study, in complete squares where these are small, and whether they find the effect of
+    `EFFECTS` in `AIM` of studies.
+    """
+    if task in ("rating", "threshold"):
+        effect = MIN_DIFFERENCE if task == "rating" else DEFAULT_EFFECTS[task]
+        sd = PAPER_SD if task == "rating" else THRESHOLD_SPREAD_DB
+        n = raters.needed(raters.raters_for(max(2, methods), textures, effect, sd), 300, 0)[1]
+    else:
+        per_pair = textures * repeats_of_new(task, textures, methods)
+        n = needed(Choosers(task, methods, DEFAULT_EFFECTS[task]), per_pair, 60, 0)[1]
+    many, cycle = n or 40, square(textures, len(conditions(task, methods)))
+    return (-(-many // cycle) * cycle if cycle <= 48 else many), n is not None
+
+
 def simulate_study(
-    store: Store, design: Design, raters: Raters, effect: float, better: int, missing: float, seed: int
+    store: Store, design: Design, model: Raters, effect: float, better: int, missing: float, seed: int
 ) -> None:
     """Let people answer all that a design asks; a share of them leaves before the end.
 
     Args:
-        raters: who rate, each scale on its own.
+        model: of those who rate, each scale on its own.
         effect: of those who choose, as `Choosers` has it; of a threshold, by how many dB that of the better method is lower.
         better: number of the better method.
     """
     rng, task, n = np.random.default_rng(seed), design.task, design.participants
     n_methods, n_textures = len(design.methods), len(design.textures)
-    ratings = [raters.draw(rng, n) for _ in design.asked]
+    ratings = [model.draw(rng, n) for _ in design.asked]
     choosers = Choosers(task.kind, n_methods, effect, better=better) if task.kind in ("paired", *SHARE_RIGHT) else None
     people = choosers.people(rng, n) if choosers is not None else np.zeros((n, 0))
     base = (task.low_db + task.high_db) / 2

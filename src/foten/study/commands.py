@@ -42,6 +42,7 @@ def new(
         ..., metavar="T.foten…", help="Texture files: two methods or more of each texture."
     ),
     title: str | None = Option(None, help="Shown to participants.", show_default="How similar are these surfaces?"),
+    task: str = Option("rating", help="What a trial asks: rating, paired, abx, oddity or threshold."),
     language: str = Option("en", help="Of all that participants read: en, de, fr, es, ja, ko or zh."),
     participants: int | None = Option(
         None, min=1, help="How many; by default as many as a difference of 8.75 points needs, in whole squares."
@@ -54,24 +55,27 @@ def new(
     """
     from foten.atomic_write import atomic_write
     from foten.recording.inspection.values import counted
-    from foten.study.design import files_by_method, study_text
+    from foten.study.choosers import EFFECTS, participants_for
+    from foten.study.design import TASKS, files_by_method, study_text
     from foten.study.languages import read_language
-    from foten.study.raters import MIN_DIFFERENCE, participants_for
 
+    if task not in TASKS:
+        raise ValueError(f"--task is {task!r}, expected one of {', '.join(TASKS)}")
     check_files([output])
     if output.exists():
         raise ValueError(f"{output} is there already: edit it, or give another name")
     title = title or read_language(language).new["title"]
-    files, doubts = files_by_method(textures, output.parent)
+    files, doubts = files_by_method(textures, output.parent, 1 if task == "threshold" else 2)
     for doubt in doubts:
         say(doubt)
     methods = len(next(iter(files.values())))
     if participants is None:
-        participants = participants_for(methods, len(files))
-        why = f"a difference of {MIN_DIFFERENCE:g} points on a texture is found in 80 % of studies of that size"
+        participants, is_enough = participants_for(task, methods, len(files))
+        share = "80 %" if is_enough else "less than 80 %"
+        why = f"{EFFECTS[task]} is found in {share} of studies of that size"
         say(f"{counted(participants, 'participant')}: {why}; foten study power says more")
     with atomic_write(output) as part:
-        part.write_text(study_text(title, files, participants, seed, language), encoding="utf-8")
+        part.write_text(study_text(title, files, participants, seed, language, task), encoding="utf-8")
     sizes = f"{counted(len(files), 'texture')} × {counted(methods, 'method')}"
     print(f"wrote {output}: {sizes}, {counted(participants, 'participant')}")
     print(f"next: edit it, then foten study check {output}")
@@ -92,6 +96,7 @@ def check(study: StudyFile, as_json: JsonOption = False) -> None:
     of_each = {"rating": "", "threshold": f" × {counted(design.repeats, 'answer')}"}
     of_each |= {kind: f" in pairs × {design.repeats}" for kind in ("paired", "abx", "oddity")}
     sizes = f"{counted(shape[0], 'texture')} × {counted(shape[1], 'method')}{of_each[design.task.kind]}"
+    length = "where a trial is as long as the paper's" if design.task.kind == "rating" else "where a choice takes 20 s"
     real = "asked for before each rating" if design.setup.real_checked else "whether it is touched is not checked"
     rows = [
         f"{sizes}: {counted(design.n_trials, 'trial')} of each of {counted(design.participants, 'participant')}, "
@@ -100,8 +105,8 @@ def check(study: StudyFile, as_json: JsonOption = False) -> None:
         *(f"{s.texture_key}, {s.method_key}: {s.gain_db:+.1f} dB" for s in stimuli.listed),
         *loaded.doubts,
         f"plays through {design.output.to}",
-        f"about {design.minutes} minutes of each participant, where a trial is as long as the paper's",
-        f"the real surface: {real}",
+        f"about {counted(design.minutes, 'minute')} of each participant, {length}",
+        *([] if design.real_side == "none" else [f"the real surface: {real}"]),
     ]
     document = {
         "task": design.task.kind,

@@ -34,7 +34,9 @@ QUESTIONS = {  # keys of words
 }
 MAX_PARTICIPANTS, MAX_TRIALS = 1000, 2000
 MAX_TEXT_LENGTH = 8000  # characters
-MINUTES_PER_TRIAL = 90 / 48  # Sec. VII: 90 minutes for 48 comparisons
+MINUTES_PER_RATING = 90 / 48  # Sec. VII: 90 minutes for 48 comparisons
+MINUTES_PER_CHOICE = 1 / 3  # of one of two or three surfaces; assumed
+TRIALS_OF_NEW = 24  # of a new study of choices, about
 TEMPLATE = Path(__file__).with_name("new_study.toml")
 
 
@@ -178,8 +180,8 @@ class Design:
 
     @property
     def minutes(self) -> int:
-        """Minutes of a participant, where a trial is as long as the paper's."""
-        return round(self.n_trials * MINUTES_PER_TRIAL)
+        """Minutes of a participant, where a trial is as long as the paper's, or a choice takes 20 s."""
+        return max(1, round(self.n_trials * (MINUTES_PER_RATING if self.task.kind == "rating" else MINUTES_PER_CHOICE)))
 
 
 def read_design(path: Path) -> tuple[Design, str]:
@@ -386,9 +388,14 @@ def _check_different(names: list[str], what: str) -> None:
 
 
 def study_text(
-    title: str, textures: Mapping[str, Mapping[str, str]], participants: int, seed: int, language: str = ENGLISH
+    title: str,
+    textures: Mapping[str, Mapping[str, str]],
+    participants: int,
+    seed: int,
+    language: str = ENGLISH,
+    task: str = "rating",
 ) -> str:
-    """Text of a study file in a language, for textures by name, each with its files by method."""
+    """Text of a study file of a task in a language, for textures by name, each with its files by method."""
     lines = []
     for name, files in textures.items():
         key = _key(name)
@@ -398,7 +405,12 @@ def study_text(
     texts = read_language(language)
     values = {name: _quoted(text) for name, text in {**texts.words, **texts.new, "title": title}.items()}
     values |= {"participants": str(participants), "seed": str(seed), "language": _quoted(language)}
-    values |= {"instructions": texts.words["instructions"], "consent": texts.new["consent"]}  # of several lines
+    instructions = texts.words.get(f"instructions_{task}", texts.words["instructions"])
+    values |= {
+        "task": _task_lines(task, values, textures),
+        "instructions": instructions,
+        "consent": texts.new["consent"],
+    }
     return Template(TEMPLATE.read_text(encoding="utf-8")).substitute(values) + "\n".join(lines) + "\n"
 
 
@@ -408,7 +420,30 @@ def titled(name: str) -> str:
     return words[:1].upper() + words[1:] or name
 
 
-def files_by_method(paths: Sequence[Path], folder: Path) -> tuple[dict[str, dict[str, str]], list[str]]:
+def repeats_of_new(task: str, n_textures: int, n_methods: int) -> int:
+    """How often each comparison of a new study is asked, for about `TRIALS_OF_NEW` trials."""
+    return max(1, round(TRIALS_OF_NEW / (n_textures * len(conditions(task, n_methods)))))
+
+
+def _task_lines(task: str, texts: Mapping[str, str], textures: Mapping[str, Mapping[str, str]]) -> str:
+    """Lines of a new study file about its task, of texts as TOML has them."""
+    lines = [f'kind = "{task}"'.ljust(24) + "# or " + ", ".join(kind for kind in TASKS if kind != task)]
+    if task == "rating":
+        lines += [f"{name} = {texts[name]}" for name in ("question", "lowest", "highest")]
+    elif task == "threshold":
+        lines += ['measures = "detection"  # or "difference": the difference in level that is just noticeable']
+        lines += ["answers = 25            # to each threshold, of each method on each texture"]
+    else:
+        repeats = repeats_of_new(task, len(textures), len(next(iter(textures.values()))))
+        lines += [f"repeats = {repeats}".ljust(24) + "# of each pair of methods on each texture"]
+    if task in ("abx", "oddity", "threshold"):
+        lines += ['feedback = "practice"   # says whether an answer was right: none, practice or all']
+    return "\n".join(lines)
+
+
+def files_by_method(
+    paths: Sequence[Path], folder: Path, min_methods: int = 2
+) -> tuple[dict[str, dict[str, str]], list[str]]:
     """Texture files by texture and method, as seen from a folder, and textures that lack a method and are left out.
 
     The texture is that of a file's card, the method its model; where two files of a texture have one model, the method is what
@@ -427,7 +462,7 @@ def files_by_method(paths: Sequence[Path], folder: Path) -> tuple[dict[str, dict
             for name, models in models_of.items()
         }
     usual = max((frozenset(models.values()) for models in models_of.values()), key=len)
-    if len(usual) < 2:
+    if len(usual) < min_methods:
         name = next(iter(models_of))
         raise ValueError(f"{name} has one method, expected two texture files or more of each texture, to compare")
     incomplete = [name for name, models in models_of.items() if frozenset(models.values()) != usual]

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from foten.study.orders import square
 from foten.study.statistics import ALPHA, Array, anova, paired_tests
 
 PAPER_METHODS = ("ar", "dstn", "ldhtd", "foten")
@@ -116,10 +115,3 @@ def needed(raters: Raters, studies: int, seed: int) -> tuple[list[dict[str, floa
         middle = (low + high) // 2
         low, high = (low, middle) if power(raters, middle, studies, seed)["pair"] >= AIM else (middle, high)
     return rows, high
-
-
-def participants_for(methods: int, textures: int) -> int:
-    """Number of participants that finds `MIN_DIFFERENCE`, in complete squares where these are small."""
-    _, n = needed(raters_for(methods, textures, MIN_DIFFERENCE), 300, 0)
-    n, cycle = n or 40, square(textures, methods)
-    return -(-n // cycle) * cycle if cycle <= 48 else n

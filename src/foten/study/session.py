@@ -129,11 +129,9 @@ class Session:
             texture, task, setup = design.textures[trial.texture], design.task, design.setup
             shown |= {"practice": trial.practice, "real_side": design.real_side, "screens": setup.screens}
             shown |= {"task": task.kind, "question": task.question, "scales": [asdict(scale) for scale in design.asked]}
-            shown |= {
-                "intervals": INTERVALS[task.kind],
-                "choices": CHOICES.get(task.kind, ()),
-                "interval": self.interval,
-            }
+            shown |= {"intervals": INTERVALS[task.kind], "choices": CHOICES.get(task.kind, ())}
+            touched = [i for i in range(max(1, len(INTERVALS[task.kind]))) if self._log.contact_s(i)]
+            shown |= {"interval": self.interval, "touched": touched}
             shown |= {"min_s": task.min_seconds, "side": self.side, "stored": self._n_stored.get(trial.number, 0)}
             shown |= {"lacks_real": self.lacks_real}
             if setup.show_names:

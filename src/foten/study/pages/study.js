@@ -133,6 +133,7 @@ class Study {
       this.put(el("div", { className: "page" }, el("h2", {}, words.one_moment), el("p", {}, worded("asks", { n: message.asks }))));
       this.show("");
     } else if (message.refused) this.refused(message);
+    else if (message.feedback) this.show(message.feedback.right ? words.right : worded("wrong", { n: message.feedback.was }));
     else if (message.stored !== undefined) this.stored(message.trial, message.stored);
     else if (message.step) this.arrive(message.step);
   }
@@ -192,12 +193,17 @@ class Study {
     const { unstored } = this;
     if (unstored.id !== step.id) return;
     this.stored(step.id, step.stored);
-    for (let i = 0; i < unstored.events.length; i += MOST_AT_ONCE) {
-      const events = unstored.events.slice(i, i + MOST_AT_ONCE).flat(), bytes = new Uint8Array(2 + 8 * events.length);
-      bytes[0] = "m".charCodeAt(0);
+    for (let i = 0, n = 0; i < unstored.events.length; i += n) {
+      const [interval] = unstored.events[i]; // a message is of one surface
+      n = 1;
+      while (n < MOST_AT_ONCE && unstored.events[i + n]?.[0] === interval) n++;
+      const events = unstored.events.slice(i, i + n).flatMap(([, ...event]) => event), bytes = new Uint8Array(2 + 8 * events.length);
+      bytes.set(["m".charCodeAt(0), interval]);
       bytes.set(new Uint8Array(Float64Array.from(events).buffer), 2);
       this.socket.send(bytes);
     }
+    const here = this.step;
+    if (here?.id === step.id && here.interval !== step.interval) this.say({ do: "side", side: "virtual", interval: here.interval });
   }
 
   arrive(step) {
@@ -212,6 +218,7 @@ class Study {
       localStorage.removeItem(this.kept);
     }
     const same = this.step?.id === step.id;
+    if (!same) this.touched = new Set(step.touched);
     this.step = step;
     $("simulated").hidden = !step.simulated;
     const counts = step.kind === "trial" || step.kind === "break";
@@ -219,7 +226,7 @@ class Study {
     $("progress").value = counts ? Math.max(0, step.n - (step.kind === "trial" ? 1 : 0)) / step.of : 0;
     $("count").value = !counts ? "" : step.practice ? words.practice : `${written(Math.max(1, step.n))} / ${written(step.of)}`;
     if (!same) this.page(step);
-    else if (step.kind === "trial") this.side(step.side);
+    else if (step.kind === "trial") this.side(step.side, step.interval);
     if (step.kind === "trial") this.hold(step.held);
     this.busy(Boolean(this.pending));
   }
@@ -331,44 +338,76 @@ class Study {
   trial(step) {
     const { role } = this, strokes = role !== "answer", answers = role !== "stroke";
     const box = el("div", { className: `trial ${role}` });
-    let lacks = null;
+    this.answer = null;
     if (strokes) {
-      this.realButton = el("button", { className: "real", type: "button", onclick: () => this.turn("real") }, words.real_surface);
-      this.virtual = el("div", { className: "virtual" }, this.surface, step.name ? el("b", {}, step.name) : null, el("div", { className: "held", hidden: !step.held }, words.one_moment));
-      box.append(el("div", { className: `surfaces ${step.real_side}` }, this.virtual, this.realButton));
+      this.realButton = step.real_side === "none" ? null : el("button", { className: "real", type: "button", onclick: () => this.turn("real") }, words.real_surface);
+      this.tabs = step.intervals.map((name, i) => el("button", { type: "button", ariaLabel: worded("surface_n", { n: name }), onclick: () => this.turn("virtual", i) }, name));
+      const tabs = this.tabs.length ? el("div", { className: "intervals", role: "group" }, ...this.tabs) : null;
+      this.virtual = el("div", { className: "virtual" }, this.surface, step.name ? el("b", {}, step.name) : null, tabs, el("div", { className: "held", hidden: !step.held }, words.one_moment));
+      box.append(el("div", { className: `surfaces ${step.real_side}` }, this.virtual, this.realButton ?? ""));
       this.picture(step.picture);
     }
     if (answers) {
-      const [{ key, lowest, highest, question }] = step.scales, scale = this.scale(lowest, highest, question);
-      const next = el("button", { className: "big", type: "button", onclick: () => this.done({ values: { [key]: Number(scale.input.value) }, seconds: this.seconds, underruns: this.sound.underruns }) }, words.next);
+      const answer = step.choices.length ? this.choosing(step) : this.rating(step);
+      const next = el("button", { className: "big", type: "button", onclick: () => this.done({ values: answer.values(), seconds: this.seconds, underruns: this.sound.underruns }) }, words.next);
       next.dataset.needs = "rating";
       next.setAttribute("aria-describedby", "lacks");
-      lacks = () => this.lacking(scale.input);
-      scale.input.addEventListener("set", () => this.check());
-      if (this.pending?.step === step.id) {
-        scale.input.value = this.pending.values[key]; // as it was chosen before the page was loaded again
-        scale.input.dispatchEvent(new Event("input"));
-      }
+      if (this.pending?.step === step.id) answer.set(this.pending.values); // as it was chosen before the page was loaded again
       if (step.min_s) setTimeout(() => this.check(), 1000 * step.min_s + 50);
-      box.append(el("section", { className: "rate", ariaLabel: words.rating }, el("h2", {}, step.question), el("p", { id: "lacks" }), scale.element, next));
+      box.append(el("section", { className: `rate n${step.scales.length}`, ariaLabel: words.rating }, ...answer.elements, el("p", { id: "lacks" }), next));
+      this.answer = answer;
     }
     this.begin(step.id);
     if (this.unstored.id !== step.id) this.unstored = { id: step.id, base: step.stored ?? 0, events: [] };
     this.sound.afresh();
     this.put(box);
-    this.lacks = lacks;
+    this.lacks = answers ? () => this.lacking() : null;
     this.pad.resize();
-    this.side(step.side);
+    this.side(step.side, step.interval);
   }
 
-  /** What a trial lacks before it can be rated, in words; empty where it lacks nothing. */
-  lacking(input) {
-    const { step } = this, stroked = this.role !== "all" || this.unstored.base + this.unstored.events.length > 0;
+  /** An answer on scales, one or several. */
+  rating({ scales }) {
+    const fields = scales.map(({ key, question, lowest, highest }) => ({ key, question, ...this.scale(lowest, highest, question) }));
+    for (const { input } of fields) input.addEventListener("set", () => this.check());
+    return {
+      elements: fields.map(({ question, element }) => el("div", { className: "asked" }, el("h2", {}, question), element)),
+      given: () => fields.every(({ input }) => input.dataset.set),
+      lacks: words.choose_place,
+      values: () => Object.fromEntries(fields.map(({ key, input }) => [key, Number(input.value)])),
+      set: (values) => {
+        for (const { key, input } of fields) {
+          input.value = values[key];
+          input.dispatchEvent(new Event("input"));
+        }
+      },
+    };
+  }
+
+  /** An answer that is one of the surfaces. */
+  choosing({ question, choices }) {
+    const inputs = choices.map((_, i) => el("input", { type: "radio", name: "choice", value: i, onchange: () => this.check() }));
+    const labels = choices.map((name, i) => el("label", { className: "choice" }, inputs[i], el("span", {}, name)));
+    return {
+      elements: [el("fieldset", { className: "asked" }, el("legend", {}, question), ...labels)],
+      given: () => inputs.some((input) => input.checked),
+      lacks: words.choose,
+      values: () => ({ choice: inputs.findIndex((input) => input.checked) }),
+      set: ({ choice }) => {
+        inputs[choice].checked = true;
+        this.check();
+      },
+    };
+  }
+
+  /** What a trial lacks before it can be answered, in words; empty where it lacks nothing. */
+  lacking() {
+    const { step } = this, stroked = this.role !== "all" || this.touched.size >= Math.max(1, step.intervals.length);
     if (step.held) return words.one_moment;
-    if (step.min_s && !stroked) return words.stroke_first;
+    if (step.min_s && !stroked) return step.intervals.length ? words.stroke_each : words.stroke_first;
     if (step.lacks_real) return worded("touch_real", { real: words.real_surface });
-    if (this.seconds < step.min_s) return worded("explore_first", { s: written(Math.ceil(step.min_s)) });
-    return input.dataset.set ? "" : words.choose_place;
+    if (this.seconds < step.min_s) return worded(step.real_side === "none" ? "wait" : "explore_first", { s: written(Math.ceil(step.min_s)) });
+    return this.answer?.given() ? "" : this.answer?.lacks;
   }
 
   check() {
@@ -405,16 +444,24 @@ class Study {
     await photo.decode().then(() => this.pad.setTile(photo, 24), () => {});
   }
 
-  side(side) {
-    this.step.side = side;
+  side(side, interval) {
+    Object.assign(this.step, { side, interval });
     this.realButton?.setAttribute("aria-pressed", String(side === "real"));
     this.virtual?.parentElement?.classList.toggle("on-real", side === "real");
+    this.tabs?.forEach((tab, i) => tab.setAttribute("aria-pressed", String(side === "virtual" && i === interval)));
+    this.mark();
   }
 
-  turn(side) {
-    if (this.step?.kind !== "trial" || this.step.side === side) return;
-    this.side(side);
-    this.say({ do: "side", side });
+  /** Show which surfaces were stroked. */
+  mark() {
+    this.tabs?.forEach((tab, i) => tab.classList.toggle("stroked", this.touched.has(i)));
+  }
+
+  turn(side, interval = this.step?.interval) {
+    const { step } = this;
+    if (step?.kind !== "trial" || (step.side === side && step.interval === interval)) return;
+    this.side(side, interval);
+    this.say({ do: "side", side, ...(step.intervals.length && { interval }) });
   }
 
   // Sound and strokes
@@ -435,12 +482,16 @@ class Study {
     if (step?.kind !== "trial" || step.held) return;
     if (pressure && step.side === "real") this.turn("virtual");
     if (!this.sound.running) this.start();
+    if (pressure && !this.touched.has(step.interval)) {
+      this.touched.add(step.interval);
+      this.mark();
+      this.check();
+    }
     this.waiting.push([x, y, pressure, t]);
     if (this.waiting.length > 1) return;
     queueMicrotask(() => {
-      const { unstored } = this, isFirst = unstored.base + unstored.events.length === 0;
-      if (unstored.id === this.step?.id) unstored.events.push(...this.waiting); // also while the server is away
-      if (isFirst) this.check();
+      const { unstored, step } = this; // also while the server is away:
+      if (unstored.id === step?.id) unstored.events.push(...this.waiting.map((event) => [step.interval, ...event]));
       if (this.socket?.readyState === WebSocket.OPEN)
         for (let i = 0; i < this.waiting.length; i += MOST_AT_ONCE) this.socket.send(Float64Array.from(this.waiting.slice(i, i + MOST_AT_ONCE).flat()));
       this.waiting = [];
