@@ -539,3 +539,74 @@ def test_the_pages_are_accessible_and_look_as_the_screenshots_show(browser: Any,
         check(page, "break")
     context.close()
     assert not violations
+
+
+STROKE = """(x) => {
+  const canvas = document.querySelector("#pad"), box = canvas.getBoundingClientRect();
+  canvas.setPointerCapture = () => {};
+  const say = (type, dx) => canvas.dispatchEvent(new PointerEvent(type, { pointerId: 7, pointerType: "pen", pressure: 0.5,
+    clientX: box.left + x + dx, clientY: box.top + 150, bubbles: true, buttons: 1 }));
+  say("pointerdown", 0);
+  for (let k = 1; k < 30; k++) say("pointerrawupdate", 3 * k);
+  const lift = (done) => { say("pointerrawupdate", 99); say("pointerup", 100); setTimeout(done, 60); };
+  return new Promise((done) => setTimeout(() => lift(done), 60));
+}"""
+SCALES = "".join(
+    f'[[scales]]\nkey = "{key}"\nquestion = "How {key} is it?"\nlowest = "not {key}"\nhighest = "very {key}"\n'
+    for key in ("rough", "hard", "sticky")
+)
+
+
+@pytest.mark.parametrize(
+    ("kind", "names"),
+    [
+        ("oddity", "123"),
+        ("rating", ""),
+        pytest.param("paired", "AB", marks=pytest.mark.slow),
+        pytest.param("abx", "ABX", marks=pytest.mark.slow),
+        pytest.param("threshold", "123", marks=pytest.mark.slow),
+    ],
+)
+def test_a_trial_of_each_kind_is_stroked_and_answered(browser: Any, tmp_path: Path, kind: str, names: str) -> None:
+    """Each surface is asked for, what is chosen is stored with its contact, and the page looks well."""
+    study = study_file(tmp_path, 1, 2, practice="0", min_seconds="0.5")
+    text = study.read_text(encoding="utf-8").replace('kind = "rating"', f'kind = "{kind}"\nrepeats = 4')
+    text = re.sub("^(question|lowest|highest) = .*\n", "", text, flags=re.M)  # those of the task, in the study's language
+    study.write_text(text + SCALES * (kind == "rating"), encoding="utf-8")
+    with running(study) as (_, link):
+        page = browser.new_context(viewport={"width": 1024, "height": 768}).new_page()
+        faults: list[Any] = []
+        page.on("pageerror", lambda error: faults.append(str(error)))
+        begin(page, link)
+        to_trial(page)
+        for i, name in enumerate(names or "1"):
+            assert page.is_disabled("button.big")
+            if names:
+                page.click(f".intervals button >> text={name}")
+            page.evaluate(STROKE, 200 + 120 * i)
+        if kind == "rating":
+            for slider in page.query_selector_all(".scale input"):
+                assert page.is_disabled("button.big")
+                slider.fill("30")
+        else:
+            until(page, "document.querySelector('#lacks').textContent === 'Your answer'")
+            page.click(".asked .choice >> nth=1")
+        faults += look(page, f"study-trial-{kind}", ("landscape",))
+        seen = page.evaluate(LOOK)
+        faults += [(what, seen[what]) for what in ("cut", "covered", "small") if seen[what]]
+        until(page, "!document.querySelector('button.big').disabled")
+        page.click("button.big")
+        until(page, "window.study.step?.id === 'trial:2'")
+        assert not page.query_selector(".intervals .stroked")
+        assert not page.query_selector("input:checked")
+        page.close()
+    assert faults == []
+    with Store(tmp_path / "study.db") as store:
+        rows = store.ratings()
+        parts = store.parts(1, 1)
+    if kind == "rating":
+        assert {row["scale"]: row["rating"] for row in rows} == {"rough": 30.0, "hard": 30.0, "sticky": 30.0}
+        return
+    assert [(row["scale"], row["rating"]) for row in rows] == [("choice", 1.0)]
+    assert {part.interval for part in parts if len(part.events)} == set(range(len(names)))
+    assert all(rows[0]["measured"][f"contact_s_{i + 1}"] > 0.03 for i in range(len(names)))

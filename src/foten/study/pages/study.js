@@ -354,7 +354,7 @@ class Study {
       next.setAttribute("aria-describedby", "lacks");
       if (this.pending?.step === step.id) answer.set(this.pending.values); // as it was chosen before the page was loaded again
       if (step.min_s) setTimeout(() => this.check(), 1000 * step.min_s + 50);
-      box.append(el("section", { className: `rate n${step.scales.length}`, ariaLabel: words.rating }, ...answer.elements, el("p", { id: "lacks" }), next));
+      box.append(el("section", { className: "rate", ariaLabel: words.rating }, ...answer.elements, el("p", { id: "lacks" }), next));
       this.answer = answer;
     }
     this.begin(step.id);
@@ -371,7 +371,7 @@ class Study {
     const fields = scales.map(({ key, question, lowest, highest }) => ({ key, question, ...this.scale(lowest, highest, question) }));
     for (const { input } of fields) input.addEventListener("set", () => this.check());
     return {
-      elements: fields.map(({ question, element }) => el("div", { className: "asked" }, el("h2", {}, question), element)),
+      elements: [el("div", { className: "scales" }, ...fields.map(({ question, element }) => el("div", { className: "asked" }, el("h2", {}, question), element)))],
       given: () => fields.every(({ input }) => input.dataset.set),
       lacks: words.choose_place,
       values: () => Object.fromEntries(fields.map(({ key, input }) => [key, Number(input.value)])),
