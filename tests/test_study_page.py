@@ -571,7 +571,9 @@ def test_a_trial_of_each_kind_is_stroked_and_answered(browser: Any, tmp_path: Pa
     """Each surface is asked for, what is chosen is stored with its contact, and the page looks well."""
     study = study_file(tmp_path, 1, 2, practice="0", min_seconds="0.5")
     text = study.read_text(encoding="utf-8").replace('kind = "rating"', f'kind = "{kind}"\nrepeats = 4')
-    text = re.sub("^(question|lowest|highest) = .*\n", "", text, flags=re.M)  # those of the task, in the study's language
+    text = re.sub(
+        "^(question|lowest|highest) = .*\n", "", text, flags=re.M
+    )  # those of the task, in the study's language
     study.write_text(text + SCALES * (kind == "rating"), encoding="utf-8")
     with running(study) as (_, link):
         page = browser.new_context(viewport={"width": 1024, "height": 768}).new_page()

@@ -19,6 +19,7 @@ pytest.importorskip("starlette")
 pytest.importorskip("statsmodels")
 from scipy import stats
 
+from foten.studio.access import Admitted
 from foten.study.analysis import TooFewError, analyse, read_ratings
 from foten.study.choosers import Choosers, power, simulate_study
 from foten.study.design import TASKS, Task, read_design
@@ -31,6 +32,7 @@ from foten.study.report import write_data, write_report
 from foten.study.statistics import ALPHA, anova
 from foten.study.store import Rated, Store
 from foten.study.thresholds import SILENT_DB, gain_db, level_search, noticeable_db, thresholds_of
+from test_study_commands import foten
 from test_study_server import joined, served, server_of, study_file
 
 COMPARING = ("paired", "abx", "oddity")
@@ -250,6 +252,32 @@ def test_a_surface_of_detection_is_silent_but_the_target_and_one_of_a_difference
     assert gain_db(difference, -20.0, False) == 0.0
     assert gain_db(difference, 0.0, True) == pytest.approx(20 * np.log10(2))
     assert noticeable_db(-11.7) == pytest.approx(2.0, abs=0.02)
+
+
+def test_a_choice_is_corrected_by_its_name(tmp_path: Path) -> None:
+    path = task_file(tmp_path, "oddity")
+    with load_study(path).open_store(tmp_path / "s.db") as store:
+        store.take_step(store.join("ALONE"), "trial:1", (1, Rated({"choice": 1.0})))
+    common = ("correct", tmp_path / "s.db", "--participant", 1, "--trial", 1, "--reason", "a slip")
+    assert "the task is oddity, expected --choice 1, 2, 3" in foten(*common, "--rating", 2, ok=False)
+    assert "--choice is 'B', expected one of 1, 2, 3" in foten(*common, "--choice", "B", ok=False)
+    assert "trial 1: 3 holds now" in foten(*common, "--choice", 3)
+    with Store(tmp_path / "s.db") as store:
+        assert [row["rating"] for row in store.ratings()] == [2.0]
+
+
+def test_who_is_forgotten_is_so_with_the_devices_too(tmp_path: Path) -> None:
+    database = tmp_path / "s.db"
+    with load_study(task_file(tmp_path, "abx")).open_store(database) as store:
+        for code in ("ALONE", "OTHER"):
+            store.join(code)
+    devices = database.with_suffix(".access") / "devices.json"
+    devices.parent.mkdir()
+    admitted = Admitted(devices)
+    for code in ("ALONE", "OTHER"):
+        admitted.put(f"{code} stroke", "secret")
+    foten("forget", database, "--participant", 1, "--yes")
+    assert list(json.loads(devices.read_text(encoding="utf-8"))) == ["OTHER stroke"]
 
 
 # Statistics

@@ -124,6 +124,12 @@ class Admitted:
             self._hashes[kind] = [_hash(secret)]
             self._write()
 
+    def drop(self, prefix: str) -> None:
+        """Forget all of the kinds whose names begin so."""
+        if any(kind.startswith(prefix) for kind in self._hashes):
+            self._hashes = {kind: hashes for kind, hashes in self._hashes.items() if not kind.startswith(prefix)}
+            self._write()
+
     def has(self, kind: str) -> bool:
         """Whether there is one of a kind."""
         return kind in self._hashes

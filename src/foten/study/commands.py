@@ -152,9 +152,9 @@ def run(
     database = output or study.with_suffix(".db")
     store = loaded.open_store(database, simulated)
     store.hold()
-    folder = database.with_suffix(".access")
+    folder = _devices(database).parent
     folder.mkdir(mode=0o700, exist_ok=True)
-    server = StudyServer(store, loaded, Admitted(folder / "devices.json"), markers)
+    server = StudyServer(store, loaded, Admitted(_devices(database)), markers)
     server.say = say
 
     def announce(access: Access, host: str, joined: bool) -> None:
@@ -420,13 +420,30 @@ def correct(
     database: Database,
     participant: Participant,
     trial: TrialNumber,
-    rating: float = Option(..., help="What was meant, 0 to 100."),
+    rating: float | None = Option(None, help="What was meant, 0 to 100."),
+    choice: str | None = Option(None, help="Which surface was meant, where one is chosen: A, B, 1, 2 or 3."),
+    scale: str | None = Option(None, metavar="KEY", help="Of the rating, where a trial has several."),
     reason: str = Option(..., help="Why; kept with the correction."),
 ) -> None:
-    """Put another rating in the place of a wrong one. The old one stays in the file."""
+    """Put another answer in the place of a wrong one. The old one stays in the file.
+
+    foten study correct similarity.db --participant 3 --trial 7 --rating 40 --reason "read the scale the wrong way round"
+    """
+    from foten.study.design import CHOICES, task_of
+
     with _store(database) as store:
-        store.correct(participant, trial, rating, reason)
-    print(f"participant {participant}, trial {trial}: {rating:g} holds now")
+        kind = task_of(str(store.study["design"]))[0].kind
+        choices = CHOICES.get(kind, ())
+        if (rating is None) == (choice is None) or (choice is None) == bool(choices):
+            raise ValueError(
+                f"the task is {kind}, expected {'--choice ' + ', '.join(choices) if choices else '--rating'}"
+            )
+        if choice is not None and choice.upper() not in choices:
+            raise ValueError(f"--choice is {choice!r}, expected one of {', '.join(choices)}")
+        value = choices.index(choice.upper()) if choice is not None else rating
+        assert value is not None
+        store.correct(participant, trial, float(value), reason, scale)
+    print(f"participant {participant}, trial {trial}: {choice or f'{rating:g}'} holds now")
 
 
 @app.command()
@@ -434,10 +451,15 @@ def forget(
     database: Database, participant: Participant, yes: bool = Option(False, "--yes", help="Do not ask.")
 ) -> None:
     """Remove all of one participant's data from a study's file, for good. Backups keep theirs."""
+    from foten.studio.access import Admitted
+
     with _store(database) as store:
         if not yes and not typer.confirm(f"Remove all data of participant {participant} for good?", err=True):
             raise typer.Abort
+        code = next((code for code, number in store.codes().items() if number == participant), None)
         store.forget(participant)
+    if code is not None and (devices := _devices(database)).exists():
+        Admitted(devices).drop(f"{code} ")
     print(f"all data of participant {participant} was removed from {database}; backups keep theirs")
 
 
@@ -452,6 +474,11 @@ def backup(
     with _store(database) as store:
         n = store.backup(output)
     print(f"wrote {output}: {counted(n, 'rating')}, and every check holds")
+
+
+def _devices(database: Path) -> Path:
+    """File of the devices that were let in, by hashes, beside a study's database."""
+    return database.with_suffix(".access") / "devices.json"
 
 
 def _store(database: Path) -> Store:
