@@ -753,12 +753,16 @@ def test_nothing_is_lost_while_the_file_cannot_be_written(tmp_path: Path) -> Non
         assert "study.db: the disk is full or cannot be written" in session.trouble
         assert refused["again"]
         assert session.for_operator()["n_unsaved"] == 3  # and the strokes of the trial that goes on
-        assert server.store.switches(1, 1) == 0
+        assert server.store.switches(1, 1) == []
         set_read_only(False)
         end = time.time()
         page.answer(61.0)
         assert "n_unsaved" not in session.for_operator()
-        assert (page.step["id"], server.store.switches(1, 1), len(server.store.strokes(1, 1))) == ("trial:2", 2, 20)
+        assert (page.step["id"], server.store.switches(1, 1), len(server.store.strokes(1, 1))) == (
+            "trial:2",
+            ["real", "virtual"],
+            20,
+        )
         shown = server.store.shown(1, 1)
         assert shown is not None
         assert begin - 0.01 <= shown <= end
