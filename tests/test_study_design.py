@@ -142,7 +142,8 @@ def test_what_a_study_file_leaves_out_is_of_its_language(study: Path) -> None:
 def test_each_task_has_its_question_and_its_instructions_in_the_language(study: Path, kind: str) -> None:
     text = re.sub(r'^instructions = """.*?"""', "", study_text("제목", FILES, 12, 3, "ko"), flags=re.M | re.S)
     study.write_text(
-        re.sub(r"^question = .*$", "", text, flags=re.M).replace('"rating"', f'"{kind}"'), encoding="utf-8"
+        re.sub(r"^(question|lowest|highest) = .*$", "", text, flags=re.M).replace('"rating"', f'"{kind}"'),
+        encoding="utf-8",
     )
     design, _ = read_design(study)
     words = read_language("ko").words

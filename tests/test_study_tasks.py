@@ -20,18 +20,19 @@ pytest.importorskip("statsmodels")
 from scipy import stats
 
 from foten.studio.access import Admitted
+from foten.study import raters
 from foten.study.analysis import TooFewError, analyse, read_ratings
-from foten.study.choosers import Choosers, power, simulate_study
+from foten.study.choosers import Choosers, power, simulate_study, threshold_raters
 from foten.study.design import TASKS, Task, read_design
 from foten.study.loading import load_study
 from foten.study.markers import NAME, Markers
-from foten.study.orders import PRESENTATIONS, balance, orders
+from foten.study.orders import N_TARGETS, balance, orders
 from foten.study.raters import raters_for
-from foten.study.record import bids, events_of, psych_ds
+from foten.study.record import _contacts, bids, events_of, psych_ds
 from foten.study.report import write_data, write_report
 from foten.study.statistics import ALPHA, anova
-from foten.study.store import Rated, Store
-from foten.study.thresholds import SILENT_DB, gain_db, level_search, noticeable_db, thresholds_of
+from foten.study.store import Rated, Store, Stroked
+from foten.study.thresholds import SILENT_DB, gain_db, level_search, noticeable_db, simulated_answers, thresholds_of
 from test_study_commands import foten
 from test_study_server import joined, served, server_of, study_file
 
@@ -44,8 +45,10 @@ def task_file(
     folder: Path, kind: str, lines: str = "", n_methods: int = 3, n_textures: int = 2, **changes: str
 ) -> Path:
     path = study_file(folder, n_textures, n_methods, participants=12, practice="0", **changes)
-    text = path.read_text(encoding="utf-8").replace('kind = "rating"', f'kind = "{kind}"\n{lines}')
-    path.write_text(text, encoding="utf-8")
+    text = path.read_text(encoding="utf-8")
+    if kind != "rating":
+        text = re.sub("^(question|lowest|highest) = .*\n", "", text, flags=re.M)
+    path.write_text(re.sub('^kind = "rating".*', f'kind = "{kind}"\n{lines}', text, flags=re.M), encoding="utf-8")
     return path
 
 
@@ -61,15 +64,31 @@ def simulated(folder: Path, kind: str, lines: str = "", effect: float = 0.0, **o
 
 
 @pytest.mark.parametrize("kind", COMPARING)
-def test_every_pair_is_shown_in_each_way_as_often_as_in_the_others(kind: str) -> None:
-    """A presentation of a pair comes as often as each other one in the trials of a participant, up to one."""
+def test_every_pair_is_shown_in_both_orders_as_often(kind: str) -> None:
+    """Either method of a pair is the first as often as the other in the trials of a participant, up to one, and in practice."""
     for trials in orders(9, 6, 3, 5, 2, "balanced", kind, repeats=2):
-        shown = Counter((frozenset((t.method, t.other)), t.method > (t.other or 0), t.target) for t in trials)
-        assert len(shown) == 3 * len(PRESENTATIONS[kind])
-        assert max(shown.values()) - min(shown.values()) <= 1
-        pairs = Counter((t.texture, frozenset((t.method, t.other))) for t in trials if not t.practice)
+        counted = [trial for trial in trials if not trial.practice]
+        shown = Counter((t.method, t.other) for t in counted)
+        assert len(shown) == 6
+        assert all(abs(shown[a, b] - shown[b, a]) <= 1 for a, b in shown)
+        pairs = Counter((t.texture, frozenset((t.method, t.other))) for t in counted)
         assert set(pairs.values()) == {2}
         assert len(pairs) == 6 * 3
+
+
+@pytest.mark.parametrize("kind", N_TARGETS)
+def test_who_counts_knows_no_more_of_what_is_right(kind: str) -> None:
+    """Someone who feels nothing and names what has been right least often so far, of this pair or texture, is right by chance."""
+    right = n = 0
+    for trials in orders(100, 2, 2, 8, 2, "balanced", kind, repeats=20):
+        seen: dict[Any, Counter[int]] = {}
+        for trial in trials:
+            counts = seen.setdefault((trial.texture, frozenset((trial.method, trial.other))), Counter())
+            guess = min(range(N_TARGETS[kind]), key=lambda target: counts[target])
+            right, n = right + (guess == trial.target), n + 1
+            counts[trial.target] += 1
+    chance = 1 / N_TARGETS[kind]
+    assert right / n == pytest.approx(chance, abs=4 * np.sqrt(chance * (1 - chance) / n))
 
 
 def test_intervals_hold_what_the_task_says() -> None:
@@ -90,8 +109,6 @@ def test_thresholds_are_asked_in_rounds_that_each_hold_all() -> None:
     for trials in orders(3, 2, 3, 1, 0, "balanced", "threshold", repeats=12):
         rounds = np.array([(t.texture, t.method) for t in trials]).reshape(12, 6, 2)
         assert all(len(set(map(tuple, one))) == 6 for one in rounds.tolist())
-        targets = Counter((t.texture, t.method, t.target) for t in trials)
-        assert set(targets.values()) == {4}
     assert balance(orders(6, 2, 3, 1, 0, "balanced", "threshold", repeats=9), 2, 3, "threshold")["method first"] == (
         108,
         108,
@@ -101,6 +118,12 @@ def test_thresholds_are_asked_in_rounds_that_each_hold_all() -> None:
 @pytest.mark.parametrize(
     ("kind", "lines", "why"),
     [
+        (
+            "rating",
+            "repeats = 2",
+            r"\[task\] has 'repeats', which the kind rating does not know, expected some of question",
+        ),
+        ("oddity", "answers = 9", r"\[task\] has 'answers', which the kind oddity does not know"),
         ("guess", "", "task: kind is 'guess', expected rating, paired, abx, oddity or threshold"),
         ("paired", "repeats = 101", "repeats is 101, expected 1 to 100"),
         ("threshold", "answers = 3", "answers is 3, expected 8 to 200"),
@@ -354,7 +377,13 @@ def test_a_report_says_what_simulated_people_were_given(tmp_path: Path, kind: st
     assert len(rows) == len(every[0].rows)
     names = list(rows[0])
     with (tmp_path / "r" / "dictionary.csv").open(newline="", encoding="utf-8") as file:
-        assert [row["column"] for row in csv.DictReader(file)] == names
+        known = [row["column"] for row in csv.DictReader(file)]
+    assert known[: len(names)] == names
+    if kind == "threshold":
+        with (tmp_path / "r" / "thresholds.csv").open(newline="", encoding="utf-8") as file:
+            thresholds = list(csv.DictReader(file))
+        assert len(thresholds) == 12 * 2 * 2
+        assert thresholds[0].keys() <= {*known}
     if kind == "paired":
         best = max(of_kind["strengths"]["methods"], key=lambda row: row["log_odds"])
         assert best["method"] == result.ratings.methods[-1]
@@ -391,6 +420,78 @@ def test_a_pilot_of_one_has_its_tables(tmp_path: Path) -> None:
 def test_stars_are_by_the_correction_that_is_asked_for(tmp_path: Path) -> None:
     with simulated(tmp_path, "threshold", "answers = 8", n_textures=1, n_methods=2) as store:
         assert analyse(store, None, "holm")[0].document["correction"] == "holm"
+
+
+def threshold_study(folder: Path, true_db: float, lines: str = "answers = 20", **options: Any) -> Store:
+    """Answers of three people of a known threshold."""
+    study = load_study(task_file(folder, "threshold", lines, **options))
+    store, rng = study.open_store(folder / "s.db"), np.random.default_rng(2)
+    for i in range(3):
+        number = store.join(f"PERS{'ABC'[i]}")
+        tracks: dict[tuple[int, int], Any] = {}
+        for trial in store.trials(number):
+            track = trial.texture, trial.method
+            if track not in tracks:
+                tracks[track] = iter(simulated_answers(study.design.task, true_db, rng))
+            level, right = next(tracks[track])
+            log = {"level_db": level, "volume_db": -6.0}
+            rated = Rated({"choice": float(trial.target if right else (trial.target + 1) % 3)}, 2.0, 2, log)
+            store.take_step(number, f"trial:{trial.number}", (trial.number, rated))
+    return store
+
+
+def test_a_threshold_beyond_the_levels_is_said_to_be_a_bound(tmp_path: Path) -> None:
+    for true_db, low, high in ((15.0, 10, 12), (-30.0, 0, 0)):  # of 12
+        (folder := tmp_path / f"{low}").mkdir()
+        with threshold_study(folder, true_db, n_methods=2) as store:
+            (result,) = analyse(store)
+        n_missed = sum(not one["reached"] for one in result.ratings.thresholds)
+        assert low <= n_missed <= high
+        said = [caution for caution in result.cautions if "are not reached" in caution]
+        assert [one.split(",")[0] for one in said] == [f"{n_missed} of 12 thresholds are not reached"] * bool(n_missed)
+
+
+def test_the_volume_of_a_page_is_part_of_a_threshold_of_detection_alone(tmp_path: Path) -> None:
+    for measures, expected in (("detection", -36.0), ("difference", -30.0)):
+        (folder := tmp_path / measures).mkdir()
+        with threshold_study(folder, -30.0, f'measures = "{measures}"\nanswers = 60') as store:
+            mean = np.mean([one["threshold_db"] for one in read_ratings(store)[0].thresholds])
+        assert mean == pytest.approx(expected, abs=2.0)
+
+
+def test_of_one_method_textures_are_compared_and_said_to_be(tmp_path: Path) -> None:
+    with threshold_study(tmp_path, -30.0, n_methods=1, n_textures=3) as store:
+        (result,) = analyse(store)
+        write_report([result], tmp_path / "r")
+        with pytest.raises(ValueError, match="there is no other method to compare it with"):
+            analyse(store, "ar")
+    text = (tmp_path / "r" / "report.md").read_text(encoding="utf-8")
+    assert "ratings" not in text.replace("ratings.png", "").lower()
+    assert "method" not in text.replace("the one method", "")
+    assert "gave an effect of texture" in text
+    assert "| artificial-grass |" in text
+    assert {row["name"] for row in result.document["anova_one_way"]} == {"texture"}
+
+
+def test_power_of_thresholds_is_that_of_simulated_searches() -> None:
+    """Against studies of the same people that are simulated and analysed whole."""
+    task, rng = Task("threshold", answers=12), np.random.default_rng(4)
+    modelled = raters.power(threshold_raters(task, 2, 1, 4.0, 0), 12, 2000, 0)["pair"]
+    shared = rng.normal(-30.0, 5.0, (60, 12, 1))
+    true = shared + rng.normal(0.0, 1.0, (60, 12, 2)) - [0.0, 4.0]
+    whole = float((anova(thresholds_of(task, true, rng)[..., None])[0].p_corrected < ALPHA).mean())
+    assert whole == pytest.approx(modelled, abs=0.2)
+
+
+def test_strokes_are_those_of_one_surface(tmp_path: Path) -> None:
+    events = np.array([[0.5 * k, 0.0, 0.5, 0.01 * k] for k in range(20)])
+    with load_study(task_file(tmp_path, "abx")).open_store(tmp_path / "s.db") as store:
+        store.join("ALONE")
+        store.add_strokes(1, 1, [Stroked(0, events), Stroked(2, events + np.array([0, 1, 0, 5]))])
+    common = ("strokes", tmp_path / "s.db", "--participant", 1, "--trial", 1, "-o", tmp_path / "s.csv")
+    assert "surfaces 1, 3 were stroked in that trial: which one? --surface 1" in foten(*common, ok=False)
+    assert "20 events" in foten(*common, "--surface", 3)
+    assert "no stroke of participant 1 in trial 1 on surface 2" in foten(*common, "--surface", 2, ok=False)
 
 
 # For the record
@@ -438,9 +539,11 @@ def test_events_say_when_each_trial_was_shown_stroked_and_answered(tmp_path: Pat
     moments = [event for event in events if event["trial_type"] != "switch"]
     assert [event["trial_type"] for event in moments] == ["trial", "contact", "contact", "answer"]
     trial, first, second, answer = moments
-    assert (first["surface"], second["surface"]) == (1, 2)
+    assert (first["surface"], second["surface"]) == ("A", "B")
+    assert [event["surface"] for event in events if event["trial_type"] == "switch"] == ["B"]
+    assert {event["method"] for event in events} | {event["other"] for event in events} <= set(server.design.methods)
     assert first["duration"] == pytest.approx(0.3, abs=0.1)
-    assert answer["value"] == 0.0
+    assert answer["value"] == "A"
     assert trial["onset"] == 0.0
     assert answer["onset"] == pytest.approx(trial["duration"])
     assert 0.6 <= trial["duration"] <= took + 1.0
@@ -450,6 +553,16 @@ def test_events_say_when_each_trial_was_shown_stroked_and_answered(tmp_path: Pat
     header = texts["sub-1/beh/sub-1_task-paired_events.tsv"].splitlines()[0].split("\t")
     assert header[:3] == ["onset", "duration", "trial_type"]
     assert set(header[2:]) == json.loads(texts["task-paired_events.json"]).keys()
+
+
+def test_a_page_that_is_loaded_again_has_another_clock(tmp_path: Path) -> None:
+    def part(begin: float) -> Stroked:
+        return Stroked(0, np.array([[k, 0.0, 0.5 * (k < 9), begin + 0.01 * k] for k in range(10)]))
+
+    timed = [(part(600.0), 1000.2), (part(1.0), 1003.2)]  # stored 0.11 s after its last event, each
+    contacts = _contacts(timed)
+    assert [contact[0] for contact in contacts] == pytest.approx([1000.11, 1003.11])
+    assert [contact[1] for contact in contacts] == pytest.approx([0.09, 0.09])
 
 
 def test_the_operator_downloads_what_there_is_and_a_participant_does_not(tmp_path: Path) -> None:

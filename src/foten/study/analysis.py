@@ -5,14 +5,14 @@ Ratings and thresholds are here; choices between surfaces are analysed in `choic
 
 from __future__ import annotations
 
+import tomllib
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
-from foten.dsp.adaptive import LevelSearch
 from foten.reporting.table import minus
 from foten.study.design import CHOICES, Task, task_of
 from foten.study.raters import Raters
@@ -32,14 +32,14 @@ from foten.study.statistics import (
     wilcoxon_tests,
 )
 from foten.study.store import Store
-from foten.study.thresholds import level_search, reported_db
+from foten.study.thresholds import is_reached, level_search, noticeable_db
 
 MIN_RELIABILITY = 0.2  # correlation with the others, below which a participant is named
 MIN_CORRELATED = 4  # conditions: of two a correlation is 1 or −1
 MIN_COMPLETE = 3  # participants
 MIN_ANSWERS = 8  # of a threshold
 CORRECTIONS = {"bonferroni": "Bonferroni", "holm": "Holm"}  # of many tests: the paper's, and one of more power
-QUANTITIES = {"detection": "threshold of detection", "difference": "just noticeable difference"}
+QUANTITIES = {"detection": "threshold of detection", "difference": "just noticeable increment"}
 NULL_STUDIES, NULL_SEED = 1000, 0
 NULL_AT_ONCE = 50  # studies in memory
 MIN_NULL_RATE = 0.04  # of errors at ALPHA, below which a test is called conservative
@@ -62,6 +62,8 @@ class Ratings:
     conditions: list[str]  # methods, or pairs of them
     values: Array  # (participants, conditions, textures), NaN where there is none
     complete: list[int]  # numbers of the participants who answered everything
+    factor: str = field(default="method", kw_only=True)  # what conditions are of
+    thresholds: list[dict[str, Any]] = field(default_factory=list, kw_only=True)  # each, with what is known of it
     answers: list[dict[str, Any]]  # to the questions that are not private, by participant
     abouts: list[dict[str, Any]]  # to the private ones, without numbers
 
@@ -121,8 +123,13 @@ def analyse(store: Store, reference: str | None = None, correction: str = "bonfe
         raise TooFewError(f"{answered}; expected three or more; foten study status says who is where")
     if ratings.task.kind in CHOICES and ratings.task.kind != "threshold":
         return [analyse_choices(ratings, reference, correction)]
+    if reference is not None and len(ratings.methods) < 2:
+        raise ValueError(f"the reference is {reference!r}, and there is no other method to compare it with")
     index = None if reference is None else ratings.methods.index(reference)
-    return [_result(one, index, correction) for one in every]
+    results = [_result(one, index, correction) for one in every]
+    if len(results) > 1:
+        results[0].cautions.insert(0, f"p values are not corrected for there being {len(results)} scales")
+    return results
 
 
 def read_ratings(store: Store) -> list[Ratings]:
@@ -153,9 +160,15 @@ def read_ratings(store: Store) -> list[Ratings]:
         return result
     complete = _who_ended(store, rows, numbers)
     if task.kind == "threshold":
-        values = _thresholds(task, rows, numbers, len(methods), len(textures))
+        plays_in_page = tomllib.loads(str(store.study["design"])).get("output", {}).get("to", "page") == "page"
+        thresholds = _thresholds(task, rows, plays_in_page)
+        values = np.full((len(numbers), len(methods), len(textures)), np.nan)
+        for one in thresholds:
+            place = numbers.index(one["participant"]), methods.index(one["method"]), textures.index(one["texture"])
+            values[place] = one["threshold_db"]
         quantity = QUANTITIES[task.measures], "dB"
-        return [Ratings(*study, *quantity, *names, rows, numbers, methods, values, complete, *beside)]
+        found = Ratings(*study, *quantity, *names, rows, numbers, methods, values, complete, *beside)
+        return [replace(found, thresholds=thresholds)]
     compared = pairs(len(methods))
     if task.kind == "paired":
         quantity, labels = ("share of choices", "%"), methods
@@ -179,20 +192,27 @@ def _who_ended(store: Store, rows: Sequence[dict[str, Any]], numbers: Sequence[i
     return [n for n in numbers if answered[n] == sum(not trial.practice for trial in store.trials(n))]
 
 
-def _thresholds(
-    task: Task, rows: Sequence[dict[str, Any]], numbers: Sequence[int], n_methods: int, n_textures: int
-) -> Array:
-    """Thresholds [dB] of all answers so far, shape (participants, methods, textures)."""
-    searches: dict[tuple[int, int, int], LevelSearch] = {}
+def _thresholds(task: Task, rows: Sequence[dict[str, Any]], plays_in_page: bool) -> list[dict[str, Any]]:
+    """Thresholds of all answers so far, by participant, texture and method.
+
+    A threshold of detection is re the recorded level at a volume of 0 dB: a page's volume is added.
+    """
+    tracks: dict[tuple[Any, ...], list[dict[str, Any]]] = {}
     for row in rows:
-        key = numbers.index(row["participant"]), row["method"], row["texture"]
-        search = searches.setdefault(key, level_search(task))
-        search.answer(row["measured"]["level_db"], row["rating"] == row["target"])
-    values = np.full((len(numbers), n_methods, n_textures), np.nan)
-    for key, search in searches.items():
-        if search.n_answers >= MIN_ANSWERS:
-            values[key] = reported_db(task, search.point)
-    return values
+        tracks.setdefault((row["participant"], row["texture_key"], row["method_key"]), []).append(row)
+    result = []
+    for (participant, texture, method), answers in tracks.items():
+        if len(answers) < MIN_ANSWERS:
+            continue
+        search = level_search(task, [(row["measured"]["level_db"], row["rating"] == row["target"]) for row in answers])
+        volumes = [float(row["measured"].get("volume_db") or 0.0) for row in answers]
+        volume = float(np.median(volumes)) if plays_in_page and task.measures == "detection" else 0.0
+        one = {"participant": participant, "texture": texture, "method": method, "threshold_db": search.point + volume}
+        one |= {"sd_db": search.sd, "n_answers": len(answers), "reached": int(is_reached(task, search))}
+        if task.measures == "difference":
+            one["difference_db"] = noticeable_db(search.point)
+        result.append({**one, "volume_db": float(np.median(volumes)), "volume_range_db": float(np.ptp(volumes))})
+    return result
 
 
 def null_rates(n: int, a: int, b: int) -> dict[str, float]:
@@ -211,22 +231,23 @@ def null_rates(n: int, a: int, b: int) -> dict[str, float]:
 
 
 def _result(ratings: Ratings, reference: int | None, correction: str) -> Result:
+    if len(ratings.conditions) == 1 < len(ratings.textures):  # one method's thresholds: textures are what is compared
+        swapped = np.swapaxes(ratings.values, 1, 2)
+        ratings = replace(ratings, conditions=ratings.textures, textures=["all"], values=swapped, factor="texture")
+        reference = None
     document = about(ratings, correction)
     document["means"] = means_of(ratings)
-    if len(ratings.conditions) == 1 < len(ratings.textures):  # one method's thresholds: textures are what is compared
-        ratings = replace(
-            ratings, conditions=ratings.textures, textures=["all"], values=np.swapaxes(ratings.values, 1, 2)
-        )
     cautions = who_left(ratings)
     if len(ratings.conditions) == 1:
-        return Result(ratings, document, [_means_sentence(document)], cautions + of_trials(ratings))
+        return Result(ratings, document, [minus(_means_sentence(ratings, document))], cautions + of_trials(ratings))
     y, n, textures = ratings.y, len(ratings.complete), ratings.textures
     by_participant = y.mean(-1)  # as in Sec. VII, averaged across textures
-    one_way = anova(by_participant[..., None])
+    one_way = [replace(effect, name=ratings.factor) for effect in anova(by_participant[..., None])]
     two_way = anova(y) if len(textures) > 1 else []
     within = [paired_tests(y[..., t], reference) for t in range(len(textures))]
     agreement = reliability(y.reshape(n, -1))
     rates = null_rates(n, len(ratings.conditions), len(textures))
+    rates = {ratings.factor if name == "method" else name: rate for name, rate in rates.items()}
     mixed, doubts = _mixed(ratings.values)
     document |= {
         "null_rates": rates,
@@ -248,9 +269,10 @@ def _result(ratings: Ratings, reference: int | None, correction: str) -> Result:
         },
     }
     cautions += doubts + _cautions(ratings, two_way or one_way, rates, agreement.with_others) + of_trials(ratings)
-    sentences = _sentences(ratings.conditions, document, one_way, two_way, within, reference)
-    if ratings.textures == ["all"]:
-        sentences = [sentence.replace("effect of method", "effect of texture") for sentence in sentences]
+    if mixed is not None and ratings.factor != "method":
+        for term in mixed["terms"]:
+            term["name"] = ratings.factor
+    sentences = _sentences(ratings, document, one_way, two_way, within, reference)
     return Result(ratings, document, [minus(sentence) for sentence in sentences], cautions)
 
 
@@ -327,8 +349,24 @@ def of_trials(ratings: Ratings) -> list[str]:
         cautions.append(f"trials in which the sound had under-runs: {under}")
     if without := sum(row["measured"].get("contact_s") == 0 for row in trials):
         cautions.append(f"trials that were answered without a stroke on the virtual surface: {without}")
+    cautions += _of_thresholds(ratings)
     if partly := sum(_misses_one(row["measured"]) for row in trials):
         cautions.append(f"trials that were answered without a stroke on each of the surfaces: {partly}")
+    return cautions
+
+
+def _of_thresholds(ratings: Ratings) -> list[str]:
+    """Cautions about thresholds."""
+    cautions, of = [], ratings.thresholds
+    if missed := [one for one in of if not one["reached"]]:
+        which = "; ".join(f"participant {one['participant']}, {one['texture']}, {one['method']}" for one in missed[:5])
+        more = f" and {len(missed) - 5} more" if len(missed) > 5 else ""
+        cautions.append(
+            f"{len(missed)} of {len(of)} thresholds are not reached, at an end of the levels that were played ({which}{more}): "
+            "their values are bounds, and the tests take them as values; thresholds.csv says which"
+        )
+    if changed := sum(one["volume_range_db"] > 0 for one in of):
+        cautions.append(f"the volume was changed while a threshold was searched for: {changed} of {len(of)}")
     return cautions
 
 
@@ -358,23 +396,23 @@ def _cautions(ratings: Ratings, effects: Sequence[Effect], rates: dict[str, floa
 
 
 def _sentences(
-    methods: Sequence[str],
+    ratings: Ratings,
     document: dict[str, Any],
     one_way: Sequence[Effect],
     two_way: Sequence[Effect],
     within: Sequence[Paired],
     reference: int | None,
 ) -> list[str]:
-    several = len(within) > 1
+    several, what, factor = len(within) > 1, _noun(ratings), ratings.factor
     sentences = [
-        _means_sentence(document),
-        f"A one-way repeated-measures ANOVA on ratings{' averaged across textures' * several} gave an effect of method, "
+        _means_sentence(ratings, document),
+        f"A one-way repeated-measures ANOVA on {what}{' averaged across textures' * several} gave an effect of {factor}, "
         f"{_anova(one_way[0])}.",
     ]
     if two_way:
         effects = "; ".join(f"{effect.name}, {_anova(effect)}" for effect in two_way)
         sentences.append(f"A two-way repeated-measures ANOVA (method × texture, Greenhouse–Geisser) gave {effects}.")
-    sentences += _paired_sentences(methods, within, reference)
+    sentences += _paired_sentences(ratings, within, reference)
     ranks, model, agree = document["friedman"], document["mixed_model"], document["reliability"]
     if ranks["p"] is not None:
         sentences.append(
@@ -385,7 +423,7 @@ def _sentences(
             f"{term['name']}, F({term['df'][0]:.0f}, {term['df'][1]:.0f}) = {term['f']:.2f}, {p_text(term['p'])}"
             for term in model["terms"]
         )
-        sentences.append(f"Linear mixed model of all {model['n_ratings']} ratings: {terms}.")
+        sentences.append(f"Linear mixed model of all {model['n_ratings']} {what}: {terms}.")
     if agree["icc_mean"] is not None:
         sentences.append(f"Agreement: ICC(2,1) = {agree['icc_single']:.2f}, ICC(2,k) = {agree['icc_mean']:.2f}.")
     overall = [row for row in document["means"] if row["texture"] is None]
@@ -394,33 +432,44 @@ def _sentences(
     return sentences
 
 
-def _means_sentence(document: dict[str, Any]) -> str:
-    """Who answered what, and the means of all methods."""
-    n, unit = document["participants"]["complete"], document["unit"] and f" {document['unit']}"
-    who = "simulated raters" if document["simulated"] else "participants"
+def _means_sentence(ratings: Ratings, document: dict[str, Any]) -> str:
+    """Who answered what, and the means of all conditions."""
+    n, unit = document["participants"]["complete"], ratings.unit and f" {ratings.unit}"
+    who = "simulated raters" if ratings.simulated else "participants"
     overall = [row for row in document["means"] if row["texture"] is None]
-    b = len({row["texture"] for row in document["means"]}) - 1
-    many = n * len(overall) * b
-    means = ", ".join(f"{row['method']} {row['mean']:.2f} ± {row['sd']:.2f}{unit}" for row in overall)
-    verb, values = ("rated", "ratings") if document["task"] == "rating" else ("were asked about", "thresholds")
-    methods = f"{len(overall)} method{'s' * (len(overall) > 1)}"
+    k, b = len(overall), len(ratings.textures)
+    means = []
+    for row in overall:
+        noticeable = ratings.quantity == QUANTITIES["difference"]
+        as_level = f", a difference in level of {noticeable_db(row['mean']):.1f} dB" * noticeable
+        means.append(f"{row['method']} {row['mean']:.2f} ± {row['sd']:.2f}{unit}{as_level}")
+    verb = "rated" if ratings.task.kind == "rating" else "were asked about"
+    conditions = f"{k} {ratings.factor}{'s' * (k > 1)}"
+    where = f" on {b} texture{'s' * (b > 1)}" if ratings.factor == "method" else ""
     return (
-        f"{n} {who} {verb} {methods} on {b} texture{'s' * (b > 1)} ({many} {values}). "
-        f"Mean {document['quantity']}: {means} (± SD between participants)."
+        f"{n} {who} {verb} {conditions}{where} ({n * k * b} {_noun(ratings)}). "
+        f"Mean {ratings.quantity}: {', '.join(means)} (± SD between participants)."
     )
 
 
-def _paired_sentences(methods: Sequence[str], within: Sequence[Paired], reference: int | None) -> list[str]:
+def _noun(ratings: Ratings) -> str:
+    return "ratings" if ratings.task.kind == "rating" else "thresholds"
+
+
+def _paired_sentences(ratings: Ratings, within: Sequence[Paired], reference: int | None) -> list[str]:
     """Results of the tests within textures, by each correction; a single pair needs none."""
+    methods, factors = ratings.conditions, f"{ratings.factor}s"
     family, b = within[0].pairs, len(within)
     many = len(family)
     if many == 1:
         what = f"paired t-test{'s' * (b > 1)} of {methods[family[0][0]]} and {methods[family[0][1]]}"
     elif reference is None:
-        what = f"paired t-tests of all {many} pairs of methods"
+        what = f"paired t-tests of all {many} pairs of {factors}"
     else:
         what = f"paired t-tests of the {many} other methods against {methods[reference]}"
     where, of = ("each texture", f"of {b} textures, ") if b > 1 else ("the one texture", "")
+    if ratings.factor == "texture":
+        where = "the one method"
     sentences = []
     for name, key in (("Bonferroni", "p_bonferroni"), ("Holm", "p_holm"))[: 1 if many == 1 else 2]:
         results = []

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import fields
 from typing import Any
@@ -11,8 +12,10 @@ import numpy as np
 from foten.reporting.table import minus
 from foten.study.analysis import Ratings, Result, about, json_value, means_of, of_trials, p_text, who_left
 from foten.study.choices import Sensitivity, Strengths, abx, bradley_terry, oddity
-from foten.study.statistics import Array, holm, pairs
+from foten.study.design import CHOICES
+from foten.study.statistics import ALPHA, Array, holm, pairs
 
+MAX_LEANING = 0.1  # of the share of a position, above an even one
 CHANCE = {"paired": 1 / 2, "abx": 1 / 2, "oddity": 1 / 3}  # share of right answers of those who guess
 
 
@@ -21,6 +24,13 @@ def analyse_choices(ratings: Ratings, reference: str | None, correction: str) ->
     document = about(ratings, correction)
     document |= {"means": means_of(ratings), "chance": CHANCE[ratings.task.kind]}
     cautions = who_left(ratings)
+    document["positions"] = positions = _positions(ratings)
+    even = 1 / len(positions)
+    if leaning := [name for name, share in positions.items() if share > even + MAX_LEANING]:
+        share = 100 * positions[leaning[0]]
+        cautions.append(
+            f"{leaning[0]} was chosen in {share:.0f} % of trials, {100 * even:.0f} % is even: a leaning to a position"
+        )
     if ratings.task.kind == "paired":
         index = None if reference is None else ratings.methods.index(reference)
         strengths = bradley_terry(wins_in(ratings, ratings.rows), index)
@@ -29,10 +39,11 @@ def analyse_choices(ratings: Ratings, reference: str | None, correction: str) ->
             texture: _of_strengths(ratings.methods, bradley_terry(wins_in(ratings, rows), index))
             for texture, rows in _by_texture(ratings).items()
         }
-        if strengths.separated:
+        within = document["strengths_within_textures"]
+        if apart := ["all textures"] * strengths.separated + [key for key, one in within.items() if one["separated"]]:
             cautions.append(
-                "a method was always, or never, chosen over others: half a win each way was added to every pair, and the "
-                "strengths are not the maximum of the likelihood, which has none"
+                f"{', '.join(apart)}: a method was always, or never, chosen over others: half a win each way was added to "
+                "every pair, and the strengths are not the maximum of the likelihood, which has none"
             )
         sentences = _sentences_of_strengths(ratings, document)
     else:
@@ -43,6 +54,13 @@ def analyse_choices(ratings: Ratings, reference: str | None, correction: str) ->
         }
         sentences = _sentences_of_sensitivity(ratings, overall)
     return Result(ratings, document, [minus(sentence) for sentence in sentences], cautions + of_trials(ratings))
+
+
+def _positions(ratings: Ratings) -> dict[str, float]:
+    """Share of trials in which each surface was chosen."""
+    names = CHOICES[ratings.task.kind]
+    counts = Counter(int(row["rating"]) for row in ratings.rows)
+    return {name: counts[k] / len(ratings.rows) for k, name in enumerate(names)}
 
 
 def _by_texture(ratings: Ratings) -> dict[str, list[dict[str, Any]]]:
@@ -143,7 +161,8 @@ def _sentences_of_strengths(ratings: Ratings, document: dict[str, Any]) -> list[
     if overall["p"] is not None:
         f = "" if overall["f"] is None else f"F({overall['df'][0]}, {overall['df'][1]}) = {overall['f']:.2f}, "
         sentences.append(f"That no method is preferred: {f}{p_text(overall['p'])} (Hotelling's T², by signs).")
-    return [*sentences, f"The strongest is {best['method']}."]
+    preferred = overall["p"] is not None and overall["p"] < ALPHA
+    return [*sentences, f"The strongest is {best['method']}." if preferred else "No method is shown to be preferred."]
 
 
 def _sentences_of_sensitivity(ratings: Ratings, overall: Sequence[dict[str, Any]]) -> list[str]:

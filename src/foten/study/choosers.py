@@ -9,12 +9,12 @@ import numpy as np
 
 from foten.study import raters
 from foten.study.choices import abx, abx_share, bradley_terry, oddity, oddity_share
-from foten.study.design import CHOICE, Design, repeats_of_new
+from foten.study.design import CHOICE, Design, Task, repeats_of_new
 from foten.study.orders import Trial, conditions, square
-from foten.study.raters import AIM, MIN_DIFFERENCE, PAPER_SD, Raters
+from foten.study.raters import AIM, MIN_DIFFERENCE, Raters
 from foten.study.statistics import ALPHA, Array, pairs
 from foten.study.store import Rated, Store
-from foten.study.thresholds import simulated_answers
+from foten.study.thresholds import simulated_answers, thresholds_of
 
 SHOWN = (4, 8, 12, 16, 21, 30, 40, 60)  # numbers of participants whose power is printed
 SHARE_RIGHT: dict[str, Callable[[Array], Array]] = {"abx": abx_share, "oddity": oddity_share}
@@ -27,7 +27,8 @@ EFFECTS = {
     "threshold": f"a difference of {DEFAULT_EFFECTS['threshold']:g} dB between two methods' thresholds",
 }
 THRESHOLD_SD_DB = 5.0  # of thresholds between people
-THRESHOLD_SPREAD_DB = 6.0  # with what 25 answers leave open, 3.3 dB
+CONDITION_SD_DB = 1.0  # and of each person's between conditions
+N_ERRORS = 200  # simulated, for what a search leaves open
 
 
 @dataclass(frozen=True)
@@ -123,18 +124,36 @@ def needed(
     return rows, next((n for n, row in zip(shown, rows, strict=True) if row["pair"] >= AIM), None)
 
 
+def threshold_raters(task: Task, methods: int, textures: int, effect: float, seed: int) -> raters.Raters:
+    """Raters whose ratings are thresholds [dB], with what a search of the task's answers leaves open, by simulated searches.
+
+    Those of the better method, or of one method's last texture, are lower by the effect; means are at the middle of the scale.
+    """
+    rng, middle = np.random.default_rng(seed), (task.low_db + task.high_db) / 2
+    error = thresholds_of(task, np.full(N_ERRORS, middle), rng).std()
+    own, shared = CONDITION_SD_DB**2 + error**2, THRESHOLD_SD_DB**2
+    a, b = (methods, textures) if methods > 1 else (textures, 1)
+    if a < 2:
+        raise ValueError("there is one method on one texture, expected two or more to compare")
+    means = np.full((a, b), 50.0)
+    means[-1] -= effect
+    return raters.Raters(means, float(np.sqrt(own + shared)), float(shared / (own + shared)), 0.0, 0.0)
+
+
 def participants_for(task: str, methods: int, textures: int) -> tuple[int, bool]:
     """Number of participants of a new study, in complete squares where these are small, and whether they find the effect of
     `EFFECTS` in `AIM` of studies.
     """
-    if task in ("rating", "threshold"):
-        effect = MIN_DIFFERENCE if task == "rating" else DEFAULT_EFFECTS[task]
-        sd = PAPER_SD if task == "rating" else THRESHOLD_SPREAD_DB
-        n = raters.needed(raters.raters_for(max(2, methods), textures, effect, sd), 300, 0)[1]
+    if task == "rating":
+        n = raters.needed(raters.raters_for(methods, textures, MIN_DIFFERENCE), 300, 0)[1]
+    elif task == "threshold":
+        if methods * textures < 2:
+            return 12, False
+        n = raters.needed(threshold_raters(Task(task), methods, textures, DEFAULT_EFFECTS[task], 0), 300, 0)[1]
     else:
         per_pair = textures * repeats_of_new(task, textures, methods)
         n = needed(Choosers(task, methods, DEFAULT_EFFECTS[task]), per_pair, 60, 0)[1]
-    many, cycle = n or 40, square(textures, len(conditions(task, methods)))
+    many, cycle = n or 40, square(textures, len(conditions(task, methods, repeats_of_new(task, textures, methods))))
     return (-(-many // cycle) * cycle if cycle <= 48 else many), n is not None
 
 
@@ -153,6 +172,10 @@ def simulate_study(
     ratings = [model.draw(rng, n) for _ in design.asked]
     choosers = Choosers(task.kind, n_methods, effect, better=better) if task.kind in ("paired", *SHARE_RIGHT) else None
     people = choosers.people(rng, n) if choosers is not None else np.zeros((n, 0))
+
+    def is_better(t: int, m: int) -> bool:
+        return m == better % n_methods if n_methods > 1 else t == n_textures - 1
+
     base = (task.low_db + task.high_db) / 2
     for i in range(n):
         number = store.join(f"SIM{i + 1:03d}")
@@ -161,7 +184,7 @@ def simulate_study(
         level = base + THRESHOLD_SD_DB * rng.standard_normal()
         tracks = {
             (t, m): iter(
-                simulated_answers(task, level - effect * (m == better % n_methods) + rng.standard_normal(), rng)
+                simulated_answers(task, level - effect * is_better(t, m) + CONDITION_SD_DB * rng.standard_normal(), rng)
             )
             for t in range(n_textures if task.kind == "threshold" else 0)
             for m in range(n_methods)

@@ -253,7 +253,7 @@ def power(
         None, help="Points that the last method is better by; by default the paper's effects where there are 4 × 12."
     ),
     sd: float | None = Option(
-        None, min=0.1, help="Of answers between raters: points, or dB of thresholds.", show_default="10.67, or 6 dB"
+        None, min=0.1, help="Standard deviation of ratings between raters (points).", show_default="10.67"
     ),
     correlation: Correlation = 0.3,
     effect: Effect = None,
@@ -273,31 +273,41 @@ def power(
     """
     from foten.recording.inspection.values import counted
     from foten.reporting.table import Table
-    from foten.study.choosers import DEFAULT_EFFECTS, THRESHOLD_SPREAD_DB
-    from foten.study.design import read_design
+    from foten.study.choosers import DEFAULT_EFFECTS, threshold_raters
+    from foten.study.design import Task, read_design
     from foten.study.raters import PAPER_SD, needed, paper_raters, raters_for
 
     if study is not None:
         refuse("is in the study file", methods=methods, textures=textures, task=task, repeats=repeats)
         design, _ = read_design(study)
         methods, textures = len(design.methods), len(design.textures)
-        task, repeats = design.task.kind, design.repeats
+        task, repeats, of_task = design.task.kind, design.repeats, design.task
+    else:
+        of_task = Task("threshold")
     methods, textures = methods or 4, textures or 12
-    if task == "threshold":
-        difference, sd = DEFAULT_EFFECTS[task] if effect is None else effect, sd or THRESHOLD_SPREAD_DB
-    elif task not in (None, "rating"):
+    if task in (None, "rating"):
+        pass
+    elif task == "threshold":
+        refuse("is of ratings", difference=difference, sd=sd)
+    else:
         _print_power_of_choices(task, methods, textures * (repeats or 1), effect, min(studies, 200), seed, as_json)
         return
-    if difference is None and (methods, textures) == (4, 12):
+    if task == "threshold":
+        db = DEFAULT_EFFECTS[task] if effect is None else effect
+        raters, of = (
+            threshold_raters(of_task, methods, textures, db, seed),
+            f"a difference of {db:g} dB between thresholds",
+        )
+    elif difference is None and (methods, textures) == (4, 12):
         raters, of = paper_raters(sd or PAPER_SD, correlation), "the paper's effects (Sec. VII)"
     else:
-        points, unit = 8.75 if difference is None else difference, "dB" if task == "threshold" else "points"
+        points = 8.75 if difference is None else difference
         raters = raters_for(methods, textures, points, sd or PAPER_SD, correlation)
-        of = f"a difference of {points:g} {unit.removesuffix('s') if points == 1 else unit}"
+        of = f"a difference of {points:g} point{'s' * (points != 1)}"
     table, smallest = needed(raters, studies, seed)
     cells = [[f"{row['participants']:.0f}", *(f"{share:.2f}" for share in list(row.values())[1:])] for row in table]
     sizes = f"{counted(methods, 'method')} × {counted(textures, 'texture')}"
-    rows = [f"{of}, {sizes}, sd {raters.sd:g}, correlation {correlation:g}, α = 0.05"]
+    rows = [f"{of}, {sizes}, sd {raters.sd:.3g}, correlation {raters.correlation:.2g}, α = 0.05"]
     rows += Table.of(table[0], cells).text()
     rows += [
         f"participants who find a pair in 80 % of studies: {'more than 60' if smallest is None else smallest}",
@@ -392,6 +402,7 @@ def strokes(
     database: Database,
     participant: Participant,
     trial: TrialNumber,
+    surface: int | None = Option(None, min=1, max=3, help="Which surface of the trial, where it has several."),
     output: Path = Option(..., "-o", "--output", metavar="S.csv", help="The table to write: t, x, y, pressure."),
 ) -> None:
     """Write how a participant stroked the virtual surface in a trial, as 'foten render --stroke' reads it.
@@ -400,14 +411,23 @@ def strokes(
     """
     import csv
 
+    import numpy as np
+
     from foten.atomic_write import atomic_write
     from foten.recording.inspection.values import counted
 
     check_files([output])
     with _store(database) as store:
-        events = store.strokes(participant, trial)
+        parts = [part for part in store.parts(participant, trial) if len(part.events)]
+    surfaces = sorted({part.interval + 1 for part in parts})
+    if surface is None and len(surfaces) > 1:
+        raise ValueError(f"surfaces {', '.join(map(str, surfaces))} were stroked in that trial: which one? --surface 1")
+    events = np.concatenate(
+        [np.zeros((0, 4)), *(part.events for part in parts if surface in (None, part.interval + 1))]
+    )
     if not len(events):
-        raise ValueError(f"there is no stroke of participant {participant} in trial {trial}")
+        of = "" if surface is None else f" on surface {surface}"
+        raise ValueError(f"there is no stroke of participant {participant} in trial {trial}{of}")
     with atomic_write(output) as part, part.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(("t", "x", "y", "pressure"))

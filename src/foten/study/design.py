@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import MISSING, dataclass, field, fields, replace
@@ -24,6 +25,14 @@ CHOICES = {"paired": ("A", "B"), "abx": ("A", "B"), "oddity": ("1", "2", "3"), "
 TASKS = ("rating", *CHOICES)
 FEEDBACK = ("none", "practice", "all")
 MEASURES = ("detection", "difference")
+KEYS = {  # of [task], beside kind, question and min_seconds
+    "rating": ("lowest", "highest"),
+    "paired": ("repeats",),
+    "abx": ("repeats", "feedback"),
+    "oddity": ("repeats", "feedback"),
+    "threshold": ("feedback", "measures", "answers", "low_db", "high_db"),
+}
+MAX_SCALES = 4  # that a page has room for
 CHOICE = "choice"  # key of an answer that is one of several
 QUESTIONS = {  # keys of words
     "paired": "which_nearer",
@@ -239,6 +248,11 @@ def _design(document: Mapping[str, Any], folder: Path) -> Design:
     task = parts["task"] = _worded(parts.get("task", Task()), language)
     design: Design = _filled(Design, tables, "the study", folder, **parts)
     _check(design)
+    if unused := sorted(document.get("task", {}).keys() - {"kind", "question", "min_seconds", *KEYS[task.kind]}):
+        known = ", ".join(["question", "min_seconds", *KEYS[task.kind]])
+        raise ValueError(
+            f"[task] has {unused[0]!r}, which the kind {task.kind} does not know, expected some of {known}"
+        )
     consent = filled(design.consent, minutes=design.minutes)
     key = "scales" if len(design.scales) > 1 else task.kind
     instructions = design.instructions or language.words.get(f"instructions_{key}", language.words["instructions"])
@@ -330,6 +344,10 @@ def _check(design: Design) -> None:
     _check_different(list(methods), "methods with one name")
     _check_different([question.key for question in design.questions], "questions with one key")
     _check_different([scale.key for scale in design.scales], "scales with one key")
+    if len(design.scales) > MAX_SCALES:
+        raise ValueError(f"there are {len(design.scales)} [[scales]], expected {MAX_SCALES} at most")
+    if wrong := [scale.key for scale in design.scales if not re.fullmatch("[A-Za-z][A-Za-z0-9_]*", scale.key)]:
+        raise ValueError(f"the key of a scale is {wrong[0]!r:.40}, expected letters, digits and _, a letter first")
     if design.scales and task.kind != "rating":
         raise ValueError(f"there are [[scales]], and the task is {task.kind}: they belong to the task rating")
     bounds: dict[str, tuple[float, float, float]] = {

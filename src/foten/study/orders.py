@@ -6,7 +6,6 @@ Source: Williams, Australian Journal of Scientific Research A 2, 149 (1949).
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import combinations
 from typing import Any
@@ -16,16 +15,13 @@ from numpy.typing import NDArray
 
 Rows = NDArray[np.int64]
 Condition = tuple[int, int | None]  # a method, and another one that it is compared with
-Presentation = tuple[bool, int]  # whether both methods change places, and the target
 
-# What a trial of each kind of task holds, as often as one another.
-PRESENTATIONS: dict[str, tuple[Presentation, ...]] = {
-    "rating": ((False, 0),),
-    "paired": ((False, 0), (True, 0)),
-    "abx": ((False, 0), (False, 1), (True, 0), (True, 1)),
-    "oddity": tuple((swapped, target) for swapped in (False, True) for target in range(3)),
-    "threshold": tuple((False, target) for target in range(3)),
-}
+SWAPPED = ("paired", "abx", "oddity")  # tasks that compare two methods: either is the first as often as the other
+N_TARGETS = {
+    "abx": 2,
+    "oddity": 3,
+    "threshold": 3,
+}  # places of what is right, drawn anew for each trial: nothing to count
 
 
 @dataclass(frozen=True)
@@ -62,7 +58,7 @@ def conditions(task: str, n_methods: int, repeats: int = 1) -> list[Condition]:
     """What a participant judges on each texture: methods, or pairs of them."""
     methods = range(n_methods)
     asked: list[Condition] = [(method, None) for method in methods]
-    if task in ("paired", "abx", "oddity"):
+    if task in SWAPPED:
         asked = [*combinations(methods, 2)]
     return repeats * asked
 
@@ -94,7 +90,7 @@ def orders(
         practice: how many trials come before, drawn from the same.
         order: "balanced", or "random" for a permutation drawn for each participant, as in Sec. VII. A threshold's answers come in
             rounds, each of all textures and methods in an order of its own.
-        task: one of `PRESENTATIONS`.
+        task: rating, paired, abx, oddity or threshold.
         repeats: how often each condition is asked; of a threshold, how many answers it takes.
     """
     rng, per_texture = np.random.default_rng(seed), conditions(task, n_methods, repeats)
@@ -110,25 +106,20 @@ def orders(
     result = []
     for indices in counted:
         drawn = rng.permutation(n_trials)[:practice].tolist()
-        decks: dict[Condition, Iterator[Presentation]] = {}
+        swaps: dict[Any, list[bool]] = {}
         trials = []
         for number, index in enumerate([*drawn, *indices], 1 - practice):
             texture, condition = divmod(index, n_conditions)
             method, other = per_texture[condition]
-            key = (texture, method) if task == "threshold" else (method, other)
-            swapped, target = next(decks.setdefault(key, _presentations(rng, task)))
-            if swapped and other is not None:
-                method, other = other, method
+            if other is not None:
+                deck = swaps.setdefault((number < 1, method, other), [])  # practice has its own
+                if not deck:
+                    deck += [bool(i) for i in rng.permutation(2)]
+                method, other = (other, method) if deck.pop() else (method, other)
+            target = int(rng.integers(N_TARGETS[task])) if task in N_TARGETS else 0
             trials.append(Trial(number, texture, method, other, target))
         result.append(trials)
     return result
-
-
-def _presentations(rng: np.random.Generator, task: str) -> Iterator[Presentation]:
-    """Presentations of a kind of task without end, each as often as the others, in an order that is drawn."""
-    deck = PRESENTATIONS[task]
-    while True:
-        yield from (deck[i] for i in (rng.permutation(len(deck)) if len(deck) > 1 else (0,)))
 
 
 def _balanced(rng: np.random.Generator, n: int, textures: int, methods: int) -> list[list[int]]:
@@ -182,8 +173,8 @@ def balance(
     orders: list[list[Trial]], n_textures: int, n_methods: int, task: str = "rating"
 ) -> dict[str, tuple[int, int]]:
     """Smallest and largest count of a texture's method in a round, of a texture at a place of a round, and of a texture behind
-    another one within a round; of tasks that compare, how often each method is shown first, and how often each interval is the
-    other one, in the place of the method's round.
+    another one within a round; of other tasks than ratings, how often each method is shown first and each answer is right,
+    instead of the method's round.
     """
     counted = [[trial for trial in trials if not trial.practice] for trials in orders]
     # (participants, rounds, places).
@@ -200,6 +191,7 @@ def balance(
         named["method in round"] = rounds
     else:
         named["method first"] = np.bincount(methods.ravel(), minlength=n_methods)
+    if task in N_TARGETS:
         targets = [trial.target for trials in counted for trial in trials]
-        named["target"] = np.bincount(targets, minlength=1 + max(target for _, target in PRESENTATIONS[task]))
+        named["right answer"] = np.bincount(targets, minlength=N_TARGETS[task])
     return {name: (int(counts.min()), int(counts.max())) for name, counts in named.items() if counts.size}

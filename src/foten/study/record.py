@@ -10,7 +10,7 @@ import io
 import json
 import re
 import zipfile
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -21,9 +21,12 @@ from foten import __version__
 from foten.atomic_write import atomic_write
 from foten.recording.inspection.values import counted
 from foten.study.analysis import Ratings, read_ratings
-from foten.study.report import SUMMARY, dictionary_of, participants_frame, rows_of
-from foten.study.session import MAX_APART_S
-from foten.study.store import Store
+from foten.study.design import CHOICES, task_of
+from foten.study.orders import N_TARGETS, Trial
+from foten.study.report import OF_THRESHOLDS, SUMMARY, dictionary_of, participants_frame, rows_of
+from foten.study.schema import Stimulus
+from foten.study.session import INTERVALS, MAX_APART_S
+from foten.study.store import Store, Stroked
 
 BIDS_VERSION = "1.9.0"
 ANSWERS = (  # columns of the answers that are not private, meaning, unit
@@ -45,9 +48,14 @@ EVENTS = {
     ),
     "trial": ("number of the trial; 0 and below are practice", ""),
     "texture": ("key of the texture", ""),
-    "surface": ("of a contact or switch: which surface", ""),
+    "method": ("key of the method; of several surfaces that of the first, or of both that are alike", ""),
+    "other": ("key of the method that it is compared with", ""),
+    "target": ("which surface would have been right", ""),
+    "level_db": ("of an answer to a threshold: the level that was played", "dB"),
+    "surface": ("of a contact or switch: which surface, virtual where there is one, or real", ""),
     "scale": ("of an answer: key of the scale, or choice", ""),
-    "value": ("of an answer: rating, or number of the chosen surface from 0", ""),
+    "value": ("of an answer: the rating, or the chosen surface", ""),
+    "right": ("of an answer: 1 where it was right", ""),
 }
 
 
@@ -75,6 +83,11 @@ def psych_ds(store: Store) -> dict[str, str]:
         frames[f"{name}_description-participants_data.csv"] = participants_frame(ratings)
         variables |= {column: (meaning, unit) for column, meaning, unit in ANSWERS}
         variables |= {column: (OF_SUMMARY[column], "") for column in SUMMARY if column in OF_SUMMARY}
+    if ratings.thresholds:
+        frames[f"{name}_description-thresholds_data.csv"] = pandas.DataFrame(ratings.thresholds)
+        variables |= {
+            column: (meaning, unit) for column, meaning, unit in OF_THRESHOLDS if column in ratings.thresholds[0]
+        }
     description = {
         "@context": "https://schema.org",
         "@type": "Dataset",
@@ -145,33 +158,31 @@ def _description(ratings: Ratings) -> str:
 def events_of(store: Store, participant: int) -> list[dict[str, Any]]:
     """Events of a participant in the order of time, each by the columns of `EVENTS`."""
     stimuli, trials = store.stimuli(), {trial.number: trial for trial in store.trials(participant)}
+    kind = task_of(str(store.study["design"]))[0].kind
+    names, choices = INTERVALS[kind] or ("virtual",), CHOICES.get(kind, ())
     events: list[dict[str, Any]] = []
     answered: dict[int, float] = {}
     for row in store.moments(participant, "ratings"):
         answered[row["trial"]] = row["at_s"]
-        events.append(
-            {
-                "at": row["at_s"],
-                "trial_type": "answer",
-                "trial": row["trial"],
-                "scale": row["scale"],
-                "value": row["rating"],
-            }
-        )
+        answer = {"at": row["at_s"], "trial_type": "answer", "trial": row["trial"], "scale": row["scale"]}
+        answer["value"] = choices[int(row["rating"])] if choices else row["rating"]
+        if kind in N_TARGETS:
+            answer["right"] = int(row["rating"] == trials[row["trial"]].target)
+        events.append({**answer, "level_db": json.loads(row["measured"]).get("level_db")})
     for row in store.moments(participant, "switches"):
-        events.append({"at": row["at_s"], "trial_type": "switch", "trial": row["trial"], "surface": row["side"]})
+        surface = row["side"].removeprefix("virtual ")
+        events.append({"at": row["at_s"], "trial_type": "switch", "trial": row["trial"], "surface": surface})
     for row in store.moments(participant, "shown"):
-        until = answered.get(row["trial"], row["at_s"])
-        duration = max(0.0, until - row["at_s"])
+        duration = max(0.0, answered.get(row["trial"], row["at_s"]) - row["at_s"])
         events.append({"at": row["at_s"], "duration": duration, "trial_type": "trial", "trial": row["trial"]})
     for number in sorted(trials):
-        for at, duration, interval in _contacts(store, participant, number):
+        for at, duration, interval in _contacts(store.timed_parts(participant, number)):
             contact = {
                 "at": at,
                 "duration": duration,
                 "trial_type": "contact",
                 "trial": number,
-                "surface": interval + 1,
+                "surface": names[interval],
             }
             events.append(contact)
     events.sort(key=lambda event: event["at"])
@@ -183,33 +194,44 @@ def events_of(store: Store, participant: int) -> list[dict[str, Any]]:
             "duration": 0.0,
             **event,
             "onset": event["at"] - begin,
-            "texture": stimuli[trials[event["trial"]].texture, 0].texture_key,
+            **_conditions(stimuli, trials[event["trial"]], choices, kind),
         }
         for event in events
     ]
 
 
-def _contacts(store: Store, participant: int, trial: int) -> list[tuple[float, float, int]]:
+def _conditions(
+    stimuli: Mapping[tuple[int, int], Stimulus], trial: Trial, choices: Sequence[str], kind: str
+) -> dict[str, Any]:
+    """What a trial compared."""
+    shown = stimuli[trial.texture, trial.method]
+    other = None if trial.other is None else stimuli[trial.texture, trial.other].method_key
+    target = choices[trial.target] if kind in N_TARGETS else None
+    return {"texture": shown.texture_key, "method": shown.method_key, "other": other, "target": target}
+
+
+def _contacts(timed: Sequence[tuple[Stroked, float]]) -> list[tuple[float, float, int]]:
     """Contacts of a trial: system time of its begin [s], how long it lasted [s], and the number of the surface."""
-    parts = [(part, at) for part, at in store.timed_parts(participant, trial) if len(part.events)]
+    parts = [(part, at) for part, at in timed if len(part.events)]
     if not parts:
         return []
-    # A part is stored at its last event or later: the clocks differ by the least of all.
-    offset = min(at - float(part.events[-1, 3]) for part, at in parts)
-    contacts: list[tuple[float, float, int]] = []
-    for part, _ in parts:
-        times, down = part.events[:, 3], part.events[:, 2] > 0
-        apart = np.diff(times, prepend=-np.inf)
-        starts = down & ~(np.append(False, down[:-1]) & (apart <= MAX_APART_S) & (apart >= 0))
-        for begin in np.flatnonzero(starts):
-            end = begin
-            while end + 1 < len(times) and down[end] and 0 <= times[end + 1] - times[end] <= MAX_APART_S:
-                end += 1
-            at, last = offset + float(times[begin]), contacts[-1] if contacts else None
-            if last and last[2] == part.interval and 0 <= at - last[0] - last[1] <= MAX_APART_S:
-                contacts[-1] = last[0], at + float(times[end] - times[begin]) - last[0], part.interval
-            else:
-                contacts.append((at, float(times[end] - times[begin]), part.interval))
+    interval = np.concatenate([np.full(len(part.events), part.interval) for part, _ in parts])
+    events = np.concatenate([part.events for part, _ in parts])
+    stored = np.concatenate([np.full(len(part.events), at) for part, at in parts])
+    times, down = events[:, 3], events[:, 2] > 0
+    step = np.diff(times, prepend=times[0])
+    clock = np.cumsum(step < 0)  # a page that was loaded again begins to count anew
+    # An event is stored when it comes or later: the clocks differ by the least of all.
+    offset = np.array([(stored - times)[clock == k].min() for k in range(clock[-1] + 1)])
+    goes_on = np.append(
+        False, down[:-1] & (interval[1:] == interval[:-1]) & (step[1:] >= 0) & (step[1:] <= MAX_APART_S)
+    )
+    begins = np.flatnonzero(down & ~goes_on)
+    contacts = []
+    for begin, limit in zip(begins, [*begins[1:], len(times)], strict=True):
+        end = begin + int(np.argmin(np.append(goes_on[begin + 1 : limit], False)))
+        at = float(offset[clock[begin]] + times[begin])
+        contacts.append((at, float(times[end] - times[begin]), int(interval[begin])))
     return contacts
 
 

@@ -39,6 +39,15 @@ SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 WITHIN = "Tests within textures"
 SUMMARY = ["question", "n", "mean", "sd", "answer", "count"]  # of what participants say of themselves
 STYLE = Path(__file__).with_name("report.css")
+LEVEL = "of the target: re recorded, with the gain that matches methods, at a volume of 0 dB; or of the increment re the others"
+OF_THRESHOLDS = (  # columns of thresholds.csv, meaning, unit
+    ("threshold_db", "level that is just felt, at a volume of 0 dB; or the increment that is just noticeable", "dB"),
+    ("sd_db", "standard deviation of what is known of it", "dB"),
+    ("n_answers", "answers that it is of", ""),
+    ("reached", "1 where it lies within the levels that were played", ""),
+    ("difference_db", "difference in level that the increment makes", "dB"),
+    ("volume_range_db", "by how much the volume was changed meanwhile", "dB"),
+)
 DICTIONARY = (  # columns of ratings.csv, meaning, unit, and of which tasks; of all where there is none
     ("participant", "number of the participant", "", ()),
     ("trial", "in which order it was answered, from 1", "", ()),
@@ -51,12 +60,7 @@ DICTIONARY = (  # columns of ratings.csv, meaning, unit, and of which tasks; of 
     ("chosen", "key of its method", "", ("paired",)),
     ("target", "which surface would have been right", "", ("abx", "oddity", "threshold")),
     ("right", "1 where it was chosen", "", ("abx", "oddity", "threshold")),
-    (
-        "level_db",
-        "level that was played: of the vibration re recorded, or of the increment re the pedestal",
-        "dB",
-        ("threshold",),
-    ),
+    ("level_db", LEVEL, "dB", ("threshold",)),
     ("response_s", "from when the trial was shown to the answer", "s", ()),
     ("switches", "how often the hand went over to another surface", "", ()),
     ("corrected", "1 where a correction holds, and not the first answer", "", ()),
@@ -66,6 +70,8 @@ DICTIONARY = (  # columns of ratings.csv, meaning, unit, and of which tasks; of 
     ("contact_s_3", "the pen on surface 3", "s", ("abx", "oddity", "threshold")),
     *((f"speed_mm_s_p{p}", f"{p}th percentile of the speed while in contact", "mm/s", ()) for p in (10, 50, 90)),
     *((f"force_n_p{p}", f"{p}th percentile of the force while in contact", "N", ()) for p in (10, 50, 90)),
+    ("volume_db", "volume that was set on the page, 0 as a study begins", "dB", ()),
+    ("rate_hz", "rate of the page's sound", "Hz", ()),
     ("block_p99_ms", "99 % of blocks were rendered within", "ms", ()),
     ("n_missed", "blocks that came late", "", ()),
     ("n_underruns", "times that the sound had nothing to play", "", ()),
@@ -87,7 +93,7 @@ def write_report(results: Sequence[Result], folder: Path) -> list[Path]:
             for form in ("png", "pdf"):
                 paths.append(folder / f"{name}{_suffix(result, results)}.{form}")
                 write_figure(figure, paths[-1], dpi=150)
-            letters = "".join(filter(str.isalpha, f"{name}{_suffix(result, results)}"))
+            letters = name + "abcd"[len(svgs) - 1]
             svgs[-1][name] = inline_svg(figure, letters, description)
     document = {
         name: value for name, value in results[0].document.items() if name in ("title", "simulated", "software", "task")
@@ -121,8 +127,11 @@ def write_data(every: Sequence[Ratings], folder: Path) -> list[Path]:
         wide.insert(1, "simulated", 1)
     answers = pandas.DataFrame(ratings.answers, columns=["participant", "question", "answer", "at"])
     marked = {"answers.csv": answers, "participants.csv": participants_frame(ratings)}
+    if ratings.thresholds:
+        marked["thresholds.csv"] = pandas.DataFrame(ratings.thresholds)
+        columns = columns + [column for column in OF_THRESHOLDS if column[0] in ratings.thresholds[0]]
     frames = {
-        "ratings.csv": pandas.DataFrame(rows, columns=[name for name, *_ in columns]),
+        "ratings.csv": pandas.DataFrame(rows, columns=[name for name, *_ in dictionary_of(ratings)]),
         "ratings-wide.csv": wide,
         "dictionary.csv": pandas.DataFrame(columns, columns=["column", "meaning", "unit"]),
         **{name: frame.assign(simulated=int(ratings.simulated)) for name, frame in marked.items()},
@@ -227,7 +236,8 @@ def _tables(result: Result) -> list[Table]:
         ]
     if "sensitivity" in document:
         return [_tests("Pairs", document["sensitivity"], OF_SENSITIVITY, "pairs.csv")]
-    means = _table(_title(result), [row for row in document["means"] if row["texture"] is None], OF_MEANS)
+    heads = {**OF_MEANS, "method": result.ratings.factor}
+    means = _table(_title(result), [row for row in document["means"] if row["texture"] is None], heads)
     return [means, *_tables_of_tests(result)] if "anova_one_way" in document else [means]
 
 
@@ -240,7 +250,8 @@ def _tables_of_tests(result: Result) -> list[Table]:
     document, several = result.document, len(result.ratings.textures) > 1
     across = ", averaged across textures" if several else ""
     (one_way,) = document["anova_one_way"]
-    effects = [{**one_way, "name": "method, averaged" if several else "method"}, *document["anova_two_way"]]
+    effects = [{**one_way, "name": "method, averaged" if several else one_way["name"]}, *document["anova_two_way"]]
+    what = "ratings" if result.ratings.task.kind == "rating" else "thresholds"
     tables = [
         _table("Analyses of variance", effects, OF_VARIANCE),
         _tests(f"Pairs{across}", document["pairs_overall"], OF_PAIRS, "pairs.csv"),
@@ -248,7 +259,7 @@ def _tables_of_tests(result: Result) -> list[Table]:
     ]
     model, agreement = document["mixed_model"], document["reliability"]
     if model is not None:
-        tables.append(_table(f"Linear mixed model of all {model['n_ratings']} ratings", model["terms"], OF_MIXED))
+        tables.append(_table(f"Linear mixed model of all {model['n_ratings']} {what}", model["terms"], OF_MIXED))
     icc = [
         {"of": "of one rater, ICC(2,1)", "value": agreement["icc_single"]},
         {"of": "of the mean of all, ICC(2,k)", "value": agreement["icc_mean"]},

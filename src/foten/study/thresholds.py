@@ -39,9 +39,9 @@ def noticeable_db(increment_db: float) -> float:
     return float(20 * np.log10(1 + 10 ** (increment_db / 20)))
 
 
-def reported_db(task: Task, level_db: float) -> float:
-    """Threshold as it is reported [dB]: the level that is just felt, or the difference that is just noticeable."""
-    return level_db if task.measures == "detection" else noticeable_db(level_db)
+def is_reached(task: Task, search: LevelSearch) -> bool:
+    """Whether a threshold lies within the levels that were played, by two standard deviations of what is known of it."""
+    return task.low_db + 2 * search.sd < search.point < task.high_db - 2 * search.sd
 
 
 def simulated_answers(task: Task, threshold_db: float, rng: np.random.Generator) -> list[tuple[float, bool]]:
@@ -58,4 +58,4 @@ def simulated_answers(task: Task, threshold_db: float, rng: np.random.Generator)
 def thresholds_of(task: Task, true_db: Array, rng: np.random.Generator) -> Array:
     """Thresholds [dB] that are measured with people whose true ones are some, of any shape."""
     measured = [level_search(task, simulated_answers(task, true, rng)).point for true in true_db.ravel()]
-    return np.reshape([reported_db(task, level) for level in measured], true_db.shape)
+    return np.reshape(measured, true_db.shape)
