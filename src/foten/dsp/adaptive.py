@@ -87,6 +87,7 @@ class LevelSearch:
         grid = np.array(list(product(np.arange(low, high + above_db + 0.5, 1.0), answers.slopes, LAPSES)))
         self._point, slope, lapse = grid.T
         self._yes = np.stack([answers(level, self._point, slope, lapse) for level in self.levels])  # (levels, θ)
+        self._spread = _entropy(self._yes)  # of an answer by someone who is known
         prior = np.ones(len(grid))
         if expected is not None:
             prior = np.exp(-0.5 * np.square((self._point - expected[0]) / expected[1]))
@@ -105,7 +106,7 @@ class LevelSearch:
 
     def stimulus(self) -> float:
         """The level that tells most [dB]."""
-        return float(self.levels[np.argmax(_information(self._yes, self._posterior))])
+        return float(self.levels[np.argmax(_entropy(self._yes @ self._posterior) - self._spread @ self._posterior)])
 
     def answer(self, level: float, yes: bool) -> None:
         """Take in an answer to a level of `levels`."""
