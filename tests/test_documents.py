@@ -84,6 +84,9 @@ def serves(folder: Path, *command: str | Path) -> None:
         process.communicate(timeout=30)
 
 
+LONG = ("capture", "recordings")  # minutes of training; their commands are run at night
+
+
 def runnable(page: Path, slow: bool) -> list[Block]:
     some = [
         block for block in blocks(page) if block.language in ("sh", "python") and not block.about.startswith("not run")
@@ -91,7 +94,9 @@ def runnable(page: Path, slow: bool) -> list[Block]:
     return [block for block in some if (block.about == "slow") == slow]
 
 
-@pytest.mark.parametrize("page", TUTORIALS, ids=[page.stem for page in TUTORIALS])
+@pytest.mark.parametrize(
+    "page", [pytest.param(page, id=page.stem, marks=[pytest.mark.slow] * (page.stem in LONG)) for page in TUTORIALS]
+)
 def test_every_command_of_a_tutorial_runs(page: Path, tmp_path: Path) -> None:
     for block in runnable(page, slow=False):
         run(block, tmp_path)

@@ -120,6 +120,7 @@ def test_the_area_is_the_share_of_pairs() -> None:
     assert area_under_curve(np.zeros(3), np.ones(4)) == 1.0
 
 
+@pytest.mark.slow
 def test_the_same_seed_gives_the_same_area_whatever_was_drawn_before() -> None:
     import torch
 

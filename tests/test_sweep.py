@@ -68,6 +68,7 @@ def records(swept: Path) -> list[dict]:
     return read_records(swept)
 
 
+@pytest.mark.slow
 def test_a_sweep_that_a_queue_ends_says_what_is_done(tmp_path: Path) -> None:
     """SIGTERM once a run is done: one line more, no trace of Ray's, the status of Ctrl-C, and no part of a file."""
     long = '{model = "foten", name = "long", train = {epochs = 10000}}'
