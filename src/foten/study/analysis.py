@@ -428,7 +428,9 @@ def _sentences(
         sentences.append(f"Agreement: ICC(2,1) = {agree['icc_single']:.2f}, ICC(2,k) = {agree['icc_mean']:.2f}.")
     overall = [row for row in document["means"] if row["texture"] is None]
     if len(overall) > 1:
-        sentences.append(f"The highest mean is that of {max(overall, key=lambda row: row['mean'])['method']}.")
+        ends = {"highest mean": max, "lowest threshold": min}
+        name = "highest mean" if ratings.task.kind == "rating" else "lowest threshold"
+        sentences.append(f"The {name} is that of {ends[name](overall, key=lambda row: row['mean'])['method']}.")
     return sentences
 
 

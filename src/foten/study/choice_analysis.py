@@ -160,7 +160,9 @@ def _sentences_of_strengths(ratings: Ratings, document: dict[str, Any]) -> list[
     ]
     if overall["p"] is not None:
         f = "" if overall["f"] is None else f"F({overall['df'][0]}, {overall['df'][1]}) = {overall['f']:.2f}, "
-        sentences.append(f"That no method is preferred: {f}{p_text(overall['p'])} (Hotelling's T², by signs).")
+        sentences.append(
+            f"Hypothesis that no method is preferred: {f}{p_text(overall['p'])} (Hotelling's T², by signs)."
+        )
     preferred = overall["p"] is not None and overall["p"] < ALPHA
     return [*sentences, f"The strongest is {best['method']}." if preferred else "No method is shown to be preferred."]
 
