@@ -39,6 +39,7 @@ MIN_CORRELATED = 4  # conditions: of two a correlation is 1 or −1
 MIN_COMPLETE = 3  # participants
 MIN_ANSWERS = 8  # of a threshold
 CORRECTIONS = {"bonferroni": "Bonferroni", "holm": "Holm"}  # of many tests: the paper's, and one of more power
+UNITS = {"detection": "dB re recorded", "difference": "dB re the other surfaces"}
 QUANTITIES = {"detection": "threshold of detection", "difference": "just noticeable increment"}
 NULL_STUDIES, NULL_SEED = 1000, 0
 NULL_AT_ONCE = 50  # studies in memory
@@ -166,7 +167,7 @@ def read_ratings(store: Store) -> list[Ratings]:
         for one in thresholds:
             place = numbers.index(one["participant"]), methods.index(one["method"]), textures.index(one["texture"])
             values[place] = one["threshold_db"]
-        quantity = QUANTITIES[task.measures], "dB"
+        quantity = QUANTITIES[task.measures], UNITS[task.measures]
         found = Ratings(*study, *quantity, *names, rows, numbers, methods, values, complete, *beside)
         return [replace(found, thresholds=thresholds)]
     compared = pairs(len(methods))

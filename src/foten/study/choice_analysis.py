@@ -161,7 +161,7 @@ def _sentences_of_strengths(ratings: Ratings, document: dict[str, Any]) -> list[
     if overall["p"] is not None:
         f = "" if overall["f"] is None else f"F({overall['df'][0]}, {overall['df'][1]}) = {overall['f']:.2f}, "
         sentences.append(
-            f"Hypothesis that no method is preferred: {f}{p_text(overall['p'])} (Hotelling's T², by signs)."
+            f"Hypothesis that no method is preferred: {f}{p_text(overall['p'])} (Hotelling's T²; p by participants' signs)."
         )
     preferred = overall["p"] is not None and overall["p"] < ALPHA
     return [*sentences, f"The strongest is {best['method']}." if preferred else "No method is shown to be preferred."]
@@ -169,11 +169,15 @@ def _sentences_of_strengths(ratings: Ratings, document: dict[str, Any]) -> list[
 
 def _sentences_of_sensitivity(ratings: Ratings, overall: Sequence[dict[str, Any]]) -> list[str]:
     name = "ABX" if ratings.task.kind == "abx" else "the three-interval oddity task"
-    sentences = [f"{_who(ratings, 'were to tell apart')}, by {name} ({len(ratings.rows)} answers)."]
+    sentences = [
+        f"{_who(ratings, 'were to tell apart')}, by {name} ({len(ratings.rows)} answers). "
+        "d′ is by the differencing model, of all answers together, with 95 % intervals over participants."
+    ]
     for row in overall:
         sentences.append(
-            f"{row['pair'][0]} and {row['pair'][1]}: {100 * row['share']:.0f} % right of {row['n_trials']:.0f}, "
-            f"d′ = {row['d_prime']:.2f}{_ends(row)}, {p_text(row['p_holm'])} (Holm) that nobody can tell."
+            f"{row['pair'][0]} and {row['pair'][1]}: {100 * row['share']:.0f} % right of {row['n_trials']:.0f} answers "
+            f"({100 * CHANCE[ratings.task.kind]:.0f} % by chance), d′ = {row['d_prime']:.2f}{_ends(row)}; "
+            f"exact one-sided test against chance, {p_text(row['p_holm'])}{' (Holm)' * (len(overall) > 1)}."
         )
     return sentences
 

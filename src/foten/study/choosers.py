@@ -140,21 +140,21 @@ def threshold_raters(task: Task, methods: int, textures: int, effect: float, see
     return raters.Raters(means, float(np.sqrt(own + shared)), float(shared / (own + shared)), 0.0, 0.0)
 
 
-def participants_for(task: str, methods: int, textures: int) -> tuple[int, bool]:
-    """Number of participants of a new study, in complete squares where these are small, and whether they find the effect of
-    `EFFECTS` in `AIM` of studies.
+def participants_for(task: str, methods: int, textures: int) -> tuple[int, int | None]:
+    """Number of participants of a new study, in complete squares where these are small, and how many find the effect of `EFFECTS`
+    in `AIM` of studies, if 60 do.
     """
     if task == "rating":
         n = raters.needed(raters.raters_for(methods, textures, MIN_DIFFERENCE), 300, 0)[1]
     elif task == "threshold":
         if methods * textures < 2:
-            return 12, False
+            return 12, None
         n = raters.needed(threshold_raters(Task(task), methods, textures, DEFAULT_EFFECTS[task], 0), 300, 0)[1]
     else:
         per_pair = textures * repeats_of_new(task, textures, methods)
         n = needed(Choosers(task, methods, DEFAULT_EFFECTS[task]), per_pair, 60, 0)[1]
     many, cycle = n or 40, square(textures, len(conditions(task, methods, repeats_of_new(task, textures, methods))))
-    return (-(-many // cycle) * cycle if cycle <= 48 else many), n is not None
+    return (-(-many // cycle) * cycle if cycle <= 48 else many), n
 
 
 def simulate_study(

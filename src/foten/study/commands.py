@@ -41,7 +41,7 @@ def new(
     textures: list[Path] = Argument(
         ..., metavar="T.foten…", help="Texture files: two methods or more of each texture."
     ),
-    title: str | None = Option(None, help="Shown to participants.", show_default="How similar are these surfaces?"),
+    title: str | None = Option(None, help="Shown to participants.", show_default="the question"),
     task: str = Option("rating", help="What a trial asks: rating, paired, abx, oddity or threshold."),
     language: str = Option("en", help="Of all that participants read: en, de, fr, es, ja, ko or zh."),
     participants: int | None = Option(
@@ -56,7 +56,7 @@ def new(
     from foten.atomic_write import atomic_write
     from foten.recording.inspection.values import counted
     from foten.study.choosers import EFFECTS, participants_for
-    from foten.study.design import TASKS, files_by_method, study_text
+    from foten.study.design import QUESTIONS, TASKS, files_by_method, study_text
     from foten.study.languages import read_language
 
     if task not in TASKS:
@@ -64,16 +64,18 @@ def new(
     check_files([output])
     if output.exists():
         raise ValueError(f"{output} is there already: edit it, or give another name")
-    title = title or read_language(language).new["title"]
+    texts = read_language(language)
+    key = QUESTIONS.get("detection" if task == "threshold" else task)
+    title = title or (texts.new["title"] if key is None else texts.words[key])
     files, doubts = files_by_method(textures, output.parent, 1 if task == "threshold" else 2)
     for doubt in doubts:
         say(doubt)
     methods = len(next(iter(files.values())))
     if participants is None:
-        participants, is_enough = participants_for(task, methods, len(files))
-        share = "80 %" if is_enough else "less than 80 %"
-        why = f"{EFFECTS[task]} is found in {share} of studies of that size"
-        say(f"{counted(participants, 'participant')}: {why}; foten study power says more")
+        participants, enough = participants_for(task, methods, len(files))
+        found = f"{enough or 'more than 60'} find {EFFECTS[task]} in 80 % of studies"
+        squares = "" if enough is None or enough == participants else f"; {participants} make whole squares of orders"
+        say(f"{counted(participants, 'participant')}: {found}{squares}; foten study power says more")
     with atomic_write(output) as part:
         part.write_text(study_text(title, files, participants, seed, language, task), encoding="utf-8")
     sizes = f"{counted(len(files), 'texture')} × {counted(methods, 'method')}"

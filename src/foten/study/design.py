@@ -429,7 +429,8 @@ def study_text(
         "instructions": instructions,
         "consent": texts.new["consent"],
     }
-    return Template(TEMPLATE.read_text(encoding="utf-8")).substitute(values) + "\n".join(lines) + "\n"
+    text = Template(TEMPLATE.read_text(encoding="utf-8")).substitute(values) + "\n".join(lines) + "\n"
+    return text if task in ("rating", "paired") else re.sub("^real_.*\n", "", text, flags=re.M)
 
 
 def titled(name: str) -> str:

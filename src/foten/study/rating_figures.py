@@ -131,10 +131,10 @@ def panels(result: Result) -> Figure:
     x = np.arange(len(methods))
     for t, axes in enumerate(grid):
         ratings = result.ratings.values[:, :, t]
-        axes.plot(x, ratings.T, color=PAGE.ink, alpha=0.18, lw=0.8)
+        axes.plot(x, ratings.T, color=PAGE.ink, alpha=0.18, lw=0.8, marker="o" if len(x) == 1 else None)
         axes.plot(x, np.nanmean(ratings, 0), color=COLOURS[0], lw=2, marker="o", ms=5)
         axes.set_xticks(x, methods, fontsize=8, rotation=30 if len(methods) > 3 else 0)
-        if result.ratings.unit != "dB":
+        if not result.ratings.unit.startswith("dB"):
             axes.set_ylim(-3, 103)
     if "sensitivity" in result.document:
         for axes in grid:

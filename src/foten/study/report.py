@@ -31,12 +31,19 @@ OF_VARIANCE |= {"partial_eta2": "η² partial", "generalised_eta2": "η² genera
 OF_MIXED = {"name": "effect", "f": "F", "df": "df", "p": "p"}
 MARK = "Simulated ratings: of a model of raters, and not of people."
 OF_STRENGTHS = {"method": "method", "log_odds": "log-odds", "ci95": CI}
-OF_CHOICES = {"pair": "pair", "share": "first chosen [%]", "difference": "difference of log-odds", "ci95": CI, "t": "t"}
+OF_CHOICES = {
+    "pair": "pair",
+    "share": "wins of the first named [%]",
+    "difference": "difference of log-odds",
+    "ci95": CI,
+    "t": "t",
+}
 OF_CHOICES |= {"p_bonferroni": "p Bonferroni", "p_holm": "p Holm"}
 OF_SENSITIVITY = {"pair": "pair", "n_trials": "trials", "share": "right [%]", "d_prime": "d′", "ci95": CI}
 OF_SENSITIVITY |= {"p_bonferroni": "p Bonferroni", "p_holm": "p Holm"}
 SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 WITHIN = "Tests within textures"
+MIN_SUMMED = 3  # private answers: of one alone the mean is the answer
 SUMMARY = ["question", "n", "mean", "sd", "answer", "count"]  # of what participants say of themselves
 STYLE = Path(__file__).with_name("report.css")
 LEVEL = "of the target: re recorded, with the gain that matches methods, at a volume of 0 dB; or of the increment re the others"
@@ -202,13 +209,17 @@ def _tests_by_texture(result: Result) -> dict[str, list[dict[str, Any]]]:
 
 
 def participants_frame(ratings: Ratings) -> pandas.DataFrame:
-    """Summary of the private answers: a row for a question that has numbers, else a row for each answer."""
+    """Summary of the private answers: a row for a question that has numbers, else a row for each answer; of fewer than
+    `MIN_SUMMED` people only how many.
+    """
     abouts = pandas.DataFrame(ratings.abouts, columns=["question", "answer"], dtype=str)
     abouts["answer"] = abouts["answer"].str.split().str.join(" ")
     rows: list[dict[str, Any]] = []
     for question, answers in abouts[abouts["answer"] != ""].groupby("question", sort=False)["answer"]:
         of_question, numbers = {"question": question, "n": len(answers)}, pandas.to_numeric(answers, errors="coerce")
-        if np.isfinite(numbers).all():
+        if len(answers) < MIN_SUMMED:
+            rows.append(of_question)
+        elif np.isfinite(numbers).all():
             rows.append({**of_question, "mean": numbers.mean(), "sd": numbers.std()})
         else:
             rows += [{**of_question, "answer": answer, "count": n} for answer, n in answers.value_counts().items()]
