@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 pytest.importorskip("starlette")
 pytest.importorskip("statsmodels")
@@ -29,7 +30,9 @@ from foten.models.texture_file import read_texture, write_texture
 from foten.runtime.renderer import EXAMPLE
 from foten.runtime.stylus import PressureCalibration
 from foten.studio.access import LOOPBACK, Access, Admitted, access_to
+from foten.studio.messages import MAX_EVENTS
 from foten.studio.websocket import MAX_WAITING_BLOCKS, MAX_WAITING_TEXTS
+from foten.study import session as session_module
 from foten.study import store as store_module
 from foten.study.design import study_text, titled
 from foten.study.languages import read_language
@@ -396,6 +399,39 @@ def test_events_that_are_sent_again_have_the_speed_and_force_of_a_stroke_and_no_
     events[32:, 3] += 86_400.0
     assert len(conditions_of(events, EXAMPLE.read_bytes(), PressureCalibration())) < 120
     assert len(conditions_of(events[::-1], EXAMPLE.read_bytes(), PressureCalibration())) == 1
+
+
+def sent_again(page: Page, events: NDArray[np.float64]) -> None:
+    """Send events (n, 4) as a page does that comes back."""
+    for i in range(0, len(events), MAX_EVENTS):
+        page.socket.send_bytes(b"m\0" + events[i : i + MAX_EVENTS].tobytes())
+
+
+def outage(n: int) -> NDArray[np.float64]:
+    """Events of a pen at 240 a second and 24 mm/s."""
+    t = np.arange(n) / 240
+    return np.stack([24 * t, 0 * t, 0.5 + 0 * t, t], axis=1)
+
+
+def test_strokes_of_a_long_outage_are_all_stored_in_their_order(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """More than a page may send in a second otherwise, as events and as messages; not more than a trial can have."""
+    server = server_of(study_file(tmp_path, practice="0"))
+    events = outage(6000)
+    with joined(server) as page:
+        page.to_trial()
+        for event in events[:1300]:  # as a pen that moves from surface to surface
+            sent_again(page, event[None])
+        sent_again(page, events[1300:])
+        page.answer(33.0)
+        assert not any("refused" in text for text in page.texts)
+        monkeypatch.setattr(session_module, "MAX_MISSED", 100)
+        sent_again(page, outage(128))
+        assert page.until("refused")["refused"] == "more than 100 events of trial 2 that are sent again"
+    np.testing.assert_array_equal(server.store.strokes(1, 1), events)
+    (row,) = server.store.ratings()
+    assert row["measured"]["contact_s"] == pytest.approx(25.0, abs=0.01)
 
 
 def test_strokes_wait_for_room_on_the_disk_and_the_operator_sees_it(tmp_path: Path) -> None:

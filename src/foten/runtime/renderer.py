@@ -29,7 +29,7 @@ class Renderer:
     and allocates in each sample.
 
     Args:
-        texture: a texture file, its bytes, or a texture in memory.
+        texture: a texture file, its bytes, or a texture in memory, which the kernel may have loaded.
         rate: of the output [Hz]; None for the texture's own.
         seed: of the excitation, 0 … 2⁶⁴ − 1.
         stream: of the noise; two contacts with one texture need different ones to be independent.
@@ -45,7 +45,7 @@ class Renderer:
 
     def __init__(
         self,
-        texture: str | PathLike[str] | bytes | Texture,
+        texture: str | PathLike[str] | bytes | Texture | NativeTexture,
         rate: float | None = None,
         seed: int = 0,
         stream: int = 0,
@@ -129,7 +129,9 @@ def _check_uint64(name: str, value: int) -> None:
         raise ValueError(f"{name} is {value}, expected 0 to 2⁶⁴ − 1")
 
 
-def _native(texture: str | PathLike[str] | bytes | Texture) -> NativeTexture:
+def _native(texture: str | PathLike[str] | bytes | Texture | NativeTexture) -> NativeTexture:
+    if isinstance(texture, NativeTexture):
+        return texture
     if isinstance(texture, bytes):
         return NativeTexture(texture)
     if isinstance(texture, Texture):

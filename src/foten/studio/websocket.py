@@ -64,6 +64,10 @@ class PageSocket:
         """Take in at most `MAX_BYTES` bytes, or raise RefusedError."""
         raise RefusedError("this page sends text alone")
 
+    def is_charged(self, data: bytes | None) -> bool:
+        """Whether a message counts against the rate, as it does where nothing else bounds it."""
+        return True
+
     def events_in(self, data: bytes) -> NDArray[np.float64]:
         """Events of a pen in bytes, shape (n, 4), or raise RefusedError."""
         events = parse_events(data)
@@ -121,9 +125,9 @@ class PageSocket:
 
     async def _take(self, received: Mapping[str, Any]) -> None:
         try:
-            if not self._messages.take(1):
-                raise RefusedError(f"more than {self._messages.per_s:g} messages a second")
             data = received.get("bytes")
+            if self.is_charged(data) and not self._messages.take(1):
+                raise RefusedError(f"more than {self._messages.per_s:g} messages a second")
             if data is None:
                 await self.do(parse_message(received.get("text") or "", self._protocol))
             elif len(data) > MAX_BYTES:

@@ -13,7 +13,7 @@ from starlette.websockets import WebSocket
 
 from foten.runtime.live.devices import SOUND_RATE_HZ
 from foten.runtime.stylus import PressureCalibration
-from foten.studio.messages import CALIBRATION, PLAYING_FIELDS, Protocol, RefusedError
+from foten.studio.messages import CALIBRATION, PLAYING_FIELDS, Protocol, RefusedError, parse_events
 from foten.studio.websocket import BlockQueue, PageSocket, pressure_calibration
 from foten.study.session import NotYetError, Session
 
@@ -84,9 +84,12 @@ class ParticipantPage(PageSocket):
         if session is not None:
             await session.leave(self)
 
+    def is_charged(self, data: bytes | None) -> bool:
+        return data is None or not is_missed(data)  # those of an outage come at once; `Session` bounds them
+
     async def take_bytes(self, data: bytes) -> None:
-        missed = data.startswith(MISSED) and len(data) % EVENT_BYTES == 2
-        events = self.events_in(data[2:] if missed else data)
+        missed = is_missed(data)
+        events = parse_events(data[2:]) if missed else self.events_in(data)
         if self._session is None or not self.strokes:
             raise RefusedError("events of a page that does not stroke")
         if missed:
@@ -173,6 +176,11 @@ class ParticipantPage(PageSocket):
             return
         await session.begin_showing()
         self.say({"step": session.shown()})
+
+
+def is_missed(data: bytes) -> bool:
+    """Whether bytes are of events that are sent again."""
+    return data.startswith(MISSED) and len(data) % EVENT_BYTES == 2
 
 
 class OperatorPage(PageSocket):

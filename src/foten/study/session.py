@@ -8,7 +8,7 @@ import math
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
-from functools import partial
+from functools import lru_cache, partial
 from itertools import groupby
 from typing import TYPE_CHECKING, Any
 
@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from foten.runtime.live.devices import SOUND_RATE_HZ
 from foten.runtime.live.live import LiveStatistics, Timing
+from foten.runtime.native import NativeTexture
 from foten.runtime.renderer import Renderer
 from foten.runtime.stylus import PressureCalibration, Stylus
 from foten.studio.live_contact import Contact
@@ -36,6 +37,7 @@ if TYPE_CHECKING:
 MAX_ANSWER_LENGTH = 2000  # characters
 SAVE_STROKES_S = 1.0  # between two writings of a stroke
 CLOCK_TOLERANCE_S = 0.25  # by which a page's clock may be ahead of the server's
+MAX_MISSED = 20 * 60 * 1000  # events of a trial that are sent again: 20 minutes of the fastest pen
 MAX_APART_S = 0.25  # of two events of one contact: a pen at rest sends few
 INTERVALS = {"rating": (), "paired": ("A", "B"), "abx": ("A", "B", "X"), "oddity": ("1", "2", "3")}
 INTERVALS["threshold"] = INTERVALS["oddity"]
@@ -66,6 +68,7 @@ class Session:
         self.contact: Contact | None = None
         self._page: ParticipantPage | None = None  # that the contact plays for
         self._unsaved: dict[int, Unsaved] = {}  # by trial, also of those that were rated while the disk was full
+        self._n_missed: dict[int, int] = {}  # events that were sent again, by trial
         self._n_stored: dict[int, int] = {}  # events in the database, by trial
         self._refused: list[Callable[[], Any]] = []  # other changes that the disk had no room for, in their order
         self._writing = asyncio.Lock()
@@ -321,6 +324,10 @@ class Session:
         methods = trial.intervals(self.server.design.task.kind)
         if not interval < len(methods):
             raise RefusedError(f"events of surface {interval + 1}, expected one of {len(methods)}")
+        n_missed = self._n_missed.get(trial.number, 0) + len(events)
+        if n_missed > MAX_MISSED:
+            raise RefusedError(f"more than {MAX_MISSED} events of trial {trial.number} that are sent again")
+        self._n_missed[trial.number] = n_missed
         texture = self.server.stimuli.bytes_of[trial.texture, methods[interval]]
         conditions = await asyncio.to_thread(conditions_of, events, texture, page.calibration)
         unsaved = self._of_trial(trial)
@@ -535,7 +542,7 @@ def conditions_of(
 
     What lies further apart than events of one contact is moved together: a page may send any times.
     """
-    renderer = Renderer(texture)
+    renderer = Renderer(_native_texture(texture))
     stylus, per_block = Stylus(renderer, calibration), max(1, round(BLOCK_MS / 1000 * renderer.texture_rate))
     times = np.append(0.0, np.cumsum(np.clip(np.diff(events[:, 3]), 0.0, MAX_APART_S)))
     conditions, n = [], 0
@@ -546,6 +553,12 @@ def conditions_of(
             n += 1
         conditions.append([stylus.next_condition() for _ in range(per_block)][-1])
     return conditions
+
+
+@lru_cache(maxsize=4)
+def _native_texture(texture: bytes) -> NativeTexture:
+    """Texture in bytes, loaded: strokes of an outage come in many messages."""
+    return NativeTexture(texture)
 
 
 def steps_of(design: Design, trials: Sequence[Trial]) -> list[Step]:
