@@ -63,6 +63,14 @@ DRIVE = """() => {
 }"""
 
 
+# More events than a page may send in a second, while the server is away: x, y, pressure, t.
+OUTAGE = """() => {
+  const events = Array.from({ length: 5760 }, (_, k) => [k / 100, 5, 0.5, performance.now() / 1000 + k / 240]);
+  for (const event of events) window.study.event(...event);
+  return events;
+}"""
+
+
 @pytest.fixture(scope="module")
 def browser() -> Iterator[Any]:
     with chromium("--autoplay-policy=no-user-gesture-required") as browser:
@@ -213,6 +221,7 @@ def test_nothing_is_chosen_before_someone_chooses_and_an_answer_is_kept_while_th
         page.wait_for_timeout(700)
         page.keyboard.up("ArrowRight")
     until(page, "document.querySelector('#message').textContent.startsWith('No connection')")
+    made = page.evaluate(OUTAGE)
     page.fill(".scale input", "83")
     until(page, "!document.querySelector('button.big').disabled")
     page.click("button.big")
@@ -220,6 +229,9 @@ def test_nothing_is_chosen_before_someone_chooses_and_an_answer_is_kept_while_th
         until(page, "window.study.step?.id === 'trial:2'")
     with Store(tmp_path / "study.db") as store:
         assert [row["rating"] for row in store.ratings()] == [83.0]
+        strokes = store.strokes(1, 1).tolist()
+        assert strokes[-len(made) :] == made
+        assert len({t for *_, t in strokes}) == len(strokes)  # none is there twice
     page.close()
 
 

@@ -37,7 +37,7 @@ from foten.study import store as store_module
 from foten.study.design import study_text, titled
 from foten.study.languages import read_language
 from foten.study.loading import load_study
-from foten.study.page_sockets import ELSEWHERE, JOIN_AGAIN, NOT_ALLOWED
+from foten.study.page_sockets import BEFORE_MISSED, ELSEWHERE, JOIN_AGAIN, MISSED, NOT_ALLOWED
 from foten.study.session import conditions_of
 from foten.study.store import FullError, Store
 from foten.study.study_server import OPERATOR, OPERATOR_COOKIE, StudyServer, study_files
@@ -401,10 +401,11 @@ def test_events_that_are_sent_again_have_the_speed_and_force_of_a_stroke_and_no_
     assert len(conditions_of(events[::-1], EXAMPLE.read_bytes(), PressureCalibration())) == 1
 
 
-def sent_again(page: Page, events: NDArray[np.float64]) -> None:
+def send_again(page: Page, events: NDArray[np.float64], first: int = 0, trial: int = 1) -> None:
     """Send events (n, 4) as a page does that comes back."""
     for i in range(0, len(events), MAX_EVENTS):
-        page.socket.send_bytes(b"m\0" + events[i : i + MAX_EVENTS].tobytes())
+        before = BEFORE_MISSED.pack(MISSED, 0, trial, first + i)
+        page.socket.send_bytes(before + events[i : i + MAX_EVENTS].tobytes())
 
 
 def outage(n: int) -> NDArray[np.float64]:
@@ -421,17 +422,90 @@ def test_strokes_of_a_long_outage_are_all_stored_in_their_order(
     events = outage(6000)
     with joined(server) as page:
         page.to_trial()
-        for event in events[:1300]:  # as a pen that moves from surface to surface
-            sent_again(page, event[None])
-        sent_again(page, events[1300:])
+        for k in range(1300):  # as of a pen that moves from surface to surface
+            send_again(page, events[k : k + 1], k)
+        send_again(page, events[1300:], 1300)
         page.answer(33.0)
         assert not any("refused" in text for text in page.texts)
         monkeypatch.setattr(session_module, "MAX_MISSED", 100)
-        sent_again(page, outage(128))
+        send_again(page, outage(128), trial=2)
         assert page.until("refused")["refused"] == "more than 100 events of trial 2 that are sent again"
     np.testing.assert_array_equal(server.store.strokes(1, 1), events)
     (row,) = server.store.ratings()
     assert row["measured"]["contact_s"] == pytest.approx(25.0, abs=0.01)
+
+
+def test_strokes_on_a_tablet_are_waited_for_where_the_answer_comes_back_first(tmp_path: Path) -> None:
+    """Those that come later still are stored with their trial, and count for no other one; none is stored twice."""
+    path = study_file(tmp_path, screens="2", practice="0")
+    with joined(server_of(path), role="answer") as screen:
+        screen.to_trial()
+        code, answer = screen.code, {"values": {"similarity": 61.0}}
+    server, events = server_of(path), outage(100)
+    with contextlib.ExitStack() as stack:
+        client = stack.enter_context(served(server))
+        a, b = (stack.enter_context(client.websocket_connect(f"{WS}/session")) for _ in range(2))
+        screen = Page(b, code=code, role="answer")
+        refused = screen.done(**answer)
+        assert (refused["refused"], refused["again"]) == ("One moment, please", True)
+        tablet = Page(a, code=code, role="stroke", again=80)
+        assert screen.done(**answer)["again"]
+        send_again(tablet, events[:80])
+        send_again(tablet, events[70:75], 70)
+        deadline = time.monotonic() + 10
+        while "refused" in screen.done(**answer):
+            assert time.monotonic() < deadline
+        assert tablet.until("step")["step"]["id"] == screen.step["id"] == "trial:2"
+        send_again(tablet, events[60:], 60)
+        send_again(tablet, events, trial=3)
+        assert tablet.until("refused")["refused"] == "events of trial 3, which was not shown"
+        screen.done(**answer)
+    np.testing.assert_array_equal(server.store.strokes(1, 1), events)
+    assert len(server.store.strokes(1, 2)) == 0
+    assert [row["measured"]["contact_s"] for row in server.store.ratings()] == [pytest.approx(79 / 240, abs=1e-3), 0]
+
+
+def test_an_answer_is_taken_without_a_tablet_that_does_not_come_back(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(session_module, "COME_BACK_S", 0.5)
+    server = server_of(study_file(tmp_path, screens="2", practice="0"))
+    with joined(server, role="answer") as screen:
+        screen.to_trial()
+        time.sleep(0.5)
+        assert screen.answer()["step"]["id"] == "trial:2"
+
+
+def test_strokes_that_the_disk_has_no_room_for_are_not_stored_twice(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Where the page comes back meanwhile, and sends again what it knows of none to be stored."""
+    server, events = server_of(study_file(tmp_path, practice="0")), outage(50)
+
+    def full(*_: Any) -> None:
+        raise FullError("study.db: the disk is full")
+
+    with served(server) as client:
+        with monkeypatch.context() as patch:
+            patch.setattr(server.store, "add_strokes", full)
+            with client.websocket_connect(f"{WS}/session") as socket:
+                page = Page(socket, rate_hz=8000)
+                page.to_trial()
+                for event in events:
+                    socket.send_bytes(event.tobytes())
+                page.stroke_until_it_sounds()
+            with client.websocket_connect(f"{WS}/session") as socket:
+                page = Page(socket, code=page.code, again=50)
+                assert page.step["stored"] == 60
+                send_again(page, events)
+                page.say(do="side", side="real")
+                page.until("step")
+        page_again = client.websocket_connect(f"{WS}/session")
+        with page_again as socket:
+            Page(socket, code=page.code).answer()
+    assert len(server.store.strokes(1, 1)) == 60
+    (row,) = server.store.ratings()
+    assert row["measured"]["contact_s"] == pytest.approx(49 / 240 + 0.09, abs=0.01)
 
 
 def test_strokes_wait_for_room_on_the_disk_and_the_operator_sees_it(tmp_path: Path) -> None:

@@ -6,6 +6,7 @@ No page gets anything of methods: trials go out by number, textures by name wher
 from __future__ import annotations
 
 import asyncio
+import struct
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
@@ -21,7 +22,10 @@ if TYPE_CHECKING:
     from foten.study.study_server import StudyServer
 
 REFRESH_S = 0.5  # between two pictures of the study
-MISSED, EVENT_BYTES = b"m", 32  # and a surface's number, before events that are sent again, since they were not stored
+MISSED, EVENT_BYTES = b"m", 32
+BEFORE_MISSED = struct.Struct(
+    "<cBii"
+)  # `MISSED`, surface, trial and number in the trial of the first event that follows
 ELSEWHERE, NOT_ALLOWED = 4001, 4002  # codes of a WebSocket's end, of those that are free for programs
 JOIN_AGAIN = 1012  # a page connects again by itself
 SIDES = ("virtual", "real")
@@ -30,7 +34,7 @@ CODE_LENGTH = 5
 PARTICIPANT = Protocol(
     {
         # A fresh code is drawn by the page of a new participant, where there is no operator.
-        "join": ((), ("code", "fresh", "role", "rate_hz", "volume_db", *CALIBRATION)),
+        "join": ((), ("code", "fresh", "role", "rate_hz", "volume_db", "again", *CALIBRATION)),
         "done": (("step",), ("values", "seconds", "underruns", "answers")),
         "side": (("side",), ("interval",)),
     },
@@ -39,6 +43,7 @@ PARTICIPANT = Protocol(
         "role": ("all", "stroke", "answer"),
         "side": SIDES,
         "interval": (0, 2),
+        "again": (0, 1e7),
         "seconds": (0.0, 1e6),
         "underruns": (0, 1e6),
         "code": None,
@@ -68,6 +73,7 @@ class ParticipantPage(PageSocket):
         self._session: Session | None = None
         self._asks: Session | None = None  # where another device was
         self._request = 0  # its number, also of one that was decided
+        self.n_again = 0  # events that it still has to send again
         self.device = server.device_of(socket)
         self.role, self.rate_hz, self.volume_db = "all", SOUND_RATE_HZ, 0.0
         self.calibration = PressureCalibration()
@@ -88,12 +94,14 @@ class ParticipantPage(PageSocket):
         return data is None or not is_missed(data)  # those of an outage come at once; `Session` bounds them
 
     async def take_bytes(self, data: bytes) -> None:
-        missed = is_missed(data)
-        events = parse_events(data[2:]) if missed else self.events_in(data)
+        if missed := is_missed(data):
+            self.n_again -= len(data) // EVENT_BYTES
+        events = parse_events(data[BEFORE_MISSED.size :]) if missed else self.events_in(data)
         if self._session is None or not self.strokes:
             raise RefusedError("events of a page that does not stroke")
         if missed:
-            await self._session.push_missed(self, data[1], events)
+            _, interval, trial, first = BEFORE_MISSED.unpack_from(data)
+            await self._session.push_missed(self, trial, interval, first, events)
         else:
             await self._session.push(self, events)
 
@@ -131,6 +139,7 @@ class ParticipantPage(PageSocket):
         self.role = str(message.get("role", "all"))
         self.rate_hz = float(message.get("rate_hz", SOUND_RATE_HZ))
         self.volume_db = float(message.get("volume_db", 0.0))
+        self.n_again = int(message.get("again", 0))
         self.calibration = pressure_calibration(message)
         if not session.is_open_to(self.device, self.role):
             self._ask(session)
@@ -180,7 +189,7 @@ class ParticipantPage(PageSocket):
 
 def is_missed(data: bytes) -> bool:
     """Whether bytes are of events that are sent again."""
-    return data.startswith(MISSED) and len(data) % EVENT_BYTES == 2
+    return data.startswith(MISSED) and len(data) % EVENT_BYTES == BEFORE_MISSED.size
 
 
 class OperatorPage(PageSocket):

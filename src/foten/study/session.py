@@ -38,6 +38,7 @@ MAX_ANSWER_LENGTH = 2000  # characters
 SAVE_STROKES_S = 1.0  # between two writings of a stroke
 CLOCK_TOLERANCE_S = 0.25  # by which a page's clock may be ahead of the server's
 MAX_MISSED = 20 * 60 * 1000  # events of a trial that are sent again: 20 minutes of the fastest pen
+COME_BACK_S = 5.0  # for the tablet of two screens, before an answer is taken without it
 MAX_APART_S = 0.25  # of two events of one contact: a pen at rest sends few
 INTERVALS = {"rating": (), "paired": ("A", "B"), "abx": ("A", "B", "X"), "oddity": ("1", "2", "3")}
 INTERVALS["threshold"] = INTERVALS["oddity"]
@@ -69,7 +70,9 @@ class Session:
         self._page: ParticipantPage | None = None  # that the contact plays for
         self._unsaved: dict[int, Unsaved] = {}  # by trial, also of those that were rated while the disk was full
         self._n_missed: dict[int, int] = {}  # events that were sent again, by trial
-        self._n_stored: dict[int, int] = {}  # events in the database, by trial
+        # Events by trial, as the page counts them: stored, unsaved, or left out.
+        self._n_taken: dict[int, int] = {}
+        self._alone_since = time.monotonic()  # without a page to stroke on, where there is none
         self._refused: list[Callable[[], Any]] = []  # other changes that the disk had no room for, in their order
         self._writing = asyncio.Lock()
         self._saved_at = 0.0
@@ -84,7 +87,7 @@ class Session:
             stroked = server.store.parts(number, step["trial"].number)
             self._log.earlier = np.concatenate([NO_CONDITIONS, *(part.conditions for part in stroked)])
             self._log.events = [(part.interval, part.events) for part in stroked]
-            self._n_stored[step["trial"].number] = sum(len(part.events) for part in stroked)
+            self._n_taken[step["trial"].number] = sum(len(part.events) for part in stroked)
             since = server.store.shown(number, step["trial"].number)
             if since is not None and not self.held:
                 self.shown_at = time.monotonic() - max(0.0, time.time() - since)  # 0 where the clock was set back
@@ -135,7 +138,7 @@ class Session:
             shown |= {"intervals": INTERVALS[task.kind], "choices": CHOICES.get(task.kind, ())}
             touched = [i for i in range(max(1, len(INTERVALS[task.kind]))) if self._log.contact_s(i)]
             shown |= {"interval": self.interval, "touched": touched}
-            shown |= {"min_s": task.min_seconds, "side": self.side, "stored": self._n_stored.get(trial.number, 0)}
+            shown |= {"min_s": task.min_seconds, "side": self.side, "stored": self._n_taken.get(trial.number, 0)}
             shown |= {"lacks_real": self.lacks_real}
             if setup.show_names:
                 shown |= {"name": texture.name, "picture": f"pictures/{trial.texture}" if texture.picture else None}
@@ -242,6 +245,8 @@ class Session:
         language, task = self.server.design.language, self.server.design.task
         if self.held:
             raise NotYetError(language.say("operator_holds"))
+        if self._strokes_are_coming():
+            raise NotYetError(language.say("one_moment"))
         min_s = task.min_seconds
         shown_s = time.monotonic() - self.shown_at if self.shown_at else 0.0
         if shown_s < min_s - CLOCK_TOLERANCE_S:  # by this clock: a page could say anything
@@ -251,6 +256,12 @@ class Session:
             raise RefusedError(language.say("stroke_first" if n_intervals == 1 else "stroke_each"))
         if self.lacks_real:
             raise RefusedError(language.say("touch_real", real=language.say("real_surface")))
+
+    def _strokes_are_coming(self) -> bool:
+        """Whether a page still sends again what an outage kept, or may come back with it."""
+        if stroking := [page for page in self.pages if page.strokes]:
+            return any(page.n_again > 0 for page in stroking)
+        return self.server.design.setup.screens > 1 and time.monotonic() - self._alone_since < COME_BACK_S
 
     def _rated(self, values: Mapping[str, float], level_db: float | None, message: Mapping[str, Any]) -> Rated:
         log = self._log.summary()
@@ -298,7 +309,10 @@ class Session:
     async def push(self, page: ParticipantPage, events: NDArray[np.float64]) -> None:
         """Take in events of the pen; the first of a trial make its texture ready."""
         step = self.step
-        if step["kind"] != "trial" or self.held or self.side == "real":
+        if step["kind"] != "trial":
+            return
+        if self.held or self.side == "real":  # they were on their way
+            self._count(step["trial"].number, len(events))
             return
         if self.contact is None:
             async with self._changing:
@@ -312,15 +326,29 @@ class Session:
             self._down = down
             self._of_trial(step["trial"]).events.append((self.interval, events))
             self._log.events.append((self.interval, events))
+            self._count(step["trial"].number, len(events))
             if time.monotonic() - self._saved_at > SAVE_STROKES_S:
                 await self.save_strokes()
 
-    async def push_missed(self, page: ParticipantPage, interval: int, events: NDArray[np.float64]) -> None:
-        """Take in events that a server did not store before it was killed, or that fell into its absence: not rendered."""
-        step = self.step
-        if step["kind"] != "trial":
-            return
-        trial = step["trial"]
+    def _count(self, trial: int, n_events: int) -> None:
+        self._n_taken[trial] = self._n_taken.get(trial, 0) + n_events
+
+    async def push_missed(
+        self, page: ParticipantPage, number: int, interval: int, first: int, events: NDArray[np.float64]
+    ) -> None:
+        """Take in events that a server did not store before it was killed, or that fell into its absence: not rendered.
+
+        Those of a trial that was answered meanwhile are stored, and are not in its rating's measures.
+
+        Args:
+            number: of their trial.
+            first: number of the first one in the trial, as the page counts: what was taken is not taken twice.
+        """
+        present = self.step["id"]
+        trial = next((step["trial"] for step in self.steps if step["id"] == f"trial:{number}"), None)
+        if trial is None or f"trial:{number}" not in (present, *self.done):
+            raise RefusedError(f"events of trial {number}, which was not shown")
+        log = self._log if present == f"trial:{number}" else TrialLog()  # of now: the trial may end meanwhile
         methods = trial.intervals(self.server.design.task.kind)
         if not interval < len(methods):
             raise RefusedError(f"events of surface {interval + 1}, expected one of {len(methods)}")
@@ -328,13 +356,22 @@ class Session:
         if n_missed > MAX_MISSED:
             raise RefusedError(f"more than {MAX_MISSED} events of trial {trial.number} that are sent again")
         self._n_missed[trial.number] = n_missed
+        if number not in self._n_taken:
+            parts = await self.server.on_disk(lambda: self.server.store.parts(self.number, number))
+            self._n_taken[number] = sum(len(part.events) for part in parts)
+        events = events[max(0, self._n_taken[number] - first) :]
+        if not len(events):
+            return
         texture = self.server.stimuli.bytes_of[trial.texture, methods[interval]]
         conditions = await asyncio.to_thread(conditions_of, events, texture, page.calibration)
         unsaved = self._of_trial(trial)
         unsaved.events.append((interval, events))
         unsaved.conditions.extend((interval, *condition) for condition in conditions)
-        self._log.conditions.extend(conditions)
-        self._log.events.append((interval, events))
+        log.conditions.extend(conditions)
+        log.events.append((interval, events))
+        self._n_taken[number] = max(self._n_taken[number], first) + len(events)
+        if time.monotonic() - self._saved_at > SAVE_STROKES_S:
+            await self.save_strokes()
 
     async def _open(self, page: ParticipantPage, trial: Trial) -> None:
         server = self.server
@@ -403,9 +440,9 @@ class Session:
                 later = self._unsaved[trial]
                 self._unsaved[trial] = Unsaved(unsaved.events + later.events, unsaved.conditions + later.conditions)
                 continue
-            self._n_stored[trial] = self._n_stored.get(trial, 0) + sum(len(part.events) for part in parts)
+            n_stored = self._n_taken[trial] - sum(len(events) for _, events in self._unsaved[trial].events)
             for page in [page for page in self.pages if page.strokes]:
-                page.say({"stored": self._n_stored[trial], "trial": f"trial:{trial}"})
+                page.say({"stored": n_stored, "trial": f"trial:{trial}"})
 
     @property
     def n_unsaved(self) -> int:
@@ -425,6 +462,8 @@ class Session:
     async def leave(self, page: ParticipantPage) -> None:
         """Go on without a page: its strokes are saved, and its trial stays where it is."""
         self.pages.discard(page)
+        if page.strokes:
+            self._alone_since = time.monotonic()
         if self._page is page:
             await self.end_contact()
             self._page = None

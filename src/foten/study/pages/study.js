@@ -84,7 +84,8 @@ class Study {
     this.role = ["stroke", "answer"].includes(given.get("role")) ? given.get("role") : "all";
     this.code = null;
     this.waiting = []; // events that go out together
-    this.unstored = { id: null, base: 0, events: [] }; // that the server has not stored yet, and how many it has of the trial
+    this.unstored = new Map(); // by trial: events that the server has not stored yet, and how many came before them
+    this.live = false; // after a connection was lost: whether what was missed has been sent again
     this.tries = 0;
     this.joining();
     if (given.get("code")) this.join(given.get("code"));
@@ -100,10 +101,12 @@ class Study {
   connect() {
     const socket = (this.socket = new WebSocket(new URL("session", location.href.replace(/^http/, "ws"))));
     socket.binaryType = "arraybuffer";
+    this.live = false;
     socket.onopen = () => {
       const { newtons, steepness } = this.settings.calibration;
       const code = this.code ?? this.wanted, fresh = code ? {} : { fresh: this.fresh };
-      this.say({ do: "join", role: this.role, rate_hz: this.sound.context?.sampleRate ?? 48000, volume_db: this.sound.volumeDb, newtons, steepness, ...(code && { code }), ...fresh });
+      const again = [...this.unstored.values()].reduce((n, { events }) => n + events.length, 0);
+      this.say({ do: "join", role: this.role, rate_hz: this.sound.context?.sampleRate ?? 48000, volume_db: this.sound.volumeDb, newtons, steepness, again, ...(code && { code }), ...fresh });
     };
     socket.onmessage = ({ data }) => (typeof data === "string" ? this.told(JSON.parse(data)) : this.played(data));
     socket.onclose = ({ code }) => {
@@ -125,7 +128,6 @@ class Study {
       sessionStorage.removeItem("foten-fresh");
       this.plays = message.plays;
       this.tries = 0;
-      this.joinedAgain = true;
       history.replaceState(null, "", `?${new URLSearchParams({ code: this.code, ...(this.role !== "all" && { role: this.role }) })}`);
       this.show("");
     } else if (message.asks) {
@@ -183,32 +185,34 @@ class Study {
 
   /** The server has stored so many events of a trial: the others are kept, and sent again where it is lost before. */
   stored(id, n) {
-    const { unstored } = this;
-    if (unstored.id !== id) return;
+    const unstored = this.unstored.get(id);
+    if (!unstored || !this.live) return; // the server waits for as many as it was promised
     unstored.events.splice(0, Math.max(0, n - unstored.base));
     unstored.base = Math.max(unstored.base, n);
+    if (!unstored.events.length && id !== this.step?.id) this.unstored.delete(id);
   }
 
+  /** Send what is not known to be stored, also of trials before; the server leaves out what it has. */
   sendAgain(step) {
-    const { unstored } = this;
-    if (unstored.id !== step.id) return;
-    this.stored(step.id, step.stored);
-    for (let i = 0, n = 0; i < unstored.events.length; i += n) {
-      const [interval] = unstored.events[i]; // a message is of one surface
-      n = 1;
-      while (n < MOST_AT_ONCE && unstored.events[i + n]?.[0] === interval) n++;
-      const events = unstored.events.slice(i, i + n).flatMap(([, ...event]) => event), bytes = new Uint8Array(2 + 8 * events.length);
-      bytes.set(["m".charCodeAt(0), interval]);
-      bytes.set(new Uint8Array(Float64Array.from(events).buffer), 2);
-      this.socket.send(bytes);
-    }
+    for (const { trial, base, events } of this.unstored.values())
+      for (let i = 0, n = 0; i < events.length; i += n) {
+        const [interval] = events[i]; // a message is of one surface
+        n = 1;
+        while (n < MOST_AT_ONCE && events[i + n]?.[0] === interval) n++;
+        const bytes = new Uint8Array(10 + 32 * n), view = new DataView(bytes.buffer);
+        bytes.set(["m".charCodeAt(0), interval]);
+        view.setInt32(2, trial, true);
+        view.setInt32(6, base + i, true);
+        bytes.set(new Uint8Array(Float64Array.from(events.slice(i, i + n).flatMap(([, ...event]) => event)).buffer), 10);
+        this.socket.send(bytes);
+      }
     const here = this.step;
     if (here?.id === step.id && here.interval !== step.interval) this.say({ do: "side", side: "virtual", interval: here.interval });
   }
 
   arrive(step) {
-    if (this.joinedAgain && step.kind === "trial" && this.role !== "answer") this.sendAgain(step);
-    this.joinedAgain = false;
+    if (!this.live) this.sendAgain(step);
+    this.live = true;
     this.pending ??= JSON.parse(localStorage.getItem(this.kept) ?? "null");
     if (this.pending?.step === step.id) {
       this.say(this.pending); // of before the connection broke
@@ -358,7 +362,8 @@ class Study {
       this.answer = answer;
     }
     this.begin(step.id);
-    if (this.unstored.id !== step.id) this.unstored = { id: step.id, base: step.stored ?? 0, events: [] };
+    for (const [id, { events }] of this.unstored) if (!events.length && id !== step.id) this.unstored.delete(id);
+    if (!this.unstored.has(step.id)) this.unstored.set(step.id, { trial: step.n, base: step.stored, events: [] });
     this.sound.afresh();
     this.put(box);
     this.lacks = answers ? () => this.lacking() : null;
@@ -481,6 +486,7 @@ class Study {
     const { step } = this;
     if (step?.kind !== "trial" || step.held) return;
     if (pressure && step.side === "real") this.turn("virtual");
+    if (step.side === "real") return;
     if (!this.sound.running) this.start();
     if (pressure && !this.touched.has(step.interval)) {
       this.touched.add(step.interval);
@@ -490,9 +496,9 @@ class Study {
     this.waiting.push([x, y, pressure, t]);
     if (this.waiting.length > 1) return;
     queueMicrotask(() => {
-      const { unstored, step } = this; // also while the server is away:
-      if (unstored.id === step?.id) unstored.events.push(...this.waiting.map((event) => [step.interval, ...event]));
-      if (this.socket?.readyState === WebSocket.OPEN)
+      const { step } = this; // also while the server is away:
+      this.unstored.get(step?.id)?.events.push(...this.waiting.map((event) => [step.interval, ...event]));
+      if (this.live && this.socket.readyState === WebSocket.OPEN)
         for (let i = 0; i < this.waiting.length; i += MOST_AT_ONCE) this.socket.send(Float64Array.from(this.waiting.slice(i, i + MOST_AT_ONCE).flat()));
       this.waiting = [];
     });
