@@ -102,6 +102,31 @@ def test_the_volume_moves_without_a_step_and_what_is_too_loud_is_bent() -> None:
     assert -1.0 <= samples[0] < -0.99
 
 
+def test_a_texture_that_was_loaded_before_takes_over_as_any_other_and_its_volume_comes_with_it(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Nothing is loaded meanwhile, and one that was under the pen before begins again."""
+    textures = [path.read_bytes() for path in sorted(EXAMPLE.parent.glob("*.foten"))[:2]]
+
+    def sounds(load: bool) -> NDArray[np.float32]:
+        player = HandTurnedPlayer()
+        contact = Contact(player, lambda *_: None)
+        if load:
+            contact.load([(textures[0], 1), (textures[1], 2)])
+            monkeypatch.setattr("foten.studio.live_contact.NativeTexture", None)
+            monkeypatch.setattr("foten.studio.live_contact.Renderer", None)
+        parts = []
+        for k in (0, 1, 0):
+            contact.open(textures[k], PressureCalibration(), k + 1, -20.0 * k)
+            assert contact._volume == pytest.approx(10.0**-k)
+            parts.append(stroked(contact, player, 40, 0.16))
+        return np.concatenate(parts)
+
+    expected = sounds(False)
+    assert np.abs(expected).max() > 1e-3
+    np.testing.assert_array_equal(sounds(True), expected)
+
+
 def test_a_contact_that_is_closed_while_it_opens_does_not_play() -> None:
     player = HandTurnedPlayer()
     contact = Contact(player, lambda *_: None)

@@ -29,6 +29,7 @@ from websockets.typing import Origin
 from foten.models.texture_file import read_texture, write_texture
 from foten.runtime.renderer import EXAMPLE
 from foten.runtime.stylus import PressureCalibration
+from foten.studio import live_contact
 from foten.studio.access import LOOPBACK, Access, Admitted, access_to
 from foten.studio.messages import MAX_EVENTS
 from foten.studio.websocket import MAX_WAITING_BLOCKS, MAX_WAITING_TEXTS
@@ -38,7 +39,7 @@ from foten.study.design import study_text, titled
 from foten.study.languages import read_language
 from foten.study.loading import load_study
 from foten.study.page_sockets import BEFORE_MISSED, ELSEWHERE, JOIN_AGAIN, MISSED, NOT_ALLOWED
-from foten.study.session import conditions_of
+from foten.study.session import Session, conditions_of
 from foten.study.store import FullError, Store
 from foten.study.study_server import OPERATOR, OPERATOR_COOKIE, StudyServer, study_files
 from test_studio_server import HERE, LOCAL, WS
@@ -433,6 +434,45 @@ def test_strokes_of_a_long_outage_are_all_stored_in_their_order(
     np.testing.assert_array_equal(server.store.strokes(1, 1), events)
     (row,) = server.store.ratings()
     assert row["measured"]["contact_s"] == pytest.approx(25.0, abs=0.01)
+
+
+def abx_file(folder: Path, **changes: str) -> Path:
+    path = study_file(folder, practice="0", **changes)
+    text = re.sub("^(question|lowest|highest) = .*\n", "", path.read_text(encoding="utf-8"), flags=re.M)
+    path.write_text(re.sub('^kind = "rating".*', 'kind = "abx"\nrepeats = 4', text, flags=re.M), encoding="utf-8")
+    return path
+
+
+def slow_to_open(session: Session) -> None:
+    """Let the contact of a session take half a second to go over to another surface."""
+    assert session.contact is not None
+    open_at_once = session.contact.open
+
+    def open_later(*about: Any) -> None:
+        time.sleep(0.5)
+        open_at_once(*about)
+
+    session.contact.open = open_later  # type: ignore[method-assign]
+
+
+def test_a_page_learns_of_a_switch_at_once_and_nothing_is_loaded_for_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """How long a surface takes to load, or to be put under the pen, tells nothing of its method."""
+    server = server_of(abx_file(tmp_path))
+    with joined(server, rate_hz=8000) as page:
+        page.to_trial()
+        page.stroke_until_it_sounds()
+        session = server.sessions[1]
+        monkeypatch.setattr(live_contact, "Renderer", None)
+        for interval in (1, 2, 0):
+            page.say(do="side", side="virtual", interval=interval)
+            assert page.until("step", "refused")["step"]["interval"] == interval
+        slow_to_open(session)
+        begin = time.monotonic()
+        page.say(do="side", side="virtual", interval=1)
+        page.until("step")
+        assert time.monotonic() - begin < 0.3
 
 
 def test_strokes_on_a_tablet_are_waited_for_where_the_answer_comes_back_first(tmp_path: Path) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from foten.runtime.actuator import ActuatorProfile
 from foten.runtime.live.live import Samples
+from foten.runtime.native import NativeTexture
 from foten.runtime.renderer import Renderer
 from foten.runtime.stylus import PressureCalibration, Stylus
 from foten.studio.players import Player
@@ -49,6 +50,7 @@ class Contact:
         self._on_block = on_block
         self.player = player
         self._actuator, self._full_scale = player.actuator, 1.0
+        self._loaded: dict[tuple[bytes, int], Renderer] = {}  # by texture and seed
         self._stroked: _Stroked | None = None
         self._previous: _Stroked | None = None
         self._fade = np.linspace(1.0, 0.0, max(2, round(FADE_S * player.rate_hz)), dtype=np.float32)
@@ -59,18 +61,43 @@ class Contact:
         self._changing, self._pushing, self._starting = threading.Lock(), threading.Lock(), threading.Lock()
         self._started = self._closed = False
 
-    def open(self, texture: bytes, calibration: PressureCalibration, seed: int = 0) -> None:
+    def load(self, textures: Sequence[tuple[bytes, int]]) -> None:
+        """Keep textures ready, each with a seed: `open` then takes as long for one as for another.
+
+        Raises:
+            ValueError: as `open`.
+        """
+        native: dict[bytes, NativeTexture] = {}  # one that is there several times is loaded once
+        for texture, seed in textures:
+            if texture not in native:
+                native[texture] = NativeTexture(texture)
+            self._loaded[texture, seed] = self._renderer(native[texture], seed)
+
+    def _renderer(self, texture: bytes | NativeTexture, seed: int) -> Renderer:
+        return Renderer(texture, rate=self.player.rate_hz, seed=seed, actuator=self._actuator)
+
+    def open(
+        self, texture: bytes, calibration: PressureCalibration, seed: int = 0, volume_db: float | None = None
+    ) -> None:
         """Put a texture under the pen, in the middle of a stroke too; the first one begins to play.
+
+        Args:
+            volume_db: from the texture's first sample on; None leaves the volume as it is.
 
         Raises:
             ValueError: it is no texture file, or its rate and the player's do not go together.
             OSError: the player's device refuses, or the contact was closed meanwhile.
         """
-        renderer = Renderer(texture, rate=self.player.rate_hz, seed=seed, actuator=self._actuator)
+        loaded = self._loaded.get((texture, seed))
+        renderer = loaded or self._renderer(texture, seed)
         sd = float(renderer.native_texture.info.acceleration_sd)
         with self._pushing, self._changing:
+            if loaded is not None:
+                loaded.reset()  # it may have been under the pen before
             stroked = _Stroked(renderer, self._stylus(renderer, calibration), self._scale(sd), sd)
             self._previous, self._stroked, self._faded = self._stroked, stroked, 0
+            if volume_db is not None:
+                self.set_volume(volume_db)
         with self._starting:
             if self._closed:
                 raise OSError("the page has left")

@@ -136,7 +136,7 @@ class Session:
             shown |= {"practice": trial.practice, "real_side": design.real_side, "screens": setup.screens}
             shown |= {"task": task.kind, "question": task.question, "scales": [asdict(scale) for scale in design.asked]}
             shown |= {"intervals": INTERVALS[task.kind], "choices": CHOICES.get(task.kind, ())}
-            touched = [i for i in range(max(1, len(INTERVALS[task.kind]))) if self._log.contact_s(i)]
+            touched = [i for i in range(self._n_intervals) if self._log.contact_s(i)]
             shown |= {"interval": self.interval, "touched": touched}
             shown |= {"min_s": task.min_seconds, "side": self.side, "stored": self._n_taken.get(trial.number, 0)}
             shown |= {"lacks_real": self.lacks_real}
@@ -251,9 +251,8 @@ class Session:
         shown_s = time.monotonic() - self.shown_at if self.shown_at else 0.0
         if shown_s < min_s - CLOCK_TOLERANCE_S:  # by this clock: a page could say anything
             raise RefusedError(language.say("explore_first", s=math.ceil(min_s)))
-        n_intervals = max(1, len(INTERVALS[task.kind]))
-        if min_s and not all(self._log.contact_s(interval) for interval in range(n_intervals)):
-            raise RefusedError(language.say("stroke_first" if n_intervals == 1 else "stroke_each"))
+        if min_s and not all(self._log.contact_s(interval) for interval in range(self._n_intervals)):
+            raise RefusedError(language.say("stroke_first" if self._n_intervals == 1 else "stroke_each"))
         if self.lacks_real:
             raise RefusedError(language.say("touch_real", real=language.say("real_surface")))
 
@@ -277,13 +276,16 @@ class Session:
         return Rated(values, message.get("seconds"), self.n_switches, log)
 
     async def turn(self, side: str, marked_by: str, interval: int | None = None) -> None:
-        """Go over to the real surface, or to a virtual one, of several by its number; on the real one the virtual are silent."""
+        """Go over to the real surface, or to a virtual one, of several by its number; on the real one the virtual are silent.
+
+        The page is told at once, however long the rest takes: that might tell methods apart.
+        """
         step, design = self.step, self.server.design
         intervals = INTERVALS[design.task.kind]
         interval = self.interval if interval is None else int(interval)
         if side == "real" and design.real_side == "none":
             raise RefusedError("this study has no real surface")
-        if not 0 <= interval < max(1, len(intervals)):
+        if not 0 <= interval < self._n_intervals:
             raise RefusedError(f"side: interval is {interval}, expected one of {len(intervals)}")
         if step["kind"] != "trial" or self.held or (side, interval) == (self.side, self.interval):
             return
@@ -292,12 +294,13 @@ class Session:
         self.n_real += side == "real"
         trial: Trial = step["trial"]
         named = f"virtual {intervals[interval]}" if side == "virtual" and intervals else side
-        await self._write(partial(self.server.store.add_switch, self.number, trial.number, named, marked_by, at=now()))
+        at = now()
+        await self.show()
         if self.contact is not None and side == "real":
             self.contact.lift()
         if self.contact is not None and moved and self._page is not None:
             await self._put_under_pen(self.contact, self._page, trial)
-        await self.show()
+        await self._write(partial(self.server.store.add_switch, self.number, trial.number, named, marked_by, at=at))
 
     async def hold(self, held: bool) -> None:
         """Hold the trial that is shown, or let it go on."""
@@ -386,6 +389,7 @@ class Session:
         try:
             player = await asyncio.to_thread(server.player, page.rate_hz if plays_in_page else SOUND_RATE_HZ)
             contact = Contact(player, on_block)
+            await asyncio.to_thread(contact.load, [self._surface(trial, i) for i in range(self._n_intervals)])
         except (OSError, ValueError) as error:
             raise self._unplayable(error) from error
         await self._put_under_pen(contact, page, trial)
@@ -395,17 +399,26 @@ class Session:
     async def _put_under_pen(self, contact: Contact, page: ParticipantPage, trial: Trial) -> None:
         """Let a contact render the surface that is stroked, at its level."""
         server, task = self.server, self.server.design.task
-        key = trial.texture, trial.intervals(task.kind)[self.interval]
-        volume_db = server.design.output.volume_db + server.gains[key]
+        volume_db = server.design.output.volume_db
+        volume_db += server.gains[trial.texture, trial.intervals(task.kind)[self.interval]]
         if task.kind == "threshold":
             volume_db += gain_db(task, await self._level(trial), self.interval == trial.target)
-        contact.set_volume(volume_db)
-        seed = 1000 * self.number + trial.number + 500 + SEED_STEP * self.interval  # no two surfaces of one noise
+        texture, seed = self._surface(trial, self.interval)
         try:
-            await asyncio.to_thread(contact.open, server.stimuli.bytes_of[key], page.calibration, seed)
+            await asyncio.to_thread(contact.open, texture, page.calibration, seed, volume_db)
         except (OSError, ValueError) as error:
             raise self._unplayable(error) from error
         self.trouble = ""
+
+    @property
+    def _n_intervals(self) -> int:
+        return max(1, len(INTERVALS[self.server.design.task.kind]))
+
+    def _surface(self, trial: Trial, interval: int) -> tuple[bytes, int]:
+        """Texture file of a surface of a trial, and the seed of its noise, of which no two have the same."""
+        method = trial.intervals(self.server.design.task.kind)[interval]
+        seed = 1000 * self.number + trial.number + 500 + SEED_STEP * interval
+        return self.server.stimuli.bytes_of[trial.texture, method], seed
 
     def _unplayable(self, error: Exception) -> RefusedError:
         self.trouble = f"nothing can be played: {error}"
