@@ -475,6 +475,36 @@ def test_a_page_learns_of_a_switch_at_once_and_nothing_is_loaded_for_it(
         assert time.monotonic() - begin < 0.3
 
 
+@pytest.mark.parametrize("what", ["answer", "hold"])
+def test_an_answer_or_a_hold_during_a_switch_is_no_failure_to_play(tmp_path: Path, what: str) -> None:
+    server = server_of(abx_file(tmp_path, screens="2"))
+    with (
+        served(server) as client,
+        client.websocket_connect(f"{WS}/session") as a,
+        client.websocket_connect(f"{WS}/session") as b,
+    ):
+        tablet = Page(a, role="stroke", rate_hz=8000)
+        screen = Page(b, code=tablet.code, role="answer")
+        screen.to_trial()
+        while tablet.step != screen.step:
+            tablet.step = tablet.until("step")["step"]
+        tablet.stroke_until_it_sounds()
+        session = server.sessions[1]
+        slow_to_open(session)
+        tablet.say(do="side", side="virtual", interval=1)
+        tablet.until("step")
+        if what == "answer":
+            screen.done(values={"choice": 1})
+        else:
+            client.portal.call(session.hold, True)
+        shown = tablet.until("step", "refused")["step"]
+        assert (shown["id"], shown["held"]) == (("trial:2", False) if what == "answer" else ("trial:1", True))
+        tablet.say(do="side", side="virtual", interval=2)
+        if what == "answer":
+            assert tablet.until("step", "refused")["step"]["interval"] == 2
+        assert "trouble" not in session.for_operator()
+
+
 def test_strokes_on_a_tablet_are_waited_for_where_the_answer_comes_back_first(tmp_path: Path) -> None:
     """Those that come later still are stored with their trial, and count for no other one; none is stored twice."""
     path = study_file(tmp_path, screens="2", practice="0")

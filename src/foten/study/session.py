@@ -280,34 +280,36 @@ class Session:
 
         The page is told at once, however long the rest takes: that might tell methods apart.
         """
-        step, design = self.step, self.server.design
-        intervals = INTERVALS[design.task.kind]
-        interval = self.interval if interval is None else int(interval)
-        if side == "real" and design.real_side == "none":
-            raise RefusedError("this study has no real surface")
-        if not 0 <= interval < self._n_intervals:
-            raise RefusedError(f"side: interval is {interval}, expected one of {len(intervals)}")
-        if step["kind"] != "trial" or self.held or (side, interval) == (self.side, self.interval):
-            return
-        moved, self.side, self.interval = interval != self.interval, side, interval
-        self.n_switches += 1
-        self.n_real += side == "real"
-        trial: Trial = step["trial"]
-        named = f"virtual {intervals[interval]}" if side == "virtual" and intervals else side
-        at = now()
-        await self.show()
-        if self.contact is not None and side == "real":
-            self.contact.lift()
-        if self.contact is not None and moved and self._page is not None:
-            await self._put_under_pen(self.contact, self._page, trial)
-        await self._write(partial(self.server.store.add_switch, self.number, trial.number, named, marked_by, at=at))
+        async with self._changing:  # an answer or a hold that came now would end the contact
+            step, design = self.step, self.server.design
+            intervals = INTERVALS[design.task.kind]
+            interval = self.interval if interval is None else int(interval)
+            if side == "real" and design.real_side == "none":
+                raise RefusedError("this study has no real surface")
+            if not 0 <= interval < self._n_intervals:
+                raise RefusedError(f"side: interval is {interval}, expected one of {len(intervals)}")
+            if step["kind"] != "trial" or self.held or (side, interval) == (self.side, self.interval):
+                return
+            moved, self.side, self.interval = interval != self.interval, side, interval
+            self.n_switches += 1
+            self.n_real += side == "real"
+            trial: Trial = step["trial"]
+            named = f"virtual {intervals[interval]}" if side == "virtual" and intervals else side
+            at = now()
+            await self.show()
+            if self.contact is not None and side == "real":
+                self.contact.lift()
+            if self.contact is not None and moved and self._page is not None:
+                await self._put_under_pen(self.contact, self._page, trial)
+            await self._write(partial(self.server.store.add_switch, self.number, trial.number, named, marked_by, at=at))
 
     async def hold(self, held: bool) -> None:
         """Hold the trial that is shown, or let it go on."""
-        self.held = held and self.step["kind"] == "trial"
-        if self.held:
-            await self.end_contact()
-        await self.show()
+        async with self._changing:
+            self.held = held and self.step["kind"] == "trial"
+            if self.held:
+                await self.end_contact()
+            await self.show()
 
     async def push(self, page: ParticipantPage, events: NDArray[np.float64]) -> None:
         """Take in events of the pen; the first of a trial make its texture ready."""
@@ -477,9 +479,10 @@ class Session:
         self.pages.discard(page)
         if page.strokes:
             self._alone_since = time.monotonic()
-        if self._page is page:
-            await self.end_contact()
-            self._page = None
+        async with self._changing:
+            if self._page is page:
+                await self.end_contact()
+                self._page = None
 
     def for_operator(self) -> dict[str, Any]:
         """What the operator's page gets: the texture, and nothing of the method."""
