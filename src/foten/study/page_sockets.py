@@ -94,16 +94,21 @@ class ParticipantPage(PageSocket):
         return data is None or not is_missed(data)  # those of an outage come at once; `Session` bounds them
 
     async def take_bytes(self, data: bytes) -> None:
-        if missed := is_missed(data):
+        if not is_missed(data):
+            await self._stroking().push(self, self.events_in(data))
+            return
+        try:
+            _, interval, trial, first = BEFORE_MISSED.unpack_from(data)
+            events = parse_events(data[BEFORE_MISSED.size :])
+            await self._stroking().push_missed(self, trial, interval, first, events)
+        finally:
             self.n_again -= len(data) // EVENT_BYTES
-        events = parse_events(data[BEFORE_MISSED.size :]) if missed else self.events_in(data)
+
+    def _stroking(self) -> Session:
+        """Session that is stroked on here, or raise RefusedError."""
         if self._session is None or not self.strokes:
             raise RefusedError("events of a page that does not stroke")
-        if missed:
-            _, interval, trial, first = BEFORE_MISSED.unpack_from(data)
-            await self._session.push_missed(self, trial, interval, first, events)
-        else:
-            await self._session.push(self, events)
+        return self._session
 
     async def do(self, message: Mapping[str, Any]) -> None:
         kind, session = message["do"], self._session
