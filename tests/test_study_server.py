@@ -505,6 +505,36 @@ def test_an_answer_or_a_hold_during_a_switch_is_no_failure_to_play(tmp_path: Pat
         assert "trouble" not in session.for_operator()
 
 
+def test_who_downloads_the_data_keeps_nobody_waiting(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """And gets what there was when it began."""
+    server = server_of(study_file(tmp_path, practice="0"))
+    begins, goes_on, counts = threading.Event(), threading.Event(), []
+
+    def zipped(store: Store) -> bytes:
+        begins.set()
+        goes_on.wait(10)
+        counts.append(len(store.ratings()))
+        return b"all"
+
+    monkeypatch.setattr("foten.study.record.zipped", zipped)
+    with served(server) as client, client.websocket_connect(f"{WS}/session") as socket:
+        page = Page(socket)
+        page.to_trial()
+        page.answer()
+        client.get("/operator", params={"key": server.operator_key})
+        downloaded = list[bytes]()
+        download = threading.Thread(target=lambda: downloaded.append(client.get("/data.zip").content))
+        download.start()
+        assert begins.wait(10)
+        begin = time.monotonic()
+        page.answer()
+        assert time.monotonic() - begin < 5
+        goes_on.set()
+        download.join(20)
+    assert (downloaded, counts) == ([b"all"], [1])
+    assert len(server.store.ratings()) == 2
+
+
 def test_strokes_on_a_tablet_are_waited_for_where_the_answer_comes_back_first(tmp_path: Path) -> None:
     """Those that come later still are stored with their trial, and count for no other one; none is stored twice."""
     path = study_file(tmp_path, screens="2", practice="0")

@@ -56,12 +56,15 @@ class Stroked:
 class Store(contextlib.AbstractContextManager["Store"]):
     """An open study. It belongs to one thread at a time.
 
+    Args:
+        read_only: as it is now, whatever another connection adds meanwhile.
+
     Raises:
         FileNotFoundError: there is no such file.
         ValueError: it is no study, is damaged, or a newer foten made it.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, read_only: bool = False) -> None:
         check_regular(path)
         self.path = path
         self._lock: BinaryIO | None = None
@@ -69,6 +72,10 @@ class Store(contextlib.AbstractContextManager["Store"]):
         self._connection.row_factory = sqlite3.Row
         try:
             self._open()
+            if read_only:
+                self._execute("PRAGMA query_only = ON")
+                self._execute("BEGIN")
+                self.ordered()  # the first query says what is now
         except BaseException as error:
             self._connection.close()
             if isinstance(error, sqlite3.OperationalError):

@@ -71,6 +71,7 @@ class StudyServer:
         self.operators: set[OperatorPage] = set()
         # One thread: SQLite waits for the disk, which the sound must not.
         self.disk = ThreadPoolExecutor(1, thread_name_prefix="foten-store")
+        self._downloading = ThreadPoolExecutor(1, thread_name_prefix="foten-download")  # which keeps no answer waiting
         for code, number in store.codes().items():
             self._session(number, code)
 
@@ -123,6 +124,7 @@ class StudyServer:
         again.cancel()
         for session in self.sessions.values():
             await session.end_contact()
+        self._downloading.shutdown()
         self.disk.shutdown()
 
     async def _save_again(self) -> None:
@@ -184,13 +186,17 @@ class StudyServer:
         return Response(drawn.getvalue(), media_type="image/svg+xml")
 
     async def _data(self, request: Request) -> Response:
-        """All answers so far, to be saved."""
+        """All answers so far, with their methods, to be saved."""
         if not self._is_operator(request):
             return missing("this is the operator's")
         from foten.study.record import zipped
 
+        def packed() -> bytes:
+            with Store(self.store.path, read_only=True) as store:
+                return zipped(store)
+
         try:
-            data = await self.on_disk(lambda: zipped(self.store))
+            data = await asyncio.get_running_loop().run_in_executor(self._downloading, packed)
         except ValueError as error:
             return missing(str(error))
         name = f"{self.store.path.stem}.zip"

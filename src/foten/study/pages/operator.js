@@ -1,4 +1,4 @@
-// The operator's page: who is where, which sample to lay down, and a hand on the trials. It is told nothing of methods.
+// The operator's page: who is where, which sample to lay down, and a hand on the trials. It is told nothing of methods; the data that it downloads name them.
 const $ = (id) => document.getElementById(id);
 const KINDS = { consent: "reads the consent", questions: "answers questions", instructions: "reads the instructions", break: "has a break", end: "has finished" };
 let socket, hiding, invited = null, link = "";
