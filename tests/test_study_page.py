@@ -597,7 +597,7 @@ def test_a_trial_of_each_kind_is_stroked_and_answered(
         "^(question|lowest|highest) = .*\n", "", text, flags=re.M
     )  # those of the task, in the study's language
     study.write_text(text + SCALES * (kind == "rating"), encoding="utf-8")
-    with running(study) as (_, link):
+    with running(study) as (operator, link):
         page = browser.new_context(viewport={"width": 1024, "height": 768}).new_page()
         faults: list[Any] = []
         page.on("pageerror", lambda error: faults.append(str(error)))
@@ -618,6 +618,13 @@ def test_a_trial_of_each_kind_is_stroked_and_answered(
             until(page, f"document.querySelector('#lacks').textContent === '{language.words['choose']}'")
             faults += faults_in(page, kind, language)
             page.click(".asked .choice >> nth=1")
+        if kind == "oddity":
+            other = page.context.new_page()
+            other.goto(operator)
+            other.wait_for_selector("[data-what=Hold]:visible")
+            assert not other.is_visible("[data-what=Real]")  # there is none to touch
+            assert not other.is_visible("#unchecked")
+            other.close()
         faults += [
             fault
             for fault in faults_in(page, f"{kind}-chosen", language)

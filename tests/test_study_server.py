@@ -535,6 +535,64 @@ def test_who_downloads_the_data_keeps_nobody_waiting(tmp_path: Path, monkeypatch
     assert len(server.store.ratings()) == 2
 
 
+@pytest.mark.parametrize("compared", [False, True])
+def test_markers_come_in_pairs_wherever_the_hand_goes(tmp_path: Path, compared: bool) -> None:
+    """To the real surface, from which it comes back; to another one in a stroke; while the trial is held; to the answer."""
+    server = server_of(abx_file(tmp_path) if compared else study_file(tmp_path, practice="0"))
+    sent: list[tuple[str, int, int | None]] = []
+
+    class Recorder:
+        def send(self, event: str, trial: int, surface: int | None = None, **about: Any) -> None:
+            sent.append((event, trial, surface))
+
+    server.markers = Recorder()  # type: ignore[assignment]
+    sides = [("virtual", 1), ("virtual", 0)] if compared else [("real", 0), ("virtual", 0)]
+    with served(server) as client, client.websocket_connect(f"{WS}/session") as socket:
+        page = Page(socket, rate_hz=8000)
+        page.to_trial()
+        for side, interval in sides:
+            page.stroke()  # without an end, as where the other surface is tapped with the pen down
+            page.say(do="side", side=side, interval=interval)
+            page.until("step")
+        page.stroke()
+        page.done()  # is refused, and all before was taken in
+        for held in (True, False):
+            client.portal.call(server.sessions[1].hold, held)
+            page.step = page.until("step")["step"]
+        page.stroke()
+        page.done(values={"choice": 1} if compared else {"similarity": 40.0})
+    surfaces = [1, 2, 1, 1] if compared else [1, 1, 1]
+    strokes = [(event, 1, surface) for surface in surfaces for event in ("contact", "lift")]
+    assert sent[: len(strokes) + 2] == [("trial", 1, None), *strokes, ("answer", 1, None)]
+
+
+def test_under_runs_are_those_of_the_page_that_plays(tmp_path: Path) -> None:
+    server = server_of(study_file(tmp_path, screens="2", practice="0"))
+    with (
+        served(server) as client,
+        client.websocket_connect(f"{WS}/session") as a,
+        client.websocket_connect(f"{WS}/session") as b,
+    ):
+        tablet = Page(a, role="stroke")
+        screen = Page(b, code=tablet.code, role="answer")
+        screen.to_trial()
+        for step, n in (("trial:1", 3), ("trial:2", 9)):  # and one that comes for another trial
+            tablet.say(do="count", step=step, underruns=n)
+        tablet.say(do="side", side="real")
+        screen.step = screen.until("step")["step"]
+        for _ in range(2):
+            screen.done(values={"similarity": 40.0})
+    assert [row["measured"]["n_underruns"] for row in server.store.ratings()] == [3, None]
+
+
+def test_who_has_no_real_surface_is_not_sent_to_both(tmp_path: Path) -> None:
+    server = server_of(abx_file(tmp_path, min_seconds="30"))
+    with joined(server) as page:
+        page.to_trial()
+        refused = page.done(values={"choice": 1})["refused"]
+    assert refused == "Explore the surfaces for 30\u00a0s first"
+
+
 def test_strokes_on_a_tablet_are_waited_for_where_the_answer_comes_back_first(tmp_path: Path) -> None:
     """Those that come later still are stored with their trial, and count for no other one; none is stored twice."""
     path = study_file(tmp_path, screens="2", practice="0")

@@ -37,6 +37,7 @@ PARTICIPANT = Protocol(
         "join": ((), ("code", "fresh", "role", "rate_hz", "volume_db", "again", *CALIBRATION)),
         "done": (("step",), ("values", "seconds", "underruns", "answers")),
         "side": (("side",), ("interval",)),
+        "count": (("step", "underruns"), ()),
     },
     {
         **PLAYING_FIELDS,
@@ -120,6 +121,8 @@ class ParticipantPage(PageSocket):
             await self._finish(session, message)
         elif kind == "side":
             await session.turn(str(message["side"]), "participant", message.get("interval"))
+        elif kind == "count":
+            session.count_underruns(str(message["step"]), int(message["underruns"]))
 
     async def _finish(self, session: Session, message: Mapping[str, Any]) -> None:
         """Take an answer; a refusal says whether it may be sent again as it is."""

@@ -103,6 +103,7 @@ class Session:
         self.side, self.interval, self.shown_at = "virtual", 0, 0.0
         self.n_switches = self.n_real = 0  # to the real surface
         self._log = TrialLog()
+        self._n_underruns: int | None = None  # of the trial, as a tablet beside the screen of the answer said
         self._down = False  # the pen, on a surface that is rendered
         self._level_db: float | None = None  # of a threshold's trial, once it is stroked
 
@@ -151,6 +152,12 @@ class Session:
             texture = self.server.design.textures[trial.texture].key
             self.server.markers.send(event, participant=self.number, trial=trial.number, texture=texture, **about)
 
+    def _mark_lift(self) -> None:
+        """Mark that the pen left the surface that it was on."""
+        if self._down:
+            self._mark("lift", surface=self.interval + 1)
+        self._down = False
+
     async def show(self) -> None:
         """Show the step on all pages."""
         for page in list(self.pages):
@@ -197,6 +204,7 @@ class Session:
                 return None
             await self._store(step, message)
             if step["kind"] == "trial":
+                self._mark_lift()
                 self._mark("answer", values=message["values"])
             self.done.add(step_id)
             await self.end_contact()
@@ -242,7 +250,8 @@ class Session:
         return design.setup.real_checked and design.real_side != "none" and not self.n_real
 
     def _check_trial_may_end(self) -> None:
-        language, task = self.server.design.language, self.server.design.task
+        design = self.server.design
+        language, task = design.language, design.task
         if self.held:
             raise NotYetError(language.say("operator_holds"))
         if self._strokes_are_coming():
@@ -250,7 +259,9 @@ class Session:
         min_s = task.min_seconds
         shown_s = time.monotonic() - self.shown_at if self.shown_at else 0.0
         if shown_s < min_s - CLOCK_TOLERANCE_S:  # by this clock: a page could say anything
-            raise RefusedError(language.say("explore_first", s=math.ceil(min_s)))
+            raise RefusedError(
+                language.say("wait" if design.real_side == "none" else "explore_first", s=math.ceil(min_s))
+            )
         if min_s and not all(self._log.contact_s(interval) for interval in range(self._n_intervals)):
             raise RefusedError(language.say("stroke_first" if self._n_intervals == 1 else "stroke_each"))
         if self.lacks_real:
@@ -269,7 +280,7 @@ class Session:
         if level_db is not None:
             log["level_db"] = level_db
         if self.server.output is None:  # the sound runs dry in the tablet, if anywhere, and its page counts that
-            log["n_underruns"] = message.get("underruns")
+            log["n_underruns"] = message.get("underruns", self._n_underruns)
         page = next((page for page in self.pages if page.strokes), None)
         if page is not None:
             log |= {"volume_db": page.volume_db, "rate_hz": page.rate_hz}
@@ -290,6 +301,7 @@ class Session:
                 raise RefusedError(f"side: interval is {interval}, expected one of {len(intervals)}")
             if step["kind"] != "trial" or self.held or (side, interval) == (self.side, self.interval):
                 return
+            self._mark_lift()
             moved, self.side, self.interval = interval != self.interval, side, interval
             self.n_switches += 1
             self.n_real += side == "real"
@@ -302,6 +314,11 @@ class Session:
             if self.contact is not None and moved and self._page is not None:
                 await self._put_under_pen(self.contact, self._page, trial)
             await self._write(partial(self.server.store.add_switch, self.number, trial.number, named, marked_by, at=at))
+
+    def count_underruns(self, step_id: str, n: int) -> None:
+        """Take how many under-runs a trial has had so far."""
+        if step_id == self.step["id"]:
+            self._n_underruns = n
 
     async def hold(self, held: bool) -> None:
         """Hold the trial that is shown, or let it go on."""
@@ -326,8 +343,10 @@ class Session:
         if self.contact is not None:
             self.contact.push(events)
             down = bool(events[-1, 2] > 0)
-            if down != self._down:
-                self._mark("contact" if down else "lift", surface=self.interval + 1)
+            if down and not self._down:
+                self._mark("contact", surface=self.interval + 1)
+            elif not down:
+                self._mark_lift()
             self._down = down
             self._of_trial(step["trial"]).events.append((self.interval, events))
             self._log.events.append((self.interval, events))
@@ -468,6 +487,7 @@ class Session:
 
     async def end_contact(self) -> None:
         """End playing, and save the strokes."""
+        self._mark_lift()
         await self.save_strokes()
         contact, self.contact = self.contact, None
         if contact is not None:

@@ -40,7 +40,7 @@ function show({ title, planned, simulated, operator, screens, real_checked: real
   $("none").hidden = sessions.length > 0;
   $("data").hidden = !sessions.some((one) => one.n > 0);
   $("lets-go").hidden = !operator;
-  $("unchecked").hidden = realChecked || !sessions.length;
+  $("unchecked").hidden = realChecked || !sessions.some((one) => one.real_side !== "none");
   // Those at work first; who has finished stays below.
   const order = [...sessions].sort((a, b) => (a.kind === "end") - (b.kind === "end") || b.number - a.number);
   const known = new Map([...$("people").children].map((row) => [Number(row.dataset.number), row]));
@@ -90,7 +90,7 @@ function fill(row, one) {
   for (const button of row.querySelectorAll("[data-what]")) {
     const { what } = button.dataset;
     if (["Allow", "Refuse"].includes(what)) button.hidden = !one.asks;
-    else button.hidden = one.kind === "end" || (what !== "Code" && !trial) || (what === "Go" && !one.held) || (what === "Hold" && one.held) || (["Real", "Virtual"].includes(what) && (one.held || what.toLowerCase() === one.side));
+    else button.hidden = one.kind === "end" || (what !== "Code" && !trial) || (what === "Go" && !one.held) || (what === "Hold" && one.held) || (["Real", "Virtual"].includes(what) && (one.held || one.real_side === "none" || what.toLowerCase() === one.side));
   }
 }
 

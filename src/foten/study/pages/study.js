@@ -51,7 +51,10 @@ class Output extends EventTarget {
     await this.context.audioWorklet.addModule("player.js");
     this.node = new AudioWorkletNode(this.context, "foten-player", { numberOfInputs: 0, outputChannelCount: [1] });
     this.volume = new GainNode(this.context, { gain: 10 ** (this.volumeDb / 20) });
-    this.node.port.onmessage = () => this.underruns++;
+    this.node.port.onmessage = () => {
+      this.underruns++;
+      this.dispatchEvent(new Event("underrun"));
+    };
     this.node.connect(this.volume).connect(this.context.destination);
   }
 
@@ -79,6 +82,7 @@ class Study {
   constructor() {
     this.sound = new Output();
     this.surface = el("canvas", { tabIndex: 0, id: "pad", role: "application", ariaLabel: words.surface_label });
+    this.sound.addEventListener("underrun", () => this.role === "stroke" && (this.counting ??= setTimeout(() => this.count(), 250)));
     this.pad = new Pad(this.surface, (...event) => this.event(...event));
     this.settings = new Settings($("panel"), this.sound, this.pad, words);
     this.role = ["stroke", "answer"].includes(given.get("role")) ? given.get("role") : "all";
@@ -353,7 +357,7 @@ class Study {
     }
     if (answers) {
       const answer = step.choices.length ? this.choosing(step) : this.rating(step);
-      const next = el("button", { className: "big", type: "button", onclick: () => this.done({ values: answer.values(), seconds: this.seconds, underruns: this.sound.underruns }) }, words.next);
+      const next = el("button", { className: "big", type: "button", onclick: () => this.done({ values: answer.values(), seconds: this.seconds, ...(strokes && { underruns: this.sound.underruns }) }) }, words.next);
       next.dataset.needs = "rating";
       next.setAttribute("aria-describedby", "lacks");
       if (this.pending?.step === step.id) answer.set(this.pending.values); // as it was chosen before the page was loaded again
@@ -365,6 +369,7 @@ class Study {
     for (const [id, { events }] of this.unstored) if (!events.length && id !== step.id) this.unstored.delete(id);
     if (!this.unstored.has(step.id)) this.unstored.set(step.id, { trial: step.n, base: step.stored, events: [] });
     this.sound.afresh();
+    if (role === "stroke") this.count();
     this.put(box);
     this.lacks = answers ? () => this.lacking() : null;
     this.pad.resize();
@@ -502,6 +507,13 @@ class Study {
         for (let i = 0; i < this.waiting.length; i += MOST_AT_ONCE) this.socket.send(Float64Array.from(this.waiting.slice(i, i + MOST_AT_ONCE).flat()));
       this.waiting = [];
     });
+  }
+
+  /** Say how many under-runs the trial has had, where another page takes its answer. */
+  count() {
+    clearTimeout(this.counting);
+    this.counting = null;
+    if (this.step?.kind === "trial") this.say({ do: "count", step: this.step.id, underruns: this.sound.underruns });
   }
 
   played(data) {
