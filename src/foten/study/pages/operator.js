@@ -32,6 +32,12 @@ const ask = (message) => socket.readyState === WebSocket.OPEN && socket.send(JSO
 function show({ title, planned, simulated, operator, screens, real_checked: realChecked, sessions, link: newest }) {
   if (newest !== link && invited && $("invite").open) invite({ ...invited, screens }); // a link lets one device in
   link = newest;
+  const asked = invited && sessions.find((one) => one.number === invited.started), wanted = screens ?? 1;
+  if (asked && asked.pages.length < wanted) invited.waits = true;
+  else if (asked && invited.waits) {
+    invited.waits = false;
+    $("invite").close(); // whoever was waited for is there
+  }
   $("title").textContent = title;
   document.title = `Operator: ${title}`;
   $("simulated").hidden = !simulated;
@@ -95,7 +101,7 @@ function fill(row, one) {
 }
 
 function invite({ started, code, screens }) {
-  invited = { started, code };
+  invited = { started, code, waits: invited?.started === started && invited.waits };
   $("invited").textContent = `Participant ${started}`;
   $("invite-code").textContent = code;
   const roles = (screens ?? 1) > 1 ? [["stroke", "Tablet to stroke on"], ["answer", "Screen to answer on"]] : [["all", ""]];

@@ -7,6 +7,7 @@ const ELSEWHERE = 4001; // as the server closes a page that another one takes th
 const NOT_ALLOWED = 4002; // and one that the operator does not let go on where another device was
 const TOO_MANY = 1013; // and one that would be too many
 const AGAIN_MS = 1500;
+const APART_S = 0.25; // of two events of one contact
 const MOST_AT_ONCE = 64; // events in a message
 const now = () => performance.timeOrigin + performance.now(); // ms; the system's clock may be set back
 const $ = (id) => document.getElementById(id);
@@ -493,11 +494,13 @@ class Study {
     if (pressure && step.side === "real") this.turn("virtual");
     if (step.side === "real") return;
     if (!this.sound.running) this.start();
-    if (pressure && !this.touched.has(step.interval)) {
+    const { last } = this; // contact is counted as the server counts it: a pen that only rests there strokes nothing
+    if (last?.pressure && last.interval === step.interval && t > last.t && t - last.t <= APART_S && !this.touched.has(step.interval)) {
       this.touched.add(step.interval);
       this.mark();
       this.check();
     }
+    this.last = { pressure, interval: step.interval, t };
     this.waiting.push([x, y, pressure, t]);
     if (this.waiting.length > 1) return;
     queueMicrotask(() => {
