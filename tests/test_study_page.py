@@ -244,9 +244,11 @@ def test_a_trial_that_is_held_keeps_what_was_chosen_and_its_time(browser: Any, t
         other.click("#begin-one")
         until(other, "document.querySelector('#invite-code').textContent !== ''")  # the server was asked for it
         code = other.inner_text("#invite-code")
-        other.keyboard.press("Escape")
+        other.wait_for_timeout(700)
+        assert other.evaluate("document.querySelector('#invite').open")
         page = context.new_page()
         page.goto(f"{link}?code={code}")
+        until(other, "!document.querySelector('#invite').open")  # it covers what the operator needs now
         to_trial(page)
         assert page.evaluate("window.study.step.held")
 
@@ -568,6 +570,14 @@ STROKE = """(x) => {
   const lift = (done) => { say("pointerrawupdate", 99); say("pointerup", 100); setTimeout(done, 60); };
   return new Promise((done) => setTimeout(() => lift(done), 60));
 }"""
+REST = """() => {
+  const canvas = document.querySelector("#pad"), box = canvas.getBoundingClientRect();
+  canvas.setPointerCapture = () => {};
+  const say = (type) => canvas.dispatchEvent(new PointerEvent(type, { pointerId: 7, pointerType: "pen", pressure: 0.5,
+    clientX: box.left + 99, clientY: box.top + 150, bubbles: true, buttons: 1 }));
+  say("pointerdown");
+  return new Promise((done) => setTimeout(() => { say("pointerup"); setTimeout(done, 60); }, 400));
+}"""
 SCALES = "".join(
     f'[[scales]]\nkey = "{key}"\nquestion = "How {key} is it?"\nlowest = "not {key}"\nhighest = "very {key}"\n'
     for key in ("rough", "hard", "sticky")
@@ -605,6 +615,8 @@ def test_a_trial_of_each_kind_is_stroked_and_answered(
         for following in ("questions", "instructions", "trial"):
             page.click("button.big")
             until(page, f"window.study.step?.kind === '{following}'")
+        page.evaluate(REST)
+        assert not page.query_selector(".intervals .stroked")  # to the server that is no stroke either
         for i, name in enumerate(names or "1"):
             assert page.is_disabled("button.big")
             if names:
