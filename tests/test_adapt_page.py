@@ -171,6 +171,7 @@ serve(server.app, "127.0.0.1", 0, lambda access, shown, joined: print(access.lin
 
 
 @pytest.mark.browser
+@pytest.mark.slow
 def test_a_user_is_measured_in_a_browser(tmp_path: Path) -> None:
     """Tones light up and are answered by clicks and by keys, two pairs are stroked, and the end shows what the file holds."""
     pytest.importorskip("playwright.sync_api", reason="needs Playwright: pip install '.[browser]'")

@@ -84,7 +84,8 @@ def serves(folder: Path, *command: str | Path) -> None:
         process.communicate(timeout=30)
 
 
-LONG = ("capture", "recordings")  # minutes of training; their commands are run at night
+# Of training and of edits that are judged: their commands are run at night.
+LONG = ("capture", "recordings", "tool", "user")
 
 
 def runnable(page: Path, slow: bool) -> list[Block]:

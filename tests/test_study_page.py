@@ -521,6 +521,7 @@ def test_a_participant_reads_one_language_and_all_of_each_text(browser: Any, tmp
     assert len(heights) == 1
 
 
+@pytest.mark.slow
 def test_the_pages_are_accessible_and_look_as_the_screenshots_show(browser: Any, tmp_path: Path) -> None:
     context = browser.new_context()
     violations: list[Any] = []
