@@ -303,6 +303,16 @@ def test_who_is_forgotten_is_so_with_the_devices_too(tmp_path: Path) -> None:
     assert list(json.loads(devices.read_text(encoding="utf-8"))) == ["OTHER stroke"]
 
 
+@pytest.mark.parametrize(
+    ("kind", "option"), [("rating", "--effect"), ("abx", "--difference"), ("threshold", "--difference")]
+)
+def test_an_effect_of_another_task_is_not_ignored(tmp_path: Path, kind: str, option: str) -> None:
+    path = task_file(tmp_path, kind)
+    assert option in foten("simulate", path, "-o", tmp_path / "s.db", option, 2, ok=False)
+    assert option in foten("power", path, option, 2, ok=False)
+    assert not (tmp_path / "s.db").exists()
+
+
 # Statistics
 
 

@@ -45,7 +45,7 @@ def new(
     task: str = Option("rating", help="What a trial asks: rating, paired, abx, oddity or threshold."),
     language: str = Option("en", help="Of all that participants read: en, de, fr, es, ja, ko or zh."),
     participants: int | None = Option(
-        None, min=1, help="How many; by default as many as a difference of 8.75 points needs, in whole squares."
+        None, min=1, help="How many; by default as many as find an effect that is printed, in whole squares."
     ),
     seed: int = Option(1, min=0, help="Of the order of trials."),
 ) -> None:
@@ -213,7 +213,9 @@ def status(database: Database, as_json: JsonOption = False) -> None:
 def simulate(
     study: StudyFile,
     output: Path = Option(..., "-o", "--output", metavar="STUDY.db", help="A new database, marked as simulated."),
-    difference: float = Option(10.0, help="Points of the scale that one method is better by, to the raters."),
+    difference: float | None = Option(
+        None, help="Points of the scale that one method is better by, to the raters.", show_default="10"
+    ),
     effect: Effect = None,
     better: str | None = Option(None, metavar="METHOD", help="That is better; by default the last."),
     sd: Sd = 10.67,
@@ -237,9 +239,14 @@ def simulate(
     if better is not None and better not in methods:
         raise ValueError(f"--better is {better!r}, expected one of {', '.join(methods)}")
     index = -1 if better is None else methods.index(better)
+    if (kind := loaded.design.task.kind) == "rating":
+        refuse("is of choices and thresholds; of ratings it is --difference", effect=effect)
+    else:
+        refuse("is of ratings; of choices and thresholds it is --effect", difference=difference)
+    difference = 10.0 if difference is None else difference
     raters = raters_for(len(methods), len(loaded.design.textures), difference, sd, correlation, index)
     with loaded.open_store(output, simulated=True) as store:
-        effect = DEFAULT_EFFECTS.get(loaded.design.task.kind, 0.0) if effect is None else effect
+        effect = DEFAULT_EFFECTS.get(kind, 0.0) if effect is None else effect
         simulate_study(store, loaded.design, raters, effect, index, missing, seed)
         n = len(store.ratings())
     print(f"wrote {output}: {counted(n, 'simulated answer')} of {counted(loaded.design.participants, 'rater')}")
@@ -265,7 +272,12 @@ def power(
     repeats: int | None = Option(
         None, min=1, help="Of each pair on each texture, without a study file.", show_default="1"
     ),
-    studies: int = Option(500, min=50, help="That are simulated for each number of participants."),
+    studies: int | None = Option(
+        None,
+        min=50,
+        help="That are simulated for each number of participants.",
+        show_default="500, or 200 where surfaces are chosen",
+    ),
     seed: int = Option(0, min=0, help="Of the simulation."),
     as_json: JsonOption = False,
 ) -> None:
@@ -288,12 +300,13 @@ def power(
         of_task = Task("threshold")
     methods, textures = methods or 4, textures or 12
     if task in (None, "rating"):
-        pass
-    elif task == "threshold":
-        refuse("is of ratings", difference=difference, sd=sd)
+        refuse("is of choices and thresholds; of ratings it is --difference", effect=effect)
     else:
-        _print_power_of_choices(task, methods, textures * (repeats or 1), effect, min(studies, 200), seed, as_json)
+        refuse("is of ratings; of choices and thresholds it is --effect", difference=difference, sd=sd)
+    if task not in (None, "rating", "threshold"):
+        _print_power_of_choices(task, methods, textures * (repeats or 1), effect, studies or 200, seed, as_json)
         return
+    studies = studies or 500
     if task == "threshold":
         db = DEFAULT_EFFECTS[task] if effect is None else effect
         raters, of = (

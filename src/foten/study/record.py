@@ -18,12 +18,11 @@ import numpy as np
 import pandas
 
 from foten import __version__
-from foten.atomic_write import atomic_write
 from foten.recording.inspection.values import counted
 from foten.study.analysis import Ratings, read_ratings
 from foten.study.design import CHOICES, task_of
 from foten.study.orders import N_TARGETS, Trial
-from foten.study.report import OF_THRESHOLDS, SUMMARY, dictionary_of, participants_frame, rows_of
+from foten.study.report import OF_THRESHOLDS, SUMMARY, dictionary_of, participants_frame, rows_of, written
 from foten.study.schema import Stimulus
 from foten.study.session import INTERVALS, MAX_APART_S
 from foten.study.store import Store, Stroked
@@ -240,12 +239,7 @@ FORMATS: Mapping[str, Callable[[Store], dict[str, str]]] = {"psych-ds": psych_ds
 
 def write_record(store: Store, form: str, folder: Path) -> list[Path]:
     """Write a study in a form of `FORMATS` into a folder; the paths of its files."""
-    texts = FORMATS[form](store)
-    for name, text in texts.items():
-        (folder / name).parent.mkdir(parents=True, exist_ok=True)
-        with atomic_write(folder / name) as part:
-            part.write_text(text, encoding="utf-8", newline="")
-    return [folder / name for name in texts]
+    return written(folder, FORMATS[form](store))
 
 
 def zipped(store: Store) -> bytes:

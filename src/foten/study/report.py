@@ -111,7 +111,7 @@ def write_report(results: Sequence[Result], folder: Path) -> list[Path]:
         "report.md": _markdown(results),
         "results.json": json.dumps(document, indent=1, allow_nan=False) + "\n",
     }
-    return [*_written(folder, texts | _csv({"pairs.csv": _pairs_frame(results)})), *paths]
+    return [*written(folder, texts | _csv({"pairs.csv": _pairs_frame(results)})), *paths]
 
 
 def write_data(every: Sequence[Ratings], folder: Path) -> list[Path]:
@@ -143,7 +143,7 @@ def write_data(every: Sequence[Ratings], folder: Path) -> list[Path]:
         "dictionary.csv": pandas.DataFrame(columns, columns=["column", "meaning", "unit"]),
         **{name: frame.assign(simulated=int(ratings.simulated)) for name, frame in marked.items()},
     }
-    return _written(folder, _csv(frames))
+    return written(folder, _csv(frames))
 
 
 def dictionary_of(ratings: Ratings) -> list[tuple[str, str, str]]:
@@ -172,8 +172,10 @@ def _csv(frames: Mapping[str, pandas.DataFrame]) -> dict[str, str]:
     return {name: frame.to_csv(index=False, float_format="%.6g", lineterminator="\n") for name, frame in frames.items()}
 
 
-def _written(folder: Path, texts: Mapping[str, str]) -> list[Path]:
+def written(folder: Path, texts: Mapping[str, str]) -> list[Path]:
+    """Paths of texts that are written into a folder, by name."""
     for name, text in texts.items():
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
         with atomic_write(folder / name) as part:
             part.write_text(text, encoding="utf-8", newline="")
     return [folder / name for name in texts]
