@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
 import re
 import signal
@@ -19,6 +20,7 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
 
+import anyio
 import numpy as np
 import pytest
 
@@ -40,6 +42,7 @@ from foten.studio.page_files import page_files
 from foten.studio.players import OutputDevice, RoundRobinRenderer
 from foten.studio.shelf import Shelf
 from foten.studio.studio_server import Studio
+from foten.studio.websocket import PageSocket
 from test_live import FakeDaq
 from test_messages import event
 
@@ -386,6 +389,23 @@ def test_an_address_of_ipv6_is_in_brackets() -> None:
     with serving(str(EXAMPLE), "--host", "::1") as (_, link):
         assert link.startswith("http://[::1]:")
         check_page(link)
+
+
+def test_a_page_that_ends_as_it_is_cancelled_is_cancelled_by_its_scope() -> None:
+    """What cancels is told by its message, which the end of a sender must not take the place of."""
+
+    async def run() -> bool:
+        class Going:
+            async def receive(self) -> dict[str, str]:
+                await asyncio.sleep(0)  # the sender has begun
+                asyncio.get_running_loop().call_soon(scope.cancel)
+                return {"type": "websocket.disconnect"}
+
+        with anyio.CancelScope() as scope:
+            await PageSocket(Going(), {}, lambda: asyncio.sleep(10)).run()  # type: ignore[arg-type]
+        return scope.cancelled_caught
+
+    assert asyncio.run(run())
 
 
 def test_a_damaged_capture_is_left_out_and_said(tmp_path: Path) -> None:

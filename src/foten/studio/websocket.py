@@ -121,7 +121,9 @@ class PageSocket:
         finally:
             for task in tasks:
                 task.cancel()
-            await asyncio.gather(*tasks, return_exceptions=True)
+            await asyncio.wait(tasks)  # not `gather`: what cancels this page would be taken for the end of a sender
+            for task in tasks:
+                _ = task.cancelled() or task.exception()  # the page is gone: nobody is told
 
     async def _take(self, received: Mapping[str, Any]) -> None:
         try:
