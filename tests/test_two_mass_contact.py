@@ -95,7 +95,7 @@ def test_threads_have_their_period_and_some_are_missing() -> None:
     cycles = np.fft.rfftfreq(len(height), GRID_MM)
     high = cycles > 0.3
     assert cycles[high][spectrum[high].argmax()] == pytest.approx(1.05, rel=0.01)  # thick ones take two places
-    # Below a quarter of their height lie 3.2 % of a round thread; one in twenty is missing, one twice as wide and 1.6 times as high.
+    # Below a quarter of the height lie 3.2 % of a round thread; one in 20 is missing, one twice as wide and 1.6 times as high.
     expected = (0.9 * (1 - np.sqrt(1 - 0.25**2)) + 0.05 + 0.1 * (1 - np.sqrt(1 - (0.25 / 1.6) ** 2))) / 1.05
     assert np.mean(height - height.min() < 5.0) == pytest.approx(expected, rel=0.1)
 
