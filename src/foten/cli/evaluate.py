@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from concurrent.futures import ThreadPoolExecutor
 from math import pi
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -39,10 +40,11 @@ def evaluate(
     texture, recording = read_texture(texture_file), load_takes(recording_files)
     if texture.unfinished:
         say(f"{texture_file.name}: {texture.unfinished}")
-    reference = reference_for(recording, texture, trim, block, listener)
-    judgement = judge.evaluate(
-        texture, recording, reference, seed, lambda stage: say(f"{stage} …"), trim, block, listener
-    )
+    with ThreadPoolExecutor() as beside:
+        reference = beside.submit(reference_for, recording, texture, trim, block, listener)
+        judgement = judge.evaluate(
+            texture, recording, reference.result, seed, lambda stage: say(f"{stage} …"), trim, block, listener
+        )
     if report is not None:
         from foten.evaluate.report.page import write_report
 

@@ -76,7 +76,7 @@ def trace_for(
 def evaluate(
     texture: Texture,
     recording: Recording,
-    simulated: SimulatorReference | None = None,
+    simulated: SimulatorReference | Callable[[], SimulatorReference] | None = None,
     seed: int = 0,
     on_stage: Callable[[str], None] = lambda stage: None,
     trim_ms: float | None = None,
@@ -86,6 +86,7 @@ def evaluate(
     """All figures of a texture on the test blocks of the recording it was trained on, or on all blocks of another.
 
     Args:
+        simulated: what a simulator knows, or what gives it once linear predictors are fitted.
         seed: of the excitation.
         trim_ms, block_ms: of another recording, as of `trace_for`.
         listener: train listeners too, which needs PyTorch and a minute.
@@ -93,7 +94,6 @@ def evaluate(
     Raises:
         ValueError: the recording is too short, the split does not fit it, or one of the two alone is in relative units.
     """
-    simulated = simulated or SimulatorReference()
     units = {texture.card["units"].get("acceleration"), recording.unit("acceleration")}
     if RELATIVE in units and len(units) > 1:
         which = "texture" if texture.unit == RELATIVE else "recording"
@@ -113,7 +113,6 @@ def evaluate(
             of_recording = f"the recording gives {trace.n_blocks} of {trace.block}"
             raise ValueError(f"the split is of {split.n_blocks} blocks of {split.block}, {of_recording}")
     blocks = tuple(range(trace.n_blocks)) if split is None else split.test
-    case = _Case(texture, NativeTexture(texture.to_bytes()), trace, blocks, split, simulated, seed)
     on_stage("one-step")
     samples = texture.scaling.scale(trace.stacked())
     fitted: dict[str, Linear | None] = {}
@@ -124,6 +123,8 @@ def evaluate(
             "ar_scheduled": fit_linear(samples, train, block, ANCHOR_ORDER, scheduled=True),
             "ar_best": best_linear(samples, train, split.validation, block),
         }
+    reference = simulated() if callable(simulated) else simulated or SimulatorReference()
+    case = _Case(texture, NativeTexture(texture.to_bytes()), trace, blocks, split, reference, seed)
     one_step_scores = _one_step(case, samples, fitted)
     on_stage("free run")
     free, synthesized = _free_run(case, fitted.get("ar"))
