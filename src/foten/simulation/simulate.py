@@ -220,7 +220,7 @@ def realisations(
 
 def _simulated(simulation: Mapping[str, Any], noise_seeds: Sequence[int]) -> list[Recording]:
     seconds, rate_hz = float(simulation["seconds"]), float(simulation["accelerometer_hz"])
-    stroke_seed = int(simulation["stroke_seed"])
+    _, stroke_seed = (int(simulation[name]) for name in ("seed", "stroke_seed"))
     key = str(simulation["key"])
     kinds: Mapping[str, type[Parameters]] = {
         **{"coefficients": LinearParameters, "relaxation_ms": TwoMassParameters},
