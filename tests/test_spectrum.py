@@ -4,15 +4,27 @@ import math
 
 import numpy as np
 import pytest
+from scipy import signal
 from scipy.signal import butter, sosfilt
 
+from foten.dsp import distance
 from foten.dsp.bands import N_BANDS, band_energies, envelope_edges
-from foten.dsp.distance import earth_mover_octaves
+from foten.dsp.distance import earth_mover_octaves, welch
 from foten.dsp.perception import carried, in_words, sensitivity, smallest_rate
 from foten.dsp.spectrum import dft_matrices, last_sample_row, position_encoding
 from foten.evaluate.metrics import band_correlations
 
 SIZES = [2, 3, 4, 5, 10, 15, 20, 25, 30]
+
+
+@pytest.mark.parametrize(("n", "n_segment"), [(1000, 256), (1000, 255), (64, 64), (300, 17)])
+@pytest.mark.parametrize("at_once", [1, 5000, 10**9])
+def test_a_power_density_is_scipys(n: int, n_segment: int, at_once: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Oracle: scipy.signal.welch, however many segments are in memory."""
+    monkeypatch.setattr(distance, "_AT_ONCE", at_once)
+    x = 3 + np.random.default_rng(n).standard_normal((2, 5, n))
+    for ours, expected in zip(welch(x, 500.0, n_segment), signal.welch(x, 500.0, nperseg=n_segment), strict=True):
+        np.testing.assert_allclose(ours, expected, rtol=1e-9, atol=1e-15)
 
 
 @pytest.mark.parametrize("m", SIZES)

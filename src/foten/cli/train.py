@@ -173,7 +173,7 @@ def train(options: TrainOptions) -> None:
     recording = load_takes(options.recording_files)
     job = options.job(recording)
     Thread(target=_import_torch).start()
-    inspection = inspect_recording(recording)
+    inspection = inspect_recording(recording, is_trained=True)
     if not options.anyway:
         check_usable(unusable(inspection, besides=("refused", "short")))  # which the training says itself
     from foten.training.loop import Checkpoint, Epoch, Monitor

@@ -36,7 +36,7 @@ MODEL = "foten-plus"
 NICENESS = 5  # below what renders: sound that somebody strokes comes first
 MAX_RATE_HZ = 2500.0  # of the texture: it carries all that skin feels
 ENOUGH_BLOCKS = 12
-STAGES, LATE_STAGES = 3, 12  # before a texture is playable, and after its network is fitted
+STAGES, LATE_STAGES = 2, 12  # before a texture is playable, and after its network is fitted
 PLAYABLE_SHARE, FITTED_SHARE = 0.4, 0.9  # of all the work, by and large
 
 

@@ -34,14 +34,17 @@ from foten.recording.split import MIN_BLOCKS
 OF_ALL_TAKES = ("range", "coverage", "short")  # codes of what one take may lack and another have
 
 
-def inspect_recording(recording: Recording) -> Inspection:
-    """Numbers of each channel, findings, and the coverage of speed and force, of all takes together."""
+def inspect_recording(recording: Recording, is_trained: bool = False) -> Inspection:
+    """Numbers of each channel, findings, and the coverage of speed and force, of all takes together.
+
+    What a training refuses is left out where that follows (`is_trained`), and says so itself.
+    """
     if not recording.later_takes:
-        inspection = _inspected(recording)[0]
+        inspection = _inspected(recording, is_trained)[0]
         is_cut = not inspection.unusable and "--block" not in inspection.options
         return replace(inspection, cut_ms=fitting_cut(recording)) if is_cut else inspection
     takes = recording.takes
-    inspections, hands = zip(*map(_inspected, takes), strict=True)
+    inspections, hands = zip(*(_inspected(take, is_trained) for take in takes), strict=True)
     findings = _findings_of(takes, inspections)
     coverage = None
     if known := [hand for hand in hands if hand is not None]:
@@ -101,7 +104,7 @@ def _pooled(reports: Sequence[ChannelReport]) -> ChannelReport:
     )
 
 
-def _inspected(recording: Recording) -> tuple[Inspection, SpeedForce | None]:
+def _inspected(recording: Recording, is_trained: bool) -> tuple[Inspection, SpeedForce | None]:
     """Inspection of a single take, and its speed and force."""
     findings: list[Finding] = []
     speed_force = None
@@ -141,7 +144,8 @@ def _inspected(recording: Recording) -> tuple[Inspection, SpeedForce | None]:
     if end_s - start_s < MIN_ALONE_S:
         options = fitting_options(end_s - start_s, rate_hz, captured_hz)
     findings += sampling.check_short(end_s - start_s, options)
-    if speed_force is not None and captured_hz is not None and not any(finding.code == "short" for finding in findings):
+    is_tried = not is_trained and speed_force is not None and not any(finding.code == "short" for finding in findings)
+    if is_tried and captured_hz is not None:
         findings += _refused(recording, min(captured_hz, PreprocessConfig().rate_hz))
     inspection = Inspection(reports, tuple(findings), coverage, psd, shares, options, recording.sha256())
     return inspection, speed_force

@@ -7,6 +7,7 @@ from collections.abc import Iterable
 import numpy as np
 
 from foten.dsp import Array
+from foten.dsp.distance import welch
 from foten.recording.inspection.speed_force import CONTACT_N, HAND_HZ, MOVING_MM_S, SpeedForce
 from foten.recording.inspection.values import NOTE, PROBLEM, UNUSABLE, ChannelReport, Finding, counted, places, swing
 from foten.recording.recording import UNITS, Channel, Recording
@@ -182,11 +183,9 @@ def check_noise(reports: Iterable[ChannelReport]) -> Iterable[Finding]:
 
 def density(channel: Channel) -> tuple[Array, Array]:
     """Frequencies [Hz] without 0 and the power spectral density there, shape (k,) each; bins of about 4 Hz."""
-    from scipy.signal import welch
-
     wanted = 2 ** round(np.log2(channel.rate_hz / 4))
     n = int(max(16, min(wanted, channel.samples.size // 4)))
-    frequency, power = welch(channel.samples, channel.rate_hz, nperseg=n, detrend="constant")
+    frequency, power = welch(channel.samples, channel.rate_hz, n)
     return frequency[1:], power[1:]
 
 
