@@ -36,6 +36,7 @@ BODY_G = 80.0  # mass of the tool that the sensor sits on
 MODES_HZ, MODES_DAMPING, MODES_SHARE = (120.0, 340.0), (0.30, 0.15), (1.0, 0.7)  # of the tool, that both forces ring
 STIFF_SHARE = 0.15  # of the forces that moves the body at once
 DIRECTION = np.array([0.8, 0.6])  # of tangential motion in the sensor's x and y
+_SHARES = (np.arange(SUBSTEPS)[:, None] + 1.0) / SUBSTEPS  # of the way from a sample to the next
 STRIBECK_MM_S = 15.0  # speed over which friction falls from static to kinetic
 
 # A profile has a point every `GRID_MM`, and holds no finer parts.
@@ -309,7 +310,7 @@ def _integrate(
                 sticking = 1 + p.stick * np.exp(-np.abs(sliding) * (1e3 / STRIBECK_MM_S))
                 limit = dt / mass * p.friction * contact * sticking
                 free = u - dt / mass * (spring * q + shaft * u)
-                stopped = -np.clip(towards[i] + free, -limit, limit)
+                stopped = np.minimum(np.maximum(-limit, -(towards[i] + free)), limit)
                 u = free + stopped
                 q = q + dt * u
                 sliding = towards[i] + u
@@ -324,15 +325,14 @@ def passed(surface: Array, places: Array, dt: float) -> Iterator[tuple[Array, Ar
     last = surface_height(surface, places[:1])
     for i in range(len(places)):
         heights = surface_height(surface, substeps(places, i))
-        yield heights, np.diff(heights, axis=0, prepend=last) / dt
+        yield heights, (heights - np.concatenate([last, heights[:-1]])) / dt
         last = heights[-1:]
 
 
 def substeps(samples: Array, i: int) -> Array:
     """Values at the steps up to sample i, on straight lines from the one before: (n, k) → (SUBSTEPS, k)."""
-    share = (np.arange(SUBSTEPS) + 1.0) / SUBSTEPS
     before = samples[max(i - 1, 0)]
-    return np.asarray(before + share[:, None] * (samples[i] - before))
+    return np.asarray(before + _SHARES * (samples[i] - before))
 
 
 def surface_height(surface: Array, place: Array) -> Array:

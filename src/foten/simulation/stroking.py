@@ -49,9 +49,9 @@ def stroking(seconds: float, seed: int, rate_hz: float) -> Stroking:
     rng = np.random.default_rng([seed, 1])  # 1: the hand; the texture and the sensors draw from other streams
     n = round(seconds * rate_hz)
     target = rng.uniform(MARGIN_MM, PLATE_MM - MARGIN_MM, 2)
-    position = np.tile(target, (n, 1))
-    velocity = np.zeros((n, 2))
-    middles_s, log_means = [], []
+    steps, velocity = np.zeros((2, n, 2))  # what movements displace, where they end
+    steps[0] = target
+    middles_s, log_means, movements = [], [], []
     end_s, duration_s = 0.0, 0.0
     while end_s < seconds:
         previous_s = duration_s
@@ -64,12 +64,16 @@ def stroking(seconds: float, seed: int, rate_hz: float) -> Stroking:
         first, stop = (min(max(0, int(np.ceil(t * rate_hz))), n) for t in (start_s, end_s))
         u = (np.arange(first, stop) / rate_hz - start_s)[:, None] / duration_s
         hump = u * (1 - u)
-        position[first:stop] += displacement * u**3 * (10 - 15 * u + 6 * u**2) + sideways * 64 * hump**3
-        position[stop:] += displacement
+        movements.append((slice(first, stop), displacement * u**3 * (10 - 15 * u + 6 * u**2) + sideways * 64 * hump**3))
+        steps[stop : stop + 1] += displacement
         velocity[first:stop] += (displacement * 30 * hump**2 + sideways * 192 * hump**2 * (1 - 2 * u)) / duration_s
         target = target + displacement
         middles_s.append(start_s + duration_s / 2)
         log_means.append(rng.uniform(*np.log(MEAN_FORCE_N)))
+
+    position = np.cumsum(steps, axis=0)
+    for samples, moved in movements:
+        position[samples] += moved
 
     from scipy.interpolate import PchipInterpolator
 
