@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from itertools import pairwise
@@ -279,45 +280,62 @@ def fit_closed_loop(
     envelope_distance = EnvelopeEnergyDistance(excerpts.recorded(*known)[0], excerpts.moving(*known), rate)
     device = next(network.parameters()).device
     batches = Batches(excerpts.data, excerpts.blocks, warm_up, config, device)
+    n_threads = config.threads if device.type == "cpu" else 1
+    parameters = dict(network.named_parameters())
     rng = np.random.default_rng()
+
+    def of_share(
+        block: NDArray[np.int64], start: NDArray[np.int64], inputs: Tensor, targets: Tensor, rng: np.random.Generator
+    ) -> tuple[Tensor, list[Tensor]]:
+        loss, drawn, run = _loss(envelope_distance, excerpts, network, block, start, rng)
+        (grad_drawn,) = torch.autograd.grad(loss, [drawn])
+        grad_rollout = run.gradients(grad_drawn.numpy())
+        nll = negative_log_likelihood(mixtures(network, inputs), targets)[:, warm_up:].mean()
+        grad_nll = torch.autograd.grad(NLL_WEIGHT * nll, list(parameters.values()))
+        both = zip(parameters, grad_nll, strict=True)
+        share = len(block) / N_EXCERPTS  # of the chunks too, but for what does not divide
+        return share * loss.detach(), [
+            share * (torch.from_numpy(grad_rollout[name]).to(device) + part) for name, part in both
+        ]
 
     def gradients(epoch: int, number: int) -> tuple[Tensor, list[Tensor]]:
         nonlocal rng
         if number == 0:
             rng = np.random.default_rng((config.seed, 2, epoch_seed(config.seed, epoch)))
-        loss, drawn, run = _loss(envelope_distance, excerpts, network, split.train, rng)
-        (grad_drawn,) = torch.autograd.grad(loss, [drawn])
-        grad_rollout = run.gradients(grad_drawn.numpy())
-        inputs, targets = batches.draw(rng)
-        nll = negative_log_likelihood(mixtures(network, inputs), targets)[:, warm_up:].mean()
-        grad_nll = torch.autograd.grad(NLL_WEIGHT * nll, list(network.parameters()))
-        both = zip(network.named_parameters(), grad_nll, strict=True)
-        return loss.detach(), [torch.from_numpy(grad_rollout[name]).to(device) + part for (name, _), part in both]
+        drawn = (np.array_split(part, n_threads) for part in excerpts.draw(split.train, N_EXCERPTS, rng))
+        chunks = (part.tensor_split(n_threads) for part in batches.draw(rng))
+        losses, pieces = zip(*pool.map(of_share, *drawn, *chunks, rng.spawn(n_threads)), strict=True)
+        return torch.stack(losses).sum(), [sum(others, start=first) for first, *others in zip(*pieces, strict=True)]
 
     def validate(averaged: InnovationNetwork) -> tuple[float, float]:
-        validation = np.random.default_rng(config.seed + 1)  # the same excerpts and noise each time
-        arguments = envelope_distance, excerpts, averaged, split.validation, validation
-        mean = float(np.mean([float(_loss(*arguments)[0].detach()) for _ in range(N_VALIDATIONS)]))
+        def loss_of_draw(rng: np.random.Generator) -> float:
+            drawn = excerpts.draw(split.validation, N_EXCERPTS, rng)
+            return float(_loss(envelope_distance, excerpts, averaged, *drawn, rng)[0].detach())
+
+        draws = np.random.default_rng(config.seed + 1).spawn(N_VALIDATIONS)  # the same excerpts and noise each time
+        with ThreadPoolExecutor(n_threads) as some:
+            mean = float(np.mean(list(some.map(loss_of_draw, draws))))
         return mean, mean
 
     def on_epoch(line: Epoch) -> None:
         monitor.on_stage(f"training the network in its closed loop: {100 * line.epoch // recipe.epochs} %")
 
-    optimiser = Optimiser(dict(network.named_parameters()), recipe)
+    optimiser = Optimiser(parameters, recipe)
     step = gradient_step(network, optimiser, gradients, recipe.clip_norm, schedule(recipe, N_STEPS))
     loop = Loop("closed loop", network, N_STEPS, step, validate, {"optimiser": optimiser}, EMA_DECAY)
-    return run_loop(loop, recipe, replace(monitor, on_epoch=on_epoch))
+    with ThreadPoolExecutor(n_threads) as pool:
+        return run_loop(loop, recipe, replace(monitor, on_epoch=on_epoch))
 
 
 def _loss(
     envelope_distance: EnvelopeEnergyDistance,
     excerpts: Excerpts,
     network: InnovationNetwork,
-    numbers: tuple[int, ...],
+    block: NDArray[np.int64],
+    start: NDArray[np.int64],
     rng: np.random.Generator,
 ) -> tuple[Tensor, Tensor, Rollout]:
-    """Loss of two roll-outs of drawn excerpts, the vibration (2k, n) that it has a gradient by, and the roll-outs."""
-    block, start = excerpts.draw(numbers, N_EXCERPTS, rng)
+    """Loss of two roll-outs of k excerpts, the vibration (2k, n) that it has a gradient by, and the roll-outs."""
     run, vibration = excerpts.rollout(network, block, start, rng, 2)
     drawn = torch.from_numpy(vibration.astype(np.float32)).requires_grad_()
     recorded, prefix = (torch.from_numpy(x).float() for x in excerpts.recorded(block, start))
