@@ -44,7 +44,8 @@ def forces(
     n = round(seconds * RATE_HZ)
     speed = np.repeat(np.array(speeds)[:, None], n, axis=1)
     place = speed * np.arange(1, n + 1) / RATE_HZ
-    return contact_mechanics._integrate(parameters, surface, place, speed, np.full_like(speed, force), RATE_HZ)
+    both = contact_mechanics._integrate(parameters, surface, place, speed, np.full_like(speed, force), RATE_HZ)
+    return both[0], both[1]
 
 
 def wave(amplitude_um: float, wavelength_mm: float) -> np.ndarray:
@@ -56,7 +57,7 @@ def test_a_ramp_rises_evenly_from_step_to_step() -> None:
     """Two pieces at 100 and 50 mm/s over a slope of 0.2: the steps of a sample lie between it and the one before."""
     surface = 0.2 * GRID_MM * np.arange(20_000)
     places = 1.0 + np.arange(50)[:, None] * np.array([0.1, 0.05])  # mm, at 1 kHz
-    passed = list(contact_mechanics._passed(surface, places, 1e-3 / SUBSTEPS))
+    passed = list(contact_mechanics.passed(surface, places, 1e-3 / SUBSTEPS))
     heights, rates = (np.concatenate(part) for part in zip(*passed, strict=True))
     rising = np.broadcast_to([0.02, 0.01], rates[SUBSTEPS:].shape)  # m/s: slope times speed
     np.testing.assert_allclose(rates[SUBSTEPS:], rising, atol=1e-9)  # of heights near 1e-3 m, over 0.25 ms
@@ -200,7 +201,11 @@ def test_pieces_side_by_side_are_one_long_integration() -> None:
     p, key = CONTACT["leather"], "leather"
     stroke = steady(80.0, 1.0, seconds=0.7)
     place = 7.0 + np.cumsum(stroke.speed) / RATE_HZ
-    pieces = contact_mechanics._pieces(p, surface_of(p, key), place, stroke.speed, stroke.force, RATE_HZ)
+
+    def integrate(*piece: np.ndarray) -> np.ndarray:
+        return contact_mechanics._integrate(p, surface_of(p, key), *piece, RATE_HZ)
+
+    pieces = contact_mechanics.joined_pieces(integrate, place, stroke.speed, stroke.force, RATE_HZ)
     long_piece = contact_mechanics._integrate(
         p, surface_of(p, key), place[None], stroke.speed[None], stroke.force[None], RATE_HZ
     )

@@ -14,7 +14,9 @@ from foten.simulation.simulate import (
     CONTACT,
     GRID_MM,
     LINEAR_FAMILY,
+    OTHER_LINEAR,
     TEXTURES,
+    TWO_MASS,
     _roughness,
     second_realisation,
     simulate,
@@ -44,7 +46,7 @@ def vibrations(recording: Recording) -> np.ndarray:
     return np.asarray(sosfiltfilt(butter(4, 20, "high", fs=rate_hz, output="sos"), samples, axis=0))
 
 
-@pytest.mark.parametrize("key", [*TEXTURES, *LINEAR_FAMILY])
+@pytest.mark.parametrize("key", [*TEXTURES, *LINEAR_FAMILY, *OTHER_LINEAR])
 def test_a_seed_is_a_recording(key: str) -> None:
     first, again, other = simulate(key, 2, seed=3), simulate(key, 2, seed=3), simulate(key, 2, seed=4)
     assert first.sha256() == again.sha256() != other.sha256()
@@ -218,7 +220,8 @@ def test_the_command_writes_what_the_function_returns(tmp_path: Path, capsys: py
     assert stored.simulation == expected.simulation
     capsys.readouterr()
     assert _status(["simulate", "--list"]) == 0
-    assert len(capsys.readouterr().out.splitlines()) == len(TEXTURES) + len(CONTACT) + len(LINEAR_FAMILY)
+    kinds = (TEXTURES, CONTACT, TWO_MASS, LINEAR_FAMILY, OTHER_LINEAR)
+    assert len(capsys.readouterr().out.splitlines()) == sum(len(kind) for kind in kinds)
 
 
 @pytest.mark.parametrize("key", ["jeans", "linear-hum"])

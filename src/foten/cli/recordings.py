@@ -34,7 +34,13 @@ def simulate(
     from foten.simulation import simulate as simulator
 
     if show_list:
-        kinds = (simulator.TEXTURES, simulator.CONTACT, simulator.LINEAR_FAMILY)
+        kinds = (
+            simulator.TEXTURES,
+            simulator.CONTACT,
+            simulator.TWO_MASS,
+            simulator.LINEAR_FAMILY,
+            simulator.OTHER_LINEAR,
+        )
         known = {name: source.description for kind in kinds for name, source in kind.items()}
         print_result(known, "\n".join(f"{name:18s}{description}" for name, description in known.items()), as_json)
         return

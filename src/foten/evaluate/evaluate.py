@@ -176,7 +176,8 @@ def _listener(case: _Case, on_stage: Callable[[str], None]) -> dict[str, Any] | 
     strokes = [long_stroke(stroke) for stroke in case.simulated.strokes]
     recorded, *others = strokes or [long_stroke(case.trace, case.blocks)]
     try:
-        return listener_scores(recorded, partial(rendering, case.kernel, recorded), others, case.seed, on_stage)
+        rendered, in_m_s2 = partial(rendering, case.kernel, recorded), case.texture.unit != RELATIVE
+        return listener_scores(recorded, rendered, others, case.seed, on_stage, in_m_s2)
     except ValueError as error:
         case.reasons["listener"] = str(error)
         return None

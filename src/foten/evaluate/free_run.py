@@ -13,6 +13,7 @@ from foten.dsp.bands import band_energies
 from foten.dsp.distance import earth_mover_octaves, log_spectral_distance, scored_bins, segment_length, welch
 from foten.dsp.level import frame_levels
 from foten.dsp.noise import gaussian
+from foten.dsp.perception import LEVEL_JND_DB
 from foten.evaluate import metrics
 from foten.evaluate.one_step import Linear
 from foten.recording.scaling import Scaling
@@ -22,7 +23,6 @@ from foten.runtime.native import NativeState, NativeTexture
 
 N_SEEDS = 5
 SETTLING = 0.2  # of each block, not scored
-LEVEL_JND_DB = 2.3  # just noticeable difference of a level, 20 to 35 dB above threshold: 2.2 to 2.5 dB
 
 
 def scored(block: int) -> slice:

@@ -13,8 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from foten.dsp import Array
-from foten.dsp.bands import BAND_FRAME_MS, band_energies
+from foten.dsp.bands import BAND_FRAME_MS, N_BANDS, band_energies, envelope_edges
 from foten.dsp.level import framed
+from foten.dsp.perception import band_thresholds, internal_noise_db
 from foten.evaluate.free_run import render_strokes
 from foten.models.conditions import FADE_FORCE, FADE_SPEED
 from foten.recording.trace import Trace
@@ -30,7 +31,9 @@ MIN_LISTENED_S = (
     40.0  # of a stroke: 24 s to learn from, and 12 s, 100 excerpts that overlap by three quarters, to score
 )
 FLOOR = 1e-4  # of the mean energy of a band: what is 40 dB below it counts as that
+NOTHING = 1e-12  # of a threshold, an energy that is not felt
 SOFTENING = np.array([[2.0], [0.05]])  # added to speed [mm/s] and force [N] before their logarithm
+KINDS = {"": "band energies", "_waveform": "and the waveform", "_person": "a person's limits"}  # of listeners
 SD_FLOOR = 1e-6  # a band or a hand that does not vary is not divided by zero
 
 
@@ -54,6 +57,7 @@ def listener_scores(
     others: Sequence[Trace] = (),
     seed: int = 0,
     on_stage: Callable[[str], None] = lambda stage: None,
+    in_m_s2: bool = True,
 ) -> dict[str, Any]:
     """Areas under the curves of listeners that tell renderings from a recording: 0.5 is chance, 1 certainty.
 
@@ -63,10 +67,12 @@ def listener_scores(
         others: further true vibrations of the stroke, for the controls in turn; without any, one half of the pieces of the
             recording beside the other, where they are long enough.
         seed: of the first listener and rendering; those of the others follow.
+        in_m_s2: whether accelerations are in m/s², so that a person's threshold is known.
 
     Returns:
-        `listener_auc` and `listener_auc_waveform`, of bands alone and with the waveform, means over listeners; `…_control`, the
-        same of two true vibrations, None where there is too little; `listener_control_of`; `listener_s`.
+        `listener_auc`, `listener_auc_waveform` and `listener_auc_person`, of bands alone, with the waveform and with a person's
+        limits, means over listeners; `…_control`, the same of two true vibrations, None where there is too little;
+        `listener_control_of`; `listener_s`.
 
     Raises:
         ValueError: the recording is too short.
@@ -83,24 +89,26 @@ def listener_scores(
     elif recorded.n_blocks > 1 and seconds >= 2 * MIN_LISTENED_S:
         halves = (long_stroke(recorded, range(first, recorded.n_blocks, 2)) for first in (0, 1))
         pairs, control_of = [(next(halves), next(halves))], "every other block of the recording"
-    scores: dict[str, Any] = {}
-    for name, waveform in (("listener_auc", False), ("listener_auc_waveform", True)):
-        each, control = [], []
-        for k in range(seed, seed + N_LISTENERS):
-            on_stage(f"listener {k - seed + 1} of {N_LISTENERS}{', with the waveform' if waveform else ''}")
-            run = replace(recorded, acceleration=rendered(k))
-            each.append(listener_auc(*vibrations(recorded, run, waveform), seed=k))
-            if pairs:
-                two = vibrations(*pairs[(k - seed) % len(pairs)], waveform)
-                control.append(listener_auc(*two, seed=k, same_stroke=bool(others)))
-        scores[name] = float(np.mean(each))
-        scores[f"{name}_control"] = float(np.mean(control)) if control else None
-    return {**scores, "listener_s": seconds, "listener_control_of": control_of}
+    areas: dict[str, list[float]] = {f"listener_auc{kind}{of}": [] for kind in KINDS for of in ("", "_control")}
+    for k in range(seed, seed + N_LISTENERS):
+        shown = vibrations(recorded, replace(recorded, acceleration=rendered(k)), in_m_s2)
+        true = vibrations(*pairs[(k - seed) % len(pairs)], in_m_s2) if pairs else {}
+        for kind, name in KINDS.items():
+            on_stage(f"listener {k - seed + 1} of {N_LISTENERS}, {name}")
+            areas[f"listener_auc{kind}"].append(listener_auc(*shown[kind], seed=k))
+            if true:
+                control = listener_auc(*true[kind], seed=k, same_stroke=bool(others))
+                areas[f"listener_auc{kind}_control"].append(control)
+    means = {name: float(np.mean(each)) if each else None for name, each in areas.items()}
+    return {**means, "listener_s": seconds, "listener_control_of": control_of}
 
 
-def vibrations(first: Trace, second: Trace, waveform: bool) -> tuple[Vibration, Vibration]:
-    """Two vibrations as a listener is shown them, standardised by both in the part that it learns from."""
-    from foten.evaluate.listener_network import Vibration
+def vibrations(first: Trace, second: Trace, in_m_s2: bool = True) -> dict[str, tuple[Vibration, Vibration]]:
+    """Two vibrations as the listeners of `KINDS` are shown them, standardised by both in the part that they learn from.
+
+    A person feels energies above a threshold: of held tools where they are in m/s², and 40 dB below the mean in any unit.
+    """
+    from foten.evaluate.listener_network import Limits, Vibration
 
     both = (first, second)
     # Shapes are (n_pieces, channels, frames) from here on.
@@ -110,20 +118,27 @@ def vibrations(first: Trace, second: Trace, waveform: bool) -> tuple[Vibration, 
     # Where a rendering does not fade, (n_pieces, frames).
     moving = [((lowest[:, 0] >= FADE_SPEED) & (lowest[:, 1] >= FADE_FORCE)) for _, lowest in conditions]
     starts = [_starts(*moves.shape) for moves in moving]
-    logs = [np.log(energy + floor + np.finfo(float).tiny) for energy in energies]
-    bands = _standardised(logs, moving, starts)
+    floor += np.finfo(float).tiny
+    threshold = np.maximum(floor, band_thresholds(envelope_edges(first.rate_hz))[:, None]) if in_m_s2 else floor
+    logs = [np.log(energy + floor) for energy in energies]
+    bands = [(log - mean) / sd for mean, sd in [_statistics(logs, moving, starts)] for log in logs]
     speed_forces = [np.log(mean + SOFTENING) for mean, _ in conditions]
-    speed_forces = _standardised(speed_forces, [np.ones_like(moves) for moves in moving], starts)
+    mean, sd = _statistics(speed_forces, [np.ones_like(moves) for moves in moving], starts)
+    speed_forces = [(each - mean) / sd for each in speed_forces]
+    noise = internal_noise_db(N_BANDS) * np.log(10) / 10
+    limits = Limits(noise, *_statistics([np.log1p(energy / threshold) for energy in energies], moving, starts))
     scale = float(np.sqrt(np.mean([np.square(stroke.acceleration).mean() for stroke in both]))) or 1.0
-    shown_vibrations = []
-    for stroke, band, speed_force, moves, (train, test) in zip(both, bands, speed_forces, moving, starts, strict=True):
-        frames = np.concatenate([np.where(moves[:, None], band, 0.0), speed_force], axis=1)
-        samples = None
-        if waveform:
-            cut = framed(stroke.blocks(stroke.acceleration), BAND_FRAME_MS, stroke.rate_hz)
-            samples = (np.arcsinh(2 * cut / scale) * moves[..., None]).reshape(-1, cut.shape[-1])
-        shown_vibrations.append(Vibration(_joined(frames), samples, train, test))
-    return shown_vibrations[0], shown_vibrations[1]
+    shown: dict[str, list[Vibration]] = {kind: [] for kind in KINDS}
+    for k, (stroke, moves, (train, test)) in enumerate(zip(both, moving, starts, strict=True)):
+        frames = np.concatenate([np.where(moves[:, None], bands[k], 0.0), speed_forces[k]], axis=1)
+        shown[""].append(Vibration(_joined(frames), None, train, test))
+        cut = framed(stroke.blocks(stroke.acceleration), BAND_FRAME_MS, stroke.rate_hz)
+        samples = (np.arcsinh(2 * cut / scale) * moves[..., None]).reshape(-1, cut.shape[-1])
+        shown["_waveform"].append(Vibration(_joined(frames), samples, train, test))
+        levels = np.log(np.where(moves[:, None], energies[k] / threshold, 0.0) + NOTHING)
+        frames = np.concatenate([levels, speed_forces[k]], axis=1)
+        shown["_person"].append(Vibration(_joined(frames), None, train, test, limits))
+    return {kind: (first, second) for kind, (first, second) in shown.items()}
 
 
 def _conditions(stroke: Trace) -> tuple[Array, Array]:
@@ -145,10 +160,10 @@ def _starts(n_pieces: int, n_frames: int) -> tuple[NDArray[np.int64], NDArray[np
     return train, later[(later % n_frames) % HOP == 0]
 
 
-def _standardised(
+def _statistics(
     channels: list[Array], counted: list[NDArray[np.bool_]], starts: list[tuple[NDArray[np.int64], Any]]
-) -> list[Array]:
-    """Channels (n_pieces, channels, frames) of both, standardised over the counted frames that are learned from."""
+) -> tuple[Array, Array]:
+    """Mean and standard deviation of channels (n_pieces, channels, frames) over the counted frames that are learned from."""
     known = []
     for channel, counts, (train, _) in zip(channels, counted, starts, strict=True):
         until = train[-1] + 1
@@ -156,8 +171,7 @@ def _standardised(
     joined = np.concatenate(known, axis=1)
     if not joined.shape[1]:
         raise ValueError("the hand is at rest where a listener is to learn, expected strokes")
-    mean, sd = joined.mean(axis=1)[:, None], np.maximum(joined.std(axis=1), SD_FLOOR)[:, None]
-    return [(channel - mean) / sd for channel in channels]
+    return joined.mean(axis=1)[:, None], np.maximum(joined.std(axis=1), SD_FLOOR)[:, None]
 
 
 def _joined(channels: Array) -> Array:

@@ -14,21 +14,33 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from foten.dsp import Array
+from foten.dsp.bands import N_BANDS
 
 EXCERPT = 62  # frames of 8 ms: half a second
 N_STEPS, BATCH = 500, 96  # the budget: four seconds on one core, seven with the waveform
 RATE = 4e-3  # highest, of the learning
 HOP = 15  # frames between the excerpts that are scored
+N_SHOWN = 4  # times that each of them is shown to a person, who feels it anew each time
+
+
+@dataclass(frozen=True)
+class Limits:
+    """A person's, for log energies re threshold: what is felt of them is standardised after the noise."""
+
+    noise: float  # standard deviation of a band's own and of the common internal noise, in units of log energy
+    mean: Array  # of what is felt without noise, shape (N_BANDS, 1)
+    sd: Array
 
 
 @dataclass(frozen=True)
 class Vibration:
     """One of the two vibrations, cut into frames, and where its excerpts may begin."""
 
-    frames: Array  # standardised log energies, log speed and log force, shape (channels, n_frames)
+    frames: Array  # log energies, log speed and log force, shape (channels, n_frames); standardised, but for a person energies
     waveform: Array | None  # compressed, shape (n_frames, samples of a frame)
     train: NDArray[np.int64]  # numbers of the frames with which excerpts to learn from begin
     test: NDArray[np.int64]  # and those to be scored on
+    limits: Limits | None = None  # of a person
 
 
 class Listener(nn.Module):
@@ -81,11 +93,13 @@ def _listener_auc(both: tuple[Vibration, Vibration], rng: np.random.Generator, s
     frames = [torch.from_numpy(each.frames).float() for each in both]
     waveforms = [None if each.waveform is None else torch.from_numpy(each.waveform).float() for each in both]
     frame = None if waveforms[0] is None else waveforms[0].shape[1]
-    offsets = torch.arange(EXCERPT)
+    offsets, limits = torch.arange(EXCERPT), both[0].limits
 
     def excerpts(which: int, starts: NDArray[np.int64]) -> tuple[Tensor, Tensor | None]:
         at = torch.from_numpy(starts)[:, None] + offsets
         shown, samples = frames[which][:, at].transpose(0, 1), waveforms[which]
+        if limits is not None:
+            shown = torch.cat([felt(shown[:, :N_BANDS], limits), shown[:, N_BANDS:]], dim=1)
         return shown, None if samples is None else samples[at].flatten(1)
 
     listener = Listener(len(frames[0]), frame)
@@ -106,8 +120,21 @@ def _listener_auc(both: tuple[Vibration, Vibration], rng: np.random.Generator, s
         schedule.step()
     listener.eval()
     with torch.no_grad():
-        odds_of = [listener(*excerpts(k, each.test)).double().numpy() for k, each in enumerate(both)]
+        n_shown = 1 if limits is None else N_SHOWN
+        odds_of = [listener(*excerpts(k, np.tile(each.test, n_shown))).double().numpy() for k, each in enumerate(both)]
     return area_under_curve(*odds_of)
+
+
+def felt(levels: Tensor, limits: Limits) -> Tensor:
+    """What a person feels of excerpts, standardised: log energies re threshold (b, N_BANDS, EXCERPT), drawn anew in each call.
+
+    The noise moves all frames of an excerpt alike. What is below threshold has a draw of its own: otherwise silent frames would
+    give away how far the others were moved.
+    """
+    own, common = torch.randn(2, len(levels), N_BANDS, 1), torch.randn(2, len(levels), 1, 1)
+    of_energy, of_threshold = limits.noise * (own + common)
+    mean, sd = (torch.from_numpy(each).float() for each in (limits.mean, limits.sd))
+    return (torch.logaddexp(levels + of_energy, of_threshold) - mean) / sd
 
 
 def area_under_curve(first: Array, second: Array) -> float:

@@ -17,7 +17,7 @@ from foten.baselines.sizes import TRAINABLE, trainable_sizes
 from foten.datasets.hdf5 import load_recording
 from foten.recording.preprocess import PreprocessConfig
 from foten.recording.recording import Recording
-from foten.simulation.simulate import CONTACT, LINEAR_FAMILY, TEXTURES, simulate
+from foten.simulation.simulate import CONTACT, LINEAR_FAMILY, OTHER_LINEAR, TEXTURES, TWO_MASS, simulate
 from foten.training.config import OWN_RECIPES, RECIPES, TrainConfig, check_used
 
 RECORDED = (".h5", ".hdf5")
@@ -257,7 +257,7 @@ def _texture(content: object, folder: Path) -> str:
         if not (folder / content).exists():
             raise ValueError(f"there is no recording {content} in {folder}: give its folder by --recordings")
         return str(folder / content)
-    _check_known("texture", [content], [*TEXTURES, *CONTACT, *LINEAR_FAMILY])
+    _check_known("texture", [content], [*TEXTURES, *CONTACT, *TWO_MASS, *LINEAR_FAMILY, *OTHER_LINEAR])
     return str(content)
 
 

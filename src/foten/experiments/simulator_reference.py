@@ -108,9 +108,9 @@ def long_strokes(
 
 
 def validation_listener(texture: Texture, recording: Recording) -> dict[str, float]:
-    """`area` under the curve of one listener, of band energies, to choose by; nothing of what was not simulated, or is silent.
+    """`area` under the curve of one listener, of band energies, to choose by, and that of a `person`'s limits.
 
-    Under another hand than that of the evaluation. Two fits of one texture differ by 0.015, three listeners of one fit by 0.01.
+    Nothing of what was not simulated, or is silent. Under another hand than that of the evaluation. Two fits of one texture differ by 0.015, three listeners of one fit by 0.01.
     """
     strokes = long_strokes(recording, texture, 1, VALIDATION_HAND) if texture.has_excitation else ()
     if not strokes:
@@ -119,8 +119,8 @@ def validation_listener(texture: Texture, recording: Recording) -> dict[str, flo
 
     recorded = long_stroke(strokes[0])
     rendered = rendering(NativeTexture(texture.to_bytes()), recorded, 0)
-    area = listener_auc(*vibrations(recorded, replace(recorded, acceleration=rendered), waveform=False), seed=0)
-    return {"area": area}
+    shown = vibrations(recorded, replace(recorded, acceleration=rendered))
+    return {name: listener_auc(*shown[kind], seed=0) for name, kind in (("area", ""), ("person", "_person"))}
 
 
 def linear_bounds(recording: Recording, trace: Trace, highpass_hz: float, window: int) -> tuple[Array, Array]:

@@ -15,7 +15,7 @@ forces reach the sensor on the tool's body through two modes. Not fitted to any 
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -218,7 +218,11 @@ def contact_vibration(
 
     rate = stroke.rate_hz
     place = rng.uniform(0, LOOP_MM) + np.cumsum(stroke.speed) / rate
-    force, friction = _pieces(parameters, surface, place, stroke.speed, stroke.force, rate)
+
+    def integrate(places: Array, speed: Array, force: Array) -> Array:
+        return _integrate(parameters, surface, places, speed, force, rate)
+
+    force, friction = joined_pieces(integrate, place, stroke.speed, stroke.force, rate)
     pushed = np.stack([force - stroke.force, friction], axis=1) / (BODY_G * 1e-3)
     acceleration = STIFF_SHARE * pushed
     for hz, damping, share in zip(MODES_HZ, MODES_DAMPING, MODES_SHARE, strict=True):
@@ -236,30 +240,30 @@ def mode_filter(hz: float, damping: float, rate_hz: float) -> tuple[Array, Array
     return b, a
 
 
-def _pieces(
-    parameters: ContactParameters, surface: Array, place: Array, speed: Array, force: Array, rate_hz: float
-) -> tuple[Array, Array]:
-    """Contact force and friction [N], each (n,).
+def joined_pieces(
+    integrate: Callable[[Array, Array, Array], Array], place: Array, speed: Array, force: Array, rate_hz: float
+) -> list[Array]:
+    """Series of a stroke, (n,) each, integrated in pieces side by side, each from equilibrium and settled when it takes over.
 
-    The stroke is integrated in pieces side by side, each from equilibrium and settled when it takes over.
+    Args:
+        integrate: places [mm], speeds [mm/s] and forces [N] of pieces, (k, m) each → series (any, k, m).
     """
     n, piece, overlap, fade = place.size, *(round(s * rate_hz) for s in (PIECE_S, OVERLAP_S, FADE_S))
     starts = np.arange(0, n, piece)
     index = np.clip(starts[:, None] + np.arange(-overlap, piece + fade), 0, n - 1)
-    parts = _integrate(parameters, surface, place[index], speed[index], force[index], rate_hz)
     ramp = (np.arange(fade) + 0.5) / fade
     joined = []
-    for part in parts:
+    for part in integrate(place[index], speed[index], force[index]):
         settled = part[:, overlap:].copy()  # a piece, and how it would go on
         settled[1:, :fade] = ramp * settled[1:, :fade] + (1 - ramp) * settled[:-1, piece:]
         joined.append(settled[:, :piece].ravel()[:n])
-    return joined[0], joined[1]
+    return joined
 
 
 def _integrate(
     parameters: ContactParameters, surface: Array, place: Array, speed: Array, force: Array, rate_hz: float
-) -> tuple[Array, Array]:
-    """Contact force and friction [N] of pieces (k, n), each from equilibrium at its first sample: (k, n) each.
+) -> Array:
+    """Contact force and friction [N] of pieces (k, n), each from equilibrium at its first sample: (2, k, n).
 
     Semi-implicit steps; the friction of a step is at most what stops the tip in it, which is sticking.
     """
@@ -270,10 +274,10 @@ def _integrate(
     outputs = np.empty((2, n, k))
     places, forces = np.ascontiguousarray(place.T), np.ascontiguousarray(force.T)
     towards = np.ascontiguousarray(speed.T) * 1e-3
-    z, w = _height(surface, places[0]) - (force[:, 0] / stiffness) ** (2 / 3), np.zeros(k)
+    z, w = surface_height(surface, places[0]) - (force[:, 0] / stiffness) ** (2 / 3), np.zeros(k)
     q, u, sliding = np.zeros(k), np.zeros(k), towards[0]
-    for i, (heights, rates) in enumerate(_passed(surface, places, dt)):
-        total, held, presses = np.zeros(k), np.zeros(k), _substeps(forces, i)
+    for i, (heights, rates) in enumerate(passed(surface, places, dt)):
+        total, held, presses = np.zeros(k), np.zeros(k), substeps(forces, i)
         for j in range(SUBSTEPS):
             depth = np.maximum(heights[j] - z, 0.0)
             contact = np.maximum(stiffness * depth * np.sqrt(depth) * (1 + p.damping_s_m * (rates[j] - w)), 0.0)
@@ -291,27 +295,26 @@ def _integrate(
                 held += stopped
             total += contact
         outputs[0, i], outputs[1, i] = total / SUBSTEPS, held * (mass / dt / SUBSTEPS)
-    force_of, friction_of = outputs.transpose(0, 2, 1)
-    return force_of, friction_of
+    return outputs.transpose(0, 2, 1)
 
 
-def _passed(surface: Array, places: Array, dt: float) -> Iterator[tuple[Array, Array]]:
+def passed(surface: Array, places: Array, dt: float) -> Iterator[tuple[Array, Array]]:
     """Yield height [m] and its rate [m/s] in the steps of dt [s] up to each sample, (SUBSTEPS, k), at places [mm] (n, k)."""
-    last = _height(surface, places[:1])
+    last = surface_height(surface, places[:1])
     for i in range(len(places)):
-        heights = _height(surface, _substeps(places, i))
+        heights = surface_height(surface, substeps(places, i))
         yield heights, np.diff(heights, axis=0, prepend=last) / dt
         last = heights[-1:]
 
 
-def _substeps(samples: Array, i: int) -> Array:
+def substeps(samples: Array, i: int) -> Array:
     """Values at the steps up to sample i, on straight lines from the one before: (n, k) → (SUBSTEPS, k)."""
     share = (np.arange(SUBSTEPS) + 1.0) / SUBSTEPS
     before = samples[max(i - 1, 0)]
     return np.asarray(before + share[:, None] * (samples[i] - before))
 
 
-def _height(surface: Array, place: Array) -> Array:
+def surface_height(surface: Array, place: Array) -> Array:
     """Height of a surface [m] at some places [mm], in their shape: straight lines between its points."""
     at = place / GRID_MM
     point = np.floor(at)

@@ -82,6 +82,34 @@ LINEAR_FAMILY: Mapping[str, LinearParameters] = {
     key: LinearParameters(description, from_poles(*poles), level) for key, description, level, *poles in _MEMBERS
 }
 
+# By no published table is any of these reported; with other exponents than the family's.
+_OTHERS = (
+    (
+        "linear-drone",
+        "AR(4), a low resonance at 45 Hz and a weak one at 210 Hz",
+        0.35,
+        0.6,
+        0.5,
+        (0.045, 0.93),
+        (0.21, 0.85),
+    ),
+    ("linear-hiss", "AR(6), broadband, rising to 350 Hz", 0.7, 1.0, 0.3, (0.09, 0.5), (0.24, 0.7), (0.35, 0.86)),
+    (
+        "linear-bell",
+        "AR(6), three narrow peaks at 70, 165 and 280 Hz",
+        0.2,
+        0.9,
+        0.4,
+        (0.07, 0.97),
+        (0.165, 0.975),
+        (0.28, 0.97),
+    ),
+)
+OTHER_LINEAR: Mapping[str, LinearParameters] = {
+    key: LinearParameters(description, from_poles(*poles), level, speed, force)
+    for key, description, level, speed, force, *poles in _OTHERS
+}
+
 
 def linear_signal(parameters: LinearParameters, speed: Array, force: Array, rng: np.random.Generator) -> Array:
     """One realisation y [m/s²], shape (n,), already stationary at its first sample."""

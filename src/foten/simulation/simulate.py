@@ -1,4 +1,4 @@
-"""Seeded recordings with a known truth: twelve textures under raw sensors, ten of contact mechanics, and the linear family.
+"""Seeded recordings with a known truth: twelve textures under raw sensors, twenty of contact mechanics, and linear processes.
 
 The model of one of the twelve, from the hand to the sensor:
 
@@ -32,6 +32,7 @@ from foten.simulation.contact_mechanics import (
 from foten.simulation.linear_family import (
     LINEAR_FAMILY,
     MAX_PARAMETER,
+    OTHER_LINEAR,
     POSITIVE,
     REFERENCE_SPEED,
     LinearParameters,
@@ -39,6 +40,7 @@ from foten.simulation.linear_family import (
     linear_signal,
 )
 from foten.simulation.stroking import Stroking, stroking
+from foten.simulation.two_mass_contact import TWO_MASS, TwoMassParameters, two_mass_surface, two_mass_vibration
 
 _LOCK = threading.Lock()
 VERSION = 2  # of the model; a change that moves a sample raises it
@@ -103,7 +105,7 @@ class TextureParameters:
                 raise ValueError(f"{name} is {getattr(self, name)}, expected two numbers")
 
 
-Parameters = TextureParameters | ContactParameters | LinearParameters
+Parameters = TextureParameters | ContactParameters | TwoMassParameters | LinearParameters
 
 
 def _phases(key: str, n: int) -> tuple[float, ...]:
@@ -163,17 +165,17 @@ def simulate(
     ValueError for an unknown key, or lengths, seeds and rates out of range.
 
     Args:
-        key: one of TEXTURES, CONTACT or LINEAR_FAMILY.
+        key: one of TEXTURES, CONTACT, TWO_MASS, LINEAR_FAMILY or OTHER_LINEAR.
         seconds: length; the default leaves 60 s once 2 s are cut at each end.
         seed: of everything random that the next two leave out.
         noise_seed: of the surface, the impacts and the sensors; another one is a second realisation.
         stroke_seed: of the hand.
         accelerometer_hz: 10 000 (by default) divided by a whole number; for the linear family, its rate, 1000 by default.
     """
-    known: dict[str, Parameters] = {**TEXTURES, **CONTACT, **LINEAR_FAMILY}
+    known: dict[str, Parameters] = {**TEXTURES, **CONTACT, **TWO_MASS, **LINEAR_FAMILY, **OTHER_LINEAR}
     if key not in known:
         raise ValueError(f"unknown texture {key!r}, expected one of {', '.join(known)}")
-    default_hz = LINEAR_RATE_HZ if key in LINEAR_FAMILY else RATE_HZ
+    default_hz = LINEAR_RATE_HZ if isinstance(known[key], LinearParameters) else RATE_HZ
     simulation = {
         "key": key,
         "seconds": float(seconds),
@@ -210,7 +212,10 @@ def _simulate(simulation: Mapping[str, Any]) -> Recording:
     seconds, rate_hz = float(simulation["seconds"]), float(simulation["accelerometer_hz"])
     _, noise_seed, stroke_seed = (int(simulation[name]) for name in ("seed", "noise_seed", "stroke_seed"))
     key = str(simulation["key"])
-    kinds: Mapping[str, type[Parameters]] = {"coefficients": LinearParameters, "tip_mm": ContactParameters}
+    kinds: Mapping[str, type[Parameters]] = {
+        **{"coefficients": LinearParameters, "relaxation_ms": TwoMassParameters},
+        "stick": ContactParameters,
+    }
     # By a field that only they have.
     kind = next((kind for name, kind in kinds.items() if name in simulation["parameters"]), TextureParameters)
     parameters = kind(**simulation["parameters"])
@@ -235,6 +240,9 @@ def _simulate(simulation: Mapping[str, Any]) -> Recording:
             raise ValueError(f"{rate_hz:g} Hz is not {RATE_HZ:g} Hz divided by a whole number")
         if isinstance(parameters, ContactParameters):
             acceleration, normal_force = contact_vibration(parameters, surface_of(parameters, key), stroke, rng)
+        elif isinstance(parameters, TwoMassParameters):
+            surface = two_mass_surface(parameters, key)
+            acceleration, normal_force = two_mass_vibration(parameters, surface, stroke, rng)
         else:
             acceleration, normal_force = vibration(parameters, stroke, rng), stroke.force
         channels = sensor_channels(acceleration, normal_force, parameters.friction, stroke, decimation, rng)

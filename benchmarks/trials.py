@@ -1,0 +1,250 @@
+"""Trials of a change of foten-plus on surfaces of other physics: one half to choose by, the other kept, judged once.
+
+    python benchmarks/trials.py APPROACH [--half choosing] [--fits 1 2] [--csv docs/results/trials.csv] [--folder build/trials]
+
+A fit learns from 64 s of each surface at 1 kHz, with seeds of its own; it is judged under a hand of its own, 240 s, by the ideal
+listener and by the one with a person's limits, each beside a control of two true realisations. Bias of level by quarter of speed
+is of frames of 40 ms, of three renderings and three realisations; level error and log-spectral distance are divided by those
+of two realisations. Every row goes into one CSV, which keeps the rows of earlier approaches: what is there is not run again.
+Textures and strokes are kept in a folder.
+
+Seeds of recordings, hands and noise are those below, and were written down before the first trial. The kept half runs once: with
+its first row in the CSV, another approach is refused.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import hashlib
+import json
+import os
+import time
+from collections.abc import Iterable, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import dataclass, replace
+from multiprocessing import get_context
+from pathlib import Path
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+os.environ.setdefault("MKL_NUM_THREADS", "1")
+
+import numpy as np
+
+from foten.atomic_write import atomic_write
+from foten.baselines.sizes import trainable_sizes
+from foten.datasets.hdf5 import load_recording, write_recording
+from foten.dsp import Array
+from foten.dsp.distance import log_spectral_distance, scored_bins, segment_length, welch
+from foten.dsp.level import frame_levels, frame_means
+from foten.evaluate.listener import rendering, vibrations
+from foten.evaluate.listener_network import listener_auc
+from foten.models.conditions import FADE_FORCE, FADE_SPEED
+from foten.models.texture_file import read_texture, write_texture
+from foten.recording.preprocess import PreprocessConfig, preprocess
+from foten.recording.recording import Recording
+from foten.recording.trace import Trace
+from foten.runtime.native import NativeTexture
+from foten.simulation.linear_family import LINEAR_FAMILY, OTHER_LINEAR
+from foten.simulation.simulate import simulate
+from foten.simulation.two_mass_contact import TWO_MASS
+from foten.training.config import recipe_of
+from foten.training.job import TrainingJob
+from foten.training.pipeline import train
+
+SECONDS, LONG_S = 64.0, 240.0
+SURFACES = {"choosing": (*list(TWO_MASS)[:5], *LINEAR_FAMILY), "kept": (*list(TWO_MASS)[5:], *OTHER_LINEAR)}
+# By half and fit: of the recording; of the hand that listens; of its first realisation; of the rendering and the listener.
+SEEDS = {
+    ("choosing", 1): (301, 4301, 5301, 61),
+    ("choosing", 2): (302, 4302, 5302, 62),
+    ("kept", 1): (701, 8701, 9701, 71),
+    ("kept", 2): (702, 8702, 9702, 72),
+}
+N_TRUE, N_RENDERED = 3, 3  # realisations of a long stroke, and renderings under it
+SEED_STEP = 1_000_003
+N_QUARTERS = 4
+CHANNELS = ("acceleration", "speed", "force")
+KEYS = ("approach", "half", "surface", "fit")
+
+
+@dataclass(frozen=True)
+class Trial:
+    """One fit of a surface."""
+
+    approach: str
+    half: str
+    surface: str
+    fit: int
+    folder: Path
+
+    @property
+    def row(self) -> dict[str, str]:
+        """What says which it is, as in the table."""
+        return {name: str(getattr(self, name)) for name in KEYS}
+
+
+def recording_of(trial: Trial) -> Recording:
+    """What a trial learns from, simulated once."""
+    path = trial.folder / "recordings" / f"{trial.surface}-{trial.fit}.h5"
+    if not path.is_file():
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_recording(simulate(trial.surface, SECONDS, SEEDS[trial.half, trial.fit][0]), path)
+    return load_recording(path)
+
+
+def strokes_of(trial: Trial) -> list[Trace]:
+    """The true realisations of the long stroke of a trial's hand, preprocessed; simulated once."""
+    path = trial.folder / "strokes" / f"{trial.surface}-{trial.fit}.npz"
+    if not path.is_file():
+        path.parent.mkdir(parents=True, exist_ok=True)
+        _, hand, noise, _ = SEEDS[trial.half, trial.fit]
+        made = [
+            preprocess(simulate(trial.surface, LONG_S, stroke_seed=hand, noise_seed=seed), PreprocessConfig())
+            for seed in range(noise, noise + N_TRUE * SEED_STEP, SEED_STEP)
+        ]
+        arrays = {f"{name}{k}": getattr(trace, name) for k, trace in enumerate(made) for name in CHANNELS}
+        with atomic_write(path) as part, part.open("wb") as file:
+            np.savez(file, rate_hz=made[0].rate_hz, **arrays)
+    with np.load(path) as known:
+        channels = ([known[f"{name}{k}"] for name in CHANNELS] for k in range(N_TRUE))
+        return [Trace(*channel, float(known["rate_hz"]), len(channel[0])) for channel in channels]
+
+
+def control_of(trial: Trial, true: Sequence[Trace]) -> dict[str, float]:
+    """What the listeners make of two true realisations; listened to once."""
+    path = trial.folder / "controls" / f"{trial.surface}-{trial.fit}.json"
+    if not path.is_file():
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with atomic_write(path) as part:
+            part.write_text(json.dumps(listened(trial, true[0], true[1])))
+    return {f"{name}_control": area for name, area in json.loads(path.read_text()).items()}
+
+
+def listened(trial: Trial, true: Trace, other: Trace) -> dict[str, float]:
+    """Areas of the listeners."""
+    seed = SEEDS[trial.half, trial.fit][-1]
+    return {"ideal": listener_auc(*vibrations(true, other, False), seed=seed)}
+
+
+def judge(trial: Trial, again: bool = False) -> dict[str, str]:
+    """The row of a trial: trained, unless its texture is in the folder already, and judged."""
+    import torch
+
+    torch.set_num_threads(1)
+    seed, *_, listener_seed = SEEDS[trial.half, trial.fit]
+    path, started = trial.folder / trial.approach / f"{trial.surface}-{trial.fit}.foten", time.perf_counter()
+    if again or not path.is_file():
+        path.parent.mkdir(parents=True, exist_ok=True)
+        config = recipe_of("foten-plus", threads=1, seed=seed)
+        job = TrainingJob(recording_of(trial), "foten-plus", trainable_sizes("foten-plus", {}), config, split_seed=seed)
+        write_texture(train(job).texture, path)
+    trained_s = time.perf_counter() - started
+    texture, true = read_texture(path), strokes_of(trial)
+    kernel = NativeTexture(texture.to_bytes())
+    rendered = [rendering(kernel, true[0], listener_seed + 10 * k) for k in range(N_RENDERED)]
+    first = replace(true[0], acceleration=rendered[0])
+    figures = {**listened(trial, true[0], first), **control_of(trial, true)}
+    figures |= level_figures(true, [replace(true[0], acceleration=run) for run in rendered])
+    columns = {name: f"{value:.4f}" for name, value in figures.items()}
+    sizes, metrics = texture.sizes, texture.card["metrics"]
+    loops = metrics["renderings"].get("with network", {}).get("closed_loop_training") or {}
+    return {
+        **trial.row,
+        **columns,
+        "network": "yes" if getattr(sizes, "network_in_loop", False) else "no",
+        "loss_before": f"{loops.get('before', float('nan')):.4f}",
+        "loss_after": f"{loops.get('after', float('nan')):.4f}",
+        "training_s": f"{trained_s:.0f}",
+        "file_kb": f"{path.stat().st_size / 1000:.0f}",
+        "sha256": hashlib.sha256(path.read_bytes()).hexdigest()[:12],
+    }
+
+
+def level_figures(true: Sequence[Trace], rendered: Sequence[Trace]) -> dict[str, float]:
+    """Bias of level by quarter of speed [dB], and level error and log-spectral distance over those of two realisations."""
+    rate, first = true[0].rate_hz, true[0]
+    reference = float(np.sqrt(np.square(first.acceleration).mean()))
+
+    def levels(traces: Sequence[Trace]) -> Array:
+        return np.stack([frame_levels(trace.acceleration, rate, reference) for trace in traces])
+
+    speed, force = frame_means(first.speed, rate), frame_means(first.force, rate)
+    moving = (speed >= 2 * FADE_SPEED) & (force >= 2 * FADE_FORCE)
+    of_true, of_rendered = levels(true)[:, moving], levels(rendered)[:, moving]
+    bias = of_rendered.mean(axis=0) - of_true.mean(axis=0)
+    quarter = np.searchsorted(np.quantile(speed[moving], [0.25, 0.5, 0.75]), speed[moving])
+    figures = {f"bias_{k + 1}_db": float(bias[quarter == k].mean()) for k in range(N_QUARTERS)}
+    ceiling = np.abs(of_true[1:] - of_true[0]).mean()
+    figures["level_error_ratio"] = float(np.abs(of_rendered - of_true[0]).mean() / ceiling)
+    block = round(2 * rate)
+
+    def spectra(trace: Trace) -> tuple[Array, Array]:
+        n = len(trace) // block
+        return welch(trace.acceleration[: n * block].reshape(n, block), rate, segment_length(block))
+
+    frequencies, p = spectra(first)
+    bins = scored_bins(frequencies, rate)
+
+    def distance(traces: Iterable[Trace]) -> float:
+        return float(
+            np.mean([log_spectral_distance(p[:, bins], spectra(trace)[1][:, bins]).mean() for trace in traces])
+        )
+
+    figures["lsd_ratio"] = distance(rendered) / distance(true[1:])
+    return figures
+
+
+def main() -> None:
+    """Run the trials that the table lacks, and print its means."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("approach", help="its name in the table")
+    parser.add_argument("--half", choices=tuple(SURFACES), default="choosing")
+    parser.add_argument("--fits", type=int, nargs="+", default=[1, 2], choices=(1, 2))
+    parser.add_argument("--surfaces", nargs="+", help="some of the half's")
+    parser.add_argument("--csv", type=Path, default=Path("docs/results/trials.csv"))
+    parser.add_argument("--folder", type=Path, default=Path("build/trials"))
+    parser.add_argument("--workers", type=int, default=2)
+    options = parser.parse_args()
+    rows: list[dict[str, str]] = list(csv.DictReader(options.csv.open())) if options.csv.is_file() else []
+    other = {row["approach"] for row in rows if row["half"] == "kept"} - {options.approach}
+    if options.half == "kept" and other:
+        parser.error(f"the kept half was judged already, with {', '.join(other)}: it can be judged once")
+    done = [{name: row[name] for name in KEYS} for row in rows]
+    surfaces = options.surfaces or SURFACES[options.half]
+    trials = [
+        Trial(options.approach, options.half, key, fit, options.folder) for fit in options.fits for key in surfaces
+    ]
+    trials = [trial for trial in trials if trial.row not in done]
+    with ProcessPoolExecutor(options.workers, get_context("spawn")) as pool:
+        for n, ready in enumerate(as_completed([pool.submit(judge, trial) for trial in trials]), start=1):
+            rows.append(ready.result())
+            print(f"{n}/{len(trials)} {json.dumps(rows[-1])}", flush=True)
+            write(rows, options.csv)
+    for approach in dict.fromkeys(row["approach"] for row in rows if row["half"] == options.half):
+        of_it = [row for row in rows if (row["approach"], row["half"]) == (approach, options.half)]
+        for linear in (False, True):
+            some = [row for row in of_it if row["surface"].startswith("linear-") == linear]
+            if some:
+                print(f"{approach:24s} {'linear' if linear else 'contact':8s} n {len(some):2d}", *means(some))
+
+
+def means(rows: Sequence[dict[str, str]]) -> list[str]:
+    """Means of the figures of some rows."""
+    named = [name for name in rows[0] if name not in (*KEYS, "network", "sha256", "loss_before", "loss_after")]
+    return [f"{name} {np.mean([float(row[name]) for row in rows if row[name]]):.3f}" for name in named]
+
+
+def write(rows: Sequence[dict[str, str]], path: Path) -> None:
+    """Write the table, its rows in the order of approaches, surfaces and fits."""
+    columns = list(dict.fromkeys(name for row in rows for name in row))
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with atomic_write(path) as part, part.open("w", newline="") as file:
+        table = csv.DictWriter(file, columns, restval="", lineterminator="\n")
+        table.writeheader()
+        table.writerows(rows)
+
+
+if __name__ == "__main__":
+    main()
