@@ -124,8 +124,8 @@ def control_of(trial: Trial, true: Sequence[Trace]) -> dict[str, float]:
 
 def listened(trial: Trial, true: Trace, other: Trace) -> dict[str, float]:
     """Areas of the listeners."""
-    seed = SEEDS[trial.half, trial.fit][-1]
-    return {"ideal": listener_auc(*vibrations(true, other, False), seed=seed)}
+    seed, shown = SEEDS[trial.half, trial.fit][-1], vibrations(true, other)
+    return {name: listener_auc(*shown[kind], seed=seed) for name, kind in (("ideal", ""), ("person", "_person"))}
 
 
 def judge(trial: Trial, again: bool = False) -> dict[str, str]:

@@ -245,7 +245,8 @@ def _simulate(simulation: Mapping[str, Any]) -> Recording:
             acceleration, normal_force = two_mass_vibration(parameters, surface, stroke, rng)
         else:
             acceleration, normal_force = vibration(parameters, stroke, rng), stroke.force
-        channels = sensor_channels(acceleration, normal_force, parameters.friction, stroke, decimation, rng)
+        own_motion = not isinstance(parameters, TwoMassParameters)
+        channels = sensor_channels(acceleration, normal_force, parameters.friction, stroke, decimation, rng, own_motion)
         tool = "simulated rigid tool, 2 mm steel ball"
         sensors = "simulated ADXL335, force at 10 kHz, position at 120 Hz"
     return Recording(channels, texture=key, tool=tool, sensors=sensors, notes="simulated", simulation=simulation)
@@ -309,11 +310,16 @@ def sensor_channels(
     stroke: Stroking,
     decimation: int,
     rng: np.random.Generator,
+    own_motion: bool = True,
 ) -> dict[str, Channel]:
-    """Raw channels of Sec. III: from the tool's vibration [m/s²], (n, 3), and the surface's normal force [N], (n,)."""
+    """Raw channels of Sec. III: from the tool's vibration [m/s²], (n, 3), and the surface's normal force [N], (n,).
+
+    Without `own_motion` the hand's own acceleration is left out.
+    """
     from scipy.signal import butter, sosfilt
 
-    acceleration[:, :2] += np.gradient(stroke.velocity, axis=0) * stroke.rate_hz / 1000  # the hand's own
+    if own_motion:
+        acceleration[:, :2] += np.gradient(stroke.velocity, axis=0) * stroke.rate_hz / 1000
     lean = np.sin(stroke.tilt)
     acceleration[:, :2] += GRAVITY * lean
     acceleration[:, 2] += GRAVITY * np.sqrt(1 - (lean**2).sum(axis=1))  # at rest it reads +g upwards

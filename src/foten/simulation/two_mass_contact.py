@@ -15,6 +15,7 @@ Tangential motion: the tip on a bending shaft, under a friction F μ(V, θ) that
 
     μ = a asinh(V / 2V₀ · exp((μ₀ + b ln(V₀ θ / d)) / a)),  dθ/dt = 1 − V θ / d      Dieterich (1979), Ruina (1983)
 
+The hand's own acceleration is not in the sensor: no rendering should have it, since the hand that strokes really moves.
 Where b > a the contact strengthens while it rests, and sticks and slips. The regularised form is that of Rice & Ben-Zion (1996).
 Not fitted to any surface.
 """
