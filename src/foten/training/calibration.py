@@ -27,6 +27,7 @@ FLOOR = (2.0, 0.05)  # mm/s and N, that a logarithm starts from
 # Penalty of the squares of the network's weights, beside the likelihood [nat]: σ is smooth where little was recorded.
 WEIGHT_PENALTY = 1e-4
 MAX_ITERATIONS = 60
+BIN_WIDTH = 0.05  # of log speed and log force, within which σ is taken as one in the fit
 N_CALIBRATIONS = 3
 N_RUNS = 5  # free runs of a block that errors are means of
 # The judge's streams begin at 0: what is calibrated or chosen on is other noise than what is judged.
@@ -48,9 +49,7 @@ def fit_scale(width: int, condition: Array, residual: Array, n_train: int, scali
     """
     squared = np.square(residual) + 1e-12
     start = _initial(width, scaling, float(0.5 * np.log(squared[:n_train].mean())), np.random.default_rng(seed))
-    features = np.concatenate([condition, start.logarithms(condition)], axis=1)
-    terms = powers(features[:, 2:])
-    fitted = _minimised(start, features[:n_train], terms[:n_train], squared[:n_train])
+    fitted = _minimised(start, *_binned(start, condition[:n_train], squared[:n_train]))
     shape = np.log(fitted(condition)) - fitted.out_bias
     tried = []
     for share in SHAPE_SHARES:
@@ -96,8 +95,22 @@ def _gaussian_nll(log_sigma: Array, squared: Array) -> float:
 _FITTED = ("hidden_weight", "hidden_bias", "out_weight", "out_bias", "exponents")
 
 
-def _minimised(start: Scale, features: Array, terms: Array, squared: Array) -> Scale:
-    """The scale of the greatest likelihood, from features (n, 4), powers (n, 5) and squared residuals (n,)."""
+def _binned(scale: Scale, condition: Array, squared: Array) -> tuple[Array, Array, Array]:
+    """Means over bins of log speed and log force: conditions (k, 2) and squared residuals (k,), and each bin's share (k,).
+
+    Sufficient for the likelihood where σ is one within a bin.
+    """
+    cells = np.floor(scale.logarithms(condition) / BIN_WIDTH).astype(np.int64)
+    cells -= cells.min(axis=0)
+    _, bin_of, counts = np.unique(cells @ [cells[:, 1].max() + 1, 1], return_inverse=True, return_counts=True)
+    means = [np.bincount(bin_of, values) / counts for values in (*condition.T, squared)]
+    return np.stack(means[:2], axis=1), means[2], counts / len(squared)
+
+
+def _minimised(start: Scale, condition: Array, squared: Array, share: Array) -> Scale:
+    """The scale of the greatest likelihood, from conditions (k, 2), squared residuals and their shares of all (k,)."""
+    features = np.concatenate([condition, start.logarithms(condition)], axis=1)
+    terms = powers(features[:, 2:])
     shapes = {name: getattr(start, name).shape for name in _FITTED}
     ends = np.cumsum([math.prod(shape) for shape in shapes.values()])
 
@@ -109,7 +122,8 @@ def _minimised(start: Scale, features: Array, terms: Array, squared: Array) -> S
         w = parts(x)
         hidden = np.tanh(features @ w["hidden_weight"].T + w["hidden_bias"])
         log_sigma = hidden @ w["out_weight"][0] + w["out_bias"] + terms @ w["exponents"]
-        by_sigma = (1 - squared * np.exp(-2 * log_sigma)) / len(squared)
+        relative = squared * np.exp(-2 * log_sigma)
+        by_sigma = share * (1 - relative)
         by_hidden = by_sigma[:, None] * w["out_weight"] * (1 - hidden * hidden)
         gradient = [
             by_hidden.T @ features + 2 * WEIGHT_PENALTY * w["hidden_weight"],
@@ -119,7 +133,8 @@ def _minimised(start: Scale, features: Array, terms: Array, squared: Array) -> S
             by_sigma @ terms,
         ]
         rough = WEIGHT_PENALTY * (np.square(w["hidden_weight"]).sum() + np.square(w["out_weight"]).sum())
-        return _gaussian_nll(log_sigma, squared) + float(rough), np.concatenate([part.ravel() for part in gradient])
+        nll = float(share @ (log_sigma + 0.5 * relative) + rough)
+        return nll, np.concatenate([part.ravel() for part in gradient])
 
     x = np.concatenate([getattr(start, name).ravel() for name in _FITTED])
     options = {"maxiter": MAX_ITERATIONS, "maxcor": 20, "ftol": 1e-10}
