@@ -3,23 +3,30 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 
 import numpy as np
 import pytest
 from scipy.signal import lfilter
+from scipy.stats import multivariate_normal
 
 from foten.dsp import lattice
-from foten.dsp.lattice import LEAK, analyse, check_reflections, polynomial, predict, push
+from foten.dsp.lattice import LEAK, analyse, check_reflections, delayed, polynomial, predict, push, rotate_back
 from foten.dsp.speed_force_table import FORCE_FLOOR, SpeedForceTable, spanning
 from foten.models.foten_plus.linear_model import (
     N_FOLDS,
     N_FOLDS_OF_MANY,
+    SCALES,
     LatticeData,
+    Sections,
+    _covariances,
     _folds,
+    _shrunk,
     fit_reflections,
     select_lattice,
     validation_errors,
 )
+from foten.training import training_kernel as kernel
 
 
 def validation_error(table: SpeedForceTable, data: LatticeData, first: int) -> float:
@@ -122,6 +129,16 @@ def test_a_schedule_is_bilinear_between_its_vertices_and_constant_outside() -> N
     assert schedule.at(np.array([15.0]), np.array([halfway]))[0, 0] == pytest.approx((0.1 + 0.3 + 0.5 + 0.9) / 4)
 
 
+@pytest.mark.parametrize(("n_speed", "n_force"), [(1, 1), (5, 1), (1, 3), (12, 3)])
+def test_values_between_four_vertices_are_those_by_the_weights_of_all(n_speed: int, n_force: int) -> None:
+    rng = np.random.default_rng(5)
+    speed, force = rng.uniform(0, 300, 500), rng.uniform(-0.1, 4, 500)
+    table = spanning(speed[:50], force[:50], n_speed, n_force)
+    table = dataclasses.replace(table, values=rng.standard_normal((len(table.values), 7)))
+    speed[:12] = np.resize(table.speed_knots, 12)
+    np.testing.assert_allclose(table.at(speed, force), table.weights(speed, force) @ table.values, atol=1e-12)
+
+
 @pytest.mark.parametrize("largest", [1.0, -1.2, float("nan")])
 def test_a_schedule_that_would_not_be_stable_is_refused(largest: float) -> None:
     with pytest.raises(ValueError, match="expected less than 1"):
@@ -158,6 +175,65 @@ def test_a_resonance_that_moves_with_speed_is_recovered() -> None:
     assert validation_error(schedule, data, 40) == pytest.approx(truth, rel=0.03)
     alone = min(line["mae_scaled"] for line in fitted.tried if line["vertices"] == 1)
     assert validation_error(schedule, data, 40) < 0.7 * alone
+
+
+@pytest.mark.parametrize("of", ["portable", kernel.isa()])
+@pytest.mark.parametrize(("n_speed", "n_force"), [(1, 1), (5, 1), (1, 3), (4, 3)])
+def test_sections_in_c_are_those_of_the_definition(
+    n_speed: int, n_force: int, of: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Oracle: the least squares of each section written out with the weights of all vertices."""
+    monkeypatch.setattr(kernel, "_function", lambda name: getattr(kernel.training_library(), f"{name}_{of}"))
+    rng = np.random.default_rng(4)
+    x, gain, weight = rng.standard_normal((3, 4, 53)) ** [[[1]], [[2]], [[2]]]
+    speed, force = np.abs(np.cumsum(rng.standard_normal((2, 4, 53)), axis=2)) * [[[20]], [[0.3]]]
+    data = LatticeData(x, gain, speed, force, (0, 2, 3), (), weight)
+    blocks = list(data.train)
+    table = spanning(speed[blocks], force[blocks], n_speed, n_force)
+    shares = table.weights(speed[blocks].ravel(), force[blocks].ravel())
+    sections = Sections(data, data.train, table)
+    f = b = x[blocks]
+    gain = gain[blocks]
+    for first in (1, 2, 7):
+        power, product = (weight[blocks] * (f * f + delayed(b) ** 2) / 2)[:, first:], weight[blocks] * f * delayed(b)
+        filled = shares.reshape(3, 53, -1)[:, first:]
+        by_pair = np.einsum("bn,bni,bnj->ij", power, filled, filled)
+        for ours, expected in (
+            (sections.block_sums(first), (power.sum(axis=1), product[:, first:].sum(axis=1))),
+            (sections.vertex_sums(first), (by_pair, np.einsum("bn,bni->i", product[:, first:], filled))),
+        ):
+            for part, other in zip(ours, expected, strict=True):
+                np.testing.assert_allclose(part, other, rtol=1e-12, atol=1e-12)  # rounding
+        reflections = rng.uniform(-0.9, 0.9, len(table.values))
+        sections.rotate_back(reflections)
+        f, b, cosine = rotate_back(f, delayed(b), (shares @ reflections).reshape(f.shape))
+        gain = gain * cosine
+        np.testing.assert_allclose(sections.forward, f, rtol=1e-9, atol=1e-12)
+        np.testing.assert_allclose(sections.gain, gain, rtol=1e-9)
+    assert data.x is x  # and what they came from is as it was
+    np.testing.assert_array_equal(x, np.random.default_rng(4).standard_normal((3, 4, 53))[0])
+
+
+def test_deviations_are_shrunk_by_the_prior_of_the_greatest_evidence() -> None:
+    """Oracle: the density of the scores under each prior of the grid, and the posterior mean of a Gaussian."""
+    rng = np.random.default_rng(2)
+    parts = _covariances(3, 2)
+    root = rng.standard_normal((6, 40)) * 3
+    information = root @ root.T
+    true = 0.3 * np.linalg.cholesky(parts[0] + 1e-9 * np.eye(6)) @ rng.standard_normal(6)
+    score = information @ true + root @ rng.standard_normal(40)
+
+    def evidence(scales: tuple[float, ...]) -> float:
+        prior = sum(scale**2 * part for scale, part in zip(scales, parts, strict=True))
+        return float(multivariate_normal(cov=information + information @ prior @ information).logpdf(score))
+
+    scales = max(itertools.product(SCALES, repeat=3), key=evidence)
+    assert max(scales) > 0
+    prior = sum(scale**2 * part for scale, part in zip(scales, parts, strict=True))
+    noise = np.linalg.inv(information)
+    expected = prior @ np.linalg.solve(prior + noise, noise @ score)
+    np.testing.assert_allclose(_shrunk(information, score, parts), expected, rtol=1e-6, atol=1e-9)
+    np.testing.assert_array_equal(_shrunk(information[:1, :1], score[:1], _covariances(1, 1)), [0.0])
 
 
 def test_errors_of_all_orders_at_once_are_those_of_each() -> None:

@@ -41,22 +41,25 @@ def test_hidden_states_in_double_are_pytorchs_own() -> None:
     assert torch.equal(kernel.hidden_states(unit, inputs), unit(inputs)[0])
 
 
-@pytest.mark.parametrize("structure", [kernel.RecurrentUnit, kernel.RolloutBatch, kernel.RolloutGradients])
+@pytest.mark.parametrize(
+    "structure",
+    [*(kernel.RecurrentUnit, kernel.RolloutBatch, kernel.RolloutGradients), *(kernel.LatticeBlocks, kernel.Deviations)],
+)
 def test_structures_are_laid_out_as_in_c(structure: type[ctypes.Structure]) -> None:
     """By their source, under the name of the docstring: each member by name, in its place, as number or as array."""
     name = str(structure.__doc__).removesuffix(".")
     source = re.sub(r"/\*.*?\*/", "", C_SOURCE.read_text(encoding="utf-8"), flags=re.S)
     (body,) = re.findall(r"typedef struct \{([^}]*)\} " + name + ";", source)
     kinds = {"int": ctypes.c_int, "float": ctypes.c_float, "double": ctypes.c_double}
-    members, doubles = [], []
+    members, arrays = [], {}
     for declared in filter(None, (line.strip() for line in body.split(";"))):
         kind, names = re.fullmatch(r"(?:const )?(int|float|double) (.*)", declared, re.S).groups()  # type: ignore[union-attr]
         for member in (name.strip() for name in names.split(",")):
             members.append((member.lstrip("*"), ctypes.c_void_p if member[0] == "*" else kinds[kind]))
-            doubles += [member[1:]] if kind == "double" and member[0] == "*" else []
+            arrays |= {member[1:]: kind} if member[0] == "*" else {}
     assert structure._fields_ == members
-    assert set(doubles) <= set(kernel._DOUBLES)
-    assert not {array for array, of in members if of is ctypes.c_void_p and array not in doubles} & set(kernel._DOUBLES)
+    assert {array for array, kind in arrays.items() if kind == "double"} == kernel._DOUBLES & set(arrays)
+    assert {array for array, kind in arrays.items() if kind == "int"} == kernel._INTEGERS & set(arrays)
     assert f"GATES = {kernel.GATES} " in source
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from foten.dsp import Array
 
@@ -30,11 +31,36 @@ class SpeedForceTable:
         over_force = hat_weights(log_force(force), self.force_knots)
         return (over_speed[:, :, None] * over_force[:, None, :]).reshape(len(over_speed), -1)
 
+    @property
+    def steps(self) -> tuple[int, int]:
+        """Vertices from one to the next faster and to the next firmer one, 0 where there is none."""
+        return len(self.force_knots) * (len(self.speed_knots) > 1), int(len(self.force_knots) > 1)
+
+    def place(self, speed: Array, force: Array) -> tuple[NDArray[np.int32], Array, Array]:
+        """The slowest and softest vertex around each condition, and the shares of the way to the next: (n,) → (n,) each."""
+        slower, faster = _between(speed, self.speed_knots)
+        softer, firmer = _between(log_force(force), self.force_knots)
+        return slower * np.int32(len(self.force_knots)) + softer, faster, firmer
+
     def at(self, speed: Array, force: Array) -> Array:
         """The values at speeds [mm/s] and forces [N]: (n,) → (n, k)."""
         if len(self.values) == 1:
             return np.broadcast_to(self.values, (len(speed), self.values.shape[1]))
-        return self.weights(speed, force) @ self.values
+        vertex, faster, firmer = self.place(speed, force)
+        to_faster, to_firmer = self.steps
+        slow, fast = (
+            (1 - firmer)[:, None] * self.values[v] + firmer[:, None] * self.values[v + to_firmer]
+            for v in (vertex, vertex + to_faster)
+        )
+        return (1 - faster)[:, None] * slow + faster[:, None] * fast
+
+
+def _between(values: Array, knots: Array) -> tuple[NDArray[np.int32], Array]:
+    """The knot below each value, and the share of the way to the next: (n,), (k,) → (n,) each; the end ones outside."""
+    if len(knots) == 1:
+        return np.zeros(len(values), np.int32), np.zeros(len(values))
+    below = np.clip(np.searchsorted(knots, values, side="right") - 1, 0, len(knots) - 2)
+    return below.astype(np.int32), np.clip((values - knots[below]) / np.diff(knots)[below], 0.0, 1.0)
 
 
 def log_force(force: Array) -> Array:

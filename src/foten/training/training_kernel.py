@@ -1,4 +1,4 @@
-"""Training's library in C (`native/training`): a recurrent unit over chunks, and closed-loop roll-outs.
+"""Training's library in C (`native/training`): a recurrent unit over chunks, closed-loop roll-outs, and lattices of blocks.
 
 A step of likelihood takes 0.4 of PyTorch's time (`benchmarks/random_part.py`).
 """
@@ -33,7 +33,12 @@ WEIGHT_NAMES = (
     *(f"recurrent.{name}_l0" for name in RECURRENT_NAMES),
     *("head.weight", "head.bias", "out.weight", "out.bias"),
 )
-_ARRAY, _DOUBLES = c_void_p, ("phase_increment", "phase")
+_ARRAY = c_void_p
+_INTEGERS = {"vertex"}
+_DOUBLES = {
+    *("phase_increment", "phase", "faster", "firmer", "error_weight", "forward", "backward", "gain"),
+    *("scales", "parts", "information", "score", "mean"),
+}
 _MIN_DENSITY = 1e-12
 # Bound of what later samples add to a sample's gradient in one stream, times the root mean square of the gradients by single
 # samples: where the closed loop is chaotic they grow without bound on the way back, and a few streams would outweigh all others.
@@ -74,6 +79,27 @@ class RolloutGradients(Structure):
     )
 
 
+class LatticeBlocks(Structure):
+    """lattice_blocks."""
+
+    _fields_ = _fields(
+        counts=("n_blocks n n_vertices to_faster to_firmer", c_int),
+        numbers=("leak", c_double),
+        inputs=("vertex faster firmer error_weight", _ARRAY),
+        states=("forward backward gain", _ARRAY),
+    )
+
+
+class Deviations(Structure):
+    """deviations."""
+
+    _fields_ = _fields(
+        counts=("n n_parts n_scales", c_int),
+        inputs=("scales parts information score", _ARRAY),
+        outputs=("mean", _ARRAY),
+    )
+
+
 def structure_of(kind: type[Structure], **values: Any) -> Any:
     """A C structure of numbers and arrays, which it keeps alive."""
     structure: Any = kind()
@@ -85,8 +111,15 @@ def structure_of(kind: type[Structure], **values: Any) -> Any:
 
 def _at(array: NDArray[Any], name: str = "") -> int:
     assert array.flags.c_contiguous
-    assert array.dtype == (np.float64 if name in _DOUBLES else np.float32)
+    assert array.dtype == (np.float64 if name in _DOUBLES else np.int32 if name in _INTEGERS else np.float32)
     return array.ctypes.data
+
+
+def pointer(array: NDArray[np.float64]) -> c_void_p:
+    """An array of doubles as an argument of a function in C."""
+    assert array.flags.c_contiguous
+    assert array.dtype == np.float64
+    return c_void_p(array.ctypes.data)
 
 
 def run_in_c(name: str, *arguments: Any) -> None:

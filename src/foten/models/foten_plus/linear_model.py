@@ -4,18 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
+from ctypes import byref
 from dataclasses import dataclass, field, replace
 from itertools import product
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 from scipy.ndimage import uniform_filter1d
 from scipy.signal import lfilter
 
 from foten.dsp import Array
-from foten.dsp.lattice import MAX_REFLECTION, analyse, delayed, polynomial, rotate_back
+from foten.dsp.lattice import LEAK, MAX_REFLECTION, analyse, polynomial
 from foten.dsp.speed_force_table import SpeedForceTable, spanning
 from foten.dsp.tones import tone
 from foten.models.excitation import Scale
@@ -25,6 +25,7 @@ from foten.runtime.proof import Tensors
 from foten.training.calibration import fit_scale
 from foten.training.config import TrainConfig
 from foten.training.job import ScaledBlocks
+from foten.training.training_kernel import Deviations, LatticeBlocks, pointer, run_in_c, structure_of
 
 ORDERS = (10, 20, 40, 80, 160, 240)  # tried, as far as a block allows
 # Longer orders are tried of the best kinds alone, and where the last step up to SHORT_ORDER lowers the error by MIN_FALL: by
@@ -39,6 +40,7 @@ N_FOLDS_OF_MANY, MANY_BLOCKS = 4, 16  # folds where there are more blocks than t
 LEVEL_SAMPLES = 241  # samples that a level is averaged over for the gain before the filter
 NEIGHBOURS = 10  # sections on each side from which the variance of a reflection is estimated
 MIN_GAIN = 1e-3  # share by which a longer order, the gain before the filter or a table must lower the error
+_SCALES = np.array(SCALES)
 _AT_ONCE = 8_000_000  # reflection coefficients held in memory
 
 
@@ -127,17 +129,13 @@ def _folds(data: LatticeData) -> list[LatticeData]:
 def validation_errors(reflections: SpeedForceTable, data: LatticeData, orders: Sequence[int]) -> list[float]:
     """Mean absolute one-step errors [scaled] by order, on the validation blocks without their first `orders[-1]` samples."""
     scored = slice(min(orders[-1], data.x.shape[1] // 2), None)
+    sections = Sections(data, data.validation, reflections)
     error = np.zeros(len(orders))
-    for block in data.validation:  # one by one: reflections of a minute at 10 kHz would take gigabytes
-        k = reflections.at(data.speed[block], data.force[block])
-        f = b = data.x[block]
-        gain = data.gain[block]
-        for i in range(orders[-1]):
-            f, b, cosine = rotate_back(f, delayed(b), k[:, i])
-            gain = gain * cosine
-            if i + 1 in orders:
-                error[orders.index(i + 1)] += np.abs(f * gain)[scored].mean()
-    return (error / len(data.validation)).tolist()
+    for i in range(orders[-1]):
+        sections.rotate_back(reflections.values[:, i])
+        if i + 1 in orders:
+            error[orders.index(i + 1)] = np.abs(sections.forward * sections.gain)[:, scored].mean()
+    return error.tolist()
 
 
 def fit_reflections(data: LatticeData, order: int, n_speed: int, n_force: int) -> SpeedForceTable:
@@ -150,29 +148,61 @@ def fit_reflections(data: LatticeData, order: int, n_speed: int, n_force: int) -
     Source: Burg's criterion; the time-varying extension after Grenier, IEEE Trans. ASSP 31 (1983); the prior is ours.
     """
     chosen = list(data.train)
-    speed, force, x = data.speed[chosen], data.force[chosen], data.x[chosen]
-    table = spanning(speed, force, n_speed, n_force)
-    near = knot_weights(table, speed, force)
-    n_knots = near.by_knot.shape[0]
+    table = spanning(data.speed[chosen], data.force[chosen], n_speed, n_force)
     parts = _covariances(len(table.speed_knots), len(table.force_knots))
-    weight = np.ones_like(speed) if data.weight is None else data.weight[chosen]
-    shares = _share_beyond_chance(x, weight, order)
-    f = b = x
-    reflections = np.zeros((n_knots, order))
+    shares = _share_beyond_chance(data, order)
+    sections = Sections(data, chosen, table)
+    reflections = np.zeros((len(table.values), order))
     for i in range(order):
-        b = delayed(b)
-        power, correlation = weight * (f * f + b * b) / 2, weight * f * b
-        power[:, : i + 1] = correlation[:, : i + 1] = 0.0  # before that a section still fills
-        upper = (near.by_pair @ power.ravel()).reshape(n_knots, n_knots)
-        gram = upper + upper.T - np.diag(np.diag(upper))
-        moment = -(near.by_knot @ correlation.ravel())
+        gram, correlation = sections.vertex_sums(i + 1)  # before that a section still fills
+        moment = -correlation
         everywhere = shares[i] * moment.sum() / gram.sum()
         # In units of a section's own error: a reflection is known to within √((1 − k²)/n).
-        noise = max(1e-4, 1 - everywhere**2) * power[:, i + 1 :].mean()
+        noise = max(1e-4, 1 - everywhere**2) * gram.sum() / sections.forward[:, i + 1 :].size
         k = everywhere + _shrunk(gram / noise, (moment - gram.sum(axis=1) * everywhere) / noise, parts)
         reflections[:, i] = np.clip(k, -MAX_REFLECTION, MAX_REFLECTION)
-        f, b, _ = rotate_back(f, b, (near.by_knot.T @ reflections[:, i]).reshape(f.shape))
+        sections.rotate_back(reflections[:, i])
     return replace(table, values=reflections)
+
+
+class Sections:
+    """Blocks of a signal on their way through a lattice over a table, section by section: `dsp.lattice.rotate_back` in C."""
+
+    def __init__(self, data: LatticeData, blocks: Sequence[int], table: SpeedForceTable) -> None:
+        chosen = list(blocks)
+        self.forward = np.array(data.x[chosen], dtype=np.float64)  # f, (n_blocks, block)
+        self.gain = np.array(data.gain[chosen], dtype=np.float64)  # times the cosines of the sections so far
+        places = table.place(data.speed[chosen].ravel(), data.force[chosen].ravel())
+        vertex, faster, firmer = (np.ascontiguousarray(part) for part in places)
+        self._blocks = structure_of(
+            LatticeBlocks,
+            **dict(zip(("n_blocks", "n"), self.forward.shape, strict=True)),
+            **dict(zip(("to_faster", "to_firmer"), table.steps, strict=True)),
+            **{"n_vertices": len(table.values), "leak": LEAK, "vertex": vertex, "faster": faster, "firmer": firmer},
+            error_weight=np.ones_like(self.forward) if data.weight is None else data.weight[chosen],
+            **{"forward": self.forward, "backward": self.forward.copy(), "gain": self.gain},
+        )
+
+    def block_sums(self, first: int) -> tuple[Array, Array]:
+        """Sums of w (f² + b²) / 2 and of w f b of each block's next section from a sample on, b delayed: (n_blocks,) each."""
+        power, correlation = np.empty((2, len(self.forward)))
+        run_in_c("foten_train_block_sums", byref(self._blocks), first, pointer(power), pointer(correlation))
+        return power, correlation
+
+    def vertex_sums(self, first: int) -> tuple[Array, Array]:
+        """The same of all blocks by pairs of the table's vertices (k, k), and by vertex (k,)."""
+        k = self._blocks.n_vertices
+        if k == 1:
+            power, correlation = (part.sum(keepdims=True) for part in self.block_sums(first))
+            return power[None], correlation
+        power, correlation = np.zeros((k, k)), np.zeros(k)
+        run_in_c("foten_train_vertex_sums", byref(self._blocks), first, pointer(power), pointer(correlation))
+        return power, correlation
+
+    def rotate_back(self, reflections: Array) -> None:
+        """Run the next section from output to innovation, by its reflections at the vertices (k,)."""
+        of_vertices = np.ascontiguousarray(reflections, dtype=np.float64)  # held until the call returns
+        run_in_c("foten_train_section", byref(self._blocks), pointer(of_vertices))
 
 
 @dataclass(frozen=True)
@@ -206,25 +236,24 @@ def _pairs(weights: sparse.csr_array) -> sparse.csr_array:
     return sparse.csr_array((products[nonzero], (at, columns[nonzero].astype(np.int64))), shape=(n, k * k))
 
 
-def _share_beyond_chance(x: Array, weight: Array, order: int) -> Array:
+def _share_beyond_chance(data: LatticeData, order: int) -> Array:
     """Factor that shrinks each section's common reflection, shape (order,).
 
     Wiener's τ²/(τ² + v): v is the variance between blocks, τ² the excess of the neighbours' squares over it. Unshrunk, far
     sections draw ripples into the spectrum of a free run.
     """
     common, spread = np.zeros(order), np.zeros(order)
-    f = b = x
+    sections = Sections(data, data.train, SpeedForceTable(np.zeros(1), np.zeros(1), np.zeros((1, 0))))
+    n_blocks = len(data.train)
     for i in range(order):
-        b = delayed(b)
-        filled = slice(i + 1, None)
-        power = (weight * (f * f + b * b) / 2)[:, filled].sum(axis=1)
-        moment = -(weight * f * b)[:, filled].sum(axis=1)
+        power, correlation = sections.block_sums(i + 1)
+        moment = -correlation
         k = moment.sum() / power.sum()
         share_of = power / power.sum()
         each = moment / np.maximum(power, 1e-300)
         common[i] = np.clip(k, -MAX_REFLECTION, MAX_REFLECTION)
-        spread[i] = (share_of**2 * (each - k) ** 2).sum() * len(x) / max(1, len(x) - 1)
-        f, b, _ = rotate_back(f, b, np.full_like(f, common[i]))
+        spread[i] = (share_of**2 * (each - k) ** 2).sum() * n_blocks / max(1, n_blocks - 1)
+        sections.rotate_back(common[i : i + 1])
     share = np.ones(order)
     for i in range(NEIGHBOURS, order):  # the first sections are the shape of the spectrum, and none of them chance
         near = slice(i - NEIGHBOURS, i + NEIGHBOURS + 1)
@@ -236,40 +265,25 @@ def _share_beyond_chance(x: Array, weight: Array, order: int) -> Array:
     return share
 
 
-def _covariances(n_speed: int, n_force: int) -> list[NDArray[Any]]:
-    """The prior covariances, of unit variance, of what knots differ by: over speed, over force, over both."""
+def _covariances(n_speed: int, n_force: int) -> Array:
+    """Prior covariances, of unit variance, of what k knots differ by: over speed, force and both, (3, k, k); none of one."""
     if n_speed * n_force == 1:
-        return []
+        return np.zeros((0, 1, 1))
     at = (np.arange(n) / max(1, n - 1) for n in (n_speed, n_force))
     speed, force = (np.exp(-np.abs(np.subtract.outer(x, x)) / CORRELATION_LENGTH) for x in at)
-    return [np.kron(speed, np.ones_like(force)), np.kron(np.ones_like(speed), force), np.kron(speed, force)]
+    return np.stack([np.kron(speed, np.ones_like(force)), np.kron(np.ones_like(speed), force), np.kron(speed, force)])
 
 
-def _shrunk(information: Array, score: Array, parts: list[NDArray[Any]]) -> NDArray[Any]:
+def _shrunk(information: Array, score: Array, parts: Array) -> Array:
     """The posterior mean of deviations with likelihood exp(score·d − d·information·d/2), prior scales by evidence."""
-    if not parts:
-        return np.zeros_like(score)
-    identity = np.eye(len(score))
-
-    def solved(scales: list[float]) -> tuple[float, NDArray[Any]]:
-        prior = sum((scale**2 * part for scale, part in zip(scales, parts, strict=True)), 0 * identity)
-        system = identity + prior @ information
-        mean = np.linalg.solve(system, prior @ score)
-        return -0.5 * float(np.linalg.slogdet(system)[1]) + 0.5 * float(score @ mean), mean
-
-    scales = [0.0] * len(parts)
-    best = solved(scales)
-    for _ in range(2):
-        before = scales
-        for number, scale in product(range(len(parts)), SCALES):
-            tried = [*scales[:number], scale, *scales[number + 1 :]]
-            if tried != scales:
-                candidate = solved(tried)
-                if candidate[0] > best[0] + 1e-9:
-                    best, scales = candidate, tried
-        if scales == before:
-            break
-    return best[1]
+    mean = np.zeros_like(score)
+    if len(parts):
+        counts = {"n": len(score), "n_parts": len(parts), "n_scales": len(SCALES)}
+        given = {"parts": parts, "information": information, "score": score}
+        run_in_c(
+            "foten_train_deviations", byref(structure_of(Deviations, scales=_SCALES, **counts, **given, mean=mean))
+        )
+    return mean
 
 
 @dataclass(frozen=True)
