@@ -29,7 +29,7 @@ from foten.models.foten_plus.definition import Tones
 from foten.models.foten_plus.linear_model import LinearModel, fit_level, fit_linear_model
 from foten.models.foten_plus.network import InnovationNetwork, innovations_of
 from foten.models.foten_plus.sizes import FotenPlusSizes
-from foten.models.foten_plus.tones_fit import fit_tonal_model
+from foten.models.foten_plus.tones_fit import fit_residual, tonal_model
 from foten.recording.preprocess import PreprocessConfig
 from foten.simulation.simulate import simulate
 from foten.training.calibration import constant_scale
@@ -63,7 +63,8 @@ def surface(request: pytest.FixtureRequest) -> Surface:
     blocks = TrainingJob(simulate(request.param, 9.0), "foten-plus", sizes, CONFIG, preprocess).blocks()
     level, data = fit_level(blocks.flat[:, 0], sizes, blocks, CONFIG)
     linear = fit_linear_model(level, data, sizes, CONFIG)
-    model = fit_tonal_model(linear, data, blocks, CONFIG) or linear
+    residual = fit_residual(data, sizes, blocks, CONFIG)
+    model = linear if residual is None else tonal_model(linear, residual, blocks.trace.rate_hz)
     assert (model.phase is None) == (request.param == "artificial-grass")
     torch.manual_seed(0)
     return Surface(blocks, model, perturbed(InnovationNetwork(model.sizes, model.sizes.n_rendering_inputs)))

@@ -14,7 +14,7 @@ from foten.models.foten_plus import linear_model
 from foten.models.foten_plus.definition import Tones
 from foten.models.foten_plus.linear_model import LinearModel, fit_level, fit_linear_model
 from foten.models.foten_plus.sizes import FotenPlusSizes
-from foten.models.foten_plus.tones_fit import fit_tonal_model, silent_tones
+from foten.models.foten_plus.tones_fit import fit_residual, silent_tones, tonal_model
 from foten.recording.preprocess import PreprocessConfig, preprocess
 from foten.recording.split import Split, split_blocks
 from foten.recording.trace import Trace
@@ -136,10 +136,11 @@ def test_a_surface_that_repeats_is_fitted_once_more_with_its_tones(name: str, pr
     assert linear.phase is None
     assert not linear.sizes.n_tones
     assert linear.report["wavelength_mm"] is None
-    tonal = fit_tonal_model(linear, data, blocks, config)
-    assert (tonal is None) == (precision is None)
-    assert fit_tonal_model(linear, data, blocks, dataclasses.replace(config, tones=False)) is None
-    if tonal is not None:
+    residual = fit_residual(data, sizes, blocks, config)
+    assert (residual is None) == (precision is None)
+    assert fit_residual(data, sizes, blocks, dataclasses.replace(config, tones=False)) is None
+    if residual is not None:
+        tonal = tonal_model(linear, residual, blocks.trace.rate_hz)
         assert tonal.sizes.n_tones
         length = TEXTURES[name].wavelength_mm
         assert tonal.report["wavelength_mm"] == pytest.approx(length, rel=precision)

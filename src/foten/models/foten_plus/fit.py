@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import math
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any
@@ -25,7 +26,7 @@ from foten.models.foten_plus.network import (
     scored,
 )
 from foten.models.foten_plus.sizes import FotenPlusSizes
-from foten.models.foten_plus.tones_fit import fit_tonal_model, silent_tones
+from foten.models.foten_plus.tones_fit import fit_residual, silent_tones, tonal_model
 from foten.models.texture_file import Texture
 from foten.runtime.proof import Tensors
 from foten.training.calibration import (
@@ -92,11 +93,13 @@ def fit(job: TrainingJob, monitor: Monitor) -> Trained:
     sizes, config = job.sizes, job.config
     assert isinstance(sizes, FotenPlusSizes)
     blocks = checked_blocks(job, sizes.window)
-    monitor.on_stage("fitting level and lattice")
+    monitor.on_stage("fitting level, lattice and tones")
     level, data = fit_level(blocks.flat[:, 0], sizes, blocks, config)
-    linear = fit_linear_model(level, data, sizes, config)
-    monitor.on_stage("looking for a wavelength, and fitting its tones")
-    tonal = fit_tonal_model(linear, data, blocks, config)
+    with ThreadPoolExecutor() as beside:
+        residual = beside.submit(fit_residual, data, sizes, blocks, config)
+        linear = fit_linear_model(level, data, sizes, config)
+    with_tones = residual.result()
+    tonal = None if with_tones is None else tonal_model(linear, with_tones, blocks.trace.rate_hz)
     run = FitContext(texture_builder(job, blocks), config, monitor)
     torch.manual_seed(config.seed)
     initial = InnovationNetwork(sizes).to(pick_device())
@@ -140,16 +143,19 @@ def best_linear_model(
     linear: LinearModel, tonal: LinearModel | None, network: InnovationNetwork, run: FitContext
 ) -> tuple[Candidate, dict[str, Any]]:
     """The linear model, with tones or without, that `best_candidate` chooses once excited; and what was tried."""
-    candidates = []
-    for model in [linear, *([] if tonal is None else [tonal])]:
+    networks = tensors_of(network, "network.")
+
+    def excited(model: LinearModel) -> Candidate:
         _, e, gain = model.innovations(run.blocks, residual=True)
         train, validation = run.blocks.targets(model.sizes.history)
         n = np.concatenate([train, validation])
         condition, moving = run.blocks.flat[n - 1, 1:], run.blocks.moving().ravel()[n]
         residuals = Residuals(condition, e.ravel()[n], gain.ravel()[n], len(train), moving)
-        loop, width = _closed_loop(model, tensors_of(network, "network."), run), model.sizes.excitation_width
-        candidates.append(Candidate(model, calibrate_excitation(width, residuals, loop, run.config.seed)))
-    return best_candidate(candidates)
+        loop, width = _closed_loop(model, networks, run), model.sizes.excitation_width
+        return Candidate(model, calibrate_excitation(width, residuals, loop, run.config.seed))
+
+    with ThreadPoolExecutor() as pool:
+        return best_candidate(list(pool.map(excited, [linear, *([] if tonal is None else [tonal])])))
 
 
 def best_candidate(candidates: Sequence[Candidate]) -> tuple[Candidate, dict[str, Any]]:

@@ -15,8 +15,10 @@ from foten.dsp import Array
 from foten.dsp.lattice import polynomial
 from foten.dsp.speed_force_table import SpeedForceTable, spanning
 from foten.dsp.tones import tone, tone_slope
+from foten.models.excitation import Scale
 from foten.models.foten_plus.definition import lattice_tensors, table_tensors
 from foten.models.foten_plus.linear_model import (
+    FittedReflections,
     KnotWeights,
     LatticeData,
     LinearModel,
@@ -26,6 +28,7 @@ from foten.models.foten_plus.linear_model import (
     knot_weights,
     selected_lattice,
 )
+from foten.models.foten_plus.sizes import FotenPlusSizes
 from foten.runtime.proof import Tensors
 from foten.training.config import TrainConfig
 from foten.training.job import ScaledBlocks
@@ -244,10 +247,19 @@ def _fitted(
     return replace(table, values=values.reshape(n_knots, n_columns))
 
 
-def fit_tonal_model(
-    linear: LinearModel, data: LatticeData, blocks: ScaledBlocks, config: TrainConfig
-) -> LinearModel | None:
-    """The linear model with tones, and a lattice of their residual; None where no wavelength stands out."""
+@dataclass(frozen=True)
+class FittedResidual:
+    """Tones, and the level and lattice of what they leave."""
+
+    tones: FittedTones
+    level: Scale
+    reflections: FittedReflections
+
+
+def fit_residual(
+    data: LatticeData, sizes: FotenPlusSizes, blocks: ScaledBlocks, config: TrainConfig
+) -> FittedResidual | None:
+    """Tones of levelled data and their residual; None where no wavelength stands out."""
     rate = blocks.trace.rate_hz
     length = wavelength(data, rate) if config.tones else None
     if length is None:
@@ -255,13 +267,19 @@ def fit_tonal_model(
     tones = fit_tones(data, length, rate)
     # Of what the tones leave when the phase is known as well as it can be.
     residual = blocks.flat[:, 0] - (tones.waveform * data.gain).ravel()
-    level, of_residual = fit_level(residual, linear.sizes, blocks, config)
-    fitted = selected_lattice(of_residual, config)
+    level, of_residual = fit_level(residual, sizes, blocks, config)
+    return FittedResidual(tones, level, selected_lattice(of_residual, config))
+
+
+def tonal_model(linear: LinearModel, residual: FittedResidual, rate_hz: float) -> LinearModel:
+    """The linear model with tones, and a lattice of their residual."""
+    tones, fitted = residual.tones, residual.reflections
     counts = counts_of(fitted.table, "residual_order", "n_residual_speed", "n_residual_force")
     counts |= counts_of(tones.table, "n_tones", "n_tone_speed", "n_tone_force")
     counts["n_tones"] //= 2  # of which each has two coefficients
     sizes = replace(linear.sizes, **counts, residual_gain_before_filter=fitted.gain_before_filter)
-    tensors = {**linear.tensors, **_tone_tensors(tones, rate), **lattice_tensors("residual.", level, fitted.table)}
+    of_residual = lattice_tensors("residual.", residual.level, fitted.table)
+    tensors = {**linear.tensors, **_tone_tensors(tones, rate_hz), **of_residual}
     report = {
         "lattices": linear.report["lattices"],
         "lattices_of_the_residual": fitted.tried,
