@@ -15,7 +15,7 @@ from scipy.ndimage import uniform_filter1d
 from scipy.signal import lfilter
 
 from foten.dsp import Array
-from foten.dsp.lattice import LEAK, MAX_REFLECTION, analyse, polynomial
+from foten.dsp.lattice import LEAK, MAX_REFLECTION, polynomial
 from foten.dsp.speed_force_table import SpeedForceTable, spanning
 from foten.dsp.tones import tone
 from foten.models.excitation import Scale
@@ -41,7 +41,6 @@ LEVEL_SAMPLES = 241  # samples that a level is averaged over for the gain before
 NEIGHBOURS = 10  # sections on each side from which the variance of a reflection is estimated
 MIN_GAIN = 1e-3  # share by which a longer order, the gain before the filter or a table must lower the error
 _SCALES = np.array(SCALES)
-_AT_ONCE = 8_000_000  # reflection coefficients held in memory
 
 
 @dataclass(frozen=True)
@@ -329,15 +328,15 @@ class LinearModel:
             tones = Tones(self.tensors, lattice.level)
             coefficients = tones.coefficients(before.reshape(-1, 3)).reshape(*samples.shape, -1)
             samples, lattice = samples - tone(coefficients, self.phase[:, 1:]), self.excited_lattice
-        n_at_once = max(1, _AT_ONCE // (samples.shape[1] * lattice.order))
-        parts = []
-        for i in range(0, len(samples), n_at_once):
-            some, flat = samples[i : i + n_at_once], before[i : i + n_at_once, :, :2].reshape(-1, 2)
-            level = lattice.level(flat).reshape(some.shape)
-            gain, after = lattice.gains(level)
-            e, cosines, _ = analyse(some / after, lattice.reflections(flat).T.reshape(*some.shape, -1))
-            parts.append((some / level, e / gain, cosines * level))
-        x, e, gain = (np.pad(np.concatenate(part), ((0, 0), (1, 0))) for part in zip(*parts, strict=True))
+        level = lattice.level(before[..., :2].reshape(-1, 2)).reshape(samples.shape)
+        gain, after = lattice.gains(level)
+        speed, force = np.moveaxis(lattice.level.physical(before[..., :2]), 2, 0)
+        data = LatticeData(samples / after, np.ones_like(level), speed, force, (), ())
+        sections = Sections(data, range(len(samples)), lattice.table)
+        for i in range(lattice.order):
+            sections.rotate_back(lattice.table.values[:, i])
+        parts = samples / level, sections.forward / gain, sections.gain * level
+        x, e, gain = (np.pad(part, ((0, 0), (1, 0))) for part in parts)
         return x, e, gain
 
     def power(self, condition: Array) -> tuple[Array, Array]:
