@@ -370,7 +370,7 @@ MUTANTS = (
     ),
     *of_python(
         "models/foten_plus/linear_model.py",
-        ("the lattice is chosen on one fold", "select_lattice.errors_of", "Call average", "it.args[0][:, 0]"),
+        ("the lattice is chosen on one fold", "select_lattice.errors_of", "Call average", "it.args[0][0]"),
         tests="lattice linear_model",
     ),
     *of_python(

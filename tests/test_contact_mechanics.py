@@ -205,7 +205,7 @@ def test_pieces_side_by_side_are_one_long_integration() -> None:
     def integrate(*piece: np.ndarray) -> np.ndarray:
         return contact_mechanics._integrate(p, surface_of(p, key), *piece, RATE_HZ)
 
-    pieces = contact_mechanics.joined_pieces(integrate, place, stroke.speed, stroke.force, RATE_HZ)
+    (pieces,) = contact_mechanics.joined_pieces(integrate, place[None], stroke.speed, stroke.force, RATE_HZ)
     long_piece = contact_mechanics._integrate(
         p, surface_of(p, key), place[None], stroke.speed[None], stroke.force[None], RATE_HZ
     )

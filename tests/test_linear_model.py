@@ -10,7 +10,6 @@ import pytest
 
 from conftest import PLUS, SCALING, exported, untrained, untrained_tensors
 from foten.dsp.tones import tone
-from foten.models.foten_plus import linear_model
 from foten.models.foten_plus.definition import Tones
 from foten.models.foten_plus.linear_model import LinearModel, fit_level, fit_linear_model
 from foten.models.foten_plus.sizes import FotenPlusSizes
@@ -69,15 +68,6 @@ def test_innovations_are_what_the_kernels_predictions_leave(before: bool) -> Non
     )
     under = model.level(blocks.condition_before()[2]).reshape(5, 300)
     np.testing.assert_allclose((x * under)[:, 1:], blocks.samples[:, 1:, 0], atol=1e-9)
-
-
-def test_many_blocks_are_analysed_a_few_at_a_time(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Reflection coefficients of an hour at 10 kHz would take gigabytes."""
-    model, blocks = with_tensors(order=6, n_speed=3), moving_blocks()
-    at_once = model.innovations(blocks)
-    monkeypatch.setattr(linear_model, "_AT_ONCE", 2 * 299 * 6)
-    for part, expected in zip(model.innovations(blocks), at_once, strict=True):
-        np.testing.assert_array_equal(part, expected)
 
 
 def test_innovations_beside_tones_are_of_what_the_tones_leave() -> None:

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import copy
 import errno
 import math
+import subprocess
+import sys
 import threading
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
@@ -320,6 +323,37 @@ def test_singular_values_come_near_one_and_directions_stay(shape: tuple[int, ...
     assert np.linalg.svd(found, compute_uv=False) == pytest.approx(0.93, abs=0.27)
     overlap = np.sum(found * (u @ vt), axis=(-2, -1)) / u.shape[-1]
     assert (overlap > 0.68).all()
+
+
+def test_steps_without_matrices_are_those_of_pytorchs_adamw() -> None:
+    """Oracle: torch.optim.AdamW, at a rate that changes, with decay; and a state that goes on where it was."""
+    config = replace(RECIPES["default"], optimiser="adamw", weight_decay=0.2)
+    of, expected = parameters(), parameters()
+    ours, theirs = Optimiser(of, config), torch.optim.AdamW(expected.values(), weight_decay=0.2)
+    for number in range(30):
+        rate = 1 - number / 40
+        theirs.param_groups[0]["lr"] = rate * config.learning_rate
+        for name, parameter in of.items():
+            parameter.grad = torch.randn_like(parameter) * (parameter.detach() - 1)
+            expected[name].grad = parameter.grad.clone()
+        if number == 15:
+            state, ours = copy.deepcopy(ours.state_dict()), Optimiser(of, config)
+            ours.load_state_dict(state)
+        ours.step(rate)
+        theirs.step()
+    for name, parameter in of.items():
+        torch.testing.assert_close(parameter, expected[name], rtol=1e-5, atol=1e-7)  # float32
+
+
+def test_no_compiler_is_loaded_for_an_optimiser() -> None:
+    """It takes longer than an epoch."""
+    code = (
+        "import sys, torch; from foten.training.config import RECIPES; from foten.training.loop import Optimiser; "
+        "p = torch.nn.Parameter(torch.zeros(3)); o = Optimiser({'p': p}, RECIPES['paper']); p.grad = torch.ones(3); o.step(1.0); "
+        "print([name for name in ('torch._dynamo', 'sympy') if name in sys.modules])"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout == "[]\n"
 
 
 @pytest.mark.parametrize("kind", ["muon", "adamw"])

@@ -5,8 +5,10 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from threading import Thread
 from typing import TYPE_CHECKING, Annotated, Any
 
 from typer import Argument, Exit, Option
@@ -166,16 +168,18 @@ def train(options: TrainOptions) -> None:
     from foten.datasets.hdf5 import load_takes
     from foten.models.texture_file import Texture, write_texture
     from foten.recording.inspection import inspect_recording
-    from foten.training.loop import Checkpoint, Epoch, Monitor
-    from foten.training.pipeline import train as train_texture
-    from foten.training.run_folder import RunFolder, TrainingDisplay
 
     output, config = options.output, options.config()
     recording = load_takes(options.recording_files)
     job = options.job(recording)
+    Thread(target=_import_torch).start()
     inspection = inspect_recording(recording)
     if not options.anyway:
         check_usable(unusable(inspection, besides=("refused", "short")))  # which the training says itself
+    from foten.training.loop import Checkpoint, Epoch, Monitor
+    from foten.training.pipeline import train as train_texture
+    from foten.training.run_folder import RunFolder, TrainingDisplay
+
     notes = list(_notes(inspection, job.preprocess.rate_hz))
     display = TrainingDisplay(config.epochs, "nat" if options.of_spectra else "sd")
     folder = RunFolder(options.run_folder or output.with_suffix(".run"), display.note)
@@ -209,6 +213,12 @@ def train(options: TrainOptions) -> None:
     print_result({"output": str(output), **_document(trained)}, text, options.as_json)
     if trained.progress.interrupted:
         raise Exit(130)
+
+
+def _import_torch() -> None:
+    """Import PyTorch, which takes a second, beside the inspection; where it is missing, who needs it says so."""
+    with suppress(ImportError):
+        import torch  # noqa: F401
 
 
 def _settled(job: TrainingJob) -> dict[str, Any]:

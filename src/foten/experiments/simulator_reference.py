@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from typing import Any
@@ -21,7 +21,7 @@ from foten.recording.recording import Recording
 from foten.recording.trace import Trace
 from foten.runtime.native import NativeTexture
 from foten.simulation.linear_family import LINEAR_FAMILY, linear_truth, one_step_bounds
-from foten.simulation.simulate import second_realisation
+from foten.simulation.simulate import realisations
 
 LONG_S = 240.0  # of a stroke for listeners
 SEED_STEP = 1_000_003  # between realisations
@@ -35,24 +35,28 @@ _CACHE: dict[str, Trace] = {}
 def _realisations(
     recording: Recording,
     texture: Texture,
-    changes: Iterable[Mapping[str, Any]],
+    noise_seeds: Sequence[int],
     trim_ms: float | None = None,
     block_ms: float | None = None,
+    **stroke: Any,
 ) -> list[Trace]:
-    """Further realisations with other seeds, preprocessed as a texture's recording was; each is simulated once."""
-
-    def realisation(changed: Mapping[str, Any]) -> Trace:
-        depends_on = [dict(recording.simulation or {}), texture.card["preprocess"], trim_ms, block_ms, changed]
-        key = json.dumps(depends_on, sort_keys=True)
-        if key not in _CACHE:
-            trace = trace_for(texture, second_realisation(recording, **changed), trim_ms, block_ms)
-            for oldest in list(_CACHE)[: 1 - N_CACHED]:
-                _CACHE.pop(oldest, None)
-            _CACHE[key] = trace
-        return _CACHE[key]
-
-    with ThreadPoolExecutor() as pool:  # filters and transforms release the interpreter's lock
-        return list(pool.map(realisation, changes))
+    """Further realisations, preprocessed as a texture's recording was; each is simulated once."""
+    depends_on = [dict(recording.simulation or {}), texture.card["preprocess"], trim_ms, block_ms, stroke]
+    keys = {seed: json.dumps([*depends_on, seed], sort_keys=True) for seed in noise_seeds}
+    known = {seed: _CACHE[key] for seed, key in keys.items() if key in _CACHE}
+    missing = [seed for seed in noise_seeds if seed not in known]
+    if missing:
+        with ThreadPoolExecutor() as pool:  # filters and transforms release the interpreter's lock
+            traces = pool.map(
+                lambda realisation: trace_for(texture, realisation, trim_ms, block_ms),
+                realisations(recording, missing, **stroke),
+            )
+            known |= zip(missing, traces, strict=True)
+    for seed in missing:
+        for oldest in list(_CACHE)[: 1 - N_CACHED]:
+            _CACHE.pop(oldest, None)
+        _CACHE[keys[seed]] = known[seed]
+    return [known[seed] for seed in noise_seeds]
 
 
 def reference_for(
@@ -71,13 +75,13 @@ def reference_for(
         return SimulatorReference()
     try:
         used = int(recording.simulation["noise_seed"])
-        seeds = [{"noise_seed": used + SEED_STEP * k} for k in range(1, N_SEEDS + 1)]
-        realisations = _realisations(recording, texture, seeds, trim_ms, block_ms)
+        seeds = [used + SEED_STEP * k for k in range(1, N_SEEDS + 1)]
+        further = _realisations(recording, texture, seeds, trim_ms, block_ms)
     except (KeyError, TypeError, ValueError) as error:
         return SimulatorReference(why_no_bound=f"the simulator's parameters in the recording cannot be used ({error})")
     strokes = long_strokes(recording, texture) if listener else ()
     config = PreprocessConfig(**texture.card["preprocess"])
-    known = SimulatorReference(realisations, strokes)
+    known = SimulatorReference(further, strokes)
     if recording.simulation["key"] not in LINEAR_FAMILY:
         return known
     if recording["acceleration"].rate_hz != config.rate_hz:
@@ -101,8 +105,8 @@ def long_strokes(
     try:
         noise, stroke = (int(recording.simulation[name]) for name in ("noise_seed", "stroke_seed"))
         long = {"seconds": LONG_S, "stroke_seed": stroke + SEED_STEP * hand_number}
-        seeds = [{**long, "noise_seed": noise + SEED_STEP * (100 * hand_number + k)} for k in range(n)]
-        return tuple(_realisations(recording, texture, seeds))
+        seeds = [noise + SEED_STEP * (100 * hand_number + k) for k in range(n)]
+        return tuple(_realisations(recording, texture, seeds, **long))
     except (KeyError, TypeError, ValueError):
         return ()
 
@@ -110,7 +114,8 @@ def long_strokes(
 def validation_listener(texture: Texture, recording: Recording) -> dict[str, float]:
     """`area` under the curve of one listener, of band energies, to choose by, and that of a `person`'s limits.
 
-    Nothing of what was not simulated, or is silent. Under another hand than that of the evaluation. Two fits of one texture differ by 0.015, three listeners of one fit by 0.01.
+    Nothing of what was not simulated, or is silent. Under another hand than that of the evaluation. Two fits of one texture
+    differ by 0.015, three listeners of one fit by 0.01.
     """
     strokes = long_strokes(recording, texture, 1, VALIDATION_HAND) if texture.has_excitation else ()
     if not strokes:

@@ -15,7 +15,7 @@ forces reach the sensor on the tool's body through two modes. Not fitted to any 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -31,6 +31,7 @@ RATE_HZ = 10_000.0  # of both simulators' physics, of the force sensor, and of t
 SUBSTEPS = 4  # of the mechanics in each sample of a stroke
 MAX_IMPACT_N = 50.0  # of an impact, for which steps must be short enough
 PIECE_S, OVERLAP_S, FADE_S = 0.25, 0.15, 0.01  # of pieces that are integrated side by side, settle and overlap
+MAX_PIECES = 1500  # integrated at once: the more, the less each costs; 33 kB each in memory for every series
 BODY_G = 80.0  # mass of the tool that the sensor sits on
 MODES_HZ, MODES_DAMPING, MODES_SHARE = (120.0, 340.0), (0.30, 0.15), (1.0, 0.7)  # of the tool, that both forces ring
 STIFF_SHARE = 0.15  # of the forces that moves the body at once
@@ -214,20 +215,34 @@ def contact_vibration(
 
     The surface is what the ball rests at, as of `surface_of` or `under_ball`.
     """
+    return contact_vibrations(parameters, surface, stroke, [rng])[0]
+
+
+def contact_vibrations(
+    parameters: ContactParameters, surface: Array, stroke: Stroking, rngs: Sequence[np.random.Generator]
+) -> list[tuple[Array, Array]]:
+    """`contact_vibration` of several realisations of a stroke, integrated side by side."""
     from scipy.signal import lfilter
 
     rate = stroke.rate_hz
-    place = rng.uniform(0, LOOP_MM) + np.cumsum(stroke.speed) / rate
 
     def integrate(places: Array, speed: Array, force: Array) -> Array:
         return _integrate(parameters, surface, places, speed, force, rate)
 
-    force, friction = joined_pieces(integrate, place, stroke.speed, stroke.force, rate)
-    pushed = np.stack([force - stroke.force, friction], axis=1) / (BODY_G * 1e-3)
-    acceleration = STIFF_SHARE * pushed
-    for hz, damping, share in zip(MODES_HZ, MODES_DAMPING, MODES_SHARE, strict=True):
-        acceleration = acceleration + share * lfilter(*mode_filter(hz, damping, rate), pushed, axis=0)
-    return np.column_stack([acceleration[:, 1:] * DIRECTION, acceleration[:, 0]]), force
+    vibrations = []
+    for force, friction in joined_pieces(integrate, places_along(stroke, rngs), stroke.speed, stroke.force, rate):
+        pushed = np.stack([force - stroke.force, friction], axis=1) / (BODY_G * 1e-3)
+        acceleration = STIFF_SHARE * pushed
+        for hz, damping, share in zip(MODES_HZ, MODES_DAMPING, MODES_SHARE, strict=True):
+            acceleration = acceleration + share * lfilter(*mode_filter(hz, damping, rate), pushed, axis=0)
+        vibrations.append((np.column_stack([acceleration[:, 1:] * DIRECTION, acceleration[:, 0]]), force))
+    return vibrations
+
+
+def places_along(stroke: Stroking, rngs: Sequence[np.random.Generator]) -> Array:
+    """Places of realisations along a stroke [mm], each from where its generator says: (n_realisations, n)."""
+    path = np.cumsum(stroke.speed) / stroke.rate_hz
+    return np.stack([rng.uniform(0, LOOP_MM) + path for rng in rngs])
 
 
 def mode_filter(hz: float, damping: float, rate_hz: float) -> tuple[Array, Array]:
@@ -241,22 +256,28 @@ def mode_filter(hz: float, damping: float, rate_hz: float) -> tuple[Array, Array
 
 
 def joined_pieces(
-    integrate: Callable[[Array, Array, Array], Array], place: Array, speed: Array, force: Array, rate_hz: float
+    integrate: Callable[[Array, Array, Array], Array], places: Array, speed: Array, force: Array, rate_hz: float
 ) -> list[Array]:
-    """Series of a stroke, (n,) each, integrated in pieces side by side, each from equilibrium and settled when it takes over.
+    """Series of realisations of a stroke, (any, n) each, in pieces side by side, each settled when it takes over.
 
     Args:
-        integrate: places [mm], speeds [mm/s] and forces [N] of pieces, (k, m) each → series (any, k, m).
+        integrate: places [mm], speeds [mm/s] and forces [N] of pieces, (k, m) each → series from equilibrium (any, k, m).
+        places: of each realisation, (n_realisations, n); speed and force are theirs all, (n,).
     """
-    n, piece, overlap, fade = place.size, *(round(s * rate_hz) for s in (PIECE_S, OVERLAP_S, FADE_S))
+    n, piece, overlap, fade = speed.size, *(round(s * rate_hz) for s in (PIECE_S, OVERLAP_S, FADE_S))
     starts = np.arange(0, n, piece)
     index = np.clip(starts[:, None] + np.arange(-overlap, piece + fade), 0, n - 1)
     ramp = (np.arange(fade) + 0.5) / fade
+    n_at_once = max(1, MAX_PIECES // len(starts))
     joined = []
-    for part in integrate(place[index], speed[index], force[index]):
-        settled = part[:, overlap:].copy()  # a piece, and how it would go on
-        settled[1:, :fade] = ramp * settled[1:, :fade] + (1 - ramp) * settled[:-1, piece:]
-        joined.append(settled[:, :piece].ravel()[:n])
+    for first in range(0, len(places), n_at_once):
+        some = places[first : first + n_at_once]
+        conditions = (np.tile(channel[index], (len(some), 1)) for channel in (speed, force))
+        parts = integrate(some[:, index].reshape(-1, index.shape[1]), *conditions)
+        for pieces in np.split(parts, len(some), axis=1):
+            settled = pieces[:, :, overlap:].copy()  # a piece, and how it would go on
+            settled[:, 1:, :fade] = ramp * settled[:, 1:, :fade] + (1 - ramp) * settled[:, :-1, piece:]
+            joined.append(settled[:, :, :piece].reshape(len(parts), -1)[:, :n])
     return joined
 
 

@@ -13,8 +13,10 @@ from __future__ import annotations
 
 import json
 import threading
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -25,7 +27,7 @@ from foten.simulation.contact_mechanics import (
     CONTACT,
     RATE_HZ,
     ContactParameters,
-    contact_vibration,
+    contact_vibrations,
     mode_filter,
     surface_of,
 )
@@ -40,7 +42,7 @@ from foten.simulation.linear_family import (
     linear_signal,
 )
 from foten.simulation.stroking import Stroking, stroking
-from foten.simulation.two_mass_contact import TWO_MASS, TwoMassParameters, two_mass_surface, two_mass_vibration
+from foten.simulation.two_mass_contact import TWO_MASS, TwoMassParameters, two_mass_surface, two_mass_vibrations
 
 _LOCK = threading.Lock()
 VERSION = 2  # of the model; a change that moves a sample raises it
@@ -186,7 +188,7 @@ def simulate(
         "version": VERSION,
         "parameters": json.loads(json.dumps(asdict(known[key]))),  # lists, as they come back from a file
     }
-    return _simulate(simulation)
+    return _simulated(simulation, [int(simulation["noise_seed"])])[0]
 
 
 def second_realisation(
@@ -196,21 +198,29 @@ def second_realisation(
 
     The recording's own `noise_seed` gives the recording back. ValueError where it is not simulated by this version.
     """
+    return realisations(recording, [noise_seed], stroke_seed=stroke_seed, seconds=seconds)[0]
+
+
+def realisations(
+    recording: Recording, noise_seeds: Sequence[int], *, stroke_seed: int | None = None, seconds: float | None = None
+) -> list[Recording]:
+    """`second_realisation` by several seeds, at once."""
     simulation = recording.simulation
     if simulation is None:
         raise ValueError("only a simulated recording has a second realisation; this one is not simulated")
     if simulation.get("version") != VERSION:
         raise ValueError(f"simulated by version {simulation.get('version')}, this is {VERSION}: simulate it again")
     try:
-        changed = {"noise_seed": noise_seed, "stroke_seed": stroke_seed, "seconds": seconds}
-        return _simulate({**simulation, **{name: value for name, value in changed.items() if value is not None}})
+        changed = {"stroke_seed": stroke_seed, "seconds": seconds}
+        changed = {name: value for name, value in changed.items() if value is not None}
+        return _simulated({**simulation, **changed}, noise_seeds)
     except (KeyError, TypeError) as error:
         raise ValueError(f"its parameters are those of another simulator ({error}): simulate it again") from error
 
 
-def _simulate(simulation: Mapping[str, Any]) -> Recording:
+def _simulated(simulation: Mapping[str, Any], noise_seeds: Sequence[int]) -> list[Recording]:
     seconds, rate_hz = float(simulation["seconds"]), float(simulation["accelerometer_hz"])
-    _, noise_seed, stroke_seed = (int(simulation[name]) for name in ("seed", "noise_seed", "stroke_seed"))
+    stroke_seed = int(simulation["stroke_seed"])
     key = str(simulation["key"])
     kinds: Mapping[str, type[Parameters]] = {
         **{"coefficients": LinearParameters, "relaxation_ms": TwoMassParameters},
@@ -223,33 +233,62 @@ def _simulate(simulation: Mapping[str, Any]) -> Recording:
         raise ValueError(f"{seconds:g} s asked for, expected 1 to 3600")
     if not 100 <= rate_hz <= RATE_HZ:
         raise ValueError(f"the accelerometer is at {rate_hz:g} Hz, expected 100 to {RATE_HZ:g}")
-    if min(noise_seed, stroke_seed) < 0:
+    if min(*noise_seeds, stroke_seed) < 0:
         raise ValueError("a seed is negative, expected 0 or more")
     # The key's bytes keep two textures of one seed apart, under one stroke.
-    rng = np.random.default_rng([noise_seed, 2, *key.encode()])
-    with _LOCK:  # several realisations of one stroke are simulated at once, and share it
+    rngs = [np.random.default_rng([noise_seed, 2, *key.encode()]) for noise_seed in noise_seeds]
+    with _LOCK:  # recordings of one stroke are simulated at once, and share it
         stroke = stroking(seconds, stroke_seed, rate_hz if kind is LinearParameters else RATE_HZ)
+    with ThreadPoolExecutor() as pool:  # filters and transforms release the interpreter's lock
+        tool, sensors, captures = _captures(parameters, key, stroke, rngs, rate_hz, pool)
+        return [
+            Recording(
+                channels,
+                texture=key,
+                tool=tool,
+                sensors=sensors,
+                notes="simulated",
+                simulation={**simulation, "noise_seed": noise_seed},
+            )
+            for channels, noise_seed in zip(captures, noise_seeds, strict=True)
+        ]
+
+
+def _captures(
+    parameters: Parameters,
+    key: str,
+    stroke: Stroking,
+    rngs: Sequence[np.random.Generator],
+    rate_hz: float,
+    pool: ThreadPoolExecutor,
+) -> tuple[str, str, Iterable[dict[str, Channel]]]:
+    """Tool, sensors, and what these record of each realisation of a stroke."""
     if isinstance(parameters, LinearParameters):
-        acceleration = linear_signal(parameters, stroke.speed, stroke.force, rng)
-        signals = {"acceleration": acceleration, "speed": stroke.speed, "force": stroke.force}
-        channels = {name: Channel(samples, rate_hz) for name, samples in signals.items()}
-        tool, sensors = "", "noise-free, one axis"
+
+        def of_process(rng: np.random.Generator) -> dict[str, Channel]:
+            acceleration = linear_signal(parameters, stroke.speed, stroke.force, rng)
+            signals = {"acceleration": acceleration, "speed": stroke.speed, "force": stroke.force}
+            return {name: Channel(samples, rate_hz) for name, samples in signals.items()}
+
+        return "", "noise-free, one axis", pool.map(of_process, rngs)
+    decimation = round(RATE_HZ / rate_hz)
+    if RATE_HZ / decimation != rate_hz:
+        raise ValueError(f"{rate_hz:g} Hz is not {RATE_HZ:g} Hz divided by a whole number")
+    vibrations: Iterable[tuple[Array, Array]]
+    if isinstance(parameters, ContactParameters):
+        vibrations = contact_vibrations(parameters, surface_of(parameters, key), stroke, rngs)
+    elif isinstance(parameters, TwoMassParameters):
+        vibrations = two_mass_vibrations(parameters, two_mass_surface(parameters, key), stroke, rngs)
     else:
-        decimation = round(RATE_HZ / rate_hz)
-        if RATE_HZ / decimation != rate_hz:
-            raise ValueError(f"{rate_hz:g} Hz is not {RATE_HZ:g} Hz divided by a whole number")
-        if isinstance(parameters, ContactParameters):
-            acceleration, normal_force = contact_vibration(parameters, surface_of(parameters, key), stroke, rng)
-        elif isinstance(parameters, TwoMassParameters):
-            surface = two_mass_surface(parameters, key)
-            acceleration, normal_force = two_mass_vibration(parameters, surface, stroke, rng)
-        else:
-            acceleration, normal_force = vibration(parameters, stroke, rng), stroke.force
-        own_motion = not isinstance(parameters, TwoMassParameters)
-        channels = sensor_channels(acceleration, normal_force, parameters.friction, stroke, decimation, rng, own_motion)
-        tool = "simulated rigid tool, 2 mm steel ball"
-        sensors = "simulated ADXL335, force at 10 kHz, position at 120 Hz"
-    return Recording(channels, texture=key, tool=tool, sensors=sensors, notes="simulated", simulation=simulation)
+        vibrations = ((vibrated, stroke.force) for vibrated in pool.map(partial(vibration, parameters, stroke), rngs))
+
+    own_motion = not isinstance(parameters, TwoMassParameters)
+
+    def of_sensors(vibrated: tuple[Array, Array], rng: np.random.Generator) -> dict[str, Channel]:
+        return sensor_channels(*vibrated, parameters.friction, stroke, decimation, rng, own_motion)
+
+    sensors = "simulated ADXL335, force at 10 kHz, position at 120 Hz"
+    return "simulated rigid tool, 2 mm steel ball", sensors, pool.map(of_sensors, vibrations, rngs)
 
 
 def _roughness(parameters: TextureParameters, length_mm: float, rng: np.random.Generator) -> Array:

@@ -22,7 +22,7 @@ Not fitted to any surface.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -37,6 +37,7 @@ from foten.simulation.contact_mechanics import (
     SUBSTEPS,
     joined_pieces,
     passed,
+    places_along,
     substeps,
     surface_height,
     under_ball,
@@ -247,21 +248,20 @@ def _waves(parameters: TwoMassParameters, n: int, rng: np.random.Generator) -> A
     return np.asarray(parameters.wave_nepers * (swings[wave] * (0.5 - 0.5 * np.cos(np.pi * phase)) - 0.5))
 
 
-def two_mass_vibration(
-    parameters: TwoMassParameters, surface: Array, stroke: Stroking, rng: np.random.Generator
-) -> tuple[Array, Array]:
-    """Vibration of the tool's body before any sensor [m/s²], axes x, y, z, (n, 3), and the contact's force [N], (n,).
+def two_mass_vibrations(
+    parameters: TwoMassParameters, surface: Array, stroke: Stroking, rngs: Sequence[np.random.Generator]
+) -> list[tuple[Array, Array]]:
+    """Vibrations of the tool's body before any sensor [m/s²], axes x, y, z, (n, 3), and the contact's force [N], (n,).
 
-    The surface is what the ball rests at, as of `two_mass_surface`.
+    Of realisations of a stroke. The surface is what the ball rests at, as of `two_mass_surface`.
     """
     rate = stroke.rate_hz
-    place = rng.uniform(0, LOOP_MM) + np.cumsum(stroke.speed) / rate
 
     def integrate(places: Array, speed: Array, force: Array) -> Array:
         return _integrate(parameters, surface, places, speed, force, rate)
 
-    normal, tangential, force = joined_pieces(integrate, place, stroke.speed, stroke.force, rate)
-    return np.column_stack([tangential[:, None] * DIRECTION, normal]), force
+    joined = joined_pieces(integrate, places_along(stroke, rngs), stroke.speed, stroke.force, rate)
+    return [(np.column_stack([tangential[:, None] * DIRECTION, normal]), force) for normal, tangential, force in joined]
 
 
 def _integrate(

@@ -171,6 +171,13 @@ class ClosedLoop:
     # Squares of the impulse response from excitation to output, (n,), with the gain before a lattice; else σ shows at once.
     response: Array | None = None
     limit: float = math.inf  # that samples are cut to; infinite for what is bounded by itself
+    unit_sigma: bool = False  # whether the kernel's σ is 1 whatever the excitation, which scales the noise instead
+
+    def with_unit_sigma(self, width: int, innovation_limit: float) -> ClosedLoop:
+        """The same by one kernel for all excitations of a limit in acceleration, where no network draws."""
+        unit = constant_scale(width, self.blocks.scaling)
+        texture = self.kernel(Excitation(unit, (MAX_SIGMA, innovation_limit)))
+        return replace(self, kernel=lambda excitation: texture, unit_sigma=True)
 
     @property
     def first_scored(self) -> int:
@@ -185,6 +192,10 @@ class ClosedLoop:
         starts = np.tile(self.blocks.samples[chosen, :m], (n_runs, 1, 1))
         conditions = np.tile(self.blocks.conditions_with_speed()[chosen, m:], (n_runs, 1, 1))
         noise = np.stack([gaussian(seed, first_stream + k, 0, block - m) for k in range(len(starts))])
+        if self.unit_sigma:
+            sigma = excitation.sigma(self.blocks.samples[chosen, m - 1 : -1, 1:].reshape(-1, 2))
+            in_sigma = excitation.innovation_limit[0]
+            noise = np.clip(noise, -in_sigma, in_sigma) * np.tile(sigma.reshape(len(chosen), -1), (n_runs, 1))
         rendered = render_streams(self.kernel(excitation), starts, conditions, noise, self.limit)
         recorded = self.blocks.samples[chosen, self.first_scored :, 0]
         return recorded, rendered[:, self.first_scored - m :].reshape(n_runs, len(chosen), -1)
@@ -235,6 +246,7 @@ def calibrate_excitation(width: int, residuals: Residuals, loop: ClosedLoop, see
         return innovation_likelihood((innovation * gain)[n:], scale)[1]
 
     innovation_nll = float((nll_under(fitted) - np.log(gain[n:])).mean())
+    loop = loop.with_unit_sigma(width, fitted.innovation_limit[1])
     excitation, errors = calibrate_level(loop, fitted, seed)
     nll, moving = nll_under(excitation), residuals.moving[n:]
     acceleration_nll = float(nll[moving].mean()) if moving.any() else None

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +21,9 @@ from foten.recording.split import MIN_BLOCKS, Split, split_blocks
 from foten.recording.trace import Trace
 from foten.recording.windows import targets
 from foten.training.config import TrainConfig, unused_settings
-from foten.training.loop import Progress
+
+if TYPE_CHECKING:
+    from foten.training.loop import Progress
 
 
 @dataclass(frozen=True)

@@ -20,6 +20,7 @@ from foten.atomic_write import atomic_write, reason
 from foten.training.config import TrainConfig
 
 MOMENTUM = 0.95
+BETAS, EPSILON = (0.9, 0.999), 1e-8  # of Adam, as published
 MIN_SIDE = 4  # a matrix is wider and taller than that: of what is narrower little is left by orthogonalisation
 
 
@@ -28,8 +29,10 @@ class Optimiser:
 
     Matrices move along the orthogonal factor of their momentum, so that no direction is slow (`benchmarks/training.py`).
 
+    PyTorch's own AdamW loads a compiler when it is made, which takes longer than an epoch.
+
     Source: Jordan et al., "Muon: an optimizer for hidden layers in neural networks" (2024), the iteration and its coefficients;
-    for the paper's recipe Adam, Sec. IV-e.
+    Loshchilov & Hutter, "Decoupled weight decay regularization" (ICLR 2019), AdamW; for the paper's recipe Adam, Sec. IV-e.
     """
 
     def __init__(self, parameters: Mapping[str, nn.Parameter], config: TrainConfig) -> None:
@@ -40,14 +43,14 @@ class Optimiser:
             if config.optimiser == "muon" and matrix.ndim == 2 and min(matrix.shape) > MIN_SIDE
         }
         self._momentum = {name: torch.zeros_like(matrix) for name, matrix in self._matrices.items()}
-        others = [parameter for name, parameter in parameters.items() if name not in self._matrices]
-        self._adam = torch.optim.AdamW(others, lr=config.learning_rate, weight_decay=config.weight_decay, fused=True)
+        self._others = [parameter for name, parameter in parameters.items() if name not in self._matrices]
+        self._moments = torch.zeros_like(torch.cat([_flat(parameter) for parameter in self._others])).repeat(2, 1)
+        self._n_steps = 0
 
     def step(self, rate: float) -> None:
         """Take a step with the gradients that there are, at a share of the highest learning rates."""
         config = self._config
-        self._adam.param_groups[0]["lr"] = config.learning_rate * rate
-        self._adam.step()
+        self._step_of_others(config.learning_rate * rate)
         directions = []
         for name, matrix in self._matrices.items():
             momentum = self._momentum[name].mul_(MOMENTUM).add_(matrix.grad)
@@ -58,13 +61,30 @@ class Optimiser:
                 matrix.mul_(1 - config.learning_rate * rate * config.weight_decay)
                 matrix.sub_(direction, alpha=config.matrix_learning_rate * rate * tall)
 
+    @torch.no_grad()
+    def _step_of_others(self, rate: float) -> None:
+        self._n_steps += 1
+        gradient = torch.cat([_flat(parameter.grad) for parameter in self._others])
+        means, squares = self._moments
+        means.lerp_(gradient, 1 - BETAS[0])
+        squares.lerp_(gradient * gradient, 1 - BETAS[1])
+        first, second = (moment / (1 - beta**self._n_steps) for moment, beta in zip(self._moments, BETAS, strict=True))
+        direction = first / (second.sqrt() + EPSILON)
+        for parameter, part in zip(self._others, direction.split([p.numel() for p in self._others]), strict=True):
+            parameter.mul_(1 - rate * self._config.weight_decay).sub_(part.view_as(parameter), alpha=rate)
+
     def state_dict(self) -> dict[str, Any]:
-        return {"adam": self._adam.state_dict(), "momentum": self._momentum}
+        return {"moments": self._moments, "n_steps": self._n_steps, "momentum": self._momentum}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        self._adam.load_state_dict(state["adam"])
+        self._moments.copy_(state["moments"])
+        self._n_steps = state["n_steps"]
         for name, momentum in state["momentum"].items():
             self._momentum[name].copy_(momentum)
+
+
+def _flat(parameter: Tensor) -> Tensor:
+    return parameter.detach().reshape(-1)
 
 
 @torch.no_grad()
@@ -326,8 +346,11 @@ class Checkpoint:
         state = self._loops[name]
         if set(state["parts"]) != set(parts):
             raise ValueError(f"{self._path.name} is of another version of foten; delete it and start again")
-        for key, part in parts.items():
-            part.load_state_dict(state["parts"][key])
+        try:
+            for key, part in parts.items():
+                part.load_state_dict(state["parts"][key])
+        except KeyError as error:
+            raise ValueError(f"{self._path.name} is of another version of foten; delete it and start again") from error
         return Progress([Epoch(**line) for line in state["epochs"]], state["best_loss"], state["best_state"])
 
     def save(self, name: str, parts: Mapping[str, Any], progress: Progress) -> None:

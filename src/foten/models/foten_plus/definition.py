@@ -123,12 +123,12 @@ class Lattice:
         w = Weights(tensors, prefix)
         check_reflections(w["reflections"])
         self.order, self.gain_before_filter = w["reflections"].shape[1], gain_before_filter
-        self._table = SpeedForceTable(w["speed_knots"], w["force_knots"], w["reflections"])
+        self.table = SpeedForceTable(w["speed_knots"], w["force_knots"], w["reflections"])
         self.level = Scale.of(tensors, f"{prefix}level.")
 
     def reflections(self, condition: Array) -> Array:
         """k: speed and force (s, 2) scaled → (p, s)."""
-        return self._table.at(*self.level.physical(condition).T).T
+        return self.table.at(*self.level.physical(condition).T).T
 
     def gains(self, level: Array) -> tuple[Array, Array]:
         """Gains of the innovation before the filter, and of the sample after it."""

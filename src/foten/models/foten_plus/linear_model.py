@@ -15,7 +15,7 @@ from scipy.ndimage import uniform_filter1d
 from scipy.signal import lfilter
 
 from foten.dsp import Array
-from foten.dsp.lattice import LEAK, MAX_REFLECTION, analyse, polynomial
+from foten.dsp.lattice import LEAK, MAX_REFLECTION, polynomial
 from foten.dsp.speed_force_table import SpeedForceTable, spanning
 from foten.dsp.tones import tone
 from foten.models.excitation import Scale
@@ -41,7 +41,6 @@ LEVEL_SAMPLES = 241  # samples that a level is averaged over for the gain before
 NEIGHBOURS = 10  # sections on each side from which the variance of a reflection is estimated
 MIN_GAIN = 1e-3  # share by which a longer order, the gain before the filter or a table must lower the error
 _SCALES = np.array(SCALES)
-_AT_ONCE = 8_000_000  # reflection coefficients held in memory
 
 
 @dataclass(frozen=True)
@@ -93,13 +92,17 @@ def select_lattice(data: LatticeData, max_order: int, table: bool = True, both_g
     def errors_of(among: list[tuple[tuple[int, int], bool]], longest: int) -> list[list[float]]:
         shorter = [order for order in orders if order <= longest]
 
-        def of_fold(knots: tuple[int, int], fold: LatticeData) -> list[float]:
-            return validation_errors(fit_reflections(fold, longest, *knots), fold, shorter)
+        def of_fold(number: int) -> list[list[float]]:
+            fold = {gain: of_gain[number] for gain, of_gain in folds.items()}
+            shares = {gain: share_beyond_chance(fold[gain], longest) for gain in {gain for _, gain in among}}
+            return [
+                validation_errors(fit_reflections(fold[gain], longest, *knots, shares[gain]), fold[gain], shorter)
+                for knots, gain in among
+            ]
 
-        tasks = [(knots, fold) for knots, gain in among for fold in folds[gain]]
-        with ThreadPoolExecutor() as pool:  # NumPy's and SciPy's loops release the interpreter's lock
-            each = np.array(list(pool.map(of_fold, *zip(*tasks, strict=True))))
-        return np.average(each.reshape(len(among), len(weights), -1), axis=1, weights=weights).tolist()
+        with ThreadPoolExecutor() as pool:  # NumPy's loops and those in C release the interpreter's lock
+            each = np.array(list(pool.map(of_fold, range(len(weights)))))
+        return np.average(each, axis=0, weights=weights).tolist()
 
     errors = dict(zip(kinds, errors_of(kinds, min(SHORT_ORDER, orders[-1])), strict=True))
     if orders[-1] > SHORT_ORDER:
@@ -138,19 +141,21 @@ def validation_errors(reflections: SpeedForceTable, data: LatticeData, orders: S
     return error.tolist()
 
 
-def fit_reflections(data: LatticeData, order: int, n_speed: int, n_force: int) -> SpeedForceTable:
+def fit_reflections(
+    data: LatticeData, order: int, n_speed: int, n_force: int, shares: Array | None = None
+) -> SpeedForceTable:
     """Reflections of the least forward and backward errors of each section, over the training blocks.
 
     Section i minimises Σ w ((f_{i−1} + k b)² + (b + k f_{i−1})²) over k at the knots: Burg's method. Differences of knots
     have a Gaussian prior in three parts, over speed, over force and over both, exponentially correlated, whose standard
-    deviations maximise the evidence.
+    deviations maximise the evidence. `shares` are those of `share_beyond_chance`, where they are known.
 
     Source: Burg's criterion; the time-varying extension after Grenier, IEEE Trans. ASSP 31 (1983); the prior is ours.
     """
     chosen = list(data.train)
     table = spanning(data.speed[chosen], data.force[chosen], n_speed, n_force)
     parts = _covariances(len(table.speed_knots), len(table.force_knots))
-    shares = _share_beyond_chance(data, order)
+    shares = share_beyond_chance(data, order) if shares is None else shares
     sections = Sections(data, chosen, table)
     reflections = np.zeros((len(table.values), order))
     for i in range(order):
@@ -236,7 +241,7 @@ def _pairs(weights: sparse.csr_array) -> sparse.csr_array:
     return sparse.csr_array((products[nonzero], (at, columns[nonzero].astype(np.int64))), shape=(n, k * k))
 
 
-def _share_beyond_chance(data: LatticeData, order: int) -> Array:
+def share_beyond_chance(data: LatticeData, order: int) -> Array:
     """Factor that shrinks each section's common reflection, shape (order,).
 
     Wiener's τ²/(τ² + v): v is the variance between blocks, τ² the excess of the neighbours' squares over it. Unshrunk, far
@@ -329,15 +334,15 @@ class LinearModel:
             tones = Tones(self.tensors, lattice.level)
             coefficients = tones.coefficients(before.reshape(-1, 3)).reshape(*samples.shape, -1)
             samples, lattice = samples - tone(coefficients, self.phase[:, 1:]), self.excited_lattice
-        n_at_once = max(1, _AT_ONCE // (samples.shape[1] * lattice.order))
-        parts = []
-        for i in range(0, len(samples), n_at_once):
-            some, flat = samples[i : i + n_at_once], before[i : i + n_at_once, :, :2].reshape(-1, 2)
-            level = lattice.level(flat).reshape(some.shape)
-            gain, after = lattice.gains(level)
-            e, cosines, _ = analyse(some / after, lattice.reflections(flat).T.reshape(*some.shape, -1))
-            parts.append((some / level, e / gain, cosines * level))
-        x, e, gain = (np.pad(np.concatenate(part), ((0, 0), (1, 0))) for part in zip(*parts, strict=True))
+        level = lattice.level(before[..., :2].reshape(-1, 2)).reshape(samples.shape)
+        gain, after = lattice.gains(level)
+        speed, force = np.moveaxis(lattice.level.physical(before[..., :2]), 2, 0)
+        data = LatticeData(samples / after, np.ones_like(level), speed, force, (), ())
+        sections = Sections(data, range(len(samples)), lattice.table)
+        for i in range(lattice.order):
+            sections.rotate_back(lattice.table.values[:, i])
+        parts = samples / level, sections.forward / gain, sections.gain * level
+        x, e, gain = (np.pad(part, ((0, 0), (1, 0))) for part in parts)
         return x, e, gain
 
     def power(self, condition: Array) -> tuple[Array, Array]:
