@@ -158,6 +158,8 @@ def best_linear_model(
         loop, width = _closed_loop(model, networks, run), model.sizes.excitation_width
         random_part = calibrate_excitation(width, residuals, loop, run.config.seed)
         distance = envelope_distance_of(loop, random_part.excitation, run.config.seed)
+        if distance is not None:
+            distance *= random_part.free_run.lsd_db
         return Candidate(model, random_part, envelope_distance=distance)
 
     with ThreadPoolExecutor() as pool:
