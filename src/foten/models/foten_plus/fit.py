@@ -45,7 +45,9 @@ from foten.training.texture_builder import TextureBuilder, tensors_of
 MIN_GAIN_NAT = 0.005  # of an innovation's nll on the validation blocks, for a network to be in the loop
 INNOVATION_HEADROOM = 1.3  # times the largest recorded innovation is the largest that a network may draw
 MAX_TONE_DISTORTION = 1.05  # times the log-spectral distance without tones, on the validation blocks
-AS_NEAR = 0.005  # share of the envelope distance by which one filter for all conditions may be further than a table
+AS_NEAR = (
+    0.005  # share of the distance by which a table is nearer than one filter, and a network than noise, to be worth it
+)
 MAX_EXPONENT = 1.5  # of speed or force, that the level grows with outside the trained range
 # Mean and standard deviation of these powers over textures: 100 measured AR models (0.97 ± 0.28, 0.32 ± 0.19), and the simulated
 # ones (1.00, 0.33).
@@ -75,7 +77,7 @@ class Candidate:
     random_part: Calibrated
     rendering_network: Tensors = field(default_factory=dict)  # where one is in the loop
     closed_loop: dict[str, float] | None = None  # validation loss of its closed-loop training, before and after
-    envelope_distance: float | None = None  # `envelope_distance_of`, of a linear model
+    distance: float | None = None  # `_distance`; None where blocks are too short for envelopes
 
 
 @dataclass(frozen=True)
@@ -157,10 +159,7 @@ def best_linear_model(
         residuals = Residuals(condition, e.ravel()[n], gain.ravel()[n], len(train), moving)
         loop, width = _closed_loop(model, networks, run), model.sizes.excitation_width
         random_part = calibrate_excitation(width, residuals, loop, run.config.seed)
-        distance = envelope_distance_of(loop, random_part.excitation, run.config.seed)
-        if distance is not None:
-            distance *= random_part.free_run.lsd_db
-        return Candidate(model, random_part, envelope_distance=distance)
+        return Candidate(model, random_part, distance=_distance(loop, random_part, run))
 
     with ThreadPoolExecutor() as pool:
         return best_candidate(list(pool.map(excited, [*linear, *([] if tonal is None else [tonal])])))
@@ -173,19 +172,19 @@ def best_candidate(candidates: Sequence[Candidate]) -> tuple[Candidate, dict[str
     """
 
     def report(candidate: Candidate) -> dict[str, Any]:
-        errors = {**candidate.random_part.free_run._asdict(), "envelope_distance": candidate.envelope_distance}
+        errors = {**candidate.random_part.free_run._asdict(), "distance": candidate.distance}
         sizes = candidate.model.sizes
         kind = {"order": sizes.order, "n_speed": sizes.n_speed, "gain_before_filter": sizes.gain_before_filter}
         return {**candidate.model.report, "free_run": errors, "kind": kind}
 
     first, *others = candidates
-    if first.envelope_distance is not None:
-        best = min(candidates, key=lambda candidate: candidate.envelope_distance or 0.0)
+    if first.distance is not None:
+        best = min(candidates, key=lambda candidate: candidate.distance or 0.0)
         place = best.model.sizes.gain_before_filter
         for other in candidates:  # a table of reflections has to be worth it
             one_filter = other.model.sizes.n_speed * other.model.sizes.n_force == 1
             if one_filter and best.model.phase is None and other.model.sizes.gain_before_filter == place:
-                near = (other.envelope_distance or 0.0) <= (best.envelope_distance or 0.0) * (1 + AS_NEAR)
+                near = (other.distance or 0.0) <= (best.distance or 0.0) * (1 + AS_NEAR)
                 best = other if near else best
         rejected = [report(candidate) for candidate in candidates if candidate is not best]
         return best, {**report(best), **({"rejected": rejected} if rejected else {})}
@@ -227,9 +226,10 @@ def fit_rendering_network(
 def calibrated_network(
     fitted: FittedNetwork, excited: Candidate, network: InnovationNetwork, run: FitContext
 ) -> Candidate | None:
-    """Candidate that draws from a network, trained in its closed loop and calibrated; None where noise is as likely."""
+    """Candidate that draws from a network, trained and calibrated in its closed loop; None where noise is as near, or as likely."""
+    compared = excited.distance is not None and run.config.closed_loop_training
     gain_nat = excited.random_part.innovation_nll - fitted.innovation_nll
-    if not fitted.progress.best.epoch or gain_nat < MIN_GAIN_NAT:
+    if not fitted.progress.best.epoch or (gain_nat < MIN_GAIN_NAT and not compared):
         return None
     drawing, sizes = copy.deepcopy(fitted.network), fitted.model.sizes
     if drawing.recurrent.input_size != sizes.n_rendering_inputs:
@@ -245,7 +245,10 @@ def calibrated_network(
     loop = _closed_loop(model, {**tensors_of(network, "network."), **tensors}, run)
     nll, seed = fitted.acceleration_nll, run.config.seed
     random_part = calibrate_network_gain(sizes.excitation_width, limit, loop, seed, nll, level=not gained)
-    return Candidate(model, random_part, tensors, closed_loop)
+    candidate = Candidate(model, random_part, tensors, closed_loop, _distance(loop, random_part, run))
+    if compared and (candidate.distance or 0.0) >= (excited.distance or 0.0) * (1 - AS_NEAR):
+        return None
+    return candidate
 
 
 def texture_of(
@@ -304,6 +307,12 @@ def _train_in_closed_loop(
     progress = fit_closed_loop(network, excerpts, model.sizes.window, run.config, run.monitor)
     fitted.progress.include(progress)
     return {"before": progress.epochs[0].validation_loss, "after": progress.best_loss}
+
+
+def _distance(loop: ClosedLoop, random_part: Calibrated, run: FitContext) -> float | None:
+    """How far a closed loop is from the recording: `envelope_distance_of`, times the log-spectral distance [dB]."""
+    distance = envelope_distance_of(loop, random_part.excitation, run.config.seed)
+    return None if distance is None else distance * random_part.free_run.lsd_db
 
 
 def _closed_loop(model: LinearModel, networks: Tensors, run: FitContext) -> ClosedLoop:
