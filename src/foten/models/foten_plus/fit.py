@@ -226,7 +226,7 @@ def fit_rendering_network(
 def calibrated_network(
     fitted: FittedNetwork, excited: Candidate, network: InnovationNetwork, run: FitContext
 ) -> Candidate | None:
-    """Candidate that draws from a network, trained and calibrated in its closed loop; None where noise is as near, or as likely."""
+    """Candidate that draws from a network, calibrated in its closed loop; None where noise is as near, or as likely."""
     compared = excited.distance is not None and run.config.closed_loop_training
     gain_nat = excited.random_part.innovation_nll - fitted.innovation_nll
     if not fitted.progress.best.epoch or (gain_nat < MIN_GAIN_NAT and not compared):
