@@ -26,7 +26,7 @@ from foten.models.foten_plus.closed_loop_training import (
     fit_closed_loop,
 )
 from foten.models.foten_plus.definition import Tones
-from foten.models.foten_plus.linear_model import LinearModel, fit_level, fit_linear_model
+from foten.models.foten_plus.linear_model import LinearModel, fit_level, fit_linear_models
 from foten.models.foten_plus.network import InnovationNetwork, innovations_of
 from foten.models.foten_plus.sizes import FotenPlusSizes
 from foten.models.foten_plus.tones_fit import fit_residual, tonal_model
@@ -62,7 +62,7 @@ def surface(request: pytest.FixtureRequest) -> Surface:
     sizes, preprocess = FotenPlusSizes(**PLUS), PreprocessConfig(trim_ms=0, block_ms=1000)
     blocks = TrainingJob(simulate(request.param, 9.0), "foten-plus", sizes, CONFIG, preprocess).blocks()
     level, data = fit_level(blocks.flat[:, 0], sizes, blocks, CONFIG)
-    linear = fit_linear_model(level, data, sizes, CONFIG)
+    linear = fit_linear_models(level, data, sizes, CONFIG)[0]
     residual = fit_residual(data, sizes, blocks, CONFIG)
     model = linear if residual is None else tonal_model(linear, residual, blocks.trace.rate_hz)
     assert (model.phase is None) == (request.param == "artificial-grass")

@@ -28,7 +28,7 @@ from foten.models.foten_plus.fit import (
     texture_builder,
     texture_of,
 )
-from foten.models.foten_plus.linear_model import LinearModel, fit_level, fit_linear_model
+from foten.models.foten_plus.linear_model import LinearModel, fit_level, fit_linear_models
 from foten.models.foten_plus.network import InnovationNetwork
 from foten.models.foten_plus.sizes import FotenPlusSizes
 from foten.models.foten_plus.tones_fit import silent_tones
@@ -81,10 +81,10 @@ def fitted(recording: Recording) -> Fitted:
     job = TrainingJob(recording, "foten-plus", sizes, QUICK, SHORT)
     blocks = job.blocks()
     run = FitContext(texture_builder(job, blocks), QUICK, Monitor())
-    linear = fit_linear_model(*fit_level(blocks.flat[:, 0], sizes, blocks, QUICK), sizes, QUICK)
+    linear = fit_linear_models(*fit_level(blocks.flat[:, 0], sizes, blocks, QUICK), sizes, QUICK)[0]
     torch.manual_seed(0)
     initial = perturbed(InnovationNetwork(sizes))
-    excited, report = best_linear_model(linear, None, initial, run)
+    excited, report = best_linear_model([linear], None, initial, run)
     network = fit_network(initial, excited, run)
     (line,) = network.progress.epochs
     progress = Progress([replace(line, validation_loss=9.0), replace(line, epoch=1)], line.validation_loss)
@@ -190,10 +190,13 @@ def test_a_rendering_draws_from_the_network_that_knows_the_phase_where_that_is_l
         assert fit_rendering_network(network, excited, linear, tonal, fitted.run) is network
 
 
-def candidate(name: str, errors: tuple[float, float]) -> Candidate:
+def candidate(
+    name: str, errors: tuple[float, float], distance: float | None = None, before: bool = False, n_speed: int = 1
+) -> Candidate:
     sigma = constant_scale(1, scaling=scaled_blocks(white(4, 200), split_of(4, 200)).scaling)
-    model = LinearModel(FotenPlusSizes(), {}, report={"lattices": name})
-    return Candidate(model, Calibrated(Excitation(sigma, (1.0, 1.0)), FreeRunErrors(*errors), None))
+    model = LinearModel(FotenPlusSizes(gain_before_filter=before, n_speed=n_speed), {}, report={"lattices": name})
+    random_part = Calibrated(Excitation(sigma, (1.0, 1.0)), FreeRunErrors(*errors), None)
+    return Candidate(model, random_part, distance=distance)
 
 
 @pytest.mark.parametrize(
@@ -210,9 +213,29 @@ def test_tones_are_taken_where_the_free_run_has_less_error_and_the_same_colour(
 ) -> None:
     best, report = best_candidate([candidate("without", (2.0, 1.0)), candidate("with", tones)])
     assert best.model.report["lattices"] == chosen
-    assert report["free_run"] == best.random_part.free_run._asdict()
+    assert report["free_run"] == {**best.random_part.free_run._asdict(), "distance": None}
     (rejected,) = report["rejected"]
     assert rejected["lattices"] == {"with": "without", "without": "with"}[chosen]
+
+
+@pytest.mark.parametrize(
+    ("distances", "chosen"),
+    [
+        ((1.0, 0.9, 0.95, 0.99), "table"),  # the nearest
+        ((1.0, 0.997, 0.999, 1.1), "one filter"),  # which a table has to be nearer than by more than half a per cent
+        ((1.0, 0.9, 0.905, 0.899), "other place"),  # of the same place alone
+    ],
+)
+def test_the_linear_model_is_that_whose_envelopes_are_nearest(distances: tuple[float, ...], chosen: str) -> None:
+    kinds = {"first": (False, 12), "table": (True, 12), "one filter": (True, 1), "other place": (False, 12)}
+    known = [
+        candidate(name, (9.0, 9.0), distance, *kind)
+        for (name, kind), distance in zip(kinds.items(), distances, strict=True)
+    ]
+    best, report = best_candidate(known)
+    assert best.model.report["lattices"] == chosen
+    assert report["free_run"]["distance"] == best.distance
+    assert len(report["rejected"]) == 3
 
 
 def split_of(n_blocks: int, block: int) -> Split:
@@ -280,9 +303,9 @@ def test_the_growth_of_foten_plus_is_in_its_card_and_the_papers_network_clamps(
 
 @pytest.mark.parametrize("before", [True, False])
 def test_a_process_with_its_gain_before_the_filter_is_trained_as_one(before: bool) -> None:
-    """The linear family scales its innovations: known from a recording, level and all."""
+    """The linear family scales its innovations, and what rings on shows it: the closed loop tells."""
     config = replace(QUICK, max_order=80, tones=True, gain_before_filter=before)
-    job = TrainingJob(simulate("linear-cloth", 16.0, seed=3), "foten-plus", FotenPlusSizes(**PLUS), config)
+    job = TrainingJob(simulate("linear-twin", 24.0, seed=3), "foten-plus", FotenPlusSizes(**PLUS), config)
     texture = train(job).texture
     assert texture.sizes.gain_before_filter == before  # type: ignore[attr-defined]
     tried = texture.card["metrics"]["linear_model"]["lattices"]

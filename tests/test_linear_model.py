@@ -11,7 +11,7 @@ import pytest
 from conftest import PLUS, SCALING, exported, untrained, untrained_tensors
 from foten.dsp.tones import tone
 from foten.models.foten_plus.definition import Tones
-from foten.models.foten_plus.linear_model import LinearModel, fit_level, fit_linear_model
+from foten.models.foten_plus.linear_model import LinearModel, fit_level, fit_linear_models
 from foten.models.foten_plus.sizes import FotenPlusSizes
 from foten.models.foten_plus.tones_fit import fit_residual, silent_tones, tonal_model
 from foten.recording.preprocess import PreprocessConfig, preprocess
@@ -122,7 +122,7 @@ def test_a_surface_that_repeats_is_fitted_once_more_with_its_tones(name: str, pr
     trace = preprocess(simulate(name, 10.0, seed=1), PreprocessConfig(trim_ms=0, block_ms=1000))
     blocks = scaled_blocks(trace, split_blocks(trace, "regrouped", 0))
     level, data = fit_level(blocks.flat[:, 0], sizes, blocks, config)
-    linear = fit_linear_model(level, data, sizes, config)
+    linear = fit_linear_models(level, data, sizes, config)[0]
     assert linear.phase is None
     assert not linear.sizes.n_tones
     assert linear.report["wavelength_mm"] is None

@@ -16,6 +16,7 @@ from foten.dsp import Array
 from foten.dsp.distance import log_spectral_distance, scored_bins, segment_length, welch
 from foten.dsp.level import frame_levels, frame_means
 from foten.dsp.noise import gaussian, innovation_likelihood
+from foten.models.conditions import FADE_SPEED
 from foten.models.excitation import MAX_SIGMA, N_FEATURES, N_POWERS, Excitation, Scale, powers
 from foten.recording.scaling import Scaling
 from foten.runtime.loops import render_streams
@@ -29,6 +30,8 @@ WEIGHT_PENALTY = 1e-4
 MAX_ITERATIONS = 60
 BIN_WIDTH = 0.05  # of log speed and log force, within which σ is taken as one in the fit
 N_CALIBRATIONS = 3
+N_CALIBRATION_RUNS = 4  # free runs of a block that it is calibrated by
+PRIOR_SDS_DB = (0.0, 0.05, 0.1, 0.2, 0.4, 0.8, 1.6)  # of what a term does to the level, tried
 N_RUNS = 5  # free runs of a block that errors are means of
 # The judge's streams begin at 0: what is calibrated or chosen on is other noise than what is judged.
 CALIBRATION_STREAM, ERROR_STREAM = 2**32, 2**33
@@ -278,8 +281,9 @@ def calibrate_level(loop: ClosedLoop, excitation: Excitation, seed: int) -> tupl
     """Adjust σ until the closed loop is as loud as the recording, at every speed and force.
 
     The loop runs under the speed and force of the training and validation blocks, and log σ is adjusted `N_CALIBRATIONS` times.
-    Its terms in log speed and log force follow a ridge regression of the level errors of frames on the derivatives of their
-    levels by each term; its constant follows the level error of all frames, as far as that is beyond chance.
+    Its terms in log speed and log force follow a regression of the level errors of frames on the derivatives of their levels by
+    each term, as far as they are beyond what differs between blocks (`_shrunk`); its constant follows the level error of all
+    frames, as far as that is beyond chance.
 
     Returns:
         The excitation, and by how much the loop was louder than the recording before each adjustment [dB].
@@ -294,11 +298,15 @@ def calibrate_level(loop: ClosedLoop, excitation: Excitation, seed: int) -> tupl
     tone_power = tone_power.reshape(len(known), -1)[:, first - m :]
     within: Array = blocks.flat[blocks.targets(m)[0] - 1, 1:]
     terms = powers(excitation.sigma.logarithms(condition))
+    # Frames near rest say little: their speed is known late, by its low-pass, and few have most of the leverage.
+    speed = blocks.conditions_with_speed()[known, first:, 2]
+    counts = (frame_means(speed, rate) >= 2 * FADE_SPEED).ravel().astype(float)
     errors = []
+    uncalibrated, taken = excitation, np.zeros(6)
     for _ in range(N_CALIBRATIONS):
-        rendered = loop.free_runs(excitation, blocks.known, seed, CALIBRATION_STREAM, 1)[1][0]
-        error = (frame_levels(rendered, rate, reference) - level).ravel()
-        block_powers = np.stack([np.square(signal).mean(axis=1) for signal in (rendered, recorded)])
+        runs = loop.free_runs(excitation, blocks.known, seed, CALIBRATION_STREAM, N_CALIBRATION_RUNS)[1]
+        error = (frame_levels(runs, rate, reference).mean(axis=0) - level).ravel()
+        block_powers = np.stack([np.square(signal).mean(axis=(0, -1)) for signal in (runs, recorded[None])])
         louder, standard_error = _jackknifed(block_powers, lambda power, reference: 10 * np.log10(power / reference))
         errors.append(louder)
         # The power of a frame is the mean of ℓ²σ² and the tones'; its derivative by a term of log σ is that term's mean under it.
@@ -307,15 +315,47 @@ def calibrate_level(loop: ClosedLoop, excitation: Excitation, seed: int) -> tupl
         weighted = _filtered(weighted.reshape(len(known), -1, 6), loop.response)[:, first - m :]
         total = frame_means(weighted[..., 0] + tone_power, rate).reshape(-1, 1)
         slopes = np.stack([frame_means(weighted[..., k], rate).ravel() for k in range(6)], axis=1) / total
-        ridge = RIDGE * len(error) * np.diag([0.0, 1.0, 1.0, 1.0, 1.0, 1.0])
-        step = -np.linalg.solve(slopes.T @ slopes + ridge, slopes.T @ error)
+        # What the terms have taken of the error already counts as error again, so that it is shrunk as a whole.
+        whole = -np.concatenate([[0.0], taken[1:]]) * 20 / math.log(10)
+        of_terms = counts[:, None] * slopes
+        step = -_shrunk(
+            (counts * error + of_terms @ whole).reshape(len(known), -1), of_terms.reshape(len(known), -1, 6)
+        )
         # The constant follows the power of all frames, as far as it is beyond chance: two seconds give it to a dB only.
         loud = 10 ** (level.ravel() / 10)
         slope = (loud[:, None] * slopes).sum(axis=0) / loud.sum()
-        step[0] = -(_beyond_chance(louder, standard_error) + float(slope[1:] @ step[1:])) / slope[0]
-        step = np.clip(step * math.log(10) / 20, -MAX_ADJUSTMENT, MAX_ADJUSTMENT)
-        excitation = Excitation(_adjusted(excitation.sigma, step, within), excitation.innovation_limit)
+        change = step[1:] + whole[1:]
+        constant = -(_beyond_chance(louder, standard_error) + float(slope[1:] @ change)) / slope[0]
+        step = np.concatenate([[taken[0] + constant * math.log(10) / 20], step[1:] * math.log(10) / 20])
+        taken = np.clip(step, -MAX_ADJUSTMENT, MAX_ADJUSTMENT)
+        excitation = Excitation(_adjusted(uncalibrated.sigma, taken, within), excitation.innovation_limit)
     return excitation, errors
+
+
+def _shrunk(error: Array, slopes: Array) -> Array:
+    """Posterior mean of the coefficients of a regression of errors (k, n) on slopes (k, n, p) over k blocks; (p,).
+
+    Errors of near frames depend on each other: the noise of the coefficients is the sandwich estimate over blocks. All but the
+    first have a normal prior about zero, of a common standard deviation in units of what they do to an error, which maximises
+    the evidence: where blocks differ as much as the coefficients say, they are zero.
+    """
+    k, _, p = slopes.shape
+    gram = np.einsum("bni,bnj->ij", slopes, slopes)
+    inverse = np.linalg.pinv(gram)
+    fitted = inverse @ np.einsum("bni,bn->i", slopes, error)
+    scores = np.einsum("bni,bn->bi", slopes, error - slopes @ fitted)
+    noise = inverse @ (scores.T @ scores) @ inverse * k / max(1, k - p)
+    unit = np.diag(1 / np.maximum(np.square(slopes).mean(axis=(0, 1))[1:], 1e-12))
+    found, noise_of_found = fitted[1:], noise[1:, 1:] + 1e-9 * unit
+
+    def evidence(sd: float) -> float:
+        covariance = noise_of_found + sd**2 * unit
+        return -float(np.linalg.slogdet(covariance)[1] + found @ np.linalg.solve(covariance, found))
+
+    sd = max(PRIOR_SDS_DB, key=evidence)
+    shrunk = sd**2 * unit @ np.linalg.solve(noise_of_found + sd**2 * unit, found)
+    # The first goes with the others as the regression has it.
+    return np.concatenate([[fitted[0] - gram[0, 1:] @ (shrunk - found) / max(gram[0, 0], 1e-12)], shrunk])
 
 
 def _adjusted(sigma: Scale, step: NDArray[np.floating], within: Array) -> Scale:

@@ -16,11 +16,13 @@ from torch import Tensor
 from foten.dsp import Array
 from foten.dsp.bands import BAND_FRAME_MS, N_BANDS, envelope_edges
 from foten.dsp.lattice import analyse
-from foten.dsp.level import framed
+from foten.dsp.level import frame_levels, framed
 from foten.dsp.tones import tone
+from foten.models.excitation import Excitation
 from foten.models.foten_plus.definition import Tones
 from foten.models.foten_plus.linear_model import LinearModel
 from foten.models.foten_plus.network import Batches, InnovationNetwork, Innovations, mixtures, negative_log_likelihood
+from foten.training.calibration import ERROR_STREAM, ClosedLoop
 from foten.training.config import TrainConfig
 from foten.training.job import ScaledBlocks
 from foten.training.loop import Epoch, Loop, Monitor, Optimiser, Progress, epoch_seed, gradient_step, run_loop, schedule
@@ -35,6 +37,7 @@ MAX_SAMPLES = 1300  # of an excerpt: at 10 kHz a step would take ten times as lo
 WARM_UP = 64  # samples that the network takes in first
 NLL_WEIGHT = 0.2  # beside the envelope loss, so that what was learned by likelihood is not lost
 EMA_DECAY = 0.97  # of the weights, from step to step
+N_PAIRS = 8  # of free runs, by which linear models are compared
 N_KNOWN = 400  # recorded excerpts, whose statistics are standardised by
 N_VALIDATIONS = 8  # draws of excerpts of the validation blocks that a network is validated by
 RECIPE: dict[str, Any] = {
@@ -91,7 +94,17 @@ class EnvelopeEnergyDistance:
     def __init__(self, recorded: Array, moving: NDArray[np.bool_], rate_hz: float) -> None:
         """Standardise by recorded excerpts (k, n), scaled, whose frames move or rest (k, f)."""
         self._rate_hz = rate_hz
-        known, counted = energies(torch.from_numpy(recorded).float(), rate_hz), torch.from_numpy(moving)
+        self._standardise(energies(torch.from_numpy(recorded).float(), rate_hz), torch.from_numpy(moving))
+
+    @classmethod
+    def of_band_energies(cls, known: Tensor, counted: Tensor, rate_hz: float) -> EnvelopeEnergyDistance:
+        """Standardised by band energies (k, N_BANDS, f), whose frames count or rest (k, f)."""
+        self = cls.__new__(cls)
+        self._rate_hz = rate_hz
+        self._standardise(known, counted)
+        return self
+
+    def _standardise(self, known: Tensor, counted: Tensor) -> None:
         of_strokes = known.transpose(1, 2)[counted] if counted.any() else known.transpose(1, 2).flatten(0, 1)
         self._floor = FLOOR * of_strokes.mean(dim=0)[:, None] + torch.finfo(torch.float32).tiny
         logs = torch.log(of_strokes.T + self._floor)
@@ -105,6 +118,10 @@ class EnvelopeEnergyDistance:
             energies(torch.cat([prefix, signal], dim=-1), self._rate_hz)[..., n_before:]
             for signal in (*drawn, recorded)
         )
+        return self.of_energies(first, second, truth, moving)
+
+    def of_energies(self, first: Tensor, second: Tensor, truth: Tensor, moving: Tensor) -> Tensor:
+        """The same of band energies of two renderings and the recording, (k, N_BANDS, f) each."""
         of_statistics = [self._statistics(energy, moving) / self._unit for energy in (first, second, truth)]
         loss = _energy_distance(*(statistics[..., None] for statistics in of_statistics))
         stretches = zip(*(self._stretches(energy, moving) for energy in (first, second, truth)), strict=True)
@@ -162,6 +179,40 @@ def _energy_distance(first: Tensor, second: Tensor, recorded: Tensor) -> Tensor:
         return (a - b).square().sum(dim=-1).add(_MIN_SQUARE).sqrt().mean()
 
     return 0.5 * (distance(first, recorded) + distance(second, recorded) - distance(first, second))
+
+
+def envelope_distance_of(loop: ClosedLoop, excitation: Excitation, seed: int) -> float | None:
+    """Envelope energy distance of free runs from known blocks, times that of levels [dB]; None where blocks are too short."""
+    trace, known, first = loop.blocks.trace, list(loop.blocks.known), loop.first_scored
+    n_piece = round(EXCERPT_S * 1000 / BAND_FRAME_MS)
+    if (trace.block - first) * 1000 / trace.rate_hz < n_piece * BAND_FRAME_MS:
+        return None
+    recorded, rendered = loop.free_runs(excitation, loop.blocks.known, seed, ERROR_STREAM, 2 * N_PAIRS)
+
+    def pieces(frames: Tensor) -> Tensor:
+        """(…, f) → (…, pieces, n_piece)"""
+        n = frames.shape[-1] // n_piece
+        return frames[..., : n * n_piece].unflatten(-1, (n, n_piece))
+
+    def of(signals: Array) -> Tensor:
+        bands = pieces(energies(torch.from_numpy(np.ascontiguousarray(signals)).float(), trace.rate_hz))
+        return bands.movedim(-2, -3).flatten(-4, -3)  # (…, k · pieces, N_BANDS, n_piece)
+
+    moving = pieces(
+        torch.from_numpy(framed(loop.blocks.moving()[known, first:], BAND_FRAME_MS, trace.rate_hz).all(axis=-1))
+    )
+    moving = moving.flatten(0, 1)
+    truth, runs = of(recorded), of(rendered)
+    distance = EnvelopeEnergyDistance.of_band_energies(truth, moving, trace.rate_hz)
+    pairs = range(0, 2 * N_PAIRS, 2)
+    with torch.no_grad():
+        of_envelopes = [float(distance.of_energies(runs[k], runs[k + 1], truth, moving)) for k in pairs]
+    reference = float(np.sqrt(np.square(recorded).mean()))
+    level, levels = (
+        torch.from_numpy(frame_levels(x, trace.rate_hz, reference))[..., None] for x in (recorded, rendered)
+    )
+    of_levels = [float(_energy_distance(levels[k], levels[k + 1], level)) for k in pairs]
+    return float(np.mean(of_envelopes) * np.mean(of_levels))
 
 
 @dataclass(frozen=True)

@@ -16,8 +16,8 @@ import torch
 from foten.dsp import Array
 from foten.dsp.level import FRAME_MS, frame_levels, frame_means
 from foten.models.conditions import FADE_FORCE, FADE_SPEED
-from foten.models.foten_plus.closed_loop_training import excerpts_of, fit_closed_loop
-from foten.models.foten_plus.linear_model import MIN_SAMPLES_PER_SECTION, LinearModel, fit_level, fit_linear_model
+from foten.models.foten_plus.closed_loop_training import envelope_distance_of, excerpts_of, fit_closed_loop
+from foten.models.foten_plus.linear_model import MIN_SAMPLES_PER_SECTION, LinearModel, fit_level, fit_linear_models
 from foten.models.foten_plus.network import (
     InnovationNetwork,
     Innovations,
@@ -45,6 +45,9 @@ from foten.training.texture_builder import TextureBuilder, tensors_of
 MIN_GAIN_NAT = 0.005  # of an innovation's nll on the validation blocks, for a network to be in the loop
 INNOVATION_HEADROOM = 1.3  # times the largest recorded innovation is the largest that a network may draw
 MAX_TONE_DISTORTION = 1.05  # times the log-spectral distance without tones, on the validation blocks
+AS_NEAR = (
+    0.005  # share of the distance by which a table is nearer than one filter, and a network than noise, to be worth it
+)
 MAX_EXPONENT = 1.5  # of speed or force, that the level grows with outside the trained range
 # Mean and standard deviation of these powers over textures: 100 measured AR models (0.97 ± 0.28, 0.32 ± 0.19), and the simulated
 # ones (1.00, 0.33).
@@ -74,6 +77,7 @@ class Candidate:
     random_part: Calibrated
     rendering_network: Tensors = field(default_factory=dict)  # where one is in the loop
     closed_loop: dict[str, float] | None = None  # validation loss of its closed-loop training, before and after
+    distance: float | None = None  # `_distance`; None where blocks are too short for envelopes
 
 
 @dataclass(frozen=True)
@@ -97,14 +101,16 @@ def fit(job: TrainingJob, monitor: Monitor) -> Trained:
     level, data = fit_level(blocks.flat[:, 0], sizes, blocks, config)
     with ThreadPoolExecutor() as beside:
         residual = beside.submit(fit_residual, data, sizes, blocks, config)
-        linear = fit_linear_model(level, data, sizes, config)
+        linear_models = fit_linear_models(level, data, sizes, config)
     with_tones = residual.result()
+    linear = linear_models[0]
     tonal = None if with_tones is None else tonal_model(linear, with_tones, blocks.trace.rate_hz)
     run = FitContext(texture_builder(job, blocks), config, monitor)
     torch.manual_seed(config.seed)
     initial = InnovationNetwork(sizes).to(pick_device())
     monitor.on_stage("fitting the excitation and calibrating its level in the closed loop")
-    excited, report = best_linear_model(linear, tonal, initial, run)
+    excited, report = best_linear_model(linear_models, tonal, initial, run)
+    linear = excited.model if excited.model.phase is None else linear
     early = texture_of([excited], initial, None, report, run)
     monitor.on_playable(replace(early, card={**early.card, "training": {**early.card["training"], "unfinished": True}}))
     network = fit_network(initial, excited, run)
@@ -140,7 +146,7 @@ def texture_builder(job: TrainingJob, blocks: ScaledBlocks) -> TextureBuilder:
 
 
 def best_linear_model(
-    linear: LinearModel, tonal: LinearModel | None, network: InnovationNetwork, run: FitContext
+    linear: Sequence[LinearModel], tonal: LinearModel | None, network: InnovationNetwork, run: FitContext
 ) -> tuple[Candidate, dict[str, Any]]:
     """The linear model, with tones or without, that `best_candidate` chooses once excited; and what was tried."""
     networks = tensors_of(network, "network.")
@@ -152,19 +158,36 @@ def best_linear_model(
         condition, moving = run.blocks.flat[n - 1, 1:], run.blocks.moving().ravel()[n]
         residuals = Residuals(condition, e.ravel()[n], gain.ravel()[n], len(train), moving)
         loop, width = _closed_loop(model, networks, run), model.sizes.excitation_width
-        return Candidate(model, calibrate_excitation(width, residuals, loop, run.config.seed))
+        random_part = calibrate_excitation(width, residuals, loop, run.config.seed)
+        return Candidate(model, random_part, distance=_distance(loop, random_part, run))
 
     with ThreadPoolExecutor() as pool:
-        return best_candidate(list(pool.map(excited, [linear, *([] if tonal is None else [tonal])])))
+        return best_candidate(list(pool.map(excited, [*linear, *([] if tonal is None else [tonal])])))
 
 
 def best_candidate(candidates: Sequence[Candidate]) -> tuple[Candidate, dict[str, Any]]:
-    """The candidate of the least log-spectral distance × level error within `MAX_TONE_DISTORTION`; and what was tried."""
+    """The candidate whose band envelopes are nearest to the recording's, and what was tried.
+
+    Where blocks are too short for envelopes, that of the least log-spectral distance × level error within `MAX_TONE_DISTORTION`.
+    """
 
     def report(candidate: Candidate) -> dict[str, Any]:
-        return {**candidate.model.report, "free_run": candidate.random_part.free_run._asdict()}
+        errors = {**candidate.random_part.free_run._asdict(), "distance": candidate.distance}
+        sizes = candidate.model.sizes
+        kind = {"order": sizes.order, "n_speed": sizes.n_speed, "gain_before_filter": sizes.gain_before_filter}
+        return {**candidate.model.report, "free_run": errors, "kind": kind}
 
     first, *others = candidates
+    if first.distance is not None:
+        best = min(candidates, key=lambda candidate: candidate.distance or 0.0)
+        place = best.model.sizes.gain_before_filter
+        for other in candidates:  # a table of reflections has to be worth it
+            one_filter = other.model.sizes.n_speed * other.model.sizes.n_force == 1
+            if one_filter and best.model.phase is None and other.model.sizes.gain_before_filter == place:
+                near = (other.distance or 0.0) <= (best.distance or 0.0) * (1 + AS_NEAR)
+                best = other if near else best
+        rejected = [report(candidate) for candidate in candidates if candidate is not best]
+        return best, {**report(best), **({"rejected": rejected} if rejected else {})}
     allowed = MAX_TONE_DISTORTION * first.random_part.free_run.lsd_db
     eligible = [first, *(candidate for candidate in others if candidate.random_part.free_run.lsd_db <= allowed)]
     best = min(eligible, key=lambda candidate: math.prod(candidate.random_part.free_run))
@@ -203,9 +226,10 @@ def fit_rendering_network(
 def calibrated_network(
     fitted: FittedNetwork, excited: Candidate, network: InnovationNetwork, run: FitContext
 ) -> Candidate | None:
-    """Candidate that draws from a network, trained in its closed loop and calibrated; None where noise is as likely."""
+    """Candidate that draws from a network, calibrated in its closed loop; None where noise is as near, or as likely."""
+    compared = excited.distance is not None and run.config.closed_loop_training
     gain_nat = excited.random_part.innovation_nll - fitted.innovation_nll
-    if not fitted.progress.best.epoch or gain_nat < MIN_GAIN_NAT:
+    if not fitted.progress.best.epoch or (gain_nat < MIN_GAIN_NAT and not compared):
         return None
     drawing, sizes = copy.deepcopy(fitted.network), fitted.model.sizes
     if drawing.recurrent.input_size != sizes.n_rendering_inputs:
@@ -221,7 +245,10 @@ def calibrated_network(
     loop = _closed_loop(model, {**tensors_of(network, "network."), **tensors}, run)
     nll, seed = fitted.acceleration_nll, run.config.seed
     random_part = calibrate_network_gain(sizes.excitation_width, limit, loop, seed, nll, level=not gained)
-    return Candidate(model, random_part, tensors, closed_loop)
+    candidate = Candidate(model, random_part, tensors, closed_loop, _distance(loop, random_part, run))
+    if compared and (candidate.distance or 0.0) >= (excited.distance or 0.0) * (1 - AS_NEAR):
+        return None
+    return candidate
 
 
 def texture_of(
@@ -280,6 +307,12 @@ def _train_in_closed_loop(
     progress = fit_closed_loop(network, excerpts, model.sizes.window, run.config, run.monitor)
     fitted.progress.include(progress)
     return {"before": progress.epochs[0].validation_loss, "after": progress.best_loss}
+
+
+def _distance(loop: ClosedLoop, random_part: Calibrated, run: FitContext) -> float | None:
+    """How far a closed loop is from the recording: `envelope_distance_of`, times the log-spectral distance [dB]."""
+    distance = envelope_distance_of(loop, random_part.excitation, run.config.seed)
+    return None if distance is None else distance * random_part.free_run.lsd_db
 
 
 def _closed_loop(model: LinearModel, networks: Tensors, run: FitContext) -> ClosedLoop:

@@ -39,6 +39,7 @@ N_FOLDS = 8  # of the cross-validation over training and validation blocks, at m
 N_FOLDS_OF_MANY, MANY_BLOCKS = 4, 16  # folds where there are more blocks than that
 LEVEL_SAMPLES = 241  # samples that a level is averaged over for the gain before the filter
 NEIGHBOURS = 10  # sections on each side from which the variance of a reflection is estimated
+NEAR = 0.015  # share by which the error of a kind may be larger for it to be tried in the closed loop
 MIN_GAIN = 1e-3  # share by which a longer order, the gain before the filter or a table must lower the error
 _SCALES = np.array(SCALES)
 
@@ -74,8 +75,10 @@ class FittedReflections:
     tried: list[dict[str, float]]
 
 
-def select_lattice(data: LatticeData, max_order: int, table: bool = True, both_gains: bool = True) -> FittedReflections:
-    """The lattice of the training blocks whose kind has the least absolute one-step error.
+def select_lattices(
+    data: LatticeData, max_order: int, table: bool = True, both_gains: bool = True
+) -> list[FittedReflections]:
+    """Lattices of the training blocks: the kind of the least absolute one-step error, then those that are within `NEAR` of it.
 
     Tried are the `ORDERS` up to `max_order`, with one set of reflections and, where `table`, with a table of them, the gain
     after the filter and, where `both_gains`, before it. Training and validation blocks are cross-validated.
@@ -86,7 +89,7 @@ def select_lattice(data: LatticeData, max_order: int, table: bool = True, both_g
     sizes, gains = ((1, 1), (N_SPEED, N_FORCE))[: 1 + table], (False, True)[: 1 + both_gains]
     of_gain = {gain: data.with_gain_before_filter() if gain else data for gain in gains}
     folds = {gain: _folds(of_gain[gain]) for gain in gains}
-    weights = [len(fold.validation) for fold in folds[False]]
+    weights = [len(fold.validation) for fold in folds[gains[0]]]
     kinds = list(product(sizes, gains))
 
     def errors_of(among: list[tuple[tuple[int, int], bool]], longest: int) -> list[list[float]]:
@@ -112,14 +115,22 @@ def select_lattice(data: LatticeData, max_order: int, table: bool = True, both_g
             errors |= zip(near, errors_of(near, orders[-1]), strict=True)
     tried: list[dict[str, float]] = []
     lowest, best = np.inf, (orders[0], *kinds[0])
+    best_orders: dict[tuple[tuple[int, int], bool], tuple[float, int]] = {}
     for (knots, gain), of_kind in errors.items():
         n_knots = len(spanning(data.speed, data.force, *knots).values)
+        of_this = np.inf
         for order, error in zip(orders, of_kind, strict=False):
             tried.append({"order": order, "vertices": n_knots, "gain_before_filter": gain, "mae_scaled": error})
+            if error < of_this * (1 - MIN_GAIN):
+                of_this, best_orders[knots, gain] = error, (error, order)
             if error < lowest * (1 - MIN_GAIN):
                 lowest, best = error, (order, knots, gain)
-    order, knots, gain = best
-    return FittedReflections(fit_reflections(of_gain[gain], order, *knots), gain, tried)
+    near = [(error, order, *kind) for kind, (error, order) in best_orders.items() if error <= lowest * (1 + NEAR)]
+    others = [kind for _, *kind in sorted(near) if tuple(kind[1:]) != best[1:]]
+    return [
+        FittedReflections(fit_reflections(of_gain[gain], order, *knots), gain, tried)
+        for order, knots, gain in (best, *others)
+    ]
 
 
 def _folds(data: LatticeData) -> list[LatticeData]:
@@ -377,19 +388,21 @@ def fit_level(
     return level, LatticeData(x, gain, speed, force, blocks.split.train, blocks.split.validation)
 
 
-def fit_linear_model(level: Scale, data: LatticeData, sizes: FotenPlusSizes, config: TrainConfig) -> LinearModel:
-    """Level and lattice of the vibration."""
-    fitted = selected_lattice(data, config)
-    counts = counts_of(fitted.table, "order", "n_speed", "n_force")
-    sizes = replace(sizes, **counts, gain_before_filter=fitted.gain_before_filter, network_in_loop=False)
-    tensors = lattice_tensors("lattice.", level, fitted.table)
-    return LinearModel(sizes, tensors, report={"lattices": fitted.tried, "wavelength_mm": None})
+def fit_linear_models(level: Scale, data: LatticeData, sizes: FotenPlusSizes, config: TrainConfig) -> list[LinearModel]:
+    """Level and lattices of the vibration: that of the least one-step error, then those that are near it."""
+    models = []
+    for fitted in selected_lattices(data, config):
+        counts = counts_of(fitted.table, "order", "n_speed", "n_force")
+        of_this = replace(sizes, **counts, gain_before_filter=fitted.gain_before_filter, network_in_loop=False)
+        tensors = lattice_tensors("lattice.", level, fitted.table)
+        models.append(LinearModel(of_this, tensors, report={"lattices": fitted.tried, "wavelength_mm": None}))
+    return models
 
 
-def selected_lattice(data: LatticeData, config: TrainConfig) -> FittedReflections:
-    """Lattice of levelled data, of the kinds that a configuration allows."""
+def selected_lattices(data: LatticeData, config: TrainConfig) -> list[FittedReflections]:
+    """Lattices of levelled data, of the kinds that a configuration allows: `select_lattices`."""
     max_order = max(1, min(data.x.shape[1] // MIN_SAMPLES_PER_SECTION, config.max_order))
-    return select_lattice(data, max_order, config.table, config.gain_before_filter)
+    return select_lattices(data, max_order, config.table, config.gain_before_filter)
 
 
 def counts_of(table: SpeedForceTable, *names: str) -> dict[str, Any]:

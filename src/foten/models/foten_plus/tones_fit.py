@@ -26,7 +26,7 @@ from foten.models.foten_plus.linear_model import (
     fit_level,
     fit_reflections,
     knot_weights,
-    selected_lattice,
+    selected_lattices,
 )
 from foten.models.foten_plus.sizes import FotenPlusSizes
 from foten.runtime.proof import Tensors
@@ -268,7 +268,7 @@ def fit_residual(
     # Of what the tones leave when the phase is known as well as it can be.
     residual = blocks.flat[:, 0] - (tones.waveform * data.gain).ravel()
     level, of_residual = fit_level(residual, sizes, blocks, config)
-    return FittedResidual(tones, level, selected_lattice(of_residual, config))
+    return FittedResidual(tones, level, selected_lattices(of_residual, config)[0])
 
 
 def tonal_model(linear: LinearModel, residual: FittedResidual, rate_hz: float) -> LinearModel:
