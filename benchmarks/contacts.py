@@ -1,11 +1,12 @@
 """How many hands one core holds at once, in each instruction set, and how many deadlines are missed beside an empty loop's.
 
-    python benchmarks/contacts.py [--texture T.foten] [--seconds 60] [--csv FILE]
+    python benchmarks/contacts.py [--textures T.foten ...] [--seconds 60] [--csv FILE]
 
-A contact is one state that renders each sample in time: 1 ms over the median time of a step, at 1 kHz. Then as many independent
-states as fill 60 % of a millisecond are held for a minute, a second of them and a second of a loop that is as long and does
-nothing in turn: what that one misses is the machine's. Last, one state alone at 10 kHz. The loop, `native/tests/contacts.c`, is
-built here.
+A contact is one state that renders each sample in time, under a hand that moves at each: 1 ms over the median time of a step, at
+1 kHz. Then as many independent states as fill 60 % of a millisecond are held for a minute, a second of them and a second of a
+loop that is as long and does nothing in turn: what that one misses is the machine's. Last, one state alone at 10 kHz. All of it
+for the paper's network, and for foten-plus with a network in the loop and a tone, both untrained: the time is the same. The
+loop, `native/tests/contacts.c`, is built here.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from pathlib import Path
 from typing import Any
 
 from result_table import add_csv, report
-from step import INSTRUCTION_SETS, ROOT, texture_of
+from step import INSTRUCTION_SETS, ROOT
 
 SHARE = 0.6  # of a millisecond
 
@@ -38,6 +39,21 @@ def built(folder: Path) -> Path:
     return folder / "contacts"
 
 
+def textures_of(paths: list[Path]) -> list[Any]:
+    """The textures of files; without any an untrained one of each model."""
+    from foten.models.foten_plus.sizes import FotenPlusSizes
+    from foten.models.texture_file import texture_from_bytes
+
+    if paths:
+        return [texture_from_bytes(path.read_bytes()) for path in paths]
+    sys.path.insert(0, str(ROOT / "tests"))
+    from conftest import exported
+
+    table = {"n_speed": 12, "n_force": 3}  # lattices and tone as sawn wood gets them
+    residual = {"residual_order": 40, **{f"n_residual_{name[2:]}": n for name, n in table.items()}}
+    return [exported("foten"), exported("foten-plus", FotenPlusSizes(order=40, **table, n_tones=1, **residual))]
+
+
 def measured(program: Path, file: Path, isa: str, share: float, seconds: int, tick_us: float) -> dict[str, Any]:
     """What the loop measured in one instruction set."""
     done = subprocess.run(
@@ -52,36 +68,42 @@ def measured(program: Path, file: Path, isa: str, share: float, seconds: int, ti
     return dict(json.loads(done.stdout))
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument(
-        "--texture", type=Path, metavar="T.foten", help="an untrained one of the paper's network by default"
-    )
-    parser.add_argument("--seconds", type=int, default=60)
-    add_csv(parser)
-    arguments = parser.parse_args()
-    texture, data = texture_of(arguments.texture)
-    if texture.rate_hz != 1000.0:
-        parser.error(f"the texture's rate is {texture.rate_hz:g} Hz, expected 1000")
-    with tempfile.TemporaryDirectory() as folder:
-        program, file = built(Path(folder) / "build"), Path(folder) / "t.foten"
-        file.write_bytes(data)
-        by_isa: dict[str, dict[str, Any]] = {}
-        for isa in INSTRUCTION_SETS:
-            seconds = arguments.seconds if not by_isa else min(10, arguments.seconds)
-            line = measured(program, file, isa, SHARE, seconds, 1000.0)
-            if line["isa"] == isa:
-                by_isa[isa] = line
-        # Ten times as fast as the texture's clock: the deadline of a texture at 10 kHz, whose step costs the same.
-        texture.card["rate_hz"] = texture.card["preprocess"]["rate_hz"] = 10_000.0
-        file.write_bytes(texture.to_bytes())
-        alone = measured(program, file, next(iter(by_isa)), 0.0, arguments.seconds, 100.0)
-    cells = [["instruction set", "p50 [µs]", "contacts", "states held", "missed", "an empty loop misses"]]
+def rows_of(texture: Any, program: Path, file: Path, seconds: int) -> list[list[str]]:
+    """Rows of a texture in each instruction set, and alone at 10 kHz."""
+    file.write_bytes(texture.to_bytes())
+    by_isa: dict[str, dict[str, Any]] = {}
+    for isa in INSTRUCTION_SETS:
+        line = measured(program, file, isa, SHARE, min(10, seconds) if by_isa else seconds, 1000.0)
+        if line["isa"] == isa:
+            by_isa[isa] = line
+    # Ten times as fast as the texture's clock: the deadline of a texture at 10 kHz, whose step costs the same.
+    texture.card["rate_hz"] = texture.card["preprocess"]["rate_hz"] = 10_000.0
+    file.write_bytes(texture.to_bytes())
+    alone = measured(program, file, next(iter(by_isa)), 0.0, seconds, 100.0)
+    rows = []
     for isa, line in [*by_isa.items(), (f"{alone['isa']}, 10 kHz", alone)]:
         missed_share, empty_share = line["n_missed"] / line["n_ticks"], line["n_empty_missed"] / line["n_empty_ticks"]
         held = f"{line['n_states']} for {line['n_ticks'] * line['tick_us'] / 1e6:.0f} s"
         shares = [f"{100 * share:.3f} %" for share in (missed_share, empty_share)]
-        cells.append([isa, f"{line['p50_us']:.1f}", f"{line['contacts']:.1f}", held, *shares])
+        rows.append([texture.card["model"], isa, f"{line['p50_us']:.1f}", f"{line['contacts']:.1f}", held, *shares])
+    return rows
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--textures", nargs="+", type=Path, default=[], metavar="T.foten", help="at 1 kHz")
+    parser.add_argument("--seconds", type=int, default=60)
+    add_csv(parser)
+    arguments = parser.parse_args()
+    textures = textures_of(arguments.textures)
+    for texture in textures:
+        if texture.rate_hz != 1000.0:
+            parser.error(f"a texture's rate is {texture.rate_hz:g} Hz, expected 1000")
+    cells = [["model", "instruction set", "p50 [µs]", "contacts", "states held", "missed", "an empty loop misses"]]
+    with tempfile.TemporaryDirectory() as folder:
+        program, file = built(Path(folder) / "build"), Path(folder) / "t.foten"
+        for texture in textures:
+            cells += rows_of(texture, program, file, arguments.seconds)
     report(cells, arguments.csv)
 
 

@@ -232,7 +232,7 @@ MUTANTS = (
         tests="training_kernel",
     ),
     *of_c(
-        "src/innovation_network.c",
+        "src/innovation_kernel.c",
         ("the reset gate is open", "+ reset * candidate_preactivation", "+ candidate_preactivation"),
         ("the largest component is always drawn", "s->weight[i] /= sum;", "s->weight[i] = i == 0;"),
     ),

@@ -61,7 +61,7 @@ def test_a_quantile_has_as_much_below_it_as_a_normal_number() -> None:
             (mixture.weight * norm.cdf(sign * (x[:, None] - mixture.mean) / mixture.scale)).sum(axis=1)
             for sign in (1, -1)
         )
-        np.testing.assert_allclose(np.where(z < 0, below, above), norm.cdf(-np.abs(z)), rtol=1e-9)
+        np.testing.assert_allclose(np.where(z < 0, below, above), norm.cdf(-np.abs(z)), rtol=1e-12)
         assert (np.diff(x) > 0).all()
         np.testing.assert_allclose(standardised(mixture, x), z, atol=1e-7)
 

@@ -23,6 +23,7 @@ from foten.models.stream import Model, run
 from foten.models.texture_file import CLOSED_LOOP_TOLERANCE, ONE_STEP_TOLERANCE, Texture
 from foten.runtime.loops import predict_blocks, render_streams
 from foten.runtime.native import NativeState, NativeTexture, PredictionPart
+from test_innovation_network import mixtures
 from test_piecewise_ar import LOCAL
 from test_reference import CASES, sizes_for
 
@@ -265,6 +266,24 @@ def test_under_a_constant_condition_the_lattice_is_an_all_pole_filter() -> None:
     windows[:, -1, 0] = 1.0
     impulse = lfilter([1.0], polynomial(k), np.eye(1, 501)[0])[1:]
     np.testing.assert_allclose(render_streams(native, windows, condition, None)[0], impulse, rtol=1e-9, atol=1e-9)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_draw_is_the_mixtures_quantile(seed: int) -> None:
+    """Seam: of components near and far, sharp and wide, at numbers as far out as noise goes."""
+    sizes, mixture = FotenPlusSizes(**{**PLUS, "order": 6, "n_components": 4}), mixtures(1, seed=seed)
+    outputs = [np.log(mixture.weight), mixture.mean, 6 * np.arctanh(np.log(mixture.scale) / 6)]
+    silent = np.zeros(sizes.tensor_shapes()["rendering_network.out.weight"])
+    bias = np.concatenate(outputs, axis=1)[0]
+    texture = exported(
+        "foten-plus", sizes, {"rendering_network.out.weight": silent, "rendering_network.out.bias": bias}
+    )
+    noise = np.linspace(-5.7, 5.7, 115)[:, None]
+    windows, condition = np.zeros((len(noise), texture.window, 3)), np.zeros((len(noise), 1, 3))
+    expected = run(model_of(sizes, texture.tensors).start(windows), condition, noise)
+    drawn = render_streams(NativeTexture(texture.to_bytes()), windows, condition, noise)
+    assert (np.diff(drawn[:, 0]) > 0).all()
+    np.testing.assert_allclose(drawn, expected, rtol=1e-11, atol=1e-11)  # rounding, where hardly anything is near
 
 
 @pytest.mark.parametrize("largest", [(1.2, 1e6), (1e6, 0.15), (1.2, 0.15)])

@@ -39,6 +39,7 @@ from foten.runtime.binding import _SIGNATURES, NativeActuator, Options, library
 from foten.runtime.native import NativeState, NativeTexture
 from foten.runtime.renderer import Renderer
 from test_loops import EVERY, case, in_float64_alone, rounding
+from test_reference import sizes_for
 from test_rendering import stroke, with_card
 
 
@@ -121,6 +122,27 @@ def test_every_instruction_set_passes_the_proof(name: str, files: list[Path]) ->
     assert numbers == gaussian(1, 2, 3, 100).tobytes().hex()
     if used != name:
         pytest.skip(f"this processor has {used}, not {name}")
+
+
+def test_every_instruction_set_renders_the_same_bytes_of_foten_plus(tmp_path: Path) -> None:
+    """Whatever the width of vectors: layers as wide as they are trained, and a padded one."""
+    paths = [tmp_path / f"{variant}.foten" for variant in ("usual-widths", "widths-of-no-panel")]
+    for path in paths:
+        path.write_bytes(exported("foten-plus", sizes_for("foten-plus", path.stem)).to_bytes())
+    program = (
+        "import sys, foten; from foten.runtime.binding import isa; "
+        "print(isa(), *(foten.Renderer(path, seed=3).render(80.0, 1.0, 3000).tobytes().hex() for path in sys.argv[1:]))"
+    )
+    rendered = {}
+    for name in ("avx512", "avx2", "neon", "portable"):
+        env = {**os.environ, "FOTEN_ISA": name}
+        done = subprocess.run(
+            [sys.executable, "-c", program, *map(str, paths)], env=env, capture_output=True, text=True, check=True
+        )
+        used, *samples = done.stdout.split()
+        rendered[used] = samples
+    assert "portable" in rendered
+    assert all(samples == rendered["portable"] for samples in rendered.values())
 
 
 def test_the_noise_is_that_of_dsp_noise_to_the_bit() -> None:

@@ -44,6 +44,9 @@ PLUS_VARIANTS: dict[str, dict[str, Any]] = {
     "gain-before-of-one-of-two": {**PLUS, "order": 5, "n_tones": 2, "residual_order": 6, "gain_before_filter": True},
     "tones-on-a-table": {**PLUS, "n_tones": 2, "n_tone_speed": 4, "n_residual_speed": 3, "n_residual_force": 2},
     "tones-and-no-network": {**PLUS, "n_tones": 2, "residual_order": 6, "network_in_loop": False},
+    # Layers as wide as they are trained, and some that end a little after a panel of 16.
+    "usual-widths": {"window": 12, "n_tones": 2, "residual_order": 6},
+    "widths-of-no-panel": {"window": 12, "n_hidden": 10, "head_width": 17, "n_components": 7, "n_tones": 1},
 }
 """Of foten-plus."""
 

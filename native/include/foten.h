@@ -26,8 +26,8 @@
  * / 12) and g = x (0.97846856 + 0.00750807 x^2): zero mean, unit variance, kurtosis 3, |g| < 5.68. Samples from 2^63 on
  * are used to begin a stream.
  *
- * The same model, seed and conditions give the same bytes, whatever the block sizes, in one build on one instruction
- * set with one mathematical library. Between builds or instruction sets the last digits differ.
+ * The same model, seed and conditions give the same bytes, whatever the block sizes, in one build with one mathematical
+ * library; of a network of windows, as the paper's, on one instruction set too. Else the last digits differ.
  */
 #ifndef FOTEN_H
 #define FOTEN_H

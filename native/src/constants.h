@@ -70,7 +70,7 @@ static inline double clip(double x, double limit) { return x > limit ? limit : x
 #define FOTEN_N_PHASE_INPUTS 4               /* foten.models.foten_plus.sizes.N_PHASE_INPUTS */
 #define FOTEN_LOG_SCALE_LIMIT 6.0            /* foten.models.foten_plus.sizes.LOG_SCALE_LIMIT */
 #define FOTEN_MAX_NEWTON_STEPS 60            /* foten.models.foten_plus.definition.MAX_NEWTON_STEPS */
-#define FOTEN_NEWTON_PRECISION 1e-14         /* foten.models.foten_plus.definition.NEWTON_PRECISION */
+#define FOTEN_NEWTON_PRECISION 1e-7          /* foten.models.foten_plus.definition.NEWTON_PRECISION */
 
 /* How a stream begins. */
 #define FOTEN_FIRST_INITIAL 0x8000000000000000 /* foten.models.definitions.FIRST_INITIAL */

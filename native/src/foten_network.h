@@ -1,7 +1,7 @@
 /* The network of foten and ten as one step needs it, its weights laid out for one instruction set. */
 #pragma once
 
-#include "file.h"
+#include "innovation_network.h"
 
 /* y = W x + b. Weights lie in panels of two vectors of outputs, the last of one or two: for each input in turn its
  * weights. */
@@ -65,6 +65,7 @@ typedef struct {
     const char *name;
     int lanes; /* floats in a vector */
     float (*predict)(const network *network, const float *window, float *scratch);
+    const innovation_kernel *innovation;
 } isa;
 
 extern const isa isa_portable, isa_avx2, isa_avx512, isa_neon, isa_simd128;

@@ -1,8 +1,8 @@
 /* The innovation network of foten-plus: how the next innovation is distributed, from those before it, the samples and
  * the hand.
  *
- * In double, and without an instruction set of its own: a step is some 10 000 multiplications, and a rendering is then
- * the same on every processor, but for the last digits of exp and tanh. */
+ * In double: a step is some 10 000 multiplications. Every instruction set gives the same bits; C libraries differ in
+ * the last digits of asinh, erfc and the like. */
 #pragma once
 
 #include "constants.h"
@@ -10,24 +10,37 @@
 
 enum { INNOVATION_INPUTS = FOTEN_N_INPUTS, PHASE_INPUTS = FOTEN_N_PHASE_INPUTS };
 
-/* Matrices lie by columns: for each input in turn its weights. */
+typedef struct innovation_kernel innovation_kernel;
+
+/* Matrices lie by panels of so many outputs: for each input in turn their weights. What outputs are padded with comes
+ * out as zeros. */
+enum { PANEL = 16 };
+
 typedef struct {
     int n_inputs, n_hidden, head_width, n_components;
-    const double *from_input, *input_bias; /* (inputs, 3 hidden) */
-    const double *from_hidden, *hidden_bias;
-    const double *head, *head_bias; /* (hidden + inputs, head_width) */
-    const double *out, *out_bias;   /* (head_width, 3 components) */
+    size_t hidden_stride, both_stride, head_stride, out_stride; /* padded; both: hidden, and inputs at most */
+    const innovation_kernel *kernel;
+    const double *from_input, *from_hidden;   /* (3 hidden, inputs), (3 hidden, hidden): reset, update, new */
+    const double *gate_bias, *candidate_bias; /* 3 hidden; hidden, of what `reset` multiplies */
+    const double *head, *head_bias;           /* (head_width, hidden + inputs) */
+    const double *out, *out_bias;             /* (3 components, head_width) */
 } innovation_network;
 
 /* Of one stream: the recurrent layer after the last sample, what the network was given of that, and room for a step. */
 typedef struct {
     double *hidden, *scratch;
     double inputs[INNOVATION_INPUTS + PHASE_INPUTS];
-    double *weight, *mean, *scale; /* of the mixture, once it is asked for */
+    double *weight, *mean, *scale; /* of the mixture, once it is asked for; padded */
 } innovation_state;
 
+/* The layers for one instruction set, see innovation_kernel.c. */
+struct innovation_kernel {
+    void (*push)(const innovation_network *n, innovation_state *s); /* the inputs, into the recurrent layer */
+    void (*mixture)(const innovation_network *n, innovation_state *s);
+};
+
 int innovation_read(texture_file *file, arena *memory, const char *prefix, int n_inputs, int n_hidden, int head_width,
-                    int n_components, innovation_network *out);
+                    int n_components, const innovation_kernel *kernel, innovation_network *out);
 
 /* With a network of no hidden numbers there is none. */
 void innovation_place(const innovation_network *n, innovation_state *s, block *from);

@@ -167,5 +167,8 @@ static float predict(const network *net, const float *window, float *scratch) {
 
 #define NAMED(name) isa_##name
 #define QUOTED(name) #name
-#define ISA(name) const isa NAMED(name) = {QUOTED(name), LANES, predict};
+#define INNOVATION(name) innovation_##name
+#define ISA(name)                                                                                                      \
+    extern const innovation_kernel INNOVATION(name);                                                                   \
+    const isa NAMED(name) = {QUOTED(name), LANES, predict, &INNOVATION(name)};
 ISA(KERNEL)

@@ -5,7 +5,7 @@
 #include "constants.h"
 #include "loop.h"
 
-static int read_plus(foten_model *m, texture_file *file, const card_sizes *s) {
+static int read_plus(foten_model *m, texture_file *file, const card_sizes *s, const isa *isa) {
     int width = s->excitation_width;
     m->kind = &lattice_loop;
     m->warm_up = s->network.window;
@@ -16,10 +16,10 @@ static int read_plus(foten_model *m, texture_file *file, const card_sizes *s) {
         return 0;
     int inputs = INNOVATION_INPUTS, of_rendering = inputs + (s->n_tones ? PHASE_INPUTS : 0);
     if (!innovation_read(file, &m->memory, "network.", inputs, s->n_hidden, s->head_width, s->n_components,
-                         &m->network))
+                         isa->innovation, &m->network))
         return 0;
     if (s->network_in_loop && !innovation_read(file, &m->memory, "rendering_network.", of_rendering, s->n_hidden,
-                                               s->head_width, s->n_components, &m->rendering_network))
+                                               s->head_width, s->n_components, isa->innovation, &m->rendering_network))
         return 0;
     if (!excitation_read(file, &m->memory, width, &m->excitation)) return 0;
     m->excited = 1;
@@ -51,7 +51,7 @@ static int read_tensors(foten_model *m, texture_file *file, const card_sizes *s,
         m->piecewise_ar = piecewise_ar_read(file, s->order, s->ma, s->n_models, s->n_triangles, &m->memory);
         return m->piecewise_ar != NULL;
     }
-    if (s->model == CARD_PLUS) return read_plus(m, file, s);
+    if (s->model == CARD_PLUS) return read_plus(m, file, s, isa);
     m->kind = &window_loop;
     m->excited = s->excitation;
     if (m->excited && !excitation_read(file, &m->memory, s->excitation_width, &m->excitation)) return 0;

@@ -1,9 +1,11 @@
 #include "tables.h"
 
-#include "constants.h"
 #include <math.h>
 
-enum { MAX_VERTICES = 1 << 28 };
+#include "constants.h"
+#include "doubles.h"
+
+enum { MAX_VERTICES = 1 << 28, CHUNK = 8 };
 
 int speed_force_table_read(texture_file *file, arena *memory, const char *prefix, const char *values, int n_speed,
                            int n_force, int width, speed_force_table *out) {
@@ -83,10 +85,15 @@ double scale_at(const scale *s, const double scaled[2], double logs[2]) {
     scale_powers(logs, powers);
     double log_scale = s->out_bias;
     for (int k = 0; k < 5; k++) log_scale += s->exponents[k] * powers[k];
-    for (int h = 0; h < s->width; h++) {
-        const double *w = s->hidden + 4 * h;
-        log_scale +=
-            s->out[h] * tanh(s->hidden_bias[h] + w[0] * scaled[0] + w[1] * scaled[1] + w[2] * logs[0] + w[3] * logs[1]);
+    for (int h = 0; h < s->width; h += CHUNK) {
+        int n = s->width - h < CHUNK ? s->width - h : CHUNK;
+        double hidden[CHUNK] = {0};
+        for (int k = 0; k < n; k++) {
+            const double *w = s->hidden + 4 * (h + k);
+            hidden[k] = s->hidden_bias[h + k] + w[0] * scaled[0] + w[1] * scaled[1] + w[2] * logs[0] + w[3] * logs[1];
+        }
+        for (int k = 0; k < n; k += WIDTH) store(hidden + k, tanh_of(load(hidden + k)));
+        for (int k = 0; k < n; k++) log_scale += s->out[h + k] * hidden[k];
     }
     double out = exp(log_scale);
     return out < s->sigma_max ? out : s->sigma_max;

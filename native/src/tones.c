@@ -21,9 +21,13 @@ static double increment_of(const tones *t, const condition *c) { return t->phase
 
 /* The sum of tones of coefficients c_1, s_1, c_2, ... at a phase. */
 static double sum_at(const double *coefficients, int n, double phase) {
-    double sum = 0;
-    for (int k = 0; k < n; k++)
-        sum += coefficients[2 * k] * cos(phase * (k + 1)) + coefficients[2 * k + 1] * sin(phase * (k + 1));
+    double sum = 0, c = cos(phase), s = sin(phase), cosine = c, sine = s;
+    for (int k = 0; k < n; k++) {
+        sum += coefficients[2 * k] * cosine + coefficients[2 * k + 1] * sine;
+        double next = cosine * c - sine * s;
+        sine = sine * c + cosine * s;
+        cosine = next;
+    }
     return sum;
 }
 

@@ -19,8 +19,8 @@ from foten.models.foten_plus.sizes import LOG_SCALE_LIMIT, FotenPlusSizes
 from foten.models.stream import Prediction, Weights, limit_of
 
 _erfc = np.vectorize(math.erfc, otypes=[float])
-MAX_NEWTON_STEPS = 60  # of Newton's method, which takes about six
-NEWTON_PRECISION = 1e-14
+MAX_NEWTON_STEPS = 60  # of Newton's method, which takes about four
+NEWTON_PRECISION = 1e-7  # of the narrowest component: the step after one so small would be about its square
 
 
 @dataclass(frozen=True)
@@ -62,7 +62,7 @@ class Mixture:
                 low, high = np.where(error < 0, x, low), np.where(error < 0, high, x)
                 step = x - error * below / density
             step = np.where((step >= low) & (step <= high), step, 0.5 * (low + high))
-            converged, x = np.abs(step - x) <= NEWTON_PRECISION * (1 + np.abs(x)), step
+            converged, x = np.abs(step - x) <= NEWTON_PRECISION * self.scale.min(axis=1), step
             if converged.all():
                 break
         return sign * x
