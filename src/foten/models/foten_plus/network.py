@@ -37,7 +37,7 @@ SPEED_OFFSET_MM_S = 25.0  # chunks are drawn by 1 / (speed + this): slow strokes
 EMA_DECAY = 0.99  # of the weights, from step to step
 MEAN_SHARES = tuple(i / 20 for i in range(21))  # of a network's mean, that validation chooses from
 MEAN_CHANCE = 0.05  # that a mean which brings nothing is used
-STRETCH_MS = 500.0  # of the validation blocks, over which a mean's gains are averaged; less where these were too few
+STRETCH_MS = 200.0  # of the validation blocks, over which a mean's gains are averaged; less where these were too few
 MIN_STRETCHES = 10
 MAX_MIRRORED_ASYMMETRY = 4.0  # standard errors of the innovations' asymmetry, up to which their signs mean nothing
 
