@@ -232,22 +232,26 @@ def test_render_writes_each_output(texture: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("sizes", "mae_scaled", "words"),
+    ("sizes", "mae_scaled", "share", "words"),
     [
-        ({}, 0.95, "improves one-step predictions by 5.0 %, and makes the random part of a rendering"),
-        ({"network_in_loop": False}, 0.9999, "does not improve one-step predictions; a rendering does without it"),
+        ({}, 0.95, 1.0, "improves one-step predictions by 5.0 %, and makes the random part of a rendering"),
+        ({}, 0.95, 0.35, "improves one-step predictions by 5.0 %, with 35 % of its mean, and makes"),
+        ({}, 1.0, 0.0, "does not correct one-step predictions, as no gain on the validation blocks was beyond"),
+        ({"network_in_loop": False}, 0.9999, 1.0, "does not improve one-step predictions; a rendering does without it"),
         (
             {"n_tones": 3},
             0.9,
+            1.0,
             "improves one-step predictions by 10.0 %; a second one makes the part of a rendering that is not tones",
         ),
     ],
 )
 def test_what_the_network_is_for_is_said_plainly(
-    texture: Path, sizes: dict[str, Any], mae_scaled: float, words: str
+    texture: Path, sizes: dict[str, Any], mae_scaled: float, share: float, words: str
 ) -> None:
     card = read_texture(texture).card
     metrics = {**card["metrics"], "validation_mae_scaled_lattice": 1.0, "validation_mae_scaled": mae_scaled}
+    metrics["mean_share"] = share
     sizes = {**card["sizes"], "network_in_loop": True, "n_tones": 0, **sizes}
     assert network_summary({**card, "sizes": sizes, "metrics": metrics}).startswith(words)
 

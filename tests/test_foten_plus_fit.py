@@ -72,7 +72,7 @@ class Fitted:
         excited = replace(self.excited, random_part=part)
         in_loop = calibrated_network(self.network, excited, self.network.network, run)
         candidates = [excited, *([] if in_loop is None else [in_loop])]
-        return texture_of(candidates, self.network.network, self.network, self.report, run)
+        return texture_of(candidates, self.network.predictor, self.network, self.report, run)
 
 
 @pytest.fixture(scope="module")
@@ -85,7 +85,9 @@ def fitted(recording: Recording) -> Fitted:
     torch.manual_seed(0)
     initial = perturbed(InnovationNetwork(sizes))
     excited, report = best_linear_model([linear], None, initial, run)
-    network = fit_network(initial, excited, run)
+    with pytest.MonkeyPatch.context() as patch:  # all that it says is used, whatever
+        patch.setattr(foten_plus, "mean_share", lambda *_: 1.0)
+        network = fit_network(initial, excited, run)
     (line,) = network.progress.epochs
     progress = Progress([replace(line, validation_loss=9.0), replace(line, epoch=1)], line.validation_loss)
     return Fitted(run, excited, report, replace(network, progress=progress))
@@ -114,7 +116,7 @@ def test_the_network_is_in_the_loop_where_its_innovations_are_likelier(
     assert ("calibrating the level with the network in the loop" in stages) == in_loop
     assert set(metrics["renderings"]) == {"without network", *(["with network"] if in_loop else [])}
     assert texture.sizes.network_in_loop == in_loop  # type: ignore[attr-defined]
-    assert metrics["validation_mae_scaled"] == fitted.network.progress.best.validation_mae
+    assert metrics["validation_mae_scaled"] == fitted.network.predictor_mae
     chosen = metrics["renderings"]["with network" if in_loop else "without network"]
     assert metrics["validation_level_error_db"] == chosen["validation_level_error_db"]
     # Whatever a rendering uses, the next sample is predicted with the network.
@@ -130,6 +132,36 @@ def test_the_network_is_in_the_loop_where_its_innovations_are_likelier(
         assert not moving.all()
     assert np.abs(with_network.sample - linear.sample).max() > 1e-4
     assert np.array_equal(rendering.sample, with_network.sample if in_loop else linear.sample)
+
+
+@pytest.mark.parametrize("share", [0.4, None])
+def test_a_prediction_takes_a_share_of_the_networks_mean_and_a_rendering_all(
+    fitted: Fitted, monkeypatch: pytest.MonkeyPatch, share: float | None
+) -> None:
+    """What a perturbed network says is borne out by nothing: its share is 0, and the prediction exactly the linear model's."""
+    if share is not None:
+        monkeypatch.setattr(foten_plus, "mean_share", lambda *_: share)
+    network = fit_network(fitted.network.network, fitted.excited, fitted.run)
+    shrunk, full = (
+        replace(fitted, network=replace(network, progress=fitted.network.progress)).finish(1.0),
+        fitted.finish(1.0),
+    )
+    metrics = shrunk.card["metrics"]
+    assert metrics["mean_share"] == (share or 0.0)
+    validation = list(fitted.run.blocks.split.validation)
+    recorded, kernel = fitted.run.blocks.samples[validation], NativeTexture(shrunk.to_bytes())
+    linear, model, rendering = (predict_blocks(kernel, recorded, part) for part in ("linear", "model", "rendering"))  # type: ignore[arg-type]
+    correction = predict_blocks(NativeTexture(full.to_bytes()), recorded, "model").sample - linear.sample
+    assert np.abs(correction).max() > 1e-4
+    np.testing.assert_allclose(model.sample - linear.sample, (share or 0.0) * correction, rtol=1e-5, atol=1e-7)
+    if share is None:
+        assert np.array_equal(model.sample, linear.sample)
+        assert metrics["validation_mae_scaled"] == metrics["validation_mae_scaled_lattice"]
+    moving = fitted.run.blocks.moving()[validation, shrunk.window + 1 :]
+    assert metrics["validation_nll"] == pytest.approx(rendering.nll[:, 1:][moving].mean(), rel=1e-4)  # float32
+    for name in full.tensors:  # what a rendering draws from begins as the network that was fitted
+        if name.startswith("rendering_network."):
+            np.testing.assert_array_equal(shrunk.tensors[name], full.tensors[name], name)
 
 
 def test_with_the_network_in_the_loop_the_level_is_calibrated_from_one(fitted: Fitted) -> None:

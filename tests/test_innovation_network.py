@@ -26,7 +26,9 @@ from foten.models.foten_plus.network import (
     asymmetry,
     fit_innovation_network,
     innovations_of,
+    mean_share,
     negative_log_likelihood,
+    with_mean_share,
 )
 from foten.models.foten_plus.sizes import FotenPlusSizes
 from foten.recording.split import Split
@@ -262,3 +264,49 @@ def test_slow_chunks_are_drawn_more_often() -> None:
     first, last = (np.mean(block[:, 0] == number) for number in (0, 15))
     speed = data.speed.mean(axis=1)
     assert first / last == pytest.approx((speed[15] + 25) / (speed[0] + 25), rel=0.1)
+
+
+def corrected(correlation: float, n: int, seed: int, factor: float = 1.0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Innovations of two blocks of n samples, means that predict that share of their variance times a factor, and gains."""
+    rng = np.random.default_rng(seed)
+    mean = math.sqrt(correlation) * rng.standard_normal((2, n))
+    innovation = mean + math.sqrt(1 - correlation) * rng.standard_normal((2, n))
+    return innovation, factor * mean, np.full((2, n), 0.3)
+
+
+def test_a_mean_that_brings_nothing_is_not_used() -> None:
+    """In few of 400 recordings by chance: the interval's 5 %, twice as many with stretches that are few and not normal."""
+    rng = np.random.default_rng(7)
+    for n_epochs, limit in ((1, 0.1), (12, 0.01)):
+        shares = []
+        for seed in range(400):
+            innovation, _, gain = corrected(0.0, 200, seed)
+            shares.append(mean_share(innovation, 0.05 * rng.standard_normal(innovation.shape), gain, 1000.0, n_epochs))
+        assert np.mean(np.array(shares) > 0) <= limit
+    innovation, mean, gain = corrected(0.2, 4, 0)
+    assert mean_share(innovation, mean, gain, 1000.0, 1) == 0  # too little for an interval
+
+
+def test_a_mean_is_shrunk_by_its_uncertainty() -> None:
+    """On short recordings more, and where it is twice as large as it should be by half; where it is right and sure, hardly."""
+    long, short = (
+        np.mean([mean_share(*corrected(0.05, n, seed), 1000.0, 5) for seed in range(20)]) for n in (40_000, 1000)
+    )
+    assert 0.85 < long <= 1
+    assert 0.1 < short < 0.7
+    assert mean_share(*corrected(0.05, 400_000, 0, factor=2.0), 1000.0, 5) == pytest.approx(0.5, abs=0.06)
+    assert mean_share(*corrected(0.05, 40_000, 0, factor=-1.0), 1000.0, 5) == 0
+
+
+def test_a_share_of_a_mean_changes_nothing_else_of_a_mixture() -> None:
+    network = untrained("foten-plus", SIZES).double()
+    inputs = torch.from_numpy(np.random.default_rng(0).standard_normal((3, 30, 5)))
+    with torch.no_grad():
+        weight, mean, scale = network(inputs)
+        for share in (0.0, 0.35, 1.0):
+            of_share = with_mean_share(network, share)(inputs)
+            torch.testing.assert_close(of_share[1], share * mean)
+            assert torch.equal(of_share[0], weight)
+            assert torch.equal(of_share[2], scale)
+        assert torch.equal(network(inputs)[1], mean)
+    assert mean.abs().max() > 0.01

@@ -132,9 +132,12 @@ def network_summary(card: Mapping[str, Any]) -> str:
         return "not trained: none of its epochs ran"
     without = metrics.get("validation_mae_scaled_lattice")
     gain = 100 * (1 - metrics["validation_mae_scaled"] / without) if without else 0.0
-    improves = "does not improve one-step predictions"
-    if gain >= 0.05:
+    share, improves = metrics.get("mean_share", 1.0), "does not improve one-step predictions"
+    if share == 0:
+        improves = "does not correct one-step predictions, as no gain on the validation blocks was beyond chance"
+    elif gain >= 0.05:
         improves = f"improves one-step predictions by {gain:.1f} %"
+        improves += f", with {100 * share:.0f} % of its mean" * (share < 1)
     if not sizes["network_in_loop"]:
         return f"{improves}; a rendering does without it, as it did not help on the validation blocks"
     if sizes["n_tones"]:

@@ -23,7 +23,9 @@ from foten.models.foten_plus.network import (
     Innovations,
     fit_innovation_network,
     innovations_of,
+    mean_share,
     scored,
+    with_mean_share,
 )
 from foten.models.foten_plus.sizes import FotenPlusSizes
 from foten.models.foten_plus.tones_fit import fit_residual, silent_tones, tonal_model
@@ -89,7 +91,10 @@ class FittedNetwork:
     data: Innovations
     progress: Progress
     innovation_nll: float
-    acceleration_nll: float | None  # where a rendering does not fade; None where it always does
+    predictor: InnovationNetwork  # the same with a share of its mean
+    mean_share: float
+    predictor_mae: float  # scaled, as the next of the validation blocks
+    acceleration_nll: float | None  # of the predictor where a rendering does not fade; None where it always does
 
 
 def fit(job: TrainingJob, monitor: Monitor) -> Trained:
@@ -119,7 +124,7 @@ def fit(job: TrainingJob, monitor: Monitor) -> Trained:
     network.progress.include(rendering_network.progress)
     monitor.on_stage("proving the texture file")
     candidates = [excited, *([] if in_loop is None else [in_loop])]
-    texture = texture_of(candidates, network.network, network, report, run)
+    texture = texture_of(candidates, network.predictor, network, report, run)
     mae = texture.card["metrics"]["validation_mae_scaled_lattice"]
     return Trained(texture, blocks.trace, blocks.split, network.progress, mae)
 
@@ -196,7 +201,7 @@ def best_candidate(candidates: Sequence[Candidate]) -> tuple[Candidate, dict[str
 
 
 def fit_network(network: InnovationNetwork, excited: Candidate, run: FitContext) -> FittedNetwork:
-    """The network that predicts a recorded sample, over the linear model's lattice."""
+    """The network that predicts a recorded sample, over the linear model's lattice; a rendering may draw from it."""
     data = innovations_of(excited.model, run.blocks, excited.model.n_transient)
     return _fitted(network, excited.model, data, run, "network")
 
@@ -268,7 +273,7 @@ def texture_of(
     if fitted is not None:
         best, last = fitted.progress.best, fitted.progress.epochs[-1]
         metrics = {"best_epoch": best.epoch, "n_epochs": last.epoch, "validation_loss": best.validation_loss}
-        metrics["validation_mae_scaled"] = best.validation_mae
+        metrics |= {"validation_mae_scaled": fitted.predictor_mae, "mean_share": fitted.mean_share}
     metrics |= {
         **chosen.random_part.metrics(),
         "validation_mae_scaled_lattice": linear_mae,
@@ -290,10 +295,14 @@ def _fitted(
     warm_up, blocks = model.sizes.window, run.blocks
     progress = fit_innovation_network(network, data, blocks, warm_up, run.config, run.monitor, name)
     tensors = data.tensors(next(network.parameters()).device)
-    nll, _, gain = scored(network, data, tensors, blocks.split.validation, warm_up)
+    nll, innovation, mean, gain = scored(network, data, tensors, blocks.split.validation, warm_up)
+    share = mean_share(innovation, mean, gain, blocks.trace.rate_hz, len(progress.epochs) - 1)
+    predictor = with_mean_share(network, share)
+    predictor_nll, _, mean, _ = scored(predictor, data, tensors, blocks.split.validation, warm_up)
+    mae = float(np.abs((innovation - mean) * gain).mean())
     moving = blocks.moving()[list(blocks.split.validation), data.n_transient + 1 + warm_up :]
-    acceleration_nll = float((nll + np.log(gain))[moving].mean()) if moving.any() else None
-    return FittedNetwork(model, network, data, progress, float(nll.mean()), acceleration_nll)
+    acceleration_nll = float((predictor_nll + np.log(gain))[moving].mean()) if moving.any() else None
+    return FittedNetwork(model, network, data, progress, float(nll.mean()), predictor, share, mae, acceleration_nll)
 
 
 def _train_in_closed_loop(

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import copy
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from scipy.special import stdtrit
 from torch import Tensor, nn
 
 from foten.dsp import Array
@@ -33,6 +35,10 @@ N_STEPS = 100  # of an epoch
 CHUNK = 128  # samples of a chunk that count, after those that the network takes in first
 SPEED_OFFSET_MM_S = 25.0  # chunks are drawn by 1 / (speed + this): slow strokes are a small part of a recording
 EMA_DECAY = 0.99  # of the weights, from step to step
+MEAN_SHARES = tuple(i / 20 for i in range(21))  # of a network's mean, that validation chooses from
+MEAN_CHANCE = 0.05  # that a mean which brings nothing is used
+STRETCH_MS = 200.0  # of the validation blocks, over which a mean's gains are averaged; less where these were too few
+MIN_STRETCHES = 10
 MAX_MIRRORED_ASYMMETRY = 4.0  # standard errors of the innovations' asymmetry, up to which their signs mean nothing
 
 
@@ -199,8 +205,8 @@ def fit_innovation_network(
         return shared_gradients(network, pool, loss_of_share, n_shares)
 
     def validate(averaged: InnovationNetwork) -> tuple[float, float]:
-        nll, error, gain = scored(averaged, data, batches.tensors, blocks.split.validation, warm_up)
-        return float(nll.mean()), float((error * gain).mean())
+        nll, innovation, mean, gain = scored(averaged, data, batches.tensors, blocks.split.validation, warm_up)
+        return float(nll.mean()), float(np.abs((innovation - mean) * gain).mean())
 
     with ThreadPoolExecutor(n_threads) as pool:
         step = gradient_step(network, optimiser, gradients, config.clip_norm, schedule(config, N_STEPS))
@@ -219,11 +225,44 @@ def scored(
     tensors: tuple[Tensor, Tensor],
     numbers: tuple[int, ...],
     warm_up: int,
-) -> tuple[Array, Array, Array]:
-    """Nll [nat], absolute error and gain of the innovations of blocks from `n_transient` + 1 + `warm_up` on, (k, n) each."""
+) -> tuple[Array, Array, Array, Array]:
+    """Nll [nat], innovation, its expected value and its gain in blocks from `n_transient` + 1 + `warm_up` on, (k, n) each."""
     inputs, target = (part[list(numbers)] for part in tensors)
     with torch.no_grad():
         mixture = mixtures(network, inputs)
         nll = negative_log_likelihood(mixture, target)[:, warm_up:].cpu().double().numpy()
-        error = (target - (mixture[0].exp() * mixture[1]).sum(dim=-1))[:, warm_up:].abs().cpu().double().numpy()
-    return nll, error, data.innovation_gain[list(numbers), data.n_transient + 1 :][:, warm_up:]
+        mean = (mixture[0].exp() * mixture[1]).sum(dim=-1)[:, warm_up:].cpu().double().numpy()
+    known = list(numbers), slice(data.n_transient + 1 + warm_up, None)
+    return nll, data.innovation[known], mean, data.innovation_gain[known]
+
+
+def mean_share(innovation: Array, mean: Array, gain: Array, rate_hz: float, n_epochs: int) -> float:
+    """Share of a network's mean that a prediction takes, from innovations, means and gains of validation blocks, (k, n) each.
+
+    Of all shares the one whose gain in absolute error is the largest at the lower end of its interval; 0 where none is above 0.
+    So little is taken of a mean that few samples bear out. The interval is Student's over stretches. Its level is shared out
+    among the epochs, since the best was chosen on the same blocks.
+    """
+    n_parts = max(1, -(-MIN_STRETCHES // len(gain)), round(1000 * gain.shape[1] / (STRETCH_MS * rate_hz)))
+    if gain.shape[1] < n_parts:
+        return 0.0
+    without = np.abs(innovation * gain)
+    starts = np.linspace(0, gain.shape[1], n_parts, endpoint=False).astype(int)
+    lengths = np.diff(starts, append=gain.shape[1])
+    quantile = stdtrit(n_parts * len(gain) - 1, 1 - MEAN_CHANCE / max(1, n_epochs))
+    lower_ends = [0.0]
+    for share in MEAN_SHARES[1:]:
+        gained = without - np.abs((innovation - share * mean) * gain)
+        stretches = np.add.reduceat(gained, starts, axis=1) / lengths
+        standard_error = stretches.std(ddof=1) / np.sqrt(stretches.size)
+        lower_ends.append(float(stretches.mean() - quantile * standard_error))
+    return MEAN_SHARES[int(np.argmax(lower_ends))]
+
+
+def with_mean_share(network: InnovationNetwork, share: float) -> InnovationNetwork:
+    """A copy of a network whose mean is a share of its own."""
+    scaled, k = copy.deepcopy(network), network.n_components
+    with torch.no_grad():
+        scaled.out.weight[k : 2 * k] *= share
+        scaled.out.bias[k : 2 * k] *= share
+    return scaled

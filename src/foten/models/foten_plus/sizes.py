@@ -7,10 +7,11 @@ given each innovation, x, v and f, gives the distribution of the next one, a mix
 
     a[n] = ℓ · ( lattice(x[n−1], x[n−2], …) + Π cᵢ · e[n] )        e[n] ~ Σ w_k N(μ_k, s_k),  w, μ, s = network(e, x, v, f)
 
-The mean of the mixture is what is predicted; in the closed loop e is drawn, through the mixture's quantile function, from one
-Gaussian number. This is the gain after the filter. With the gain before the filter the lattice predicts a itself and ℓ e enters
-it, so that what rang before rings on as loud as it was. Training chooses. In a rendering ℓ is multiplied by σ(v, f), which is
-near 1; where validation says that the network brings nothing, e is σ(v, f) times Gaussian noise.
+The mean of the mixture is what is predicted, as far as validation bears it out; in the closed loop e is drawn, through the
+mixture's quantile function, from one Gaussian number. This is the gain after the filter. With the gain before the filter the
+lattice predicts a itself and ℓ e enters it, so that what rang before rings on as loud as it was. Training chooses. In a
+rendering ℓ is multiplied by σ(v, f), which is near 1; where validation says that the network brings nothing, e is σ(v, f) times
+Gaussian noise.
 
 What enters the lattice is at most E = σ · (largest innovation), times the largest ℓ where the gain comes before the filter; the
 lattice's energy stays below E²/(1 − leak²), however speed and force move, and the network's state within ±1 by its gates.
