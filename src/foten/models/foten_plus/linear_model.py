@@ -114,22 +114,21 @@ def select_lattices(
             near = [kind for kind in kinds if errors[kind][-1] <= lowest_errors[-1] * (1 + MIN_GAIN)]
             errors |= zip(near, errors_of(near, orders[-1]), strict=True)
     tried: list[dict[str, float]] = []
-    lowest, best = np.inf, (orders[0], *kinds[0])
-    best_orders: dict[tuple[tuple[int, int], bool], tuple[float, int]] = {}
+    best: dict[tuple[tuple[int, int], bool], tuple[float, int]] = {}  # of each kind: its error and its order
     for (knots, gain), of_kind in errors.items():
         n_knots = len(spanning(data.speed, data.force, *knots).values)
-        of_this = np.inf
         for order, error in zip(orders, of_kind, strict=False):
             tried.append({"order": order, "vertices": n_knots, "gain_before_filter": gain, "mae_scaled": error})
-            if error < of_this * (1 - MIN_GAIN):
-                of_this, best_orders[knots, gain] = error, (error, order)
-            if error < lowest * (1 - MIN_GAIN):
-                lowest, best = error, (order, knots, gain)
-    near = [(error, order, *kind) for kind, (error, order) in best_orders.items() if error <= lowest * (1 + NEAR)]
-    others = [kind for _, *kind in sorted(near) if tuple(kind[1:]) != best[1:]]
+            if error < best.get((knots, gain), (np.inf, 0))[0] * (1 - MIN_GAIN):
+                best[knots, gain] = error, order
+    chosen = kinds[0]
+    for kind, (error, _) in best.items():
+        if error < best[chosen][0] * (1 - MIN_GAIN):
+            chosen = kind
+    near = [kind for kind, (error, _) in best.items() if error <= best[chosen][0] * (1 + NEAR)]
     return [
-        FittedReflections(fit_reflections(of_gain[gain], order, *knots), gain, tried)
-        for order, knots, gain in (best, *others)
+        FittedReflections(fit_reflections(of_gain[gain], best[knots, gain][1], *knots), gain, tried)
+        for knots, gain in sorted(near, key=lambda kind: (kind != chosen, best[kind][0]))
     ]
 
 
