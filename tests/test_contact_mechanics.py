@@ -16,7 +16,7 @@ from foten.simulation.contact_mechanics import (
     profile,
     surface_of,
 )
-from foten.simulation.simulate import second_realisation, simulate
+from foten.simulation.simulate import realisations, second_realisation, simulate
 from foten.simulation.stroking import Stroking, stroking
 
 RATE_HZ = 10_000.0
@@ -196,6 +196,26 @@ def test_a_realisation_is_another_place_of_the_same_profile(key: str) -> None:
     assert recording["force_z"].samples.mean() == pytest.approx(stroking(6, 3, RATE_HZ).force.mean(), rel=0.05)
 
 
+@pytest.mark.parametrize("key", ["sawn-wood", "varnish"])
+def test_realisations_at_once_are_those_one_by_one_and_the_same_where_they_are_needed(key: str) -> None:
+    """Of either contact, to the bit; in a span, once filters have settled, to what float64 leaves of a decay."""
+    recording = simulate(key, 8, seed=3)
+    several = realisations(recording, [5, 6, 7])
+    assert [one.sha256() for one in several] == [second_realisation(recording, seed).sha256() for seed in (5, 6, 7)]
+    assert [one.simulation["noise_seed"] for one in several] == [5, 6, 7]  # type: ignore[index]
+    for whole, part in zip(several, realisations(recording, [5, 6, 7], spans_s=[(1.0, 3.0), (6.0, 7.0)]), strict=True):
+        for name, channel in whole.channels.items():
+            at = channel.times
+            inside = ((at >= 2.0) & (at < 3.0)) | ((at >= 6.9) & (at < 7.0))
+            theirs = part.channels[name].samples
+            np.testing.assert_allclose(
+                theirs[inside], channel.samples[inside], rtol=1e-6, atol=1e-6 * channel.samples.std()
+            )
+        changed = part["force_z"].samples != whole["force_z"].samples
+        assert not changed[10_000:30_000].any()
+        assert changed[35_000:55_000].all()
+
+
 def test_pieces_side_by_side_are_one_long_integration() -> None:
     """Where contact is kept nothing is chaotic, and a settled piece does not know where it began."""
     p, key = CONTACT["leather"], "leather"
@@ -205,7 +225,7 @@ def test_pieces_side_by_side_are_one_long_integration() -> None:
     def integrate(*piece: np.ndarray) -> np.ndarray:
         return contact_mechanics._integrate(p, surface_of(p, key), *piece, RATE_HZ)
 
-    (pieces,) = contact_mechanics.joined_pieces(integrate, place[None], stroke.speed, stroke.force, RATE_HZ)
+    (pieces,) = contact_mechanics.joined_pieces(integrate, place[None], stroke)
     long_piece = contact_mechanics._integrate(
         p, surface_of(p, key), place[None], stroke.speed[None], stroke.force[None], RATE_HZ
     )

@@ -5,6 +5,7 @@ A band is about as wide as a just noticeable difference of frequency on the skin
 
 from __future__ import annotations
 
+from functools import lru_cache
 from itertools import pairwise
 
 import numpy as np
@@ -27,10 +28,14 @@ def band_energies(signals: Array, rate_hz: float) -> Array:
 
     Butterworth band-passes of order 2, causal, from rest; a last part that fills no frame is left out.
     """
-    from scipy.signal import butter, sosfilt
+    from scipy.signal import sosfilt
 
-    bands = [
-        sosfilt(butter(2, edges, "bandpass", fs=rate_hz, output="sos"), signals, axis=-1)
-        for edges in pairwise(envelope_edges(rate_hz))
-    ]
+    bands = [sosfilt(sections, signals, axis=-1) for sections in _band_passes(rate_hz)]
     return np.stack([np.square(framed(band, BAND_FRAME_MS, rate_hz)).mean(axis=-1) for band in bands], axis=-2)
+
+
+@lru_cache(maxsize=4)
+def _band_passes(rate_hz: float) -> list[Array]:
+    from scipy.signal import butter
+
+    return [butter(2, edges, "bandpass", fs=rate_hz, output="sos") for edges in pairwise(envelope_edges(rate_hz))]

@@ -18,12 +18,14 @@ from foten.evaluate.listener import N_LISTENERS, long_stroke, rendering, vibrati
 from foten.models.texture_file import Texture
 from foten.recording.preprocess import PreprocessConfig
 from foten.recording.recording import Recording
+from foten.recording.split import Split
 from foten.recording.trace import Trace
 from foten.runtime.native import NativeTexture
 from foten.simulation.linear_family import LINEAR_FAMILY, linear_truth, one_step_bounds
 from foten.simulation.simulate import realisations
 
 LONG_S = 240.0  # of a stroke for listeners
+SETTLED_S = 0.5  # before and after what is judged: of filters, and where the clocks of sensors begin
 SEED_STEP = 1_000_003  # between realisations
 VALIDATION_HAND = 2  # the number of the hand that nothing is reported of
 N_CACHED = (
@@ -76,7 +78,9 @@ def reference_for(
     try:
         used = int(recording.simulation["noise_seed"])
         seeds = [used + SEED_STEP * k for k in range(1, N_SEEDS + 1)]
-        further = _realisations(recording, texture, seeds, trim_ms, block_ms)
+        further = _realisations(
+            recording, texture, seeds, trim_ms, block_ms, spans_s=judged_spans_s(recording, texture)
+        )
     except (KeyError, TypeError, ValueError) as error:
         return SimulatorReference(why_no_bound=f"the simulator's parameters in the recording cannot be used ({error})")
     strokes = long_strokes(recording, texture) if listener else ()
@@ -91,6 +95,18 @@ def reference_for(
     trace = trace_for(texture, recording, trim_ms, block_ms)
     bound, bound_window = linear_bounds(recording, trace, config.highpass_hz, texture.window)
     return replace(known, bound=bound, bound_window=bound_window)
+
+
+def judged_spans_s(recording: Recording, texture: Texture) -> list[tuple[float, float]]:
+    """Start and end of what is judged of a texture's recording, with the time before in which filters settle [s].
+
+    Empty for another recording, all of which is judged.
+    """
+    if texture.card["split"] is None or recording.sha256() != texture.card["recording_sha256"]:
+        return []
+    config, split = PreprocessConfig(**texture.card["preprocess"]), Split.from_fields(texture.card["split"])
+    starts_s = [(config.trim_ms + config.block_ms * block) / 1000 for block in split.test]
+    return [(start - SETTLED_S, start + config.block_ms / 1000 + SETTLED_S) for start in starts_s]
 
 
 def long_strokes(

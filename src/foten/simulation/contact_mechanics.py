@@ -20,6 +20,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
+from numpy.typing import NDArray
 
 from foten.dsp import Array
 from foten.simulation.linear_family import NOT_NEGATIVE, POSITIVE, check_parameters
@@ -220,9 +221,13 @@ def contact_vibration(
 
 
 def contact_vibrations(
-    parameters: ContactParameters, surface: Array, stroke: Stroking, rngs: Sequence[np.random.Generator]
+    parameters: ContactParameters,
+    surface: Array,
+    stroke: Stroking,
+    rngs: Sequence[np.random.Generator],
+    needed: NDArray[np.bool_] | None = None,
 ) -> list[tuple[Array, Array]]:
-    """`contact_vibration` of several realisations of a stroke, integrated side by side."""
+    """`contact_vibration` of several realisations of a stroke, side by side; as at rest where it is not `needed`, (n,)."""
     from scipy.signal import lfilter
 
     rate = stroke.rate_hz
@@ -231,7 +236,8 @@ def contact_vibrations(
         return _integrate(parameters, surface, places, speed, force, rate)
 
     vibrations = []
-    for force, friction in joined_pieces(integrate, places_along(stroke, rngs), stroke.speed, stroke.force, rate):
+    for force, friction in joined_pieces(integrate, places_along(stroke, rngs), stroke, needed):
+        force = force if needed is None else np.where(needed, force, stroke.force)
         pushed = np.stack([force - stroke.force, friction], axis=1) / (BODY_G * 1e-3)
         acceleration = STIFF_SHARE * pushed
         for hz, damping, share in zip(MODES_HZ, MODES_DAMPING, MODES_SHARE, strict=True):
@@ -257,26 +263,33 @@ def mode_filter(hz: float, damping: float, rate_hz: float) -> tuple[Array, Array
 
 
 def joined_pieces(
-    integrate: Callable[[Array, Array, Array], Array], places: Array, speed: Array, force: Array, rate_hz: float
+    integrate: Callable[[Array, Array, Array], Array],
+    places: Array,
+    stroke: Stroking,
+    needed: NDArray[np.bool_] | None = None,
 ) -> list[Array]:
     """Series of realisations of a stroke, (any, n) each, in pieces side by side, each settled when it takes over.
 
     Args:
-        integrate: places [mm], speeds [mm/s] and forces [N] of pieces, (k, m) each → series from equilibrium (any, k, m).
-        places: of each realisation, (n_realisations, n); speed and force are theirs all, (n,).
+        integrate: places [mm], speeds [mm/s] and forces [N] of pieces, (k, m) each → series from equilibrium (any, k, m), the
+            force of the contact among them.
+        places: of each realisation, (n_realisations, n).
+        needed: where series are, (n,); elsewhere they may be zero. All by default.
     """
-    n, piece, overlap, fade = speed.size, *(round(s * rate_hz) for s in (PIECE_S, OVERLAP_S, FADE_S))
+    n, piece, overlap, fade = len(stroke.force), *(round(s * stroke.rate_hz) for s in (PIECE_S, OVERLAP_S, FADE_S))
     starts = np.arange(0, n, piece)
     index = np.clip(starts[:, None] + np.arange(-overlap, piece + fade), 0, n - 1)
+    chosen = slice(None) if needed is None else np.flatnonzero(needed[index].any(axis=1))
     ramp = (np.arange(fade) + 0.5) / fade
-    n_at_once = max(1, MAX_PIECES // len(starts))
+    n_at_once = max(1, MAX_PIECES // len(index[chosen]))
     joined = []
     for first in range(0, len(places), n_at_once):
         some = places[first : first + n_at_once]
-        conditions = (np.tile(channel[index], (len(some), 1)) for channel in (speed, force))
-        parts = integrate(some[:, index].reshape(-1, index.shape[1]), *conditions)
-        for pieces in np.split(parts, len(some), axis=1):
-            settled = pieces[:, :, overlap:].copy()  # a piece, and how it would go on
+        conditions = (np.tile(channel[index[chosen]], (len(some), 1)) for channel in (stroke.speed, stroke.force))
+        parts = integrate(some[:, index[chosen]].reshape(-1, index.shape[1]), *conditions)
+        for part in np.split(parts, len(some), axis=1):
+            settled = np.zeros((len(parts), len(starts), piece + fade))
+            settled[:, chosen] = part[:, :, overlap:]  # a piece, and how it would go on
             settled[:, 1:, :fade] = ramp * settled[:, 1:, :fade] + (1 - ramp) * settled[:, :-1, piece:]
             joined.append(settled[:, :, :piece].reshape(len(parts), -1)[:, :n])
     return joined

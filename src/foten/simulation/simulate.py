@@ -20,6 +20,7 @@ from functools import partial
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from foten.dsp import Array
 from foten.recording.recording import AXES, Channel, Recording
@@ -202,9 +203,14 @@ def second_realisation(
 
 
 def realisations(
-    recording: Recording, noise_seeds: Sequence[int], *, stroke_seed: int | None = None, seconds: float | None = None
+    recording: Recording,
+    noise_seeds: Sequence[int],
+    *,
+    stroke_seed: int | None = None,
+    seconds: float | None = None,
+    spans_s: Sequence[tuple[float, float]] = (),
 ) -> list[Recording]:
-    """`second_realisation` by several seeds, at once."""
+    """`second_realisation` by several seeds, at once; with spans of time the vibration elsewhere may be left out."""
     simulation = recording.simulation
     if simulation is None:
         raise ValueError("only a simulated recording has a second realisation; this one is not simulated")
@@ -213,12 +219,14 @@ def realisations(
     try:
         changed = {"stroke_seed": stroke_seed, "seconds": seconds}
         changed = {name: value for name, value in changed.items() if value is not None}
-        return _simulated({**simulation, **changed}, noise_seeds)
+        return _simulated({**simulation, **changed}, noise_seeds, spans_s)
     except (KeyError, TypeError) as error:
         raise ValueError(f"its parameters are those of another simulator ({error}): simulate it again") from error
 
 
-def _simulated(simulation: Mapping[str, Any], noise_seeds: Sequence[int]) -> list[Recording]:
+def _simulated(
+    simulation: Mapping[str, Any], noise_seeds: Sequence[int], spans_s: Sequence[tuple[float, float]] = ()
+) -> list[Recording]:
     seconds, rate_hz = float(simulation["seconds"]), float(simulation["accelerometer_hz"])
     _, stroke_seed = (int(simulation[name]) for name in ("seed", "stroke_seed"))
     key = str(simulation["key"])
@@ -239,8 +247,12 @@ def _simulated(simulation: Mapping[str, Any], noise_seeds: Sequence[int]) -> lis
     rngs = [np.random.default_rng([noise_seed, 2, *key.encode()]) for noise_seed in noise_seeds]
     with _LOCK:  # recordings of one stroke are simulated at once, and share it
         stroke = stroking(seconds, stroke_seed, rate_hz if kind is LinearParameters else RATE_HZ)
+    needed = None
+    if spans_s:
+        times = np.arange(len(stroke.force)) / stroke.rate_hz
+        needed = np.logical_or.reduce([(start <= times) & (times < end) for start, end in spans_s])
     with ThreadPoolExecutor() as pool:  # filters and transforms release the interpreter's lock
-        tool, sensors, captures = _captures(parameters, key, stroke, rngs, rate_hz, pool)
+        tool, sensors, captures = _captures(parameters, key, stroke, rngs, needed, rate_hz, pool)
         return [
             Recording(
                 channels,
@@ -259,6 +271,7 @@ def _captures(
     key: str,
     stroke: Stroking,
     rngs: Sequence[np.random.Generator],
+    needed: NDArray[np.bool_] | None,
     rate_hz: float,
     pool: ThreadPoolExecutor,
 ) -> tuple[str, str, Iterable[dict[str, Channel]]]:
@@ -276,9 +289,9 @@ def _captures(
         raise ValueError(f"{rate_hz:g} Hz is not {RATE_HZ:g} Hz divided by a whole number")
     vibrations: Iterable[tuple[Array, Array]]
     if isinstance(parameters, ContactParameters):
-        vibrations = contact_vibrations(parameters, surface_of(parameters, key), stroke, rngs)
+        vibrations = contact_vibrations(parameters, surface_of(parameters, key), stroke, rngs, needed)
     elif isinstance(parameters, TwoMassParameters):
-        vibrations = two_mass_vibrations(parameters, two_mass_surface(parameters, key), stroke, rngs)
+        vibrations = two_mass_vibrations(parameters, two_mass_surface(parameters, key), stroke, rngs, needed)
     else:
         vibrations = ((vibrated, stroke.force) for vibrated in pool.map(partial(vibration, parameters, stroke), rngs))
 

@@ -27,6 +27,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
+from numpy.typing import NDArray
 
 from foten.dsp import Array
 from foten.simulation.contact_mechanics import (
@@ -249,19 +250,29 @@ def _waves(parameters: TwoMassParameters, n: int, rng: np.random.Generator) -> A
 
 
 def two_mass_vibrations(
-    parameters: TwoMassParameters, surface: Array, stroke: Stroking, rngs: Sequence[np.random.Generator]
+    parameters: TwoMassParameters,
+    surface: Array,
+    stroke: Stroking,
+    rngs: Sequence[np.random.Generator],
+    needed: NDArray[np.bool_] | None = None,
 ) -> list[tuple[Array, Array]]:
     """Vibrations of the tool's body before any sensor [m/s²], axes x, y, z, (n, 3), and the contact's force [N], (n,).
 
-    Of realisations of a stroke. The surface is what the ball rests at, as of `two_mass_surface`.
+    Of realisations of a stroke; as at rest where they are not `needed`, (n,). The surface is what the ball rests at, as of
+    `two_mass_surface`.
     """
     rate = stroke.rate_hz
 
     def integrate(places: Array, speed: Array, force: Array) -> Array:
         return _integrate(parameters, surface, places, speed, force, rate)
 
-    joined = joined_pieces(integrate, places_along(stroke, rngs), stroke.speed, stroke.force, rate)
-    return [(np.column_stack([tangential[:, None] * DIRECTION, normal]), force) for normal, tangential, force in joined]
+    return [
+        (
+            np.column_stack([tangential[:, None] * DIRECTION, normal]),
+            force if needed is None else np.where(needed, force, stroke.force),
+        )
+        for normal, tangential, force in joined_pieces(integrate, places_along(stroke, rngs), stroke, needed)
+    ]
 
 
 def _integrate(
