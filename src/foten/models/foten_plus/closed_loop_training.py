@@ -341,7 +341,7 @@ def fit_closed_loop(
         loss, drawn, run = _loss(envelope_distance, excerpts, network, block, start, rng)
         (grad_drawn,) = torch.autograd.grad(loss, [drawn])
         grad_rollout = run.gradients(grad_drawn.numpy())
-        nll = negative_log_likelihood(mixtures(network, inputs), targets)[:, warm_up:].mean()
+        nll = negative_log_likelihood(mixtures(network, inputs, warm_up), targets[:, warm_up:]).mean()
         grad_nll = torch.autograd.grad(NLL_WEIGHT * nll, list(parameters.values()))
         both = zip(parameters, grad_nll, strict=True)
         share = len(block) / N_EXCERPTS  # of the chunks too, but for what does not divide

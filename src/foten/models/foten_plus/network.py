@@ -199,7 +199,7 @@ def fit_innovation_network(
         inputs, target = (part.chunk(n_threads) for part in batches.draw(generator))
 
         def loss_of_share(k: int) -> Tensor:
-            nll = negative_log_likelihood(mixtures(network, inputs[k]), target[k])[:, warm_up:]
+            nll = negative_log_likelihood(mixtures(network, inputs[k], warm_up), target[k][:, warm_up:])
             return nll.mean() * (len(inputs[k]) / config.batch)
 
         return shared_gradients(network, pool, loss_of_share, n_shares)
@@ -214,9 +214,9 @@ def fit_innovation_network(
         return run_loop(loop, config, monitor)
 
 
-def mixtures(network: InnovationNetwork, inputs: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """`InnovationNetwork.forward` by the training kernel: (b, n, n_inputs) → (b, n, k) each."""
-    return network.mixture(hidden_states(network.recurrent, inputs), inputs)
+def mixtures(network: InnovationNetwork, inputs: Tensor, first: int = 0) -> tuple[Tensor, Tensor, Tensor]:
+    """`InnovationNetwork.forward` by the training kernel, from a sample on: (b, n, n_inputs) → (b, n − first, k) each."""
+    return network.mixture(hidden_states(network.recurrent, inputs)[:, first:], inputs[:, first:])
 
 
 def scored(
