@@ -87,7 +87,7 @@ def test_listeners_are_asked_where_they_are_asked_for(
     capsys.readouterr()
     assert _status(["evaluate", str(texture), str(recording), "--json", "--listener"]) == 0
     scores = json.loads(capsys.readouterr().out)["listener"]
-    for key in ("listener_auc", "listener_auc_waveform"):
+    for key in ("listener_auc", "listener_auc_waveform", "listener_auc_person"):
         assert 0 <= scores[key] <= 1
         assert 0 <= scores[f"{key}_control"] <= 1
     assert scores["listener_control_of"] == "other realisations of the same stroke"

@@ -2,20 +2,27 @@
 
 from __future__ import annotations
 
+import csv
 from collections.abc import Callable
+from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy.signal import lfilter
+from scipy.signal import butter, freqz_sos, lfilter
 
+from foten.dsp.bands import N_BANDS, envelope_edges
+from foten.dsp.distance import earth_mover_octaves, log_spectral_distance
+from foten.dsp.perception import THRESHOLD_M_S2, internal_noise_db
 from foten.evaluate.listener import listener_scores, long_stroke, vibrations
 from foten.recording.trace import Trace
 
 pytest.importorskip("torch")
 
 from foten.evaluate import listener_network as networks
-from foten.evaluate.listener_network import EXCERPT, HOP, area_under_curve, listener_auc
+from foten.evaluate.listener_network import EXCERPT, HOP, Limits, area_under_curve, felt, listener_auc
 
+PENS = Path(__file__).parents[1].parent / "shared" / "data" / "pen-triplets"
 RATE_HZ, SECONDS = 1000.0, 60
 N = round(SECONDS * RATE_HZ)
 
@@ -49,6 +56,18 @@ def auc(first: np.ndarray, second: np.ndarray, kind: str = "") -> float:
     return listener_auc(*vibrations(stroke(first), stroke(second))[kind], seed=0)
 
 
+def step(decibels: float, bands: slice = slice(None)) -> np.ndarray:
+    """White noise of 1 m/s² that is stronger in some bands."""
+    spectrum = np.fft.rfft(np.random.default_rng(7).standard_normal(N))
+    gains = np.zeros(N_BANDS)
+    gains[bands] = decibels
+    place = np.searchsorted(envelope_edges(RATE_HZ), np.fft.rfftfreq(N, 1 / RATE_HZ))
+    return np.fft.irfft(spectrum * 10 ** (np.r_[0.0, gains, 0.0][place] / 20), N)
+
+
+ONE = slice(6, 7)  # wide enough for its level to vary by no more than 0.5 dB from one half second to another
+
+
 @pytest.fixture(autouse=True)
 def short(monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest) -> None:
     """A third of the budget is enough for what is plain."""
@@ -80,6 +99,79 @@ def test_only_the_waveform_tells_a_vibration_from_its_mirror_image() -> None:
     other = -lfilter([1.0], [1.0, -0.9, 0.5], np.where(np.random.default_rng(4).random(N) < 0.05, 5.0, 0.0))
     assert auc(one_sided, other) < 0.7
     assert auc(one_sided, other, "_waveform") > 0.9
+
+
+@pytest.mark.parametrize("bands", [pytest.param(ONE, id="one band"), pytest.param(slice(None), id="all bands")])
+def test_a_person_notices_a_just_noticeable_step_of_level_in_three_of_four_pairs(bands: slice) -> None:
+    """The area is the share of pairs in which the louder of two is named; by 480 excerpts of each it scatters by 0.02.
+
+    A vibration's own level varies too, and a listener that learns is no ideal one, which costs up to 0.06 in one band.
+    """
+    assert auc(step(0.0), step(2.3, bands), "_person") == pytest.approx(0.73, abs=0.06)
+    assert auc(step(0.0), step(6.0, bands), "_person") > 0.88  # Φ(2.49/√2) = 0.96
+
+
+def test_a_person_cannot_tell_what_is_equal() -> None:
+    assert auc(step(0.0), step(0.0), "_person") == pytest.approx(0.5, abs=0.06)  # three times 0.02
+
+
+def test_internal_noise_moves_an_excerpt_as_one_and_silence_does_not_give_it_away() -> None:
+    """A network takes the noise off again where silent frames are moved as loud ones are: 0.98 for a step of 2.3 dB."""
+    import torch
+
+    levels = torch.full((3000, N_BANDS, EXCERPT), 12.0)
+    levels[:, :, ::2] = -20.0
+    sd = internal_noise_db(N_BANDS) * np.log(10) / 10
+    moved = felt(levels, Limits(sd, np.zeros((N_BANDS, 1)), np.ones((N_BANDS, 1)))).double().numpy()
+    silent, loud = moved[:, :, 0], moved[:, :, 1]
+    np.testing.assert_allclose(moved[:, :, 3::2], loud[:, :, None].repeat(EXCERPT // 2 - 1, axis=2), atol=1e-4)
+    # Of 3000 draws: 1/√3000 = 0.018 of a correlation, and as much of a variance times √2.
+    np.testing.assert_allclose(np.cov(loud.T), sd**2 * (np.eye(N_BANDS) + 1.0), atol=0.12 * 2 * sd**2)
+    assert np.abs(np.corrcoef(loud.T, silent.T)[:N_BANDS, N_BANDS:]).max() < 0.09
+
+
+def test_a_person_does_not_notice_what_is_below_threshold_where_the_unit_is_known() -> None:
+    faint, louder = (0.1 * THRESHOLD_M_S2 * step(decibels) for decibels in (0.0, 6.0))  # of all bands: 30 dB in each
+    assert auc(faint, louder, "_person") == pytest.approx(0.5, abs=0.06)
+    in_any_unit = vibrations(stroke(faint), stroke(louder), in_m_s2=False)["_person"]
+    assert listener_auc(*in_any_unit, seed=0) > 0.88
+
+
+@pytest.mark.skipif(not PENS.is_dir(), reason="the pens of ../shared/data are not here")
+def test_a_person_s_band_levels_say_which_of_two_pens_people_find_nearer_to_a_third() -> None:
+    """As often as the log-spectral distance does. Eight pens and triplets that depend: one in twelve either way means nothing."""
+    hertz = np.arange(10.0, 500.0, 2.0)
+    edges = envelope_edges(RATE_HZ)
+    filters = [butter(2, band, "bandpass", fs=RATE_HZ, output="sos") for band in pairwise(edges)]
+    weights = np.abs([freqz_sos(sos, hertz, fs=RATE_HZ)[1] for sos in filters]) ** 2
+    spectra = {name: np.square(pen.astype(float)).mean(axis=0) for name, pen in np.load(PENS / "pens.npz").items()}
+    precision = np.linalg.inv(internal_noise_db(N_BANDS) ** 2 * (np.eye(N_BANDS) + 1.0))
+
+    def d_prime(one: np.ndarray, other: np.ndarray) -> np.ndarray:
+        """Of half seconds of two pens, by condition: the noise is a person's, and the pens' levels do not vary."""
+        steps = 10 * np.log10(one @ weights.T) - 10 * np.log10(other @ weights.T)
+        return np.sqrt(np.einsum("ci,ij,cj->c", steps, precision, steps))
+
+    with (PENS / "triplets.csv").open(encoding="utf-8") as file:
+        rows = list(csv.reader(file))[1:]
+    shares = np.array([int(first) / (int(first) + int(second)) for *_, first, second in rows])
+    decided = shares != 0.5
+    clear = np.abs(shares - 0.5) > 0.19
+    assert (len(rows), decided.sum(), clear.sum()) == (84, 83, 55)
+
+    def agreement(distance: Callable[[np.ndarray, np.ndarray], np.ndarray]) -> tuple[float, float]:
+        nearer = [
+            distance(spectra[first], spectra[middle]).mean() < distance(spectra[second], spectra[middle]).mean()
+            for first, middle, second, *_ in rows
+        ]
+        agrees = np.array(nearer) == (shares > 0.5)
+        return agrees[decided].mean(), agrees[clear].mean()
+
+    person, spectral = agreement(d_prime), agreement(log_spectral_distance)
+    mover = agreement(lambda one, other: earth_mover_octaves(hertz, one, other))
+    assert person == pytest.approx((0.72, 0.84), abs=0.005)
+    assert spectral == pytest.approx((0.72, 0.85), abs=0.005)
+    assert mover == pytest.approx((0.84, 0.95), abs=0.005)
 
 
 def test_what_is_at_rest_is_hidden() -> None:

@@ -534,18 +534,32 @@ def test_a_relative_recording_is_not_judged_by_a_texture_in_units(texture) -> No
 
 
 @pytest.mark.parametrize(
-    ("found", "control", "tone"), [(0.58, 0.49, "good"), (0.7, 0.62, "good"), (0.75, 0.5, "even"), (0.97, None, "bad")]
+    ("found", "person", "control", "tone", "of_person"),
+    [
+        (0.58, 0.53, 0.49, "good", "good"),
+        (0.7, 0.71, 0.62, "good", "good"),
+        (0.78, 0.73, 0.5, "even", "even"),
+        (0.79, 0.78, 0.5, "even", "bad"),
+        (0.97, 0.9, None, "bad", "bad"),
+    ],
 )
-def test_the_listener_is_a_finding_beside_its_control(judged, found, control, tone):
-    scores = {"listener_auc": found, "listener_auc_control": control, "listener_auc_waveform": 0.8}
-    scores |= {"listener_auc_waveform_control": control, "listener_s": 236.0, "listener_control_of": "another"}
-    findings = verdict(judged.document | {"listener": scores})
-    assert (findings[-1].title, findings[-1].tone, findings[-1].figure) == ("Listener", tone, f"{found:.2f}")
-    assert f"right in {100 * found:.0f} % of pairs" in findings[-1].sentence
-    assert ("of two true vibrations" in findings[-1].sentence) == (control is not None)
-    text = to_text(judged.document | {"listener": scores})
+def test_listeners_are_findings_beside_their_controls(judged, found, person, control, tone, of_person):
+    scores = {f"listener_auc{kind}{of}": control for kind in ("", "_waveform", "_person") for of in ("", "_control")}
+    scores |= {"listener_auc": found, "listener_auc_waveform": 0.8, "listener_auc_person": person}
+    scores |= {"listener_s": 236.0, "listener_control_of": "another"}
+    document = judged.document | {"listener": scores}
+    *_, ideal, limited = verdict(document)
+    assert (ideal.title, ideal.tone, ideal.figure) == ("Listener", tone, f"{found:.2f}")
+    assert (limited.title, limited.tone, limited.figure) == ("A person's limits", of_person, f"{person:.2f}")
+    for area, finding in ((found, ideal), (person, limited)):
+        assert f"right in {100 * area:.0f} % of pairs" in finding.sentence
+        assert ("of two true vibrations" in finding.sentence) == (control is not None)
+    assert "is there any difference?" in ideal.sentence
+    assert "would someone notice" in limited.sentence
+    text = to_text(document)
     assert "Listener: area under its curve over 236 s" in text
     assert f"{found:.3f}" in text
+    assert re.search(rf"with a person's limits +{person:.3f}", text)
 
 
 def test_a_listener_that_could_not_be_asked_says_why(judged):

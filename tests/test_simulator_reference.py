@@ -123,8 +123,12 @@ def test_the_area_of_a_linear_process_is_near_chance_and_of_a_louder_one_certain
 ) -> None:
     """Of 60 s the area scatters by 0.07, as in `test_listener`; twice as loud is plain."""
     recording, texture = linear
-    assert validation_listener(texture, recording)["area"] < 0.75
+    areas = validation_listener(texture, recording)
+    assert set(areas) == {"area", "person"}
+    assert max(areas.values()) < 0.75
     scaling = texture.card["scaling"]
     louder_scaling = {**scaling, "sd": [2 * scaling["sd"][0], *scaling["sd"][1:]]}
     louder = dataclasses.replace(texture, card={**texture.card, "scaling": louder_scaling})
-    assert validation_listener(texture_from_bytes(louder.to_bytes()), recording)["area"] > 0.95
+    areas = validation_listener(texture_from_bytes(louder.to_bytes()), recording)
+    assert areas["area"] > 0.95
+    assert areas["person"] > 0.85  # 6 dB: Φ(2.49/√2) = 0.96

@@ -10,7 +10,17 @@ from scipy.signal import butter, sosfilt
 from foten.dsp import distance
 from foten.dsp.bands import N_BANDS, band_energies, envelope_edges
 from foten.dsp.distance import earth_mover_octaves, welch
-from foten.dsp.perception import carried, in_words, sensitivity, smallest_rate
+from foten.dsp.perception import (
+    JND_CORRECT,
+    LEVEL_JND_DB,
+    THRESHOLD_M_S2,
+    band_thresholds,
+    carried,
+    in_words,
+    internal_noise_db,
+    sensitivity,
+    smallest_rate,
+)
 from foten.dsp.spectrum import dft_matrices, last_sample_row, position_encoding
 from foten.evaluate.metrics import band_correlations
 
@@ -89,6 +99,23 @@ def test_acceleration_counts_evenly_up_to_250_hertz_and_less_above() -> None:
     # An octave above the best frequency 24 dB less; outside of touch nothing.
     assert sensitivity(np.array([500.0]))[0] == pytest.approx(2.0**-8)
     np.testing.assert_array_equal(sensitivity(np.array([0.0, 19.0, 1001.0])), 0.0)
+
+
+@pytest.mark.parametrize("n", [1, 3, 8])
+def test_whoever_weighs_noisy_bands_best_notices_a_step_in_one_of_them_and_in_all_alike(n: int) -> None:
+    """Oracle: the likelihood ratio of two Gaussians of the noise's covariance, by its inverse."""
+    sd = internal_noise_db(n)
+    precision = np.linalg.inv(sd**2 * (np.eye(n) + 1.0))
+    for step in (LEVEL_JND_DB * np.eye(n)[0], np.full(n, LEVEL_JND_DB)):
+        d_prime = math.sqrt(step @ precision @ step)
+        right = 0.5 * (1 + math.erf(d_prime / 2))  # Φ(d'/√2), of two intervals
+        assert right == pytest.approx(JND_CORRECT, abs=1e-12)
+
+
+def test_thresholds_of_bands_are_those_of_acceleration_where_skin_is_most_sensitive() -> None:
+    thresholds = band_thresholds(envelope_edges(1000.0))
+    np.testing.assert_allclose(thresholds[:6], THRESHOLD_M_S2**2)
+    assert thresholds[7] == pytest.approx(THRESHOLD_M_S2**2 * (305 * 450 / 250**2) ** 4, rel=0.01)  # 24 dB per octave
 
 
 def test_a_rate_carries_what_lies_below_nearly_half_of_it() -> None:

@@ -33,7 +33,7 @@ MIN_LISTENED_S = (
 FLOOR = 1e-4  # of the mean energy of a band: what is 40 dB below it counts as that
 NOTHING = 1e-12  # of a threshold, an energy that is not felt
 SOFTENING = np.array([[2.0], [0.05]])  # added to speed [mm/s] and force [N] before their logarithm
-KINDS = {"": "band energies", "_waveform": "and the waveform", "_person": "a person's limits"}  # of listeners
+KINDS = {"": "", "_waveform": ", with the waveform", "_person": ", with a person's limits"}  # of listeners
 SD_FLOOR = 1e-6  # a band or a hand that does not vary is not divided by zero
 
 
@@ -94,7 +94,7 @@ def listener_scores(
         shown = vibrations(recorded, replace(recorded, acceleration=rendered(k)), in_m_s2)
         true = vibrations(*pairs[(k - seed) % len(pairs)], in_m_s2) if pairs else {}
         for kind, name in KINDS.items():
-            on_stage(f"listener {k - seed + 1} of {N_LISTENERS}, {name}")
+            on_stage(f"listener {k - seed + 1} of {N_LISTENERS}{name}")
             areas[f"listener_auc{kind}"].append(listener_auc(*shown[kind], seed=k))
             if true:
                 control = listener_auc(*true[kind], seed=k, same_stroke=bool(others))

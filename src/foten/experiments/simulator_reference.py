@@ -128,7 +128,7 @@ def long_strokes(
 
 
 def validation_listener(texture: Texture, recording: Recording) -> dict[str, float]:
-    """`area` under the curve of one listener, of band energies, to choose by, and that of a `person`'s limits.
+    """`area` under the curve of one listener, of band energies, to choose by, and that of one with a `person`'s limits.
 
     Nothing of what was not simulated, or is silent. Under another hand than that of the evaluation. Two fits of one texture
     differ by 0.015, three listeners of one fit by 0.01.

@@ -204,7 +204,8 @@ def to_text(document: Mapping[str, Any]) -> str:
 
 def _listener_lines(scores: Mapping[str, Any]) -> list[str]:
     control = f"; the control is {scores['listener_control_of']}" if scores["listener_control_of"] else ""
-    names = {"listener_auc": "band energies", "listener_auc_waveform": "and the waveform"}
-    rows = [(name, Number(scores[key]), Number(scores[f"{key}_control"])) for key, name in names.items()]
+    names = {"": "band energies", "_waveform": "and the waveform", "_person": "with a person's limits"}
+    areas = {name: [scores[f"listener_auc{kind}{of}"] for of in ("", "_control")] for kind, name in names.items()}
+    rows = [(name, Number(area), Number(of_true)) for name, (area, of_true) in areas.items()]
     about = f"area under its curve over {scores['listener_s']:.0f} s, 0.5 is chance, 1 certainty{control}"
     return [f"Listener: {about}", *Table.of(("", "this texture", "control"), rows).text()]

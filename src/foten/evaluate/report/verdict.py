@@ -81,7 +81,7 @@ def verdict(document: Mapping[str, Any]) -> list[Finding]:
         return [_one_step(document), _unknown("Free run", "not scored", document, "free_run")]
     findings = [_one_step(document), _spectrum(document, key), _level(document[key]), _dynamics(document, key)]
     with_listener = document.get("listener") or "listener" in document["reasons"]
-    return [*findings, *([_listener(document)] if with_listener else [])]
+    return [*findings, *(_listeners(document) if with_listener else [])]
 
 
 def headline(judgement: Judgement) -> str:
@@ -287,17 +287,28 @@ def _dynamics(document: Mapping[str, Any], key: str) -> Finding:
     return _finding(tone, "Dynamics", figure, beside, sentence, interval, lambda value: value >= 0.5 * target)
 
 
-def _listener(document: Mapping[str, Any]) -> Finding:
+def _listeners(document: Mapping[str, Any]) -> list[Finding]:
     scores = document["listener"]
     if scores is None:
-        return _unknown("Listener", "not asked", document, "listener")
-    area, control, waveform = (scores[f"listener_auc{name}"] for name in ("", "_control", "_waveform"))
-    chance = 0.5 if control is None else max(0.5, control)
-    tone = "good" if area <= chance + 0.1 else "even" if area <= chance + 0.3 else "bad"
-    beside = "0.5 is chance" if control is None else f"two true vibrations: {control:.2f}"
-    of_true = "" if control is None else f"; of two true vibrations in {100 * control:.0f} %"
-    sentence = (
-        f"Listener: a network trained for it is right in {100 * area:.0f} % of pairs of recorded and rendered half seconds by "
-        f"the energies of eight bands, and in {100 * waveform:.0f} % with the waveform (50 % is chance{of_true})."
-    )
-    return Finding(tone, "Listener", f"{area:.2f}", beside, sentence)
+        return [_unknown("Listener", "not asked", document, "listener")]
+    findings = []
+    # A person names the stronger of two in 75 % where they differ by a just noticeable difference: more is noticed.
+    for title, kind, even in (("Listener", "", 0.3), ("A person's limits", "_person", 0.25)):
+        area, control = (scores[f"listener_auc{kind}{of}"] for of in ("", "_control"))
+        chance = 0.5 if control is None else max(0.5, control)
+        tone = "good" if area <= chance + 0.1 else "even" if area <= chance + even else "bad"
+        beside = "0.5 is chance" if control is None else f"two true vibrations: {control:.2f}"
+        of_true = "" if control is None else f"; of two true vibrations in {100 * control:.0f} %"
+        right = f"right in {100 * area:.0f} % of pairs of recorded and rendered half seconds"
+        if kind:
+            sentence = (
+                f"{title}: would someone notice who knows what to look for? A network that feels levels as people do is {right} "
+                f"(50 % is chance, 75 % a step of level that is just noticeable{of_true})."
+            )
+        else:
+            sentence = (
+                f"{title}: is there any difference? A network trained for it is {right} by the energies of eight bands, and in "
+                f"{100 * scores['listener_auc_waveform']:.0f} % with the waveform (50 % is chance{of_true})."
+            )
+        findings.append(Finding(tone, title, f"{area:.2f}", beside, sentence))
+    return findings
