@@ -273,7 +273,7 @@ MUTANTS = (
     *of_python(
         "training/calibration.py",
         ("no level is calibrated", "calibrate_excitation", "Call calibrate_level", "it.args[1], [0.0, 0.0, 0.0]"),
-        ("the level is calibrated the wrong way", "calibrate_level", "Call solve", "-it"),
+        ("the level is calibrated the wrong way", "calibrate_level", "Call _shrunk", "-it"),
         ("only the constant of the level is calibrated", "_adjusted", "BinOp Add 1", "it.left"),
         ("the excitation has no bound", "calibrate_excitation", "Call Excitation", "it.func(it.args[0], (1e6, 1e6))"),
         ("the likelihood counts rest", "calibrate_excitation", "Call mean 1", "it.func.value.value.mean()"),
@@ -343,8 +343,10 @@ MUTANTS = (
         ("Ctrl-C in the fit of a network that is not drawn from is lost", "fit_rendering_network", "Expr include", ""),
         ("a network lacks the phase that it draws by", "calibrated_network", "Compare NotEq", "False", "pipeline"),
         ("a network that learned its level is calibrated once more", "calibrated_network", "UnaryOp Not 3", "True"),
-        ("a network of no likelier innovations is in the loop", "calibrated_network", "BoolOp Or", "it.values[0]"),
+        ("a network of no likelier innovations is in the loop", "calibrated_network", "BoolOp Or 0", "it.values[0]"),
         ("tones of any spectrum are taken", "best_candidate", "BinOp Mult", "np.inf"),
+        ("a table has to be worth nothing", "_nearest", "Compare LtE", "False"),
+        ("a network is in the loop though noise is nearer", "calibrated_network", "Compare GtE", "False"),
         (
             "growth looks at test blocks",
             "extrapolation_exponents",
@@ -370,7 +372,7 @@ MUTANTS = (
     ),
     *of_python(
         "models/foten_plus/linear_model.py",
-        ("the lattice is chosen on one fold", "select_lattice.errors_of", "Call average", "it.args[0][0]"),
+        ("the lattice is chosen on one fold", "select_lattices.errors_of", "Call average", "it.args[0][0]"),
         tests="lattice linear_model",
     ),
     *of_python(

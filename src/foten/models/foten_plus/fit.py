@@ -183,21 +183,27 @@ def best_candidate(candidates: Sequence[Candidate]) -> tuple[Candidate, dict[str
         return {**candidate.model.report, "free_run": errors, "kind": kind}
 
     first, *others = candidates
-    if first.distance is not None:
-        best = min(candidates, key=lambda candidate: candidate.distance or 0.0)
-        place = best.model.sizes.gain_before_filter
-        for other in candidates:  # a table of reflections has to be worth it
-            one_filter = other.model.sizes.n_speed * other.model.sizes.n_force == 1
-            if one_filter and best.model.phase is None and other.model.sizes.gain_before_filter == place:
-                near = (other.distance or 0.0) <= (best.distance or 0.0) * (1 + AS_NEAR)
-                best = other if near else best
-        rejected = [report(candidate) for candidate in candidates if candidate is not best]
-        return best, {**report(best), **({"rejected": rejected} if rejected else {})}
-    allowed = MAX_TONE_DISTORTION * first.random_part.free_run.lsd_db
-    eligible = [first, *(candidate for candidate in others if candidate.random_part.free_run.lsd_db <= allowed)]
-    best = min(eligible, key=lambda candidate: math.prod(candidate.random_part.free_run))
+    if first.distance is None:
+        allowed = MAX_TONE_DISTORTION * first.random_part.free_run.lsd_db
+        eligible = [first, *(candidate for candidate in others if candidate.random_part.free_run.lsd_db <= allowed)]
+        best = min(eligible, key=lambda candidate: math.prod(candidate.random_part.free_run))
+    else:
+        best = _nearest(candidates)
     rejected = [report(candidate) for candidate in candidates if candidate is not best]
     return best, {**report(best), **({"rejected": rejected} if rejected else {})}
+
+
+def _nearest(candidates: Sequence[Candidate]) -> Candidate:
+    """The candidate of the least distance; in place of a table one filter with its gain there, where that is as near."""
+    best = min(candidates, key=lambda candidate: candidate.distance or 0.0)
+    if best.model.phase is not None:
+        return best
+    for other in candidates:
+        sizes = other.model.sizes
+        alike = other.model.phase is None and sizes.gain_before_filter == best.model.sizes.gain_before_filter
+        if alike and sizes.n_speed * sizes.n_force == 1:
+            return other if (other.distance or 0.0) <= (best.distance or 0.0) * (1 + AS_NEAR) else best
+    return best
 
 
 def fit_network(network: InnovationNetwork, excited: Candidate, run: FitContext) -> FittedNetwork:
