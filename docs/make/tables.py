@@ -281,6 +281,12 @@ AREAS: Columns = (
 )
 
 
+def person(records: Records) -> str:
+    """Area with a person's limits, a dash where it was not asked for."""
+    areas = [record.get("listener.listener_auc_person") for record in records]
+    return "–" if None in areas else format(np.mean(areas), ".2f")
+
+
 def listener() -> Table:
     """Areas under listeners' curves, means over the textures of each kind, beside those of two true vibrations."""
     by_method, control = listened("listener"), average(lambda record: record["listener.listener_auc_waveform_control"])
@@ -290,7 +296,9 @@ def listener() -> Table:
         rows[title, method] = records
         if len(records) < len(ours):  # a method that was asked about some textures alone: ours on the same
             rows[title, f"{OURS} on these"] = of_textures(ours, records)
-    return table(("mean of", "method"), rows, (*AREAS, ("control", control)))
+    asked = any("listener.listener_auc_person" in record for record in records_of("listener"))
+    last = ("a person's limits", person) if asked else ("control", control)
+    return table(("mean of", "method"), rows, (*AREAS, last))
 
 
 def recorded_longer() -> Table:
