@@ -13,9 +13,7 @@ from foten.dsp.distance import MAX_SCORED_HZ, MIN_SCORED_HZ
 BEST_FREQUENCY_HZ = 250.0
 USABLE_BAND = 0.45  # of a rate
 RATES_HZ = (1000.0, 2500.0, 10_000.0)
-LEVEL_JND_DB = (
-    2.3  # just noticeable difference of a level, 20 to 35 dB above threshold: 2.2 to 2.5 dB (Israr & Tan, 2006)
-)
+LEVEL_JND_DB = 2.3  # just noticeable difference 20 to 35 dB above threshold: 2.2 to 2.5 dB (Israr & Tan, 2006)
 JND_CORRECT = 0.75  # share of pairs in which the stronger of two intervals is named, where they differ by that
 THRESHOLD_M_S2 = 0.03  # RMS of a vibration that is just felt through a held tool, up to 250 Hz
 
