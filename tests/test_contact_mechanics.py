@@ -20,6 +20,7 @@ from foten.simulation.simulate import realisations, second_realisation, simulate
 from foten.simulation.stroking import Stroking, stroking
 
 RATE_HZ = 10_000.0
+OFTEN = ("sandpaper-coarse", "leather", "rubber-sheet")  # of the textures, the others at night
 FLAT = replace(
     CONTACT["ribbed-plastic"],
     roughness_um=0.0,
@@ -182,7 +183,7 @@ def test_periods_are_where_they_are_said_to_be(key: str) -> None:
     assert (pairs > 0.002 * power[above].sum()) == (p.alternating > 0)
 
 
-@pytest.mark.parametrize("key", CONTACT)
+@pytest.mark.parametrize("key", [key if key in OFTEN else pytest.param(key, marks=pytest.mark.slow) for key in CONTACT])
 def test_a_realisation_is_another_place_of_the_same_profile(key: str) -> None:
     recording = simulate(key, 6, seed=3)
     again, other = second_realisation(recording, 3), second_realisation(recording, 4)
@@ -196,6 +197,7 @@ def test_a_realisation_is_another_place_of_the_same_profile(key: str) -> None:
     assert recording["force_z"].samples.mean() == pytest.approx(stroking(6, 3, RATE_HZ).force.mean(), rel=0.05)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("key", ["sawn-wood", "varnish"])
 def test_realisations_at_once_are_those_one_by_one_and_the_same_where_they_are_needed(key: str) -> None:
     """Of either contact, to the bit; in a span, once filters have settled, to what float64 leaves of a decay."""

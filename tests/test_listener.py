@@ -102,7 +102,9 @@ def test_only_the_waveform_tells_a_vibration_from_its_mirror_image() -> None:
     assert auc(one_sided, other, "_waveform") > 0.9
 
 
-@pytest.mark.parametrize("bands", [pytest.param(ONE, id="one band"), pytest.param(slice(None), id="all bands")])
+@pytest.mark.parametrize(
+    "bands", [pytest.param(ONE, id="one band", marks=pytest.mark.slow), pytest.param(slice(None), id="all bands")]
+)
 def test_a_person_notices_a_just_noticeable_step_of_level_in_three_of_four_pairs(bands: slice) -> None:
     """The area is the share of pairs in which the louder of two is named; by 480 excerpts of each it scatters by 0.02.
 
@@ -131,6 +133,7 @@ def test_internal_noise_moves_an_excerpt_as_one_and_silence_does_not_give_it_awa
     assert np.abs(np.corrcoef(loud.T, silent.T)[:N_BANDS, N_BANDS:]).max() < 0.09
 
 
+@pytest.mark.slow
 def test_a_person_does_not_notice_what_is_below_threshold_where_the_unit_is_known() -> None:
     faint, louder = (0.1 * THRESHOLD_M_S2 * step(decibels) for decibels in (0.0, 6.0))  # of all bands: 30 dB in each
     assert auc(faint, louder, "_person") == pytest.approx(0.5, abs=0.06)

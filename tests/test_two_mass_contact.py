@@ -109,6 +109,7 @@ def test_waves_swell_and_fade_over_their_length() -> None:
     assert half < -0.2 < 0.2 < whole
 
 
+@pytest.mark.slow
 def test_a_realisation_is_another_place_of_the_same_profile() -> None:
     key = "soft-pvc"
     recording = simulate(key, 2, seed=3)
