@@ -40,7 +40,7 @@ from foten.dsp.distance import log_spectral_distance, scored_bins, segment_lengt
 from foten.dsp.level import frame_levels, frame_means
 from foten.evaluate.listener import rendering, vibrations
 from foten.evaluate.listener_network import listener_auc
-from foten.models.conditions import FADE_FORCE, FADE_SPEED
+from foten.models.conditions import MOVING_FORCE, MOVING_SPEED
 from foten.models.texture_file import read_texture, write_texture
 from foten.recording.preprocess import PreprocessConfig, preprocess
 from foten.recording.recording import Recording
@@ -171,7 +171,7 @@ def level_figures(true: Sequence[Trace], rendered: Sequence[Trace]) -> dict[str,
         return np.stack([frame_levels(trace.acceleration, rate, reference) for trace in traces])
 
     speed, force = frame_means(first.speed, rate), frame_means(first.force, rate)
-    moving = (speed >= 2 * FADE_SPEED) & (force >= 2 * FADE_FORCE)
+    moving = (speed >= 2 * MOVING_SPEED) & (force >= 2 * MOVING_FORCE)
     of_true, of_rendered = levels(true)[:, moving], levels(rendered)[:, moving]
     bias = of_rendered.mean(axis=0) - of_true.mean(axis=0)
     quarter = np.searchsorted(np.quantile(speed[moving], [0.25, 0.5, 0.75]), speed[moving])

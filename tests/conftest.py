@@ -13,6 +13,8 @@ import torch
 from scipy.special import log_ndtr, ndtri_exp
 
 from foten.baselines.sizes import TRAINABLE, NoiseModelSizes
+from foten.dsp.bands import N_BANDS
+from foten.dsp.equaliser import N_TERMS, Equaliser
 from foten.models.excitation import Excitation, Scale
 from foten.models.foten_plus.definition import Mixture
 from foten.models.foten_plus.sizes import FotenPlusSizes
@@ -140,6 +142,9 @@ def untrained_tensors(model: str, sizes: ModelSizes, network: Any, seed: int = 0
     if sizes.excited:
         width = sizes.excitation_width  # type: ignore[attr-defined]
         tensors |= Excitation(scale(width, 0.0, seed), (1e6, 1e6)).tensors()
+    if isinstance(sizes, FotenPlusSizes) and sizes.equalised:
+        weights = 0.1 * np.random.default_rng(seed + 3).standard_normal((N_BANDS, N_TERMS))
+        tensors |= Equaliser.of_weights(weights, CARD["rate_hz"]).tensors()
     if isinstance(sizes, FotenPlusSizes):
         rng = np.random.default_rng(seed)
         prefixes = ["lattice.", *(["residual."] if sizes.n_tones else [])]

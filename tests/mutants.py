@@ -178,7 +178,7 @@ MUTANTS = (
     ),
     *of_c(
         "src/constants.h",
-        ("the fade with speed begins at 10 mm/s", "FOTEN_FADE_SPEED 5.0", "FOTEN_FADE_SPEED 10.0"),
+        ("the fade with speed begins at 10 mm/s", "FOTEN_FADE_SPEED 2.0", "FOTEN_FADE_SPEED 10.0"),
         ("the fade with force begins at 0.2 N", "FOTEN_FADE_FORCE 0.1", "FOTEN_FADE_FORCE 0.2"),
         ("the level grows without end", "FOTEN_EXTRAPOLATION_LIMIT 2.0", "FOTEN_EXTRAPOLATION_LIMIT 4.0"),
         ("the level grows by far", "FOTEN_REACH_FORCE 6.0", "FOTEN_REACH_FORCE 60.0"),

@@ -13,7 +13,7 @@ from conftest import SCALING, SMALL, exported, sizes_with
 from foten.evaluate.evaluate import Judgement, evaluate
 from foten.evaluate.free_run import synthesize_linear
 from foten.evaluate.one_step import ORDERS, Linear, excitation_scores
-from foten.models.conditions import FADE_FORCE, FADE_SPEED
+from foten.models.conditions import MOVING_FORCE, MOVING_SPEED
 from foten.models.texture_file import Texture
 from foten.recording.preprocess import PreprocessConfig, preprocess
 from foten.recording.recording import Channel, Recording
@@ -149,7 +149,7 @@ def test_the_excitation_is_scored_where_the_tool_moves_and_touches(recording: Re
         texture.scaling.scale(judged.trace.stacked()),
         targets(judged.blocks, BLOCK, FIRST).reshape(-1, BLOCK - FIRST),
     )
-    moving, touching = judged.trace.speed[n] >= FADE_SPEED, judged.trace.force[n] >= FADE_FORCE
+    moving, touching = judged.trace.speed[n] >= MOVING_SPEED, judged.trace.force[n] >= MOVING_FORCE
     scored, more = (
         excitation_scores(NativeTexture(texture.to_bytes()), samples, n, counted)["nll"]
         for counted in (moving & touching, moving | touching)

@@ -40,6 +40,8 @@ PLUS_VARIANTS: dict[str, dict[str, Any]] = {
     "tones": {**PLUS, "order": 5, "n_tones": 3, "n_tone_speed": 5, "n_tone_force": 2, "residual_order": 8},
     "gain-before": {**PLUS, "order": 7, "n_speed": 4, "n_force": 3, "gain_before_filter": True},
     "gain-before-not-in-loop": {**PLUS, "order": 7, "gain_before_filter": True, "network_in_loop": False},
+    "equalised": {**PLUS, "order": 7, "equalised": True},
+    "equalised-tones": {**PLUS, "n_tones": 2, "residual_order": 6, "equalised": True, "network_in_loop": False},
     "gain-before-of-the-residual": {**PLUS, "n_tones": 2, "residual_order": 6, "residual_gain_before_filter": True},
     "gain-before-of-one-of-two": {**PLUS, "order": 5, "n_tones": 2, "residual_order": 6, "gain_before_filter": True},
     "tones-on-a-table": {**PLUS, "n_tones": 2, "n_tone_speed": 4, "n_residual_speed": 3, "n_residual_force": 2},

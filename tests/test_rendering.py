@@ -114,7 +114,7 @@ def test_below_the_trained_range_the_level_follows_its_law_and_falls_to_rest(
 @pytest.mark.parametrize("low", [(0.0, 0.0), (2.0, 0.04)])
 def test_below_5_mm_s_and_a_tenth_of_a_newton_every_texture_fades(texture: Texture, low: tuple[float, float]) -> None:
     """Whatever was recorded. The loop, from the window in the file, goes by the true condition there."""
-    assert (FADE_SPEED, FADE_FORCE) == (5.0, 0.1)
+    assert (FADE_SPEED, FADE_FORCE) == (2.0, 0.1)
     slow = with_card(texture, trained_range={"speed": [low[0], 220.0], "force": [low[1], 2.5]})
     native = NativeTexture(slow.to_bytes())
     window = slow.tensors["warm_start"].astype(float)[None]

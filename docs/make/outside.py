@@ -23,13 +23,13 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import numpy as np
 
 from foten.dsp.level import FRAME_MS, frame_levels, frame_means
-from foten.evaluate.free_run import render_strokes
 from foten.models.foten_plus.sizes import FotenPlusSizes
 from foten.models.texture_file import Texture
 from foten.recording.preprocess import PreprocessConfig, preprocess
 from foten.recording.recording import Channel, Recording
 from foten.recording.trace import Trace
 from foten.reporting.table import Table
+from foten.runtime.loops import render_strokes
 from foten.runtime.native import NativeTexture
 from foten.simulation.simulate import ACCELEROMETER_NOISE, TEXTURES, vibration
 from foten.simulation.stroking import Stroking, stroking

@@ -39,7 +39,7 @@ static inline double clip(double x, double limit) { return x > limit ? limit : x
 #define FOTEN_USUAL_AR_ORDER 20         /* foten.models.piecewise_ar.sizes.PiecewiseArSizes.order */
 
 /* Speed and force. */
-#define FOTEN_FADE_SPEED 5.0          /* foten.models.conditions.FADE_SPEED */
+#define FOTEN_FADE_SPEED 2.0          /* foten.models.conditions.FADE_SPEED */
 #define FOTEN_FADE_FORCE 0.1          /* foten.models.conditions.FADE_FORCE */
 #define FOTEN_EXTRAPOLATION_LIMIT 2.0 /* foten.models.conditions.EXTRAPOLATION_LIMIT */
 #define FOTEN_REACH_SPEED 400.0       /* foten.models.conditions.REACH_SPEED */
@@ -71,6 +71,15 @@ static inline double clip(double x, double limit) { return x > limit ? limit : x
 #define FOTEN_LOG_SCALE_LIMIT 6.0            /* foten.models.foten_plus.sizes.LOG_SCALE_LIMIT */
 #define FOTEN_MAX_NEWTON_STEPS 60            /* foten.models.foten_plus.definition.MAX_NEWTON_STEPS */
 #define FOTEN_NEWTON_PRECISION 1e-7          /* foten.models.foten_plus.definition.NEWTON_PRECISION */
+
+/* The equaliser. */
+#define FOTEN_N_BANDS 8               /* foten.dsp.bands.N_BANDS */
+#define FOTEN_N_LOWPASSES 3           /* foten.dsp.equaliser.N_LOWPASSES */
+#define FOTEN_REFERENCE_SPEED 100.0   /* foten.dsp.equaliser.REFERENCE_SPEED */
+#define FOTEN_REFERENCE_FORCE 1.0     /* foten.dsp.equaliser.REFERENCE_FORCE */
+#define FOTEN_FLOOR_SPEED 5.0         /* foten.dsp.equaliser.FLOOR_SPEED */
+#define FOTEN_FLOOR_FORCE 0.05        /* foten.dsp.equaliser.FLOOR_FORCE */
+#define FOTEN_MAX_LOG_GAIN 1.0        /* foten.dsp.equaliser.MAX_LOG_GAIN */
 
 /* How a stream begins. */
 #define FOTEN_FIRST_INITIAL 0x8000000000000000 /* foten.models.definitions.FIRST_INITIAL */

@@ -18,6 +18,8 @@ static void place(const foten_model *m, loop *l, block *from) {
 static void set_condition(const foten_model *m, loop *l, const condition *c, int first) {
     int moved = first || loop_moved(l, c), moved_path = moved || c->path_speed != l->condition.path_speed;
     l->condition = *c;
+    if (m->equaliser.used && (first || moved)) scale_physical(&m->lattice.level, c->scaled, l->physical);
+    if (first) equaliser_settle(&l->equaliser, l->physical[0]);
     if (moved) {
         lattice_set_condition(m->excited_lattice, &l->lattice, c->scaled);
         l->sigma = excitation_sigma(&m->excitation, c->scaled);
@@ -115,6 +117,7 @@ static double step(const foten_model *m, loop *l, const condition *c, const doub
     if (m->network_in_loop)
         innovation_push(m->network_in_loop, &l->innovation, innovation * entering, residual / level, l->lattice.logs,
                         l->tones.phase);
+    if (m->equaliser.used) sample = equaliser_step(&m->equaliser, &l->equaliser, sample, l->physical);
     return loop_cut(l, sample, limit);
 }
 
@@ -135,6 +138,9 @@ static void begin(const foten_model *m, loop *l, const condition *c, noise_sourc
     loop_run(m, l, c, &noise, m->warm_up, INFINITY);
 }
 
-static void quiet(const foten_model *m, loop *l) { lattice_quiet(&l->lattice, m->excited_lattice->order); }
+static void quiet(const foten_model *m, loop *l) {
+    lattice_quiet(&l->lattice, m->excited_lattice->order);
+    equaliser_quiet(&l->equaliser);
+}
 
 const loop_kind lattice_loop = {place, start, begin, predict, push, scale_of_noise, step, quiet};

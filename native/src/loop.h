@@ -12,6 +12,8 @@ struct loop {
     lattice_state lattice;       /* foten-plus, piecewise AR */
     double sigma;                /* of the excitation at the next sample: foten-plus, networks */
     tones_state tones;           /* foten-plus */
+    equaliser_state equaliser;   /* foten-plus */
+    double physical[2];          /* speed [mm/s] and force [N] of the last sample, for it */
     innovation_state innovation; /* foten-plus */
     predictor_state predictor;   /* networks, graphs */
     mixture mixture;             /* piecewise AR */

@@ -23,6 +23,7 @@ static int read_plus(foten_model *m, texture_file *file, const card_sizes *s, co
         return 0;
     if (!excitation_read(file, &m->memory, width, &m->excitation)) return 0;
     m->excited = 1;
+    if (s->equalised && !equaliser_read(file, &m->memory, &m->equaliser)) return 0;
     if (!s->n_tones) return 1;
     if (!tones_read(file, &m->memory, s->n_tones, s->n_tone_speed, s->n_tone_force, &m->tones)) return 0;
     return lattice_read(file, &m->memory, "residual.", s->n_residual_speed, s->n_residual_force, s->residual_order,

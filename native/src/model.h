@@ -2,6 +2,7 @@
  * with. */
 #pragma once
 
+#include "equaliser.h"
 #include "excitation.h"
 #include "innovation_network.h"
 #include "lattice.h"
@@ -32,6 +33,7 @@ struct foten_model {
     const struct lattice *excited_lattice;
     const innovation_network *network_in_loop;
     tones tones;
+    equaliser equaliser;
     int warm_up; /* samples that a network takes in before it is asked */
 
     const piecewise_ar *piecewise_ar; /* of piecewise AR */

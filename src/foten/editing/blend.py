@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from foten.dsp import Array
+from foten.dsp.equaliser import Equaliser
 from foten.dsp.speed_force_table import FORCE_FLOOR, SpeedForceTable
 from foten.editing.describe import Description, describe, steady_figures
 from foten.editing.edit import N_STEPS, UNMEASURED, with_level, with_spectrum
@@ -166,11 +167,18 @@ def _blended(first: Texture, second: Texture, at: float) -> Texture:
     sigma = joined_scales([side.scale("excitation.") for side in sides], weights)
     tensors: Tensors = {**lattice_tensors("lattice.", level, lattice)}
     tensors |= Excitation(sigma, (float(in_sigma), in_acceleration)).tensors()
+    equalisers = [
+        (w, Equaliser.of(side.texture.tensors)) for w, side in zip(weights, sides, strict=True) if side.sizes.equalised
+    ]
+    if equalisers:
+        log_gains = np.sum([w * equaliser.weights for w, equaliser in equalisers], axis=0)
+        tensors |= Equaliser.of_weights(log_gains, first.rate_hz).tensors()
     tensors |= near.network("network", rendering=False)
     if near.sizes.network_in_loop:
         tensors |= near.network("rendering_network", rendering=True)
     sizes = replace(
         near.sizes,
+        equalised=bool(equalisers),
         excitation_width=level.hidden_bias.size,
         **_counts(lattice, "order", "n_speed", "n_force"),
         n_tones=n_tones,

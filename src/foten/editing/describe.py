@@ -9,7 +9,7 @@ import numpy as np
 from foten.dsp import Array
 from foten.dsp.distance import scored_bins
 from foten.dsp.level import frame_levels
-from foten.models.conditions import FADE_FORCE, FADE_SPEED
+from foten.models.conditions import MOVING_FORCE, MOVING_SPEED
 from foten.models.texture_file import Texture
 from foten.runtime.renderer import Renderer
 
@@ -105,7 +105,7 @@ def steady_figures(texture: Texture, seed: int = 0) -> SteadyFigures:
 def reference(texture: Texture, channel: str) -> float:
     """The speed [mm/s] or force [N] that a texture is described at."""
     low, high = texture.trained_range(channel)
-    rest = FADE_SPEED if channel == "speed" else FADE_FORCE
+    rest = MOVING_SPEED if channel == "speed" else MOVING_FORCE
     return float(np.clip(REFERENCE[channel == "force"], max(low, rest), max(high, rest)))
 
 
@@ -113,7 +113,7 @@ def varied(texture: Texture, channel: str) -> tuple[float, float]:
     """The ends of speed [mm/s] or force [N] that an exponent is measured between."""
     low, high = texture.trained_range(channel)
     centre, root = reference(texture, channel), np.sqrt(EXPONENT_RATIO)
-    least = max(low, FADE_SPEED if channel == "speed" else FADE_FORCE)
+    least = max(low, MOVING_SPEED if channel == "speed" else MOVING_FORCE)
     first = max(least, centre / root)
     last = min(max(high, least), first * EXPONENT_RATIO)
     return max(least, min(first, last / EXPONENT_RATIO)), last

@@ -23,7 +23,7 @@ from foten.dsp.distance import MIN_SCORED_HZ, max_scored_hz
 from foten.dsp.speed_force_table import FORCE_FLOOR
 from foten.editing.edit import restored
 from foten.editing.warp import N_BINS, reflections_for, spectra_of
-from foten.models.conditions import FADE_FORCE, FADE_SPEED
+from foten.models.conditions import MOVING_FORCE, MOVING_SPEED
 from foten.models.excitation import Scale, powers
 from foten.models.foten_plus.definition import Tones
 from foten.models.texture_file import Texture
@@ -145,7 +145,7 @@ def _cells(trace: Trace, centres: Array) -> dict[tuple[int, int], tuple[Array, A
     bands = np.stack([density[:, _inside(hz, centre)].mean(axis=1) for centre in centres], axis=1)
     speed, force = trace.speed[index].mean(axis=1), trace.force[index].mean(axis=1)
     cells: dict[tuple[int, int], list[int]] = {}
-    for i in np.flatnonzero((speed >= FADE_SPEED) & (force >= FADE_FORCE)):
+    for i in np.flatnonzero((speed >= MOVING_SPEED) & (force >= MOVING_FORCE)):
         key = int(np.log(speed[i]) // np.log(SPEED_RATIO)), int(np.log(force[i]) // np.log(FORCE_RATIO))
         cells.setdefault(key, []).append(int(i))
     logs = np.log(np.maximum(np.stack([speed, force], axis=1), 1e-9))

@@ -12,7 +12,7 @@ import numpy as np
 from foten.dsp import Array
 from foten.evaluate import free_run as runs
 from foten.evaluate.one_step import Linear, best_linear, excitation_scores, first_scored, fit_linear, one_step, predict
-from foten.models.conditions import FADE_FORCE, FADE_SPEED
+from foten.models.conditions import MOVING_FORCE, MOVING_SPEED
 from foten.models.texture_file import Texture
 from foten.recording.preprocess import PreprocessConfig, preprocess
 from foten.recording.recording import RELATIVE, Recording
@@ -216,7 +216,7 @@ def _one_step(case: _Case, samples: Array, fitted: Mapping[str, Linear | None]) 
     else:
         result.update(one_step(recorded, predict(kernel, samples, n).sample, sd, predicted.get("ar")))
     if texture.sizes.excited:
-        counted = (trace.speed[n] >= FADE_SPEED) & (trace.force[n] >= FADE_FORCE)
+        counted = (trace.speed[n] >= MOVING_SPEED) & (trace.force[n] >= MOVING_FORCE)
         scores = excitation_scores(kernel, samples, n, counted)
         if scores["nll"] is None:
             reasons["one_step.nll"] = "the excitation is that of a rendering, or the hand was at rest"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -18,8 +17,8 @@ from foten.evaluate import metrics
 from foten.evaluate.one_step import Linear
 from foten.recording.scaling import Scaling
 from foten.recording.trace import Trace
-from foten.runtime.loops import on_all_cores
-from foten.runtime.native import NativeState, NativeTexture
+from foten.runtime.loops import render_strokes
+from foten.runtime.native import NativeTexture
 
 N_SEEDS = 5
 SETTLING = 0.2  # of each block, not scored
@@ -47,35 +46,6 @@ def synthesize(
     windows = [channel[:, :m] for channel in repeated]
     rendered, n_saturated = render_strokes(texture, seed, speed[:, m:], force[:, m:], 0, windows, excitation)
     return _after_recorded(channels[0][:, :m], rendered), n_saturated
-
-
-def render_strokes(
-    texture: NativeTexture,
-    seed: int,
-    speed: Array,
-    force: Array,
-    first_stream: int = 0,
-    windows: Sequence[Array] = (),
-    excitation: bool = True,
-) -> tuple[Array, int]:
-    """Acceleration [m/s²] of strokes with noise of their own, shape (s, n), and how many samples the saturator cut.
-
-    Args:
-        seed: of the noise; stroke s draws that of stream `first_stream` + s.
-        speed, force: at the texture's own rate [mm/s, N], each of shape (s, n).
-        windows: acceleration, speed and force, each (s, window), that strokes go on from; by default the stored warm start.
-    """
-    rendered, n_saturated = np.empty(speed.shape), np.zeros(len(speed), dtype=np.int64)
-
-    def render(stroke: int) -> None:
-        state = NativeState(texture, seed=seed, stream=first_stream + stroke, excitation=excitation)
-        if windows:
-            state.start(*(window[stroke] for window in windows))
-        rendered[stroke] = state.render_stroke(speed[stroke], force[stroke])
-        n_saturated[stroke] = state.statistics.n_saturated
-
-    on_all_cores(render, len(rendered))
-    return rendered, int(n_saturated.sum())
 
 
 def synthesize_linear(

@@ -16,9 +16,9 @@ from foten.dsp import Array
 from foten.dsp.bands import BAND_FRAME_MS, N_BANDS, band_energies, envelope_edges
 from foten.dsp.level import framed
 from foten.dsp.perception import band_thresholds, internal_noise_db
-from foten.evaluate.free_run import render_strokes
-from foten.models.conditions import FADE_FORCE, FADE_SPEED
+from foten.models.conditions import MOVING_FORCE, MOVING_SPEED
 from foten.recording.trace import Trace
+from foten.runtime.loops import render_strokes
 from foten.runtime.native import NativeTexture
 
 if TYPE_CHECKING:
@@ -116,7 +116,7 @@ def vibrations(first: Trace, second: Trace, in_m_s2: bool = True) -> dict[str, t
     floor = FLOOR * np.mean([energy.mean(axis=(0, 2)) for energy in energies], axis=0)[:, None]
     conditions = [_conditions(stroke) for stroke in both]
     # Where a rendering does not fade, (n_pieces, frames).
-    moving = [((lowest[:, 0] >= FADE_SPEED) & (lowest[:, 1] >= FADE_FORCE)) for _, lowest in conditions]
+    moving = [((lowest[:, 0] >= MOVING_SPEED) & (lowest[:, 1] >= MOVING_FORCE)) for _, lowest in conditions]
     starts = [_starts(*moves.shape) for moves in moving]
     floor += np.finfo(float).tiny
     threshold = np.maximum(floor, band_thresholds(envelope_edges(first.rate_hz))[:, None]) if in_m_s2 else floor

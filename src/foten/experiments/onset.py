@@ -9,9 +9,9 @@ import numpy as np
 
 from foten.dsp import Array
 from foten.dsp.distance import welch
-from foten.evaluate.free_run import render_strokes
-from foten.models.conditions import FADE_FORCE, FADE_SPEED
+from foten.models.conditions import MOVING_FORCE, MOVING_SPEED
 from foten.models.texture_file import Texture
+from foten.runtime.loops import render_strokes
 from foten.runtime.native import NativeTexture
 
 WINDOW_MS = 40.0
@@ -50,8 +50,8 @@ def onset(texture: Texture, n_strokes: int = N_STROKES, n_streams: int = N_STREA
     kernel, rate = NativeTexture(texture.to_bytes()), texture.rate_hz
     window, n = round(WINDOW_MS * rate / 1000), round(LASTS_S * rate)
     (slow, fast), (light, heavy) = (texture.trained_range(channel) for channel in ("speed", "force"))
-    speeds = rng.uniform(max(slow, min(FADE_SPEED, fast)), fast, n_strokes)
-    forces = rng.uniform(max(light, min(FADE_FORCE, heavy)), heavy, n_strokes)
+    speeds = rng.uniform(max(slow, min(MOVING_SPEED, fast)), fast, n_strokes)
+    forces = rng.uniform(max(light, min(MOVING_FORCE, heavy)), heavy, n_strokes)
     speed, force = (np.repeat(values, n_streams)[:, None] + np.zeros(n) for values in (speeds, forces))
     rendered = render_strokes(kernel, seed, speed, force)[0].reshape(n_strokes, n_streams, n)
     settled = rendered[:, :, round(SETTLED_S * rate) :]

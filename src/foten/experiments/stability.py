@@ -7,13 +7,13 @@ from typing import Any
 import numpy as np
 
 from foten.dsp import Array
+from foten.dsp.equaliser import Equaliser
 from foten.dsp.lattice import LEAK
-from foten.evaluate.free_run import render_strokes
 from foten.models.definitions import model_of
 from foten.models.foten_plus.sizes import FotenPlusSizes
 from foten.models.registry import GRAPH
 from foten.models.texture_file import Texture
-from foten.runtime.loops import render_streams
+from foten.runtime.loops import render_streams, render_strokes
 from foten.runtime.native import NativeTexture
 from foten.runtime.onnx_predictor import model_of_graph
 from foten.simulation.stroking import stroking
@@ -133,7 +133,7 @@ def proven(texture: Texture) -> float | None:
         cosines, sines = np.moveaxis(tensors["tones.values"].reshape(-1, sizes.n_tones, 2), -1, 0)
         loudest = np.hypot(cosines, sines).sum(axis=-1).max()
         bound += float(tensors["lattice.level.sigma_max"].item()) * float(loudest)
-    return float(bound)
+    return float(bound) * (Equaliser.of(tensors).bound() if sizes.equalised else 1.0)
 
 
 def forgetting(texture: Texture, windows: Array, corners: Array, rng: np.random.Generator) -> float | None:

@@ -92,6 +92,9 @@ class Stream(Protocol):
     def push(self, sample: Array, condition: Array, noise: Array | None) -> None:
         """Take in the next samples (s,), their condition (s, 3), and the noise that was in them, (s,) or None."""
 
+    def leave(self, sample: Array) -> Array:
+        """What leaves, of a bounded stream, of samples (s,) that were pushed and faded."""
+
 
 class Model(Protocol):
     """A model: one step ahead from windows, and streams of it."""
@@ -123,8 +126,8 @@ def run(
         left = 1.0 if fade is None else float(fade[i])
         leaving, sample = stream.predict().faded(z, left)
         if stream.bounded:
-            out[:, i] = np.clip(leaving, -limit, limit)
             stream.push(sample, condition[:, i], z)
+            out[:, i] = np.clip(stream.leave(leaving), -limit, limit)
         else:
             played = np.clip(sample, -limit, limit)
             out[:, i] = left * played

@@ -62,6 +62,9 @@ class WindowStream:
         self.windows[:, -1, 0] = sample
         self.windows[:, -1, 1:] = condition[:, :2]
 
+    def leave(self, sample: Array) -> Array:
+        return sample
+
 
 @dataclass(frozen=True)
 class NoiseModel(WindowModel):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple
 
@@ -47,6 +47,35 @@ def render_streams(
 
     on_all_cores(run, len(out))
     return out
+
+
+def render_strokes(
+    texture: NativeTexture,
+    seed: int,
+    speed: Array,
+    force: Array,
+    first_stream: int = 0,
+    windows: Sequence[Array] = (),
+    excitation: bool = True,
+) -> tuple[Array, int]:
+    """Acceleration [m/s²] of strokes with noise of their own, shape (s, n), and how many samples the saturator cut.
+
+    Args:
+        seed: of the noise; stroke s draws that of stream `first_stream` + s.
+        speed, force: at the texture's own rate [mm/s, N], each of shape (s, n).
+        windows: acceleration, speed and force, each (s, window), that strokes go on from; by default the stored warm start.
+    """
+    rendered, n_saturated = np.empty(speed.shape), np.zeros(len(speed), dtype=np.int64)
+
+    def render(stroke: int) -> None:
+        state = NativeState(texture, seed=seed, stream=first_stream + stroke, excitation=excitation)
+        if windows:
+            state.start(*(window[stroke] for window in windows))
+        rendered[stroke] = state.render_stroke(speed[stroke], force[stroke])
+        n_saturated[stroke] = state.statistics.n_saturated
+
+    on_all_cores(render, len(rendered))
+    return rendered, int(n_saturated.sum())
 
 
 class Prediction(NamedTuple):

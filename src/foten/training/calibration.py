@@ -14,12 +14,13 @@ from scipy.signal import fftconvolve
 
 from foten.dsp import Array
 from foten.dsp.distance import log_spectral_distance, scored_bins, segment_length, welch
+from foten.dsp.equaliser import Equaliser, terms_of
 from foten.dsp.level import frame_levels, frame_means
 from foten.dsp.noise import gaussian, innovation_likelihood
-from foten.models.conditions import FADE_SPEED
+from foten.models.conditions import MOVING_SPEED
 from foten.models.excitation import MAX_SIGMA, N_FEATURES, N_POWERS, Excitation, Scale, powers
 from foten.recording.scaling import Scaling
-from foten.runtime.loops import render_streams
+from foten.runtime.loops import render_streams, render_strokes
 from foten.runtime.native import NativeTexture
 from foten.training.job import ScaledBlocks
 
@@ -174,6 +175,8 @@ class ClosedLoop:
     # Squares of the impulse response from excitation to output, (n,), with the gain before a lattice; else σ shows at once.
     response: Array | None = None
     limit: float = math.inf  # that samples are cut to; infinite for what is bounded by itself
+    as_heard: bool = False  # whether free runs fade near rest, and go through the equaliser
+    equaliser: Equaliser | None = None
     unit_sigma: bool = False  # whether the kernel's σ is 1 whatever the excitation, which scales the noise instead
 
     def with_unit_sigma(self, width: int, innovation_limit: float) -> ClosedLoop:
@@ -191,6 +194,29 @@ class ClosedLoop:
         self, excitation: Excitation, numbers: tuple[int, ...], seed: int, first_stream: int, n_runs: int
     ) -> tuple[Array, Array]:
         """Recorded blocks, and free runs under their speed and force, scaled: (n_blocks, n), (n_runs, n_blocks, n)."""
+        if self.as_heard:
+            rendered = self.heard_runs(excitation, numbers, seed, first_stream, n_runs)
+            if self.equaliser is not None:
+                rendered = self.equaliser.applied(rendered, self.terms(numbers))
+        else:
+            rendered = self._runs(excitation, numbers, seed, first_stream, n_runs)
+        recorded = self.blocks.samples[list(numbers), self.first_scored :, 0]
+        return recorded, rendered[..., self.first_scored - self.history :]
+
+    def heard_runs(
+        self, excitation: Excitation, numbers: tuple[int, ...], seed: int, first_stream: int, n_runs: int
+    ) -> Array:
+        """Runs after the history of blocks as they are heard, faded near rest, before the equaliser, (n_runs, n_blocks, n)."""
+        m, trace = self.history, self.blocks.trace
+        channels = [trace.blocks(x)[list(numbers)] for x in (trace.acceleration, trace.speed, trace.force)]
+        _, speed, force = (np.tile(x[:, m:], (n_runs, 1)) for x in channels)
+        windows = [np.tile(x[:, :m], (n_runs, 1)) for x in channels]
+        rendered, _ = render_strokes(self.kernel(excitation), seed, speed, force, first_stream, windows)
+        return np.asarray(self.blocks.scaling.scale_channel(0, rendered)).reshape(n_runs, len(numbers), -1)
+
+    def _runs(
+        self, excitation: Excitation, numbers: tuple[int, ...], seed: int, first_stream: int, n_runs: int
+    ) -> Array:
         m, block, chosen = self.history, self.blocks.trace.block, list(numbers)
         starts = np.tile(self.blocks.samples[chosen, :m], (n_runs, 1, 1))
         conditions = np.tile(self.blocks.conditions_with_speed()[chosen, m:], (n_runs, 1, 1))
@@ -200,8 +226,13 @@ class ClosedLoop:
             in_sigma = excitation.innovation_limit[0]
             noise = np.clip(noise, -in_sigma, in_sigma) * np.tile(sigma.reshape(len(chosen), -1), (n_runs, 1))
         rendered = render_streams(self.kernel(excitation), starts, conditions, noise, self.limit)
-        recorded = self.blocks.samples[chosen, self.first_scored :, 0]
-        return recorded, rendered[:, self.first_scored - m :].reshape(n_runs, len(chosen), -1)
+        return rendered.reshape(n_runs, len(chosen), -1)
+
+    def terms(self, numbers: tuple[int, ...]) -> Array:
+        """Terms of an equaliser under some blocks, after the history, (N_TERMS, k, n)."""
+        trace, chosen = self.blocks.trace, list(numbers)
+        speed, force = (trace.blocks(channel)[chosen] for channel in (trace.speed, trace.force))
+        return terms_of(np.maximum(speed, 0.0), np.maximum(force, 0.0), trace.rate_hz)[..., self.history :]
 
     def free_run_errors(self, excitation: Excitation, seed: int) -> FreeRunErrors:
         """Errors of the free run on the validation blocks."""
@@ -300,7 +331,7 @@ def calibrate_level(loop: ClosedLoop, excitation: Excitation, seed: int) -> tupl
     terms = powers(excitation.sigma.logarithms(condition))
     # Frames near rest say little: their speed is known late, by its low-pass, and few have most of the leverage.
     speed = blocks.conditions_with_speed()[known, first:, 2]
-    counts = (frame_means(speed, rate) >= 2 * FADE_SPEED).ravel().astype(float)
+    counts = (frame_means(speed, rate) >= 2 * MOVING_SPEED).ravel().astype(float)
     errors = []
     uncalibrated, taken = excitation, np.zeros(6)
     for _ in range(N_CALIBRATIONS):

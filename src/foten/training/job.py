@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 import foten
 from foten.dsp import Array
-from foten.models.conditions import FADE_FORCE, FADE_SPEED
+from foten.models.conditions import MOVING_FORCE, MOVING_SPEED
 from foten.models.model_sizes import ModelSizes
 from foten.models.texture_file import Texture
 from foten.recording.preprocess import PreprocessConfig, preprocess
@@ -61,7 +61,7 @@ class ScaledBlocks:
 
     def moving(self) -> NDArray[np.bool_]:
         """True where a rendering does not fade, shape (n_blocks, block)."""
-        moving = (self.trace.speed >= FADE_SPEED) & (self.trace.force >= FADE_FORCE)
+        moving = (self.trace.speed >= MOVING_SPEED) & (self.trace.force >= MOVING_FORCE)
         return moving.reshape(self.samples.shape[:2])
 
     def targets(self, m: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:

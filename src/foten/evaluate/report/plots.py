@@ -15,7 +15,15 @@ from foten.evaluate.evaluate import Judgement
 from foten.evaluate.metrics import band_edges
 from foten.evaluate.report import signals
 from foten.evaluate.report.signals import LABELS, scored_conditions, scored_runs, shown_blocks, shown_run
-from foten.models.conditions import EXTRAPOLATION_LIMIT, FADE_FORCE, FADE_SPEED, REACH_FORCE, REACH_SPEED
+from foten.models.conditions import (
+    EXTRAPOLATION_LIMIT,
+    FADE_FORCE,
+    FADE_SPEED,
+    MOVING_FORCE,
+    MOVING_SPEED,
+    REACH_FORCE,
+    REACH_SPEED,
+)
 from foten.models.texture_file import Texture
 from foten.reporting.figure import BLUE, GREEN, MAUVE, ORANGE, PAGE, add_colour_bar, add_legend, log_hertz, new_figure
 from foten.runtime.renderer import Renderer
@@ -151,7 +159,7 @@ def reach(judgement: Judgement, texture: Texture) -> Figure | None:
     of_frames = [channel[:n].reshape(-1, frame) for channel in (trace.speed, trace.force)]
     recorded = np.stack([channel.mean(axis=1) for channel in of_frames], axis=1)  # (frames, 2)
     level = 10 * np.log10(np.maximum(np.square(trace.acceleration[:n].reshape(-1, frame)).mean(axis=1), 1e-12))
-    moving = (recorded > (FADE_SPEED, FADE_FORCE)).all(axis=1)
+    moving = (recorded > (MOVING_SPEED, MOVING_FORCE)).all(axis=1)
     centre = np.median(recorded[moving], axis=0) if moving.any() else np.array([100.0, 0.7])
     figure, panels = new_figure(9.6, 3.2, PAGE, ncols=2, sharey=True)
     reaches = (REACH_SPEED, FADE_SPEED), (REACH_FORCE, FADE_FORCE)

@@ -11,7 +11,7 @@ import numpy as np
 from foten.dsp.level import frame_means
 from foten.evaluate.evaluate import Judgement
 from foten.evaluate.report.signals import frame_errors, scored_conditions, shown_run
-from foten.models.conditions import FADE_FORCE, FADE_SPEED
+from foten.models.conditions import MOVING_FORCE, MOVING_SPEED
 from foten.recording.inspection.speed_force import EXTREMES
 from foten.recording.recording import range_in_words
 from foten.reporting.table import minus, signed
@@ -118,7 +118,7 @@ def _good_for(judgement: Judgement) -> str:
     doubts += ["its level does not follow the hand"] * (dynamics.tone == "bad")
     doubts += [f"only {document['n_blocks']} blocks judge it"] * (document["n_blocks"] < FEW_BLOCKS)
     if all(right):
-        low, high = np.maximum(np.quantile(scored_conditions(judgement)[0], EXTREMES), FADE_SPEED)
+        low, high = np.maximum(np.quantile(scored_conditions(judgement)[0], EXTREMES), MOVING_SPEED)
         near = f"as near as {_ceiling(document)}" if spectrum.tone == "good" else _distance(document, key)
         worst = max(0.1, *map(abs, biases))
         usable = f"Usable{' with care' * bool(doubts)} from {range_in_words('speed', low, high)}, where it was judged"
@@ -156,7 +156,7 @@ def _levels_by_speed(judgement: Judgement, key: str) -> list[tuple[float, float,
     """Speeds [mm/s] between which lie as many frames of 40 ms each, and their mean level error [dB]."""
     errors, rate_hz = frame_errors(judgement, key).mean(axis=0), judgement.trace.rate_hz
     speeds, forces = (frame_means(channel, rate_hz) for channel in scored_conditions(judgement))
-    moving = (speeds >= FADE_SPEED) & (forces >= FADE_FORCE)
+    moving = (speeds >= MOVING_SPEED) & (forces >= MOVING_FORCE)
     if not moving.any():
         return []
     edges = np.quantile(speeds[moving], np.linspace(0, 1, SPEED_RANGES + 1))

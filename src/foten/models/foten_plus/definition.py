@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from foten.dsp import Array
+from foten.dsp.equaliser import Equaliser, EqualiserStream
 from foten.dsp.lattice import check_reflections, predict, push
 from foten.dsp.speed_force_table import SpeedForceTable
 from foten.dsp.tones import MAX_JITTER_DRIVE, anti_alias_gain, fitted_phase, tone
@@ -176,6 +177,7 @@ class FotenPlus:
         self.lattice = self.excited_lattice = Lattice(tensors, "lattice.", sizes.gain_before_filter)
         self.network = NetworkDefinition(tensors, "network.")
         self.rendering_network = NetworkDefinition(tensors, "rendering_network.") if sizes.network_in_loop else None
+        self.equaliser = Equaliser.of(tensors) if sizes.equalised else None
         self.tones: Tones | None = None
         if sizes.n_tones:
             self.excited_lattice = Lattice(tensors, "residual.", sizes.residual_gain_before_filter)
@@ -188,8 +190,13 @@ class FotenPlus:
     def start(self, windows: Array) -> FotenPlusStream:
         """Streams that go on from scaled windows, shape (s, m, 3).
 
-        Their first sample is what `predict` gives where the network is in the loop, there are no tones, and σ is 1.
+        Their first sample is what `predict` gives where the network is in the loop, there are no tones nor equaliser, and σ is 1.
         """
+        stream = self._started(windows)
+        stream.settle_equaliser()
+        return stream
+
+    def _started(self, windows: Array) -> FotenPlusStream:
         if self.tones is None:
             return self._analysed(windows, self.lattice, self.rendering_network)
         condition = self.with_speed(windows[:, :-1, 1:])
@@ -258,6 +265,16 @@ class FotenPlusStream:
         self.phase = self.nominal_phase = self.rate = self.tone = np.zeros(s)
         self.set_condition(condition)
         self.inputs = self._inputs(np.zeros(s), np.zeros(s))  # of the last sample
+        self.equaliser: EqualiserStream | None = None
+
+    def settle_equaliser(self) -> None:
+        """Begin the equaliser, where there is one, as after a long time under the condition."""
+        if self.model.equaliser is not None:
+            self.equaliser = EqualiserStream(self.model.equaliser, *self._physical().T)
+
+    def _physical(self) -> Array:
+        """Speed [mm/s] and force [N] of the last sample, (s, 2)."""
+        return self.lattice.level.physical(self.condition[:, :2])
 
     def set_condition(self, condition: Array) -> None:
         """Set what the next sample is predicted under: the condition (s, 3) of the last."""
@@ -290,6 +307,7 @@ class FotenPlusStream:
         Differs from the paper: its recorded window rings on alike in every first stroke.
         """
         self.set_condition(condition)
+        self.settle_equaliser()
         p, excitation, known = len(self.states), self.model.excitation, condition[:, :2]
         before, _ = self.lattice.gains(self.level)
         size = before * excitation.sigma(known)
@@ -303,7 +321,9 @@ class FotenPlusStream:
         zero = np.zeros(len(noise))
         self.hidden_state, self.inputs = np.zeros_like(self.hidden_state), self._inputs(zero, zero)
         for z in noise[:, p:].T:
-            self.push(self.predict().faded(z, fade)[1], condition, z)
+            leaving, sample = self.predict().faded(z, fade)
+            self.push(sample, condition, z)
+            self.leave(leaving)
 
     def predict(self) -> Prediction:
         x, cosines = predict(self.states, self.reflections)
@@ -322,6 +342,10 @@ class FotenPlusStream:
     def _fading(self, prediction: Prediction, linear: Array) -> Prediction:
         before = self.lattice.gain_before_filter
         return prediction._replace(linear=linear - self.tone, tone=self.tone) if before else prediction
+
+    def leave(self, sample: Array) -> Array:
+        """What leaves, through the equaliser, of a sample that was pushed and faded, (s,)."""
+        return sample if self.equaliser is None else self.equaliser.push(sample, *self._physical().T)
 
     def analyse(self, sample: Array) -> Array:
         """Innovation of a sample (s,), which the states of the lattice take in."""

@@ -14,9 +14,11 @@ import numpy as np
 import torch
 
 from foten.dsp import Array
+from foten.dsp.equaliser import Equaliser
 from foten.dsp.level import FRAME_MS, frame_levels, frame_means
-from foten.models.conditions import FADE_FORCE, FADE_SPEED
+from foten.models.conditions import MOVING_FORCE, MOVING_SPEED
 from foten.models.foten_plus.closed_loop_training import envelope_distance_of, excerpts_of, fit_closed_loop
+from foten.models.foten_plus.equaliser_fit import fit_equaliser
 from foten.models.foten_plus.linear_model import MIN_SAMPLES_PER_SECTION, LinearModel, fit_level, fit_linear_models
 from foten.models.foten_plus.network import (
     InnovationNetwork,
@@ -80,6 +82,7 @@ class Candidate:
     rendering_network: Tensors = field(default_factory=dict)  # where one is in the loop
     closed_loop: dict[str, float] | None = None  # validation loss of its closed-loop training, before and after
     distance: float | None = None  # `_distance`; None where blocks are too short for envelopes
+    equaliser: Equaliser | None = None
 
 
 @dataclass(frozen=True)
@@ -119,6 +122,8 @@ def fit(job: TrainingJob, monitor: Monitor) -> Trained:
     early = texture_of([excited], initial, None, report, run)
     monitor.on_playable(replace(early, card={**early.card, "training": {**early.card["training"], "unfinished": True}}))
     network = fit_network(initial, excited, run)
+    monitor.on_stage("fitting the equaliser of the linear model")
+    excited = equalised(excited, _closed_loop(excited.model, tensors_of(initial, "network."), run), run)
     rendering_network = fit_rendering_network(network, excited, linear, tonal, run)
     in_loop = calibrated_network(rendering_network, excited, network.network, run)
     network.progress.include(rendering_network.progress)
@@ -256,7 +261,8 @@ def calibrated_network(
     loop = _closed_loop(model, {**tensors_of(network, "network."), **tensors}, run)
     nll, seed = fitted.acceleration_nll, run.config.seed
     random_part = calibrate_network_gain(sizes.excitation_width, limit, loop, seed, nll, level=not gained)
-    candidate = Candidate(model, random_part, tensors, closed_loop, _distance(loop, random_part, run))
+    run.monitor.on_stage("fitting the equaliser of the network's renderings")
+    candidate = equalised(Candidate(model, random_part, tensors, closed_loop), loop, run)
     if compared and (candidate.distance or 0.0) >= (excited.distance or 0.0) * (1 - AS_NEAR):
         return None
     return candidate
@@ -285,14 +291,22 @@ def texture_of(
         "validation_mae_scaled_lattice": linear_mae,
         "linear_model": report,
         "renderings": {
-            name: {**candidate.random_part.metrics(), "closed_loop_training": candidate.closed_loop}
+            name: {
+                **candidate.random_part.metrics(),
+                "closed_loop_training": candidate.closed_loop,
+                "distance": candidate.distance,
+                "equalised": candidate.equaliser is not None,
+            }
             for name, candidate in zip(("without network", "with network"), candidates, strict=False)
         },
         "recorded_peak_sd": run.blocks.peak_sd,
     }
     tensors = {**chosen.model.tensors, **tensors_of(network, "network."), **chosen.rendering_network}
     tensors |= chosen.random_part.excitation.tensors()
-    return run.builder.texture(chosen.model.sizes, tensors, metrics).texture
+    if chosen.equaliser is not None:
+        tensors |= chosen.equaliser.tensors()
+    sizes = replace(chosen.model.sizes, equalised=chosen.equaliser is not None)
+    return run.builder.texture(sizes, tensors, metrics).texture
 
 
 def _fitted(
@@ -322,6 +336,15 @@ def _train_in_closed_loop(
     progress = fit_closed_loop(network, excerpts, model.sizes.window, run.config, run.monitor)
     fitted.progress.include(progress)
     return {"before": progress.epochs[0].validation_loss, "after": progress.best_loss}
+
+
+def equalised(candidate: Candidate, loop: ClosedLoop, run: FitContext) -> Candidate:
+    """The candidate with an equaliser, where that is borne out; its errors and its distance are those behind it."""
+    random_part, seed = candidate.random_part, run.config.seed
+    equaliser = fit_equaliser(loop, random_part.excitation, seed)
+    loop = replace(loop, as_heard=True, equaliser=equaliser)
+    random_part = replace(random_part, free_run=loop.free_run_errors(random_part.excitation, seed))
+    return replace(candidate, random_part=random_part, distance=_distance(loop, random_part, run), equaliser=equaliser)
 
 
 def _distance(loop: ClosedLoop, random_part: Calibrated, run: FitContext) -> float | None:
@@ -360,7 +383,7 @@ def extrapolation_exponents(blocks: ScaledBlocks) -> dict[str, float]:
     acceleration, *condition = np.moveaxis(blocks.training_blocks(), 2, 0)
     levels = frame_levels(acceleration, rate, float(np.sqrt(np.square(acceleration).mean()))).ravel()
     speed, force = (frame_means(channel, rate).ravel() for channel in condition)
-    logs = np.log(np.maximum(np.stack([speed, force]), [[FADE_SPEED], [FADE_FORCE]]))
+    logs = np.log(np.maximum(np.stack([speed, force]), [[MOVING_SPEED], [MOVING_FORCE]]))
     exponents = {}
     for row, name in enumerate(LAW):
         upper = logs[row] >= np.median(logs[row])

@@ -28,6 +28,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
+from foten.dsp.bands import N_BANDS
+from foten.dsp.equaliser import N_LOWPASSES, N_TERMS
 from foten.models.excitation import excitation_shapes, linear_shapes, scale_cost, scale_shapes
 from foten.models.model_sizes import ModelSizes, Shapes
 
@@ -57,6 +59,7 @@ class FotenPlusSizes(ModelSizes):
     n_residual_speed: int = 1  # its knots over speed
     n_residual_force: int = 1  # and over force
     residual_gain_before_filter: bool = False
+    equalised: bool = False  # whether an equaliser is behind all of it
     excited: ClassVar[bool] = True
 
     @property
@@ -70,6 +73,12 @@ class FotenPlusSizes(ModelSizes):
         if self.network_in_loop:
             shapes |= self.network_shapes("rendering_network", self.n_rendering_inputs)
         shapes |= excitation_shapes(width)
+        if self.equalised:
+            shapes |= {
+                "equaliser.weights": (N_BANDS, N_TERMS),
+                "equaliser.filters": (N_BANDS, 3),
+                "equaliser.smoothing": (N_LOWPASSES,),
+            }
         shapes |= lattice_shapes("lattice", self.n_speed, self.n_force, self.order, width)
         if self.n_tones:
             shapes |= table_shapes("tones", self.n_tone_speed, self.n_tone_force, "values", 2 * self.n_tones)
@@ -99,7 +108,8 @@ class FotenPlusSizes(ModelSizes):
         """Cost of predicting a sample and taking it in; four knots are mixed for each coefficient."""
         order = self.residual_order if self.n_tones else self.order
         linear = 10 * order + 12 * self.n_tones + (2 + (self.n_tones > 0)) * scale_cost(self.excitation_width)
-        return linear + self.network_in_loop * self.network_cost()
+        equaliser = self.equalised * N_BANDS * (N_TERMS + 6)
+        return linear + equaliser + self.network_in_loop * self.network_cost()
 
 
 def lattice_shapes(name: str, n_speed: int, n_force: int, order: int, width: int) -> Shapes:

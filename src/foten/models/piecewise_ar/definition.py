@@ -93,6 +93,9 @@ class PiecewiseArStream:
         for z in noise[:, p + q :].T:
             self.push(self.predict().excited(z), condition, z)
 
+    def leave(self, sample: Array) -> Array:
+        return sample
+
     def predict(self) -> Prediction:
         sample, cosines = predict(self.states, self.reflections)
         scale = self._gain * cosines

@@ -15,7 +15,7 @@ from foten.dsp.lattice import polynomial
 from foten.dsp.lsf import line_spectral_frequencies, spread_out
 from foten.dsp.mesh import MIN_TRIANGLE_AREA
 from foten.dsp.segmentation import MAX_ORDER, pieces_of
-from foten.models.conditions import FADE_FORCE, FADE_SPEED
+from foten.models.conditions import MOVING_FORCE, MOVING_SPEED
 from foten.models.piecewise_ar.local_models import LocalModels, local_texture
 from foten.runtime.loops import predict_blocks
 from foten.runtime.native import NativeTexture
@@ -48,8 +48,8 @@ def fit(job: TrainingJob, monitor: Monitor) -> Trained:
     pieces = [piece for piece in all_pieces if _is_of_a_texture(piece[:, 0], blocks.scaling.sd[0])]
     if len(pieces) < 3:
         raise ValueError(
-            f"the training blocks hold {len(pieces)} pieces of {MIN_SAMPLES} samples or more above {FADE_SPEED:g} mm/s and "
-            f"{FADE_FORCE:g} N that vibrate, expected 3 or more: record longer, faster or firmer"
+            f"the training blocks hold {len(pieces)} pieces of {MIN_SAMPLES} samples or more above {MOVING_SPEED:g} mm/s and "
+            f"{MOVING_FORCE:g} N that vibrate, expected 3 or more: record longer, faster or firmer"
         )
     card = {**job.card(blocks, "cpu"), "training": {"versions": versions()}}
     del card["extrapolation_exponents"]  # those of the mesh
@@ -92,7 +92,7 @@ def local_models(pieces: list[Array], blocks: ScaledBlocks, order: int) -> Local
     share /= share.sum(axis=1, keepdims=True)
     centres = share @ points
     # Of the training blocks, where a rendering does not fade.
-    trained, fading = blocks.training_blocks()[..., 1:], [FADE_SPEED, FADE_FORCE]
+    trained, fading = blocks.training_blocks()[..., 1:], [MOVING_SPEED, MOVING_FORCE]
     low, high = (np.maximum(end(trained, axis=(0, 1)), fading) for end in (np.min, np.max))
     high = np.maximum(high, 1.01 * low)
     loud = np.array([low + (high - low) * shares for shares in product(_SHARES, _SHARES)])
@@ -129,7 +129,7 @@ def _pieces(blocks: ScaledBlocks) -> Iterator[Array]:
         cuts = pieces_of(x, MAX_ORDER, min(grid, len(x) // 2), longest)[0]
         for piece in np.split(samples, cuts):
             speed, force = np.median(piece[:, 1:], axis=0)
-            if len(piece) >= MIN_SAMPLES and speed >= FADE_SPEED and force >= FADE_FORCE:
+            if len(piece) >= MIN_SAMPLES and speed >= MOVING_SPEED and force >= MOVING_FORCE:
                 yield piece
 
 
