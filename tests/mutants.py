@@ -409,13 +409,22 @@ MUTANTS = (
     *of_python(
         "evaluate/free_run.py",
         ("the first fifth of a block is scored", "SETTLING", "Constant", "0.0"),
+        ("a linear predictor's free run forgets its constant", "synthesize_linear", "BinOp Add 0", "it.right"),
+    ),
+    *of_python(
+        "runtime/loops.py",
         (
             "the free run starts from another block",
             "render_strokes.render",
             "Call start",
             "it.func(*(np.roll(window[stroke], 1) for window in windows))",
         ),
-        ("a linear predictor's free run forgets its constant", "synthesize_linear", "BinOp Add 0", "it.right"),
+        tests="free_run",
+    ),
+    *of_python(
+        "dsp/equaliser.py",
+        ("the equaliser does not know how speed changes", "terms", "BinOp Sub 0", "0 * it"),
+        ("gains of the equaliser are not held", "MAX_LOG_GAIN", "Constant", "9.0"),
     ),
     *of_python(
         "experiments/simulator_reference.py",

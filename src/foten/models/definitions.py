@@ -52,7 +52,7 @@ def render(
     """Acceleration of a stroke from its beginning [m/s²], shape (n_streams, n).
 
     Outside the trained range the loop keeps to its end, tones go on with the path, and the level follows a power law of speed and
-    force: below, down to 5 mm/s and 0.1 N, and above, up to twice the range, at least to 400 mm/s and 6 N. Below these it falls
+    force: below, down to 2 mm/s and 0.1 N, and above, up to twice the range, at least to 400 mm/s and 6 N. Below these it falls
     linearly to zero. Where the gain comes before the lattice it is what enters that fades, and what rang rings out. Where a card
     has an exponent of 0 the level is held above, and fades linearly from the trained range on.
 

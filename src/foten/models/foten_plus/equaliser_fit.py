@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from foten.dsp import Array
 from foten.dsp.bands import BAND_FRAME_MS, N_BANDS, band_energies
@@ -38,8 +39,8 @@ def fit_equaliser(loop: ClosedLoop, excitation: Excitation, seed: int) -> Equali
     phi = loop.terms(known)
     # Shapes are (…, k, n_frames) from here on, and bands come first.
     terms = framed(phi, BAND_FRAME_MS, trace.rate_hz).mean(axis=-1)[..., first:]
-    moving = framed(loop.blocks.moving()[list(known), loop.history :], BAND_FRAME_MS, trace.rate_hz).all(axis=-1)
-    counted = moving[:, first:]
+    moving = framed(loop.blocks.moving()[list(known), loop.history :], BAND_FRAME_MS, trace.rate_hz)
+    counted = np.asarray(moving.all(axis=-1))[:, first:]
     if not counted.any():
         return None
 
@@ -64,7 +65,7 @@ def fit_equaliser(loop: ClosedLoop, excitation: Excitation, seed: int) -> Equali
     return equaliser
 
 
-def best_penalty(terms: Array, wanted: Array, counted: Array) -> float | None:
+def best_penalty(terms: Array, wanted: Array, counted: NDArray[np.bool_]) -> float | None:
     """The penalty with which blocks that are left out are predicted best; None where no gain at all predicts them better.
 
     Terms (p, k, f) of k blocks, gains that are wanted (N_BANDS, k, f), and the frames that count (k, f).
