@@ -190,7 +190,8 @@ def foten_plus_diagram(arguments: argparse.Namespace) -> None:
         "phase of the path": (0.9, 0.7, 1.7, PLAIN),
         "network": (3.4, 0.7, 1.6, COOL),
         "+": (9.0, 2.4, 0.5, PLAIN),
-        "fade, saturator": (10.9, 2.4, 1.6, PLAIN),
+        "equaliser": (10.5, 2.4, 1.3, SOFT),
+        "saturator": (10.5, 0.7, 1.3, PLAIN),
     }
     arrows = [
         ((1.7, 3.9), (2.4, 3.9), ""),
@@ -204,8 +205,9 @@ def foten_plus_diagram(arguments: argparse.Namespace) -> None:
         ((6.6, 2.0), (4.2, 0.7), "x, e"),
         ((1.8, 0.7), (2.55, 0.7), "φ"),
         ((3.4, 1.05), (3.4, 2.0), "w, μ, s"),
-        ((9.3, 2.4), (10.05, 2.4), "a"),
-        ((11.75, 2.4), (12.05, 2.4), ""),
+        ((9.3, 2.4), (9.85, 2.4), ""),
+        ((10.5, 2.0), (10.5, 1.05), "a"),
+        ((11.2, 0.7), (11.8, 0.7), ""),
     ]
     boxes("foten-plus", placed, arrows)
 

@@ -311,6 +311,42 @@ def recorded_longer() -> Table:
     return table(("mean of", "recorded"), rows, AREAS)
 
 
+def trials() -> Table:
+    """Mean areas of approaches that were tried on all surfaces of other physics of one half, beside controls."""
+    with (RESULTS / "trials.csv").open(encoding="utf-8", newline="") as file:
+        rows = [row for row in csv.DictReader(file) if row.get("person")]
+    lines = []
+    for approach, half in dict.fromkeys((row["approach"], row["half"]) for row in rows):
+        of_it = [row for row in rows if (row["approach"], row["half"]) == (approach, half)]
+        contact, linear = (
+            [row for row in of_it if row["surface"].startswith("linear-") == kind] for kind in (False, True)
+        )
+        if len(contact) < N_CONTACT_TRIALS:
+            continue
+
+        def area(some: Sequence[Mapping[str, str]], name: str) -> str:
+            return format(np.mean([float(row[name]) for row in some]), ".3f") if some else "–"
+
+        worst = max(contact, key=lambda row: float(row["ideal"]))
+        lines.append(
+            (
+                *(approach, half, area(contact, "ideal"), f"{float(worst['ideal']):.2f} ({worst['surface']})"),
+                *(area(contact, "person"), area(linear, "ideal"), area(linear, "person"), area(of_it, "ideal_control")),
+            )
+        )
+    heads = (
+        "what was changed",
+        "half",
+        "contact: ideal",
+        "worst",
+        "person's limits",
+        "linear: ideal",
+        "person's limits ",
+        "control",
+    )
+    return Table.of(heads, lines)
+
+
 def compared(records: Records) -> Table:
     """Summary of an experiment without the references that a better one stands for, or that nothing is worse than."""
     left_out = ("zero", "persistence", "AR(20)", "AR(20) by speed and force")
@@ -334,6 +370,7 @@ def benchmark(name: str) -> Table:
     return Table.of(head, rows)
 
 
+N_CONTACT_TRIALS = 10  # five surfaces, two fits of each
 FEW_STROKES: Mapping[str, str] = {
     "before": "before: fade below, hold above",
     "held": "held",
@@ -465,7 +502,7 @@ TABLES: dict[str, dict[str, Callable[[], Table | str]]] = {
         "validation-listener": partial(of_experiment, "validation-listener", ratios),
         "csv": partial(listed, *MAIN, "listener", "ingredients", "validation-listener"),
     },
-    "listener.md": {"listener": listener, "recorded-longer": recorded_longer},
+    "listener.md": {"listener": listener, "recorded-longer": recorded_longer, "trials": trials},
     "less-than-a-recording.md": {
         "few-strokes": partial(few_strokes, real=False),
         "few-strokes-real": partial(few_strokes, real=True),

@@ -115,6 +115,7 @@ def _linear_model(texture: Texture) -> dict[str, str]:
         rows["tones"] = (
             f"{sizes['n_tones']} multiples{every}; {residual}{before_filter * sizes['residual_gain_before_filter']}"
         )
+    rows["equaliser"] = "eight bands, by speed, how it changes, and force" if sizes.get("equalised") else "none"
     return rows
 
 
@@ -139,7 +140,7 @@ def network_summary(card: Mapping[str, Any]) -> str:
         improves = f"improves one-step predictions by {gain:.1f} %"
         improves += f", with {100 * share:.0f} % of its mean" * (share < 1)
     if not sizes["network_in_loop"]:
-        return f"{improves}; a rendering does without it, as it did not help on the validation blocks"
+        return f"{improves}; a rendering does without it, as its free runs were no nearer to the recording"
     if sizes["n_tones"]:
         return f"{improves}; a second one makes the part of a rendering that is not tones"
     return f"{improves}, and makes the random part of a rendering"
