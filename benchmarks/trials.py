@@ -3,10 +3,12 @@
     python benchmarks/trials.py APPROACH [--half choosing] [--fits 1 2] [--csv docs/results/trials.csv] [--folder build/trials]
 
 A fit learns from 64 s of each surface at 1 kHz, with seeds of its own; it is judged under a hand of its own, 240 s, by the ideal
-listener and by the one with a person's limits, each beside a control of two true realisations. Bias of level by quarter of speed
-is of frames of 40 ms, of three renderings and three realisations; level error and log-spectral distance are divided by those
-of two realisations. Every row goes into one CSV, which keeps the rows of earlier approaches: what is there is not run again.
-Textures and strokes are kept in a folder.
+listener and by the one with a person's limits, each beside a control of two true realisations; and by the ideal one where the
+rendering is told the truth's mean band levels (`known_levels`). Bias of level by quarter of speed is of frames of 40 ms, of three
+renderings and three realisations; level error and log-spectral distance are divided by those of two realisations.
+
+Every row goes into one CSV, which keeps the rows of earlier approaches: what is there is not run again. Textures and strokes are
+kept in a folder.
 
 Seeds of recordings, hands and noise are those below, and were written down before the first trial. The kept half runs once: with
 its first row in the CSV, another approach is refused.
@@ -36,9 +38,11 @@ from foten.atomic_write import atomic_write
 from foten.baselines.sizes import trainable_sizes
 from foten.datasets.hdf5 import load_recording, write_recording
 from foten.dsp import Array
+from foten.dsp.bands import BAND_FRAME_MS, N_BANDS, band_energies
 from foten.dsp.distance import log_spectral_distance, scored_bins, segment_length, welch
-from foten.dsp.level import frame_levels, frame_means
-from foten.evaluate.listener import rendering, vibrations
+from foten.dsp.equaliser import terms_of
+from foten.dsp.level import frame_levels, frame_means, framed
+from foten.evaluate.listener import FLOOR, rendering, vibrations
 from foten.evaluate.listener_network import listener_auc
 from foten.models.conditions import MOVING_FORCE, MOVING_SPEED
 from foten.models.texture_file import read_texture, write_texture
@@ -144,9 +148,9 @@ def judge(trial: Trial, again: bool = False) -> dict[str, str]:
     texture, true = read_texture(path), strokes_of(trial)
     kernel = NativeTexture(texture.to_bytes())
     rendered = [rendering(kernel, true[0], listener_seed + 10 * k) for k in range(N_RENDERED)]
-    first = replace(true[0], acceleration=rendered[0])
-    figures = {**listened(trial, true[0], first), **control_of(trial, true)}
-    figures |= level_figures(true, [replace(true[0], acceleration=run) for run in rendered])
+    runs = [replace(true[0], acceleration=run) for run in rendered]
+    figures = {**listened(trial, true[0], runs[0]), **control_of(trial, true)}
+    figures |= {"known_levels": known_levels(trial, true, runs), **level_figures(true, runs)}
     columns = {name: f"{value:.4f}" for name, value in figures.items()}
     sizes, metrics = texture.sizes, texture.card["metrics"]
     loops = metrics["renderings"].get("with network", {}).get("closed_loop_training") or {}
@@ -160,6 +164,25 @@ def judge(trial: Trial, again: bool = False) -> dict[str, str]:
         "file_kb": f"{path.stat().st_size / 1000:.0f}",
         "sha256": hashlib.sha256(path.read_bytes()).hexdigest()[:12],
     }
+
+
+def known_levels(trial: Trial, true: Sequence[Trace], rendered: Sequence[Trace]) -> float:
+    """Area of the ideal listener for a rendering with the truth's mean level in each band, by the terms of `foten.dsp.equaliser`.
+
+    As of a model of the same memory that knows the envelope which is to be expected of a stroke, in place of what 64 s say of it.
+    """
+    first, second = vibrations(true[0], rendered[0])[""]
+    moving = second.frames[:N_BANDS].any(axis=0)
+    energies = [[band_energies(trace.acceleration, trace.rate_hz) for trace in some] for some in (true, rendered)]
+    floor = FLOOR * np.mean([some[0].mean(axis=-1) for some in energies], axis=0)[:, None]
+    logs = [[np.log(energy + floor) for energy in some] for some in energies]
+    unit = (logs[1][0][:, moving].std(axis=1) / second.frames[:N_BANDS, moving].std(axis=1))[:, None]
+    phi = framed(terms_of(true[0].speed, true[0].force, true[0].rate_hz), BAND_FRAME_MS, true[0].rate_hz).mean(axis=-1)
+    missing = np.mean(logs[0][1:], axis=0) - np.mean(logs[1], axis=0)
+    levels = missing[:, moving] @ np.linalg.pinv(phi[:, moving]) @ phi
+    frames = second.frames.copy()
+    frames[:N_BANDS] += np.where(moving, levels / unit, 0.0)
+    return listener_auc(first, replace(second, frames=frames), seed=SEEDS[trial.half, trial.fit][-1])
 
 
 def level_figures(true: Sequence[Trace], rendered: Sequence[Trace]) -> dict[str, float]:

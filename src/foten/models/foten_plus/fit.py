@@ -49,9 +49,7 @@ from foten.training.texture_builder import TextureBuilder, tensors_of
 MIN_GAIN_NAT = 0.005  # of an innovation's nll on the validation blocks, for a network to be in the loop
 INNOVATION_HEADROOM = 1.3  # times the largest recorded innovation is the largest that a network may draw
 MAX_TONE_DISTORTION = 1.05  # times the log-spectral distance without tones, on the validation blocks
-AS_NEAR = (
-    0.005  # share of the distance by which a table is nearer than one filter, and a network than noise, to be worth it
-)
+AS_NEAR = 0.005  # share of the distance by which a table is nearer than one filter, to be worth it
 MAX_EXPONENT = 1.5  # of speed or force, that the level grows with outside the trained range
 # Mean and standard deviation of these powers over textures: 100 measured AR models (0.97 ± 0.28, 0.32 ± 0.19), and the simulated
 # ones (1.00, 0.33).
@@ -263,7 +261,7 @@ def calibrated_network(
     random_part = calibrate_network_gain(sizes.excitation_width, limit, loop, seed, nll, level=not gained)
     run.monitor.on_stage("fitting the equaliser of the network's renderings")
     candidate = equalised(Candidate(model, random_part, tensors, closed_loop), loop, run)
-    if compared and (candidate.distance or 0.0) >= (excited.distance or 0.0) * (1 - AS_NEAR):
+    if compared and (candidate.distance or 0.0) >= (excited.distance or 0.0):
         return None
     return candidate
 
