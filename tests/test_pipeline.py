@@ -168,7 +168,7 @@ def mesh(monkeypatch: pytest.MonkeyPatch) -> TrainingJob:
         return fit_once
 
     monkeypatch.setattr(foten_plus, "MIN_GAIN_NAT", -1e3)  # whatever the networks gain
-    monkeypatch.setattr(foten_plus, "AS_NEAR", -1e3)
+    monkeypatch.setattr(foten_plus, "equalised", lambda it, *_: replace(it, distance=float(not it.rendering_network)))
     for name in ("fit_level", "fit_linear_models", "fit_residual", "best_linear_model"):
         monkeypatch.setattr(foten_plus, name, once(name))
     sizes, config = FotenPlusSizes(**PLUS), replace(QUICK, tones=True)
