@@ -25,7 +25,7 @@ from foten.atomic_write import atomic_write
 from foten.experiments.experiment import experiment_path, read_experiment
 from foten.experiments.method_tables import findings, ratios, summary
 from foten.experiments.results import Record, Records, chosen, read_records
-from foten.reporting.table import Cell, Number, Table, mean_number
+from foten.reporting.table import Cell, Number, Table, mean_number, signed
 from foten.simulation import contact_mechanics, linear_family, simulate
 
 DOCS = Path(__file__).resolve().parents[1]
@@ -365,6 +365,81 @@ def few_strokes(real: bool) -> Table:
     return Table.of(heads, [(words, figure(p, "level_error_db"), figure(p, "lsd_db")) for p, words in named])
 
 
+def abrupt_rows(**of: str) -> list[dict[str, str]]:
+    """Rows of abrupt changes with some values."""
+    path = RESULTS / "abrupt.csv"
+    rows = list(csv.DictReader(path.open(encoding="utf-8"))) if path.exists() else []
+    return [row for row in rows if all(row[name] == value for name, value in of.items())]
+
+
+SECOND = "second realisation"
+HANDS = ("live", "aligned", "unfiltered")
+GROUPS = {
+    "steps of speed, reversal": ("speed 40", "speed 200", "reversal"),
+    "steps of force": ("force 0.5", "force 2"),
+    "taps": ("tap",),
+    "out of range": ("speed 100", "force 1"),
+}
+"""Kinds of changes, by how their names begin."""
+
+
+def abrupt() -> Table:
+    """Level and spectrum in the 100 ms after each change, means over surfaces."""
+
+    def figure(name: str, rendering: str, hand: str = "live", **of: str) -> Number:
+        rows = abrupt_rows(rendering=rendering, hand="" if rendering == SECOND else hand, **of)
+        return mean_number([np.array([float(row[name])]) for row in rows], 1)
+
+    def cells(**of: str) -> tuple[Number, ...]:
+        both = [
+            figure(name, rendering, **of)
+            for name in ("level_error_db", "lsd_db")
+            for rendering in (SECOND, OURS, "foten")
+        ]
+        return (*both, figure("settled_level_error_db", OURS, **of))
+
+    heads = ("", "level: second realisation [dB]", OURS, "foten", "spectrum: second realisation [dB]", OURS, "foten")
+    changes = dict.fromkeys(row["change"] for row in abrupt_rows())
+    rows = [(change, *cells(change=change)) for change in changes]
+    return Table.of((*heads, f"level later: {OURS} [dB]"), [*rows, ("mean", *cells())] if rows else [])
+
+
+def abrupt_filter() -> Table:
+    """What the low-pass of speed and force costs after each change: level error, and when the level has arrived."""
+
+    def arrives(change: str, rendering: str, hand: str) -> str:
+        times = [row["arrives_ms"] for row in abrupt_rows(change=change, rendering=rendering, hand=hand)]
+        median = float(np.median([float(time or "inf") for time in times]))
+        return f"{median:.0f}" if np.isfinite(median) else "–"
+
+    cells = []
+    for change in dict.fromkeys(row["change"] for row in abrupt_rows()):
+        errors = [
+            [float(row["level_error_db"]) for row in abrupt_rows(change=change, rendering=OURS, hand=hand)]
+            for hand in HANDS
+        ]
+        means = (mean_number([np.array(each)], 1).value if each else None for each in errors)
+        of_model = (arrives(change, OURS, hand) for hand in HANDS)
+        cells.append((change, *(Number(value, ".1f") for value in means), *of_model, arrives(change, "foten", "live")))
+    heads = ("", "level error: live [dB]", *HANDS[1:], "arrives: live [ms]", *HANDS[1:], "foten, live")
+    return Table.of(heads, cells)
+
+
+def abrupt_families() -> Table:
+    """Level errors and bias in the 100 ms after changes of a kind, by kind of surface, and of a flat surface's knock."""
+    cells = []
+    for rendering, hand, what in ((OURS, "live", ""), ("flat surface", "", ": the knock alone")):
+        for family in dict.fromkeys(row["family"] for row in abrupt_rows(rendering=rendering)):
+            row = [family + what]
+            for begins in GROUPS.values():
+                of = abrupt_rows(family=family, rendering=rendering, hand=hand)
+                of = [each for each in of if each["change"].startswith(begins)]
+                error, bias = (np.mean([float(r[name]) for r in of]) for name in ("level_error_db", "level_bias_db"))
+                row.append(f"{error:.1f} ({signed(float(bias), 1)})")
+            cells.append(tuple(row))
+    return Table.of(("", *GROUPS), cells)
+
+
 def words_worth() -> Table:
     """What names are worth over a library, by method."""
     paths = RESULTS / "words.csv", RESULTS / "words-sentence-encoder.csv"
@@ -461,6 +536,9 @@ TABLES: dict[str, dict[str, Callable[[], Table | str]]] = {
         "simulated": partial(by_texture, SIMULATED),
         "stability": stability,
         "onset": onset,
+        "abrupt": abrupt,
+        "abrupt-filter": abrupt_filter,
+        "abrupt-families": abrupt_families,
         "ingredients": partial(of_experiment, "ingredients", ratios),
         "validation-listener": partial(of_experiment, "validation-listener", ratios),
         "csv": partial(listed, *MAIN, "listener", "ingredients", "validation-listener"),
