@@ -9,7 +9,7 @@ strokes has it already. What contact mechanics and two masses give on a flat sur
 of its own. Renderings get the conditions late by the low-pass, as live ones do; `aligned` without its delay, as in training; and
 `unfiltered`. Level error: mean over the first ten frames of |mean level − that of the truth|. Log-spectral distance: of the mean
 spectra of these 100 ms. `settled`: the same later, under the new condition held. A second realisation of the truth is the floor
-of each. Levels and densities count from 30 dB below the truth's power over all changes.
+of each. Levels and densities count from 30 dB below the truth's power over all changes, and from the sensor's noise.
 
 Textures and truths stay in a folder and rows in the CSV: what is there is not run again. `--again MODEL` trains and measures one
 anew.
@@ -40,6 +40,7 @@ from foten.dsp.resample import decimate
 from foten.evaluate.free_run import render_strokes
 from foten.models.texture_file import Texture, read_texture, write_texture
 from foten.recording.preprocess import PreprocessConfig, condition
+from foten.recording.recording import AXES
 from foten.runtime.native import NativeTexture
 from foten.simulation.contact_mechanics import CONTACT, RATE_HZ, contact_vibrations, surface_of
 from foten.simulation.linear_family import LINEAR_FAMILY, linear_signal
@@ -68,7 +69,7 @@ HANDS = ("live", "aligned", "unfiltered")
 KEYS = ("surface", "change", "rendering", "hand")
 TRUTH, SECOND, FLAT = "truth", "second realisation", "flat surface"
 MODELS = {"foten-plus": HANDS, "foten": ("live", "unfiltered")}
-SILENT = "foten, no random part"
+SILENT, N_SILENT = "foten, no random part", 8
 
 
 @dataclass(frozen=True)
@@ -220,7 +221,9 @@ def rendered(texture: Texture, hand: tuple[Array, Array], repeats: int, excitati
 def rows_of(key: str, rendering: str, hand: str, ours: Measured, true: Sequence[Measured]) -> Iterator[dict[str, str]]:
     """Row of each change: figures beside the halves of the truth, their mean, and levels in dB re the truth's mean power."""
     reference = float(np.mean([half.power.mean() for half in true]))
-    floor, density = 10 ** (FLOOR_DB / 10) * reference, 10 ** (FLOOR_DB / 10) * reference / (MODEL_HZ / 2)
+    noise = 0.0 if key in LINEAR_FAMILY else len(AXES) * ACCELEROMETER_NOISE**2  # density
+    density = max(10 ** (FLOOR_DB / 10) * reference / (MODEL_HZ / 2), noise)
+    floor = density * MODEL_HZ / 2
     frequencies = np.fft.rfftfreq(round(SPECTRUM_S * MODEL_HZ), 1 / MODEL_HZ)
     bins = scored_bins(frequencies, MODEL_HZ)
 
@@ -278,8 +281,8 @@ def judged(key: str, model: str, folder: Path, repeats: int, epochs: int) -> Ite
     texture, channels = texture_of(key, model, folder, epochs), hands()
     for hand in MODELS[model]:
         yield from rows_of(key, model, hand, rendered(texture, channels[hand], repeats), true)
-    if model == "foten":
-        yield from rows_of(key, SILENT, "live", rendered(texture, channels["live"], repeats, excitation=False), true)
+    if model == "foten":  # whose loop does not vary
+        yield from rows_of(key, SILENT, "live", rendered(texture, channels["live"], N_SILENT, excitation=False), true)
 
 
 def of_model(row: Mapping[str, str], key: str, model: str) -> bool:

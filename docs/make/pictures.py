@@ -418,25 +418,28 @@ def outside(arguments: argparse.Namespace) -> None:
 
 
 def abrupt(arguments: argparse.Namespace) -> None:
-    """Levels around four abrupt changes, of the truth and of renderings, means over surfaces of mechanics."""
-    rows = [row for row in rows_of("abrupt") if row["family"] in ("contact mechanics", "two masses")]
+    """Levels around four abrupt changes on a surface of two masses, of the truth and of renderings."""
+    rows = [row for row in rows_of("abrupt") if row["surface"] == "sandstone"]
     shown = ("speed 40 → 200 mm/s", "reversal at 120 mm/s", "force 0.5 → 2 N", "tap of 1.5 N at 80 mm/s")
     starts = [name for name in rows[0] if name.endswith(" ms")]
     at = [float(name.removesuffix(" ms")) + 5.0 for name in starts]  # the middle of a frame of 10 ms
-    lines = (("second realisation", "truth", INK), ("foten-plus", "foten-plus", OURS), ("foten", "foten", PAPER))
+    lines = {
+        "truth": ("second realisation", INK, "-"),
+        "its flat surface": ("flat surface", INK, ":"),
+        "foten-plus": ("foten-plus", OURS, "-"),
+        "foten": ("foten", PAPER, "-"),
+    }
     figure, panels = drawn(9, 2.8, 1, 4, sharey=True)
     for axes, change in zip(panels, shown, strict=True):
-        for rendering, name, colour in lines:
-            of = [row for row in rows if (row["change"], row["rendering"]) == (change, rendering) and row[starts[0]]]
-            axes.plot(
-                at, np.mean([[float(row[start]) for start in starts] for row in of], axis=0), color=colour, label=name
-            )
+        for name, (rendering, colour, dashes) in lines.items():
+            of = (row for row in rows if (row["change"], row["rendering"]) == (change, rendering) and row[starts[0]])
+            axes.plot(at, [float(row[start]) for row in of for start in starts], color=colour, ls=dashes, label=name)
         axes.axvline(0.0, color="#cccccc", lw=0.8, zorder=0)
         axes.set_title(change, loc="left", fontsize=9)
         axes.set(xlim=(-50, 250), xlabel="ms")
     panels[0].set_ylabel("level [dB]")
     handles, labels = panels[0].get_legend_handles_labels()
-    add_legend(figure, STYLE, handles=handles, labels=labels, ncols=3, loc="outside upper right")
+    add_legend(figure, STYLE, handles=handles, labels=labels, ncols=4, loc="outside upper right")
     save(figure, "abrupt")
 
 

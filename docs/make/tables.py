@@ -25,7 +25,7 @@ from foten.atomic_write import atomic_write
 from foten.experiments.experiment import experiment_path, read_experiment
 from foten.experiments.method_tables import findings, ratios, summary
 from foten.experiments.results import Record, Records, chosen, read_records
-from foten.reporting.table import Cell, Number, Table, mean_number, signed
+from foten.reporting.table import Cell, Number, Table, mean_number
 from foten.simulation import contact_mechanics, linear_family, simulate
 
 DOCS = Path(__file__).resolve().parents[1]
@@ -384,60 +384,54 @@ GROUPS = {
 
 
 def abrupt() -> Table:
-    """Level and spectrum in the 100 ms after each change, means over surfaces."""
+    """Level and spectrum in the 100 ms after each change, medians over the surfaces that both models learned."""
+    both = {row["surface"] for row in abrupt_rows(rendering="foten")}
 
-    def figure(name: str, rendering: str, hand: str = "live", **of: str) -> Number:
-        rows = abrupt_rows(rendering=rendering, hand="" if rendering == SECOND else hand, **of)
-        return mean_number([np.array([float(row[name])]) for row in rows], 1)
+    def figure(name: str, rendering: str, **of: str) -> Number:
+        rows = abrupt_rows(rendering=rendering, hand="" if rendering == SECOND else "live", **of)
+        values = [float(row[name]) for row in rows if row["surface"] in both]
+        return Number(float(np.median(values)) if values else None, ".1f")
 
     def cells(**of: str) -> tuple[Number, ...]:
-        both = [
-            figure(name, rendering, **of)
-            for name in ("level_error_db", "lsd_db")
-            for rendering in (SECOND, OURS, "foten")
-        ]
-        return (*both, figure("settled_level_error_db", OURS, **of))
+        judged = product(("level_error_db", "lsd_db"), (SECOND, OURS, "foten"))
+        return (*(figure(*each, **of) for each in judged), figure("settled_level_error_db", OURS, **of))
 
     heads = ("", "level: second realisation [dB]", OURS, "foten", "spectrum: second realisation [dB]", OURS, "foten")
     changes = dict.fromkeys(row["change"] for row in abrupt_rows())
     rows = [(change, *cells(change=change)) for change in changes]
-    return Table.of((*heads, f"level later: {OURS} [dB]"), [*rows, ("mean", *cells())] if rows else [])
+    return Table.of((*heads, f"level later: {OURS} [dB]"), [*rows, ("all", *cells())] if rows else [])
 
 
 def abrupt_filter() -> Table:
-    """What the low-pass of speed and force costs after each change: level error, and when the level has arrived."""
+    """What the low-pass of speed and force costs after each change: level error and time of arrival, medians over surfaces."""
 
-    def arrives(change: str, rendering: str, hand: str) -> str:
-        times = [row["arrives_ms"] for row in abrupt_rows(change=change, rendering=rendering, hand=hand)]
-        median = float(np.median([float(time or "inf") for time in times]))
-        return f"{median:.0f}" if np.isfinite(median) else "–"
+    def median(name: str, change: str, hand: str, spec: str) -> Number:
+        rows = abrupt_rows(change=change, rendering=OURS, hand=hand)
+        value = float(np.median([float(row[name] or "inf") for row in rows])) if rows else np.inf
+        return Number(value if np.isfinite(value) else None, spec)
+
+    columns = (*product(["level_error_db"], HANDS, [".1f"]), *product(["arrives_ms"], HANDS, [".0f"]))
+    changes = dict.fromkeys(row["change"] for row in abrupt_rows())
+    cells = [(change, *(median(name, change, hand, spec) for name, hand, spec in columns)) for change in changes]
+    return Table.of(("", "level error: live [dB]", *HANDS[1:], "arrives: live [ms]", *HANDS[1:]), cells)
+
+
+def abrupt_surfaces() -> Table:
+    """Level errors in the 100 ms after changes of a kind, by surface: live, unfiltered, of a second realisation."""
+
+    def figure(surface: str, kinds: Sequence[str], rendering: str, hand: str = "") -> str:
+        rows = abrupt_rows(surface=surface, rendering=rendering, hand=hand)
+        errors = [float(r["level_error_db"]) for r in rows if r["change"].startswith(tuple(kinds))]
+        return f"{np.mean(errors):.1f}" if errors else "–"
 
     cells = []
-    for change in dict.fromkeys(row["change"] for row in abrupt_rows()):
-        errors = [
-            [float(row["level_error_db"]) for row in abrupt_rows(change=change, rendering=OURS, hand=hand)]
-            for hand in HANDS
-        ]
-        means = (mean_number([np.array(each)], 1).value if each else None for each in errors)
-        of_model = (arrives(change, OURS, hand) for hand in HANDS)
-        cells.append((change, *(Number(value, ".1f") for value in means), *of_model, arrives(change, "foten", "live")))
-    heads = ("", "level error: live [dB]", *HANDS[1:], "arrives: live [ms]", *HANDS[1:], "foten, live")
-    return Table.of(heads, cells)
-
-
-def abrupt_families() -> Table:
-    """Level errors and bias in the 100 ms after changes of a kind, by kind of surface, and of a flat surface's knock."""
-    cells = []
-    for rendering, hand, what in ((OURS, "live", ""), ("flat surface", "", ": the knock alone")):
-        for family in dict.fromkeys(row["family"] for row in abrupt_rows(rendering=rendering)):
-            row = [family + what]
-            for begins in GROUPS.values():
-                of = abrupt_rows(family=family, rendering=rendering, hand=hand)
-                of = [each for each in of if each["change"].startswith(begins)]
-                error, bias = (np.mean([float(r[name]) for r in of]) for name in ("level_error_db", "level_bias_db"))
-                row.append(f"{error:.1f} ({signed(float(bias), 1)})")
-            cells.append(tuple(row))
-    return Table.of(("", *GROUPS), cells)
+    for surface in dict.fromkeys(row["surface"] for row in abrupt_rows(rendering=OURS)):
+        row = [surface]
+        for kinds in GROUPS.values():
+            live, unfiltered = (figure(surface, kinds, OURS, hand) for hand in ("live", "unfiltered"))
+            row.append(f"{live} → {unfiltered} ({figure(surface, kinds, SECOND)})")
+        cells.append((*row, figure(surface, (*GROUPS["steps of force"], *GROUPS["taps"]), "flat surface")))
+    return Table.of(("", *GROUPS, "a flat surface, force and taps"), cells)
 
 
 def words_worth() -> Table:
@@ -538,7 +532,7 @@ TABLES: dict[str, dict[str, Callable[[], Table | str]]] = {
         "onset": onset,
         "abrupt": abrupt,
         "abrupt-filter": abrupt_filter,
-        "abrupt-families": abrupt_families,
+        "abrupt-surfaces": abrupt_surfaces,
         "ingredients": partial(of_experiment, "ingredients", ratios),
         "validation-listener": partial(of_experiment, "validation-listener", ratios),
         "csv": partial(listed, *MAIN, "listener", "ingredients", "validation-listener"),
