@@ -22,7 +22,7 @@ from foten.simulation.simulate import (
     simulate,
     vibration,
 )
-from foten.simulation.stroking import Stroking, stroking
+from foten.simulation.stroking import Stroking, stepped_stroking, stroking
 
 GRAVITY = 9.81
 
@@ -302,3 +302,28 @@ def test_the_rate_samples_one_and_the_same_motion() -> None:
     np.testing.assert_allclose(fine.position[::10], coarse.position, atol=1e-9)
     np.testing.assert_allclose(fine.force[::10], coarse.force, atol=1e-9)
     np.testing.assert_allclose(fine.tilt[::10], coarse.tilt, atol=1e-9)
+
+
+def test_a_stepped_stroke_goes_through_its_knots_on_straight_lines() -> None:
+    knots = [
+        (0.0, 40.0, 1.0),
+        (0.5, 40.0, 1.0),
+        (0.51, 200.0, 1.0),
+        (0.8, 200.0, 1.0),
+        (0.83, -200.0, 0.0),
+        (1.0, -200.0, 2.0),
+    ]
+    stroke = stepped_stroking(knots, 10_000.0)
+    for at, velocity, force in knots[:-1]:
+        assert stroke.velocity[round(at * 10_000)] == pytest.approx([velocity, 0.0], abs=1e-6)
+        assert stroke.force[round(at * 10_000)] == pytest.approx(force)
+    assert stroke.speed[8150] == pytest.approx(0.0, abs=1e-6)  # half of the way back
+    assert stroke.force[9150] == pytest.approx(1.0)
+    # Areas under the lines: 20, 1.2, 58, 0 and −34 mm.
+    assert stroke.position[-1] == pytest.approx([45.2, 0.0], abs=0.05)
+
+
+@pytest.mark.parametrize("times", [(0.1, 0.2), (0.0, 0.0)])
+def test_knots_that_do_not_rise_from_zero_are_refused(times: tuple[float, float]) -> None:
+    with pytest.raises(ValueError, match="expected 0 and rising times"):
+        stepped_stroking([(time_s, 100.0, 1.0) for time_s in times], 1000.0)

@@ -60,6 +60,16 @@ def test_a_soft_wave_moves_the_body_as_three_masses_on_springs_do() -> None:
     assert np.sqrt(2) * normal.std() == pytest.approx(expected, rel=0.02)  # of steps of 25 µs
 
 
+def test_a_tip_that_nothing_presses_stays_bounded_at_rest() -> None:
+    """Off the surface there is no friction to solve for, however slowly the shaft still rings."""
+    pressed = np.interp(np.arange(2000), [0, 300, 600], [1.0, 1.0, 0.0])[None]  # and slower, too
+    speed = 100.0 * pressed
+    place = np.cumsum(speed, axis=1) / RATE_HZ
+    moved = two_mass_contact._integrate(TWO_MASS["linen"], FLAT, place, speed, pressed, RATE_HZ)
+    assert np.isfinite(moved).all()
+    assert np.abs(moved[2, :, -500:]).max() == 0.0
+
+
 def test_friction_strengthens_with_rest_and_sticks_and_slips_where_it_is_slow() -> None:
     """By rate and state: with b > a and a soft shaft the tip sticks at 8 mm/s; with b < a, and at 300 mm/s, it slides."""
     p = replace(TWO_MASS["varnish"], roughness_um=0.0, wave_nepers=0.0)

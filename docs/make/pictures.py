@@ -419,6 +419,32 @@ def outside(arguments: argparse.Namespace) -> None:
     save(figure, "outside")
 
 
+def abrupt(arguments: argparse.Namespace) -> None:
+    """Levels around four abrupt changes on a surface of two masses, of the truth and of renderings."""
+    rows = [row for row in rows_of("abrupt") if row["surface"] == "sandstone"]
+    shown = ("speed 40 → 200 mm/s", "reversal at 120 mm/s", "force 0.5 → 2 N", "tap of 1.5 N at 80 mm/s")
+    starts = [name for name in rows[0] if name.endswith(" ms")]
+    at = [float(name.removesuffix(" ms")) + 5.0 for name in starts]  # the middle of a frame of 10 ms
+    lines = {
+        "truth": ("second realisation", INK, "-"),
+        "its flat surface": ("flat surface", INK, ":"),
+        "foten-plus": ("foten-plus", OURS, "-"),
+        "foten": ("foten", PAPER, "-"),
+    }
+    figure, panels = drawn(9, 2.8, 1, 4, sharey=True)
+    for axes, change in zip(panels, shown, strict=True):
+        for name, (rendering, colour, dashes) in lines.items():
+            of = (row for row in rows if (row["change"], row["rendering"]) == (change, rendering) and row[starts[0]])
+            axes.plot(at, [float(row[start]) for row in of for start in starts], color=colour, ls=dashes, label=name)
+        axes.axvline(0.0, color="#cccccc", lw=0.8, zorder=0)
+        axes.set_title(change, loc="left", fontsize=9)
+        axes.set(xlim=(-50, 250), xlabel="ms")
+    panels[0].set_ylabel("level [dB]")
+    handles, labels = panels[0].get_legend_handles_labels()
+    add_legend(figure, STYLE, handles=handles, labels=labels, ncols=4, loc="outside upper right")
+    save(figure, "abrupt")
+
+
 def listener(arguments: argparse.Namespace) -> None:
     """The area under a listener's curve, by texture: without a network, with it, of longer recordings, and of the control."""
     longer, title = "foten-plus, recorded 256 s", read_experiment(experiment_path("listener-256s")).title
@@ -534,6 +560,7 @@ PICTURES: dict[str, Callable[[argparse.Namespace], None]] = {
     "bound": bound,
     "limits": limits,
     "outside": outside,
+    "abrupt": abrupt,
     "rates": rates,
     "listener": listener,
     "impact": impact,

@@ -402,6 +402,75 @@ def few_strokes(real: bool) -> Table:
     return Table.of(heads, [(words, figure(p, "level_error_db"), figure(p, "lsd_db")) for p, words in named])
 
 
+def abrupt_rows(**of: str) -> list[dict[str, str]]:
+    """Rows of abrupt changes with some values."""
+    path = RESULTS / "abrupt.csv"
+    rows = list(csv.DictReader(path.open(encoding="utf-8"))) if path.exists() else []
+    return [row for row in rows if all(row[name] == value for name, value in of.items())]
+
+
+SECOND = "second realisation"
+HANDS = ("live", "aligned", "unfiltered")
+GROUPS = {
+    "steps of speed, reversal": ("speed 40", "speed 200", "reversal"),
+    "steps of force": ("force 0.5", "force 2"),
+    "taps": ("tap",),
+    "out of range": ("speed 100", "force 1"),
+}
+"""Kinds of changes, by how their names begin."""
+
+
+def abrupt() -> Table:
+    """Level and spectrum in the 100 ms after each change, medians over the surfaces that both models learned."""
+    both = {row["surface"] for row in abrupt_rows(rendering="foten")}
+
+    def figure(name: str, rendering: str, **of: str) -> Number:
+        rows = abrupt_rows(rendering=rendering, hand="" if rendering == SECOND else "live", **of)
+        values = [float(row[name]) for row in rows if row["surface"] in both]
+        return Number(float(np.median(values)) if values else None, ".1f")
+
+    def cells(**of: str) -> tuple[Number, ...]:
+        judged = product(("level_error_db", "lsd_db"), (SECOND, OURS, "foten"))
+        return (*(figure(*each, **of) for each in judged), figure("settled_level_error_db", OURS, **of))
+
+    heads = ("", "level: second realisation [dB]", OURS, "foten", "spectrum: second realisation [dB]", OURS, "foten")
+    changes = dict.fromkeys(row["change"] for row in abrupt_rows())
+    rows = [(change, *cells(change=change)) for change in changes]
+    return Table.of((*heads, f"level later: {OURS} [dB]"), [*rows, ("all", *cells())] if rows else [])
+
+
+def abrupt_filter() -> Table:
+    """What the low-pass of speed and force costs after each change: level error and time of arrival, medians over surfaces."""
+
+    def median(name: str, change: str, hand: str, spec: str) -> Number:
+        rows = abrupt_rows(change=change, rendering=OURS, hand=hand)
+        value = float(np.median([float(row[name] or "inf") for row in rows])) if rows else np.inf
+        return Number(value if np.isfinite(value) else None, spec)
+
+    columns = (*product(["level_error_db"], HANDS, [".1f"]), *product(["arrives_ms"], HANDS, [".0f"]))
+    changes = dict.fromkeys(row["change"] for row in abrupt_rows())
+    cells = [(change, *(median(name, change, hand, spec) for name, hand, spec in columns)) for change in changes]
+    return Table.of(("", "level error: live [dB]", *HANDS[1:], "arrives: live [ms]", *HANDS[1:]), cells)
+
+
+def abrupt_surfaces() -> Table:
+    """Level errors in the 100 ms after changes of a kind, by surface: live, unfiltered, of a second realisation."""
+
+    def figure(surface: str, kinds: Sequence[str], rendering: str, hand: str = "") -> str:
+        rows = abrupt_rows(surface=surface, rendering=rendering, hand=hand)
+        errors = [float(r["level_error_db"]) for r in rows if r["change"].startswith(tuple(kinds))]
+        return f"{np.mean(errors):.1f}" if errors else "–"
+
+    cells = []
+    for surface in dict.fromkeys(row["surface"] for row in abrupt_rows(rendering=OURS)):
+        row = [surface]
+        for kinds in GROUPS.values():
+            live, unfiltered = (figure(surface, kinds, OURS, hand) for hand in ("live", "unfiltered"))
+            row.append(f"{live} → {unfiltered} ({figure(surface, kinds, SECOND)})")
+        cells.append((*row, figure(surface, (*GROUPS["steps of force"], *GROUPS["taps"]), "flat surface")))
+    return Table.of(("", *GROUPS, "a flat surface, force and taps"), cells)
+
+
 def words_worth() -> Table:
     """What names are worth over a library, by method."""
     paths = RESULTS / "words.csv", RESULTS / "words-sentence-encoder.csv"
@@ -498,6 +567,9 @@ TABLES: dict[str, dict[str, Callable[[], Table | str]]] = {
         "simulated": partial(by_texture, SIMULATED),
         "stability": stability,
         "onset": onset,
+        "abrupt": abrupt,
+        "abrupt-filter": abrupt_filter,
+        "abrupt-surfaces": abrupt_surfaces,
         "ingredients": partial(of_experiment, "ingredients", ratios),
         "validation-listener": partial(of_experiment, "validation-listener", ratios),
         "csv": partial(listed, *MAIN, "listener", "ingredients", "validation-listener"),

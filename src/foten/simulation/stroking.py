@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -87,6 +88,23 @@ def stroking(seconds: float, seed: int, rate_hz: float) -> Stroking:
     for array in (stroke.position, stroke.velocity, stroke.force, stroke.tilt):
         array.flags.writeable = False
     return stroke
+
+
+def stepped_stroking(knots: Sequence[tuple[float, float, float]], rate_hz: float) -> Stroking:
+    """Stroke along x, on straight lines between knots of time [s], velocity [mm/s] and force [N]: steps, reversals, taps.
+
+    From the first knot's time, which is 0, to the last one's. Not bounded by the plate. ValueError where times do not rise.
+    """
+    times_s, velocities, forces = np.array(knots, dtype=np.float64).T
+    if times_s[0] != 0 or (np.diff(times_s) <= 0).any():
+        raise ValueError(f"the knots are at {', '.join(f'{t:g}' for t in times_s)} s, expected 0 and rising times")
+    at = np.arange(round(times_s[-1] * rate_hz)) / rate_hz
+    velocity, force = (np.interp(at, times_s, values) for values in (velocities, forces))
+    position = np.concatenate([[0.0], np.cumsum(0.5 * (velocity[1:] + velocity[:-1]))]) / rate_hz
+    still = np.zeros_like(at)
+    return Stroking(
+        rate_hz, np.stack([position, still], axis=1), np.stack([velocity, still], axis=1), force, np.zeros((at.size, 2))
+    )
 
 
 def _movement(start: Array, rng: np.random.Generator) -> tuple[Array, float]:

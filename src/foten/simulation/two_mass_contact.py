@@ -337,7 +337,7 @@ def _sliding(parameters: TwoMassParameters, free: Array, impulse: Array, age: Ar
     p, rest = parameters, 2e-3 * REFERENCE_MM_S
     psi = (p.friction + p.evolution * np.log(REFERENCE_MM_S * age / p.memory_mm)) / p.direct
     scale, slope, towards = rest * np.exp(-psi), impulse * p.direct, np.abs(free)
-    y = np.minimum(np.arcsinh(towards / scale), towards / np.maximum(slope, 1e-12))
+    y = np.minimum(np.arcsinh(towards / scale), towards / np.maximum(slope, 1e-200))  # no contact, no slope
     for _ in range(N_NEWTON):
         grown = np.exp(y)
         sinh, cosh = 0.5 * scale * (grown - 1 / grown), 0.5 * scale * (grown + 1 / grown)
