@@ -59,6 +59,7 @@ SURFACES = {
 }
 SECONDS, SEED, TRUTH_SEED, STREAM = 64.0, 401, 5001, 2**36
 MODEL_HZ = 1000.0
+DRAWN = "sandstone"  # whose levels by frame are in the table, for a picture
 FRAME_S, AFTER_S, SPECTRUM_S = 0.01, 0.1, 0.05  # of levels, of what is judged, of a segment of its spectrum
 SOFT_S, BEFORE_S, HELD_S = 0.1, 0.35, 0.45  # to the condition before, held before the change, and held after it
 LEVELS_S = (-0.05, 0.35)  # around a change, in the table
@@ -252,7 +253,7 @@ def rows_of(key: str, rendering: str, hand: str, ours: Measured, true: Sequence[
             "family": SURFACES.get(key, ""),
             **{name: f"{values[i]:.3f}" for name, values in figures.items()},
             "arrives_ms": arrives_ms(whole[i, start:]),
-            **(level_columns(levels(ours.power)[i]) if hand in ("", "live") else {}),
+            **(level_columns(levels(ours.power)[i]) if hand in ("", "live") and key == DRAWN else {}),
         }
 
 
