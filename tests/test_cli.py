@@ -320,14 +320,14 @@ def test_credit_goes_from_the_command_to_every_conversion(
 def test_render_says_what_became_of_samples_outside_the_range(
     texture: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """A range that begins at almost nothing fades below 5 mm/s all the same, where it said nothing of it."""
+    """A range that begins at almost nothing fades below 2 mm/s all the same, where it said nothing of it."""
     texture_ = read_texture(texture)
     held, path = tmp_path / "held.foten", str(tmp_path / "o.csv")
     entries = {"trained_range": {"speed": [0.0026, 150.0], "force": [0.3, 1.5]}}
     entries["extrapolation_exponents"] = {"speed": 0.0, "force": 0.0}
     write_texture(dataclasses.replace(texture_, card={**texture_.card, **entries}), held)
     for speed, messages in (
-        ("1", "speed was below 5 mm/s or force below 0.3 N for 100.0 %; the vibration falls there, to silence at rest"),
+        ("1", "speed was below 2 mm/s or force below 0.3 N for 100.0 %; the vibration falls there, to silence at rest"),
         ("200", "speed was above the trained 150 mm/s for 100.0 %; the level was held there"),
     ):
         capsys.readouterr()
