@@ -335,7 +335,7 @@ const foten = await Foten.load(readFileSync("{WASM / "foten.wasm"}"));
 const texture = foten.texture(readFileSync("{path}")), renderer = texture.renderer({{ rate: 8000 }});
 const actuators = [{{ resonanceHz: 70, damping: 0.25, gain: 2, lowestHz: 30, limit: 0.5 }}, {{ gain: -2 }}, null];
 for (const [i, actuator] of actuators.entries()) {{
-  renderer.setCondition([80, 3, 80][i], 0.8);
+  renderer.setCondition([80, 1, 80][i], 0.8);
   renderer.setActuator(actuator);
   console.log(Array.from(renderer.render(new Float32Array(800))).join(" "));
 }}
@@ -350,7 +350,7 @@ try {{ renderer.setActuator(null); }} catch (error) {{ console.log(error.message
     state = NativeState(NativeTexture(path.read_bytes()), 8000.0)
     actuators = (NativeActuator(70.0, 0.25, 2.0, 30.0, 0.5), NativeActuator(0.0, 0.0, -2.0, 0.0, 0.0), None)
     expected = np.empty(800, dtype=np.float32)
-    for line, actuator, speed in zip(driven, actuators, (80.0, 3.0, 80.0), strict=True):
+    for line, actuator, speed in zip(driven, actuators, (80.0, 1.0, 80.0), strict=True):
         state.set_condition(speed, 0.8)
         state.set_actuator(actuator)
         state.render(expected)
