@@ -50,6 +50,7 @@ from foten.simulation.two_mass_contact import TWO_MASS, two_mass_surface, two_ma
 from foten.training.config import recipe_of
 from foten.training.job import TrainingJob
 from foten.training.pipeline import train
+from result_table import write_rows
 
 SURFACES = {
     **dict.fromkeys(("linear-hum", "linear-cloth"), "linear"),
@@ -333,12 +334,7 @@ def write(rows: list[dict[str, str]], path: Path) -> None:
     """Write the table by surface and change; rows of a change stay in the order in which they were measured."""
     order = {change: i for i, change in enumerate(CHANGES)}
     rows.sort(key=lambda row: (list(SURFACES).index(row["surface"]), order[row["change"]]))
-    columns = list(dict.fromkeys(name for row in rows for name in row))
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with atomic_write(path) as part, part.open("w", newline="") as file:
-        table = csv.DictWriter(file, columns, restval="", lineterminator="\n")
-        table.writeheader()
-        table.writerows(rows)
+    write_rows(rows, path)
 
 
 if __name__ == "__main__":

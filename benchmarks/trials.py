@@ -56,6 +56,7 @@ from foten.simulation.two_mass_contact import TWO_MASS
 from foten.training.config import recipe_of
 from foten.training.job import TrainingJob
 from foten.training.pipeline import train
+from result_table import write_rows
 
 SECONDS, LONG_S = 64.0, 240.0
 SURFACES = {"choosing": (*list(TWO_MASS)[:5], *LINEAR_FAMILY), "kept": (*list(TWO_MASS)[5:], *OTHER_LINEAR)}
@@ -244,7 +245,7 @@ def main() -> None:
         for n, ready in enumerate(as_completed([pool.submit(judge, trial) for trial in trials]), start=1):
             rows.append(ready.result())
             print(f"{n}/{len(trials)} {json.dumps(rows[-1])}", flush=True)
-            write(rows, options.csv)
+            write_rows(rows, options.csv)
     for approach in dict.fromkeys(row["approach"] for row in rows if row["half"] == options.half):
         of_it = [row for row in rows if (row["approach"], row["half"]) == (approach, options.half)]
         for linear in (False, True):
@@ -257,16 +258,6 @@ def means(rows: Sequence[dict[str, str]]) -> list[str]:
     """Means of the figures of some rows."""
     named = [name for name in rows[0] if name not in (*KEYS, "network", "sha256", "loss_before", "loss_after")]
     return [f"{name} {np.mean([float(row[name]) for row in rows if row[name]]):.3f}" for name in named]
-
-
-def write(rows: Sequence[dict[str, str]], path: Path) -> None:
-    """Write the table, its rows in the order of approaches, surfaces and fits."""
-    columns = list(dict.fromkeys(name for row in rows for name in row))
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with atomic_write(path) as part, part.open("w", newline="") as file:
-        table = csv.DictWriter(file, columns, restval="", lineterminator="\n")
-        table.writeheader()
-        table.writerows(rows)
 
 
 if __name__ == "__main__":

@@ -424,15 +424,18 @@ def test_the_server_renders_where_it_is_asked_to_and_the_page_once_it_is_gone(br
     """What comes back is what this machine renders of these events, but for when they arrived."""
     with serving(str(shelf)) as (process, link), opened(browser, link) as page:
         at_the_server(page)
-        taken = recorded(page, lambda: Pen(page).stroke(page))
+        apart = []  # dB, of three strokes: where a machine is busy, events of one may arrive in bunches
+        for _ in range(3):
+            taken = recorded(page, lambda: Pen(page).stroke(page))
+            assert len(taken["events"]) > 30
+            both = rendered(shelf / "mesh.foten", {**taken, "seed": 0}), taken["samples"]
+            levels = [10 * np.log10(np.mean(samples.astype(float) ** 2)) for samples in both]
+            apart.append(abs(levels[0] - levels[1]))
+            page.keyboard.press("Escape")  # the dialog of what was recorded
+        assert np.median(apart) < 3
         state = page.evaluate("fetch('/state').then((answer) => answer.json())")
         assert state["pages"][0]["n_events"] > 20
         assert state["pages"][0]["stylus"]["n_dropped"] == 0
-        assert len(taken["events"]) > 30
-        expected = rendered(shelf / "mesh.foten", {**taken, "seed": 0})
-        levels = [10 * np.log10(np.mean(samples.astype(float) ** 2)) for samples in (expected, taken["samples"])]
-        assert abs(levels[0] - levels[1]) < 5  # dB; where a machine is busy, events arrive in bunches: 3.6 were seen
-        page.keyboard.press("Escape")
         process.terminate()
         process.communicate(timeout=30)
         until(page, f"{STATE}.sound.server === null")
