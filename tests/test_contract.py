@@ -53,7 +53,7 @@ def textures(recording: Recording) -> dict[str, Texture]:
     """Every model, trained for a moment; few closed loops settle its level, which take graphs seconds."""
     trained = {}
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(calibration, "N_CALIBRATIONS", 1)
+        patch.setattr(calibration, "N_CALIBRATION_RUNS", (1,))
         patch.setattr(calibration, "N_RUNS", 2)
         for key in TRAINABLE:
             short = {"epochs": 1, "batch": 64, "threads": 1, "max_order": 8, "tones": False}

@@ -84,7 +84,7 @@ def fitted(recording: Recording) -> Fitted:
     linear = fit_linear_models(*fit_level(blocks.flat[:, 0], sizes, blocks, QUICK), sizes, QUICK)[0]
     torch.manual_seed(0)
     initial = perturbed(InnovationNetwork(sizes))
-    excited, report = best_linear_model([linear], None, initial, run)
+    excited, report = best_linear_model([linear], lambda: None, initial, run)
     with pytest.MonkeyPatch.context() as patch:  # all that it says is used, whatever
         patch.setattr(foten_plus, "mean_share", lambda *_: 1.0)
         network = fit_network(initial, excited, run)

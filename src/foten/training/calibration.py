@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -30,8 +31,7 @@ FLOOR = (2.0, 0.05)  # mm/s and N, that a logarithm starts from
 WEIGHT_PENALTY = 1e-4
 MAX_ITERATIONS = 60
 BIN_WIDTH = 0.05  # of log speed and log force, within which σ is taken as one in the fit
-N_CALIBRATIONS = 3
-N_CALIBRATION_RUNS = 4  # free runs of a block that it is calibrated by
+N_CALIBRATION_RUNS = (1, 2, 4)  # free runs of a block, of each adjustment: the first need only come near
 PRIOR_SDS_DB = (0.0, 0.05, 0.1, 0.2, 0.4, 0.8, 1.6)  # of what a term does to the level, tried
 N_RUNS = 5  # free runs of a block that errors are means of
 # The judge's streams begin at 0: what is calibrated or chosen on is other noise than what is judged.
@@ -155,12 +155,23 @@ class Residuals:
     n_train: int
     moving: NDArray[np.bool_]  # where a rendering does not fade
 
+    @property
+    def largest(self) -> float:
+        """The largest of the training samples, in scaled acceleration."""
+        return float(np.abs((self.innovation * self.innovation_gain)[: self.n_train]).max())
+
 
 class FreeRunErrors(NamedTuple):
     """Log-spectral distance and level error [dB]."""
 
     lsd_db: float
     level_error_db: float
+
+
+@lru_cache(maxsize=4)
+def _noise(seed: int, first_stream: int, n_streams: int, n: int) -> Array:
+    """Standard normal numbers of streams, (n_streams, n): the same for every model and adjustment."""
+    return np.stack([gaussian(seed, first_stream + k, 0, n) for k in range(n_streams)])
 
 
 @dataclass(frozen=True)
@@ -220,7 +231,7 @@ class ClosedLoop:
         m, block, chosen = self.history, self.blocks.trace.block, list(numbers)
         starts = np.tile(self.blocks.samples[chosen, :m], (n_runs, 1, 1))
         conditions = np.tile(self.blocks.conditions_with_speed()[chosen, m:], (n_runs, 1, 1))
-        noise = np.stack([gaussian(seed, first_stream + k, 0, block - m) for k in range(len(starts))])
+        noise = _noise(seed, first_stream, len(starts), block - m)
         if self.unit_sigma:
             sigma = excitation.sigma(self.blocks.samples[chosen, m - 1 : -1, 1:].reshape(-1, 2))
             in_sigma = excitation.innovation_limit[0]
@@ -272,15 +283,14 @@ def calibrate_excitation(width: int, residuals: Residuals, loop: ClosedLoop, see
     sigma = fit_scale(width, residuals.condition, residuals.innovation, n, loop.blocks.scaling, seed)
     gain, innovation = residuals.innovation_gain, residuals.innovation
     # None is larger than what was left to explain at the training samples, in σ and in acceleration.
-    recorded = (innovation / sigma(residuals.condition))[:n], (innovation * gain)[:n]
-    fitted = Excitation(sigma, (float(np.abs(recorded[0]).max()), float(np.abs(recorded[1]).max())))
+    in_sigma = (innovation / sigma(residuals.condition))[:n]
+    fitted = Excitation(sigma, (float(np.abs(in_sigma).max()), residuals.largest))
 
     def nll_under(excitation: Excitation) -> Array:
         scale = excitation.sigma(residuals.condition[n:]) * gain[n:]
         return innovation_likelihood((innovation * gain)[n:], scale)[1]
 
     innovation_nll = float((nll_under(fitted) - np.log(gain[n:])).mean())
-    loop = loop.with_unit_sigma(width, fitted.innovation_limit[1])
     excitation, errors = calibrate_level(loop, fitted, seed)
     nll, moving = nll_under(excitation), residuals.moving[n:]
     acceleration_nll = float(nll[moving].mean()) if moving.any() else None
@@ -311,7 +321,7 @@ def calibrate_network_gain(
 def calibrate_level(loop: ClosedLoop, excitation: Excitation, seed: int) -> tuple[Excitation, list[float]]:
     """Adjust σ until the closed loop is as loud as the recording, at every speed and force.
 
-    The loop runs under the speed and force of the training and validation blocks, and log σ is adjusted `N_CALIBRATIONS` times.
+    The loop runs under the speed and force of the training and validation blocks, and log σ is adjusted three times.
     Its terms in log speed and log force follow a regression of the level errors of frames on the derivatives of their levels by
     each term, as far as they are beyond what differs between blocks (`_shrunk`); its constant follows the level error of all
     frames, as far as that is beyond chance.
@@ -334,8 +344,8 @@ def calibrate_level(loop: ClosedLoop, excitation: Excitation, seed: int) -> tupl
     counts = (frame_means(speed, rate) >= 2 * MOVING_SPEED).ravel().astype(float)
     errors = []
     uncalibrated, taken = excitation, np.zeros(6)
-    for _ in range(N_CALIBRATIONS):
-        runs = loop.free_runs(excitation, blocks.known, seed, CALIBRATION_STREAM, N_CALIBRATION_RUNS)[1]
+    for n_runs in N_CALIBRATION_RUNS:
+        runs = loop.free_runs(excitation, blocks.known, seed, CALIBRATION_STREAM, n_runs)[1]
         error = (frame_levels(runs, rate, reference).mean(axis=0) - level).ravel()
         block_powers = np.stack([np.square(signal).mean(axis=(0, -1)) for signal in (runs, recorded[None])])
         louder, standard_error = _jackknifed(block_powers, lambda power, reference: 10 * np.log10(power / reference))

@@ -183,6 +183,7 @@ def one_step_texture(
         loop = ClosedLoop(
             blocks, sizes.history, partial(builder.kernel, sizes, tensors), _unit_power, limit=blocks.saturation
         )
+        loop = loop.with_unit_sigma(sizes.excitation_width, residuals.largest)
         calibrated = calibrate_excitation(sizes.excitation_width, residuals, loop, job.config.seed)
         metrics |= calibrated.metrics()
         tensors = {**tensors, **calibrated.excitation.tensors()}

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -105,18 +105,21 @@ def fit(job: TrainingJob, monitor: Monitor) -> Trained:
     blocks = checked_blocks(job, sizes.window)
     monitor.on_stage("fitting level, lattice and tones")
     level, data = fit_level(blocks.flat[:, 0], sizes, blocks, config)
-    with ThreadPoolExecutor() as beside:
-        residual = beside.submit(fit_residual, data, sizes, blocks, config)
-        linear_models = fit_linear_models(level, data, sizes, config)
-    with_tones = residual.result()
-    linear = linear_models[0]
-    tonal = None if with_tones is None else tonal_model(linear, with_tones, blocks.trace.rate_hz)
     run = FitContext(texture_builder(job, blocks), config, monitor)
     torch.manual_seed(config.seed)
     initial = InnovationNetwork(sizes).to(pick_device())
-    monitor.on_stage("fitting the excitation and calibrating its level in the closed loop")
-    excited, report = best_linear_model(linear_models, tonal, initial, run)
-    linear = excited.model if excited.model.phase is None else linear
+    with ThreadPoolExecutor() as beside:
+        residual = beside.submit(fit_residual, data, sizes, blocks, config)
+        linear_models = fit_linear_models(level, data, sizes, config)
+
+        def with_tones() -> LinearModel | None:
+            fitted = residual.result()
+            return None if fitted is None else tonal_model(linear_models[0], fitted, blocks.trace.rate_hz)
+
+        monitor.on_stage("fitting the excitation and calibrating its level in the closed loop")
+        excited, report = best_linear_model(linear_models, with_tones, initial, run)
+    tonal = with_tones()
+    linear = linear_models[0] if excited.model.phase is not None else excited.model
     early = texture_of([excited], initial, None, report, run)
     monitor.on_playable(replace(early, card={**early.card, "training": {**early.card["training"], "unfinished": True}}))
     network = fit_network(initial, excited, run)
@@ -154,9 +157,12 @@ def texture_builder(job: TrainingJob, blocks: ScaledBlocks) -> TextureBuilder:
 
 
 def best_linear_model(
-    linear: Sequence[LinearModel], tonal: LinearModel | None, network: InnovationNetwork, run: FitContext
+    linear: Sequence[LinearModel], tonal: Callable[[], LinearModel | None], network: InnovationNetwork, run: FitContext
 ) -> tuple[Candidate, dict[str, Any]]:
-    """The linear model, with tones or without, that `best_candidate` chooses once excited; and what was tried."""
+    """The linear model, with tones or without, that `best_candidate` chooses once excited; and what was tried.
+
+    Those without tones are excited while that with tones, if there is one, is being fitted.
+    """
     networks = tensors_of(network, "network.")
 
     def excited(model: LinearModel) -> Candidate:
@@ -165,12 +171,16 @@ def best_linear_model(
         n = np.concatenate([train, validation])
         condition, moving = run.blocks.flat[n - 1, 1:], run.blocks.moving().ravel()[n]
         residuals = Residuals(condition, e.ravel()[n], gain.ravel()[n], len(train), moving)
-        loop, width = _closed_loop(model, networks, run), model.sizes.excitation_width
+        width = model.sizes.excitation_width
+        loop = _closed_loop(model, networks, run).with_unit_sigma(width, residuals.largest)
         random_part = calibrate_excitation(width, residuals, loop, run.config.seed)
         return Candidate(model, random_part, distance=_distance(loop, random_part, run))
 
     with ThreadPoolExecutor() as pool:
-        return best_candidate(list(pool.map(excited, [*linear, *([] if tonal is None else [tonal])])))
+        without_tones = [pool.submit(excited, model) for model in linear]
+        with_tones = tonal()
+        candidates = [] if with_tones is None else [excited(with_tones)]
+        return best_candidate([*(candidate.result() for candidate in without_tones), *candidates])
 
 
 def best_candidate(candidates: Sequence[Candidate]) -> tuple[Candidate, dict[str, Any]]:
