@@ -402,7 +402,12 @@ MUTANTS = (
     ),
     *of_python(
         "evaluate/one_step.py",
-        ("the best AR is fitted on validation blocks too", "best_linear.judged", "Name train", "(*it, *validation)"),
+        (
+            "the best AR is fitted on validation blocks too",
+            "best_linear",
+            "Call array_split",
+            "it.func((*it.args[0], *validation), it.args[1])",
+        ),
         tests="evaluate",
     ),
     *of_python("evaluate/metrics.py", ("kurtosis is not about the mean", "kurtosis", "BinOp Sub 1", "it.left")),

@@ -13,7 +13,7 @@ from scipy.stats import norm
 
 from foten.models.foten_plus.definition import Mixture
 from foten.training import training_kernel as kernel
-from foten.training.training_kernel import MAX_ADJOINT, WEIGHT_NAMES, Rollout, RolloutInputs, RolloutState, repeated
+from foten.training.training_kernel import MAX_ADJOINT, WEIGHT_NAMES, Rollout, RolloutInputs, RolloutState
 
 C_SOURCE = Path(__file__).parents[1] / "native/training/training_kernel.c"
 
@@ -70,7 +70,7 @@ def streams(s: int, n: int, p: int, rng: np.random.Generator, gain_before: bool)
     def single(values: np.ndarray) -> np.ndarray:
         return values.astype(np.float32)
 
-    reflections = single(rng.uniform(-0.7, 0.7, (s, n, p)))
+    reflections = np.ascontiguousarray(single(rng.uniform(-0.7, 0.7, (s, n, p))).transpose(1, 2, 0))
     level, logs = single(rng.uniform(0.5, 2.0, (s, n))), single(rng.standard_normal((s, n, 2)))
     states, hidden, inputs = (single(rng.standard_normal(shape)) for shape in ((s, p), (s, 6), (s, 5)))
     return RolloutInputs(reflections, level, logs, gain_before, 50.0), RolloutState(states, hidden, inputs)
@@ -154,7 +154,7 @@ def test_draws_are_distributed_as_the_network_says() -> None:
     """Kolmogorov and Smirnov's distance of 20,000 draws from one mixture of four; 1.95 / √n is its 0.1 % quantile."""
     n, rng = 20_000, np.random.default_rng(9)
     inputs, state = streams(1, 1, 1, rng, False)
-    run = Rollout(weights(4, rng), repeated(inputs, n), repeated(state, n), rng)
+    run = Rollout(weights(4, rng), inputs, state, rng, n)
     mixture = mixture_of(run._out[0, :1])
     assert 1 - (mixture.weight**2).sum() > 0.5  # which no component alone is
     drawn = np.sort(run.innovation[0].astype(float))

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
+from importlib import import_module
 from math import pi
 from pathlib import Path
+from threading import Thread
 from typing import TYPE_CHECKING, Any
 
 from typer import Argument, Option
@@ -37,6 +39,7 @@ def evaluate(
     from foten.models.texture_file import read_texture
 
     check_folder(report, "--report")
+    Thread(target=import_module, args=["scipy.signal"]).start()  # which takes a second, beside the reading
     texture, recording = read_texture(texture_file), load_takes(recording_files)
     if texture.unfinished:
         say(f"{texture_file.name}: {texture.unfinished}")

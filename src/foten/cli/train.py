@@ -170,9 +170,9 @@ def train(options: TrainOptions) -> None:
     from foten.recording.inspection import inspect_recording
 
     output, config = options.output, options.config()
+    Thread(target=_import_libraries).start()
     recording = load_takes(options.recording_files)
     job = options.job(recording)
-    Thread(target=_import_torch).start()
     inspection = inspect_recording(recording, is_trained=True)
     if not options.anyway:
         check_usable(unusable(inspection, besides=("refused", "short")))  # which the training says itself
@@ -215,8 +215,10 @@ def train(options: TrainOptions) -> None:
         raise Exit(130)
 
 
-def _import_torch() -> None:
-    """Import PyTorch, which takes a second, beside the inspection; where it is missing, who needs it says so."""
+def _import_libraries() -> None:
+    """Import what takes a second each beside the reading and the inspection; where PyTorch is missing, who needs it says so."""
+    import scipy.signal  # noqa: F401
+
     with suppress(ImportError):
         import torch  # noqa: F401
 

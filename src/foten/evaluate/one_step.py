@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import os
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from itertools import product
@@ -122,19 +124,51 @@ def fit_linear(
     samples: Array, blocks: tuple[int, ...], block: int, order: int, scheduled: bool = False
 ) -> Linear | None:
     """AR(order) by least squares over blocks of scaled samples (n, 3); None with less than two windows a coefficient."""
-    n_coefficients = (order + 1) * (3 if scheduled else 1)
-    n = len(blocks) * (block - order)
-    if block <= order or n < 2 * n_coefficients:
+    if not _is_determined(blocks, block, order, scheduled):
         return None
-    gram, moment, power = np.zeros((n_coefficients,) * 2), np.zeros(n_coefficients), 0.0
+    return _solved(_sums(samples, blocks, block, order, scheduled), len(blocks) * (block - order), order, scheduled)
+
+
+@dataclass(frozen=True)
+class _Sums:
+    """Sums of least squares over some targets, of p coefficients."""
+
+    gram: Array  # shape (p, p)
+    moment: Array  # shape (p,)
+    power: float
+
+    def __add__(self, other: _Sums) -> _Sums:
+        return _Sums(self.gram + other.gram, self.moment + other.moment, self.power + other.power)
+
+
+def _is_determined(blocks: tuple[int, ...], block: int, order: int, scheduled: bool) -> bool:
+    n_coefficients = (order + 1) * (3 if scheduled else 1)
+    return block > order and len(blocks) * (block - order) >= 2 * n_coefficients
+
+
+def _sums(
+    samples: Array,
+    blocks: Sequence[int],
+    block: int,
+    order: int,
+    scheduled: bool,
+    first: int | None = None,
+    last: int | None = None,
+) -> _Sums:
+    """Sums of AR(order) over the targets of blocks from `first`, the order by default, to before `last`, the end by default."""
+    n_coefficients = (order + 1) * (3 if scheduled else 1)
+    first, last = order if first is None else first, block if last is None else last
+    sums = _Sums(np.zeros((n_coefficients,) * 2), np.zeros(n_coefficients), 0.0)
     for number in blocks:
-        rows = samples[number * block : (number + 1) * block]
+        rows = samples[number * block + first - order : number * block + last]
         design, target = _design(rows, order, scheduled), rows[order:, 0]
-        gram += design.T @ design
-        moment += design.T @ target
-        power += float(target @ target)
-    coefficients = solved(gram, moment)
-    residual = float(power - 2 * coefficients @ moment + coefficients @ gram @ coefficients)
+        sums += _Sums(design.T @ design, design.T @ target, float(target @ target))
+    return sums
+
+
+def _solved(sums: _Sums, n: int, order: int, scheduled: bool) -> Linear:
+    coefficients = solved(sums.gram, sums.moment)
+    residual = float(sums.power - 2 * coefficients @ sums.moment + coefficients @ sums.gram @ coefficients)
     shaped = coefficients.reshape(3, order + 1) if scheduled else coefficients
     return Linear(shaped, math.sqrt(max(0.0, residual) / n))
 
@@ -150,20 +184,35 @@ def _design(block: Array, order: int, scheduled: bool) -> Array:
 
 
 def best_linear(samples: Array, train: tuple[int, ...], validation: tuple[int, ...], block: int) -> Linear | None:
-    """AR of any of `ORDERS` up to `first_scored`, scheduled or not, with the lowest absolute error on the validation blocks."""
+    """AR of any of `ORDERS` up to `first_scored`, scheduled or not, with the lowest absolute error on the validation blocks.
+
+    The sums of the longest hold those of all others, but for the first targets of a block.
+    """
     first = first_scored(block)
     if not validation or block <= first:
         return None
     n = targets(validation, block, first).reshape(len(validation), -1)
+    kinds = [
+        (order, scheduled)
+        for order, scheduled in product(ORDERS, (False, True))
+        if order <= first and _is_determined(train, block, order, scheduled)
+    ]
+    if not kinds:
+        return None
+    longest = max(order for order, _ in kinds)
 
-    def judged(kind: tuple[int, bool]) -> tuple[float, Linear] | None:
+    def judged(kind: tuple[int, bool]) -> tuple[float, Linear]:
         order, scheduled = kind
-        fitted = fit_linear(samples, train, block, order, scheduled)
-        if fitted is None:
-            return None
+        latest = np.arange(longest - order, longest + 1)
+        columns = np.concatenate([latest + group * (longest + 1) for group in range(3 if scheduled else 1)])
+        sums = _Sums(whole.gram[np.ix_(columns, columns)], whole.moment[columns], whole.power)
+        if order < longest:
+            sums += _sums(samples, train, block, order, scheduled, order, longest)
+        fitted = _solved(sums, len(train) * (block - order), order, scheduled)
         return float(np.abs(samples[n, 0] - fitted.predict(samples, n)).mean()), fitted
 
-    kinds = product([order for order in ORDERS if order <= first], (False, True))
     with ThreadPoolExecutor() as pool:  # NumPy's products release the interpreter's lock
-        candidates = [judgement for judgement in pool.map(judged, kinds) if judgement is not None]
-    return min(candidates, key=lambda judgement: judgement[0])[1] if candidates else None
+        parts = np.array_split(train, min(len(train), os.cpu_count() or 1))
+        first_part, *others = pool.map(lambda part: _sums(samples, part, block, longest, True), parts)
+        whole = sum(others, start=first_part)
+        return min(pool.map(judged, kinds), key=lambda judgement: judgement[0])[1]

@@ -196,6 +196,11 @@ class ClosedLoop:
         texture = self.kernel(Excitation(unit, (MAX_SIGMA, innovation_limit)))
         return replace(self, kernel=lambda excitation: texture, unit_sigma=True)
 
+    def with_kernel_of(self, excitation: Excitation) -> ClosedLoop:
+        """The same by one kernel, which is proved once, for runs of one excitation."""
+        texture = self.kernel(excitation)
+        return replace(self, kernel=lambda excitation: texture)
+
     @property
     def first_scored(self) -> int:
         """The first sample of a block, after the history, that level and spectrum are taken of."""

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from ctypes import CDLL, Structure, byref, c_double, c_float, c_int, c_void_p
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cache
 from typing import Any
 
@@ -237,7 +237,7 @@ class _Hidden(torch.autograd.Function):
 class RolloutInputs:
     """Inputs of s roll-outs of n samples that do not depend on the network."""
 
-    reflections: Floats  # k of each sample's lattice, (s, n, p)
+    reflections: Floats  # k of each sample's lattice, (n, p, s)
     level: Floats  # ℓ of each sample, (s, n)
     logs: Floats  # log speed and log force that go with each sample, (s, n, 2)
     gain_before_filter: bool
@@ -257,18 +257,12 @@ class RolloutState:
     phase: Array | None = None  # of tones at the first sample [rad], (s,)
 
 
-def repeated(streams: Any, times: int) -> Any:
-    """The same streams several times, one after another."""
-    arrays = {name: value for name, value in vars(streams).items() if isinstance(value, np.ndarray)}
-    several: dict[str, Any] = {name: np.tile(array, (times, *[1] * (array.ndim - 1))) for name, array in arrays.items()}
-    return replace(streams, **several)
-
-
 class Rollout:
     """s streams of n samples in the closed loop of `models.foten_plus.definition`, each of which the network has drawn.
 
-    `residual` is the lattice's output, (s, n), in scaled acceleration; `phase` that of the tones at each sample [rad], (s, n);
-    `innovation` what was drawn, (n, s).
+    Each of the inputs is rolled out `times` times, all of them once before any of them twice. `residual` is the lattice's
+    output, (s, n), in scaled acceleration; `phase` that of the tones at each sample [rad], (s, n); `innovation` what was drawn,
+    (n, s).
 
     At fixed random numbers every sample is a smooth function of the weights. A draw e from a density p with distribution
     function F, at fixed probability, has ∂e/∂θ = −(∂F/∂θ) / p(e). Speed, force and the phase of tones have no gradient.
@@ -277,10 +271,21 @@ class Rollout:
     """
 
     def __init__(
-        self, weights: Mapping[str, Floats], inputs: RolloutInputs, state: RolloutState, rng: np.random.Generator
+        self,
+        weights: Mapping[str, Floats],
+        inputs: RolloutInputs,
+        state: RolloutState,
+        rng: np.random.Generator,
+        times: int = 1,
     ) -> None:
         *recurrent, w_1, b_1, w_2, b_2 = (weights[name] for name in WEIGHT_NAMES)
-        s, n, p = inputs.reflections.shape
+
+        def each(array: NDArray[Any], axis: int = 0) -> NDArray[Any]:
+            return np.ascontiguousarray(np.concatenate([array] * times, axis=axis))
+
+        cosines = np.sqrt(1 - inputs.reflections * inputs.reflections)
+        reflections, cosines = each(inputs.reflections, 2), each(cosines, 2)
+        n, p, s = reflections.shape
         k, n_hidden, n_inputs, head_width = len(b_2) // 3, recurrent[1].shape[1], state.inputs.shape[1], len(b_1)
         self._sizes = n_hidden, n_inputs, head_width, 3 * k
         chosen, normal = rng.random((n, s, 1), np.float32), rng.standard_normal((n, s, 1), np.float32)
@@ -289,15 +294,16 @@ class Rollout:
         head = np.zeros((w, h + m), np.float32)
         head[:head_width, :n_hidden], head[:head_width, h : h + n_inputs] = w_1[:, :n_hidden], w_1[:, n_hidden:]
         network = np.zeros((n + 1, s, h + m), np.float32)
-        network[0, :, :n_hidden], network[0, :, h : h + n_inputs] = state.hidden, state.inputs
-        reflections, level = (np.ascontiguousarray(np.moveaxis(x, 0, -1)) for x in (inputs.reflections, inputs.level))
+        network[0, :, :n_hidden], network[0, :, h : h + n_inputs] = each(state.hidden), each(state.inputs)
+        level = each(inputs.level.T, 1)
         self._scale = np.ones_like(level) if inputs.gain_before_filter else level
         phase, tones = np.zeros((n, s)), dict[str, Any]()
         if inputs.tones is not None:
             assert inputs.phase_increment is not None
-            phase[0] = state.phase
+            assert state.phase is not None
+            phase[0] = each(state.phase)
             tones = {name: getattr(inputs.tones, name) for name in ("period_jitter", "phase_leak")}
-            tones |= {"phase_increment": np.ascontiguousarray(inputs.phase_increment.T)}
+            tones |= {"phase_increment": each(inputs.phase_increment.T, 1)}
         rows = {"head_output": (w,), "out_output": (o,), "gates": (GATES * h,), "candidate_preactivation": (h,)}
         outputs = {**rows, "innovation": (), "residual": ()}
         self._run = structure_of(
@@ -311,11 +317,11 @@ class Rollout:
             **{"from_hidden": from_hidden, "hidden_bias": hidden_bias},
             **{"head": head, "head_bias": zero_padded(b_1, w)},
             **{"out": zero_padded(w_2, o, w), "out_bias": zero_padded(b_2, o)},
-            **{"reflections": reflections, "cosines": np.sqrt(1 - reflections * reflections), "level": level},
-            logs=np.ascontiguousarray(inputs.logs.transpose(1, 0, 2)),
+            **{"reflections": reflections, "cosines": cosines, "level": level},
+            logs=each(inputs.logs.transpose(1, 0, 2), 1),
             **{"chosen": chosen, "normal": normal, "network": network, "phase": phase, **tones},
             max_jitter_drive=MAX_JITTER_DRIVE,
-            states=zero_padded(state.states.T, p + 1, s),
+            states=zero_padded(each(state.states).T, p + 1, s),
             **{name: np.empty((n, s, *row), np.float32) for name, row in outputs.items()},
         )
         run_in_c("foten_train_rollout", byref(self._run))

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from itertools import pairwise
 from typing import Any
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from scipy.fft import next_fast_len
 from torch import Tensor
 
 from foten.dsp import Array
@@ -26,7 +27,7 @@ from foten.training.calibration import ERROR_STREAM, ClosedLoop
 from foten.training.config import TrainConfig
 from foten.training.job import ScaledBlocks
 from foten.training.loop import Epoch, Loop, Monitor, Optimiser, Progress, epoch_seed, gradient_step, run_loop, schedule
-from foten.training.training_kernel import Rollout, RolloutInputs, RolloutState, hidden_states, repeated
+from foten.training.training_kernel import Rollout, RolloutInputs, RolloutState, hidden_states
 
 N_EPOCHS = 8  # at most, and no more than those of the training by likelihood
 N_STEPS = 25  # of an epoch
@@ -39,7 +40,7 @@ NLL_WEIGHT = 0.2  # beside the envelope loss, so that what was learned by likeli
 EMA_DECAY = 0.97  # of the weights, from step to step
 N_PAIRS = 8  # of free runs, by which linear models are compared
 N_KNOWN = 400  # recorded excerpts, whose statistics are standardised by
-N_VALIDATIONS = 8  # draws of excerpts of the validation blocks that a network is validated by
+N_VALIDATIONS = 4  # draws of excerpts of the validation blocks that a network is validated by
 RECIPE: dict[str, Any] = {
     **{"optimiser": "adamw", "learning_rate": 2e-3, "weight_decay": 0.0},
     **{"clip_norm": 1.0, "schedule": "one_cycle"},
@@ -68,7 +69,8 @@ def _responses(n: int, rate_hz: float) -> Tensor:
 def energies(signals: Tensor, rate_hz: float) -> Tensor:
     """`dsp.bands.band_energies`, without the ringing after the end: signals (…, n) → (…, N_BANDS, n_frames)."""
     n, frame = signals.shape[-1], round(BAND_FRAME_MS * rate_hz / 1000)
-    length = n + round(0.25 * rate_hz)  # in which the lowest band rings out, and does not come round
+    # The lowest band rings out after the end, and does not come round; other lengths take twice as long.
+    length = next_fast_len(n + round(0.25 * rate_hz), real=True)
     spectra = torch.fft.rfft(signals, length)[..., None, :] * _responses(length, rate_hz)
     bands = torch.fft.irfft(spectra, length)[..., : n // frame * frame]
     return bands.reshape(*bands.shape[:-1], n // frame, frame).square().mean(dim=-1)
@@ -263,12 +265,9 @@ class Excerpts:
     ) -> tuple[Rollout, Array]:
         """The network's roll-outs of k excerpts, each `times`, and the vibration with its tones (times · k, n), scaled."""
         inputs, state, coefficients = self._rollout_inputs(network, block, start)
-        if times > 1:
-            inputs, state = repeated(inputs, times), repeated(state, times)
-            coefficients = None if coefficients is None else np.tile(coefficients, (times, 1, 1))
         weights = {name: weight.detach().cpu().numpy() for name, weight in network.named_parameters()}
-        run = Rollout(weights, inputs, state, rng)
-        tones = 0.0 if coefficients is None else tone(coefficients, run.phase)
+        run = Rollout(weights, inputs, state, rng, times)
+        tones = 0.0 if coefficients is None else tone(np.tile(coefficients, (times, 1, 1)), run.phase)
         return run, np.asarray(run.residual + tones)
 
     def _rollout_inputs(
@@ -279,30 +278,46 @@ class Excerpts:
         rows, conditions = block[:, None], self.blocks.conditions_with_speed()
         # A prediction knows the condition of the sample before; the states of the lattice are of its last p samples.
         at = start[:, None] + np.arange(-p, self.n)
-        before = conditions[rows, at - 1]
-        flat = before.reshape(-1, 3)
-        reflections = lattice.reflections(flat[:, :2]).T.reshape(*at.shape, p)
-        level = lattice.level(flat[:, :2]).reshape(at.shape)
+        reflections, level = self._reflections(conditions[rows, at - 1, :2]), self._levels[rows, at - 1]
         recorded = self.blocks.samples[rows, at[:, :p], 0]
         tones, phase_increment, coefficients, phase = None, None, None, None
         if self.model.phase is not None:
             tones = Tones(self.model.tensors, self.model.level)
-            coefficients = tones.coefficients(flat).reshape(*at.shape, -1)
+            coefficients = tones.coefficients(conditions[rows, at - 1].reshape(-1, 3)).reshape(*at.shape, -1)
             recorded = recorded - tone(coefficients[:, :p], self.model.phase[rows, at[:, :p]])
             coefficients, phase = coefficients[:, p:], self.model.phase[block, start]
             phase_increment = tones.phase_increment(conditions[rows, start[:, None] + np.arange(-1, self.n)])
         _, after = lattice.gains(level[:, :p])
-        states = analyse(recorded / after, reflections[:, :p])[2].T
+        states = analyse(recorded / after, reflections[:p].transpose(2, 0, 1).astype(np.float64))[2].T
         inputs = self.data.inputs[rows, start[:, None] + np.arange(-WARM_UP, 0)]
         device = next(network.parameters()).device
         with torch.no_grad():
             hidden = hidden_states(network.recurrent, torch.from_numpy(inputs).float().to(device))
-        logs = lattice.level.logarithms(conditions[rows, at[:, p:], :2].reshape(-1, 2)).reshape(len(block), self.n, 2)
-        arrays = (reflections[:, p:], level[:, p:], logs, states, hidden[:, -1].cpu().numpy(), inputs[:, -1])
-        k, levels, known, begin, hidden_state, last = (np.ascontiguousarray(x, dtype=np.float32) for x in arrays)
+        arrays = (level[:, p:], self._logs[rows, at[:, p:]], states, hidden[:, -1].cpu().numpy(), inputs[:, -1])
+        levels, known, begin, hidden_state, last = (np.ascontiguousarray(x, dtype=np.float32) for x in arrays)
         limit, before_filter = self.innovation_limit, lattice.gain_before_filter
-        rollout = RolloutInputs(k, levels, known, before_filter, limit, tones, phase_increment)
+        rollout = RolloutInputs(reflections[p:], levels, known, before_filter, limit, tones, phase_increment)
         return rollout, RolloutState(begin, hidden_state, last, phase), coefficients
+
+    def _reflections(self, conditions: Array) -> NDArray[np.float32]:
+        """K under conditions (k, n, 2) scaled, (n, p, k)."""
+        lattice = self.model.excited_lattice
+        speed, force = np.moveaxis(lattice.level.physical(conditions), 2, 0)
+        weights = lattice.table.weights(speed.ravel(), force.ravel()).astype(np.float32)
+        of_samples = weights.reshape(*conditions.shape[:2], -1).transpose(1, 2, 0)
+        return np.asarray(lattice.table.values.T.astype(np.float32) @ of_samples)
+
+    @cached_property
+    def _levels(self) -> Array:
+        """The level under the condition of each sample, (n_blocks, block)."""
+        conditions = self.blocks.samples[..., 1:]
+        return self.model.excited_lattice.level(conditions.reshape(-1, 2)).reshape(conditions.shape[:2])
+
+    @cached_property
+    def _logs(self) -> Array:
+        """Log speed and log force of each sample, (n_blocks, block, 2)."""
+        conditions = self.blocks.samples[..., 1:]
+        return self.model.excited_lattice.level.logarithms(conditions.reshape(-1, 2)).reshape(conditions.shape)
 
 
 def excerpts_of(

@@ -122,9 +122,11 @@ def fit(job: TrainingJob, monitor: Monitor) -> Trained:
     linear = linear_models[0] if excited.model.phase is not None else excited.model
     early = texture_of([excited], initial, None, report, run)
     monitor.on_playable(replace(early, card={**early.card, "training": {**early.card["training"], "unfinished": True}}))
-    network = fit_network(initial, excited, run)
-    monitor.on_stage("fitting the equaliser of the linear model")
-    excited = equalised(excited, _closed_loop(excited.model, tensors_of(initial, "network."), run), run)
+    with ThreadPoolExecutor() as beside:
+        loop = _closed_loop(excited.model, tensors_of(initial, "network."), run)
+        behind_equaliser = beside.submit(equalised, excited, loop, run)
+        network = fit_network(initial, excited, run)
+    excited = behind_equaliser.result()
     rendering_network = fit_rendering_network(network, excited, linear, tonal, run)
     in_loop = calibrated_network(rendering_network, excited, network.network, run)
     network.progress.include(rendering_network.progress)
@@ -349,6 +351,7 @@ def _train_in_closed_loop(
 def equalised(candidate: Candidate, loop: ClosedLoop, run: FitContext) -> Candidate:
     """The candidate with an equaliser, where that is borne out; its errors and its distance are those behind it."""
     random_part, seed = candidate.random_part, run.config.seed
+    loop = loop.with_kernel_of(random_part.excitation)
     equaliser = fit_equaliser(loop, random_part.excitation, seed)
     loop = replace(loop, as_heard=True, equaliser=equaliser)
     random_part = replace(random_part, free_run=loop.free_run_errors(random_part.excitation, seed))

@@ -106,20 +106,20 @@ def _pooled(reports: Sequence[ChannelReport]) -> ChannelReport:
 
 def _inspected(recording: Recording, is_trained: bool) -> tuple[Inspection, SpeedForce | None]:
     """Inspection of a single take, and its speed and force."""
-    findings: list[Finding] = []
+    named, findings, of_channels = recording.channels.items(), list[Finding](), list[Finding]()
+    for name, channel in named:  # which take no library, while others are imported
+        of_channels += one_channel.check_units(name, channel, recording)
+        of_channel = (sampling.check_gaps, one_channel.check_spikes, one_channel.check_clipping, sampling.check_repeats)
+        of_channels += [finding for check in of_channel for finding in check(name, channel)]
     speed_force = None
     try:
         speed_force = speed_force_of(recording)
     except ValueError as error:
         findings.append(Finding(UNUSABLE, "refused", "", f"training refuses it: {error}"))
-    named = recording.channels.items()
     reports = tuple(_report(name, channel, recording.unit(name), speed_force) for name, channel in named)
     findings += sampling.check_missing(recording)
     findings += sampling.check_durations(recording)
-    for name, channel in named:
-        findings += one_channel.check_units(name, channel, recording)
-        of_channel = (sampling.check_gaps, one_channel.check_spikes, one_channel.check_clipping, sampling.check_repeats)
-        findings += [finding for check in of_channel for finding in check(name, channel)]
+    findings += of_channels
     findings += sampling.check_order(recording)
     psd = {}
     for name, channel in named:
