@@ -87,7 +87,7 @@ OWN_RECIPES: dict[str, dict[str, Any]] = {
     # Epochs are of 100 steps.
     "foten-plus": {
         **{"optimiser": "adamw", "learning_rate": 4e-3, "weight_decay": 0.1, "batch": 64},
-        **{"patience": 2, "trial_epochs": 10_000},
+        **{"patience": 4, "trial_epochs": 10_000},
     },
     "ten": {"delta": 2.0},
     "ten-wavelet": {"loss": "mse"},
