@@ -116,12 +116,17 @@ def fit(job: TrainingJob, monitor: Monitor) -> Trained:
             fitted = residual.result()
             return None if fitted is None else tonal_model(linear_models[0], fitted, blocks.trace.rate_hz)
 
+        def playable(candidate: Candidate) -> None:
+            early = texture_of([candidate], initial, None, best_candidate([candidate])[1], run)
+            unfinished = {**early.card, "training": {**early.card["training"], "unfinished": True}}
+            monitor.on_playable(replace(early, card=unfinished))
+
         monitor.on_stage("fitting the excitation and calibrating its level in the closed loop")
-        excited, report = best_linear_model(linear_models, with_tones, initial, run)
+        excited, report = best_linear_model(linear_models, with_tones, initial, run, playable)
+    if excited.model is not linear_models[0]:
+        playable(excited)
     tonal = with_tones()
     linear = linear_models[0] if excited.model.phase is not None else excited.model
-    early = texture_of([excited], initial, None, report, run)
-    monitor.on_playable(replace(early, card={**early.card, "training": {**early.card["training"], "unfinished": True}}))
     with ThreadPoolExecutor() as beside:
         loop = _closed_loop(excited.model, tensors_of(initial, "network."), run)
         behind_equaliser = beside.submit(equalised, excited, loop, run)
@@ -159,15 +164,20 @@ def texture_builder(job: TrainingJob, blocks: ScaledBlocks) -> TextureBuilder:
 
 
 def best_linear_model(
-    linear: Sequence[LinearModel], tonal: Callable[[], LinearModel | None], network: InnovationNetwork, run: FitContext
+    linear: Sequence[LinearModel],
+    tonal: Callable[[], LinearModel | None],
+    network: InnovationNetwork,
+    run: FitContext,
+    playable: Callable[[Candidate], None] = lambda candidate: None,
 ) -> tuple[Candidate, dict[str, Any]]:
     """The linear model, with tones or without, that `best_candidate` chooses once excited; and what was tried.
 
-    Those without tones are excited while that with tones, if there is one, is being fitted.
+    The first is `playable` before it is compared. Those without tones are excited while that with tones, if there is one, is
+    being fitted.
     """
     networks = tensors_of(network, "network.")
 
-    def excited(model: LinearModel) -> Candidate:
+    def calibrated(model: LinearModel) -> tuple[Candidate, ClosedLoop]:
         _, e, gain = model.innovations(run.blocks, residual=True)
         train, validation = run.blocks.targets(model.sizes.history)
         n = np.concatenate([train, validation])
@@ -175,11 +185,18 @@ def best_linear_model(
         residuals = Residuals(condition, e.ravel()[n], gain.ravel()[n], len(train), moving)
         width = model.sizes.excitation_width
         loop = _closed_loop(model, networks, run).with_unit_sigma(width, residuals.largest)
-        random_part = calibrate_excitation(width, residuals, loop, run.config.seed)
-        return Candidate(model, random_part, distance=_distance(loop, random_part, run))
+        return Candidate(model, calibrate_excitation(width, residuals, loop, run.config.seed)), loop
 
+    def compared(candidate: Candidate, loop: ClosedLoop) -> Candidate:
+        return replace(candidate, distance=_distance(loop, candidate.random_part, run))
+
+    def excited(model: LinearModel) -> Candidate:
+        return compared(*calibrated(model))
+
+    first, loop = calibrated(linear[0])
+    playable(first)
     with ThreadPoolExecutor() as pool:
-        without_tones = [pool.submit(excited, model) for model in linear]
+        without_tones = [pool.submit(compared, first, loop), *(pool.submit(excited, model) for model in linear[1:])]
         with_tones = tonal()
         candidates = [] if with_tones is None else [excited(with_tones)]
         return best_candidate([*(candidate.result() for candidate in without_tones), *candidates])
