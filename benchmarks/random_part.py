@@ -81,7 +81,7 @@ def step_ms() -> list[tuple[str, ...]]:
         torch.autograd.grad(negative_log_likelihood(mixture(), follows).mean(), list(network.parameters()))
 
     rng, s, n, p = np.random.default_rng(0), 2 * N_EXCERPTS, round(1000 * EXCERPT_S), 40
-    parts = (rng.uniform(-0.5, 0.5, (s, n, p)), np.ones((s, n)), np.zeros((s, n, 2)))
+    parts = (rng.uniform(-0.5, 0.5, (n, p, s)), np.ones((s, n)), np.zeros((s, n, 2)))
     around = RolloutInputs(*(part.astype(np.float32) for part in parts), False, 20.0)
     begin = RolloutState(*(np.zeros((s, k), np.float32) for k in (p, sizes.n_hidden, 5)))
     weights = {name: dict(network.named_parameters())[name].detach().numpy() for name in WEIGHT_NAMES}

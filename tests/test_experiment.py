@@ -75,6 +75,29 @@ def test_recipes_are_runs_of_their_own_and_may_name_a_recipe(tmp_path: Path) -> 
     assert len(runs) == 6
 
 
+def test_the_papers_recipe_has_the_papers_filter_whatever_names_it(tmp_path: Path) -> None:
+    """25 Hz in training (Sec. III-c): of a method, of one of its recipes, of the whole file; another one where that is asked for."""
+
+    def lowpass_hz(text: str) -> dict[str, float]:
+        runs = read_experiment(experiment(tmp_path, text)).runs()
+        return {run.recipe or run.method: run.preprocess["lowpass_hz"] for run in runs}
+
+    of_method = TINY.replace('"FNN [13]"}', '"FNN [13]", recipe = "paper"}')
+    assert lowpass_hz(of_method) == {"FNN [13]": 25.0, "excited": 20.0}
+    recipes = TINY.replace('"FNN [13]"}', '"FNN [13]", recipes = {published = {recipe = "paper"}, ours = {}}}')
+    assert lowpass_hz(recipes) == {"published": 25.0, "ours": 20.0, "excited": 20.0}
+    of_file = TINY.replace("[train]", 'recipe = "paper"\n[train]')
+    assert set(lowpass_hz(of_file).values()) == {25.0}
+    other = of_file.replace("[preprocess]", "[preprocess]\nlowpass_hz = 30.0")
+    assert set(lowpass_hz(other).values()) == {30.0}
+
+
+def test_the_papers_recipe_is_refused_of_what_it_is_not_for(tmp_path: Path) -> None:
+    text = TINY.replace('{model = "fnn", name = "FNN [13]"}', '{model = "gan", recipe = "paper"}')
+    with pytest.raises(ValueError, match="method 'gan': the paper's recipe"):
+        read_experiment(experiment(tmp_path, text)).runs()
+
+
 def test_a_method_may_have_fewer_splits_and_measures_of_the_first(tmp_path: Path) -> None:
     text = TINY.replace("[train]", "split_seeds = [2, 3]\n[train]").replace(
         '"FNN [13]"}', '"FNN [13]", split_seeds = [3]}, {model = "foten-plus", measures = ["stability", "listener"]}'

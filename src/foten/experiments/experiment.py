@@ -18,7 +18,7 @@ from foten.datasets.hdf5 import load_recording
 from foten.recording.preprocess import PreprocessConfig
 from foten.recording.recording import Recording
 from foten.simulation.simulate import CONTACT, LINEAR_FAMILY, OTHER_LINEAR, TEXTURES, TWO_MASS, simulate
-from foten.training.config import OWN_RECIPES, RECIPES, TrainConfig, check_used
+from foten.training.config import FILTERS, OWN_RECIPES, RECIPES, TrainConfig, check_recipe, check_used
 
 RECORDED = (".h5", ".hdf5")
 OF_FIRST_SPLIT = ("stability", "onset")  # measures that are taken of no other split
@@ -156,8 +156,10 @@ class Experiment:
         sizes = {**method.sizes, **{k: v for k, v in cell.items() if k not in OF_TRAINING}}
         train: dict[str, Any] = {}
         try:
-            preprocess = asdict(PreprocessConfig(**self.preprocess))
+            recipe_filter = FILTERS["paper" if "paper" in (base, self.recipe) else base]
+            preprocess = asdict(PreprocessConfig(**{**recipe_filter, **self.preprocess}))
             if model != "ar":
+                check_recipe(model, base)
                 sizes = trainable_sizes(model, sizes).to_card()
                 settings = {"threads": 1, "seed": split_seed, **OWN_RECIPES.get(model, {}), **self.train, **changed}
                 check_used(model, changed, settings.get("loss", RECIPES[base].loss))

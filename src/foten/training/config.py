@@ -8,6 +8,7 @@ from dataclasses import dataclass, fields, replace
 from typing import Any
 
 LOSSES, SCHEDULES, OPTIMISERS = ("huber", "mse", "mae"), ("one_cycle", "constant"), ("muon", "adamw")
+INITIAL_WEIGHTS = ("uniform", "glorot")
 WARM_START = (45.0, 0.8)  # mm/s, N: mean of early contacts; Sec. V-a
 
 
@@ -25,9 +26,11 @@ class TrainConfig:
     matrix_learning_rate: float = 3e-3  # of that, at its highest
     learning_rate: float = 5e-4  # of AdamW, at its highest
     schedule: str = "one_cycle"  # or "constant"
+    adam_epsilon: float = 1e-8  # of AdamW
     weight_decay: float = 0.3  # of each step, times its learning rate
     clip_norm: float = 1.0  # of the gradient; 0 for none
     dropout: float = 0.0  # share of hidden values; 0.2 in Sec. IV-e
+    initial_weights: str = "uniform"  # as PyTorch draws them; or "glorot", as Keras does (`training.initial_weights`)
     loss: str = "huber"
     delta: float = 1.6  # Huber threshold, scaled; Sec. VI-b
     max_order: int = 240  # samples that the lattice remembers at most; the first of `OF_FOTEN_PLUS`
@@ -39,7 +42,8 @@ class TrainConfig:
     threads: int = 2  # each takes a share of every batch; part of what makes a file reproducible
 
     def __post_init__(self) -> None:
-        for name, known in {"loss": LOSSES, "schedule": SCHEDULES, "optimiser": OPTIMISERS}.items():
+        choices = {"loss": LOSSES, "schedule": SCHEDULES, "optimiser": OPTIMISERS, "initial_weights": INITIAL_WEIGHTS}
+        for name, known in choices.items():
             if getattr(self, name) not in known:
                 raise ValueError(f"{name} is {getattr(self, name)!r}, expected one of {', '.join(known)}")
         for field in fields(self):
@@ -54,8 +58,8 @@ class TrainConfig:
                 raise ValueError(f"{name} is {getattr(self, name)}, expected {minimum} or more")
         if not 0 <= self.dropout <= 0.9:
             raise ValueError(f"dropout is {self.dropout}, expected from 0 to 0.9")
-        if min(self.learning_rate, self.matrix_learning_rate, self.delta) <= 0:
-            raise ValueError("learning rates and delta must be positive")
+        if min(self.learning_rate, self.matrix_learning_rate, self.adam_epsilon, self.delta) <= 0:
+            raise ValueError("learning rates, adam_epsilon and delta must be positive")
         if self.weight_decay < 0:
             raise ValueError(f"weight decay is {self.weight_decay}, expected 0 or more")
 
@@ -70,17 +74,23 @@ RECIPES: dict[str, TrainConfig] = {
         optimiser="adamw",
         learning_rate=1e-3,
         schedule="constant",
+        adam_epsilon=1e-7,
         weight_decay=0.0,
         clip_norm=0.0,
         dropout=0.2,
+        initial_weights="glorot",
         threads=1,  # two halves of 16 windows take longer than all
     ),
 }
 """The paper's is Sec. IV-e: Adam at 1e-3, batches of 16, 100 epochs at most, dropout of 0.2, stopped after 10 without a gain.
 
-Differs from the paper: it trained in Keras (TensorFlow 2.8), whose defaults it does not restate and which are not PyTorch's.
-There dense layers begin with Glorot's uniform weights and zero biases, here with uniform weights and biases of
-±1/√inputs; Adam's ε is 1e-7 there and 1e-8 here, that of a layer normalisation 1e-3 and 1e-5.
+It trained in Keras (TensorFlow 2.8) and does not restate its defaults, which are taken here: Glorot's initial weights, and Adam's
+ε of 1e-7. Differs from the paper: Keras' ε of a layer normalisation is 1e-3, here it is 1e-5.
+"""
+
+FILTERS: dict[str, dict[str, float]] = {"default": {}, "paper": {"lowpass_hz": 25.0}}
+"""Settings of `PreprocessConfig` that a recipe changes: the paper trains with speed and force below 25 Hz (Sec. III-c), and
+renders with 20 (Sec. V-b).
 """
 
 OWN_RECIPES: dict[str, dict[str, Any]] = {
@@ -97,9 +107,19 @@ OWN_RECIPES: dict[str, dict[str, Any]] = {
 }
 """Settings of a recipe that a model changes: losses of Sec. VI-d for TEN's variants, ours for the others."""
 UNUSED: dict[str, tuple[str, ...]] = {
-    "foten-plus": ("loss", "delta", "dropout", "matrix_learning_rate", "trial_epochs", "min_gain"),
+    "foten-plus": ("loss", "delta", "dropout", "matrix_learning_rate", "trial_epochs", "min_gain", "initial_weights"),
     "gan": (
-        *("loss", "delta", "dropout", "threads", "weight_decay", "schedule", "clip_norm"),
+        *(
+            "loss",
+            "delta",
+            "dropout",
+            "threads",
+            "weight_decay",
+            "schedule",
+            "clip_norm",
+            "initial_weights",
+            "adam_epsilon",
+        ),
         *("optimiser", "matrix_learning_rate", "trial_epochs", "min_gain"),
     ),
 }
@@ -108,8 +128,18 @@ OF_FOTEN_PLUS = ("max_order", "table", "gain_before_filter", "tones", "closed_lo
 
 
 def recipe_of(model: str, recipe: str = "default", **changed: Any) -> TrainConfig:
-    """A recipe with a model's own settings, and those that are changed."""
+    """A recipe with a model's own settings, and those that are changed; ValueError where it is no recipe of the model."""
+    check_recipe(model, recipe)
     return replace(RECIPES[recipe], **(OWN_RECIPES.get(model, {}) | changed))
+
+
+def check_recipe(model: str, recipe: str) -> None:
+    """Refuse a recipe that would leave nothing of itself."""
+    if recipe == "paper" and model in UNUSED:
+        raise ValueError(
+            f"the paper's recipe (Sec. IV-e) is of networks that predict a sample from a window, and {model} is trained "
+            "otherwise: leave recipe out"
+        )
 
 
 def unused_settings(model: str) -> tuple[str, ...]:

@@ -20,7 +20,7 @@ from foten.atomic_write import atomic_write, reason
 from foten.training.config import TrainConfig
 
 MOMENTUM = 0.95
-BETAS, EPSILON = (0.9, 0.999), 1e-8  # of Adam, as published
+BETAS = 0.9, 0.999  # of Adam, as published
 MIN_SIDE = 4  # a matrix is wider and taller than that: of what is narrower little is left by orthogonalisation
 
 
@@ -69,7 +69,7 @@ class Optimiser:
         means.lerp_(gradient, 1 - BETAS[0])
         squares.lerp_(gradient * gradient, 1 - BETAS[1])
         first, second = (moment / (1 - beta**self._n_steps) for moment, beta in zip(self._moments, BETAS, strict=True))
-        direction = first / (second.sqrt() + EPSILON)
+        direction = first / (second.sqrt() + self._config.adam_epsilon)
         for parameter, part in zip(self._others, direction.split([p.numel() for p in self._others]), strict=True):
             parameter.mul_(1 - rate * self._config.weight_decay).sub_(part.view_as(parameter), alpha=rate)
 

@@ -23,6 +23,7 @@ from foten.runtime.proof import MakeModel, Tensors
 from foten.training.calibration import ClosedLoop, Residuals, calibrate_excitation
 from foten.training.config import TrainConfig
 from foten.training.dropout import mask, masks_from, set_dropout
+from foten.training.initial_weights import draw_glorot
 from foten.training.job import ScaledBlocks, Trained, TrainingJob
 from foten.training.loop import (
     Loop,
@@ -81,7 +82,9 @@ def loss_of(config: TrainConfig) -> Callable[[Tensor, Tensor], Tensor]:
 
 
 def fit_windows(network: nn.Module, data: TrainingWindows, config: TrainConfig, monitor: Monitor) -> Progress:
-    """Train a network in place, windows (b, m, 3) → (b,) or (b, k); see `run_loop`."""
+    """Train a new network in place, windows (b, m, 3) → (b,) or (b, k); see `run_loop`."""
+    if config.initial_weights == "glorot":
+        draw_glorot(network)
     on_device = DeviceWindows(data, network)
     set_dropout(network, config.dropout)
     n_threads = config.threads if on_device.device.type == "cpu" else 1
