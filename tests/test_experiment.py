@@ -76,7 +76,7 @@ def test_recipes_are_runs_of_their_own_and_may_name_a_recipe(tmp_path: Path) -> 
 
 
 def test_the_papers_recipe_has_the_papers_filter_whatever_names_it(tmp_path: Path) -> None:
-    """25 Hz in training (Sec. III-c): of a method, of one of its recipes, of the whole file; another one where that is asked for."""
+    """25 Hz in training (Sec. III-c): of a method, of one of its recipes, of the whole file; another where that is asked for."""
 
     def lowpass_hz(text: str) -> dict[str, float]:
         runs = read_experiment(experiment(tmp_path, text)).runs()
