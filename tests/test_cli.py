@@ -374,6 +374,12 @@ RENDER = ("render", "{tex}", "-o", "{out}.wav", "--speed", "1", "--force", "1")
         ([*RENDER, "--seconds", "1e9"], "at most 3600"),
         ([*RENDER, "--stroke", "{stroke}"], "expected one of --stroke"),
         (["render", "{tex}", "-o", "{out}.wav", "--stroke", "{stroke}"], "speed and force of a stroke are magnitudes"),
+        ([*RENDER, "--seconds", "1", "--pressure", "1,2"], "--pressure is for the columns of --stroke"),
+        (["play", "{tex}", "--to", "null", "--pressure", "1,2"], "--pressure is for the columns of --stroke"),
+        (
+            ["play", "{tex}", "--to", "null", "--stroke", "{stroke}", "--pressure", "1"],
+            "--pressure is '1', expected a,b",
+        ),
         ([*RENDER, "--seconds", "1", "--audible", "{out}.wav"], "two outputs have the same name"),
         ([*RENDER, "--seconds", "1", "--audible", "{out}.mp3"], "sound is written as .wav"),
         ([*RENDER, "--seconds", "1", "-o", "{out}/x.csv"], "there is no folder"),

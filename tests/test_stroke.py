@@ -7,6 +7,7 @@ import pytest
 
 from foten.recording.recording import Channel, Recording
 from foten.runtime.stroke import Stroke, constant_stroke, recorded_stroke, tabled_stroke
+from foten.runtime.stylus import PressureCalibration
 
 
 def stroke_of(table: dict[str, np.ndarray], rate_hz: float) -> Stroke:
@@ -106,6 +107,16 @@ def test_what_may_be_meant_is_rendered_and_doubted(table: dict[str, np.ndarray],
 def test_a_stroke_of_no_hand_is_refused(table: dict[str, np.ndarray], match: str) -> None:
     with pytest.raises(ValueError, match=match):
         stroke_of({"t": T, **table}, 1000.0)
+
+
+def test_pressure_goes_by_the_curve_of_its_tablet() -> None:
+    columns = {"time": np.arange(3.0), "speed": np.full(3, 80.0), "pressure": np.full(3, 0.5)}
+    usual, refitted = (tabled_stroke(columns, 100.0, curve) for curve in (None, PressureCalibration(0.2, 1.0)))
+    np.testing.assert_allclose(usual.force, 0.13 * np.exp(3.32 * 0.5))
+    np.testing.assert_allclose(refitted.force, 0.2 * np.exp(0.5))
+    force = {name: column for name, column in columns.items() if name != "pressure"} | {"force": np.ones(3)}
+    with pytest.raises(ValueError, match="the stroke has forces, and a pressure's curve is given"):
+        tabled_stroke(force, 100.0, PressureCalibration())
 
 
 def pen(t: np.ndarray, offset: float = 0.0, force: float = 1.0) -> dict[str, np.ndarray]:

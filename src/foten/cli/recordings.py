@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from typer import Argument, Exit, Option
 
 from foten.atomic_write import write_json
+from foten.cli.render import pressure_calibration
 from foten.cli.train import Anyway, check_usable, unusable
 from foten.console import JsonOption, RecordingFile, check_files, check_folder, folder_option, print_result, refuse, say
 
@@ -224,15 +225,10 @@ def _import_capture(
     files: list[Path], pen: Path, curve: str | None, options: ImportOptions
 ) -> tuple[Recording, list[str]]:
     from foten.datasets.importing import import_capture
-    from foten.runtime.stylus import PressureCalibration
 
     if len(files) != 1 or options.mapping:
         raise ValueError("--pen stands beside one sound, whose first channel is the acceleration: leave out --map")
-    try:
-        a, b = map(float, curve.split(",")) if curve is not None else (PressureCalibration.a, PressureCalibration.b)
-    except ValueError:
-        raise ValueError(f"--pressure is {curve!r}, expected a,b such as 0.13,3.32") from None
-    recording, _, decisions = import_capture(files[0], pen, options, PressureCalibration(a, b).force)
+    recording, _, decisions = import_capture(files[0], pen, options, pressure_calibration(curve).force)
     return recording, decisions
 
 

@@ -22,10 +22,15 @@ if TYPE_CHECKING:
     from foten.runtime.native import NativeInfo
     from foten.runtime.renderer import Renderer
     from foten.runtime.stroke import Stroke
+    from foten.runtime.stylus import PressureCalibration
 
 SAY_EVERY_S = 5.0  # how far a long rendering is
 
 Units = Annotated[list[str] | None, Option("--unit", help="CHANNEL=UNIT,… of --stroke, as of foten import.")]
+Pressure = Annotated[
+    str | None,
+    Option("--pressure", metavar="a,b", help="Newtons of --stroke's pressure p: a·exp(b·p).", show_default="0.13,3.32"),
+]
 Speed = Annotated[float | None, Option(help="Constant speed (mm/s).")]
 Force = Annotated[float | None, Option(help="Constant force (N).")]
 Deterministic = Annotated[bool, Option("--deterministic", help="Without excitation.")]
@@ -46,6 +51,7 @@ class StrokeOptions:
         help="Table of t, speed or x and y, force or pressure (0 to 1); s, mm/s, mm, N by default.",
     )
     units: Units = None
+    pressure: Pressure = None
     recording_file: Path | None = Option(None, "--recording", metavar="REC.h5", help="Take the hand of a recording.")
     speed: Speed = None
     force: Force = None
@@ -56,7 +62,8 @@ class StrokeOptions:
     @property
     def has_stroke(self) -> bool:
         """Whether any of them is set."""
-        stroke = (self.stroke, self.units, self.recording_file, self.speed, self.force, self.seconds)
+        hand = (self.speed, self.force, self.seconds)
+        stroke = (self.stroke, self.units, self.pressure, self.recording_file, *hand)
         return any(option is not None for option in stroke)
 
     def conditions(self, texture: Texture) -> tuple[Array, Array, str]:
@@ -68,7 +75,7 @@ class StrokeOptions:
         if sum(sources) != 1 or (sources[2] and None in constants):
             raise ValueError("expected one of --stroke, --recording, or --speed with --force and --seconds")
         if self.stroke is None:
-            refuse("is for the columns of --stroke", unit=self.units)
+            refuse("is for the columns of --stroke", unit=self.units, pressure=self.pressure)
         rate_hz = texture.rate_hz
         if self.recording_file is not None:
             from foten.datasets.hdf5 import load_recording
@@ -78,7 +85,8 @@ class StrokeOptions:
                 say(f"the recording has {len(recording.takes)} takes: the hand of the first is taken{recording.named}")
             stroke, source = recorded_stroke(recording, rate_hz), recording.sha256()
         elif self.stroke is not None:
-            stroke, source = _stroke_from(self.stroke, self.units, rate_hz), self.stroke.name
+            stroke = _stroke_from(self.stroke, self.units, self.pressure, rate_hz)
+            source = self.stroke.name
         else:
             speed, force, seconds = (float(value or 0) for value in constants)
             stroke = constant_stroke(speed, force, seconds, rate_hz)
@@ -156,6 +164,7 @@ class PlayOptions:
     to: str = Option("sound", help="sound, null, FILE.wav, daq:Dev1/ao0, udp:HOST:PORT or osc:HOST:PORT.")
     stroke: Path | None = Option(None, metavar="S.csv", help="As of 'foten render', over and over; else a circle.")
     units: Units = None
+    pressure: Pressure = None
     speed: Speed = None
     force: Force = None
     seconds: float | None = Option(None, min=0.0, help="How long (s); by default until Ctrl-C, and 10 s into a file.")
@@ -175,7 +184,7 @@ class PlayOptions:
         if (speed is None) != (force is None) or (stroke is not None and speed is not None):
             raise ValueError("expected --stroke, or --speed with --force, or neither for a circle")
         if stroke is None:
-            refuse("is for the columns of --stroke", unit=self.units)
+            refuse("is for the columns of --stroke", unit=self.units, pressure=self.pressure)
         for name, value, unit in (("speed", speed, " mm/s"), ("force", force, " N"), ("seconds", self.seconds, "")):
             if value is not None and not 0 <= value < inf:
                 raise ValueError(f"--{name} is {value}{unit}, expected a finite number, 0 or more")
@@ -196,7 +205,7 @@ class PlayOptions:
         from foten.runtime.stroke import doubts_of
 
         if self.stroke is not None:
-            stroke = _stroke_from(self.stroke, self.units, texture.rate_hz)
+            stroke = _stroke_from(self.stroke, self.units, self.pressure, texture.rate_hz)
             _report(stroke)
             return along(stroke, info.lowpass_hz), self.stroke.name
         if self.speed is not None and self.force is not None:
@@ -333,12 +342,26 @@ def provenance(texture: Texture, source: str, seed: int, deterministic: bool) ->
     }
 
 
-def _stroke_from(path: Path, units: list[str] | None, rate_hz: float) -> Stroke:
+def _stroke_from(path: Path, units: list[str] | None, curve: str | None, rate_hz: float) -> Stroke:
     from foten.datasets.importing import read_stroke
     from foten.datasets.options import parse_pairs
     from foten.runtime.stroke import tabled_stroke
 
-    return tabled_stroke(read_stroke(path, dict(parse_pairs(units or [], "--unit"))), rate_hz)
+    calibration = None if curve is None else pressure_calibration(curve)
+    return tabled_stroke(read_stroke(path, dict(parse_pairs(units or [], "--unit"))), rate_hz, calibration)
+
+
+def pressure_calibration(curve: str | None) -> PressureCalibration:
+    """Calibration of a tablet's pressure in `--pressure`; the paper's tablet's by default."""
+    from foten.runtime.stylus import PressureCalibration
+
+    if curve is None:
+        return PressureCalibration()
+    try:
+        a, b = map(float, curve.split(","))
+    except ValueError:
+        raise ValueError(f"--pressure is {curve!r}, expected a,b such as 0.13,3.32") from None
+    return PressureCalibration(a, b)
 
 
 def rendered_by(renderer: Renderer, speed: Array, force: Array) -> Array:

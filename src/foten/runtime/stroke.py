@@ -56,7 +56,9 @@ def recorded_stroke(recording: Recording, rate_hz: float) -> Stroke:
     return Stroke(velocities, np.maximum(force, 0.0), rate_hz)
 
 
-def tabled_stroke(columns: Mapping[str, Array], rate_hz: float) -> Stroke:
+def tabled_stroke(
+    columns: Mapping[str, Array], rate_hz: float, calibration: PressureCalibration | None = None
+) -> Stroke:
     """Stroke in columns at a model's rate, interpolated linearly.
 
     Of positions, the pen is lifted, without force and movement, in holes of ten times the usual step, since tablets do not
@@ -65,6 +67,7 @@ def tabled_stroke(columns: Mapping[str, Array], rate_hz: float) -> Stroke:
     Args:
         columns: `time` [s], which increases, `speed` [mm/s] or `position_x` and `position_y` [mm], and `force` [N] or
             `pressure` [0 … 1]; two finite numbers or more each, shape (n,).
+        calibration: of the pressure; the paper's tablet's by default, and refused beside a force.
 
     Raises:
         ValueError: it lasts too long or too short, or a value is impossible.
@@ -72,12 +75,14 @@ def tabled_stroke(columns: Mapping[str, Array], rate_hz: float) -> Stroke:
     times = columns["time"] - columns["time"][0]
     lasts = f"the stroke lasts {times[-1]:g} s"
     if "force" in columns:
+        if calibration is not None:
+            raise ValueError("the stroke has forces, and a pressure's curve is given: leave one of them out")
         force = columns["force"]
     else:
         pressure = columns["pressure"]
         if pressure.min() < 0 or pressure.max() > 1:
             raise ValueError(f"pressure runs from {pressure.min():g} to {pressure.max():g}, expected 0 to 1")
-        force = PressureCalibration().force(pressure)
+        force = (calibration or PressureCalibration()).force(pressure)
     if force.min() < 0 or ("speed" in columns and columns["speed"].min() < 0):
         raise ValueError("speed and force of a stroke are magnitudes, found one below zero")
     if times[-1] > MAX_STROKE_S:
