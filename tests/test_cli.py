@@ -398,6 +398,7 @@ RENDER = ("render", "{tex}", "-o", "{out}.wav", "--speed", "1", "--force", "1")
         (["simulate", "towel", "-o", "{out}", "--capture", "--stroke-seed", "0"], "--stroke-seed is for recordings"),
         (["simulate", "towel", "-o", "{out}.h5", *SEEDS], "--seed has no effect beside --noise-seed"),
         (["import", "{stroke}", "-o", "{out}.h5", "--pressure", "1,2"], "--pressure is of a --pen"),
+        (["import", "{stroke}", "-o", "{out}.h5", "--normal", "up"], "--normal is 'up', expected x,y,z"),
         (["export", "{tex}", "--to", "c", "--seed", "3", "-o", "{out}.h"], "c holds the texture itself"),
         (["tables", "{out}", "--digits", "3"], "--digits is of runs.csv"),
         (["study", "power", "{out}.toml", "--methods", "3"], "--methods is in the study file"),

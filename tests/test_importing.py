@@ -97,6 +97,39 @@ def test_a_damaged_file_of_any_format_is_refused_in_a_line(tmp_path, suffix, dam
         read_columns(path)
 
 
+def test_a_force_in_three_axes_is_projected_on_the_stated_normal(tmp_path):
+    """Sec. III-c, of a sensor that stands askew; without a normal it is z, and that is said."""
+    header = "t,acc,force_x,force_y,force_z,speed"
+    path = _csv(tmp_path / "a.csv", header, TIME, ACC, 3 * FORCE, 4 * FORCE, FORCE, SPEED)
+    recording, decisions = import_recording([path], ImportOptions(normal=(0.6, 0.8, 0.0)))
+    np.testing.assert_allclose(recording["force"].samples, 5 * FORCE, rtol=1e-12)
+    assert recording.normal_force == ["force"]
+    assert "along the surface's normal (0.6, 0.8, 0.0)" in " ".join(recording.history)
+    longer, _ = import_recording([path], ImportOptions(normal=(6.0, 8.0, 0.0)))
+    np.testing.assert_allclose(longer["force"].samples, 5 * FORCE, rtol=1e-12)
+    usual, said = import_recording([path], ImportOptions())
+    assert usual.normal_force == ["force_z"]
+    assert "the normal force is force_z; --normal x,y,z states another normal of the surface" in said
+    assert not any("normal" in sentence for sentence in decisions)
+
+
+@pytest.mark.parametrize(
+    ("header", "normal", "match"),
+    [
+        ("t,acc,force_x,force_z,speed", (0, 0, 1), "found force_x, force_z"),
+        ("t,acc,force,speed", (0, 0, 1), "force_x, force_y and force_z, found force$"),
+        ("t,acc,speed", (0, 0, 1), "found none"),
+        ("t,acc,force,speed", (0, 0, 0), "expected three finite numbers, not all 0"),
+        ("t,acc,force,speed", (0, np.inf, 0), "expected three finite numbers"),
+    ],
+)
+def test_a_normal_that_cannot_be_is_refused(tmp_path, header, normal, match):
+    columns = [TIME, ACC, *[FORCE] * (header.count("force")), SPEED]
+    path = _csv(tmp_path / "a.csv", header, *columns)
+    with pytest.raises(ValueError, match=match):
+        import_recording([path], ImportOptions(normal=normal))
+
+
 def test_headers_that_leave_no_doubt_need_no_map(tmp_path):
     path = _csv(tmp_path / "a.csv", "Time (s),Accel [g],Velocity,Normal Force,friction", TIME, ACC, SPEED, FORCE, FORCE)
     recording, decisions = import_recording([path], ImportOptions())

@@ -105,6 +105,9 @@ def import_(
     rate: list[str] | None = Option(None, help="HZ for channels without a rate or times, or CHANNEL=HZ,… of any."),
     fill_gaps: float = Option(0.0, metavar="MS", help="Fill gaps of up to MS ms in position, speed and force."),
     force_units: bool = Option(False, "--force-units", help="Accept spikes above 5 m/s, 1000 m/s², 500 N or 10 m."),
+    normal: str | None = Option(
+        None, metavar="x,y,z", help="Of the surface, in the axes of force_x, force_y, force_z.", show_default="0,0,1"
+    ),
     pen: Path | None = Option(
         None,
         metavar="E.csv",
@@ -139,28 +142,29 @@ def import_(
     if any(file.suffix.lower() == ".xml" for file in files):
         of_table = dict[str, Any](map=mapping, unit=units, rate=rate, fill_gaps=fill_gaps or None, pen=pen)
         of_recording = {**of_table, "pressure": pressure, "force_units": force_units, "tool": tool, "sensors": sensors}
-        of_recording |= {"surface": surface, "append": append, "anyway": anyway}
+        of_recording |= {"surface": surface, "append": append, "anyway": anyway, "normal": normal}
         refuse("is for recordings, and an .xml holds models with units and rate", **of_recording)
         _import_models(files, output, texture, notes, as_json)
         return
     from foten.datasets.cluster import read_cluster
     from foten.datasets.hdf5 import load_recording, write_recording
     from foten.datasets.importing import import_recording
-    from foten.datasets.options import ImportOptions, parse_pairs, parse_rates
+    from foten.datasets.options import ImportOptions, parse_normal, parse_pairs, parse_rates
     from foten.recording.inspection import inspect_recording
     from foten.recording.recording import joined_takes
 
     _check_recording(output)
     rate_hz, rates_hz = parse_rates(rate or [])
     pairs, units_of = parse_pairs(mapping or [], "--map"), dict(parse_pairs(units or [], "--unit"))
-    options = ImportOptions(tuple(pairs), units_of, rate_hz, rates_hz, fill_gaps, force_units)
+    along = None if normal is None else parse_normal(normal)
+    options = ImportOptions(tuple(pairs), units_of, rate_hz, rates_hz, fill_gaps, force_units, along)
     if append:
         refuse("is of the recording that is added to", texture=texture, tool=tool, sensors=sensors, notes=notes)
     if any(file.is_dir() for file in files):
         of_table = dict[str, Any](
             map=mapping, unit=units, rate=rate, fill_gaps=fill_gaps or None, force_units=force_units
         )
-        refuse("is of tables, and a dataset's are known", **of_table, pen=pen, pressure=pressure)
+        refuse("is of tables, and a dataset's are known", **of_table, pen=pen, pressure=pressure, normal=normal)
         if len(files) != 1:
             raise ValueError(f"got {len(files)} files, expected the folder of a dataset by itself")
         imported, decisions = read_cluster(files[0], surface)
@@ -169,6 +173,7 @@ def import_(
         refuse("is of a dataset's folder", surface=surface)
         imported, decisions = import_recording(files, options)
     else:
+        refuse("is of a force in three axes, and a pen's is a pressure", normal=normal)
         imported, decisions = _import_capture(files, pen, pressure, options)
     inspection = inspect_recording(imported)
     refusals = () if anyway else unusable(inspection, decisions)

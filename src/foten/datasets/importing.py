@@ -36,7 +36,7 @@ from foten.recording.capture_folder import PenEvents
 from foten.recording.inspection.one_channel import check_units
 from foten.recording.inspection.sampling import check_missing
 from foten.recording.inspection.values import counted
-from foten.recording.recording import UNITS, Channel, Recording
+from foten.recording.recording import AXES, UNITS, Channel, Recording
 from foten.untrusted import check_regular
 
 DATASETS: dict[str, Callable[[Path], list[Column]]] = {
@@ -129,6 +129,11 @@ def import_recording(paths: Sequence[Path], options: ImportOptions) -> tuple[Rec
     for sentence, names in slower.items():
         decisions.append(sentence.format(", ".join(names), "sensors" if len(names) > 1 else "a sensor"))
     channels = _on_one_clock(channels, columns, {clock.file for clock in clocks}, options.fill_gaps_ms, history)
+    if options.normal is not None:
+        channels["force"] = along_normal(channels, options.normal)
+        history.append(f"force is force_x, force_y, force_z along the surface's normal {options.normal}")
+    elif "force_z" in channels and "force" not in channels:
+        decisions.append("the normal force is force_z; --normal x,y,z states another normal of the surface")
     recording = _checked(channels, history, options.force_units)
     decisions += _on_units(recording, columns, clocks, options)
     for finding in check_missing(recording):
@@ -197,6 +202,23 @@ def _on_one_clock(
         shifted[name], on_gaps = filled(name, channel, fill_gaps_ms, columns[name])
         history += [on_gaps] if on_gaps else []
     return shifted
+
+
+def along_normal(channels: Mapping[str, Channel], normal: tuple[float, float, float]) -> Channel:
+    """Force along the surface's normal, of the three axes of a sensor.
+
+    Source: Sec. III-c. Raises ValueError where the axes are not all there, or not of the same instants.
+    """
+    names = [f"force_{axis}" for axis in AXES]
+    missing = [name for name in names if name not in channels]
+    if missing or "force" in channels:
+        have = ", ".join(name for name in channels if quantity(name) == "force") or "none"
+        raise ValueError(f"--normal is of a force in three axes, force_x, force_y and force_z, found {have}")
+    first, *others = (channels[name] for name in names)
+    if any(other.samples.size != first.samples.size or other.rate_hz != first.rate_hz for other in others):
+        raise ValueError("the axes of the force have other rates or lengths: --normal needs those of one sensor")
+    unit = np.array(normal) / np.linalg.norm(normal)
+    return replace(first, samples=unit @ np.stack([channels[name].samples for name in names]))
 
 
 def _checked(

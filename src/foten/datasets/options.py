@@ -23,6 +23,8 @@ class ImportOptions:
     fill_gaps_ms: float = 0.0
     """Longest run of NaN, or of rows that are missing by their times, that is filled in position, speed and force; 0: none."""
     force_units: bool = False  # accept values beyond `LIMITS`
+    normal: tuple[float, float, float] | None = None
+    """Of the surface, in the axes of the force sensor, of any length; the normal force is along it. None: z."""
 
     def __post_init__(self) -> None:
         names = [name for name, _ in self.mapping]
@@ -39,6 +41,8 @@ class ImportOptions:
         for channel, rate in [("of the recording", self.rate_hz), *self.rates_hz.items()]:
             if rate is not None and not (np.isfinite(rate) and rate > 0):
                 raise ValueError(f"rate {channel} is {rate:g} Hz, expected above 0")
+        if self.normal is not None and not 0 < np.linalg.norm(self.normal) < np.inf:
+            raise ValueError(f"the normal is {self.normal}, expected three finite numbers, not all 0")
         if not np.isfinite(self.fill_gaps_ms) or self.fill_gaps_ms < 0:
             raise ValueError(f"gaps to fill are {self.fill_gaps_ms:g} ms, expected 0 or more")
 
@@ -72,3 +76,12 @@ def parse_rates(texts: Sequence[str]) -> tuple[float | None, dict[str, float]]:
         else:
             overall = rate
     return overall, by_channel
+
+
+def parse_normal(text: str) -> tuple[float, float, float]:
+    """Normal of a text `X,Y,Z`; ValueError where it is none."""
+    try:
+        x, y, z = map(float, text.split(","))
+    except ValueError:
+        raise ValueError(f"--normal is {text!r}, expected x,y,z such as 0,0,1") from None
+    return x, y, z
