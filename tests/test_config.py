@@ -44,7 +44,7 @@ def test_what_cannot_be_is_refused(change: dict[str, object], match: str) -> Non
 
 @pytest.mark.parametrize("model", ["foten-plus", "gan"])
 def test_the_papers_recipe_is_refused_where_nothing_of_it_would_be_left(model: str) -> None:
-    with pytest.raises(ValueError, match=f"of networks that predict a sample from a window, and {model} is trained"):
+    with pytest.raises(ValueError, match=f"of networks that are trained on windows, and {model} is not"):
         recipe_of(model, "paper")
     assert recipe_of("dstn", "paper").batch == 16
 

@@ -130,6 +130,20 @@ def test_a_normal_that_cannot_be_is_refused(tmp_path, header, normal, match):
         import_recording([path], ImportOptions(normal=normal))
 
 
+def test_axes_of_a_force_at_other_times_have_no_projection(tmp_path):
+    """Of two files whose clocks run 0.2 s apart: to add them sample by sample would be a force that nobody pressed with."""
+    late = TIME + 0.2 + 1e-4 * np.sin(np.arange(TIME.size))  # unsteady, so that they are kept
+    first = _csv(tmp_path / "a.csv", "t,acc,speed,force_x,force_y", TIME, ACC, SPEED, FORCE, FORCE)
+    other = _csv(tmp_path / "b.csv", "t,force_z", late, FORCE)
+    with pytest.raises(ValueError, match="the axes of the force have other times: --normal needs those of one sensor"):
+        import_recording([first, other], ImportOptions(normal=(0.0, 0.0, 1.0)))
+
+
+def test_what_is_not_of_use_is_not_said(tmp_path):
+    path = _csv(tmp_path / "a.csv", "t,acc,force_z,speed", TIME, ACC, FORCE, SPEED)
+    assert not any("--normal" in sentence for sentence in import_recording([path], ImportOptions())[1])
+
+
 def test_headers_that_leave_no_doubt_need_no_map(tmp_path):
     path = _csv(tmp_path / "a.csv", "Time (s),Accel [g],Velocity,Normal Force,friction", TIME, ACC, SPEED, FORCE, FORCE)
     recording, decisions = import_recording([path], ImportOptions())

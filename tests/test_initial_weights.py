@@ -50,6 +50,18 @@ def test_a_kernel_is_uniform_within_glorots_limit(foten: nn.Module, name: str, i
     assert not layer.bias.detach().any()
 
 
+@pytest.mark.parametrize(
+    ("name", "inputs_and_outputs"),
+    [("query_in", 4 * 32 + 8 * 32), ("memory_in", 4 * 32 + 8 * 32), ("memory_out", 8 * 4 + 32 * 4)],
+)
+def test_a_decoders_attention_is_counted_as_an_encoders(name: str, inputs_and_outputs: int) -> None:
+    torch.manual_seed(6)
+    network = build("foten-d", TRAINABLE["foten-d"]())
+    draw_glorot(network)
+    limit = math.sqrt(6 / inputs_and_outputs)
+    assert 0.98 * limit < limit_of(network.get_submodule(f"decoder.{name}").get_parameter("weight")) <= limit
+
+
 def test_normalisations_stay_as_they_are(foten: nn.Module) -> None:
     norms = [module for module in foten.modules() if isinstance(module, nn.LayerNorm)]
     assert norms

@@ -2,6 +2,7 @@
 
 import os
 import sys
+import threading
 from pathlib import Path
 
 import h5py
@@ -9,6 +10,7 @@ import numpy as np
 import pytest
 
 from foten.cli.command_line import _status
+from foten.console import preload
 from foten.datasets import isolated
 from foten.datasets.binary import read_hdf5
 from foten.datasets.hatt import read_models
@@ -113,6 +115,24 @@ def test_a_missing_library_is_named(recording: Path, monkeypatch: pytest.MonkeyP
     monkeypatch.syspath_prepend(tmp_path / "empty")
     assert _status(["inspect", str(recording)]) == 2
     assert "this needs h5py, which is not installed" in capsys.readouterr().err
+
+
+def test_libraries_are_imported_beside_the_reading_of_files_that_exist(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """One that is missing is left to who needs it: no thread prints a traceback before the line that says so."""
+    (tmp_path / "beside.py").write_text("")
+    monkeypatch.syspath_prepend(tmp_path)
+    failed: list[object] = []
+    monkeypatch.setattr(threading, "excepthook", failed.append)
+    for files in ([tmp_path / "missing.h5"], [tmp_path / "beside.py"]):
+        assert "beside" not in sys.modules
+        before = threading.enumerate()
+        preload(["no_such_library", "beside"], files)
+        for thread in set(threading.enumerate()) - set(before):
+            thread.join()
+    assert "beside" in sys.modules
+    assert not failed
 
 
 def test_a_loop_of_links_as_output_is_one_line_or_replaced(

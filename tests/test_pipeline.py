@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -102,6 +102,34 @@ def test_a_texture_is_playable_before_the_network_is_fitted(recording: Recording
     assert "unfinished" not in again.texture.card["training"]
     assert not again.texture.unfinished
     assert again.texture.to_bytes() == trained.texture.to_bytes()
+
+
+@pytest.mark.parametrize(("chosen", "n_written"), [(0, 1), (-1, 2)])
+def test_the_first_linear_model_is_playable_before_it_is_compared(
+    chosen: int, n_written: int, recording: Recording, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """And another one that is nearer takes its place."""
+    happened: list[str] = []
+    fitted, distance, best = foten_plus.fit_linear_models, foten_plus._distance, foten_plus.best_candidate
+
+    def two_alike(*arguments: Any) -> list[Any]:
+        first = fitted(*arguments)[0]
+        return [first, replace(first)]
+
+    def compared(*arguments: Any) -> float | None:
+        happened.append("compared")
+        return distance(*arguments)
+
+    def one(candidates: Sequence[Any]) -> Any:
+        return best([candidates[chosen]])
+
+    monkeypatch.setattr(foten_plus, "fit_linear_models", two_alike)
+    monkeypatch.setattr(foten_plus, "_distance", compared)
+    monkeypatch.setattr(foten_plus, "best_candidate", one)
+    train(job_of(recording, epochs=0), Monitor(on_playable=lambda texture: happened.append("playable")))
+    assert happened[0] == "playable"
+    assert happened.count("playable") == n_written
+    assert "compared" in happened
 
 
 def test_where_the_network_gains_nothing_the_texture_renders_as_the_playable_one(recording: Recording) -> None:

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from importlib import import_module
 from inspect import Signature, signature
 from pathlib import Path
+from threading import Thread
 from typing import Annotated, Any, TypeVar, get_type_hints
 
 from typer import Argument, Option
@@ -41,6 +44,21 @@ def refuse(why: str, **options: Any) -> None:
     for name, value in options.items():
         if value is not None and value is not False and value not in ("", []):
             raise ValueError(f"--{name.replace('_', '-')} {why}: leave it out")
+
+
+def preload(modules: Sequence[str], files: Sequence[Path]) -> None:
+    """Import libraries that take a second each beside the reading of files, where these exist.
+
+    One that is missing is said by who needs it.
+    """
+
+    def import_all() -> None:
+        for module in modules:
+            with suppress(ImportError):
+                import_module(module)
+
+    if all(file.exists() for file in files):
+        Thread(target=import_all).start()
 
 
 def folder_option(help_text: str) -> Any:

@@ -4,15 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
-from importlib import import_module
 from math import pi
 from pathlib import Path
-from threading import Thread
 from typing import TYPE_CHECKING, Any
 
 from typer import Argument, Option
 
-from foten.console import JsonOption, TextureFile, check_folder, print_result, say
+from foten.console import JsonOption, TextureFile, check_folder, preload, print_result, say
 
 if TYPE_CHECKING:
     from foten.models.texture_file import Texture
@@ -39,7 +37,7 @@ def evaluate(
     from foten.models.texture_file import read_texture
 
     check_folder(report, "--report")
-    Thread(target=import_module, args=["scipy.signal"]).start()  # which takes a second, beside the reading
+    preload(["scipy.signal"], [texture_file, *recording_files])
     texture, recording = read_texture(texture_file), load_takes(recording_files)
     if texture.unfinished:
         say(f"{texture_file.name}: {texture.unfinished}")

@@ -5,16 +5,14 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Iterator, Sequence
-from contextlib import suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from threading import Thread
 from typing import TYPE_CHECKING, Annotated, Any
 
 from typer import Argument, Exit, Option
 
 from foten.cli.evaluate import network_summary, validation_summary
-from foten.console import JsonOption, check_files, options_from, print_result, refuse
+from foten.console import JsonOption, check_files, options_from, preload, print_result, refuse
 from foten.training.config import FILTERS, RECIPES, TrainConfig, check_used, recipe_of
 
 if TYPE_CHECKING:
@@ -45,7 +43,7 @@ class TrainOptions:
         help="foten-plus (ours), foten (the paper's); its variants ten, ten-mfcc, ten-wavelet, foten-d; re-implemented "
         "systems: ar (piecewise AR), fnn, dstn, hapinf, ldhtd, dftnet, gan.",
     )
-    recipe: str = Option("default", help="default (ours) or paper: Sec. IV-e, and a low-pass of 25 Hz.")
+    recipe: str = Option("default", help="default (ours), or paper, Sec. IV-e, and 25 Hz; not of foten-plus and gan.")
     rate: float | None = Option(None, help="Of the model (Hz); the acceleration's own at most.", show_default="1000")
     trim: float | None = Option(None, help="Discarded at both ends (ms).", show_default="2000; takes as fits")
     block: float | None = Option(None, help="Unit of the split (ms).", show_default="2000; takes as fits")
@@ -168,7 +166,7 @@ def train(options: TrainOptions) -> None:
     from foten.recording.inspection import inspect_recording
 
     output, config = options.output, options.config()
-    Thread(target=_import_libraries).start()
+    preload(["scipy.signal", "torch"], options.recording_files)
     recording = load_takes(options.recording_files)
     job = options.job(recording)
     inspection = inspect_recording(recording, is_trained=True)
@@ -184,10 +182,12 @@ def train(options: TrainOptions) -> None:
     if options.has_network:
         folder.open(_settled(job), options.resume)
     with display:
+        early = [f"wrote {output}, playable without its network; it is replaced by a better one"]
 
         def on_playable(playable: Texture) -> None:
             write_texture(playable, output)
-            display.note(f"wrote {output}, playable without its network; it is replaced by a better one")
+            while early:  # another linear model may be nearer
+                display.note(early.pop())
 
         def on_epoch(epoch: Epoch) -> None:
             while notes:  # once the recording was taken: a refusal is one line
@@ -211,14 +211,6 @@ def train(options: TrainOptions) -> None:
     print_result({"output": str(output), **_document(trained)}, text, options.as_json)
     if trained.progress.interrupted:
         raise Exit(130)
-
-
-def _import_libraries() -> None:
-    """Import what takes a second each beside the reading and the inspection; where PyTorch is missing, who needs it says so."""
-    import scipy.signal  # noqa: F401
-
-    with suppress(ImportError):
-        import torch  # noqa: F401
 
 
 def _settled(job: TrainingJob) -> dict[str, Any]:

@@ -132,7 +132,7 @@ def import_recording(paths: Sequence[Path], options: ImportOptions) -> tuple[Rec
     if options.normal is not None:
         channels["force"] = along_normal(channels, options.normal)
         history.append(f"force is force_x, force_y, force_z along the surface's normal {options.normal}")
-    elif "force_z" in channels and "force" not in channels:
+    elif "force" not in channels and {f"force_{axis}" for axis in AXES} <= channels.keys():
         decisions.append("the normal force is force_z; --normal x,y,z states another normal of the surface")
     recording = _checked(channels, history, options.force_units)
     decisions += _on_units(recording, columns, clocks, options)
@@ -215,8 +215,8 @@ def along_normal(channels: Mapping[str, Channel], normal: tuple[float, float, fl
         have = ", ".join(name for name in channels if quantity(name) == "force") or "none"
         raise ValueError(f"--normal is of a force in three axes, force_x, force_y and force_z, found {have}")
     first, *others = (channels[name] for name in names)
-    if any(other.samples.size != first.samples.size or other.rate_hz != first.rate_hz for other in others):
-        raise ValueError("the axes of the force have other rates or lengths: --normal needs those of one sensor")
+    if any(not np.array_equal(other.times, first.times) for other in others):
+        raise ValueError("the axes of the force have other times: --normal needs those of one sensor")
     unit = np.array(normal) / np.linalg.norm(normal)
     return replace(first, samples=unit @ np.stack([channels[name].samples for name in names]))
 

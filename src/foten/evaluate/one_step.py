@@ -21,6 +21,7 @@ from foten.runtime.loops import Prediction, predict_blocks
 from foten.runtime.native import NativeTexture, PredictionPart
 
 ORDERS = (5, 10, 20, 40, 80, 160, 240)
+N_PARTS = 4  # of the training blocks, whose sums are taken at once
 FIRST_SCORED = 320  # samples of each block that no method is scored on: more than the history of any
 _HALF, _NINE_TENTHS = 0.6744897501960817, 1.6448536269514722  # quantiles of a standard normal, |z| < …
 
@@ -211,8 +212,9 @@ def best_linear(samples: Array, train: tuple[int, ...], validation: tuple[int, .
         fitted = _solved(sums, len(train) * (block - order), order, scheduled)
         return float(np.abs(samples[n, 0] - fitted.predict(samples, n)).mean()), fitted
 
-    with ThreadPoolExecutor() as pool:  # NumPy's products release the interpreter's lock
-        parts = np.array_split(train, min(len(train), os.cpu_count() or 1))
-        first_part, *others = pool.map(lambda part: _sums(samples, part, block, longest, True), parts)
+    # NumPy's products release the interpreter's lock; parts are the same on every machine, and so are their sums.
+    with ThreadPoolExecutor(min(N_PARTS, os.cpu_count() or 1)) as pool:
+        parts, any_scheduled = np.array_split(train, min(len(train), N_PARTS)), any(scheduled for _, scheduled in kinds)
+        first_part, *others = pool.map(lambda part: _sums(samples, part, block, longest, any_scheduled), parts)
         whole = sum(others, start=first_part)
         return min(pool.map(judged, kinds), key=lambda judgement: judgement[0])[1]

@@ -85,7 +85,8 @@ RECIPES: dict[str, TrainConfig] = {
 """The paper's is Sec. IV-e: Adam at 1e-3, batches of 16, 100 epochs at most, dropout of 0.2, stopped after 10 without a gain.
 
 It trained in Keras (TensorFlow 2.8) and does not restate its defaults, which are taken here: Glorot's initial weights, and Adam's
-ε of 1e-7. Differs from the paper: Keras' ε of a layer normalisation is 1e-3, here it is 1e-5.
+ε of 1e-7. Differs from the paper: Keras adds that ε before the second moment is corrected for its start, here it is added after;
+its ε of a layer normalisation is 1e-3, here it is 1e-5.
 """
 
 FILTERS: dict[str, dict[str, float]] = {"default": {}, "paper": {"lowpass_hz": 25.0}}
@@ -137,8 +138,8 @@ def check_recipe(model: str, recipe: str) -> None:
     """Refuse a recipe that would leave nothing of itself."""
     if recipe == "paper" and model in UNUSED:
         raise ValueError(
-            f"the paper's recipe (Sec. IV-e) is of networks that predict a sample from a window, and {model} is trained "
-            "otherwise: leave recipe out"
+            f"the paper's recipe (Sec. IV-e) is of networks that are trained on windows, and {model} is not: leave recipe out, "
+            "or take another model, such as foten"
         )
 
 

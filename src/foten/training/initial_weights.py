@@ -48,7 +48,7 @@ def _draw_recurrent(module: nn.RNNBase) -> None:
         if name.startswith("weight_ih"):
             _uniform(parameter, sum(parameter.shape))
         elif name.startswith("weight_hh"):
-            nn.init.orthogonal_(parameter)
+            parameter.copy_(nn.init.orthogonal_(torch.empty(parameter.shape)))
         else:
             parameter.zero_()
             if isinstance(module, nn.LSTM) and name.startswith("bias_ih"):  # gates: in, forget, cell, out
@@ -57,7 +57,7 @@ def _draw_recurrent(module: nn.RNNBase) -> None:
 
 def _uniform(kernel: Tensor, inputs_and_outputs: int) -> None:
     limit = math.sqrt(6 / inputs_and_outputs)
-    kernel.uniform_(-limit, limit)
+    kernel.copy_(torch.empty(kernel.shape).uniform_(-limit, limit))  # drawn on the CPU: the same on any device
 
 
 def _zero(bias: Tensor | None) -> None:

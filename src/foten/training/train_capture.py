@@ -96,9 +96,10 @@ def train_recording(recording: Recording, carried: Mapping[float, float], output
 
     def on_playable(texture: Texture) -> None:
         nonlocal share
-        share = PLAYABLE_SHARE
         write_texture(texture, output)
-        _say(playable=output.name)
+        if share < PLAYABLE_SHARE:  # said once, though another linear model may be nearer
+            _say(playable=output.name)
+        share = max(share, PLAYABLE_SHARE)
 
     def on_epoch(line: Epoch) -> None:
         nonlocal share

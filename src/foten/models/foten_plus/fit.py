@@ -7,7 +7,7 @@ import math
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
-from functools import partial
+from functools import cache, partial
 from typing import Any
 
 import numpy as np
@@ -103,7 +103,7 @@ def fit(job: TrainingJob, monitor: Monitor) -> Trained:
     sizes, config = job.sizes, job.config
     assert isinstance(sizes, FotenPlusSizes)
     blocks = checked_blocks(job, sizes.window)
-    monitor.on_stage("fitting level, lattice and tones")
+    monitor.on_stage("fitting level, lattices and tones")
     level, data = fit_level(blocks.flat[:, 0], sizes, blocks, config)
     run = FitContext(texture_builder(job, blocks), config, monitor)
     torch.manual_seed(config.seed)
@@ -112,6 +112,7 @@ def fit(job: TrainingJob, monitor: Monitor) -> Trained:
         residual = beside.submit(fit_residual, data, sizes, blocks, config)
         linear_models = fit_linear_models(level, data, sizes, config)
 
+        @cache
         def with_tones() -> LinearModel | None:
             fitted = residual.result()
             return None if fitted is None else tonal_model(linear_models[0], fitted, blocks.trace.rate_hz)
