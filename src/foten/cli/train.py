@@ -43,7 +43,9 @@ class TrainOptions:
         help="foten-plus (ours), foten (the paper's); its variants ten, ten-mfcc, ten-wavelet, foten-d; re-implemented "
         "systems: ar (piecewise AR), fnn, dstn, hapinf, ldhtd, dftnet, gan.",
     )
-    recipe: str = Option("default", help="default (ours), or paper, Sec. IV-e, and 25 Hz; not of foten-plus and gan.")
+    recipe: str = Option(
+        "default", help="default (ours), or paper: Sec. IV-e, low-pass of 25 Hz; not for foten-plus and gan."
+    )
     rate: float | None = Option(None, help="Of the model (Hz); the acceleration's own at most.", show_default="1000")
     trim: float | None = Option(None, help="Discarded at both ends (ms).", show_default="2000; takes as fits")
     block: float | None = Option(None, help="Unit of the split (ms).", show_default="2000; takes as fits")

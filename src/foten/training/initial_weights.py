@@ -8,6 +8,10 @@ import torch
 from torch import Tensor, nn
 
 
+PROJECTIONS = ("attention_in", "query_in", "memory_in")  # of attention: queries, keys and values
+JOINED = ("attention_out", "memory_out")  # what joins its heads
+
+
 @torch.no_grad()
 def draw_glorot(network: nn.Module) -> None:
     """Draw a network's weights anew, as Keras 2.8 does by default.
@@ -36,10 +40,6 @@ def draw_glorot(network: nn.Module) -> None:
                 elif of == "weight" and layer in JOINED:
                     width = kernel.shape[1]
                     _uniform(kernel, width + heads * kernel.shape[0])
-
-
-PROJECTIONS = ("attention_in", "query_in", "memory_in")
-JOINED = ("attention_out", "memory_out")
 
 
 def _draw_recurrent(module: nn.RNNBase) -> None:
