@@ -7,7 +7,6 @@ import math
 import torch
 from torch import Tensor, nn
 
-
 PROJECTIONS = ("attention_in", "query_in", "memory_in")  # of attention: queries, keys and values
 JOINED = ("attention_out", "memory_out")  # what joins its heads
 
