@@ -57,8 +57,8 @@ def events(*rows: tuple[float, float, float, float]) -> bytes:
 
 
 def answered(socket: Any, kind: str) -> dict[str, Any]:
-    """The first answer of a kind, or the refusal."""
-    return until(socket, kind, "refused")
+    """The first answer of a kind, or the one that nothing follows: without an end, a missing answer is waited for in vain."""
+    return until(socket, kind, "refused", "done")
 
 
 def say(socket: Any, performance: SimulatedCapture, hz: float = 200.0) -> None:

@@ -87,19 +87,19 @@ def train_recording(recording: Recording, carried: Mapping[float, float], output
     # Nothing is to be trimmed: what lies before the first stroke and after the last was left out with the taps.
     preprocess = PreprocessConfig(rate_hz=rate_hz, trim_ms=0.0, block_ms=block_ms)
     job = TrainingJob(recording, MODEL, FotenPlusSizes(), config, preprocess, texture_name=recording.texture)
-    share = 0.05
+    share, is_playable = 0.05, False
 
     def on_stage(stage: str) -> None:
         nonlocal share
-        share += (PLAYABLE_SHARE - 0.05) / STAGES if share < PLAYABLE_SHARE else (1 - FITTED_SHARE) / LATE_STAGES
+        share += (1 - FITTED_SHARE) / LATE_STAGES if is_playable else (PLAYABLE_SHARE - 0.05) / STAGES
         _say(stage=stage, share=min(share, 0.99))
 
     def on_playable(texture: Texture) -> None:
-        nonlocal share
+        nonlocal share, is_playable
         write_texture(texture, output)
-        if share < PLAYABLE_SHARE:  # said once, though another linear model may be nearer
+        if not is_playable:  # said once, though another linear model may be nearer
             _say(playable=output.name)
-        share = max(share, PLAYABLE_SHARE)
+        share, is_playable = max(share, PLAYABLE_SHARE), True
 
     def on_epoch(line: Epoch) -> None:
         nonlocal share
