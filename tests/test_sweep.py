@@ -20,7 +20,7 @@ from scipy.stats import false_discovery_control
 from conftest import TINY, experiment
 from foten.cli.command_line import _status
 from foten.datasets.hdf5 import write_recording
-from foten.experiments.experiment import read_experiment
+from foten.experiments.experiment import Run, read_experiment, recording_of
 from foten.experiments.figures import figures
 from foten.experiments.method_tables import (
     PAPER,
@@ -37,6 +37,7 @@ from foten.experiments.method_tables import (
 from foten.experiments.provenance import platform_here, provenance_of
 from foten.experiments.results import by_recipe, chosen, read_records, read_results, records_of, runs_table, title_of
 from foten.experiments.sweep import _stoppable, lacking, planned, sweep
+from foten.models.texture_file import read_texture
 from foten.reporting.table import Number
 from foten.simulation.simulate import simulate
 
@@ -108,7 +109,9 @@ def test_a_signal_as_ray_starts_is_not_lost() -> None:
     _stoppable(lambda: None)
 
 
-def test_every_run_is_one_file_named_by_what_it_depends_on(results: list[dict], swept: Path) -> None:
+def test_every_run_is_one_result_beside_its_texture_named_by_what_it_depends_on(
+    results: list[dict], swept: Path
+) -> None:
     assert len(results) == 4
     assert [one["run"]["method"] for one in results] == ["FNN [13]", "excited"] * 2
     assert all(one["run"]["train"]["epochs"] == 1 for one in results)
@@ -116,7 +119,10 @@ def test_every_run_is_one_file_named_by_what_it_depends_on(results: list[dict], 
     assert not list(swept.glob("*.part*"))
     same = read_experiment(experiment(swept.parent)).runs()
     names = {provenance_of(run, result["recording_sha256"]).name for run, result in zip(same, results, strict=True)}
-    assert names == {path.stem for path in swept.glob("*.json")}
+    assert names == {path.stem for path in swept.glob("*.json")} == {path.stem for path in swept.glob("*.foten")}
+    for path in swept.glob("*.json"):
+        digest = json.loads(path.read_bytes())["evaluation"]["texture_sha256"]
+        assert read_texture(path.with_suffix(".foten")).sha256() == digest
 
 
 def test_a_summary_has_references_methods_and_the_papers_figure(records: list[dict]) -> None:
@@ -336,8 +342,8 @@ def test_thresholds_are_drawn_over_each_textures_mean(results: list[dict]) -> No
 
 
 def test_figure_4_is_left_out_where_its_recording_is_not(results: list[dict], tmp_path: Path) -> None:
-    write_recording(simulate("linear-cloth", 8, seed=1), tmp_path / "a.h5")
     result = results[0]
+    write_recording(recording_of(Run(**result["run"])), tmp_path / "a.h5")
     result["run"] |= {"texture": "elsewhere/a.h5", "seconds": None}
     for folder, match in ((None, "no such file: elsewhere/a.h5"), (tmp_path, "")):
         said: list[str] = []

@@ -12,6 +12,7 @@ import numpy as np
 from foten.dsp import Array
 from foten.evaluate import free_run as runs
 from foten.evaluate.one_step import Linear, best_linear, excitation_scores, first_scored, fit_linear, one_step, predict
+from foten.evaluate.warm_start import synthesised_window, warm_start_runs, warm_start_scores
 from foten.models.conditions import MOVING_FORCE, MOVING_SPEED
 from foten.models.texture_file import Texture
 from foten.recording.preprocess import PreprocessConfig, preprocess
@@ -55,6 +56,7 @@ class Judgement:
     trace: Trace  # the preprocessed recording
     blocks: tuple[int, ...]  # that were scored
     synthesized: Mapping[str, Array]  # free runs [m/s²] by name, each (n_seeds, n_blocks, block)
+    from_warm_start: Mapping[str, Array]  # the same of whole blocks, by what they start from (`evaluate.warm_start`)
 
 
 def trace_for(
@@ -128,6 +130,7 @@ def evaluate(
     one_step_scores = _one_step(case, samples, fitted)
     on_stage("free run")
     free, synthesized = _free_run(case, fitted.get("ar"))
+    warm, from_warm_start = _warm_start(case, fitted.get("ar"))
     by_listeners = _listener(case, on_stage) if listener else None
     validation = ("mae_scaled", "mae_scaled_lattice", "spectrum_db", "lsd_db", "level_error_db")
     document = {
@@ -144,13 +147,14 @@ def evaluate(
         "unit": texture.unit,
         **one_step_scores,
         **free,
+        "warm_start": warm,
         "listener": by_listeners,
         "reasons": case.reasons,
         "texture_sha256": texture.sha256(),
         "recording_sha256": trace.recording_sha256,
         "validation": {name: texture.card["metrics"].get(f"validation_{name}") for name in validation},
     }
-    return Judgement(document, trace, blocks, synthesized)
+    return Judgement(document, trace, blocks, synthesized, from_warm_start)
 
 
 @dataclass(frozen=True)
@@ -165,6 +169,17 @@ class _Case:
     simulated: SimulatorReference
     seed: int
     reasons: dict[str, str] = field(default_factory=dict)
+
+
+def _warm_start(case: _Case, linear: Linear | None) -> tuple[dict[str, Any], dict[str, Array]]:
+    texture, trace = case.texture, case.trace
+    window = None
+    if linear is None or case.split is None:
+        case.reasons["warm_start.synthesised"] = "no training blocks to fit AR(20) on, or too few"
+    else:
+        window = synthesised_window(linear, trace, case.split.train, texture)
+    runs = warm_start_runs(texture, case.kernel, trace, case.blocks, window, case.seed)
+    return warm_start_scores(trace.picked(case.blocks)[0], runs, trace.rate_hz, texture.scaling.sd[0]), runs
 
 
 def _listener(case: _Case, on_stage: Callable[[str], None]) -> dict[str, Any] | None:

@@ -8,6 +8,7 @@ import itertools
 import json
 import re
 import tomllib
+import zlib
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
@@ -89,10 +90,13 @@ def texture_name(texture: str) -> str:
 
 
 def recording_of(run: Run) -> Recording:
-    """What a run learns from."""
+    """What a run learns from; each simulated texture is stroked by a hand of its own, and by another for each split.
+
+    Under one hand the test blocks of all textures would be of the same speeds, and textures no replicates of one another.
+    """
     if run.seconds is None:
         return load_recording(Path(run.texture))
-    return simulate(run.texture, run.seconds, seed=run.split_seed)
+    return simulate(run.texture, run.seconds, seed=zlib.crc32(f"{run.texture} {run.split_seed}".encode()))
 
 
 @dataclass(frozen=True)
@@ -129,6 +133,7 @@ class Experiment:
     recipe: str = "default"  # of training
     train: Mapping[str, Any] = field(default_factory=dict)  # changes of the recipe
     preprocess: Mapping[str, Any] = field(default_factory=dict)  # changes of `PreprocessConfig`
+    recipes: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)  # of each method that has none of its own
     # Lists of settings of training, or of sizes where a model has them, by name: every combination is run.
     grid: Mapping[str, tuple[Any, ...]] = field(default_factory=dict)
 
@@ -144,13 +149,16 @@ class Experiment:
             for split_seed in self.split_seeds
             for method in self.methods
             if method.split_seeds is None or split_seed in method.split_seeds
-            for recipe in method.recipes or [""]
+            for recipe in self._recipes(method) or [""]
             for values in (itertools.product(*self.grid.values()) if method.model != "ar" else [()])
         ]
 
+    def _recipes(self, method: Method) -> Mapping[str, Mapping[str, Any]]:
+        return method.recipes or ({} if method.model == "ar" else self.recipes)
+
     def _resolved(self, texture: str, method: Method, split_seed: int, cell: Mapping[str, Any], recipe: str) -> Run:
         name, model = method.title, method.model
-        changes = dict(method.recipes.get(recipe, {}))
+        changes = dict(self._recipes(method).get(recipe, {}))
         base = changes.pop("recipe", method.recipe or self.recipe)
         changed = {**method.train, **changes, **{k: v for k, v in cell.items() if k in OF_TRAINING}}
         sizes = {**method.sizes, **{k: v for k, v in cell.items() if k not in OF_TRAINING}}
@@ -226,6 +234,7 @@ def _experiment(content: dict[str, Any], folder: Path) -> Experiment:
     networks = [method.model for method in methods if method.model != "ar"]  # which finds its sizes
     sizes = {size.name for model in networks for size in fields(TRAINABLE[model])}
     grid = values.get("grid", {})
+    _check_recipes(values.get("recipes", {}), "the file")
     _check_known("key", grid, OF_TRAINING | sizes if networks else (), " in [grid]")
     for name, settings in grid.items():
         if not isinstance(settings, list) or not settings:
@@ -246,12 +255,16 @@ def _method(content: object) -> Method:
         raise ValueError(f"a method is {content!r}, expected a model's name or a table")
     values = _checked(content, Method, "a method")
     _check_known("model", [values.get("model")], TRAINABLE)
-    for name, changes in values.get("recipes", {}).items():
-        if not isinstance(changes, dict):
-            raise ValueError(f"recipe {name!r} of a method is {changes!r}, expected a table")
-        _check_known("key", changes, OF_TRAINING | {"recipe"}, f" in recipe {name!r} of a method")
-        _check_known("recipe", [changes.get("recipe", "default")], [*RECIPES])
+    _check_recipes(values.get("recipes", {}), "a method")
     return Method(**values)
+
+
+def _check_recipes(recipes: Mapping[str, Any], where: str) -> None:
+    for name, changes in recipes.items():
+        if not isinstance(changes, dict):
+            raise ValueError(f"recipe {name!r} of {where} is {changes!r}, expected a table")
+        _check_known("key", changes, OF_TRAINING | {"recipe"}, f" in recipe {name!r} of {where}")
+        _check_known("recipe", [changes.get("recipe", "default")], [*RECIPES])
 
 
 def _texture(content: object, folder: Path) -> str:

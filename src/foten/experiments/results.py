@@ -42,7 +42,7 @@ FIGURES = {
 }
 WITHOUT = ", without excitation"  # after a method's name, where its free run has none
 _SCORES = (
-    *("one_step", "free_run", "free_run_deterministic", "free_run_ar", "ceiling"),
+    *("one_step", "free_run", "free_run_deterministic", "free_run_ar", "ceiling", "warm_start"),
     *("listener", "references", "validation"),
 )
 VALIDATION = ("validation.mae_scaled", "validation.spectrum_db")  # what a recipe is chosen by, the first that it has

@@ -8,10 +8,14 @@ from dataclasses import asdict
 from importlib import import_module
 from typing import Any
 
+import numpy as np
+
 from foten.baselines.sizes import trainable_sizes
 from foten.dsp import Array
+from foten.dsp.distance import scored_bins, segment_length, welch
 from foten.evaluate.evaluate import Judgement, evaluate
-from foten.evaluate.report.signals import N_WAVEFORM, densities, scored_runs, shown_run, typical_block
+from foten.evaluate.report.signals import N_WAVEFORM, shown_run, typical_block
+from foten.evaluate.warm_start import SHOWN_MS
 from foten.experiments.experiment import MEASURES, OF_FIRST_SPLIT, Run
 from foten.experiments.simulator_reference import reference_for, validation_listener
 from foten.models.foten_plus.sizes import FotenPlusSizes
@@ -22,16 +26,18 @@ from foten.training.config import TrainConfig
 from foten.training.job import TrainingJob
 from foten.training.pipeline import train
 
+ERROR_FRAME_MS = 10.0
 
-def execute(run: Run, recording: Recording) -> dict[str, Any]:
-    """Result of a run: its settings, its figures on the test blocks, and the seconds of both stages."""
+
+def execute(run: Run, recording: Recording) -> tuple[dict[str, Any], Texture]:
+    """Result and texture of a run: its settings, its figures on the test blocks, and the seconds of both stages."""
     started = time.perf_counter()
     sizes, preprocess = trainable_sizes(run.model, run.sizes), PreprocessConfig(**run.preprocess)
     config = TrainConfig(**run.train)
     trained = train(TrainingJob(recording, run.model, sizes, config, preprocess, split_seed=run.split_seed))
     if trained.progress.interrupted:
         raise KeyboardInterrupt
-    return _result(run, recording, trained.texture, time.perf_counter() - started)
+    return _result(run, recording, trained.texture, time.perf_counter() - started), trained.texture
 
 
 def _result(run: Run, recording: Recording, texture: Texture, seconds: float) -> dict[str, Any]:
@@ -64,17 +70,30 @@ def _measures(names: Sequence[str], texture: Texture, recording: Recording) -> d
 
 
 def _signals(judgement: Judgement) -> dict[str, Any] | None:
-    """400 samples of a typical test block, and the spectra of all of them."""
-    shown = shown_run(judgement)
-    if shown is None:
+    """From the warm start: 400 samples of a typical test block, the error over silence's in 10 ms, spectra of whole blocks."""
+    if shown_run(judgement) is None:
         return None
-    block, runs = typical_block(judgement), scored_runs(judgement)
-    frequencies, density = densities(judgement)
+    trace, block, runs = judgement.trace, typical_block(judgement), judgement.from_warm_start["stored"]
+    recorded, *_ = trace.picked(judgement.blocks)
+    frame = max(1, round(ERROR_FRAME_MS * trace.rate_hz / 1000))
+    n = min(recorded.shape[1], round(SHOWN_MS * trace.rate_hz / 1000)) // frame * frame
+    errors, silence = (
+        np.abs(signal[..., :n]).reshape(-1, n // frame, frame).mean(axis=(0, 2))
+        for signal in (runs - recorded, recorded)
+    )
+    n_segment = segment_length(trace.block)
+    frequencies, density = welch(recorded, trace.rate_hz, n_segment)
+    _, of_run = welch(runs, trace.rate_hz, n_segment)
+    bins = scored_bins(frequencies, trace.rate_hz)
     return {
-        "recorded": _rounded(runs["recorded"][0, block, :N_WAVEFORM]),
-        "free_run": _rounded(runs[shown][0, block, :N_WAVEFORM]),
-        "frequencies_hz": _rounded(frequencies),
-        "density": {"recorded": _rounded(density["recorded"]), "free_run": _rounded(density[shown])},
+        "recorded": _rounded(recorded[block, :N_WAVEFORM]),
+        "free_run": _rounded(runs[0, block, :N_WAVEFORM]),
+        "error_to_silence": _rounded(errors / silence),
+        "frequencies_hz": _rounded(frequencies[bins]),
+        "density": {
+            "recorded": _rounded(density.mean(axis=0)[bins]),
+            "free_run": _rounded(of_run.mean(axis=(0, 1))[bins]),
+        },
     }
 
 

@@ -47,12 +47,16 @@ class Planned:
     provenance: Provenance  # that a result has to have
     replaces: Path | None = None  # result of other data or settings in the same place of the tables
 
-    def write(self, result: Mapping[str, Any]) -> None:
-        """Write the result, with the names of the experiment."""
+    def write(self, result: Mapping[str, Any], texture: bytes | None = None) -> None:
+        """Write the result, with the names of the experiment, after its texture file, where there is one."""
+        if texture is not None:
+            with atomic_write(self.path.with_suffix(".foten")) as part:
+                part.write_bytes(texture)
         with atomic_write(self.path) as part:
             part.write_text(json.dumps({**result, **self.about}, indent=1, sort_keys=True) + "\n")
         if self.replaces is not None:
-            self.replaces.unlink(missing_ok=True)
+            for replaced in (self.replaces, self.replaces.with_suffix(".foten")):
+                replaced.unlink(missing_ok=True)
 
 
 def sweep(
@@ -240,15 +244,16 @@ def _check_answered(address: str) -> None:
         raise ValueError(NO_CLUSTER.format(address, error)) from error
 
 
-def _guarded(run: Mapping[str, Any], recording: Recording) -> dict[str, Any]:
-    """Result of a run, or `failed` with the reason: Ray retries what raises, and an error here would recur."""
+def _guarded(run: Mapping[str, Any], recording: Recording) -> tuple[dict[str, Any], bytes]:
+    """Result and texture file of a run, or `failed` with the reason: Ray retries what raises, and an error here would recur."""
     try:
         checked = Run(**run)
         # Of this worker's machine, and of its sources before anybody changes them.
         provenance = provenance_of(checked, recording.sha256())
-        return {**execute(checked, recording), "provenance": provenance.to_json()}
+        result, texture = execute(checked, recording)
+        return {**result, "provenance": provenance.to_json()}, texture.to_bytes()
     except Exception as error:
-        return {"failed": f"{type(error).__name__}: {(str(error).splitlines() or [''])[0]}"}
+        return {"failed": f"{type(error).__name__}: {(str(error).splitlines() or [''])[0]}"}, b""
 
 
 def _collected(pending: dict[Any, Planned], done: set[Path], say: Say) -> tuple[int, int]:
@@ -259,15 +264,15 @@ def _collected(pending: dict[Any, Planned], done: set[Path], say: Say) -> tuple[
         (ready, *_), _ = ray.wait(list(pending), num_returns=1)
         item = pending.pop(ready)
         try:
-            result = ray.get(ready)
+            result, texture = ray.get(ready)
         except ray.exceptions.RayError as error:
-            result = {"failed": f"lost {RETRIES + 1} times: {str(error).splitlines()[0]}"}
+            result, texture = {"failed": f"lost {RETRIES + 1} times: {str(error).splitlines()[0]}"}, b""
         if "failed" in result:
             n_failed += 1
             ended = f"failed: {result['failed']}"
         else:
             ended = f"{sum(result['seconds'].values()):.0f} s"
-            item.write(result)
+            item.write(result, texture)
             done.add(item.path)
         n, run = len(done) + n_failed, item.run
         left = f", about {(time.perf_counter() - started) / n * (n_runs - n) / 60:.0f} min left" if n < n_runs else ""
