@@ -168,7 +168,7 @@ def test_a_participant_goes_through_all_steps_and_each_is_in_the_database(tmp_pa
 
 def test_a_trial_is_stroked_switched_and_measured(tmp_path: Path) -> None:
     server = server_of(study_file(tmp_path, practice="0"))
-    with joined(server, rate_hz=8000, volume_db=-3.0) as page:
+    with joined(server, rate_hz=8000, volume_db=-3.0, newtons=0.15, steepness=3.0) as page:
         page.to_trial()
         begin = time.monotonic()
         for k in range(100):
@@ -189,6 +189,7 @@ def test_a_trial_is_stroked_switched_and_measured(tmp_path: Path) -> None:
         assert 0.5 < about["force_n_p50"] < 0.9
         assert about["block_p99_ms"] > 0
         assert (about["n_underruns"], about["volume_db"], about["rate_hz"]) == (0, -3.0, 8000.0)
+        assert (about["newtons"], about["steepness"]) == (0.15, 3.0)  # without them no force follows from the events
         events = store.strokes(1, 1)
         assert events.shape == (100, 4)
         np.testing.assert_allclose(events[:, 0], 0.4 * np.arange(100))

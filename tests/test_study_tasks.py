@@ -205,6 +205,11 @@ def test_surfaces_of_one_trial_sound_as_their_methods_do(tmp_path: Path) -> None
         for interval in (1, 2):
             page.say(do="side", side="virtual", interval=interval)
             page.until("step")
+            until = time.monotonic() + 10
+            while (
+                len(opened) < interval and time.monotonic() < until
+            ):  # the page is told before the surface is put under the pen
+                time.sleep(0.01)
         trial = server.store.trials(1)[0]
     expected = [server.stimuli.bytes_of[trial.texture, method] for method in trial.intervals("oddity")[1:]]
     assert opened == expected

@@ -79,6 +79,8 @@ DICTIONARY = (  # columns of ratings.csv, meaning, unit, and of which tasks; of 
     *((f"force_n_p{p}", f"{p}th percentile of the force while in contact", "N", ()) for p in (10, 50, 90)),
     ("volume_db", "volume that was set on the page, 0 as a study begins", "dB", ()),
     ("rate_hz", "rate of the page's sound", "Hz", ()),
+    ("newtons", "a of the tablet's curve from pressure p to force, a·exp(b·p), 0.13 in the paper", "N", ()),
+    ("steepness", "b of the curve, 3.32 in the paper", "", ()),
     ("block_p99_ms", "99 % of blocks were rendered within", "ms", ()),
     ("n_missed", "blocks that came late", "", ()),
     ("n_underruns", "times that the sound had nothing to play", "", ()),

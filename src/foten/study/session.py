@@ -283,7 +283,8 @@ class Session:
             log["n_underruns"] = message.get("underruns", self._n_underruns)
         page = next((page for page in self.pages if page.strokes), None)
         if page is not None:
-            log |= {"volume_db": page.volume_db, "rate_hz": page.rate_hz}
+            curve = page.calibration
+            log |= {"volume_db": page.volume_db, "rate_hz": page.rate_hz, "newtons": curve.a, "steepness": curve.b}
         return Rated(values, message.get("seconds"), self.n_switches, log)
 
     async def turn(self, side: str, marked_by: str, interval: int | None = None) -> None:
