@@ -1,11 +1,12 @@
 """Table III: what a step and an epoch cost, framework and runtimes side by side, beside the paper's figures.
 
-    python benchmarks/efficiency.py [--models dstn,ldhtd,…] [--steps 1000] [--seconds 56] [--csv FILE]
+    python benchmarks/efficiency.py [--models dstn,ldhtd,…] [--steps 1000] [--seconds 56] [--csv FILE] [--epochs-csv FILE]
 
-A step is a sample, one window at a time on one thread: eager PyTorch, as the
-paper measured its own in Keras, ONNX Runtime, and the kernel where it runs the model. An epoch is one of the paper's recipe
-(batches of 16) and one of ours (of 128) over the training blocks of a simulated recording as long as the paper's, one thread
-each. Networks are untrained: their costs are the same. All in one run; ratios are what to read, since machines differ. A GPU is
+A step is a sample, one window at a time on one thread: eager PyTorch, as the paper measured its own in Keras, the mean of all
+steps as in the paper and their median; ONNX Runtime, and the kernel where it runs the model, medians. An epoch is one of the
+paper's recipe (batches of 16) over the training blocks of a simulated recording as long as the paper's, one thread; LDHTD's is
+one of its teacher and one of the student. Sizes that no source states are ours, and the order of the systems depends on them.
+Networks are untrained: their costs are the same. All in one run; ratios are what to read, since machines differ. A GPU is
 measured where there is one. What a sample of foten-plus costs depends on the texture: `foten bench T.foten`.
 """
 
@@ -19,6 +20,7 @@ import platform
 import sys
 import time
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
@@ -29,9 +31,9 @@ import torch
 
 from foten.baselines.dftnet import Dftnet
 from foten.baselines.fit import log_spectra
-from foten.baselines.gan import STEPS, Gan, fit_adversarial
+from foten.baselines.gan import FRAMES, STEPS, Gan, fit_adversarial
 from foten.baselines.graph import build, graph_of
-from foten.baselines.sizes import TRAINABLE, NoiseModelSizes
+from foten.baselines.sizes import TRAINABLE, HapinfSizes, NoiseModelSizes
 from foten.models.registry import GraphSizes
 from foten.models.texture_file import Texture
 from foten.recording.preprocess import PreprocessConfig, preprocess
@@ -50,20 +52,31 @@ from foten.training.window_fit import fit_windows, one_step_windows
 from result_table import add_csv, report
 
 MODELS = ("dstn", "ldhtd", "gan", "dftnet", "hapinf", "fnn", "ten", "ten-mfcc", "ten-wavelet", "foten", "foten-d")
+
+
+@dataclasses.dataclass(frozen=True)
+class Published:
+    """A row of the paper's Table III."""
+
+    input_size: int  # samples
+    gpu_ms: float  # of one inference, mean of 1000
+    cpu_ms: float
+    epoch_s: float
+
+
 PAPER = {
-    "dstn": (1.89, 44.35),
-    "ldhtd": (1.26, 27.45),
-    "gan": (2.37, 85.71),
-    "foten": (1.11, 10.26),
-    "ten": (1.07, 8.92),
-    "foten-d": (1.39, 14.81),
+    "dstn": Published(40, 1.38, 1.89, 44.35),
+    "ldhtd": Published(20, 1.13, 1.26, 27.45),
+    "gan": Published(56, 1.72, 2.37, 85.71),
+    "ten": Published(25, 0.87, 1.07, 8.92),
+    "foten": Published(20, 0.96, 1.11, 10.26),
+    "foten-d": Published(20, 1.16, 1.39, 14.81),
 }
-"""The paper's milliseconds of one inference on a CPU and seconds of one epoch of training, Table III."""
 WARM = 50  # steps that are not counted
 
 
-def p50_us(step: Callable[[], object], n: int) -> float:
-    """The median time of a step [µs]."""
+def times_us(step: Callable[[], object], n: int) -> tuple[float, float]:
+    """The mean and the median time of a step [µs]."""
     for _ in range(WARM):
         step()
     times = np.empty(n)
@@ -71,11 +84,11 @@ def p50_us(step: Callable[[], object], n: int) -> float:
         started = time.perf_counter_ns()
         step()
         times[i] = time.perf_counter_ns() - started
-    return float(np.median(times)) / 1000
+    return float(np.mean(times)) / 1000, float(np.median(times)) / 1000
 
 
-def steps(model: str, n: int, texture: Texture | None) -> dict[str, float]:
-    """The median time of a step of each runtime [µs]."""
+def steps(model: str, n: int, texture: Texture | None) -> dict[str, tuple[float, float]]:
+    """The mean and the median time of a step of each runtime [µs]."""
     torch.manual_seed(0)
     sizes = TRAINABLE[model]()
     network = build(model, sizes).eval()
@@ -84,22 +97,27 @@ def steps(model: str, n: int, texture: Texture | None) -> dict[str, float]:
     array = window.numpy()
     times = {}
     with torch.no_grad():
-        times["pytorch"] = p50_us(lambda: network(window), n)
+        times["pytorch"] = times_us(lambda: network(window), n)
         if torch.cuda.is_available():
             network, on_gpu = network.cuda(), window.cuda()
-            times["gpu"] = p50_us(lambda: network(on_gpu).item(), n)
-    times["onnxruntime"] = p50_us(lambda: predictor.predict(array), n)
+            times["gpu"] = times_us(lambda: network(on_gpu).item(), n)
+    times["onnxruntime"] = times_us(lambda: predictor.predict(array), n)
     if texture is not None:
         state, out = NativeState(NativeTexture(texture.to_bytes()), excitation=False), np.empty(1, np.float32)
         state.set_condition(80.0, 0.8)
-        times["kernel"] = p50_us(lambda: state.render(out), n)
+        times["kernel"] = times_us(lambda: state.render(out), n)
     return times
 
 
-def epoch_s(model: str, blocks: ScaledBlocks, recipe: str) -> float:
-    """How long an epoch takes with its validation, the quicker of two [s]; of the GAN, as many spectrograms as windows."""
-    changed = {**OWN_RECIPES.get(model, {}), "epochs": 2, "threads": 1, "batch": RECIPES[recipe].batch}
-    config, sizes = dataclasses.replace(RECIPES[recipe], **changed), TRAINABLE[model]()
+def epoch_s(model: str, blocks: ScaledBlocks, window: int | None = None) -> float:
+    """How long an epoch takes with its validation, the quicker of two [s]; of the GAN, as many spectrograms as windows.
+
+    Args:
+        window: samples; by default the model's.
+    """
+    changed = {**OWN_RECIPES.get(model, {}), "epochs": 2, "threads": 1, "batch": RECIPES["paper"].batch}
+    sizes = TRAINABLE[model]() if window is None else HapinfSizes(window=window, n_start=min(10, window))
+    config = dataclasses.replace(RECIPES["paper"], **changed)
     windows = one_step_windows(blocks, sizes.window)
     with reproducible():
         torch.manual_seed(0)
@@ -137,9 +155,11 @@ def measure(arguments: argparse.Namespace) -> dict[str, Any]:
             None if isinstance(sizes, GraphSizes | NoiseModelSizes) else untrained(model, recording, blocks, config)
         )
         models[model] = {
-            "window": sizes.window,
+            "input": FRAMES if model == "gan" else sizes.window,
+            "n_parameters": sum(parameter.numel() for parameter in build(model, sizes).parameters()),
             "step_us": steps(model, arguments.steps, texture),
-            "epoch_s": {recipe: epoch_s(model, blocks, recipe) for recipe in ("paper", "default")},
+            "epoch_s": epoch_s(model, blocks),
+            "teacher_s": epoch_s("hapinf", blocks, sizes.window) if model == "ldhtd" else None,
         }
         print(model, json.dumps(models[model]), file=sys.stderr, flush=True)
     return {
@@ -149,21 +169,41 @@ def measure(arguments: argparse.Namespace) -> dict[str, Any]:
     }
 
 
-def table(models: dict[str, Any]) -> list[list[str]]:
-    """The table: the cost of a step, and of an epoch beside the paper's ratio to its own network."""
-    foten_epoch_s = models.get("foten", {}).get("epoch_s", {}).get("paper")
-    head = ["model", "PyTorch [µs]", "ONNX Runtime [µs]", "kernel [µs]", "paper's CPU [µs]", "epoch [s]"]
-    head += ["foten's epoch ÷ its", "the paper's"]
-    on_gpu = any("gpu" in of["step_us"] for of in models.values())
-    cells = [[*head, *(["GPU [µs]"] if on_gpu else [])]]
+def step_table(models: dict[str, Any]) -> list[list[str]]:
+    """The cost of a step on a CPU, beside the paper's."""
+    cells = [
+        ["model", "input [samples]", "PyTorch, mean [µs]", "median", "ONNX Runtime", "kernel", "paper's mean [µs]"]
+    ]
     for key, of in models.items():
-        step, epoch = of["step_us"], of["epoch_s"]
-        cpu, known = PAPER.get(key, (None, None))
-        row = [key, *(f"{step[name]:.0f}" if name in step else "–" for name in ("pytorch", "onnxruntime", "kernel"))]
-        row += ["–" if cpu is None else f"{1000 * cpu:.0f}", f"{epoch['paper']:.1f}"]
-        row.append("–" if foten_epoch_s is None else f"{foten_epoch_s / epoch['paper']:.2f}")
-        row.append("–" if known is None else f"{PAPER['foten'][1] / known:.2f}")
-        cells.append(row + ([f"{step['gpu']:.0f}" if "gpu" in step else "–"] if on_gpu else []))
+        mean, median = of["step_us"]["pytorch"]
+        others = (
+            f"{of['step_us'][name][1]:.0f}" if name in of["step_us"] else "–" for name in ("onnxruntime", "kernel")
+        )
+        published = f"{1000 * PAPER[key].cpu_ms:.0f}" if key in PAPER else "–"
+        cells.append([key, str(of["input"]), f"{mean:.0f}", f"{median:.0f}", *others, published])
+    return cells
+
+
+def gpu_table(models: dict[str, Any]) -> list[list[str]]:
+    """The cost of a step on a GPU in eager PyTorch, beside the paper's."""
+    cells = [["model", "GPU, mean [µs]", "median", "paper's mean [µs]"]]
+    for key, of in models.items():
+        mean, median = of["step_us"]["gpu"]
+        cells.append([key, f"{mean:.0f}", f"{median:.0f}", f"{1000 * PAPER[key].gpu_ms:.0f}" if key in PAPER else "–"])
+    return cells
+
+
+def epoch_table(models: dict[str, Any]) -> list[list[str]]:
+    """The cost of an epoch, and foten's over it beside the paper's."""
+    cells = [["model", "parameters", "epoch [s]", "of it the teacher's", "foten's ÷ its", "the paper's"]]
+    foten_s = models.get("foten", {}).get("epoch_s")
+    for key, of in models.items():
+        teacher_s = of["teacher_s"]
+        all_s = of["epoch_s"] + (teacher_s or 0.0)
+        ratio = "–" if foten_s is None else f"{foten_s / all_s:.2f}"
+        published = f"{PAPER['foten'].epoch_s / PAPER[key].epoch_s:.2f}" if key in PAPER else "–"
+        teacher = "" if teacher_s is None else f"{teacher_s:.1f}"
+        cells.append([key, f"{of['n_parameters']:,}", f"{all_s:.1f}", teacher, ratio, published])
     return cells
 
 
@@ -173,12 +213,19 @@ def main() -> None:
     parser.add_argument("--steps", type=int, default=1000)
     parser.add_argument("--seconds", type=float, default=56.0)
     add_csv(parser)
+    parser.add_argument("--epochs-csv", type=Path, metavar="FILE", help="keep the table of epochs as CSV there")
     arguments = parser.parse_args()
     unknown = set(arguments.models) - set(MODELS)
     if unknown:
         parser.error(f"unknown model {sorted(unknown)[0]}")
     result = measure(arguments)
-    report(table(result["models"]), arguments.csv)
+    models = result["models"]
+    report(step_table(models), arguments.csv)
+    print()
+    report(epoch_table(models), arguments.epochs_csv)
+    if all("gpu" in of["step_us"] for of in models.values()):
+        print()
+        report(gpu_table(models), None)
     print(f"{result['machine']}; {result['n_train_windows']:,} training windows an epoch", file=sys.stderr)
 
 

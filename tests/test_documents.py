@@ -85,7 +85,7 @@ def serves(folder: Path, *command: str | Path) -> None:
 
 
 # Of training and of edits that are judged: their commands are run at night.
-LONG = ("capture", "recordings", "tool", "user")
+LONG = ("capture", "recordings", "study", "tool", "user")
 
 
 def runnable(page: Path, slow: bool) -> list[Block]:
@@ -173,6 +173,7 @@ def test_the_repository_is_small() -> None:
     assert all(path.stat().st_size <= 200_000 for path in (ROOT / "docs" / "results").glob("*.csv"))
 
 
+@pytest.mark.slow
 def test_the_notebook_runs_from_top_to_bottom(tmp_path: Path) -> None:
     """Its last lines are shown by Jupyter, which the tests do without; outputs are not kept, so none is out of date."""
     pytest.importorskip("torch")

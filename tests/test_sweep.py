@@ -164,13 +164,38 @@ def test_findings_say_who_is_compared_and_what_a_linear_predictor_has(records: l
         return next(line for line in findings(some) if line.startswith("one-step MAE"))
 
     best = "one-step MAE [sd]: excited is best on the mean of 2 trained methods, with 0.300."
-    beside = "A linear predictor, best AR, has 0.250: 0 of 2 trained methods are better."
+    beside = "A linear predictor, best AR, has 0.250: better are none."
     assert said(records) == f"{best} {beside}"
     for one in records:
         one["references.ar_best.mae_scaled"] = 0.45
-    assert said(records).endswith("has 0.450: 1 of 2 trained methods are better.")
+    assert said(records).endswith("has 0.450: better are excited.")
     del records[0]["references.ar_best.mae_scaled"], records[1]["references.ar_best.mae_scaled"]
     assert said(records) == best  # not of all textures
+
+
+def test_what_is_better_than_a_linear_predictor_on_the_mean_may_be_chance(records: list[dict]) -> None:
+    """By signed ranks of eight textures: what is better on all differs, what is better on seven of them need not."""
+    errors = {"FNN [13]": [0.4] * 8, "excited": [0.49] * 7 + [0.60], "alike": [0.49] * 7 + [0.60]}
+    many = [
+        {
+            **records[0],
+            "method": method,
+            "texture": f"t{k}",
+            "recording_sha256": f"{k}",
+            "one_step.mae_scaled": error + 0.001 * k,
+        }
+        for method, of_method in errors.items()
+        for k, error in enumerate(of_method)
+    ]
+    for one in many:
+        one["references.ar_best.mae_scaled"] = 0.5 + 0.002 * int(one["recording_sha256"])
+    line = next(line for line in findings(many) if line.startswith("one-step MAE"))
+    assert "on the mean of 2 trained methods" in line  # two of equal errors on each texture are counted once
+    names = [f"{method}, without excitation" for method in errors]
+    assert line.endswith(f"better are {', '.join(names[:1])}.")
+    many[15]["one_step.mae_scaled"] = many[23]["one_step.mae_scaled"] = 0.54
+    line = next(line for line in findings(many) if line.startswith("one-step MAE"))
+    assert line.endswith(f"better are {', '.join(names)}; that may be chance for {names[1]}, {names[2]}.")
 
 
 def test_a_table_says_what_was_reduced_and_what_a_figure_is_blind_to(records: list[dict]) -> None:
@@ -185,7 +210,11 @@ def test_tables_are_written_in_three_forms(swept: Path, tmp_path: Path, capsys: 
     assert _status(["tables", str(swept), "-o", str(tmp_path / "tables")]) == 0
     assert "| excited |" in capsys.readouterr().out
     assert {path.name for path in (tmp_path / "tables").iterdir()} == {
-        *(f"{name}.{form}" for name in ("summary", "mae", "gfc", "lsd", "level") for form in ("md", "csv", "tex")),
+        *(
+            f"{name}.{form}"
+            for name in ("summary", "warm-start", "mae", "gfc", "lsd", "level")
+            for form in ("md", "csv", "tex")
+        ),
         *("findings.md", "runs.csv"),
     }
     # What was written of the runs is what the same tables are made of; with fewer digits it is smaller, and whole numbers whole.
@@ -291,7 +320,7 @@ def test_parts_of_a_sweep_are_one(
 
 def test_figures_are_drawn_from_the_results(swept: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert _status(["figures", str(swept), "-o", str(tmp_path / "figures")]) == 0
-    names = ["figure-4", "figure-6", "figure-7"]  # no grid, no Fig. 5
+    names = ["figure-4", "figure-6", "figure-6-convergence", "figure-7"]  # no grid, no Fig. 5
     made = [Path(line) for line in capsys.readouterr().out.splitlines()]
     assert [path.name for path in made] == [f"{name}.{form}" for name in names for form in ("png", "pdf")]
     assert all(path.stat().st_size > 5000 for path in made)
@@ -348,7 +377,7 @@ def test_figure_4_is_left_out_where_its_recording_is_not(results: list[dict], tm
     for folder, match in ((None, "no such file: elsewhere/a.h5"), (tmp_path, "")):
         said: list[str] = []
         names = [name for name, _ in figures([result], folder, said.append)]
-        assert names == ["figure-4"] * (folder is not None) + ["figure-6", "figure-7"]
+        assert names == ["figure-4"] * (folder is not None) + ["figure-6", "figure-6-convergence", "figure-7"]
         assert match in " ".join(said)
         assert bool(said) == bool(match)
     write_recording(simulate("linear-cloth", 8, seed=2), tmp_path / "a.h5")
@@ -364,7 +393,7 @@ def test_a_panel_is_of_one_recording(results: list[dict]) -> None:
     second["run"]["split_seed"] = other["run"]["split_seed"] = 2
     other["run"]["method"] = "other"
     axes = dict(figures([first, second, other]))["figure-6"].axes[0]
-    assert [label.get_text() for label in axes.get_yticklabels()] == ["recorded", "FNN [13],\nwithout excitation"]
+    assert [label.get_text() for label in axes.get_yticklabels()] == ["FNN [13],\nwithout excitation"]
 
 
 def test_what_falls_silent_runs_along_the_lower_edge_and_is_said(results: list[dict]) -> None:
@@ -398,6 +427,20 @@ def test_waveforms_have_a_scale_and_say_where_one_is_silent(results: list[dict])
         bar = axes.get_lines()[-1].get_ydata()
         assert bar[1] - bar[0] == 3  # in the unit of the recorded one, drawn as it is
         np.testing.assert_array_equal(axes.get_lines()[0].get_ydata(), recorded)
+        np.testing.assert_array_equal(axes.get_lines()[1].get_ydata(), factor * recorded)
+        assert axes.get_lines()[2].get_xdata() == [100, 100]  # ms, at 1 kHz 100 samples
+
+
+def test_an_error_over_time_is_that_of_silence_where_a_run_is_silent(results: list[dict]) -> None:
+    """Of two textures the mean, by the middle of each 10 ms."""
+    for result, errors in zip(results, ([1.0] * 40, [0.5] * 40), strict=False):
+        result["signals"]["error_to_silence"] = errors
+        result["run"]["method"] = "one method"
+        result["evaluation"]["free_run"]["lsd_db"] = None
+    axes = dict(figures(results[:2]))["figure-6-convergence"].axes[0]
+    line = axes.get_lines()[0]
+    assert (line.get_label(), set(line.get_ydata())) == ("one method, without excitation", {0.75})
+    np.testing.assert_allclose(line.get_xdata(), 10 * np.arange(40) + 5)
 
 
 def test_a_sweep_names_what_it_has_anew_and_makes_again_what_is_damaged(swept: Path, tmp_path: Path) -> None:

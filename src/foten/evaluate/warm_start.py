@@ -20,6 +20,7 @@ from foten.runtime.native import NativeTexture
 
 CONVERGED_MS = 100.0  # in which the paper's network converges; Sec. V-a
 SHOWN_MS = 400.0  # Fig. 6
+ERROR_FRAME_MS = 10.0  # in which the error over time is drawn
 STARTS = ("stored", "synthesised")
 FORGOTTEN = 0.01  # of the training standard deviation, that two runs differ by at most
 _NEAR_SHARE = 100  # a hundredth of the training samples is near to the condition of the warm start

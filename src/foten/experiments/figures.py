@@ -15,6 +15,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
 from foten.dsp import Array
+from foten.evaluate.warm_start import ERROR_FRAME_MS
 from foten.experiments.experiment import Run, recording_of, texture_name
 from foten.experiments.results import Results, chosen_results, label_of
 from foten.recording.preprocess import PreprocessConfig, preprocess
@@ -23,6 +24,7 @@ from foten.reporting.figure import COLOURS, PRINT, add_legend, new_figure, panel
 
 RECORDED = PRINT.ink
 PARTS = {"train": "#8fd3e8", "validation": "#f3e28a", "test": "#f0a3a0"}
+N_CONVERGED = 100  # samples; Sec. V-a
 SILENT_DB = 20.0  # below the recording, from where on a free run is called silent
 
 
@@ -55,6 +57,7 @@ def figures(
     with_signals = [result for result in results if result.get("signals")]
     if with_signals:
         yield "figure-6", waveforms(with_signals)
+        yield "figure-6-convergence", convergence(with_signals)
         yield "figure-7", spectra(with_signals)
 
 
@@ -150,31 +153,54 @@ def thresholds(results: Results) -> Figure:
 
 
 def waveforms(results: Results) -> Figure:
-    """400 samples of a test block of each texture, recorded and of each method's free run, as Fig. 6.
+    """400 samples of a test block of each texture from the warm start: each method's free run over the recording, as Fig. 6.
 
-    The waveforms are independent realisations: compare level and character, not samples. All of a panel have one scale.
+    A line marks the 100 samples in which the paper's network converges. Where a run draws noise, it is another realisation:
+    compare level and character, not samples. All of a panel have one scale.
     """
     textures, colours = _first_split(results)
-    figure, panels = panel_grid([*map(texture_name, textures)], 3.4, 1.1 + 0.45 * len(colours))
+    figure, panels = panel_grid([*map(texture_name, textures)], 3.4, 0.7 + 0.45 * len(colours))
     for axes, by_method in zip(panels, textures.values(), strict=True):
         first = next(iter(by_method.values()))
         recorded = np.array(first["signals"]["recorded"])
         step = 2.2 * float(np.abs(recorded).max())
-        times = 1000 * np.arange(len(recorded)) / first["evaluation"]["rate_hz"]
-        axes.plot(times, recorded, color=RECORDED, lw=0.7)
+        rate_hz = first["evaluation"]["rate_hz"]
+        times = 1000 * np.arange(len(recorded)) / rate_hz
         for k, (method, result) in enumerate(by_method.items()):
             run = np.array(result["signals"]["free_run"])
-            axes.plot(times, run.clip(-0.5 * step, 0.5 * step) - (k + 1) * step, color=colours[method], lw=0.7)
-            below = _below_db(recorded.var(), run.var())
+            axes.plot(times, recorded - k * step, color=RECORDED, alpha=0.35, lw=0.9)
+            axes.plot(times, run.clip(-0.5 * step, 0.5 * step) - k * step, color=colours[method], lw=0.8)
+            below = _below_db(recorded[N_CONVERGED:].var(), run[N_CONVERGED:].var())
             if below > SILENT_DB:
-                place = {"xy": (times[-1], (0.12 - k - 1) * step), "ha": "right", "va": "bottom"}
+                place = {"xy": (times[-1], (0.12 - k) * step), "ha": "right", "va": "bottom"}
                 axes.annotate(f"silent here: {below:.0f} dB below the recording", **place, fontsize=6.5)
+        axes.axvline(1000 * N_CONVERGED / rate_hz, color=RECORDED, lw=0.7, ls=(0, (3, 2)))
         bar, beyond = float(f"{0.45 * step:.1g}"), 1.03 * times[-1]
         axes.plot([beyond, beyond], [-bar / 2, bar / 2], color=RECORDED, lw=2)
         axes.annotate(f"{bar:g} m/s²", (1.04 * times[-1], 0), rotation=90, va="center", fontsize=6.5)
         names = [method.replace(", ", ",\n") for method in by_method]
-        axes.set_yticks([-k * step for k in range(len(names) + 1)], ["recorded", *names], fontsize=7)
-    figure.supxlabel("time [ms]", fontsize=9)
+        axes.set_yticks([-k * step for k in range(len(names))], names, fontsize=7)
+    figure.supxlabel("time [ms]; grey: recorded", fontsize=9)
+    return figure
+
+
+def convergence(results: Results) -> Figure:
+    """Error of free runs from the warm start over that of silence, in 10 ms, mean over textures: below 1 is nearer than nothing.
+
+    A line marks the 100 samples in which the paper's network converges, Sec. V-a.
+    """
+    errors = defaultdict(list)
+    for result in results:
+        errors[label_of(result)].append(result["signals"]["error_to_silence"])
+    figure, axes = new_figure(6.5, 3.4)
+    for (method, of_method), colour in zip(errors.items(), itertools.cycle(COLOURS), strict=False):
+        length = min(map(len, of_method))
+        mean = np.mean([error[:length] for error in of_method], axis=0)
+        axes.plot(ERROR_FRAME_MS * (np.arange(length) + 0.5), mean, "-", lw=1.3, color=colour, label=method)
+    axes.axhline(1.0, color=RECORDED, lw=0.8)
+    axes.axvline(1000 * N_CONVERGED / results[0]["evaluation"]["rate_hz"], color=RECORDED, lw=0.7, ls=(0, (3, 2)))
+    axes.set(xlabel="time from the warm start [ms]", ylabel="error ÷ that of silence", ylim=(0, None))
+    add_legend(axes, loc="lower right", ncols=2)
     return figure
 
 

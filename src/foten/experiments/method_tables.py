@@ -114,21 +114,27 @@ def complete(rows: Sequence[Row], textures: Sequence[str]) -> list[Row]:
 def compared(rows: Sequence[Row], textures: Sequence[str], better: int) -> tuple[str, dict[str, float]]:
     """Method that is best on the mean of the textures, and p-values of the others' differences from it.
 
-    Of methods with all splits. Wilcoxon's signed-rank test over the textures (means of splits), two-sided, Holm-corrected;
-    empty with fewer than six textures, where no p can be below 0.05.
+    Of methods with all splits, as `signed_rank` has them.
     """
-    from scipy.stats import wilcoxon
-
     methods = complete(rows, textures)
     if not methods:
         return "", {}
     best = max(methods, key=lambda row: better * float(row.means(textures).mean()))
-    others = [row for row in methods if row is not best]
+    return best.name, signed_rank(best, [row for row in methods if row is not best], textures)
+
+
+def signed_rank(first: Row, others: Sequence[Row], textures: Sequence[str]) -> dict[str, float]:
+    """P-values of the differences from a row by name: Wilcoxon's signed-rank test over textures, two-sided, Holm-corrected.
+
+    Textures are replicates: each has another hand. Empty with fewer than six, where no p can be below 0.05.
+    """
+    from scipy.stats import wilcoxon
+
     if len(textures) < 6 or not others:
-        return best.name, {}
-    differences = [row.means(textures) - best.means(textures) for row in others]
+        return {}
+    differences = [row.means(textures) - first.means(textures) for row in others]
     p = [float(wilcoxon(difference).pvalue) if difference.any() else 1.0 for difference in differences]
-    return best.name, dict(zip((row.name for row in others), holm(p), strict=True))
+    return dict(zip((row.name for row in others), holm(p), strict=True))
 
 
 def as_in_paper(rows: Sequence[Row]) -> set[str]:
@@ -143,9 +149,11 @@ def as_in_paper(rows: Sequence[Row]) -> set[str]:
 
 
 def tables_of(records: Records) -> dict[str, Table]:
-    """Tables of runs by the names of their files: `summary`, one of each figure by texture, and `ratios`."""
+    """Tables of runs by the names of their files: `summary`, one of each figure by texture, `warm-start` and `ratios`."""
     shown, title = chosen(records), title_of(records)
     by_name = {"summary": summary(shown)} | {name: table(shown, name) for name in FIGURES}
+    if any("warm_start.stored.mae_scaled" in record for record in shown):
+        by_name["warm-start"] = warm_start(shown)
     if any(record["beside"] for record in shown):
         by_name["ratios"] = ratios(shown)
     return {name: replace(of, title=title, notes=tuple(caveats(shown, name))) for name, of in by_name.items()}
@@ -173,6 +181,50 @@ def summary(records: Records) -> Table:
         cells.append((name, mae, reported, f"{p[name]:.3f}" if name in p else "", gfc, lsd, level, seconds))
     heading = ("", "MAE [sd]", PAPERS, "p", "GFC [%]", "LSD [dB]", "level error [dB]", "training [s]")
     return Table.of(heading, cells).known()
+
+
+WARM_START = (
+    ("one-step MAE [sd]", "one_step.mae_scaled", 3, 1.0),
+    ("free run", "warm_start.stored.mae_scaled", 3, 1.0),
+    ("from a synthesised window", "warm_start.synthesised.mae_scaled", 3, 1.0),
+    ("one-step GFC [%]", "one_step.gfc", 1, 100.0),
+    ("free run's", "warm_start.stored.gfc", 1, 100.0),
+    ("level [dB]", "warm_start.stored.level_db", 1, 1.0),
+)
+"""Columns of the paper's two errors in both regimes: heading, path in a record, digits, factor."""
+
+
+def warm_start(records: Records) -> Table:
+    """MAE and GFC of one step beside those of a free run from the warm start, of silence and of a second realisation; Sec. VI-a.
+
+    Means over textures ± standard error. `start forgotten`: the median time until runs from two windows are the same, and on how
+    many textures that is ever so.
+    """
+    textures = list(dict.fromkeys(record["texture"] for record in records))
+
+    def cells(runs: Records, columns: Sequence[tuple[str, int, float]]) -> list[Number | str]:
+        shown: list[Number | str] = []
+        for path, digits, factor in columns:
+            by_texture = {texture: [run[path] for run in runs if run["texture"] == texture] for texture in textures}
+            values = [factor * np.array([x for x in of if x is not None], dtype=float) for of in by_texture.values()]
+            shown.append(mean_number(values, digits) if path and all(of.size for of in values) else Number(None))
+        return shown
+
+    paths = [*(path for _, path, *_ in WARM_START), "ceiling.mae_scaled", "ceiling.gfc_raw"]
+    known: list[dict[str, Any]] = [{**dict.fromkeys(paths), **record} for record in records]
+    rows: list[list[Number | str]] = []
+    for method in dict.fromkeys(record["method"] for record in records):
+        runs = [record for record in known if record["method"] == method]
+        times = [run["warm_start.forgotten_ms"] for run in runs if run.get("warm_start.forgotten_ms") is not None]
+        forgotten = f"{np.median(times):.0f}, {len(times)} of {len(runs)}" if times else "never"
+        rows.append([method, *cells(runs, [column[1:] for column in WARM_START]), forgotten])
+    # The same whatever was trained beside them: once for each recording and split.
+    once = list({(record["texture"], record["recording_sha256"], record["split"]): record for record in known}.values())
+    columns = (("warm_start.silence_mae_scaled", 3, 1.0), ("ceiling.mae_scaled", 3, 1.0), ("ceiling.gfc_raw", 1, 100.0))
+    silence, mae, gfc = ([cell] for cell in cells(once, columns))
+    rows += [["silence", *silence, *silence, *silence, Number(None), Number(None), Number(None), ""]]
+    rows += [["a second realisation", Number(None), *mae, Number(None), Number(None), *gfc, Number(0.0, ".1f"), ""]]
+    return Table.of(("", *(heading for heading, *_ in WARM_START), "start forgotten [ms]"), rows)
 
 
 def _best(rows: Sequence[Row], textures: Sequence[str], figure: Figure) -> set[str]:
@@ -284,17 +336,30 @@ def _best_method(records: Records, name: str) -> Iterator[str]:
     best, p = compared(rows, textures, figure.better)
     if best:
         means = {row.name: float(row.means(textures).mean()) for row in with_all}
+        n_methods = len(
+            {tuple(row.means(textures)) for row in with_all}
+        )  # an excitation changes no one-step prediction
         chance = ", ".join(other for other, value in p.items() if value >= 0.05)
         differ = f"; the difference may be chance for {chance}" if chance else ""
         differ = "; all others differ (p < 0.05)" if p and not chance else differ
-        is_best = f"is best on the mean of {len(means)} trained methods, with" if len(means) > 1 else "has"
-        linear = [float(row.means(textures).mean()) for row in rows if row.name == figure.linear]
-        beside = ""
-        if linear and np.isfinite(linear[0]):
-            n_better = sum(figure.better * (mean - linear[0]) > 0 for mean in means.values())
-            beside = f" A linear predictor, {figure.linear}, has {linear[0]:.{figure.digits}f}: "
-            beside += f"{n_better} of {len(means)} trained methods are better."
+        is_best = f"is best on the mean of {n_methods} trained methods, with" if n_methods > 1 else "has"
+        beside = _beside_linear(rows, with_all, textures, figure)
         yield f"{figure.name}: {best} {is_best} {means[best]:.{figure.digits}f}{differ}.{beside}"
+
+
+def _beside_linear(rows: Sequence[Row], methods: Sequence[Row], textures: Sequence[str], figure: Figure) -> str:
+    """Which methods are better than the linear predictor, and of which that may be chance."""
+    linear = next((row for row in rows if row.name == figure.linear), None)
+    if linear is None or not np.isfinite(linear.means(textures)).all():
+        return ""
+    better = [
+        row for row in methods if figure.better * float((row.means(textures) - linear.means(textures)).mean()) > 0
+    ]
+    sentence = f" A linear predictor, {figure.linear}, has {float(linear.means(textures).mean()):.{figure.digits}f}: better are "
+    sentence += ", ".join(row.name for row in better) or "none"
+    p = signed_rank(linear, methods, textures)
+    chance = [row.name for row in better if p and p[row.name] >= 0.05]
+    return sentence + (f"; that may be chance for {', '.join(chance)}." if chance else ".")
 
 
 def _order(records: Records) -> Iterator[str]:

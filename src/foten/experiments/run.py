@@ -15,7 +15,7 @@ from foten.dsp import Array
 from foten.dsp.distance import scored_bins, segment_length, welch
 from foten.evaluate.evaluate import Judgement, evaluate
 from foten.evaluate.report.signals import N_WAVEFORM, shown_run, typical_block
-from foten.evaluate.warm_start import SHOWN_MS
+from foten.evaluate.warm_start import ERROR_FRAME_MS, SHOWN_MS
 from foten.experiments.experiment import MEASURES, OF_FIRST_SPLIT, Run
 from foten.experiments.simulator_reference import reference_for, validation_listener
 from foten.models.foten_plus.sizes import FotenPlusSizes
@@ -25,8 +25,6 @@ from foten.recording.recording import Recording
 from foten.training.config import TrainConfig
 from foten.training.job import TrainingJob
 from foten.training.pipeline import train
-
-ERROR_FRAME_MS = 10.0
 
 
 def execute(run: Run, recording: Recording) -> tuple[dict[str, Any], Texture]:
