@@ -40,6 +40,7 @@ MAIN = {
     SIMULATED: "simulated textures",
     CONTACT: "contact mechanics",
 }
+TOLD_APART = 0.03  # a difference of the areas for one texture that means something
 MAX_COLUMNS, MAX_ROWS = 8, 12  # of a table that people read, a row of means not counted; the rest is CSV
 NOT_RUN = "*Not measured yet with this version.*"
 ONE_STEP, BEST_AR = "one_step.mae_scaled", "references.ar_best.mae_scaled"
@@ -299,6 +300,30 @@ def listener() -> Table:
     asked = any("listener.listener_auc_person" in record for record in records_of("listener"))
     last = ("a person's limits", person) if asked else ("control", control)
     return table(("mean of", "method"), rows, (*AREAS, last))
+
+
+def listener_notes() -> str:
+    """Sentences on what the controls vary by, and on textures that are told apart more often with the network."""
+    records = [record for of in listened("listener").values() for record in of]
+    kinds = {
+        "listener_auc": "by band energies",
+        "listener_auc_waveform": "by waveform too",
+        "listener_auc_person": "by a person",
+    }
+    controls = [record[f"listener.{kind}_control"] for record in records for kind in kinds]
+    within = f"controls lie between {min(controls):.2f} and {max(controls):.2f}"
+    by_place = {(record["texture"], record["method"]): record for record in records}
+    worse = []
+    for texture, method in by_place:
+        for kind, told in kinds.items():
+            with_network, without = (by_place[texture, name][f"listener.{kind}"] for name in (OURS, method))
+            if with_network >= without + TOLD_APART:
+                worse.append(f"{texture} {told} ({with_network:.2f}, without {without:.2f})")
+    more = f"Told apart more often with the network, by {TOLD_APART} or more: {'; '.join(worse) or 'none'}."
+    return (
+        f"One recording and one fit of each texture. Two fits of one texture differ by about 0.015, and {within}: a difference "
+        f"below {TOLD_APART} for one texture means little. {more}"
+    )
 
 
 def recorded_longer() -> Table:
@@ -574,7 +599,12 @@ TABLES: dict[str, dict[str, Callable[[], Table | str]]] = {
         "validation-listener": partial(of_experiment, "validation-listener", ratios),
         "csv": partial(listed, *MAIN, "listener", "ingredients", "validation-listener"),
     },
-    "listener.md": {"listener": listener, "recorded-longer": recorded_longer, "trials": trials},
+    "listener.md": {
+        "listener": listener,
+        "listener-notes": listener_notes,
+        "recorded-longer": recorded_longer,
+        "trials": trials,
+    },
     "less-than-a-recording.md": {
         "few-strokes": partial(few_strokes, real=False),
         "few-strokes-real": partial(few_strokes, real=True),
@@ -589,6 +619,7 @@ TABLES: dict[str, dict[str, Callable[[], Table | str]]] = {
         "findings": partial(sentences, "table-1-small"),
         "table-1-real": partial(of_experiment, "table-1-real", compared),
         "efficiency": partial(benchmark, "efficiency"),
+        "epochs": partial(benchmark, "epochs"),
         "csv": partial(listed, "recipes", "table-1-small", "table-1-real"),
     },
     "runtime.md": {name: partial(benchmark, name) for name in BENCHMARKS},

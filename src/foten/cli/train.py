@@ -71,7 +71,7 @@ class TrainOptions:
         help="Another size or reading of the network; repeatable. foten-plus: n_hidden, head_width, n_components; foten: "
         "d_model, n_heads, n_layers, d_feedforward, head=[256,64], spectral_width (1 as printed), pre_norm=false, bins=half.",
     )
-    zero_phase: bool = Option(False, "--zero-phase", help="Filter forwards and backwards, as the paper offline.")
+    zero_phase: bool = Option(False, "--zero-phase", help="Filter forwards and backwards, which no live filter can.")
     force_units: bool = Option(False, "--force-units", help="Accept speeds above 5 m/s, 1000 m/s² and 500 N.")
     anyway: Anyway = False
     resume: bool = Option(False, "--resume", help="Go on from the run folder's checkpoint.")

@@ -339,7 +339,7 @@ def _best_method(records: Records, name: str) -> Iterator[str]:
         n_methods = len(
             {tuple(row.means(textures)) for row in with_all}
         )  # an excitation changes no one-step prediction
-        chance = ", ".join(other for other, value in p.items() if value >= 0.05)
+        chance = ", ".join(other.removesuffix(WITHOUT) for other, value in p.items() if value >= 0.05)
         differ = f"; the difference may be chance for {chance}" if chance else ""
         differ = "; all others differ (p < 0.05)" if p and not chance else differ
         is_best = f"is best on the mean of {n_methods} trained methods, with" if n_methods > 1 else "has"
@@ -356,9 +356,9 @@ def _beside_linear(rows: Sequence[Row], methods: Sequence[Row], textures: Sequen
         row for row in methods if figure.better * float((row.means(textures) - linear.means(textures)).mean()) > 0
     ]
     sentence = f" A linear predictor, {figure.linear}, has {float(linear.means(textures).mean()):.{figure.digits}f}: better are "
-    sentence += ", ".join(row.name for row in better) or "none"
+    sentence += ", ".join(row.name.removesuffix(WITHOUT) for row in better) or "none"
     p = signed_rank(linear, methods, textures)
-    chance = [row.name for row in better if p and p[row.name] >= 0.05]
+    chance = [row.name.removesuffix(WITHOUT) for row in better if p and p[row.name] >= 0.05]
     return sentence + (f"; that may be chance for {', '.join(chance)}." if chance else ".")
 
 

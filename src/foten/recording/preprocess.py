@@ -43,7 +43,7 @@ class PreprocessConfig:
     highpass_order: int = 2
     lowpass_hz: float = 20.0  # of speed and force in training; Sec. V-b
     render_lowpass_hz: float = 20.0  # of speed and force in rendering; Sec. V-b
-    zero_phase: bool = False  # the paper's offline way; looks into the future
+    zero_phase: bool = False  # forwards and backwards; looks into the future
     force_units: bool = False  # take values beyond `LIMITS`
 
     def __post_init__(self) -> None:
