@@ -159,6 +159,8 @@ def test_a_sweep_goes_on_with_what_is_alike_in_all_and_says_why_the_rest_is_run_
     # On a cluster a result of the platform of any node may stay.
     assert lacking(plan, folder, [platform_here(), abacus], lines.append) == [plan[0], plan[2]]
     assert lacking(plan, folder, [abacus], lines.append) == [plan[0], *plan[2:]]
+    # A sweep that goes on elsewhere may keep those of any platform; other code is run again all the same.
+    assert lacking(plan, folder, None, lines.append) == [plan[0], plan[2]]
 
 
 def test_on_a_cluster_the_platforms_are_those_of_its_nodes(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -171,6 +173,8 @@ def test_on_a_cluster_the_platforms_are_those_of_its_nodes(folder: Path, monkeyp
     monkeypatch.setattr(sweeping.ray, "remote", lambda **options: lambda task: Remote())
     read = read_experiment(folder.parent / "experiment.toml")
     assert sweeping.sweep(read, folder) == (0, 0)
+    changed(next(folder.glob("*.json")), platform={**platform_here(), "kernel": "abacus"})
+    assert sweeping.sweep(read, folder, mixed=True) == (0, 0)
     assert sweeping.sweep(read, folder, address="head:6379") == (4, 0)
     assert asked == [(None, "head:6379", 0.0)]
     for path in folder.iterdir():

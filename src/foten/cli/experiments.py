@@ -23,6 +23,7 @@ def sweep(
     address: str | None = Option(None, help="Of a Ray cluster; auto for the one that this machine is part of."),
     gpus_per_run: float = Option(0.0, min=0.0, max=8.0, help="Share of a GPU for each run: 0.25 lets four share one."),
     recordings: Path | None = Option(None, metavar="DIR", help="Of the recordings.", show_default="that of the file"),
+    mixed: bool = Option(False, "--mixed", help="Keep results of other platforms: a sweep that goes on elsewhere."),
     dry_run: bool = Option(False, "--dry-run", help="List the runs and stop; needs no -o."),
     show_list: bool = Option(False, "--list", help="Show the experiments that come with foten and stop."),
     as_json: JsonOption = False,
@@ -52,7 +53,7 @@ def sweep(
     from foten.experiments import sweep as sweeping
 
     try:
-        n_done, n_failed = sweeping.sweep(experiment, output, workers, address, gpus_per_run, say)
+        n_done, n_failed = sweeping.sweep(experiment, output, workers, address, gpus_per_run, say, mixed)
     except sweeping.Stopped as stopped:
         raise Exit(130) from stopped
     result = {"output": str(output), "n_runs": len(runs), "n_done": n_done, "n_failed": n_failed}

@@ -66,6 +66,7 @@ def sweep(
     address: str | None = None,
     gpus_per_run: float = 0.0,
     say: Say = lambda text: None,
+    mixed: bool = False,
 ) -> tuple[int, int]:
     """Execute the runs of an experiment that have no result yet, and return how many were done and failed.
 
@@ -73,6 +74,7 @@ def sweep(
         workers: runs at a time on this machine; one for each core by default. Each has one thread.
         address: of a Ray cluster, "auto" for the one that this machine is part of; None starts Ray here.
         gpus_per_run: share of a GPU that each run takes.
+        mixed: keep results of other platforms, as of a sweep that goes on elsewhere.
 
     Raises:
         ValueError: a setting does not fit, or there is no such cluster.
@@ -90,7 +92,7 @@ def sweep(
         if address is not None:
             _start_ray(workers, address, gpus_per_run)
             platforms = _cluster_platforms()
-        waiting = lacking(plan, results, platforms, say)
+        waiting = lacking(plan, results, None if mixed else platforms, say)
         n_before = len(plan) - len(waiting)
         say(f"{len(plan)} runs, {n_before} of them done before")
         if not waiting:
@@ -132,8 +134,10 @@ def planned(experiment: Experiment, results: Path) -> tuple[list[Planned], dict[
     return list(plan.values()), recordings
 
 
-def lacking(plan: Sequence[Planned], folder: Path, platforms: Sequence[Mapping[str, str]], say: Say) -> list[Planned]:
-    """Runs without a result of the same code, data, configuration and one of the platforms, after a line on why.
+def lacking(
+    plan: Sequence[Planned], folder: Path, platforms: Sequence[Mapping[str, str]] | None, say: Say
+) -> list[Planned]:
+    """Runs without a result of the same code, data, configuration and one of the platforms, after a line on why; None for any.
 
     Results that stay take the names of the experiment. One of other data or settings is replaced where it is of this experiment.
     """
@@ -164,11 +168,13 @@ def lacking(plan: Sequence[Planned], folder: Path, platforms: Sequence[Mapping[s
     return waiting
 
 
-def _why_again(item: Planned, result: Mapping[str, Any] | None, platforms: Sequence[Mapping[str, str]]) -> str:
+def _why_again(item: Planned, result: Mapping[str, Any] | None, platforms: Sequence[Mapping[str, str]] | None) -> str:
     """Reason why a result cannot stay, in words; nothing where it can."""
     if result is None:
         return f"as {item.path.name} is damaged"
-    expected = (replace(item.provenance, platform=platform) for platform in platforms)
+    expected = (
+        replace(item.provenance, platform=platform) for platform in platforms or [result["provenance"]["platform"]]
+    )
     differences = min((provenance.differences(result["provenance"]) for provenance in expected), key=len)
     return f"as the result is of other {' and '.join(differences)}" if differences else ""
 
