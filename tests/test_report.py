@@ -487,6 +487,12 @@ def test_the_waveform_error_stands_beside_that_of_silence(judged):
     assert document["free_run"]["mae_scaled"] == pytest.approx(error)
     assert document["free_run"]["mae_scaled_silence"] == pytest.approx(np.abs(recorded[:, part]).mean() / sd)
     assert f"mean absolute error is {error:.2f} sd; silence has" in to_text(document)
+    errors, silence = np.abs(judged.from_warm_start["stored"] - recorded), np.abs(recorded)
+    first, later = (errors[..., span].mean() / silence[..., span].mean() for span in (slice(100), slice(100, 400)))
+    assert (
+        f"From the warm start it is {first:.2f} times that of silence in the first 100 ms, and {later:.2f}"
+        in to_text(document)
+    )
     assert document["references"]["persistence"]["gfc"] is not None  # 1.000, which looked like a victory
     (row,) = (line for line in to_text(document).splitlines() if line.startswith("persistence"))
     assert row.rstrip().endswith("–")
