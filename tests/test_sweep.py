@@ -431,6 +431,14 @@ def test_waveforms_have_a_scale_and_say_where_one_is_silent(results: list[dict])
         assert axes.get_lines()[2].get_xdata() == [100, 100]  # ms, at 1 kHz 100 samples
 
 
+def test_the_papers_network_has_waveforms_of_its_own_among_others(results: list[dict]) -> None:
+    assert "figure-6-foten" not in dict(figures(results))
+    for result in results[::2]:
+        result["run"] |= {"model": "foten", "method": "FoTEN"}
+    axes = dict(figures(results))["figure-6-foten"].axes[0]
+    assert [label.get_text() for label in axes.get_yticklabels()] == ["FoTEN,\nwithout excitation"]
+
+
 def test_an_error_over_time_is_that_of_silence_where_a_run_is_silent(results: list[dict]) -> None:
     """Of two textures the mean, by the middle of each 10 ms."""
     for result, errors in zip(results, ([1.0] * 40, [0.5] * 40), strict=False):

@@ -57,6 +57,9 @@ def figures(
     with_signals = [result for result in results if result.get("signals")]
     if with_signals:
         yield "figure-6", waveforms(with_signals)
+        of_paper = [result for result in with_signals if result["run"]["model"] == "foten"]
+        if of_paper and len(methods) > 1:
+            yield "figure-6-foten", waveforms(of_paper)  # as printed, large
         yield "figure-6-convergence", convergence(with_signals)
         yield "figure-7", spectra(with_signals)
 
