@@ -496,6 +496,19 @@ def abrupt_surfaces() -> Table:
     return Table.of(("", *GROUPS, "a flat surface, force and taps"), cells)
 
 
+def headline() -> Table:
+    """AR(20)'s errors by band and regime, beside silence and a second realisation: means over the textures."""
+    rows = list(csv.DictReader((RESULTS / "headline.csv").open(encoding="utf-8")))
+    digits = {"silence [sd]": 3, "one step [sd]": 3, "one-step GFC [%]": 1, "free run [sd]": 3, "free run's GFC [%]": 1}
+    digits |= {"second realisation [sd]": 3, "second realisation's GFC [%]": 1}
+
+    def cells(band: str) -> list[str]:
+        of_band = [row for row in rows if row["band"] == band]
+        return [band, *(f"{np.mean([float(row[name]) for row in of_band]):.{n}f}" for name, n in digits.items())]
+
+    return Table.of(("acceleration", *digits), [cells(band) for band in dict.fromkeys(row["band"] for row in rows)])
+
+
 def words_worth() -> Table:
     """What names are worth over a library, by method."""
     paths = RESULTS / "words.csv", RESULTS / "words-sentence-encoder.csv"
@@ -618,6 +631,7 @@ TABLES: dict[str, dict[str, Callable[[], Table | str]]] = {
         "table-1-small": partial(of_experiment, "table-1-small", compared),
         "findings": partial(sentences, "table-1-small"),
         "table-1-real": partial(of_experiment, "table-1-real", compared),
+        "headline": headline,
         "efficiency": partial(benchmark, "efficiency"),
         "epochs": partial(benchmark, "epochs"),
         "csv": partial(listed, "recipes", "table-1-small", "table-1-real"),
