@@ -130,7 +130,7 @@ def evaluate(
     one_step_scores = _one_step(case, samples, fitted)
     on_stage("free run")
     free, synthesized = _free_run(case, fitted.get("ar"))
-    warm, from_warm_start = _warm_start(case, fitted.get("ar"))
+    warm, from_warm_start = _warm_start(case, fitted.get("ar"), synthesized.get("ceiling"))
     by_listeners = _listener(case, on_stage) if listener else None
     validation = ("mae_scaled", "mae_scaled_lattice", "spectrum_db", "lsd_db", "level_error_db")
     document = {
@@ -171,7 +171,7 @@ class _Case:
     reasons: dict[str, str] = field(default_factory=dict)
 
 
-def _warm_start(case: _Case, linear: Linear | None) -> tuple[dict[str, Any], dict[str, Array]]:
+def _warm_start(case: _Case, linear: Linear | None, ceiling: Array | None) -> tuple[dict[str, Any], dict[str, Array]]:
     texture, trace = case.texture, case.trace
     window = None
     if linear is None or case.split is None:
@@ -179,7 +179,8 @@ def _warm_start(case: _Case, linear: Linear | None) -> tuple[dict[str, Any], dic
     else:
         window = synthesised_window(linear, trace, case.split.train, texture)
     runs = warm_start_runs(texture, case.kernel, trace, case.blocks, window, case.seed)
-    return warm_start_scores(trace.picked(case.blocks)[0], runs, trace.rate_hz, texture.scaling.sd[0]), runs
+    scored = runs if ceiling is None else {**runs, "ceiling": ceiling}
+    return warm_start_scores(trace.picked(case.blocks)[0], scored, trace.rate_hz, texture.scaling.sd[0]), runs
 
 
 def _listener(case: _Case, on_stage: Callable[[str], None]) -> dict[str, Any] | None:

@@ -17,15 +17,21 @@ from foten.recording.trace import Trace
 from foten.runtime.loops import render_strokes
 from foten.runtime.native import NativeTexture
 
-CONVERGED_MS = 100.0  # in which the paper's network converges; Sec. V-a
+CONVERGED_MS = 100.0  # in which the paper's network converges, 100 samples at 1 kHz; Sec. V-a
 SHOWN_MS = 400.0  # Fig. 6
-ERROR_FRAME_MS = 10.0  # in which the error over time is drawn
-STARTS = ("stored", "synthesised")
+ERROR_FRAME_MS = 10.0  # in which the error and the level over time are drawn
+SILENT_DB = -20.0  # level over the recording's, below which a run is called silent
+FORGOTTEN = 0.01  # of the training standard deviation, that two runs differ by at most; our choice
 N_SEEDS = 2  # of a run with an excitation: errors of a waveform hardly differ between them
-FORGOTTEN = 0.01  # of the training standard deviation, that two runs differ by at most
 _NEAR_SHARE = 100  # a hundredth of the training samples is near to the condition of the warm start
 _SETTLE = 2000  # samples before a synthesised window, for the filter's start
 _STREAM = 2**20  # of the synthesised window's noise: no rendering has as many
+
+
+def stored_window(texture: Texture) -> list[Array]:
+    """Warm start of a texture file: acceleration [m/s²], speed [mm/s] and force [N], shape (window,) each."""
+    scaling: Scaling = texture.scaling
+    return list((np.array(scaling.mean) + np.array(scaling.sd) * texture.tensors["warm_start"]).T)
 
 
 def synthesised_window(linear: Linear, trace: Trace, train: tuple[int, ...], texture: Texture) -> list[Array]:
@@ -62,61 +68,81 @@ def warm_start_runs(
     window: list[Array] | None,
     seed: int,
 ) -> dict[str, Array]:
-    """Free runs of whole blocks [m/s²], (n_seeds, n_blocks, block), by what they start from: the stored or a synthesised window.
+    """Free runs of whole blocks [m/s²], (n_seeds, n_blocks, block): from the `stored` window, and from the `synthesised` one.
 
-    With the excitation where the texture has one. Only the stored window's where `window` is None.
+    With the excitation where the texture has one. A rendering with an excitation does not start so, but from a state that is
+    drawn for its first condition. A model that filters noise has no window: its `stored` run is such a rendering.
     """
     excitation = texture.has_excitation
     n_seeds = N_SEEDS if excitation else 1
     _, speed, force = (np.tile(channel, (n_seeds, 1)) for channel in trace.picked(blocks))
-    starts = (
-        {"stored": []}
-        if window is None
-        else {"stored": [], "synthesised": [np.tile(x, (len(speed), 1)) for x in window]}
-    )
-    return {
-        name: render_strokes(kernel, seed, speed, force, 0, start, excitation)[0].reshape(n_seeds, len(blocks), -1)
-        for name, start in starts.items()
-    }
+    starts: dict[str, list[Array]] = {"stored": stored_window(texture) if texture.predicts_samples else []}
+    if window is not None and texture.predicts_samples:
+        starts["synthesised"] = window
+    runs = {}
+    for name, start in starts.items():
+        windows = [np.tile(channel, (len(speed), 1)) for channel in start]
+        rendered, _ = render_strokes(kernel, seed, speed, force, 0, windows, excitation)
+        runs[name] = rendered.reshape(n_seeds, len(blocks), -1)
+    return runs
 
 
 def warm_start_scores(recorded: Array, runs: Mapping[str, Array], rate_hz: float, sd: float) -> dict[str, Any]:
-    """Figures of free runs from a warm start, beside those of silence.
+    """Figures of whole blocks beside those of silence.
 
     Args:
         recorded: [m/s²], shape (n_blocks, block).
-        runs: by what they start from, shape (n_seeds, n_blocks, block); of all samples every one is scored.
+        runs: free runs by what they start from, and `ceiling`, true vibrations, shape (n_seeds, n_blocks, block); every sample is
+            scored.
         sd: training standard deviation of the acceleration [m/s²].
 
     Returns:
-        `silence_mae_scaled`: error of silence, whose `gfc` is undefined; for each start `mae_scaled`; `gfc`, mean of Eq. 13
-        on raw bins of blocks; `mae_100_ms` and `mae_400_ms`, errors of the first 100 ms and of the 300 ms after them, over
-        those of silence, None of shorter blocks; `level_db`, over the recorded one, after 100 ms. `forgotten_ms`: after how
-        long the runs from both starts differ by no more than a hundredth of `sd`, root mean square over blocks; None where
-        that is never.
+        `silence_mae_scaled`: error of silence, whose GFC is undefined; for each run `mae_scaled`; `gfc`, mean of Eq. 13 on raw
+        bins of blocks, blind to gain; `error_to_silence_0_100_ms` and `error_to_silence_100_400_ms`, errors over those of
+        silence, None where blocks are shorter; `level_db`, over the recorded one, from 100 ms on. `forgotten_ms`: after how
+        long the runs from two windows differ by no more than a hundredth of `sd`, root mean square over blocks; None where that
+        is never, and where the run is silent, since silence forgets everything.
     """
     converged, shown = (round(ms * rate_hz / 1000) for ms in (CONVERGED_MS, SHOWN_MS))
-    spans = {"mae_100_ms": slice(0, converged), "mae_400_ms": slice(converged, shown)}
+    n = recorded.shape[-1]
+    spans = {"0_100_ms": slice(0, converged), "100_400_ms": slice(converged, shown)}
     scores: dict[str, Any] = {"silence_mae_scaled": float(np.abs(recorded).mean() / sd), "forgotten_ms": None}
     for name, run in runs.items():
         error = np.abs(run - recorded)
-        power, of_recorded = (
-            np.square(signal[..., min(converged, signal.shape[-1] // 2) :]).mean() for signal in (run, recorded)
-        )
+        settled = slice(min(converged, n // 2), None)
+        power, of_recorded = (np.square(signal[..., settled]).mean() for signal in (run, recorded))
         scores[name] = {
             "mae_scaled": float(error.mean() / sd),
             "gfc": float(goodness_of_fit(recorded, run).mean()),
             **{
-                key: float(error[..., span].mean() / np.abs(recorded[..., span]).mean())
-                if recorded[..., span].size
+                f"error_to_silence_{key}": float(error[..., span].mean() / np.abs(recorded[..., span]).mean())
+                if n >= span.stop
                 else None
                 for key, span in spans.items()
             },
             "level_db": float(10 * np.log10(max(power / of_recorded, 1e-30))),
         }
-    if len(runs) == len(STARTS):
+    if {"stored", "synthesised"} <= runs.keys() and scores["stored"]["level_db"] > SILENT_DB:
         difference = np.sqrt(np.square(runs["stored"] - runs["synthesised"]).mean(axis=(0, 1))) / sd
         later = np.flatnonzero(difference > FORGOTTEN)
-        if not len(later) or later[-1] + 1 < len(difference):
+        if not len(later) or later[-1] + 1 < n:
             scores["forgotten_ms"] = 1000 * (0 if not len(later) else int(later[-1]) + 1) / rate_hz
     return scores
+
+
+def over_time(recorded: Array, run: Array, rate_hz: float) -> tuple[Array, Array]:
+    """Error over that of silence, and level over the recorded one [dB], in frames of 10 ms of the first 400 ms, shape (k,) each.
+
+    Args:
+        recorded: [m/s²], shape (n_blocks, block).
+        run: [m/s²], shape (n_seeds, n_blocks, block).
+    """
+    frame = max(1, round(ERROR_FRAME_MS * rate_hz / 1000))
+    n = min(recorded.shape[-1], round(SHOWN_MS * rate_hz / 1000)) // frame * frame
+
+    def framed(signal: Array) -> Array:
+        return signal[..., :n].reshape(-1, n // frame, frame)
+
+    errors, silence = (np.abs(framed(signal)).mean(axis=(0, 2)) for signal in (run - recorded, recorded))
+    power, of_recorded = (np.square(framed(signal)).mean(axis=(0, 2)) for signal in (run, recorded))
+    return errors / silence, 10 * np.log10(np.maximum(power / of_recorded, 1e-30))

@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
 from foten.dsp import Array
-from foten.evaluate.warm_start import ERROR_FRAME_MS
+from foten.evaluate.warm_start import CONVERGED_MS, ERROR_FRAME_MS
 from foten.experiments.experiment import Run, recording_of, texture_name
 from foten.experiments.results import Results, chosen_results, label_of
 from foten.recording.preprocess import PreprocessConfig, preprocess
@@ -24,7 +24,7 @@ from foten.reporting.figure import COLOURS, PRINT, add_legend, new_figure, panel
 
 RECORDED = PRINT.ink
 PARTS = {"train": "#8fd3e8", "validation": "#f3e28a", "test": "#f0a3a0"}
-N_CONVERGED = 100  # samples; Sec. V-a
+LOWEST_DB = -60.0  # level that is drawn
 SILENT_DB = 20.0  # below the recording, from where on a free run is called silent
 
 
@@ -156,9 +156,9 @@ def thresholds(results: Results) -> Figure:
 
 
 def waveforms(results: Results) -> Figure:
-    """400 samples of a test block of each texture from the warm start: each method's free run over the recording, as Fig. 6.
+    """400 ms of a test block of each texture from the warm start: each method's free run over the recording, as Fig. 6.
 
-    A line marks the 100 samples in which the paper's network converges. Where a run draws noise, it is another realisation:
+    A line marks the 100 ms in which the paper's network converges. Where a run draws noise, it is another realisation:
     compare level and character, not samples. All of a panel have one scale.
     """
     textures, colours = _first_split(results)
@@ -167,17 +167,17 @@ def waveforms(results: Results) -> Figure:
         first = next(iter(by_method.values()))
         recorded = np.array(first["signals"]["recorded"])
         step = 2.2 * float(np.abs(recorded).max())
-        rate_hz = first["evaluation"]["rate_hz"]
-        times = 1000 * np.arange(len(recorded)) / rate_hz
+        times = 1000 * np.arange(len(recorded)) / first["evaluation"]["rate_hz"]
+        settled = times >= min(CONVERGED_MS, times[-1] / 2)
         for k, (method, result) in enumerate(by_method.items()):
             run = np.array(result["signals"]["free_run"])
             axes.plot(times, recorded - k * step, color=RECORDED, alpha=0.35, lw=0.9)
             axes.plot(times, run.clip(-0.5 * step, 0.5 * step) - k * step, color=colours[method], lw=0.8)
-            below = _below_db(recorded[N_CONVERGED:].var(), run[N_CONVERGED:].var())
+            below = _below_db(recorded[settled].var(), run[settled].var())
             if below > SILENT_DB:
                 place = {"xy": (times[-1], (0.12 - k) * step), "ha": "right", "va": "bottom"}
                 axes.annotate(f"silent here: {below:.0f} dB below the recording", **place, fontsize=6.5)
-        axes.axvline(1000 * N_CONVERGED / rate_hz, color=RECORDED, lw=0.7, ls=(0, (3, 2)))
+        axes.axvline(CONVERGED_MS, color=RECORDED, lw=0.7, ls=(0, (3, 2)))
         bar, beyond = float(f"{0.45 * step:.1g}"), 1.03 * times[-1]
         axes.plot([beyond, beyond], [-bar / 2, bar / 2], color=RECORDED, lw=2)
         axes.annotate(f"{bar:g} m/s²", (1.04 * times[-1], 0), rotation=90, va="center", fontsize=6.5)
@@ -188,22 +188,33 @@ def waveforms(results: Results) -> Figure:
 
 
 def convergence(results: Results) -> Figure:
-    """Error of free runs from the warm start over that of silence, in 10 ms, mean over textures: below 1 is nearer than nothing.
+    """Error of free runs from the warm start over that of silence, and their level, in 10 ms: means over all runs of a method.
 
-    A line marks the 100 samples in which the paper's network converges, Sec. V-a.
+    Silence has an error of 1; true vibrations of the same strokes, the ceiling, one above it. A line marks the 100 ms in which
+    the paper's network converges, Sec. V-a.
     """
-    errors = defaultdict(list)
+    by_method = defaultdict(list)
     for result in results:
-        errors[label_of(result)].append(result["signals"]["error_to_silence"])
-    figure, axes = new_figure(6.5, 3.4)
-    for (method, of_method), colour in zip(errors.items(), itertools.cycle(COLOURS), strict=False):
-        length = min(map(len, of_method))
-        mean = np.mean([error[:length] for error in of_method], axis=0)
-        axes.plot(ERROR_FRAME_MS * (np.arange(length) + 0.5), mean, "-", lw=1.3, color=colour, label=method)
-    axes.axhline(1.0, color=RECORDED, lw=0.8)
-    axes.axvline(1000 * N_CONVERGED / results[0]["evaluation"]["rate_hz"], color=RECORDED, lw=0.7, ls=(0, (3, 2)))
-    axes.set(xlabel="time from the warm start [ms]", ylabel="error ÷ that of silence", ylim=(0, None))
-    add_legend(axes, loc="lower right", ncols=2)
+        by_method[label_of(result)].append(result["signals"])
+    figure, (errors, levels) = new_figure(6.5, 5.0, nrows=2, sharex=True)
+    for (method, of_method), colour in zip(by_method.items(), itertools.cycle(COLOURS), strict=False):
+        length = min(len(signals["level_db"]) for signals in of_method)
+        times = ERROR_FRAME_MS * (np.arange(length) + 0.5)
+        for axes, key in ((errors, "error_to_silence"), (levels, "level_db")):
+            mean = np.mean([signals[key][:length] for signals in of_method], axis=0)
+            axes.plot(times, np.maximum(mean, LOWEST_DB), lw=1.3, color=colour, label=method)
+    warm = [result["evaluation"]["warm_start"] for result in results]
+    ceiling = [one["ceiling"]["mae_scaled"] / one["silence_mae_scaled"] for one in warm if "ceiling" in one]
+    for value, name in ((1.0, "silence"), *([(float(np.mean(ceiling)), "ceiling")] if ceiling else [])):
+        errors.axhline(value, color=RECORDED, lw=0.8, ls="-" if value == 1 else (0, (1, 1.5)))
+        errors.annotate(name, (1.0, value), xycoords=("axes fraction", "data"), va="center", fontsize=7)
+    levels.axhline(0.0, color=RECORDED, lw=0.8)
+    for axes in (errors, levels):
+        axes.axvline(CONVERGED_MS, color=RECORDED, lw=0.7, ls=(0, (3, 2)))
+    errors.set(ylabel="error ÷ that of silence", ylim=(0, None))
+    levels.set(xlabel="time from the warm start [ms]", ylabel="level over the recorded [dB]")
+    handles, labels = levels.get_legend_handles_labels()
+    add_legend(figure, handles=handles, labels=labels, loc="outside upper center", ncols=2)
     return figure
 
 

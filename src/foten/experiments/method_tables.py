@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from foten.dsp import Array
+from foten.evaluate.warm_start import SILENT_DB
 from foten.experiments.results import (
     BEST_LINEAR,
     FIGURES,
@@ -126,15 +127,18 @@ def compared(rows: Sequence[Row], textures: Sequence[str], better: int) -> tuple
 def signed_rank(first: Row, others: Sequence[Row], textures: Sequence[str]) -> dict[str, float]:
     """P-values of the differences from a row by name: Wilcoxon's signed-rank test over textures, two-sided, Holm-corrected.
 
-    Textures are replicates: each has another hand. Empty with fewer than six, where no p can be below 0.05.
+    Textures are replicates where each has another hand, as in sweeps since the simulator's hands are drawn by texture; of earlier
+    ones p is too small. Methods of equal figures are one. Empty with fewer than six textures, where no p can be below 0.05.
     """
     from scipy.stats import wilcoxon
 
+    differences = {row.name: tuple(row.means(textures) - first.means(textures)) for row in others}
     if len(textures) < 6 or not others:
         return {}
-    differences = [row.means(textures) - first.means(textures) for row in others]
-    p = [float(wilcoxon(difference).pvalue) if difference.any() else 1.0 for difference in differences]
-    return dict(zip((row.name for row in others), holm(p), strict=True))
+    distinct = list(dict.fromkeys(differences.values()))
+    p = holm([float(wilcoxon(difference).pvalue) if any(difference) else 1.0 for difference in distinct])
+    of = dict(zip(distinct, p, strict=True))
+    return {name: of[difference] for name, difference in differences.items()}
 
 
 def as_in_paper(rows: Sequence[Row]) -> set[str]:
@@ -195,35 +199,40 @@ WARM_START = (
 
 
 def warm_start(records: Records) -> Table:
-    """MAE and GFC of one step beside those of a free run from the warm start, of silence and of a second realisation; Sec. VI-a.
+    """MAE and GFC of one step beside those of a free run from the warm start, of silence and of the ceiling; Sec. VI-a.
 
-    Means over textures ± standard error. `start forgotten`: the median time until runs from two windows are the same, and on how
-    many textures that is ever so.
+    Means over textures ± standard error; of a free run whole blocks are scored. `start forgotten`: the median time until runs
+    from two windows are the same, and in how many runs that is ever so; not of a silent run.
     """
     textures = list(dict.fromkeys(record["texture"] for record in records))
 
-    def cells(runs: Records, columns: Sequence[tuple[str, int, float]]) -> list[Number | str]:
-        shown: list[Number | str] = []
-        for path, digits, factor in columns:
-            by_texture = {texture: [run[path] for run in runs if run["texture"] == texture] for texture in textures}
-            values = [factor * np.array([x for x in of if x is not None], dtype=float) for of in by_texture.values()]
-            shown.append(mean_number(values, digits) if path and all(of.size for of in values) else Number(None))
-        return shown
+    def cell(runs: Records, path: str, digits: int, factor: float) -> Number:
+        by_texture = [[run.get(path) for run in runs if run["texture"] == texture] for texture in textures]
+        values = [factor * np.array([value for value in of if value is not None], dtype=float) for of in by_texture]
+        return mean_number(values, digits) if all(of.size for of in values) else Number(None)
 
-    paths = [*(path for _, path, *_ in WARM_START), "ceiling.mae_scaled", "ceiling.gfc_raw"]
-    known: list[dict[str, Any]] = [{**dict.fromkeys(paths), **record} for record in records]
     rows: list[list[Number | str]] = []
     for method in dict.fromkeys(record["method"] for record in records):
-        runs = [record for record in known if record["method"] == method]
+        runs = [record for record in records if record["method"] == method]
         times = [run["warm_start.forgotten_ms"] for run in runs if run.get("warm_start.forgotten_ms") is not None]
+        level = cell(runs, "warm_start.stored.level_db", 1, 1.0)
+        silent = level.value is not None and level.value < SILENT_DB
         forgotten = f"{np.median(times):.0f}, {len(times)} of {len(runs)}" if times else "never"
-        rows.append([method, *cells(runs, [column[1:] for column in WARM_START]), forgotten])
+        if silent or not any(run.get("warm_start.synthesised.mae_scaled") for run in runs):
+            forgotten = "silent" if silent else "–"
+        rows.append([method, *(cell(runs, *column[1:]) for column in WARM_START), forgotten])
     # The same whatever was trained beside them: once for each recording and split.
-    once = list({(record["texture"], record["recording_sha256"], record["split"]): record for record in known}.values())
-    columns = (("warm_start.silence_mae_scaled", 3, 1.0), ("ceiling.mae_scaled", 3, 1.0), ("ceiling.gfc_raw", 1, 100.0))
-    silence, mae, gfc = ([cell] for cell in cells(once, columns))
-    rows += [["silence", *silence, *silence, *silence, Number(None), Number(None), Number(None), ""]]
-    rows += [["a second realisation", Number(None), *mae, Number(None), Number(None), *gfc, Number(0.0, ".1f"), ""]]
+    once = list(
+        {(record["texture"], record["recording_sha256"], record["split"]): record for record in records}.values()
+    )
+    none, one = Number(None), ("references.zero.mae_scaled", 3, 1.0)
+    silence = cell(once, "warm_start.silence_mae_scaled", 3, 1.0)
+    rows.append(["silence", cell(once, *one), silence, silence, none, none, none, ""])
+    mae, gfc, level = (
+        cell(once, f"warm_start.ceiling.{name}", digits, factor)
+        for name, digits, factor in (("mae_scaled", 3, 1.0), ("gfc", 1, 100.0), ("level_db", 1, 1.0))
+    )
+    rows.append(["ceiling", none, mae, none, none, gfc, level, ""])
     return Table.of(("", *(heading for heading, *_ in WARM_START), "start forgotten [ms]"), rows)
 
 
@@ -257,8 +266,15 @@ def table(records: Records, figure: str) -> Table:
 def brief(records: Records) -> list[dict[str, Any]]:
     """Records with their names and the figures that methods are compared by."""
     paths = {figure.path for figure in FIGURES.values()} | {path for _, path, _ in CHANGES}
-    listening = {key for record in records for key in record if key.startswith(("listener.", "validation_listener."))}
-    keys = paths | listening
+    heads = (
+        "listener.",
+        "validation_listener.",
+        "warm_start.",
+        "references.zero.mae",
+        "references.ar_best.mae",
+        "validation.",
+    )
+    keys = paths | {key for record in records for key in record if key.startswith(heads)}
     return [{key: value for key, value in record.items() if "." not in key or key in keys} for record in records]
 
 
@@ -292,6 +308,8 @@ def _change(pairs: Sequence[tuple[Record, Record]], path: str, change: Callable[
 def caveats(records: Records, name: str = "summary") -> list[str]:
     """Notes of a table: what the experiment reduced, and what a figure is blind to."""
     notes = list(dict.fromkeys(record["note"] for record in records if record.get("note")))
+    if name == "warm-start":
+        notes.append("The GFC is blind to gain: a run that dies away may have that of a true vibration.")
     if name in ("summary", "gfc"):
         notes.append("The GFC of a one-step prediction is blind to delay and gain, as persistence shows.")
     return notes
@@ -358,7 +376,9 @@ def _beside_linear(rows: Sequence[Row], methods: Sequence[Row], textures: Sequen
     sentence = f" A linear predictor, {figure.linear}, has {float(linear.means(textures).mean()):.{figure.digits}f}: better are "
     sentence += ", ".join(row.name.removesuffix(WITHOUT) for row in better) or "none"
     p = signed_rank(linear, methods, textures)
-    chance = [row.name.removesuffix(WITHOUT) for row in better if p and p[row.name] >= 0.05]
+    if better and not p:
+        return f"{sentence}; the textures are too few to say that it is no chance."
+    chance = [row.name.removesuffix(WITHOUT) for row in better if p[row.name] >= 0.05]
     return sentence + (f"; that may be chance for {', '.join(chance)}." if chance else ".")
 
 

@@ -8,14 +8,13 @@ from dataclasses import asdict
 from importlib import import_module
 from typing import Any
 
-import numpy as np
-
 from foten.baselines.sizes import trainable_sizes
 from foten.dsp import Array
 from foten.dsp.distance import scored_bins, segment_length, welch
 from foten.evaluate.evaluate import Judgement, evaluate
-from foten.evaluate.report.signals import N_WAVEFORM, shown_run, typical_block
-from foten.evaluate.warm_start import ERROR_FRAME_MS, SHOWN_MS
+from foten.evaluate.free_run import scored
+from foten.evaluate.report.signals import shown_run, typical_block
+from foten.evaluate.warm_start import SHOWN_MS, over_time
 from foten.experiments.experiment import MEASURES, OF_FIRST_SPLIT, Run
 from foten.experiments.simulator_reference import reference_for, validation_listener
 from foten.models.foten_plus.sizes import FotenPlusSizes
@@ -68,25 +67,21 @@ def _measures(names: Sequence[str], texture: Texture, recording: Recording) -> d
 
 
 def _signals(judgement: Judgement) -> dict[str, Any] | None:
-    """From the warm start: 400 samples of a typical test block, the error over silence's in 10 ms, spectra of whole blocks."""
+    """From the warm start: 400 ms of a typical test block, error and level over time; spectra after the first fifth of blocks."""
     if shown_run(judgement) is None:
         return None
     trace, block, runs = judgement.trace, typical_block(judgement), judgement.from_warm_start["stored"]
     recorded, *_ = trace.picked(judgement.blocks)
-    frame = max(1, round(ERROR_FRAME_MS * trace.rate_hz / 1000))
-    n = min(recorded.shape[1], round(SHOWN_MS * trace.rate_hz / 1000)) // frame * frame
-    errors, silence = (
-        np.abs(signal[..., :n]).reshape(-1, n // frame, frame).mean(axis=(0, 2))
-        for signal in (runs - recorded, recorded)
-    )
-    n_segment = segment_length(trace.block)
-    frequencies, density = welch(recorded, trace.rate_hz, n_segment)
-    _, of_run = welch(runs, trace.rate_hz, n_segment)
+    errors, levels_db = over_time(recorded, runs, trace.rate_hz)
+    n_shown, n_segment, part = round(SHOWN_MS * trace.rate_hz / 1000), segment_length(trace.block), scored(trace.block)
+    frequencies, density = welch(recorded[..., part], trace.rate_hz, n_segment)
+    _, of_run = welch(runs[..., part], trace.rate_hz, n_segment)
     bins = scored_bins(frequencies, trace.rate_hz)
     return {
-        "recorded": _rounded(recorded[block, :N_WAVEFORM]),
-        "free_run": _rounded(runs[0, block, :N_WAVEFORM]),
-        "error_to_silence": _rounded(errors / silence),
+        "recorded": _rounded(recorded[block, :n_shown]),
+        "free_run": _rounded(runs[0, block, :n_shown]),
+        "error_to_silence": _rounded(errors),
+        "level_db": _rounded(levels_db),
         "frequencies_hz": _rounded(frequencies[bins]),
         "density": {
             "recorded": _rounded(density.mean(axis=0)[bins]),

@@ -164,11 +164,11 @@ def waveform_error(document: Mapping[str, Any]) -> str:
 
 def _from_warm_start(scores: Mapping[str, Any]) -> str:
     """Sentence on the beginning of a free run (Fig. 6); nothing of blocks that are too short for it."""
-    if scores["mae_400_ms"] is None:
+    if scores["error_to_silence_100_400_ms"] is None:
         return ""
     return (
-        f" From the warm start it is {scores['mae_100_ms']:.2f} times that of silence in the first 100 ms, and "
-        f"{scores['mae_400_ms']:.2f} times in the 300 ms after them."
+        f" From the warm start it is {scores['error_to_silence_0_100_ms']:.2f} times that of silence in the first 100 ms, and "
+        f"{scores['error_to_silence_100_400_ms']:.2f} times in the 300 ms after them."
     )
 
 
