@@ -31,7 +31,7 @@ import torch
 
 from foten.baselines.dftnet import Dftnet
 from foten.baselines.fit import log_spectra
-from foten.baselines.gan import FRAMES, STEPS, Gan, fit_adversarial
+from foten.baselines.gan import STEPS, Gan, fit_adversarial
 from foten.baselines.graph import build, graph_of
 from foten.baselines.sizes import TRAINABLE, HapinfSizes, NoiseModelSizes
 from foten.models.registry import GraphSizes
@@ -155,7 +155,7 @@ def measure(arguments: argparse.Namespace) -> dict[str, Any]:
             None if isinstance(sizes, GraphSizes | NoiseModelSizes) else untrained(model, recording, blocks, config)
         )
         models[model] = {
-            "input": FRAMES if model == "gan" else sizes.window,
+            "input": sizes.window,
             "n_parameters": sum(parameter.numel() for parameter in build(model, sizes).parameters()),
             "step_us": steps(model, arguments.steps, texture),
             "epoch_s": epoch_s(model, blocks),
@@ -195,7 +195,7 @@ def gpu_table(models: dict[str, Any]) -> list[list[str]]:
 
 def epoch_table(models: dict[str, Any]) -> list[list[str]]:
     """The cost of an epoch, and foten's over it beside the paper's."""
-    cells = [["model", "parameters", "epoch [s]", "of it the teacher's", "foten's ÷ its", "the paper's"]]
+    cells = [["model", "parameters that render", "epoch [s]", "of it the teacher's", "foten's ÷ its", "the paper's"]]
     foten_s = models.get("foten", {}).get("epoch_s")
     for key, of in models.items():
         teacher_s = of["teacher_s"]
@@ -213,6 +213,7 @@ def main() -> None:
     parser.add_argument("--steps", type=int, default=1000)
     parser.add_argument("--seconds", type=float, default=56.0)
     add_csv(parser)
+    parser.add_argument("--gpu-csv", type=Path, metavar="FILE", help="keep the table of a GPU's steps as CSV there")
     parser.add_argument("--epochs-csv", type=Path, metavar="FILE", help="keep the table of epochs as CSV there")
     arguments = parser.parse_args()
     unknown = set(arguments.models) - set(MODELS)
@@ -225,7 +226,7 @@ def main() -> None:
     report(epoch_table(models), arguments.epochs_csv)
     if all("gpu" in of["step_us"] for of in models.values()):
         print()
-        report(gpu_table(models), None)
+        report(gpu_table(models), arguments.gpu_csv)
     print(f"{result['machine']}; {result['n_train_windows']:,} training windows an epoch", file=sys.stderr)
 
 

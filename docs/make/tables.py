@@ -40,7 +40,7 @@ MAIN = {
     SIMULATED: "simulated textures",
     CONTACT: "contact mechanics",
 }
-TOLD_APART = 0.03  # a difference of the areas for one texture that means something
+DISTINCT = 0.03  # a difference of the areas for one texture that means something
 MAX_COLUMNS, MAX_ROWS = 8, 12  # of a table that people read, a row of means not counted; the rest is CSV
 NOT_RUN = "*Not measured yet with this version.*"
 ONE_STEP, BEST_AR = "one_step.mae_scaled", "references.ar_best.mae_scaled"
@@ -315,14 +315,14 @@ def listener_notes() -> str:
     by_place = {(record["texture"], record["method"]): record for record in records}
     worse = []
     for texture, method in by_place:
-        for kind, told in kinds.items():
+        for kind, way in kinds.items():
             with_network, without = (by_place[texture, name][f"listener.{kind}"] for name in (OURS, method))
-            if with_network >= without + TOLD_APART:
-                worse.append(f"{texture} {told} ({with_network:.2f}, without {without:.2f})")
-    more = f"Told apart more often with the network, by {TOLD_APART} or more: {'; '.join(worse) or 'none'}."
+            if with_network >= without + DISTINCT:
+                worse.append(f"{texture} {way} ({with_network:.2f}, without {without:.2f})")
+    more = f"Told apart more often with the network, by {DISTINCT} or more: {'; '.join(worse) or 'none'}."
     return (
         f"One recording and one fit of each texture. Two fits of one texture differ by about 0.015, and {within}: a difference "
-        f"below {TOLD_APART} for one texture means little. {more}"
+        f"below {DISTINCT} for one texture means little. {more}"
     )
 
 
