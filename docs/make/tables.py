@@ -507,12 +507,14 @@ def quicker() -> str:
                 rows[row["model"]] = rows.get(row["model"], {}) | row
 
     def those(of: str) -> str:
-        systems = [key for key in COMPARED if float(rows[key][of]) < float(rows["foten"][of])]
-        return " and ".join(SYSTEM_NAMES[key] for key in systems) or "none"
+        *first, last = [SYSTEM_NAMES[key] for key in COMPARED if float(rows[key][of]) < float(rows["foten"][of])] or [
+            "none"
+        ]
+        return f"{', '.join(first)} and {last}" if first else last
 
     return (
-        f"In the paper no compared system is quicker than FoTEN, in a step or in an epoch. Here, in PyTorch, a step is quicker "
-        f"of {those('PyTorch, mean [µs]')}, an epoch of {those('epoch [s]')}."
+        "In the paper no compared system is quicker than FoTEN, in a step or in an epoch. Here, in PyTorch, quicker in a step: "
+        f"{those('PyTorch, mean [µs]')}; in an epoch: {those('epoch [s]')}."
     )
 
 
