@@ -30,6 +30,7 @@ from foten.experiments.method_tables import (
     findings,
     holm,
     ratios,
+    signed_rank,
     summary,
     table,
     tables_of,
@@ -197,6 +198,19 @@ def test_what_is_better_than_a_linear_predictor_on_the_mean_may_be_chance(record
     many[15]["one_step.mae_scaled"] = many[23]["one_step.mae_scaled"] = 0.54
     line = next(line for line in findings(many) if line.startswith("one-step MAE"))
     assert line.endswith(f"better are {', '.join(names)}; that may be chance for {names[1]}, {names[2]}.")
+
+
+def test_methods_of_equal_figures_are_one_hypothesis() -> None:
+    """Holm's correction of one: twice as strict a one would come of counting a method and its copy."""
+    textures = [f"t{k}" for k in range(8)]
+    first, other, copy_ = (
+        Row(name, "fnn", {t: np.array([level + 0.01 * k]) for k, t in enumerate(textures)})
+        for name, level in (("first", 0.0), ("other", 0.5), ("copy", 0.5))
+    )
+    alone = signed_rank(first, [other], textures)
+    assert alone == {"other": pytest.approx(2 / 2**8)}  # all eight of one sign, two-sided
+    assert signed_rank(first, [other, copy_], textures) == {**alone, "copy": alone["other"]}
+    assert signed_rank(first, [other], textures[:5]) == {}
 
 
 def test_a_table_says_what_was_reduced_and_what_a_figure_is_blind_to(records: list[dict]) -> None:
