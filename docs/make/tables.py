@@ -13,6 +13,7 @@ import argparse
 import csv
 import sys
 import tomllib
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import cache, partial
@@ -519,9 +520,13 @@ def quicker() -> str:
 
 
 def recipes() -> Table:
-    """Each system's best recipes on validation, of all that were tried: error of scaled samples, of the GAN of spectra [dB]."""
-    rows = []
-    for method, errors in by_recipe(records_of("recipes")).items():
+    """Best recipes on validation of each system whose runs are all done: error of scaled samples, of the GAN of spectra [dB]."""
+    records, rows = records_of("recipes"), []
+    planned = Counter(run.method for run in read_experiment(experiment_path("recipes")).runs())
+    done = Counter(record["method"] for record in records)
+    for method, errors in by_recipe(
+        [record for record in records if done[record["method"]] == planned[record["method"]]]
+    ).items():
         (best, lowest), (second, next_lowest), *_, (worst, highest) = errors.items()
         named = zip((best, second, worst), (lowest, next_lowest, highest), strict=True)
         rows.append([method, str(len(errors)), *(cell for name, error in named for cell in (name, f"{error:.4f}"))])
