@@ -292,6 +292,9 @@ def test_brief_runs_give_the_same_ratios_and_no_references(records: list[dict], 
     again = read_records(tmp_path / "out" / "runs.csv")
     assert ratios(again) == ratios(read_records(tmp_path / "whole.csv"))
     assert {one["listener.listener_auc"] for one in again} == {0.625}
+    without = [one for one in records if one["method"] != "excited"]  # a part of a sweep: no run has an excitation yet
+    runs_table(without).write(tmp_path / "part.csv")
+    assert [one["method"] for one in read_records(tmp_path / "part.csv")] == ["FNN [13]"] * 2
     assert _status(["tables", str(tmp_path / "out" / "runs.csv"), "-o", str(tmp_path / "again")]) == 0
 
 

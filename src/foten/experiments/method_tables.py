@@ -16,6 +16,7 @@ from foten.experiments.results import (
     BEST_LINEAR,
     FIGURES,
     LINEAR_RUN,
+    VALIDATION,
     WITHOUT,
     Figure,
     Record,
@@ -265,7 +266,7 @@ def table(records: Records, figure: str) -> Table:
 
 def brief(records: Records) -> list[dict[str, Any]]:
     """Records with their names and the figures that methods are compared by."""
-    paths = {figure.path for figure in FIGURES.values()} | {path for _, path, _ in CHANGES}
+    paths = {figure.path for figure in FIGURES.values()} | {path for _, path, _ in CHANGES} | set(VALIDATION)
     heads = ("listener.", "validation_listener.", "warm_start.")
     keys = paths | {key for record in records for key in record if key.startswith(heads)}
     return [{key: value for key, value in record.items() if "." not in key or key in keys} for record in records]
