@@ -44,7 +44,7 @@ paper-small: $(VENV)/.installed
 	  $(THREADS) $(BIN)/foten sweep paper-small-$$name -o build/paper/results/$$name \
 	  && $(BIN)/foten tables build/paper/results/$$name -o build/paper/$$name \
 	  && $(BIN)/foten figures build/paper/results/$$name -o build/paper/$$name || exit 1; done
-	$(THREADS) $(BIN)/python benchmarks/efficiency.py --seconds 12 --steps 300 --csv build/paper/table-3.csv --epochs-csv build/paper/table-3-epochs.csv > build/paper/table-3.md
+	$(THREADS) $(BIN)/python benchmarks/efficiency.py --seconds 12 --steps 300 --csv build/paper/table-3.csv > build/paper/table-3.md
 
 $(VENV)/.browser: $(VENV)/.installed
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt playwright axe-playwright-python # of the extra browser, as above

@@ -1,6 +1,6 @@
 """Table III: what a step and an epoch cost, framework and runtimes side by side, beside the paper's figures.
 
-    python benchmarks/efficiency.py [--models dstn,ldhtd,…] [--steps 1000] [--seconds 56] [--csv FILE] [--epochs-csv FILE]
+    python benchmarks/efficiency.py [--models dstn,ldhtd,…] [--steps 1000] [--seconds 56] [--csv FILE]
 
 A step is a sample, one window at a time on one thread: eager PyTorch, as the paper measured its own in Keras, the mean of all
 steps as in the paper and their median; ONNX Runtime, and the kernel where it runs the model, medians. An epoch is one of the
@@ -39,6 +39,7 @@ from foten.models.texture_file import Texture
 from foten.recording.preprocess import PreprocessConfig, preprocess
 from foten.recording.recording import Recording
 from foten.recording.split import split_blocks
+from foten.reporting.table import Table
 from foten.runtime.native import NativeState, NativeTexture
 from foten.runtime.onnx_predictor import GRAPH, OnnxPredictor
 from foten.runtime.proof import proved
@@ -214,16 +215,20 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=56.0)
     add_csv(parser)
     parser.add_argument("--gpu-csv", type=Path, metavar="FILE", help="keep the table of a GPU's steps as CSV there")
-    parser.add_argument("--epochs-csv", type=Path, metavar="FILE", help="keep the table of epochs as CSV there")
     arguments = parser.parse_args()
     unknown = set(arguments.models) - set(MODELS)
     if unknown:
         parser.error(f"unknown model {sorted(unknown)[0]}")
     result = measure(arguments)
     models = result["models"]
-    report(step_table(models), arguments.csv)
+    per_step, per_epoch = step_table(models), epoch_table(models)
+    report(per_step, None)
     print()
-    report(epoch_table(models), arguments.epochs_csv)
+    report(per_epoch, None)
+    if arguments.csv is not None:  # both in one
+        joined = [[*first, *second[1:]] for first, second in zip(per_step, per_epoch, strict=True)]
+        arguments.csv.parent.mkdir(parents=True, exist_ok=True)
+        Table.of(joined[0], joined[1:]).write(arguments.csv, "csv")
     if all("gpu" in of["step_us"] for of in models.values()):
         print()
         report(gpu_table(models), arguments.gpu_csv)
