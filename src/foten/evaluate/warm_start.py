@@ -22,7 +22,7 @@ SHOWN_MS = 400.0  # Fig. 6
 ERROR_FRAME_MS = 10.0  # in which the error and the level over time are drawn
 SILENT_DB = -20.0  # level over the recording's, below which a run is called silent
 FORGOTTEN = 0.01  # of the training standard deviation, that two runs differ by at most; our choice
-N_SEEDS = 2  # of a run with an excitation: errors of a waveform hardly differ between them
+N_DRAWS = 2  # of a run with an excitation: errors of a waveform hardly differ between them
 _NEAR_SHARE = 100  # a hundredth of the training samples is near to the condition of the warm start
 _SETTLE = 2000  # samples before a synthesised window, for the filter's start
 _STREAM = 2**20  # of the synthesised window's noise: no rendering has as many
@@ -74,7 +74,7 @@ def warm_start_runs(
     drawn for its first condition. A model that filters noise has no window: its `stored` run is such a rendering.
     """
     excitation = texture.has_excitation
-    n_seeds = N_SEEDS if excitation else 1
+    n_seeds = N_DRAWS if excitation else 1
     _, speed, force = (np.tile(channel, (n_seeds, 1)) for channel in trace.picked(blocks))
     starts: dict[str, list[Array]] = {"stored": stored_window(texture) if texture.predicts_samples else []}
     if window is not None and texture.predicts_samples:
