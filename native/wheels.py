@@ -81,7 +81,7 @@ def functions_of(target: Target) -> dict[str, set[str]]:
 
     The public one those of `foten.h`, training's each of its own once for an instruction set.
     """
-    source = (ROOT / "native" / "training" / "training_kernel.c").read_text(encoding="utf-8")
+    source = "".join(path.read_text(encoding="utf-8") for path in (ROOT / "native" / "training").glob("*.c"))
     names = re.findall(r"^EXPORTED\((\w+)\)", source, flags=re.MULTILINE)
     sets = INSTRUCTION_SETS[target.kind.split()[1]]
     training = {f"{name}_{isa}" for name in names for isa in sets}

@@ -232,6 +232,13 @@ MUTANTS = (
         tests="training_kernel",
     ),
     *of_c(
+        "training/encoder_layer.c",
+        ("what is dropped goes back", "drop(l, g.rows * fed, in_all * (size_t)w + query * (size_t)fed, by_fed);", ""),
+        ("a query's mean share is not led back", "(by[i] - mean) * scale", "by[i] * scale"),
+        ("the residual of attention is not led back", "by_hidden[i] += by_encoded[i];", ";"),
+        tests="training_kernel",
+    ),
+    *of_c(
         "src/innovation_kernel.c",
         ("the reset gate is open", "+ reset * candidate_preactivation", "+ candidate_preactivation"),
         ("the largest component is always drawn", "s->weight[i] /= sum;", "s->weight[i] = i == 0;"),

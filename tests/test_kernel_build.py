@@ -89,7 +89,9 @@ def accelerations(table: str) -> np.ndarray:
 
 
 @pytest.mark.skipif(shutil.which("cc") is None, reason="needs a C compiler")
-@pytest.mark.parametrize("source", ["src/kernel.c", "src/innovation_kernel.c", "training/training_kernel.c"])
+@pytest.mark.parametrize(
+    "source", ["src/kernel.c", "src/innovation_kernel.c", "training/training_kernel.c", "training/encoder_layer.c"]
+)
 @pytest.mark.parametrize(("kernel", "rows"), [("neon", 8), ("simd128", 5)])
 def test_kernels_for_other_processors_compile_without_a_warning(
     tmp_path: Path, kernel: str, rows: int, source: str

@@ -290,7 +290,7 @@ def test_shares_are_added_in_their_order_whichever_thread_is_first() -> None:
         return factors[k] * network.weight.sum()
 
     with ThreadPoolExecutor(3) as pool:
-        loss, (gradient,) = shared_gradients(network, pool, loss_of_share, 3)
+        loss, (gradient,) = shared_gradients(list(network.parameters()), pool, loss_of_share, 3)
     assert float(gradient) == 0.0
     assert abs(float(loss)) < 10
 

@@ -58,7 +58,7 @@ def parabola(entry: Entry) -> np.ndarray:
 def predictions(i: int, entries: list[Entry], values: np.ndarray, encoder: str | None) -> dict[str, np.ndarray]:
     """Figures of a texture by method, from the others without its namesakes."""
     others = np.array([j for j, one in enumerate(entries) if one.stem != entries[i].stem])
-    known, rest = encoder_of(encoder), [entries[j] for j in others]
+    known, rest = encoder_of(None), [entries[j] for j in others]
     vector = known.encode(entries[i].text)
     likeness = [float(known.encode(one.text) @ vector) for one in rest]
     rng = np.random.default_rng(i)
@@ -68,9 +68,15 @@ def predictions(i: int, entries: list[Entry], values: np.ndarray, encoder: str |
         "mean of the others": values[others].mean(axis=0),
         "most alike by words": values[others[int(np.argmax(likeness))]],
         "words": fit(rest, known).regression.at(vector)[0],
+        **({} if encoder is None else {"words, sentence encoder": _by_sentences(entries[i], rest, encoder)}),
         "sliders, no library": parabola(entries[i]),
         "nearest other (truth known)": values[others[int(np.argmin(errors))]],
     }
+
+
+def _by_sentences(entry: Entry, rest: list[Entry], encoder: str) -> np.ndarray:
+    known = encoder_of(encoder)
+    return fit(rest, known).regression.at(known.encode(entry.text))[0]
 
 
 def interval(figures: np.ndarray) -> float:
@@ -83,7 +89,7 @@ def interval(figures: np.ndarray) -> float:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--library", dest="folder", metavar="DIR", type=Path, required=True)
-    parser.add_argument("--encoder", help="a sentence encoder, a folder or a name")
+    parser.add_argument("--encoder", help="a sentence encoder to compare, a folder or a name")
     parser.add_argument("--csv", type=Path, default=CSV)
     arguments = parser.parse_args()
     library = open_library(arguments.folder)

@@ -73,13 +73,13 @@ static inline double clip(double x, double limit) { return x > limit ? limit : x
 #define FOTEN_NEWTON_PRECISION 1e-7          /* foten.models.foten_plus.definition.NEWTON_PRECISION */
 
 /* The equaliser. */
-#define FOTEN_N_BANDS 8               /* foten.dsp.bands.N_BANDS */
-#define FOTEN_N_LOWPASSES 3           /* foten.dsp.equaliser.N_LOWPASSES */
-#define FOTEN_REFERENCE_SPEED 100.0   /* foten.dsp.equaliser.REFERENCE_SPEED */
-#define FOTEN_REFERENCE_FORCE 1.0     /* foten.dsp.equaliser.REFERENCE_FORCE */
-#define FOTEN_FLOOR_SPEED 5.0         /* foten.dsp.equaliser.FLOOR_SPEED */
-#define FOTEN_FLOOR_FORCE 0.05        /* foten.dsp.equaliser.FLOOR_FORCE */
-#define FOTEN_MAX_LOG_GAIN 1.0        /* foten.dsp.equaliser.MAX_LOG_GAIN */
+#define FOTEN_N_BANDS 8             /* foten.dsp.bands.N_BANDS */
+#define FOTEN_N_LOWPASSES 3         /* foten.dsp.equaliser.N_LOWPASSES */
+#define FOTEN_REFERENCE_SPEED 100.0 /* foten.dsp.equaliser.REFERENCE_SPEED */
+#define FOTEN_REFERENCE_FORCE 1.0   /* foten.dsp.equaliser.REFERENCE_FORCE */
+#define FOTEN_FLOOR_SPEED 5.0       /* foten.dsp.equaliser.FLOOR_SPEED */
+#define FOTEN_FLOOR_FORCE 0.05      /* foten.dsp.equaliser.FLOOR_FORCE */
+#define FOTEN_MAX_LOG_GAIN 1.0      /* foten.dsp.equaliser.MAX_LOG_GAIN */
 
 /* How a stream begins. */
 #define FOTEN_FIRST_INITIAL 0x8000000000000000 /* foten.models.definitions.FIRST_INITIAL */

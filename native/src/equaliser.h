@@ -45,8 +45,7 @@ static inline double equaliser_log(double value, double floor, double reference)
 /* As after a long time at a speed [mm/s], from silence. */
 static inline void equaliser_settle(equaliser_state *s, double speed) {
     *s = (equaliser_state){{0}};
-    for (int i = 0; i < LOWPASSES; i++)
-        s->behind[i] = equaliser_log(speed, FOTEN_FLOOR_SPEED, FOTEN_REFERENCE_SPEED);
+    for (int i = 0; i < LOWPASSES; i++) s->behind[i] = equaliser_log(speed, FOTEN_FLOOR_SPEED, FOTEN_REFERENCE_SPEED);
 }
 
 /* What leaves of the next sample, under its speed and force [mm/s, N]. */

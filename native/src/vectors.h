@@ -13,6 +13,15 @@ typedef float vec __attribute__((vector_size(4 * LANES)));
 typedef int32_t vec_bits __attribute__((vector_size(4 * LANES)));
 typedef uint32_t vec_word __attribute__((vector_size(4 * LANES)));
 
+/* A function of a library that has it once for each instruction set. */
+#define JOIN(a, b) a##_##b
+#define OF_ISA(name, isa) JOIN(name, isa)
+#if defined(_WIN32)
+#define EXPORTED(name) __declspec(dllexport) int OF_ISA(name, KERNEL)
+#else
+#define EXPORTED(name) __attribute__((visibility("default"))) int OF_ISA(name, KERNEL)
+#endif
+
 #define INLINE static inline __attribute__((always_inline))
 
 INLINE vec load(const float *p) {
@@ -94,7 +103,8 @@ static void some_rows(int rows, int vectors, int inputs, const float *w, const f
 }
 
 /* n tokens through a linear map; what they are padded with up to full vectors comes out as zeros. */
-static void apply(const linear *l, int n, const float *in, int in_stride, float *out, int out_stride, int rectified) {
+static inline void apply(const linear *l, int n, const float *in, int in_stride, float *out, int out_stride,
+                         int rectified) {
     int padded = (l->outputs + LANES - 1) / LANES * LANES;
     for (int o = 0; o < padded; o += 2 * LANES) {
         int vectors = padded - o > LANES ? 2 : 1;

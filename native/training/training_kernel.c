@@ -58,14 +58,6 @@ typedef struct {
     float *by_head, *by_out;  /* (n, s, head_width), (n, s, n_out) */
 } rollout_gradients;
 
-#define JOIN(a, b) a##_##b
-#define OF_ISA(name, isa) JOIN(name, isa)
-#if defined(_WIN32)
-#define EXPORTED(name) __declspec(dllexport) int OF_ISA(name, KERNEL)
-#else
-#define EXPORTED(name) __attribute__((visibility("default"))) int OF_ISA(name, KERNEL)
-#endif
-
 INLINE vec choose(vec_bits mask, vec a, vec b) { return (vec)(((vec_bits)a & mask) | ((vec_bits)b & ~mask)); }
 INLINE vec minus_size(vec x) { return choose(x < 0.0f, x, -x); }
 

@@ -42,4 +42,4 @@ class Hapinf(nn.Module):
         placeholder = torch.cat([torch.zeros_like(windows[:, -1:, :1]), windows[:, -1:, 1:]], dim=2)
         decoded = torch.cat([windows[:, m - self.sizes.n_start :], placeholder], dim=1)
         tokens = self.dropout(self.embedding(decoded) + positions[m - self.sizes.n_start :])
-        return self.out(self.decoded(self.decoder(tokens, self.encoded(memory))[:, -1]))[:, 0]
+        return self.out(self.decoded(self.decoder(tokens, self.encoded(memory))[:, 0]))[:, 0]

@@ -35,5 +35,5 @@ class Ldhtd(nn.Module):
         """The next samples: windows (b, m, 3) scaled → (b,) scaled."""
         memory, _ = self.condition(windows[:, :, 1:])
         tokens = self.dropout(self.embedding(windows[:, :, :1]) + self.positions.to(windows.dtype))
-        last = self.decoded(self.decoder(tokens, self.condition_out(memory))[:, -1])
+        last = self.decoded(self.decoder(tokens, self.condition_out(memory))[:, 0])
         return self.out(self.dropout(torch.relu(self.dense(last))))[:, 0]

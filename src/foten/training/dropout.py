@@ -13,23 +13,26 @@ _THREAD = threading.local()
 
 
 @contextmanager
-def masks_from(source: Callable[[torch.Size, torch.device, float], Tensor]) -> Iterator[None]:
-    """Take this thread's masks from a source in place of `mask`."""
+def bits_from(source: Callable[[int, torch.device], Tensor]) -> Iterator[None]:
+    """Take this thread's random bits from a source in place of `random_bits`."""
     _THREAD.source = source
     try:
         yield
     finally:
-        _THREAD.source = mask
+        _THREAD.source = random_bits
 
 
-def mask(shape: torch.Size, device: torch.device, p: float, generator: torch.Generator | None = None) -> Tensor:
-    """Factors of dropout: 0 for a share p, 1 ÷ (1 − p) for the others; four from 64 random bits, for speed."""
-    n = shape.numel()
+def random_bits(n: int, device: torch.device, generator: torch.Generator | None = None) -> Tensor:
+    """n random numbers of 16 bits, as integers with a sign; four from 64 bits, for speed."""
     bits = torch.empty((n + 3) // 4, dtype=torch.int64, device=device)
     bits.random_(-(2**63), None, generator=generator)
+    return bits.view(torch.int16)[:n]
+
+
+def factors(p: float) -> tuple[int, float]:
+    """The least of `random_bits` that is not dropped at a share p, and what is not dropped is multiplied by."""
     dropped = round(p * 2**16)
-    retained = bits.view(torch.int16)[:n].view(shape) >= dropped - 2**15
-    return retained.float().mul_(2**16 / (2**16 - dropped))
+    return dropped - 2**15, 2**16 / (2**16 - dropped)
 
 
 class Dropout(nn.Module):
@@ -43,9 +46,18 @@ class Dropout(nn.Module):
         self.p = 0.0
 
     def forward(self, values: Tensor) -> Tensor:
-        if not self.training or self.p == 0:
+        bits = self.bits(values.numel(), values.device)
+        if bits is None:
             return values
-        return values * getattr(_THREAD, "source", mask)(values.shape, values.device, self.p)
+        least, factor = factors(self.p)
+        return values * (bits.view(values.shape) >= least).to(values.dtype).mul_(factor)
+
+    def bits(self, n: int, device: torch.device) -> Tensor | None:
+        """What decides which of n values are dropped, where any are."""
+        if not self.training or self.p == 0:
+            return None
+        bits: Tensor = getattr(_THREAD, "source", random_bits)(n, device)
+        return bits
 
 
 def set_dropout(network: nn.Module, p: float) -> None:

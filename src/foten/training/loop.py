@@ -44,7 +44,12 @@ class Optimiser:
         }
         self._momentum = {name: torch.zeros_like(matrix) for name, matrix in self._matrices.items()}
         self._others = [parameter for name, parameter in parameters.items() if name not in self._matrices]
-        self._moments = torch.zeros_like(torch.cat([_flat(parameter) for parameter in self._others])).repeat(2, 1)
+        sizes = [parameter.numel() for parameter in self._others]
+        self._moments, (self._gradient, self._direction) = self._others[0].new_zeros(2, 2, sum(sizes))
+        self._gradients, self._directions = (
+            [part.view_as(parameter) for part, parameter in zip(flat.split(sizes), self._others, strict=True)]
+            for flat in (self._gradient, self._direction)
+        )
         self._n_steps = 0
 
     def step(self, rate: float) -> None:
@@ -64,14 +69,15 @@ class Optimiser:
     @torch.no_grad()
     def _step_of_others(self, rate: float) -> None:
         self._n_steps += 1
-        gradient = torch.cat([_flat(parameter.grad) for parameter in self._others])
+        torch._foreach_copy_(self._gradients, [parameter.grad for parameter in self._others])
         means, squares = self._moments
-        means.lerp_(gradient, 1 - BETAS[0])
-        squares.lerp_(gradient * gradient, 1 - BETAS[1])
+        means.lerp_(self._gradient, 1 - BETAS[0])
+        squares.lerp_(self._gradient * self._gradient, 1 - BETAS[1])
         first, second = (moment / (1 - beta**self._n_steps) for moment, beta in zip(self._moments, BETAS, strict=True))
-        direction = first / (second.sqrt() + self._config.adam_epsilon)
-        for parameter, part in zip(self._others, direction.split([p.numel() for p in self._others]), strict=True):
-            parameter.mul_(1 - rate * self._config.weight_decay).sub_(part.view_as(parameter), alpha=rate)
+        torch.div(first, second.sqrt_().add_(self._config.adam_epsilon), out=self._direction)
+        if self._config.weight_decay:
+            torch._foreach_mul_(self._others, 1 - rate * self._config.weight_decay)
+        torch._foreach_sub_(self._others, self._directions, alpha=rate)
 
     def state_dict(self) -> dict[str, Any]:
         return {"moments": self._moments, "n_steps": self._n_steps, "momentum": self._momentum}
@@ -81,10 +87,6 @@ class Optimiser:
         self._n_steps = state["n_steps"]
         for name, momentum in state["momentum"].items():
             self._momentum[name].copy_(momentum)
-
-
-def _flat(parameter: Tensor) -> Tensor:
-    return parameter.detach().reshape(-1)
 
 
 @torch.no_grad()
@@ -281,10 +283,9 @@ def gradient_step(
 
 
 def shared_gradients(
-    network: nn.Module, pool: ThreadPoolExecutor, loss_of_share: Callable[[int], Tensor], n_shares: int
+    parameters: Sequence[nn.Parameter], pool: ThreadPoolExecutor, loss_of_share: Callable[[int], Tensor], n_shares: int
 ) -> tuple[Tensor, list[Tensor]]:
     """Loss and gradients, of the losses of share 0 … n_shares − 1, whose sum is the batch's, added in that order."""
-    parameters = list(network.parameters())
 
     def gradients(share: int) -> tuple[Tensor, tuple[Tensor, ...]]:
         loss = loss_of_share(share)

@@ -45,14 +45,14 @@ _MIN_DENSITY = 1e-12
 MAX_ADJOINT = 3.0
 
 
-def _fields(**groups: tuple[str, Any]) -> list[tuple[str, Any]]:
+def fields(**groups: tuple[str, Any]) -> list[tuple[str, Any]]:
     return [(name, kind) for names, kind in groups.values() for name in names.split()]
 
 
 class RecurrentUnit(Structure):
     """recurrent_unit."""
 
-    _fields_ = _fields(
+    _fields_ = fields(
         counts=("n s n_hidden", c_int), arrays=("weight bias from_input hidden gates candidate_preactivation", _ARRAY)
     )
 
@@ -60,7 +60,7 @@ class RecurrentUnit(Structure):
 class RolloutBatch(Structure):
     """rollout_batch."""
 
-    _fields_ = _fields(
+    _fields_ = fields(
         counts=("n s p n_inputs n_hidden head_width n_components n_out gain_before_filter with_phase", c_int),
         numbers=("innovation_limit leak", c_float),
         weights=("from_input input_bias from_hidden hidden_bias head head_bias out out_bias", _ARRAY),
@@ -74,7 +74,7 @@ class RolloutBatch(Structure):
 class RolloutGradients(Structure):
     """rollout_gradients."""
 
-    _fields_ = _fields(
+    _fields_ = fields(
         inputs=("by_residual drawn", _ARRAY), limit=("adjoint_limit", c_float), outputs=("by_head by_out", _ARRAY)
     )
 
@@ -82,7 +82,7 @@ class RolloutGradients(Structure):
 class LatticeBlocks(Structure):
     """lattice_blocks."""
 
-    _fields_ = _fields(
+    _fields_ = fields(
         counts=("n_blocks n n_vertices to_faster to_firmer", c_int),
         numbers=("leak", c_double),
         inputs=("vertex faster firmer error_weight", _ARRAY),
@@ -93,7 +93,7 @@ class LatticeBlocks(Structure):
 class Deviations(Structure):
     """deviations."""
 
-    _fields_ = _fields(
+    _fields_ = fields(
         counts=("n n_parts n_scales", c_int),
         inputs=("scales parts information score", _ARRAY),
         outputs=("mean", _ARRAY),

@@ -22,7 +22,7 @@ from foten.recording.windows import window_indices
 from foten.runtime.proof import MakeModel, Tensors
 from foten.training.calibration import ClosedLoop, Residuals, calibrate_excitation
 from foten.training.config import TrainConfig
-from foten.training.dropout import mask, masks_from, set_dropout
+from foten.training.dropout import bits_from, random_bits, set_dropout
 from foten.training.initial_weights import draw_glorot
 from foten.training.job import ScaledBlocks, Trained, TrainingJob
 from foten.training.loop import (
@@ -89,7 +89,8 @@ def fit_windows(network: nn.Module, data: TrainingWindows, config: TrainConfig, 
     set_dropout(network, config.dropout)
     n_threads = config.threads if on_device.device.type == "cpu" else 1
     n_steps = math.ceil(len(data.train) / config.batch)
-    optimiser = Optimiser(dict(network.named_parameters()), config)
+    parameters = dict(network.named_parameters())
+    optimiser = Optimiser(parameters, config)
     criterion = loss_of(config)
     batches: tuple[Tensor, ...] = ()
 
@@ -105,11 +106,11 @@ def fit_windows(network: nn.Module, data: TrainingWindows, config: TrainConfig, 
         def loss_of_share(k: int) -> Tensor:
             on_cpu = on_device.device.type == "cpu"  # on a GPU its own generator draws
             generator = torch.Generator().manual_seed((seed + k) % 2**63) if on_cpu else None
-            with masks_from(partial(mask, generator=generator)):
+            with bits_from(partial(random_bits, generator=generator)):
                 loss = criterion(network(on_device.windows(shares[k])), on_device.target[shares[k]])
                 return loss * (len(shares[k]) / len(batches[number]))
 
-        loss, values = shared_gradients(network, pool, loss_of_share, len(shares))
+        loss, values = shared_gradients(list(parameters.values()), pool, loss_of_share, len(shares))
         share = len(batches[number]) * n_steps / len(data.train)  # for the mean over windows, not over steps
         return loss * share, values
 

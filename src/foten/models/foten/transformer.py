@@ -6,6 +6,7 @@ import torch
 from torch import Tensor, nn
 
 from foten.training.dropout import Dropout
+from foten.training.encoder_kernel import encoded, has_kernel
 
 
 class EncoderLayer(nn.Module):
@@ -26,25 +27,37 @@ class EncoderLayer(nn.Module):
         self.norm_1, self.norm_2 = nn.LayerNorm(width), nn.LayerNorm(width)
         self.dropout = Dropout()
 
+    @property
+    def _weights(self) -> list[Tensor]:
+        parts = (self.norm_1, self.attention_in, self.attention_out, self.norm_2, self.feedforward_in)
+        return [each for part in (*parts, self.feedforward_out) for each in (part.weight, part.bias)]
+
     def forward(self, tokens: Tensor, last_only: bool = False) -> Tensor:
         """The encoded tokens: (b, m, width) → (b, m, width), or the last of them alone, (b, 1, width)."""
+        if self.pre_norm and has_kernel(tokens, self.feedforward_in.out_features):
+            return self._in_c(tokens, last_only)
         normed = self.norm_1(tokens) if self.pre_norm else tokens
         queries = slice(-1, None) if last_only else slice(None)
-        hidden = tokens[:, queries] + self.dropout(self._attend(normed, queries))
+        hidden = tokens[:, queries] + self.dropout(
+            self.attention_out(_self_attended(self.attention_in, normed, queries, self.n_heads))
+        )
         hidden = hidden if self.pre_norm else self.norm_1(hidden)
         inner = self.norm_2(hidden) if self.pre_norm else hidden
         fed = self.dropout(self.feedforward_out(self.dropout(torch.relu(self.feedforward_in(inner)))))
         return hidden + fed if self.pre_norm else self.norm_2(hidden + fed)
 
-    def _attend(self, normed: Tensor, queries: slice) -> Tensor:
-        width, weight, bias = normed.shape[2], self.attention_in.weight, self.attention_in.bias
-        query = nn.functional.linear(normed[:, queries], weight[:width], bias[:width])
-        key, value = nn.functional.linear(normed, weight[width:], bias[width:]).chunk(2, dim=-1)
-        return self.attention_out(attended(query, key, value, self.n_heads))
+    def _in_c(self, tokens: Tensor, last_only: bool) -> Tensor:
+        b, n, width = tokens.shape
+        n_dropped = b * (1 if last_only else n) * (2 * width + self.feedforward_in.out_features)
+        bits = self.dropout.bits(n_dropped, tokens.device)
+        return encoded(tokens, self._weights, bits, self.dropout.p, self.n_heads, last_only)
 
 
 class DecoderLayer(nn.Module):
-    """Self-attention, attention to a memory and a feed-forward network, each normalised before. Source: [17]."""
+    """Self-attention, attention to a memory and a feed-forward network, each normalised before, of the last token alone.
+
+    Source: [17].
+    """
 
     def __init__(self, width: int, n_heads: int, d_feedforward: int) -> None:
         super().__init__()
@@ -60,14 +73,23 @@ class DecoderLayer(nn.Module):
         self.dropout = Dropout()
 
     def forward(self, tokens: Tensor, memory: Tensor) -> Tensor:
-        """The decoded tokens: (b, n, width) and a memory (b, k, width) → (b, n, width)."""
-        query, key, value = self.attention_in(self.norm_1(tokens)).chunk(3, dim=-1)
-        hidden = tokens + self.dropout(self.attention_out(attended(query, key, value, self.n_heads)))
+        """The last token, decoded: (b, n, width) and a memory (b, k, width) → (b, 1, width)."""
+        last = slice(-1, None)
+        attended_to = _self_attended(self.attention_in, self.norm_1(tokens), last, self.n_heads)
+        hidden = tokens[:, last] + self.dropout(self.attention_out(attended_to))
         key, value = self.memory_in(memory).chunk(2, dim=-1)
         query = self.query_in(self.norm_2(hidden))
         hidden = hidden + self.dropout(self.memory_out(attended(query, key, value, self.n_heads)))
         inner = self.dropout(torch.relu(self.feedforward_in(self.norm_3(hidden))))
         return hidden + self.dropout(self.feedforward_out(inner))
+
+
+def _self_attended(attention_in: nn.Linear, normed: Tensor, queries: slice, n_heads: int) -> Tensor:
+    """Tokens that some of themselves attend to: (b, n, w) → (b, number of queries, w)."""
+    width, weight, bias = normed.shape[2], attention_in.weight, attention_in.bias
+    query = nn.functional.linear(normed[:, queries], weight[:width], bias[:width])
+    key, value = nn.functional.linear(normed, weight[width:], bias[width:]).chunk(2, dim=-1)
+    return attended(query, key, value, n_heads)
 
 
 def attended(query: Tensor, key: Tensor, value: Tensor, n_heads: int) -> Tensor:

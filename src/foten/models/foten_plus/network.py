@@ -189,7 +189,8 @@ def fit_innovation_network(
     batches = Batches(data, blocks, warm_up, config, device)
     n_threads = config.threads if device.type == "cpu" else 1
     n_shares = len(torch.empty(config.batch).chunk(n_threads))  # of 64 for 12 threads 11, of six each
-    optimiser = Optimiser(dict(network.named_parameters()), config)
+    parameters = dict(network.named_parameters())
+    optimiser = Optimiser(parameters, config)
     generator = np.random.default_rng()
 
     def gradients(epoch: int, number: int) -> tuple[Tensor, list[Tensor]]:
@@ -202,7 +203,7 @@ def fit_innovation_network(
             nll = negative_log_likelihood(mixtures(network, inputs[k], warm_up), target[k][:, warm_up:])
             return nll.mean() * (len(inputs[k]) / config.batch)
 
-        return shared_gradients(network, pool, loss_of_share, n_shares)
+        return shared_gradients(list(parameters.values()), pool, loss_of_share, n_shares)
 
     def validate(averaged: InnovationNetwork) -> tuple[float, float]:
         nll, innovation, mean, gain = scored(averaged, data, batches.tensors, blocks.split.validation, warm_up)
