@@ -234,7 +234,11 @@ MUTANTS = (
     *of_c(
         "training/encoder_layer.c",
         ("what is dropped goes back", "drop(l, g.rows * fed, in_all * (size_t)w + query * (size_t)fed, by_fed);", ""),
-        ("a query's mean share is not led back", "(by[i] - mean) * scale", "by[i] * scale"),
+        (
+            "a query's mean share is not led back",
+            "(load(by + i * stride) - mean) * scale",
+            "load(by + i * stride) * scale",
+        ),
         ("the residual of attention is not led back", "by_hidden[i] += by_encoded[i];", ";"),
         tests="training_kernel",
     ),

@@ -15,7 +15,7 @@ enum { MIN_ROWS = 20 }; /* of a group of windows: fewer would be loading weights
 /* Queries are the last n_queries tokens of each window, one or all. */
 typedef struct {
     int b, n, n_queries, width, n_heads, n_fed;
-    int share_stride; /* of a query's shares: n, up to full vectors of any instruction set */
+    int share_stride; /* of a key's shares: n_queries, up to full vectors of any instruction set */
     int keeps;        /* what the way back needs, of all windows; or else of a group, which the next overwrites */
     const float *tokens;
     const float *norm_1_weight, *norm_1_bias, *in_weight, *in_bias, *out_weight, *out_bias;
@@ -27,7 +27,7 @@ typedef struct {
     float kept_factor;
     float *encoded; /* (b, n_queries, width) */
     /* Of what is kept, tokens without mean and of unit variance, what they were divided by; queries, keys and values;
-     * shares of attention, (b, n_heads, n_queries, share_stride); what they mix; and the same of the second part. */
+     * shares of attention, (b, n_heads, n, share_stride); what they mix; and the same of the second part. */
     float *normed_1, *inverse_sd_1, *projected, *shares, *mixed, *normed_2, *inverse_sd_2, *fed;
 } encoder_layer;
 
@@ -169,15 +169,29 @@ static void normalise_back(int rows, int width, const float *normed, const float
     }
 }
 
-/* Shares of a query's scores, in place: of n, and 0 up to `stride`. */
-static void soft_maximum(int n, int stride, float scale, float *scores) {
-    float largest = scores[0], sum = 0;
-    for (int i = 1; i < n; i++) largest = scores[i] > largest ? scores[i] : largest;
-    for (int i = n; i < stride; i++) scores[i] = 0;
-    for (int i = 0; i < stride; i += LANES) store(scores + i, exp_of(scale * (load(scores + i) - largest)));
-    for (int i = n; i < stride; i++) scores[i] = 0;
-    for (int i = 0; i < n; i++) sum += scores[i];
-    for (int i = 0; i < n; i++) scores[i] /= sum;
+/* Shares of scores, in place: (n, stride) of n keys, a vector of queries after the other. */
+static void soft_maximum(int n, int vectors, int stride, float scale, float *scores) {
+    for (int v = 0; v < vectors; v++, scores += LANES) {
+        vec most = load(scores), sum = {0};
+        for (int i = 1; i < n; i++) most = larger(most, load(scores + i * stride));
+        for (int i = 0; i < n; i++) {
+            vec share = exp_of(scale * (load(scores + i * stride) - most));
+            sum += share;
+            store(scores + i * stride, share);
+        }
+        vec inverse = 1.0f / sum;
+        for (int i = 0; i < n; i++) store(scores + i * stride, load(scores + i * stride) * inverse);
+    }
+}
+
+/* And back: from the gradient by the shares, in place, that by the scores. */
+static void soft_maximum_back(int n, int vectors, int stride, float scale, const float *shares, float *by) {
+    for (int v = 0; v < vectors; v++, shares += LANES, by += LANES) {
+        vec mean = {0};
+        for (int i = 0; i < n; i++) mean += load(shares + i * stride) * load(by + i * stride);
+        for (int i = 0; i < n; i++)
+            store(by + i * stride, load(shares + i * stride) * (load(by + i * stride) - mean) * scale);
+    }
 }
 
 /* What the parts of a layer share: its sizes, and where its queries lie among its tokens. */
@@ -194,44 +208,36 @@ static group group_at(const encoder_layer *l, int window, int most) {
 
 static int windows_of_group(const encoder_layer *l) { return (MIN_ROWS + l->n_queries - 1) / l->n_queries; }
 
-/* Of one window, all heads: what values the queries mix. `turned`: room for a head's keys. */
+/* Of one window, all heads: what values the queries mix. `turned`: room for a head's queries, zeros after them. */
 static void attend(const encoder_layer *l, const float *projected, float *shares, float *mixed, float *turned) {
-    int w = l->width, size = w / l->n_heads, stride = l->share_stride;
-    const float *query = projected + 3 * w * (l->n - l->n_queries);
-    for (int head = 0; head < l->n_heads; head++, shares += l->n_queries * stride) {
-        int at = head * size;
-        transpose(l->n, size, projected + w + at, 3 * w, turned, stride);
-        product(l->n_queries, size, l->n, (view){query + at, 3 * w, 1}, (view){turned, stride, 1}, nothing, shares,
-                stride);
-        for (int q = 0; q < l->n_queries; q++) soft_maximum(l->n, stride, 1 / sqrtf((float)size), shares + q * stride);
-        product(l->n_queries, l->n, size, (view){shares, stride, 1}, (view){projected + 2 * w + at, 3 * w, 1}, nothing,
-                mixed + at, w);
+    int w = l->width, size = w / l->n_heads, stride = l->share_stride, vectors = (l->n_queries + LANES - 1) / LANES;
+    for (int at = 0; at < w; at += size, shares += l->n * stride) {
+        const float *query = projected + 3 * w * (l->n - l->n_queries) + at, *key = projected + w + at,
+                    *value = key + w;
+        transpose(l->n_queries, size, query, 3 * w, turned, stride);
+        product(l->n, size, vectors * LANES, (view){key, 3 * w, 1}, (view){turned, stride, 1}, nothing, shares, stride);
+        soft_maximum(l->n, vectors, stride, 1 / sqrtf((float)size), shares);
+        product(l->n_queries, l->n, size, (view){shares, 1, stride}, (view){value, 3 * w, 1}, nothing, mixed + at, w);
     }
 }
 
-/* And back: from the gradient by what is mixed, that by queries, keys and values. `room`: for values, and shares. */
+/* And back: from the gradient by what is mixed, that by queries, keys and values. `turned`: as above; `by`: room for a
+ * head's shares. */
 static void attend_back(const encoder_layer *l, const float *projected, const float *shares, const float *by_mixed,
-                        float *by_projected, float *room) {
-    int w = l->width, size = w / l->n_heads, stride = l->share_stride, first = 3 * w * (l->n - l->n_queries);
-    float *turned = room, *by_shares = room + size * stride, scale = 1 / sqrtf((float)size);
-    for (int head = 0; head < l->n_heads; head++, shares += l->n_queries * stride) {
-        int at = head * size;
-        const float *key = projected + w + at, *value = key + w;
-        transpose(l->n, size, value, 3 * w, turned, stride);
-        product(l->n_queries, size, l->n, (view){by_mixed + at, w, 1}, (view){turned, stride, 1}, nothing, by_shares,
-                stride);
-        product(l->n, l->n_queries, size, (view){shares, 1, stride}, (view){by_mixed + at, w, 1}, nothing,
-                by_projected + 2 * w + at, 3 * w);
-        for (int q = 0; q < l->n_queries; q++) {
-            float *restrict by = by_shares + q * stride;
-            const float *restrict share = shares + q * stride;
-            float mean = dot(l->n, by, share);
-            for (int i = 0; i < l->n; i++) by[i] = share[i] * (by[i] - mean) * scale;
-        }
-        product(l->n_queries, l->n, size, (view){by_shares, stride, 1}, (view){key, 3 * w, 1}, nothing,
-                by_projected + first + at, 3 * w);
-        product(l->n, l->n_queries, size, (view){by_shares, 1, stride}, (view){projected + first + at, 3 * w, 1},
-                nothing, by_projected + w + at, 3 * w);
+                        float *by_projected, float *turned, float *by) {
+    int w = l->width, size = w / l->n_heads, stride = l->share_stride, vectors = (l->n_queries + LANES - 1) / LANES;
+    int first = 3 * w * (l->n - l->n_queries);
+    for (int at = 0; at < w; at += size, shares += l->n * stride, projected += size, by_projected += size) {
+        const float *query = projected + first, *key = projected + w, *value = key + w;
+        view mixed = {by_mixed + at, w, 1};
+        transpose(l->n_queries, size, mixed.at, w, turned, stride);
+        product(l->n, size, vectors * LANES, (view){value, 3 * w, 1}, (view){turned, stride, 1}, nothing, by, stride);
+        product(l->n, l->n_queries, size, (view){shares, stride, 1}, mixed, nothing, by_projected + 2 * w, 3 * w);
+        soft_maximum_back(l->n, vectors, stride, 1 / sqrtf((float)size), shares, by);
+        product(l->n_queries, l->n, size, (view){by, 1, stride}, (view){key, 3 * w, 1}, nothing, by_projected + first,
+                3 * w);
+        product(l->n, l->n_queries, size, (view){by, stride, 1}, (view){query, 3 * w, 1}, nothing, by_projected + w,
+                3 * w);
     }
 }
 
@@ -276,8 +282,8 @@ EXPORTED(foten_train_encoder)(const encoder_layer *l) {
                 projected + w, 3 * w);
         for (int k = 0; k < g.windows; k++)
             attend(l, projected + k * l->n * 3 * w,
-                   l->shares + ((l->keeps ? (size_t)window : 0) + (size_t)k) *
-                                   (size_t)(l->n_heads * l->n_queries * l->share_stride),
+                   l->shares +
+                       ((l->keeps ? (size_t)window : 0) + (size_t)k) * (size_t)(l->n_heads * l->n * l->share_stride),
                    mixed + k * l->n_queries * w, turned);
         product(g.rows, w, w, (view){mixed, w, 1}, (view){out, w, 1}, (view){l->out_bias, 0, 1}, encoded, w);
         drop(l, g.rows * w, query * (size_t)w, encoded);
@@ -303,7 +309,7 @@ EXPORTED(foten_train_encoder_back)(const encoder_layer *l, const encoder_gradien
         rows = most * l->n_queries;
     size_t in_all = (size_t)l->b * (size_t)l->n_queries;
     size_t floats = (size_t)w * (size_t)(4 * w + 2 * fed) + (size_t)(rows * (4 * w + fed)) + (size_t)(all * 4 * w) +
-                    (size_t)((size + l->n_queries) * l->share_stride) + 13 * (LANES + LINE);
+                    (size_t)((size + l->n) * l->share_stride) + 14 * (LANES + LINE);
     float *memory = malloc(floats * sizeof(float)), *block = aligned(memory);
     if (!memory) return 1;
     /* Read after their ends, so in room of their own. */
@@ -315,7 +321,9 @@ EXPORTED(foten_train_encoder_back)(const encoder_layer *l, const encoder_gradien
     memcpy(feed_out, l->feed_out_weight, sizeof(float) * (size_t)(w * fed));
     float *by_out = taken(&block, rows * w), *by_fed = taken(&block, rows * fed), *by_hidden = taken(&block, rows * w),
           *inner = taken(&block, rows * w), *by_mixed = taken(&block, rows * w), *normed = taken(&block, all * w),
-          *by_projected = taken(&block, all * 3 * w), *room = block;
+          *by_projected = taken(&block, all * 3 * w), *turned = taken(&block, size * l->share_stride),
+          *by_shares = block;
+    memset(turned, 0, sizeof(float) * (size_t)(size * l->share_stride));
     for (int window = 0; window < l->b; window += most) {
         group g = group_at(l, window, most);
         size_t token = (size_t)window * (size_t)l->n, query = (size_t)window * (size_t)l->n_queries;
@@ -347,8 +355,8 @@ EXPORTED(foten_train_encoder_back)(const encoder_layer *l, const encoder_gradien
         product(g.rows, w, w, (view){by_out, w, 1}, (view){out, w, 1}, nothing, by_mixed, w);
         for (int k = 0; k < g.windows; k++)
             attend_back(l, projected + k * l->n * 3 * w,
-                        l->shares + (size_t)(window + k) * (size_t)(l->n_heads * l->n_queries * l->share_stride),
-                        by_mixed + k * l->n_queries * w, by_projected + k * l->n * 3 * w, room);
+                        l->shares + (size_t)(window + k) * (size_t)(l->n_heads * l->n * l->share_stride),
+                        by_mixed + k * l->n_queries * w, by_projected + k * l->n * 3 * w, turned, by_shares);
         view by_query = {by_projected + g.first * 3 * w, g.step * 3 * w, 1}, by_rest = {by_projected + w, 3 * w, 1};
         scale_and_shift(g.tokens, w, normed_1, l->norm_1_weight, l->norm_1_bias, normed);
         add_outer(g.rows, w, w, by_query, (view){normed + g.first * w, g.step * w, 1}, to->in_weight);

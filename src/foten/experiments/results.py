@@ -214,10 +214,9 @@ def read_records(path: Path) -> list[dict[str, Any]]:
         or not {f.path for f in FIGURES.values()} & set(rows[0])
     ):
         raise ValueError(f"{path.name} is no runs.csv of foten tables")
-    for key in ("experiment", "note"):  # which earlier versions wrote in the first row alone
-        text = next((row[key] for row in rows if row.get(key)), "")
-        for row in rows:
-            row[key] = row.get(key) or text
+    notes = {row.get("experiment", ""): row["note"] for row in rows if row.get("note")}
+    for row in rows:
+        row["note"] = notes.get(row.get("experiment", ""), "")
     return [dict.fromkeys(_TEXTS, "") | {key: _parsed(key, text) for key, text in row.items()} for row in rows]
 
 
@@ -229,7 +228,7 @@ def _parsed(key: str, text: str) -> Any:
 
 
 def runs_table(records: Records, digits: int | None = None) -> Table:
-    """Table `runs.csv`, a row for each run, empty where there is no figure.
+    """Table `runs.csv`, a row for each run, empty where there is no figure, and the note of an experiment in its first.
 
     Args:
         digits: significant ones; None for all, so that a mean of them is rounded once.
@@ -244,7 +243,13 @@ def runs_table(records: Records, digits: int | None = None) -> Table:
             return f"{value:.0f}" if value.is_integer() else repr(value) if digits is None else f"{value:.{digits}g}"
         return "" if value is None else str(value)
 
-    return Table.of(keys, ([cell(record.get(key)) for key in keys] for record in records))
+    noted: set[str] = set()
+    rows = []
+    for record in records:
+        repeated = {"note"} if record["experiment"] in noted else set()
+        rows.append(["" if key in repeated else cell(record.get(key)) for key in keys])
+        noted.add(record["experiment"])
+    return Table.of(keys, rows)
 
 
 def chosen(records: Records) -> list[Record]:

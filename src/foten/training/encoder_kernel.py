@@ -78,8 +78,8 @@ class _Encoded(torch.autograd.Function):
     ) -> Tensor:
         tokens = tokens.contiguous()
         b, n, width = tokens.shape
-        n_fed, stride = weights[8].shape[0], padded(n)
-        of_window = [n * width, n, n * 3 * width, n_heads * n_queries * stride]
+        n_fed, stride = weights[8].shape[0], padded(n_queries)
+        of_window = [n * width, n, n * 3 * width, n_heads * n * stride]
         of_window += [n_queries * width, n_queries * width, n_queries, n_queries * n_fed]
         # One block, whose parts are read up to a vector after their ends.
         sizes = [(b if keeps else min(b, LARGEST_GROUP)) * size + PADDED for size in of_window]
