@@ -41,6 +41,7 @@ MAIN = {
     SIMULATED: "simulated textures",
     CONTACT: "contact mechanics",
 }
+FULL_LENGTH = ("recipes", "table-1", "table-2", "figure-5", "figure-5-delta")
 DISTINCT = 0.03  # a difference of the areas for one texture that means something
 MAX_COLUMNS, MAX_ROWS = 8, 12  # of a table that people read, a row of means not counted; the rest is CSV
 SYSTEM_NAMES = {"dstn": "DSTN", "ldhtd": "LDHTD", "gan": "the GAN"}
@@ -538,6 +539,17 @@ def recipes() -> Table:
     return Table.of(("", "tried", "best", "error", "second", "its", "last", "its "), rows)
 
 
+def spent() -> Table:
+    """Runs of the paper's tables at full length that are done, and what they took."""
+    rows = []
+    for name in FULL_LENGTH:
+        records = records_of(name)
+        seconds = sum(record["training_s"] + record["evaluation_s"] for record in records)
+        planned = sum(1 for _ in read_experiment(experiment_path(name)).runs())
+        rows.append((f"`{name}`", f"{len(records)} of {planned}", f"{seconds / 3600:.1f}"))
+    return Table.of(("experiment", "runs done", "core-hours"), rows)
+
+
 def headline() -> Table:
     """AR(20)'s errors by band and regime, beside silence and a second realisation: means over the textures."""
     rows = list(csv.DictReader((RESULTS / "headline.csv").open(encoding="utf-8")))
@@ -679,6 +691,7 @@ TABLES: dict[str, dict[str, Callable[[], Table | str]]] = {
         "quicker": quicker,
         "csv": partial(listed, "recipes", "table-1-small", "table-1-real"),
     },
+    "reproduce.md": {"spent": spent},
     "runtime.md": {name: partial(benchmark, name) for name in BENCHMARKS},
 }
 
