@@ -104,9 +104,10 @@ def graph_of(network: nn.Module, m: int, n_channels: int = 3, name: str = INPUT)
 
 def multiply_adds(network: nn.Module, m: int) -> int:
     """Cost of a forward pass in pairs of multiplications and additions."""
-    # Without oneDNN, whose recurrent layers are one operation that is not counted, and without its warnings.
+    # Without oneDNN, whose recurrent layers are one operation that is not counted, and without its warnings; in double, in which
+    # no layer is one of foten's own kernel.
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         with torch.no_grad(), torch.backends.mkldnn.flags(enabled=False), FlopCounterMode(display=False) as counter:
-            copy.deepcopy(network).cpu().float().eval().requires_grad_(False)(torch.zeros(1, m, 3))
+            copy.deepcopy(network).cpu().double().eval().requires_grad_(False)(torch.zeros(1, m, 3).double())
     return int(counter.get_total_flops()) // 2
