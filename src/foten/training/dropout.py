@@ -14,7 +14,7 @@ _THREAD = threading.local()
 
 @contextmanager
 def bits_from(source: Callable[[int, torch.device], Tensor]) -> Iterator[None]:
-    """Take this thread's random bits from a source in place of `random_bits`."""
+    """Take this thread's random bits from a source of (n,) numbers on a device, in place of `random_bits`."""
     _THREAD.source = source
     try:
         yield
@@ -23,7 +23,7 @@ def bits_from(source: Callable[[int, torch.device], Tensor]) -> Iterator[None]:
 
 
 def random_bits(n: int, device: torch.device, generator: torch.Generator | None = None) -> Tensor:
-    """n random numbers of 16 bits, as integers with a sign; four from 64 bits, for speed."""
+    """Random numbers of 16 bits, as integers with a sign, (n,); four from 64 bits, for speed."""
     bits = torch.empty((n + 3) // 4, dtype=torch.int64, device=device)
     bits.random_(-(2**63), None, generator=generator)
     return bits.view(torch.int16)[:n]
@@ -53,7 +53,7 @@ class Dropout(nn.Module):
         return values * (bits.view(values.shape) >= least).to(values.dtype).mul_(factor)
 
     def bits(self, n: int, device: torch.device) -> Tensor | None:
-        """What decides which of n values are dropped, where any are."""
+        """Numbers of `random_bits`, (n,), which decide what is dropped of n values; None where nothing is."""
         if not self.training or self.p == 0:
             return None
         bits: Tensor = getattr(_THREAD, "source", random_bits)(n, device)
