@@ -213,13 +213,16 @@ def test_methods_of_equal_figures_are_one_hypothesis() -> None:
     assert signed_rank(first, [other], textures[:5]) == {}
 
 
-def test_a_note_stands_once_in_the_csv_of_an_experiment(records: list[dict], tmp_path: Path) -> None:
-    """Of 250 letters in each row it was half of a file."""
+def test_note_and_platform_stand_once_in_the_csv_of_an_experiment(records: list[dict], tmp_path: Path) -> None:
+    """Of 350 letters in each row they were more than half of a file."""
     both = [one | {"experiment": name, "note": f"Of {name}."} for name in ("first", "second") for one in records]
     both += [one | {"experiment": "third", "note": ""} for one in records]
+    both[-1] = both[-1] | {"platform": "another"}
     runs_table(both).write(tmp_path / "runs.csv")
-    assert (tmp_path / "runs.csv").read_text().count("Of ") == 2
-    assert [one["note"] for one in read_records(tmp_path / "runs.csv")] == [one["note"] for one in both]
+    text = (tmp_path / "runs.csv").read_text()
+    assert (text.count("Of "), text.count(both[0]["platform"]), text.count("another")) == (2, 3, 1)
+    for key in ("note", "platform"):
+        assert [one[key] for one in read_records(tmp_path / "runs.csv")] == [one[key] for one in both]
 
 
 def test_a_table_says_what_was_reduced_and_what_a_figure_is_blind_to(records: list[dict]) -> None:

@@ -45,6 +45,7 @@ _SCORES = (
     *("one_step", "free_run", "free_run_deterministic", "free_run_ar", "ceiling", "warm_start"),
     *("listener", "references", "validation"),
 )
+_SAID_ONCE = ("note", "platform")  # in `runs.csv`: empty where an experiment's run before has the same
 VALIDATION = ("validation.mae_scaled", "validation.spectrum_db")  # what a recipe is chosen by, the first that it has
 _TEXTS = (
     *("experiment", "note", "method", "recipe", "beside", "model", "texture"),
@@ -214,9 +215,9 @@ def read_records(path: Path) -> list[dict[str, Any]]:
         or not {f.path for f in FIGURES.values()} & set(rows[0])
     ):
         raise ValueError(f"{path.name} is no runs.csv of foten tables")
-    notes = {row.get("experiment", ""): row["note"] for row in rows if row.get("note")}
-    for row in rows:
-        row["note"] = notes.get(row.get("experiment", ""), "")
+    said: dict[tuple[str, str], str] = {}
+    for row, name in itertools.product(rows, _SAID_ONCE):
+        row[name] = said[row.get("experiment", ""), name] = row.get(name) or said.get((row.get("experiment", ""), name), "")
     return [dict.fromkeys(_TEXTS, "") | {key: _parsed(key, text) for key, text in row.items()} for row in rows]
 
 
@@ -228,7 +229,7 @@ def _parsed(key: str, text: str) -> Any:
 
 
 def runs_table(records: Records, digits: int | None = None) -> Table:
-    """Table `runs.csv`, a row for each run, empty where there is no figure, and the note of an experiment in its first.
+    """Table `runs.csv`, a row for each run, empty where there is no figure; note and platform where they differ from those above.
 
     Args:
         digits: significant ones; None for all, so that a mean of them is rounded once.
@@ -243,12 +244,13 @@ def runs_table(records: Records, digits: int | None = None) -> Table:
             return f"{value:.0f}" if value.is_integer() else repr(value) if digits is None else f"{value:.{digits}g}"
         return "" if value is None else str(value)
 
-    noted: set[str] = set()
+    said: dict[str, Record] = {}
     rows = []
     for record in records:
-        repeated = {"note"} if record["experiment"] in noted else set()
+        above = said.get(record["experiment"], {})
+        repeated = {key for key in _SAID_ONCE if above.get(key) == record.get(key)}
         rows.append(["" if key in repeated else cell(record.get(key)) for key in keys])
-        noted.add(record["experiment"])
+        said[record["experiment"]] = record
     return Table.of(keys, rows)
 
 
