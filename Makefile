@@ -38,7 +38,7 @@ docs: $(VENV)/.docs
 	$(BIN)/python docs/make/screenshots.py
 
 # Every table and figure of the paper, reduced as each says, in half an hour on two cores: build/paper. It goes on where it stopped.
-SMALL := table-1 table-2 figure-5 figure-5-delta
+SMALL := table-1 table-2 figure-5
 paper-small: $(VENV)/.installed
 	for name in $(SMALL); do \
 	  $(THREADS) $(BIN)/foten sweep paper-small-$$name -o build/paper/results/$$name \

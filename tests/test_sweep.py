@@ -398,6 +398,12 @@ def test_thresholds_are_drawn_over_each_textures_mean(results: list[dict]) -> No
     np.testing.assert_allclose(mean.get_xdata(), [0.4, 1.6])
     np.testing.assert_allclose(mean.get_ydata(), [1.5, 0.5])
     np.testing.assert_allclose(drawn.axes[1].get_lines()[-1].get_ydata(), 1)
+    # A run of the grid of windows and losses stands in the figure of thresholds, where all else is the same.
+    for one in results:
+        one["run"]["cell"] = {"window": 144, "loss": "huber"}
+    for one in others:
+        one["run"]["cell"] = {"delta": 0.4}
+    assert {name for name, _ in figures([*results, *others]) if "figure-5" in name} == {"figure-5-fnn-delta"}
 
 
 def test_figure_4_is_left_out_where_its_recording_is_not(results: list[dict], tmp_path: Path) -> None:

@@ -41,7 +41,7 @@ MAIN = {
     SIMULATED: "simulated textures",
     CONTACT: "contact mechanics",
 }
-FULL_LENGTH = ("recipes", "table-1", "table-2", "figure-5", "figure-5-delta")
+FULL_LENGTH = ("recipes", "table-1", "table-2", "figure-5")
 DISTINCT = 0.03  # a difference of the areas for one texture that means something
 MAX_COLUMNS, MAX_ROWS = 8, 12  # of a table that people read, a row of means not counted; the rest is CSV
 SYSTEM_NAMES = {"dstn": "DSTN", "ldhtd": "LDHTD", "gan": "the GAN"}

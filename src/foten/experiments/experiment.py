@@ -9,7 +9,7 @@ import json
 import re
 import tomllib
 import zlib
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
@@ -134,8 +134,8 @@ class Experiment:
     train: Mapping[str, Any] = field(default_factory=dict)  # changes of the recipe
     preprocess: Mapping[str, Any] = field(default_factory=dict)  # changes of `PreprocessConfig`
     recipes: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)  # of each method that has none of its own
-    # Lists of settings of training, or of sizes where a model has them, by name: every combination is run.
-    grid: Mapping[str, tuple[Any, ...]] = field(default_factory=dict)
+    # Grids: lists of settings of training, or of sizes where a model has them, by name; every combination of each is run.
+    grid: tuple[Mapping[str, Sequence[Any]], ...] = ()
 
     def runs(self) -> list[Run]:
         """Every run, in the order of the recordings.
@@ -144,13 +144,20 @@ class Experiment:
             ValueError: a setting is unknown or out of range; the message names the method.
         """
         return [
-            self._resolved(texture, method, split_seed, dict(zip(self.grid, values, strict=False)), recipe)
+            self._resolved(texture, method, split_seed, cell, recipe)
             for texture in self.textures
             for split_seed in self.split_seeds
             for method in self.methods
             if method.split_seeds is None or split_seed in method.split_seeds
             for recipe in self._recipes(method) or [""]
-            for values in (itertools.product(*self.grid.values()) if method.model != "ar" else [()])
+            for cell in (self._cells() if method.model != "ar" else [{}])
+        ]
+
+    def _cells(self) -> list[dict[str, Any]]:
+        return [
+            dict(zip(grid, values, strict=True))
+            for grid in self.grid or [{}]
+            for values in itertools.product(*grid.values())
         ]
 
     def _recipes(self, method: Method) -> Mapping[str, Mapping[str, Any]]:
@@ -221,7 +228,8 @@ def read_experiment(path: Path, recordings: Path | None = None) -> Experiment:
 
 
 def _experiment(content: dict[str, Any], folder: Path) -> Experiment:
-    values = _checked(content, Experiment, "the file")
+    grid = content.get("grid", [])
+    values = _checked({**content, "grid": [grid] if isinstance(grid, dict) else grid}, Experiment, "the file")
     for name in ("title", "textures", "methods"):
         if not values.get(name):
             raise ValueError(f"there is no {name!r}, expected title, textures and methods")
@@ -233,12 +241,14 @@ def _experiment(content: dict[str, Any], folder: Path) -> Experiment:
             raise ValueError(f"two {what} have the same name, which tables could not tell apart")
     networks = [method.model for method in methods if method.model != "ar"]  # which finds its sizes
     sizes = {size.name for model in networks for size in fields(TRAINABLE[model])}
-    grid = values.get("grid", {})
     _check_recipes(values.get("recipes", {}), "the file")
-    _check_known("key", grid, OF_TRAINING | sizes if networks else (), " in [grid]")
-    for name, settings in grid.items():
-        if not isinstance(settings, list) or not settings:
-            raise ValueError(f"{name!r} in the grid is {settings!r}, expected a list")
+    for grid in values.get("grid", ()):
+        if not isinstance(grid, dict):
+            raise ValueError(f"a grid is {grid!r}, expected a table")
+        _check_known("key", grid, OF_TRAINING | sizes if networks else (), " in [grid]")
+        for name, settings in grid.items():
+            if not isinstance(settings, list) or not settings:
+                raise ValueError(f"{name!r} in the grid is {settings!r}, expected a list")
     experiment = Experiment(**{**values, "textures": textures, "methods": methods})
     for method in methods:
         if not set(method.split_seeds or ()) <= set(experiment.split_seeds):

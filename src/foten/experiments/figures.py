@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import json
 import re
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -65,12 +66,19 @@ def figures(
 
 
 def _by_other_settings(results: Results, drawn: Sequence[str]) -> list[tuple[str, Results]]:
-    """Results grouped by the settings of their grid that are not drawn, each group with a suffix for the file's name."""
-    groups = defaultdict(list)
+    """Results grouped by all settings that are not drawn, each group with a suffix for the file's name.
+
+    A run of one grid belongs to another grid's figure too, where its settings are that grid's: the suffix is the shortest.
+    """
+    groups, suffixes = defaultdict(list), defaultdict(set)
     for result in results:
-        others = " ".join(f"{k} {v}" for k, v in result["run"]["cell"].items() if k not in drawn)
-        groups[f"-{_file_name(others)}" if others else ""].append(result)
-    return list(groups.items())
+        run = result["run"]
+        settings = {k: v for k, v in (run["sizes"] | run["train"]).items() if k not in (*drawn, "seed")}
+        key = json.dumps(settings, sort_keys=True)
+        others = " ".join(f"{k} {v}" for k, v in run["cell"].items() if k not in drawn)
+        groups[key].append(result)
+        suffixes[key].add(f"-{_file_name(others)}" if others else "")
+    return [(min(suffixes[key], key=len), group) for key, group in groups.items()]
 
 
 def _file_name(method: str) -> str:

@@ -217,7 +217,9 @@ def read_records(path: Path) -> list[dict[str, Any]]:
         raise ValueError(f"{path.name} is no runs.csv of foten tables")
     said: dict[tuple[str, str], str] = {}
     for row, name in itertools.product(rows, _SAID_ONCE):
-        row[name] = said[row.get("experiment", ""), name] = row.get(name) or said.get((row.get("experiment", ""), name), "")
+        row[name] = said[row.get("experiment", ""), name] = row.get(name) or said.get(
+            (row.get("experiment", ""), name), ""
+        )
     return [dict.fromkeys(_TEXTS, "") | {key: _parsed(key, text) for key, text in row.items()} for row in rows]
 
 
