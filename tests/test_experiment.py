@@ -14,11 +14,14 @@ from foten.datasets.hdf5 import write_recording
 from foten.evaluate.evaluate import Judgement
 from foten.experiments.experiment import Experiment, Method, experiment_path, read_experiment, recording_of
 from foten.experiments.onset import onset
+from foten.experiments.results import by_recipe, read_records
 from foten.experiments.run import _result
 from foten.experiments.stability import proven, stability
 from foten.models.foten_plus.sizes import FotenPlusSizes
 from foten.models.texture_file import Texture
 from foten.simulation.simulate import simulate
+
+RESULTS = Path(__file__).parents[1] / "docs" / "results"
 
 
 def test_ar_is_run_once_whatever_the_grid(tmp_path: Path) -> None:
@@ -26,9 +29,15 @@ def test_ar_is_run_once_whatever_the_grid(tmp_path: Path) -> None:
     assert [run.method for run in read_experiment(experiment(tmp_path, text)).runs()].count("ar") == 2
 
 
-@pytest.mark.parametrize("name", ["table-1", "table-1-small", "table-2", "figure-5"])
+@pytest.mark.parametrize("name", ["table-1", "table-1-small", "table-1-tuned", "table-2", "figure-5"])
 def test_ours_are_read_and_as_large_as_they_say(name: str) -> None:
-    n = {"table-1": 12 * 7, "table-1-small": 12 * 13, "table-2": 12 * 5, "figure-5": 3 * (18 + 5)}
+    n = {
+        "table-1": 12 * 7,
+        "table-1-small": 12 * 13,
+        "table-1-tuned": 12 * (3 * 6 + 2),
+        "table-2": 12 * 5,
+        "figure-5": 3 * (18 + 5),
+    }
     runs = read_experiment(experiment_path(name)).runs()
     assert len(runs) == n[name]
     paper = [run for run in runs if run.model == "foten" and name in ("table-1", "table-2")]
@@ -37,6 +46,20 @@ def test_ours_are_read_and_as_large_as_they_say(name: str) -> None:
     )
     windows = {run.sizes["window"] for run in runs if run.model == "foten"}
     assert windows == ({5, 10, 15, 20, 25, 30} if name == "figure-5" else {20})
+
+
+def test_what_is_tuned_has_the_recipe_that_was_best_on_validation() -> None:
+    """Chosen by the errors in recipes.csv, on textures that are in no table."""
+    best = {name: next(iter(errors)) for name, errors in by_recipe(read_records(RESULTS / "recipes.csv")).items()}
+    tried = read_experiment(experiment_path("recipes")).runs()
+    chosen = {run.method: {**run.train, "seed": 0} for run in tried if run.recipe == best[run.method]}
+    tuned = read_experiment(experiment_path("table-1-tuned")).runs()
+    assert len(chosen) == 6
+    for run in tuned:
+        if run.model != "ar":
+            assert {**run.train, "seed": 0} == chosen[run.method.removesuffix(" with excitation")], run.method
+    assert not {run.texture for run in tuned} & {run.texture for run in tried}
+    assert {str(run.preprocess) for run in tuned} == {str(run.preprocess) for run in tried}
 
 
 def test_a_grid_crosses_sizes_and_training(tmp_path: Path) -> None:
