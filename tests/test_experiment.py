@@ -17,6 +17,7 @@ from foten.experiments.onset import onset
 from foten.experiments.results import by_recipe, read_records
 from foten.experiments.run import _result
 from foten.experiments.stability import proven, stability
+from foten.experiments.sweep import planned
 from foten.models.foten_plus.sizes import FotenPlusSizes
 from foten.models.texture_file import Texture
 from foten.simulation.simulate import simulate
@@ -225,6 +226,26 @@ def test_runs_are_listed_without_running(tmp_path: Path, capsys: pytest.CaptureF
     assert capsys.readouterr().out.splitlines()[0] == "FNN [13], linear-cloth, split 1"
     assert _status(["sweep", "no-such", "-o", str(tmp_path / "results")]) == 2
     assert "table-1-small" in capsys.readouterr().err
+
+
+def test_a_part_of_an_experiment_keeps_its_place_in_the_whole(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = experiment(tmp_path)
+    part = ["sweep", str(path), "-o", str(tmp_path / "results"), "--dry-run", "--only"]
+    assert _status([*part, "linear-twin", "--only", "FNN [13]"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines == [
+        f"{run}, split 1" for run in ("FNN [13], linear-cloth", "FNN [13], linear-twin", "excited, linear-twin")
+    ]
+    plan, recordings = planned(read_experiment(path), tmp_path, ["excited, linear-twin"])
+    assert [item.about["index"] for item in plan] == [3]
+    assert len(recordings) == 1
+    assert _status([*part, "towel"]) == 2
+    assert (
+        "--only 'towel' is in no line of --dry-run, such as 'FNN [13], linear-cloth, split 1'"
+        in capsys.readouterr().err
+    )
 
 
 def test_every_experiment_that_comes_with_foten_is_listed(capsys: pytest.CaptureFixture[str]) -> None:

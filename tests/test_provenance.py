@@ -153,8 +153,8 @@ def test_a_sweep_goes_on_with_what_is_alike_in_all_and_says_why_the_rest_is_run_
     changed(plan[1].path, platform=abacus)
     assert lacking(plan, folder, [platform_here()], lines.append) == plan[:3]
     assert lines == [
-        "FNN [13] on linear-cloth, split 1 and 1 more: run again, as the result is of other code (foten.dsp.filters)",
-        "excited on linear-cloth, split 1: run again, as the result is of other platform (kernel)",
+        "FNN [13], linear-cloth, split 1 and 1 more: run again, as the result is of other code (foten.dsp.filters)",
+        "excited, linear-cloth, split 1: run again, as the result is of other platform (kernel)",
     ]
     # On a cluster a result of the platform of any node may stay.
     assert lacking(plan, folder, [platform_here(), abacus], lines.append) == [plan[0], plan[2]]
@@ -199,7 +199,7 @@ def test_a_result_of_other_data_or_settings_stays_until_the_new_one_is_there(
     plan, _ = planned(read_experiment(experiment(folder.parent, TINY.replace(old, new))), folder)
     lines: list[str] = []
     waiting = lacking(plan, folder, [platform_here()], lines.append)
-    assert lines == [f"FNN [13] on linear-cloth, split 1 and 3 more: run again, as the result is of other {what}"]
+    assert lines == [f"FNN [13], linear-cloth, split 1 and 3 more: run again, as the result is of other {what}"]
     assert {item.replaces for item in waiting} == before == set(folder.iterdir())
     for item in waiting:
         item.write({**result, "recording_sha256": item.provenance.data, "provenance": item.provenance.to_json()})

@@ -508,7 +508,7 @@ def test_a_sweep_names_what_it_has_anew_and_makes_again_what_is_damaged(swept: P
         path.write_text(text)
         lines: list[str] = []
         assert lacking(plan, folder, [platform_here()], lines.append) == plan[:1]
-        assert lines == [f"FNN [13] on linear-cloth, split 1: run again, as {path.name} is damaged"]
+        assert lines == [f"FNN [13], linear-cloth, split 1: run again, as {path.name} is damaged"]
         with pytest.raises(ValueError, match=f"{path.name} is no result of foten sweep, or damaged"):
             read_results(folder)
 

@@ -24,7 +24,7 @@ import numpy as np
 
 from foten.atomic_write import atomic_write
 from foten.experiments.experiment import experiment_path, read_experiment
-from foten.experiments.method_tables import findings, ratios, summary
+from foten.experiments.method_tables import findings, ratios, summary, warm_start
 from foten.experiments.results import Record, Records, by_recipe, chosen, read_records
 from foten.reporting.table import Cell, Number, Table, mean_number
 from foten.simulation import contact_mechanics, linear_family, simulate
@@ -41,7 +41,14 @@ MAIN = {
     SIMULATED: "simulated textures",
     CONTACT: "contact mechanics",
 }
-FULL_LENGTH = ("recipes", "table-1", "table-2", "figure-5")
+FULL_LENGTH = {
+    "recipes": "recipes",
+    "table-1": "table-1",
+    "table-1-tuned": "table-1",
+    "table-2": "table-2",
+    "figure-5": "figure-5",
+}
+"""Experiments of the paper's tables, and the CSV that holds their runs."""
 DISTINCT = 0.03  # a difference of the areas for one texture that means something
 MAX_COLUMNS, MAX_ROWS = 8, 12  # of a table that people read, a row of means not counted; the rest is CSV
 SYSTEM_NAMES = {"dstn": "DSTN", "ldhtd": "LDHTD", "gan": "the GAN"}
@@ -72,6 +79,12 @@ def records_of(name: str) -> list[Record]:
     """Runs of an experiment; none where it has not been run."""
     path = RESULTS / f"{name}.csv"
     return list(read_records(path)) if path.exists() else []
+
+
+def runs_of(name: str) -> list[Record]:
+    """Runs of an experiment of the paper's tables, in a CSV that may hold another one after it."""
+    title = read_experiment(experiment_path(name)).title
+    return [record for record in records_of(FULL_LENGTH[name]) if record["experiment"] == title]
 
 
 def runs(name: str, model: str = OURS) -> list[Record]:
@@ -525,6 +538,135 @@ def quicker() -> str:
     )
 
 
+Place = tuple[str, float]
+
+
+def by_place(records: Records) -> dict[str, dict[Place, Record]]:
+    """Runs of each method by texture and split."""
+    methods: dict[str, dict[Place, Record]] = {}
+    for record in records:
+        methods.setdefault(record["method"], {})[record["texture"], record["split"]] = record
+    return methods
+
+
+def tuned_beside_published() -> Table:
+    """Errors of one step by both recipes of each system, on the textures and splits that have both."""
+    published, tuned = (by_place(runs_of(name)) for name in ("table-1", "table-1-tuned"))
+    rows = []
+    for method, of_published in published.items():
+        of_tuned = tuned.get(method, {})
+        places = [place for place in of_published if place in of_tuned or not of_tuned]
+        sides = [[side[place] for place in places if place in side] for side in (of_published, of_tuned)]
+        cells: list[Cell] = [str(len(places))]
+        for side in sides:
+            epochs = [record["epochs"] for record in side if record.get("epochs") is not None]
+            minutes = sum(record["training_s"] for record in side) / 60 / max(len(side), 1)
+            cells += [
+                mean(ONE_STEP)(side),
+                f"{np.mean(epochs):.0f}" if epochs else "–",
+                f"{minutes:.1f}" if side else "–",
+            ]
+        rows.append((method, *cells))
+    heads = ("", "textures", "published: MAE [sd]", "epochs", "minutes", "tuned: MAE [sd]", "epochs ", "minutes ")
+    return Table.of(heads, rows)
+
+
+def table_2() -> Table:
+    """Variants of the network beside the network, whose runs are those of Table I by the published recipe."""
+    variants = runs_of("table-2")
+    done = {(record["texture"], record["split"]) for record in variants}
+    network = [
+        {**record, "method": "foten", "experiment": variants[0]["experiment"]}
+        for record in runs_of("table-1")
+        if record["method"] == "FoTEN" and (record["texture"], record["split"]) in done
+    ]
+    return compared([*variants, *network]) if variants else Table((), ())
+
+
+def cell_of(record: Record) -> dict[str, str]:
+    """Settings of a run's cell in the grid, by the name of its row."""
+    return dict(item.rsplit(" ", 1) for item in record["method"].removeprefix(f"{record['model']} ").split(", "))
+
+
+def windows_by_loss() -> Table:
+    """Errors of one step by window and loss, means over the textures: test and validation."""
+    cells: dict[tuple[int, str], list[Record]] = {}
+    for record in runs_of("figure-5"):
+        if "window" in (cell := cell_of(record)):
+            cells.setdefault((int(cell["window"]), cell["loss"]), []).append(record)
+    losses = ("mae", "mse", "huber")
+    columns = [*product((ONE_STEP, "validation.mae_scaled"), losses)]
+    rows = [
+        (str(window), *(mean(path, digits=4)(cells.get((window, loss), [])) for path, loss in columns))
+        for window in sorted({window for window, _ in cells})
+    ]
+    heads = (
+        f"{part}: {losses[0]}" if loss == losses[0] else loss + " " * k
+        for k, part in enumerate(("test", "validation"))
+        for loss in losses
+    )
+    return Table.of(("window [samples]", *heads), rows)
+
+
+def by_threshold() -> Table:
+    """Errors of one step by the threshold of the Huber loss, over each texture's mean: test and validation."""
+    cells: dict[float, list[Record]] = {}
+    for record in runs_of("figure-5"):
+        cell = cell_of(record)
+        if "delta" in cell or (cell["window"], cell["loss"]) == ("20", "huber"):
+            cells.setdefault(float(cell.get("delta", 1.6)), []).append(record)
+    rows = [
+        (f"{delta:g}", mean(ONE_STEP, digits=4)(of), mean("validation.mae_scaled", digits=4)(of))
+        for delta, of in sorted(cells.items())
+    ]
+    return Table.of(("δ [sd]", "test: MAE [sd]", "validation"), rows)
+
+
+def over_best(methods: Mapping[str, Mapping[Place, Record]], path: str) -> str:
+    """Mean of a figure of foten-plus over that of the other system beside which it is worst, and which that is."""
+    ours = next(of for name, of in methods.items() if name.startswith(OURS))
+    ratios: dict[str, list[Record]] = {}
+    for name, of in methods.items():
+        if of is not ours:
+            pairs = {place: (ours[place].get(path), of[place].get(path)) for place in ours if place in of}
+            ratios[name] = [{"texture": place[0], "ratio": a / b} for place, (a, b) in pairs.items() if a and b]
+    textures = {texture for texture, _ in ours}
+    of_all = [name for name, of in ratios.items() if {record["texture"] for record in of} == textures]
+    worst = max(of_all, key=lambda name: _mean(ratios[name], "ratio", "").value or 0.0, default="")
+    return f"{mean('ratio')(ratios[worst])} ({worst})" if worst else "–"
+
+
+def equal_tuning() -> Table:
+    """foten-plus over the other systems at equally many recipes, and over linear predictors: means over textures."""
+    rows = []
+    for title, records in TUNED.items():
+        methods = by_place(chosen(records()))
+        ours = [record for name, of in methods.items() if name.startswith(OURS) for record in of.values()]
+        if ours:
+            textures = str(len({record["texture"] for record in ours}))
+            pairs = ((over_best(methods, path), mean(path, linear)(ours)) for path, linear in EQUALLY_TUNED)
+            rows.append((title, textures, *(cell for pair in pairs for cell in pair)))
+    heads = (
+        "one step ÷ best system",
+        "÷ best AR",
+        "LSD ÷ best system",
+        "÷ AR(20)",
+        "level error ÷ best system",
+        "÷ AR(20) ",
+    )
+    return Table.of(("", "textures", *heads), rows)
+
+
+EQUALLY_TUNED = ((ONE_STEP, BEST_AR), (LSD, AR_LSD), (LEVEL, "free_run_ar.level_error_db"))
+"""Figures that systems are compared by at equally many recipes, and those of the linear predictor."""
+TUNED: Mapping[str, Callable[[], Records]] = {
+    "simulated textures": lambda: runs_of("table-1-tuned"),
+    MAIN[CONTACT]: lambda: records_of(CONTACT),
+    "real, 2.5 kHz": lambda: records_of("table-1-real"),
+}
+"""Experiments in which all systems have the best of equally many recipes."""
+
+
 def recipes() -> Table:
     """Best recipes on validation of each system whose runs are all done: error of scaled samples, of the GAN of spectra [dB]."""
     records, rows = records_of("recipes"), []
@@ -543,7 +685,7 @@ def spent() -> Table:
     """Runs of the paper's tables at full length that are done, and what they took."""
     rows = []
     for name in FULL_LENGTH:
-        records = records_of(name)
+        records = runs_of(name)
         seconds = sum(record["training_s"] + record["evaluation_s"] for record in records)
         planned = sum(1 for _ in read_experiment(experiment_path(name)).runs())
         rows.append((f"`{name}`", f"{len(records)} of {planned}", f"{seconds / 3600:.1f}"))
@@ -684,6 +826,14 @@ TABLES: dict[str, dict[str, Callable[[], Table | str]]] = {
         "table-1-small": partial(of_experiment, "table-1-small", compared),
         "findings": partial(sentences, "table-1-small"),
         "table-1-real": partial(of_experiment, "table-1-real", compared),
+        "table-1": lambda: compared(runs_of("table-1")) if runs_of("table-1") else Table((), ()),
+        "table-1-tuned": lambda: compared(runs_of("table-1-tuned")) if runs_of("table-1-tuned") else Table((), ()),
+        "tuned-beside-published": tuned_beside_published,
+        "warm-start": lambda: warm_start(runs_of("table-1-tuned")) if runs_of("table-1-tuned") else Table((), ()),
+        "equal-tuning": equal_tuning,
+        "table-2": table_2,
+        "windows-by-loss": windows_by_loss,
+        "thresholds": by_threshold,
         "recipes": recipes,
         "headline": headline,
         "efficiency": partial(cost, ("model", "input", "PyTorch", "median", "ONNX", "kernel", "paper's mean")),

@@ -24,6 +24,7 @@ def sweep(
     gpus_per_run: float = Option(0.0, min=0.0, max=8.0, help="Share of a GPU for each run: 0.25 lets four share one."),
     recordings: Path | None = Option(None, metavar="DIR", help="Of the recordings.", show_default="that of the file"),
     mixed: bool = Option(False, "--mixed", help="Keep results of other platforms: a sweep that goes on elsewhere."),
+    only: list[str] = Option([], metavar="TEXT", help="Runs whose line of --dry-run contains it; may be repeated."),
     dry_run: bool = Option(False, "--dry-run", help="List the runs and stop; needs no -o."),
     show_list: bool = Option(False, "--list", help="Show the experiments that come with foten and stop."),
     as_json: JsonOption = False,
@@ -34,7 +35,7 @@ def sweep(
 
     Ctrl-C or SIGTERM stops it with exit status 130 and keeps every run that is done.
     """
-    from foten.experiments.experiment import experiment_path, experiments, read_experiment
+    from foten.experiments.experiment import experiment_path, experiments, of_lines, read_experiment
 
     if show_list:
         titles = experiments()
@@ -43,17 +44,16 @@ def sweep(
     if experiment_file is None or (output is None and not dry_run):
         raise ValueError("expected an experiment and -o DIR; --list shows those that come with foten")
     experiment = read_experiment(experiment_path(experiment_file), recordings)
-    runs = experiment.runs()
+    runs = of_lines(experiment.runs(), only)
     if output is None or dry_run:
-        listed = "\n".join(f"{run.label}, {run.texture}, split {run.split_seed}" for run in runs)
-        print_result([dataclasses.asdict(run) for run in runs], listed, as_json)
+        print_result([dataclasses.asdict(run) for run in runs], "\n".join(run.line for run in runs), as_json)
         say(f"{len(runs)} runs")
         return
     check_folder(output)
     from foten.experiments import sweep as sweeping
 
     try:
-        n_done, n_failed = sweeping.sweep(experiment, output, workers, address, gpus_per_run, say, mixed)
+        n_done, n_failed = sweeping.sweep(experiment, output, workers, address, gpus_per_run, say, mixed, only)
     except sweeping.Stopped as stopped:
         raise Exit(130) from stopped
     result = {"output": str(output), "n_runs": len(runs), "n_done": n_done, "n_failed": n_failed}

@@ -67,6 +67,12 @@ class Run:
         return " ".join([self.method, ", ".join(f"{k} {v}" for k, v in self.cell.items())]).rstrip()
 
     @property
+    def line(self) -> str:
+        """What it is, as a sweep lists it."""
+        recipe = f" ({self.recipe})" if self.recipe else ""
+        return f"{self.label}{recipe}, {texture_name(self.texture)}, split {self.split_seed}"
+
+    @property
     def source(self) -> tuple[str, float | None, int]:
         """What determines the recording that is learned from."""
         return self.texture, self.seconds, self.split_seed
@@ -189,6 +195,19 @@ class Experiment:
         return Run(
             name, texture, seconds, model, sizes, train, preprocess, split_seed, cell, recipe, method.beside, measures
         )
+
+
+def of_lines(runs: Iterable[Run], only: Sequence[str]) -> list[Run]:
+    """Runs whose line contains one of some texts, all runs where there is no text.
+
+    Raises:
+        ValueError: a text is in no line.
+    """
+    runs = list(runs)
+    for text in only:
+        if not any(text in run.line for run in runs):
+            raise ValueError(f"--only {text!r} is in no line of --dry-run, such as {runs[0].line!r}")
+    return [run for run in runs if not only or any(text in run.line for text in only)]
 
 
 def experiments() -> dict[str, str]:

@@ -249,9 +249,11 @@ def runs_table(records: Records, digits: int | None = None) -> Table:
     said: dict[str, Record] = {}
     rows = []
     for record in records:
-        above = said.get(record["experiment"], {})
-        repeated = {key for key in _SAID_ONCE if above.get(key) == record.get(key)}
-        rows.append(["" if key in repeated else cell(record.get(key)) for key in keys])
+        above = said.get(record["experiment"])
+        names = (
+            {} if above is None else {k: "" if above[k] == record[k] else record[k] or "unknown" for k in _SAID_ONCE}
+        )
+        rows.append([cell({**record, **names}.get(key)) for key in keys])
         said[record["experiment"]] = record
     return Table.of(keys, rows)
 

@@ -18,7 +18,7 @@ import ray
 from ray.util.scheduling_strategies import NodeAffinitySchedulingStrategy
 
 from foten.atomic_write import atomic_write
-from foten.experiments.experiment import Experiment, Run, recording_of
+from foten.experiments.experiment import Experiment, Run, of_lines, recording_of
 from foten.experiments.provenance import Provenance, platform_here, provenance_of
 from foten.experiments.results import read_result
 from foten.experiments.run import execute
@@ -67,6 +67,7 @@ def sweep(
     gpus_per_run: float = 0.0,
     say: Say = lambda text: None,
     mixed: bool = False,
+    only: Sequence[str] = (),
 ) -> tuple[int, int]:
     """Execute the runs of an experiment that have no result yet, and return how many were done and failed.
 
@@ -75,15 +76,16 @@ def sweep(
         address: of a Ray cluster, "auto" for the one that this machine is part of; None starts Ray here.
         gpus_per_run: share of a GPU that each run takes.
         mixed: keep results of other platforms, as of a sweep that goes on elsewhere.
+        only: texts, of which a run's line has to contain one.
 
     Raises:
-        ValueError: a setting does not fit, or there is no such cluster.
+        ValueError: a setting or a text does not fit, or there is no such cluster.
         Stopped: by Ctrl-C or SIGTERM.
     """
     if address is not None and workers is not None:
         raise ValueError("--workers is of this machine: a cluster at --address has as many as its nodes have cores")
     results.mkdir(parents=True, exist_ok=True)
-    plan, recordings = planned(experiment, results)
+    plan, recordings = planned(experiment, results, only)
     before = signal.getsignal(signal.SIGTERM)
     done: set[Path] = set()
     n_before = 0
@@ -113,7 +115,9 @@ def sweep(
         _handle_sigterm(before)
 
 
-def planned(experiment: Experiment, results: Path) -> tuple[list[Planned], dict[Any, Recording]]:
+def planned(
+    experiment: Experiment, results: Path, only: Sequence[str] = ()
+) -> tuple[list[Planned], dict[Any, Recording]]:
     """Runs of an experiment with the files of their results, and the recordings by source.
 
     Raises:
@@ -121,7 +125,11 @@ def planned(experiment: Experiment, results: Path) -> tuple[list[Planned], dict[
     """
     recordings: dict[Any, Recording] = {}
     plan: dict[Path, Planned] = {}
-    for index, run in enumerate(experiment.runs()):
+    runs = experiment.runs()
+    taken = {run.place for run in of_lines(runs, only)}
+    for index, run in enumerate(runs):
+        if run.place not in taken:
+            continue
         if run.source not in recordings:
             recordings[run.source] = recording_of(run)
         provenance = provenance_of(run, recordings[run.source].sha256())
@@ -164,7 +172,7 @@ def lacking(
                 item.write(result)
     for why, runs in again.items():
         more = f" and {len(runs) - 1} more" if len(runs) > 1 else ""
-        say(f"{runs[0].label} on {runs[0].texture}, split {runs[0].split_seed}{more}: run again, {why}")
+        say(f"{runs[0].line}{more}: run again, {why}")
     return waiting
 
 
@@ -280,8 +288,7 @@ def _collected(pending: dict[Any, Planned], done: set[Path], say: Say) -> tuple[
             ended = f"{sum(result['seconds'].values()):.0f} s"
             item.write(result, texture)
             done.add(item.path)
-        n, run = len(done) + n_failed, item.run
+        n = len(done) + n_failed
         left = f", about {(time.perf_counter() - started) / n * (n_runs - n) / 60:.0f} min left" if n < n_runs else ""
-        name = f"{run.label} ({run.recipe})" if run.recipe else run.label
-        say(f"{n}/{n_runs} {name}, {run.texture}, split {run.split_seed}: {ended}{left}")
+        say(f"{n}/{n_runs} {item.run.line}: {ended}{left}")
     return len(done), n_failed
