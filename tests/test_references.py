@@ -4,7 +4,8 @@ from scipy.signal import lfilter
 
 from conftest import resonance
 from foten.dsp.ar import spectral_radius
-from foten.evaluate.one_step import MAX_POLE, ORDERS, Linear, best_linear, first_scored, fit_linear
+from foten.evaluate.one_step import MAX_POLE, ORDERS, Linear, best_linear, fit_linear
+from foten.recording.windows import first_scored
 
 BLOCK = 400
 

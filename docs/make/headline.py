@@ -23,14 +23,14 @@ from foten.dsp import Array
 from foten.dsp.filters import butterworth, filter_recorded
 from foten.evaluate.free_run import synthesize_linear
 from foten.evaluate.metrics import goodness_of_fit
-from foten.evaluate.one_step import first_scored, fit_linear
+from foten.evaluate.one_step import fit_linear
 from foten.experiments.experiment import experiment_path, read_experiment, recording_of
 from foten.experiments.simulator_reference import SEED_STEP
 from foten.recording.preprocess import PreprocessConfig, preprocess
 from foten.recording.scaling import fit_scaling
 from foten.recording.split import split_blocks
 from foten.recording.trace import Trace
-from foten.recording.windows import targets
+from foten.recording.windows import first_scored, targets
 from foten.reporting.table import Table
 from foten.simulation.simulate import second_realisation
 

@@ -32,7 +32,7 @@ from foten.dsp.level import frame_levels
 from foten.dsp.perception import RATES_HZ, carried
 from foten.dsp.resample import interpolate
 from foten.evaluate.free_run import scored, synthesize, synthesize_linear
-from foten.evaluate.one_step import ORDERS, first_scored, fit_linear, predict
+from foten.evaluate.one_step import ORDERS, fit_linear, predict
 from foten.experiments.experiment import experiment_path, read_experiment
 from foten.experiments.figures import waveforms
 from foten.experiments.results import chosen_results, read_records, read_results
@@ -41,7 +41,7 @@ from foten.models.texture_file import Texture, read_texture, write_texture
 from foten.recording.preprocess import PreprocessConfig, preprocess
 from foten.recording.scaling import fit_scaling
 from foten.recording.split import Split, split_blocks
-from foten.recording.windows import targets
+from foten.recording.windows import first_scored, targets
 from foten.reporting.figure import BLUE, GREEN, MAUVE, ORANGE, Style, add_legend, new_figure, write_figure
 from foten.reporting.table import mean_number
 from foten.runtime.live.sinks import pcm_wav

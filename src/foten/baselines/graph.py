@@ -20,7 +20,7 @@ from foten.baselines.fnn import Fnn
 from foten.baselines.gan import Gan
 from foten.baselines.hapinf import Hapinf
 from foten.baselines.ldhtd import Ldhtd
-from foten.baselines.ten_variants import FotenD, MfccBranch, WaveletBranch
+from foten.baselines.ten_variants import EncodedBranch, FotenD, MfccBranch, WaveletBranch
 from foten.dsp import Array
 from foten.models.foten.network import Foten
 from foten.models.foten_plus.network import InnovationNetwork, NextInnovation
@@ -34,8 +34,8 @@ NETWORKS: dict[str, Callable[[Any], nn.Module]] = {
     "foten-plus": InnovationNetwork,
     "foten": Foten,
     "ten": Foten,
-    "ten-mfcc": lambda sizes: Foten(sizes, MfccBranch(sizes)),
-    "ten-wavelet": lambda sizes: Foten(sizes, WaveletBranch(sizes)),
+    "ten-mfcc": lambda sizes: Foten(sizes, EncodedBranch(MfccBranch(sizes), sizes)),
+    "ten-wavelet": lambda sizes: Foten(sizes, EncodedBranch(WaveletBranch(sizes), sizes)),
     "foten-d": FotenD,
     "fnn": Fnn,
     "dstn": Dstn,

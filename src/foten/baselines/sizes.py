@@ -21,10 +21,12 @@ class TenMfccSizes(TransformerSizes, GraphSizes):
     window: int = 30  # m, samples; Table II
     n_bands: int = 12  # of the triangular filters, spaced as mel are; the paper is silent
     n_coefficients: int = 8  # kept of their cosine transform; the paper is silent
+    spectral_width: int = 32  # that coefficients are lifted to for an encoder layer, as FoTEN's
     n_branches: ClassVar[int] = 2
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        check_heads(self.spectral_width, self.n_heads)
         if self.n_coefficients > self.n_bands:
             raise ValueError(f"n_coefficients is {self.n_coefficients}, expected at most n_bands, {self.n_bands}")
 
@@ -35,10 +37,12 @@ class TenWaveletSizes(TransformerSizes, GraphSizes):
 
     window: int = 30  # m, samples; Table II
     n_levels: int = 3  # of Daubechies' wavelet with two vanishing moments; the paper is silent
+    spectral_width: int = 32  # that coefficients are lifted to for an encoder layer, as FoTEN's
     n_branches: ClassVar[int] = 2
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        check_heads(self.spectral_width, self.n_heads)
         _check_window(self.window, 2 ** (self.n_levels + 1), f"{self.n_levels} levels")
 
 

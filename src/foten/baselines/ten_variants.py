@@ -12,7 +12,7 @@ from foten.baselines.sizes import FotenDSizes, TenMfccSizes, TenWaveletSizes
 from foten.dsp import Array
 from foten.dsp.spectrum import dft_matrices
 from foten.models.foten.network import Foten
-from foten.models.foten.transformer import DecoderLayer
+from foten.models.foten.transformer import DecoderLayer, EncoderLayer
 
 QUIETEST = 1e-3  # power of a band, scaled, below which its logarithm no longer falls: 40 dB below the vibration
 
@@ -62,6 +62,23 @@ class WaveletBranch(nn.Module):
     def forward(self, acceleration: Tensor) -> Tensor:
         """The coefficients: (b, m) scaled → (b, k)."""
         return acceleration @ self.transform.to(acceleration.dtype)
+
+
+class EncodedBranch(nn.Module):
+    """Coefficients of the acceleration through an encoder layer, as FoTEN's magnitude and phase go through one each (Sec. IV-d).
+
+    So that rows of Table II differ by what the branch is given: Sec. VI-d says that all variants have the settings of Sec. IV.
+    """
+
+    def __init__(self, coefficients: MfccBranch | WaveletBranch, sizes: TenMfccSizes | TenWaveletSizes) -> None:
+        super().__init__()
+        self.coefficients, self.n_out, width = coefficients, coefficients.n_out, sizes.spectral_width
+        self.lifted, self.projected = nn.Linear(1, width), nn.Linear(width, 1)
+        self.layer = EncoderLayer(width, sizes.n_heads, sizes.d_feedforward, sizes.pre_norm)
+
+    def forward(self, acceleration: Tensor) -> Tensor:
+        """The encoded coefficients: (b, m) scaled → (b, n_out)."""
+        return self.projected(self.layer(self.lifted(self.coefficients(acceleration)[..., None])))[..., 0]
 
 
 def mel_bands(n_bins: int, n_bands: int) -> Array:

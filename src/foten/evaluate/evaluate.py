@@ -11,7 +11,7 @@ import numpy as np
 
 from foten.dsp import Array
 from foten.evaluate import free_run as runs
-from foten.evaluate.one_step import Linear, best_linear, excitation_scores, first_scored, fit_linear, one_step, predict
+from foten.evaluate.one_step import Linear, best_linear, excitation_scores, fit_linear, one_step, predict
 from foten.evaluate.warm_start import synthesised_window, warm_start_runs, warm_start_scores
 from foten.models.conditions import MOVING_FORCE, MOVING_SPEED
 from foten.models.texture_file import Texture
@@ -19,7 +19,7 @@ from foten.recording.preprocess import PreprocessConfig, preprocess
 from foten.recording.recording import RELATIVE, Recording
 from foten.recording.split import Split
 from foten.recording.trace import Trace
-from foten.recording.windows import targets
+from foten.recording.windows import first_scored, targets
 from foten.runtime.native import NativeTexture
 
 ONE_STEP_KEYS = ("mae_scaled", "mae_m_s2", "gfc")

@@ -16,13 +16,12 @@ from numpy.typing import NDArray
 from foten.dsp import Array
 from foten.dsp.ar import MAX_POLE, solved, stabilised
 from foten.evaluate.metrics import goodness_of_fit, with_intervals
-from foten.recording.windows import stretches, targets
+from foten.recording.windows import first_scored, stretches, targets
 from foten.runtime.loops import Prediction, predict_blocks
 from foten.runtime.native import NativeTexture, PredictionPart
 
 ORDERS = (5, 10, 20, 40, 80, 160, 240)
 N_PARTS = 4  # of the training blocks, whose sums are taken at once
-FIRST_SCORED = 320  # samples of each block that no method is scored on: more than the history of any
 _HALF, _NINE_TENTHS = 0.6744897501960817, 1.6448536269514722  # quantiles of a standard normal, |z| < …
 
 
@@ -114,11 +113,6 @@ class Linear:
     def stable(self) -> Linear:
         """An unscheduled predictor with its poles inside 0.9995, for a closed loop."""
         return Linear(np.append(stabilised(self.coefficients[:-1], MAX_POLE), self.coefficients[-1]), self.noise_sd)
-
-
-def first_scored(block: int) -> int:
-    """First sample of a block that is scored: the same for all methods, and at most half of a block."""
-    return max(20, min(FIRST_SCORED, block // 2))
 
 
 def fit_linear(

@@ -1,9 +1,16 @@
-"""The sliding window of Eq. 1: the only definition of it."""
+"""The sliding window of Eq. 1: the only definition of it, and which samples of a block are scored."""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
+
+FIRST_SCORED = 320  # samples of each block that no method is scored on: more than the history of any
+
+
+def first_scored(block: int) -> int:
+    """First sample of a block that is scored: the same for all methods, and at most half of a block."""
+    return max(20, min(FIRST_SCORED, block // 2))
 
 
 def targets(blocks: tuple[int, ...], block: int, first: int) -> NDArray[np.int64]:

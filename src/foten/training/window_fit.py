@@ -18,7 +18,7 @@ from foten.dsp import Array
 from foten.models.definitions import model_of
 from foten.models.excitation import WithExcitation
 from foten.models.model_sizes import ModelSizes
-from foten.recording.windows import window_indices
+from foten.recording.windows import first_scored, window_indices
 from foten.runtime.proof import MakeModel, Tensors
 from foten.training.calibration import ClosedLoop, Residuals, calibrate_excitation
 from foten.training.config import TrainConfig
@@ -162,8 +162,12 @@ class Packed:
 
 
 def one_step_windows(blocks: ScaledBlocks, m: int) -> TrainingWindows:
-    """Windows of m samples, whose targets are the accelerations that follow."""
-    return TrainingWindows(blocks.flat, *blocks.targets(m), m)
+    """Windows of m samples, whose targets are the accelerations that follow; validated are those that a test would score.
+
+    So that validation errors of different windows are of the same samples.
+    """
+    (train, validation), block = blocks.targets(m), blocks.trace.block
+    return TrainingWindows(blocks.flat, train, validation[validation % block >= first_scored(block)], m)
 
 
 def one_step_texture(
