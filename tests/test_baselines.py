@@ -79,6 +79,21 @@ def test_wavelets_keep_what_is_smooth_out_of_the_details() -> None:
     assert np.square(x @ transform).sum() == pytest.approx(np.square(x).sum(), rel=1e-12)
 
 
+@pytest.mark.parametrize("model", ["ten-mfcc", "ten-wavelet"])
+def test_coefficients_pass_an_encoder_layer_as_the_magnitude_does(model: str) -> None:
+    """Else rows of Table II would differ by layers: wavelet coefficients were a linear function of the window."""
+    torch.manual_seed(0)
+    branch = build(model, BASELINES[model]()).double().eval().spectral
+    magnitude = build("foten-d", BASELINES["foten-d"]()).spectral.get_submodule("magnitude_layer")
+    assert {n: p.shape for n, p in branch.layer.named_parameters()} == {
+        n: p.shape for n, p in magnitude.named_parameters()
+    }
+    x = torch.from_numpy(np.random.default_rng(6).standard_normal((4, 30)))
+    with torch.no_grad():
+        both, apart = branch(x[:2] + x[2:]), branch(x[:2]) + branch(x[2:]) - branch(torch.zeros(2, 30).double())
+    assert (both - apart).abs().max() > 0.01
+
+
 @pytest.mark.parametrize("model", BASELINES)
 def test_every_window_is_predicted_by_itself(model: str) -> None:
     """No window's prediction depends on the others in its batch, nor on dropout once trained."""

@@ -11,12 +11,13 @@ from foten.models.model_sizes import ModelSizes
 from foten.models.texture_file import CLOSED_LOOP_TOLERANCE, ONE_STEP_TOLERANCE, Texture
 from foten.recording.split import Split
 from foten.recording.trace import Trace
-from foten.recording.windows import windows
+from foten.recording.windows import first_scored, windows
 from foten.runtime.loops import render_streams
 from foten.runtime.native import NativeTexture
 from foten.runtime.proof import proved
 from foten.training.job import ScaledBlocks, scaled_blocks
 from foten.training.texture_builder import N_GOLDEN, TextureBuilder, pick_warm_start
+from foten.training.window_fit import one_step_windows
 
 
 @pytest.fixture(scope="module")
@@ -32,6 +33,15 @@ def speeding_up() -> ScaledBlocks:
     assert 100 < nearest % 1000 < 900
     trace = Trace(acceleration, speed, force, 1000.0, 1000)
     return scaled_blocks(trace, Split(tuple(range(2, 10)), (0, 11), (1, 10), 12, 1000, "contiguous", 0))
+
+
+@pytest.mark.parametrize("m", [5, 30])
+def test_validation_is_on_the_samples_that_a_test_scores(speeding_up: ScaledBlocks, m: int) -> None:
+    """Whatever the window; training takes every window of its blocks."""
+    windows = one_step_windows(speeding_up, m)
+    assert len(windows.train) == 8 * (1000 - m)
+    assert set(windows.validation // 1000) == set(speeding_up.split.validation)
+    assert set(windows.validation % 1000) == set(range(first_scored(1000), 1000))
 
 
 def test_the_warm_start_is_a_training_window_near_45_mm_s_whose_end_is_neither_loud_nor_soft(

@@ -1,6 +1,6 @@
 """Put the tables into README.md and the pages of docs/, each between its markers, from the CSV files in docs/results.
 
-    python docs/make/tables.py [--check]
+    python docs/make/tables.py [--check] [--add DIR]
 
 `docs/results/EXPERIMENT.csv` is the `runs.csv` that `foten tables` writes of a sweep; the others are what benchmarks keep by
 `--csv`. With --check nothing is written, and the exit status is 1 where a page is not what the CSV files give. A table without
@@ -24,8 +24,8 @@ import numpy as np
 
 from foten.atomic_write import atomic_write
 from foten.experiments.experiment import experiment_path, read_experiment
-from foten.experiments.method_tables import findings, ratios, summary, warm_start
-from foten.experiments.results import Record, Records, by_recipe, chosen, read_records
+from foten.experiments.method_tables import brief, findings, ratios, summary, warm_start
+from foten.experiments.results import Record, Records, by_recipe, chosen, joined, read_records, runs_table
 from foten.reporting.table import Cell, Number, Table, mean_number
 from foten.simulation import contact_mechanics, linear_family, simulate
 
@@ -45,6 +45,7 @@ FULL_LENGTH = {
     "recipes": "recipes",
     "table-1": "table-1",
     "table-1-tuned": "table-1",
+    "table-1-near": "table-1",
     "table-2": "table-2",
     "figure-5": "figure-5",
 }
@@ -549,31 +550,57 @@ def by_place(records: Records) -> dict[str, dict[Place, Record]]:
     return methods
 
 
-def tuned_beside_published() -> Table:
-    """Errors of one step by both recipes of each system, on the textures and splits that have both."""
-    published, tuned = (by_place(runs_of(name)) for name in ("table-1", "table-1-tuned"))
+def table_1() -> list[Record]:
+    """Runs of Table I by both recipes, of which `chosen` takes the better on validation, on the textures that all have."""
+    both = (("table-1", "the paper's"), ("table-1-tuned", "tuned"))
+    records = [{**record, "recipe": recipe} for name, recipe in both for record in runs_of(name)]
+    textures: dict[tuple[str, str], set[str]] = {}
+    for record in records:
+        textures.setdefault((record["method"], record["recipe"]), set()).add(record["texture"])
+    of_all = set.intersection(*textures.values()) if textures else set()
+    return [record for record in records if record["texture"] in of_all]
+
+
+def so_far() -> str:
+    """How much of Table I is done."""
+    done = {record["texture"] for record in table_1()}
+    of_all = read_experiment(experiment_path("table-1")).textures
+    recipes = " and ".join(dict.fromkeys(record["recipe"] for record in table_1()))
+    return f"Done so far: {len(done)} of {len(of_all)} textures, by {recipes} recipe." if done else ""
+
+
+def both_recipes() -> Table:
+    """Errors of one step by both recipes of each system, on the textures that have both; on validation too, which chooses."""
+    paper, tuned = (by_place(runs_of(name)) for name in ("table-1", "table-1-tuned"))
     rows = []
-    for method, of_published in published.items():
+    for method, of_paper in paper.items():
         of_tuned = tuned.get(method, {})
-        places = [place for place in of_published if place in of_tuned or not of_tuned]
-        sides = [[side[place] for place in places if place in side] for side in (of_published, of_tuned)]
-        cells: list[Cell] = [str(len(places))]
-        for side in sides:
+        places = [place for place in of_paper if place in of_tuned or not of_tuned]
+        cells: list[Cell] = []
+        for side in ([by[place] for place in places if place in by] for by in (of_paper, of_tuned)):
             epochs = [record["epochs"] for record in side if record.get("epochs") is not None]
-            minutes = sum(record["training_s"] for record in side) / 60 / max(len(side), 1)
             cells += [
                 mean(ONE_STEP)(side),
+                mean("validation.mae_scaled")(side),
                 f"{np.mean(epochs):.0f}" if epochs else "–",
-                f"{minutes:.1f}" if side else "–",
             ]
-        rows.append((method, *cells))
-    heads = ("", "textures", "published: MAE [sd]", "epochs", "minutes", "tuned: MAE [sd]", "epochs ", "minutes ")
-    return Table.of(heads, rows)
+        if epochs or any(record.get("epochs") for record in of_paper.values()):
+            rows.append((method, str(len(places)), *cells))
+    columns = ("paper's recipe: MAE [sd]", "validation", "epochs", "tuned: MAE [sd]", "validation ", "epochs ")
+    return Table.of(("", "textures", *columns), rows)
+
+
+def near() -> Table:
+    """Networks that are near one another, by their best recipes, on three recordings of each texture."""
+    more = runs_of("table-1-near")
+    textures, methods = ({record[key] for record in more} for key in ("texture", "method"))
+    first = [r for r in runs_of("table-1-tuned") if r["texture"] in textures and r["method"] in methods]
+    return compared([*first, *more]) if more else Table((), ())
 
 
 def table_2() -> Table:
     """Variants of the network beside the network, whose runs are those of Table I by the published recipe."""
-    variants = runs_of("table-2")
+    variants = [record for record in runs_of("table-2") if record["model"] != "foten"]
     done = {(record["texture"], record["split"]) for record in variants}
     network = [
         {**record, "method": "foten", "experiment": variants[0]["experiment"]}
@@ -592,7 +619,8 @@ def windows_by_loss() -> Table:
     """Errors of one step by window and loss, means over the textures: test and validation."""
     cells: dict[tuple[int, str], list[Record]] = {}
     for record in runs_of("figure-5"):
-        if "window" in (cell := cell_of(record)):
+        cell = cell_of(record)
+        if "window" in cell:
             cells.setdefault((int(cell["window"]), cell["loss"]), []).append(record)
     losses = ("mae", "mse", "huber")
     columns = [*product((ONE_STEP, "validation.mae_scaled"), losses)]
@@ -609,21 +637,24 @@ def windows_by_loss() -> Table:
 
 
 def by_threshold() -> Table:
-    """Errors of one step by the threshold of the Huber loss, over each texture's mean: test and validation."""
-    cells: dict[float, list[Record]] = {}
+    """Errors of one step by the threshold of the Huber loss, by another seed and without dropout: test and validation."""
+    cells: dict[str, list[Record]] = {}
     for record in runs_of("figure-5"):
         cell = cell_of(record)
-        if "delta" in cell or (cell["window"], cell["loss"]) == ("20", "huber"):
-            cells.setdefault(float(cell.get("delta", 1.6)), []).append(record)
-    rows = [
-        (f"{delta:g}", mean(ONE_STEP, digits=4)(of), mean("validation.mae_scaled", digits=4)(of))
-        for delta, of in sorted(cells.items())
-    ]
+        if "delta" in cell:
+            cells.setdefault(f"{float(cell['delta']):.1f}", []).append(record)
+        elif "window" not in cell:
+            ((name, value),) = cell.items()
+            cells.setdefault(f"1.6, {name} {value}" if name == "seed" else "1.6, no dropout", []).append(record)
+        elif (cell["window"], cell["loss"]) == ("20", "huber"):
+            cells.setdefault("1.6", []).append(record)
+    columns = (ONE_STEP, "validation.mae_scaled")
+    rows = [(delta, *(mean(path, digits=4)(cells[delta]) for path in columns)) for delta in sorted(cells)]
     return Table.of(("δ [sd]", "test: MAE [sd]", "validation"), rows)
 
 
 def over_best(methods: Mapping[str, Mapping[Place, Record]], path: str) -> str:
-    """Mean of a figure of foten-plus over that of the other system beside which it is worst, and which that is."""
+    """Mean of a figure of foten-plus over that of the other system beside which it is worst on the test blocks."""
     ours = next(of for name, of in methods.items() if name.startswith(OURS))
     ratios: dict[str, list[Record]] = {}
     for name, of in methods.items():
@@ -659,12 +690,8 @@ def equal_tuning() -> Table:
 
 EQUALLY_TUNED = ((ONE_STEP, BEST_AR), (LSD, AR_LSD), (LEVEL, "free_run_ar.level_error_db"))
 """Figures that systems are compared by at equally many recipes, and those of the linear predictor."""
-TUNED: Mapping[str, Callable[[], Records]] = {
-    "simulated textures": lambda: runs_of("table-1-tuned"),
-    MAIN[CONTACT]: lambda: records_of(CONTACT),
-    "real, 2.5 kHz": lambda: records_of("table-1-real"),
-}
-"""Experiments in which all systems have the best of equally many recipes."""
+TUNED: Mapping[str, Callable[[], Records]] = {"simulated textures": table_1}
+"""Runs in which the other systems have the best of at least as many recipes as ours."""
 
 
 def recipes() -> Table:
@@ -786,7 +813,8 @@ def listed(*names: str) -> str:
     for name in names:
         if records_of(name):
             experiment = tomllib.loads(experiment_path(name).read_text(encoding="utf-8"))
-            lines.append(f"- [{name}](results/{name}.csv): {experiment['note'].rstrip('.')}")
+            note = records_of(name)[0]["note"] or experiment["note"]  # that of when it was run, where the CSV has it
+            lines.append(f"- [{name}](results/{name}.csv): {note.rstrip('.')}")
     return "\n".join(lines)
 
 
@@ -825,11 +853,12 @@ TABLES: dict[str, dict[str, Callable[[], Table | str]]] = {
     "compared.md": {
         "table-1-small": partial(of_experiment, "table-1-small", compared),
         "findings": partial(sentences, "table-1-small"),
+        "so-far": so_far,
         "table-1-real": partial(of_experiment, "table-1-real", compared),
-        "table-1": lambda: compared(runs_of("table-1")) if runs_of("table-1") else Table((), ()),
-        "table-1-tuned": lambda: compared(runs_of("table-1-tuned")) if runs_of("table-1-tuned") else Table((), ()),
-        "tuned-beside-published": tuned_beside_published,
-        "warm-start": lambda: warm_start(runs_of("table-1-tuned")) if runs_of("table-1-tuned") else Table((), ()),
+        "table-1": lambda: compared(chosen(table_1())) if table_1() else Table((), ()),
+        "both-recipes": both_recipes,
+        "near": near,
+        "warm-start": lambda: warm_start(chosen(table_1())) if table_1() else Table((), ()),
         "equal-tuning": equal_tuning,
         "table-2": table_2,
         "windows-by-loss": windows_by_loss,
@@ -839,7 +868,7 @@ TABLES: dict[str, dict[str, Callable[[], Table | str]]] = {
         "efficiency": partial(cost, ("model", "input", "PyTorch", "median", "ONNX", "kernel", "paper's mean")),
         "epochs": partial(cost, ("model", "parameters", "epoch [s]", "of it", "epoch in", "foten's", "the paper's")),
         "quicker": quicker,
-        "csv": partial(listed, "recipes", "table-1-small", "table-1-real"),
+        "csv": partial(listed, "recipes", "table-1", "table-1-small", "table-1-real", "table-2", "figure-5"),
     },
     "reproduce.md": {"spent": spent},
     "runtime.md": {name: partial(benchmark, name) for name in BENCHMARKS},
@@ -868,10 +897,29 @@ def pages() -> Iterator[tuple[Path, str, str]]:
         yield path, before, text
 
 
+def add(folder: Path) -> None:
+    """Put the results of a sweep, all or a part, into the CSV of their experiment, before what the CSV has of others."""
+    records = brief(read_records(folder))
+    titles = {name: read_experiment(experiment_path(name)).title for name in FULL_LENGTH}
+    name = next(name for name, title in titles.items() if title == records[0]["experiment"])
+    file = FULL_LENGTH[name]
+    parts = {other: runs_of(other) for other in FULL_LENGTH if FULL_LENGTH[other] == file}
+    places = [run.place for run in read_experiment(experiment_path(name)).runs()]
+    of_name = joined([records, parts[name]], mixed=True)
+    parts[name] = sorted(
+        of_name, key=lambda one: places.index(tuple(one[k] for k in ("method", "recipe", "texture", "split")))
+    )
+    runs_table([record for part in parts.values() for record in part], 4).write(RESULTS / f"{file}.csv")
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--check", action="store_true", help="exit 1 where a page is not what the CSV files give")
+    parser.add_argument("--add", type=Path, metavar="DIR", help="first put the results of a sweep into their CSV")
     arguments = parser.parse_args()
+    if arguments.add:
+        add(arguments.add)
+        records_of.cache_clear()
     stale = [(path, text) for path, before, text in pages() if before != text]
     if arguments.check and stale:
         sys.exit(f"{', '.join(path.name for path, _ in stale)}: run 'python docs/make/tables.py' and commit it")

@@ -216,8 +216,8 @@ def warm_start(records: Records) -> Table:
     for method in dict.fromkeys(record["method"] for record in records):
         runs = [record for record in records if record["method"] == method]
         times = [run["warm_start.forgotten_ms"] for run in runs if run.get("warm_start.forgotten_ms") is not None]
-        level = cell(runs, "warm_start.stored.level_db", 1, 1.0)
-        silent = level.value is not None and level.value < SILENT_DB
+        levels = [level for run in runs if (level := run.get("warm_start.stored.level_db")) is not None]
+        silent = bool(levels) and float(np.median(levels)) < SILENT_DB  # a mean would be one dead run's
         forgotten = f"{np.median(times):.0f}, {len(times)} of {len(runs)}" if times else "never"
         if silent or not any(run.get("warm_start.synthesised.mae_scaled") for run in runs):
             forgotten = "silent" if silent else "–"
