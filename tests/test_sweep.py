@@ -12,6 +12,7 @@ import subprocess
 import sys
 from contextlib import suppress
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -20,6 +21,7 @@ from scipy.stats import false_discovery_control
 from conftest import TINY, experiment
 from foten.cli.command_line import _status
 from foten.datasets.hdf5 import write_recording
+from foten.experiments import sweep as sweeping
 from foten.experiments.experiment import Run, read_experiment, recording_of
 from foten.experiments.figures import figures
 from foten.experiments.method_tables import (
@@ -70,6 +72,22 @@ def records(swept: Path) -> list[dict]:
     return read_records(swept)
 
 
+def test_a_sweep_of_long_runs_says_that_it_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    plan, _ = planned(read_experiment(experiment(tmp_path)), tmp_path)
+    answers = iter([([], None), (["a"], None), (["b"], None)])
+    stand_in = SimpleNamespace(
+        wait=lambda refs, num_returns, timeout: next(answers),
+        get=lambda ref: ({"failed": "no reason"}, b""),
+        cluster_resources=lambda: {"CPU": 2.0},
+        exceptions=SimpleNamespace(RayError=RuntimeError),
+    )
+    monkeypatch.setattr(sweeping, "ray", stand_in)
+    lines: list[str] = []
+    assert sweeping._collected(dict(zip("ab", plan, strict=False)), set(), lines.append) == (0, 2)
+    assert lines[0] == "0/2 for 0 min, likely at FNN [13], linear-cloth, split 1; excited, linear-cloth, split 1"
+    assert lines[1].startswith("1/2 FNN [13], linear-cloth, split 1: failed: no reason")
+
+
 @pytest.mark.slow
 def test_a_sweep_that_a_queue_ends_says_what_is_done(tmp_path: Path) -> None:
     """SIGTERM once a run is done: one line more, no trace of Ray's, the status of Ctrl-C, and no part of a file."""
@@ -86,7 +104,7 @@ def test_a_sweep_that_a_queue_ends_says_what_is_done(tmp_path: Path) -> None:
         said = process.stderr.read().splitlines()
     assert process.returncode == 130
     assert said == ["stopped, 1 of 4 done; the same command goes on"]
-    assert len(list((tmp_path / "results").iterdir())) == 1
+    assert sorted(path.suffix for path in (tmp_path / "results").iterdir()) == [".foten", ".json"]
 
 
 def test_a_signal_as_ray_starts_is_not_lost() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import os
 import signal
@@ -26,6 +27,7 @@ from foten.recording.recording import Recording
 
 RETRIES = 3  # of a run whose worker or node is lost
 ANSWER_S = 5.0  # in which a cluster has to answer
+QUIET_S = 300.0  # after which a line says that it goes on
 NO_CLUSTER = (
     "no Ray cluster answers at {}: was it started with 'ray start --head', and is RAY_AUTH_TOKEN its token? ({})"
 )
@@ -274,8 +276,17 @@ def _collected(pending: dict[Any, Planned], done: set[Path], say: Say) -> tuple[
     """Write the results as they come, add their paths to `done`, and return how many were done and failed."""
     started = time.perf_counter()
     n_failed, n_runs = 0, len(pending)
+    since = started
     while pending:
-        (ready, *_), _ = ray.wait(list(pending), num_returns=1)
+        ended, _ = ray.wait(list(pending), num_returns=1, timeout=QUIET_S)
+        if not ended:
+            running = [
+                item.run.line for item in itertools.islice(pending.values(), int(ray.cluster_resources()["CPU"]))
+            ]
+            minutes = (time.perf_counter() - since) / 60
+            say(f"{len(done) + n_failed}/{n_runs} for {minutes:.0f} min, likely at {'; '.join(running)}")
+            continue
+        ready, since = ended[0], time.perf_counter()
         item = pending.pop(ready)
         try:
             result, texture = ray.get(ready)
@@ -283,12 +294,12 @@ def _collected(pending: dict[Any, Planned], done: set[Path], say: Say) -> tuple[
             result, texture = {"failed": f"lost {RETRIES + 1} times: {str(error).splitlines()[0]}"}, b""
         if "failed" in result:
             n_failed += 1
-            ended = f"failed: {result['failed']}"
+            how = f"failed: {result['failed']}"
         else:
-            ended = f"{sum(result['seconds'].values()):.0f} s"
+            how = f"{sum(result['seconds'].values()):.0f} s"
             item.write(result, texture)
             done.add(item.path)
         n = len(done) + n_failed
         left = f", about {(time.perf_counter() - started) / n * (n_runs - n) / 60:.0f} min left" if n < n_runs else ""
-        say(f"{n}/{n_runs} {item.run.line}: {ended}{left}")
+        say(f"{n}/{n_runs} {item.run.line}: {how}{left}")
     return len(done), n_failed
