@@ -331,6 +331,11 @@ MUTANTS = (
         ("the network is fitted to the validation blocks", "shuffled", "Attribute train all", "it.value.validation"),
     ),
     *of_python(
+        "training/window_fit.py",
+        ("windows are validated on samples of their own", "one_step_windows", "Compare GtE", "it.left >= 0"),
+        tests="export",
+    ),
+    *of_python(
         "training/loop.py",
         ("the last network is kept, not the best", "Progress.add", "Compare Lt", "True"),
         ("a training that gains nothing goes on", "should_continue", "BoolOp Or", "True"),
