@@ -54,7 +54,7 @@ def test_what_is_tuned_has_the_recipe_that_was_best_on_validation() -> None:
     best = {name: next(iter(errors)) for name, errors in by_recipe(read_records(RESULTS / "recipes.csv")).items()}
     tried = read_experiment(experiment_path("recipes")).runs()
     chosen = {run.method: {**run.train, "seed": 0} for run in tried if run.recipe == best[run.method]}
-    tuned = read_experiment(experiment_path("table-1-tuned")).runs()
+    tuned = [run for name in ("tuned", "near") for run in read_experiment(experiment_path(f"table-1-{name}")).runs()]
     assert len(chosen) == 6
     for run in tuned:
         if run.model != "ar":
