@@ -7,19 +7,20 @@ steps as in the paper and their median; ONNX Runtime, and the kernel where it ru
 paper's recipe (batches of 16) over the training blocks of a simulated recording as long as the paper's, one thread; LDHTD's is
 one of its teacher and one of the student. Encoder layers train in foten's kernel in C; ratios are of epochs in PyTorch's own
 operations, as the other layers train, and so are steps. Sizes that no source states are ours, and the order of the systems
-depends on them. Networks are untrained: their costs are the same. All in one run; ratios are what to read, since machines
-differ. A GPU is measured where there is one. What a sample of foten-plus costs depends on the texture: `foten bench T.foten`.
+depends on them. Networks are untrained: their costs are the same. All in one run, in three rounds over all models, so that a
+machine that slows down slows all alike; ratios are what to read, since machines differ. A GPU is measured where there is one.
+What a sample of foten-plus costs depends on the texture: `foten bench T.foten`.
 """
 
 from __future__ import annotations
 
 import argparse
 import dataclasses
-import json
 import os
 import platform
 import sys
 import time
+from collections import defaultdict
 from collections.abc import Callable
 from contextlib import AbstractContextManager
 from pathlib import Path
@@ -77,19 +78,20 @@ PAPER = {
     "foten": Published(20, 0.96, 1.11, 10.26),
     "foten-d": Published(20, 1.16, 1.39, 14.81),
 }
-WARM = 50  # steps that are not counted
+WARM = 50  # steps of a round that are not counted
+ROUNDS = 3
 
 
-def times_us(step: Callable[[], object], n: int) -> tuple[float, float]:
-    """The mean and the median time of a step [µs]."""
+def times_us(step: Callable[[], object], n: int) -> list[float]:
+    """How long each of n steps takes [µs]."""
     for _ in range(WARM):
         step()
-    times = np.empty(n)
-    for i in range(n):
+    times = []
+    for _ in range(n):
         started = time.perf_counter_ns()
         step()
-        times[i] = time.perf_counter_ns() - started
-    return float(np.mean(times)) / 1000, float(np.median(times)) / 1000
+        times.append((time.perf_counter_ns() - started) / 1000)
+    return times
 
 
 def in_pytorch() -> AbstractContextManager[object]:
@@ -109,8 +111,8 @@ def epochs_s(model: str, blocks: ScaledBlocks) -> tuple[float, float | None]:
     return epoch_s(model, blocks) + (teacher_s or 0.0), teacher_s
 
 
-def steps(model: str, n: int, texture: Texture | None) -> dict[str, tuple[float, float]]:
-    """The mean and the median time of a step of each runtime [µs]."""
+def steps(model: str, n: int, texture: Texture | None) -> dict[str, list[float]]:
+    """How long each of n steps takes in each runtime [µs]."""
     torch.manual_seed(0)
     sizes = TRAINABLE[model]()
     network = build(model, sizes).eval()
@@ -132,12 +134,12 @@ def steps(model: str, n: int, texture: Texture | None) -> dict[str, tuple[float,
 
 
 def epoch_s(model: str, blocks: ScaledBlocks, window: int | None = None) -> float:
-    """How long an epoch takes with its validation, the quicker of two [s]; of the GAN, as many spectrograms as windows.
+    """How long an epoch takes with its validation [s]; of the GAN, as many spectrograms as windows.
 
     Args:
         window: samples; by default the model's.
     """
-    changed = {**OWN_RECIPES.get(model, {}), "epochs": 2, "threads": 1, "batch": RECIPES["paper"].batch}
+    changed = {**OWN_RECIPES.get(model, {}), "epochs": 1, "threads": 1, "batch": RECIPES["paper"].batch}
     sizes = TRAINABLE[model]() if window is None else HapinfSizes(window=window, n_start=min(10, window))
     config = dataclasses.replace(RECIPES["paper"], **changed)
     windows = one_step_windows(blocks, sizes.window)
@@ -145,13 +147,12 @@ def epoch_s(model: str, blocks: ScaledBlocks, window: int | None = None) -> floa
         torch.manual_seed(0)
         network = build(model, sizes)
         if isinstance(network, Gan):
-            before, *lines = fit_adversarial(network, sizes.window, blocks, config, Monitor()).epochs
             # Epoch 0 is a validation and no more.
-            steps_s = min(line.seconds for line in lines) - before.seconds
-            return before.seconds + steps_s * len(windows.train) / (STEPS * config.batch)
+            before, line = fit_adversarial(network, sizes.window, blocks, config, Monitor()).epochs
+            return before.seconds + (line.seconds - before.seconds) * len(windows.train) / (STEPS * config.batch)
         if isinstance(network, Dftnet):
             network, windows = network.spectrum, log_spectra(windows, blocks)
-        return min(line.seconds for line in fit_windows(network, windows, config, Monitor()).epochs[1:])
+        return fit_windows(network, windows, config, Monitor()).epochs[1].seconds
 
 
 def untrained(model: str, recording: Recording, blocks: ScaledBlocks, config: PreprocessConfig) -> Texture:
@@ -166,29 +167,39 @@ def untrained(model: str, recording: Recording, blocks: ScaledBlocks, config: Pr
 
 
 def measure(arguments: argparse.Namespace) -> dict[str, Any]:
-    """All times of all models."""
+    """All times of all models: of steps the mean and the median, of epochs the quickest round."""
     recording, config = simulate("towel", arguments.seconds + 4.0), PreprocessConfig()
     trace = preprocess(recording, config)
     blocks = scaled_blocks(trace, split_blocks(trace))
     models: dict[str, Any] = {}
     for model in arguments.models:
         sizes = TRAINABLE[model]()
-        texture = (
-            None if isinstance(sizes, GraphSizes | NoiseModelSizes) else untrained(model, recording, blocks, config)
-        )
         models[model] = {
             "input": sizes.window,
             "n_parameters": sum(parameter.numel() for parameter in build(model, sizes).parameters()),
-            "step_us": steps(model, arguments.steps, texture),
         }
-        models[model]["epoch_s"], models[model]["teacher_s"] = both = epochs_s(model, blocks)
-        with in_pytorch():
-            of_pytorch, _ = epochs_s(model, blocks) if has_encoder(model) else both
-        models[model]["pytorch_epoch_s"] = of_pytorch
-        print(model, json.dumps(models[model]), file=sys.stderr, flush=True)
+    times: dict[tuple[str, str], list[float]] = defaultdict(list)
+    for i in range(ROUNDS):
+        for model in arguments.models:
+            sizes = TRAINABLE[model]()
+            by_graph = isinstance(sizes, GraphSizes | NoiseModelSizes)
+            texture = None if by_graph else untrained(model, recording, blocks, config)
+            for runtime, of in steps(model, -(-arguments.steps // ROUNDS), texture).items():
+                times[model, runtime] += of
+        for model in arguments.models:
+            epoch, teacher = epochs_s(model, blocks)
+            with in_pytorch():
+                in_own, _ = epochs_s(model, blocks) if has_encoder(model) else (epoch, teacher)
+            for key, seconds in {"epoch_s": epoch, "teacher_s": teacher, "pytorch_epoch_s": in_own}.items():
+                before = models[model].get(key)
+                models[model][key] = seconds if before is None or seconds is None else min(before, seconds)
+            print(f"round {i + 1} of {ROUNDS}, {model}: an epoch takes {epoch:.1f} s", file=sys.stderr, flush=True)
+    for model, of in models.items():
+        own = {runtime: lines for (name, runtime), lines in times.items() if name == model}
+        of["step_us"] = {runtime: (float(np.mean(us)), float(np.median(us))) for runtime, us in own.items()}
     return {
         "machine": f"{platform.machine()}, {os.cpu_count()} cores",
-        "n_train_windows": len(blocks.targets(sizes.window)[0]),
+        "n_train_windows": len(blocks.targets(TRAINABLE[arguments.models[-1]]().window)[0]),
         "models": models,
     }
 
