@@ -51,10 +51,7 @@ def test_the_same_tool_is_no_filter() -> None:
     assert max(abs(transfer.speed_exponent), abs(transfer.force_exponent)) < 0.08
 
 
-SLOWLY = [pytest.param(name, marks=pytest.mark.slow) for name in ("artificial-grass", "steel-mesh-1")]
-
-
-@pytest.mark.parametrize("name", ["towel", "jeans", *SLOWLY])
+@pytest.mark.parametrize("name", ["towel", "jeans", "artificial-grass", "steel-mesh-1"])
 @pytest.mark.parametrize(("speed", "force"), [(60.0, 0.5), (150.0, 1.5)])
 def test_a_texture_gets_the_filter(name: str, speed: float, force: float) -> None:
     """The ratio of rendered spectra is the filter, to 1.5 dB in octaves where there is power."""
