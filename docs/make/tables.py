@@ -24,7 +24,7 @@ import numpy as np
 
 from foten.atomic_write import atomic_write
 from foten.experiments.experiment import experiment_path, read_experiment
-from foten.experiments.method_tables import brief, findings, ratios, summary, warm_start
+from foten.experiments.method_tables import PAPER, brief, findings, ratios, summary, warm_start
 from foten.experiments.results import Record, Records, by_recipe, chosen, joined, read_records, runs_table
 from foten.reporting.table import Cell, Number, Table, mean_number
 from foten.simulation import contact_mechanics, linear_family, simulate
@@ -52,13 +52,23 @@ FULL_LENGTH = {
 """Experiments of the paper's tables, and the CSV that holds their runs."""
 DISTINCT = 0.03  # a difference of the areas for one texture that means something
 MAX_COLUMNS, MAX_ROWS = 8, 12  # of a table that people read, a row of means not counted; the rest is CSV
-SYSTEM_NAMES = {"dstn": "DSTN", "ldhtd": "LDHTD", "gan": "the GAN"}
-COMPARED = tuple(SYSTEM_NAMES)  # in Table III
+SYSTEM_NAMES = {"ar": "AR", "fnn": "FNN", "dstn": "DSTN", "ldhtd": "LDHTD", "gan": "GAN", "foten": "FoTEN"}
+COMPARED = ("dstn", "ldhtd", "gan")  # in Table III
+PAPER_GFC = {"ar": 86.28, "fnn": 87.83, "dstn": 90.33, "ldhtd": 91.02, "gan": 88.65, "foten": 92.15}
+"""The paper's GFC [%], means over its twelve textures; Table I."""
 NOT_RUN = "*Not measured yet with this version.*"
 ONE_STEP, BEST_AR = "one_step.mae_scaled", "references.ar_best.mae_scaled"
 ERROR, BOUND = "one_step.mae_m_s2", "references.bound.mae_m_s2"
 LSD, AR_LSD, CEILING = "free_run.lsd_db", "free_run_ar.lsd_db", "ceiling.lsd_db"
 LEVEL, CEILING_LEVEL = "free_run.level_error_db", "ceiling.level_error_db"
+ORDERS = {
+    "one step [sd]": ONE_STEP,
+    "one step [m/s²]": ERROR,
+    "one-step GFC": "one_step.gfc",
+    "free run [sd]": "warm_start.stored.mae_scaled",
+    "free run's GFC": "warm_start.stored.gfc",
+}
+"""Figures that systems may be ordered by, and where records have them; of free runs, from the warm start."""
 Columns = Sequence[tuple[str, Callable[[Records], Cell]]]
 """Headings, and what stands below of the runs of a row."""
 Rows = Mapping[str, Records] | Mapping[tuple[str, ...], Records]
@@ -592,6 +602,69 @@ def both_recipes() -> Table:
     return Table.of(("", "textures", *columns), rows)
 
 
+def means_of(records: Records) -> dict[str, list[float | None]]:
+    """Means over textures of each of the `ORDERS` of the paper's systems, by model; None where a system has no such figure."""
+    methods = {method.name: method.model for method in read_experiment(experiment_path("table-1")).methods}
+    means: dict[str, list[float | None]] = {}
+    for method, model in methods.items():
+        runs = [record for record in records if record["method"] == method]
+        if model in PAPER_GFC and runs:
+            of_figures = ([record[path] for record in runs if record.get(path) is not None] for path in ORDERS.values())
+            means[model] = [float(np.mean(values)) if len(values) == len(runs) else None for values in of_figures]
+    return means
+
+
+def orders() -> Table:
+    """Ranks of the paper's systems by figures of several units and regimes, and their correlation with the paper's (Spearman)."""
+    means = means_of(chosen(table_1()))
+    if not means:
+        return Table((), ())
+    rows = [["the paper's MAE", *map(str, ranks([PAPER[model] for model in means])), ""]]
+    for k, (figure, path) in enumerate(ORDERS.items()):
+        sign = -1 if path.endswith("gfc") else 1
+        have = {model: sign * mean for model, of in means.items() if (mean := of[k]) is not None}
+        if len(have) > 2:
+            here, there = ranks([*have.values()]), ranks([PAPER[model] for model in have])
+            by_model = dict(zip(have, map(str, here), strict=True))
+            agreement = float(np.corrcoef(here, there)[0, 1])
+            rows.append([figure, *(by_model.get(model, "–") for model in means), f"{agreement:+.1f}"])
+    return Table.of(("", *(SYSTEM_NAMES[model] for model in means), "with the paper"), rows)
+
+
+def ranks(values: Sequence[float]) -> list[int]:
+    """Rank of each value, from 1 for the lowest."""
+    return [1 + sum(other < value for other in values) for value in values]
+
+
+def pairs() -> Table:
+    """Errors of one step that go with the paper's GFC here, by least squares of logarithms over all systems and textures."""
+    records = table_1()
+    places = ("one_step", *(f"references.{name}" for name in ("ar", "ar_scheduled", "ar_best")))
+    both = [
+        (record[f"{place}.mae_scaled"], 1 - record[f"{place}.gfc"])
+        for record, place in product(records, places)
+        if record.get(f"{place}.gfc") is not None
+    ]
+    if not both:
+        return Table((), ())
+    error, lack = np.log(np.array(both)).T
+    slope, constant = np.polyfit(lack, error, 1)
+    spread = float(np.std(error - constant - slope * lack))
+    rows = []
+    for model, gfc in PAPER_GFC.items():
+        here = float(np.exp(constant + slope * np.log(1 - gfc / 100)))
+        rows.append(
+            (SYSTEM_NAMES[model], f"{PAPER[model]:.3f}", f"{gfc:.2f}", f"{here:.2f}", f"{PAPER[model] / here:.2f}")
+        )
+    heads = (
+        "paper's MAE, unit not stated",
+        "its GFC [%]",
+        f"MAE at that GFC here [sd], ± {100 * spread:.0f} %",
+        "ratio",
+    )
+    return Table.of(("", *heads), rows)
+
+
 def near() -> Table:
     """Networks that are near one another, by their best recipes, on three recordings of each texture."""
     more = runs_of("table-1-near")
@@ -868,7 +941,9 @@ TABLES: dict[str, dict[str, Callable[[], Table | str]]] = {
         "windows-by-loss": windows_by_loss,
         "thresholds": by_threshold,
         "recipes": recipes,
+        "orders": orders,
         "headline": headline,
+        "pairs": pairs,
         "efficiency": partial(cost, ("model", "input", "PyTorch", "median", "ONNX", "kernel", "paper's mean")),
         "epochs": partial(cost, ("model", "parameters", "epoch [s]", "of it", "epoch in", "foten's", "the paper's")),
         "quicker": quicker,

@@ -267,9 +267,10 @@ def table(records: Records, figure: str) -> Table:
 def brief(records: Records) -> list[dict[str, Any]]:
     """Records with their names and the figures that methods and references are compared by."""
     paths = {figure.path for figure in FIGURES.values()} | {path for _, path, _ in CHANGES} | set(VALIDATION)
+    paths |= {"one_step.mae_m_s2"}  # in which loud textures weigh more
     places = {*REFERENCES.values(), *FREE_RUN_REFERENCES.values(), "free_run_deterministic"}
     paths |= {f"{place}.{figure.path.rpartition('.')[2]}" for place in places for figure in FIGURES.values()}
-    heads = ("listener.", "validation_listener.", "warm_start.")
+    heads = ("listener.", "validation_listener.", "warm_start.", "stability.", "onset.")
     keys = paths | {key for record in records for key in record if key.startswith(heads)}
     return [{key: value for key, value in record.items() if "." not in key or key in keys} for record in records]
 
