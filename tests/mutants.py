@@ -251,6 +251,7 @@ MUTANTS = (
         "src/model.c",
         ("the network is in every loop", "s->network_in_loop ? &m->rendering_network : NULL;", "&m->network;"),
         ("a file is not proved", "if (worst <= tolerance) return 1;", "return 1;", f"texture_file {KERNEL}"),
+        ("steps of a network are proved from its own", "if (m->kind->replace_last)", "if (0)", f"export {KERNEL}"),
     ),
     *of_c(
         "src/stylus.c",

@@ -8,7 +8,7 @@ import pytest
 from conftest import CARD, SCALING, SMALL, sizes_with, untrained, untrained_tensors
 from foten.models.definitions import model_of
 from foten.models.model_sizes import ModelSizes
-from foten.models.texture_file import CLOSED_LOOP_TOLERANCE, ONE_STEP_TOLERANCE, Texture
+from foten.models.texture_file import CLOSED_LOOP_TOLERANCE, Texture
 from foten.recording.split import Split
 from foten.recording.trace import Trace
 from foten.recording.windows import first_scored, windows
@@ -132,29 +132,18 @@ def test_what_the_kernel_does_not_reproduce_is_refused() -> None:
         proved("foten", sizes, tensors, SCALING, golden, golden[0], CARD, definition=Wrong)
 
 
-def test_a_chaotic_loop_is_held_to_as_much_as_it_amplifies(chaotic: Texture) -> None:
-    """A closed loop may amplify float32 rounding a millionfold within 64 steps; its first steps are the proof."""
-    texture, steps = chaotic, chaotic.tensors["golden.closed_loop"]
-    nearby = closed_loop(texture, texture.tensors["warm_start"].astype(float) + 1e-7)
-    assert np.abs(nearby - steps).max() > 1
-    for i, off in ((0, 3e-4), (2, 3e-3)):
-        wrong = steps.copy()
-        wrong[i] += off
-        with pytest.raises(ValueError, match="proof: 64 closed-loop steps"):
-            NativeTexture(Texture(texture.card, {**texture.tensors, "golden.closed_loop": wrong}).to_bytes())
+def test_a_chaotic_loop_is_proved_though_rounding_leads_elsewhere(chaotic: Texture) -> None:
+    """Its own steps are far from the golden ones; each step from those is within the tolerance."""
+    NativeTexture(chaotic.to_bytes())
+    assert np.abs(closed_loop(chaotic) - chaotic.tensors["golden.closed_loop"]).max() > 1
 
 
-@pytest.mark.parametrize("way", [-1.0, 1.0])
-def test_a_loop_may_end_where_a_start_that_is_a_little_off_does(chaotic: Texture, way: float) -> None:
-    """A phase that wraps in the kernel's rounding and not in the reference's moves a loop as a start 10⁻⁵ off does."""
-    texture, condition = chaotic, chaotic.tensors["golden.condition"].astype(float)
-    i, step = np.arange(texture.tensors["warm_start"].size), np.arange(len(condition))
-    off = way * ONE_STEP_TOLERANCE
-    start = texture.tensors["warm_start"].astype(float) + off * np.where(i % 2, 1, -1).reshape(-1, 3)
-    moved = condition + off * np.stack([np.where(step & 1, 1, -1), np.where(step & 2, 1, -1)], axis=1)
-    reference, there = closed_loop(texture), closed_loop(texture, start, moved)
-    rounded = there + 0.5 * CLOSED_LOOP_TOLERANCE * np.sign(there - reference)
-    NativeTexture(Texture(texture.card, {**texture.tensors, "golden.closed_loop": rounded}).to_bytes())
+@pytest.mark.parametrize("i", [0, 2, 33, 63])
+def test_every_step_of_a_chaotic_loop_is_held_to_the_tolerance(chaotic: Texture, i: int) -> None:
+    wrong = chaotic.tensors["golden.closed_loop"].copy()
+    wrong[i] += 3 * CLOSED_LOOP_TOLERANCE * max(1.0, abs(wrong[i]))
+    with pytest.raises(ValueError, match="proof: 64 closed-loop steps"):
+        NativeTexture(Texture(chaotic.card, {**chaotic.tensors, "golden.closed_loop": wrong}).to_bytes())
 
 
 def test_a_silence_after_a_sample_is_proved() -> None:

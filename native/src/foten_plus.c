@@ -143,4 +143,4 @@ static void quiet(const foten_model *m, loop *l) {
     equaliser_quiet(&l->equaliser);
 }
 
-const loop_kind lattice_loop = {place, start, begin, predict, push, scale_of_noise, step, quiet};
+const loop_kind lattice_loop = {place, start, begin, predict, push, scale_of_noise, step, quiet, NULL};

@@ -97,4 +97,4 @@ static void begin(const foten_model *m, loop *l, const condition *c, noise_sourc
 
 static void quiet(const foten_model *m, loop *l) { lattice_quiet(&l->lattice, m->piecewise_ar->order); }
 
-const loop_kind piecewise_ar_loop = {place, start, begin, predict, push, scale_of_noise, step, quiet};
+const loop_kind piecewise_ar_loop = {place, start, begin, predict, push, scale_of_noise, step, quiet, NULL};

@@ -35,6 +35,10 @@ void predictor_push(const predictor *p, predictor_state *s, double sample, const
     predictor_set_condition(p, s, scaled);
 }
 
+void predictor_replace_last(const predictor *p, predictor_state *s, double sample) {
+    s->window[(p->window - 1) * p->n_inputs] = (float)sample;
+}
+
 double predictor_predict(const predictor *p, predictor_state *s) {
     if (p->network) return p->isa->predict(p->network, s->window, s->scratch);
     double sample = p->function(p->user, s->window);

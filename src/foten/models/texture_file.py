@@ -29,7 +29,7 @@ from foten.untrusted import check_numbers, check_regular, parse_json
 
 FORMAT_VERSION = 5
 ONE_STEP_TOLERANCE = 1e-5  # scaled; float32 arithmetic of the network
-CLOSED_LOOP_TOLERANCE = 1e-4  # scaled, after 64 steps
+CLOSED_LOOP_TOLERANCE = 1e-4  # scaled, of each of 64 steps
 MIN_GOLDEN = 8  # windows
 MAX_RATE_HZ = 1e6
 MAX_NUMBER = 1e9  # of a number in a tensor; squares of it are finite in float32
