@@ -30,11 +30,10 @@ def test_ar_is_run_once_whatever_the_grid(tmp_path: Path) -> None:
     assert [run.method for run in read_experiment(experiment(tmp_path, text)).runs()].count("ar") == 2
 
 
-@pytest.mark.parametrize("name", ["table-1", "table-1-small", "table-1-tuned", "table-2", "figure-5"])
+@pytest.mark.parametrize("name", ["table-1", "table-1-tuned", "table-2", "figure-5"])
 def test_ours_are_read_and_as_large_as_they_say(name: str) -> None:
     n = {
         "table-1": 12 * 7,
-        "table-1-small": 12 * 13,
         "table-1-tuned": 12 * 8,
         "table-2": 12 * 5,
         "figure-5": 3 * (18 + 5 + 2 + 1),
@@ -226,7 +225,7 @@ def test_runs_are_listed_without_running(tmp_path: Path, capsys: pytest.CaptureF
     assert _status(["sweep", str(experiment(tmp_path)), "-o", str(tmp_path / "results"), "--dry-run"]) == 0
     assert capsys.readouterr().out.splitlines()[0] == "FNN [13], linear-cloth, split 1"
     assert _status(["sweep", "no-such", "-o", str(tmp_path / "results")]) == 2
-    assert "table-1-small" in capsys.readouterr().err
+    assert "table-1-tuned" in capsys.readouterr().err
 
 
 def test_a_part_of_an_experiment_keeps_its_place_in_the_whole(

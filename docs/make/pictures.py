@@ -3,7 +3,7 @@
     python docs/make/pictures.py [--only NAME,...] [--recordings DIR] [--sweep DIR]
 
 Figures are read from docs/results. Textures that a picture shows are trained once, into build/pictures. DIR of `--recordings`
-holds the real recordings, for the picture `rates`; DIR of `--sweep` is what `foten sweep table-1-small` wrote, for `compared`.
+holds the real recordings, for the picture `rates`; DIR of `--sweep` is what `foten sweep table-1` wrote, for `compared`.
 """
 
 from __future__ import annotations
@@ -523,7 +523,7 @@ def rates(arguments: argparse.Namespace) -> None:
 
 
 def compared(arguments: argparse.Namespace) -> None:
-    """Waveforms of each method of the reduced comparison in the closed loop, of three textures."""
+    """Waveforms of each system of Table I in the closed loop, of three textures."""
     results = chosen_results(read_results(arguments.sweep))
     shown = [result for result in results if result["run"]["texture"] in ("steel-mesh-1", "cardboard", "towel")]
     save(waveforms(shown), "compared")
@@ -572,7 +572,7 @@ PICTURES: dict[str, Callable[[argparse.Namespace], None]] = {
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--recordings", type=Path, default=Path("recordings"))
-    parser.add_argument("--sweep", type=Path, default=Path("results/table-1-small"))
+    parser.add_argument("--sweep", type=Path, default=Path("results/table-1"))
     parser.add_argument("--only", type=lambda text: text.split(","), default=list(PICTURES))
     arguments = parser.parse_args()
     for name in arguments.only:

@@ -878,12 +878,6 @@ def users_session() -> Table:
     return Table.of(("the whole session", "answers", "bias", "spread", "mean"), cells)
 
 
-def sentences(name: str) -> str:
-    """What an experiment's runs say, as a list."""
-    records = records_of(name)
-    return "\n".join(f"- {line}" for line in findings(records)) if records else ""
-
-
 def listed(*names: str) -> str:
     """Links to the runs of experiments that have been run."""
     lines = []
@@ -928,11 +922,9 @@ TABLES: dict[str, dict[str, Callable[[], Table | str]]] = {
     },
     "model.md": {"random-part": partial(benchmark, "random-part")},
     "compared.md": {
-        "table-1-small": partial(of_experiment, "table-1-small", compared),
-        "findings": partial(sentences, "table-1-small"),
         "so-far": so_far,
-        "table-1-real": partial(of_experiment, "table-1-real", compared),
         "table-1": lambda: compared(chosen(table_1())) if table_1() else Table((), ()),
+        "findings": lambda: "\n".join(f"- {line}" for line in findings(table_1())),
         "both-recipes": both_recipes,
         "near": near,
         "warm-start": lambda: warm_start(chosen(table_1())) if table_1() else Table((), ()),
@@ -944,10 +936,11 @@ TABLES: dict[str, dict[str, Callable[[], Table | str]]] = {
         "orders": orders,
         "headline": headline,
         "pairs": pairs,
+        "table-1-real": partial(of_experiment, "table-1-real", compared),
         "efficiency": partial(cost, ("model", "input", "PyTorch", "median", "ONNX", "kernel", "paper's mean")),
         "epochs": partial(cost, ("model", "parameters", "epoch [s]", "of it", "epoch in", "foten's", "the paper's")),
         "quicker": quicker,
-        "csv": partial(listed, "recipes", "table-1", "table-1-small", "table-1-real", "table-2", "figure-5"),
+        "csv": partial(listed, "recipes", "table-1", "table-1-real", "table-2", "figure-5"),
     },
     "reproduce.md": {"spent": spent},
     "runtime.md": {name: partial(benchmark, name) for name in BENCHMARKS},
