@@ -560,36 +560,62 @@ def by_place(records: Records) -> dict[str, dict[Place, Record]]:
     return methods
 
 
+PAPERS, TUNED_RECIPE = "the paper's", "tuned"
+
+
+def of_recipe(recipe: str) -> list[Record]:
+    """Runs of Table I by the paper's recipe or by the tuned ones, with that as the name of their recipe."""
+    name = {PAPERS: "table-1", TUNED_RECIPE: "table-1-tuned"}[recipe]
+    return [{**record, "recipe": recipe} for record in runs_of(name)]
+
+
+def on_shared_textures(*parts: Records) -> list[Record]:
+    """Runs of parts on the textures that all methods of all parts have."""
+    textures = [
+        {record["texture"] for record in part if record["method"] == method}
+        for part in parts
+        for method in {record["method"] for record in part}
+    ]
+    shared = set.intersection(*textures) if textures else set()
+    return [record for part in parts for record in part if record["texture"] in shared]
+
+
+def by_both() -> list[Record]:
+    """Runs of Table I by both recipes, on the textures that have both."""
+    tuned = of_recipe(TUNED_RECIPE)
+    return on_shared_textures(of_recipe(PAPERS), tuned) if tuned else []
+
+
 def table_1() -> list[Record]:
-    """Runs of Table I by both recipes, of which `chosen` takes the better on validation, on the textures that all have."""
-    both = (("table-1", "the paper's"), ("table-1-tuned", "tuned"))
-    records = [{**record, "recipe": recipe} for name, recipe in both for record in runs_of(name)]
-    textures: dict[tuple[str, str], set[str]] = {}
-    for record in records:
-        textures.setdefault((record["method"], record["recipe"]), set()).add(record["texture"])
-    of_all = set.intersection(*textures.values()) if textures else set()
-    return [record for record in records if record["texture"] in of_all]
+    """Runs of Table I: by both recipes, of which `chosen` takes the better on validation, once the tuned ones are all done."""
+    by_papers, both = on_shared_textures(of_recipe(PAPERS)), by_both()
+    return both if len(textures_of(both)) == len(textures_of(by_papers)) else by_papers
+
+
+def textures_of(records: Records) -> set[str]:
+    return {record["texture"] for record in records}
 
 
 def so_far() -> str:
     """How much of Table I is done."""
-    done = {record["texture"] for record in table_1()}
-    of_all = read_experiment(experiment_path("table-1")).textures
-    recipes = " and ".join(dict.fromkeys(record["recipe"] for record in table_1()))
-    return f"Done so far: {len(done)} of {len(of_all)} textures, by {recipes} recipe." if done else ""
+    planned = len(read_experiment(experiment_path("table-1")).textures)
+    recipes = {PAPERS: "the paper's recipe", TUNED_RECIPE: "tuned recipes"}
+    done = {words: len(textures_of(on_shared_textures(of_recipe(recipe)))) for recipe, words in recipes.items()}
+    parts = [f"{n} of {planned} textures by {words}" for words, n in done.items() if n < planned]
+    return f"Done so far: {'; '.join(parts)}." if parts else ""
 
 
 def both_recipes() -> Table:
     """Errors of one step by both recipes of each system, on the textures that have both; on validation too, which chooses."""
+    records = by_both() or table_1()
     paper, tuned = (
-        by_place([record for record in table_1() if record["recipe"] == recipe]) for recipe in ("the paper's", "tuned")
+        by_place([record for record in records if record["recipe"] == recipe]) for recipe in (PAPERS, TUNED_RECIPE)
     )
     rows = []
     for method, of_paper in paper.items():
         of_tuned = tuned.get(method, {})
-        places = [place for place in of_paper if place in of_tuned or not of_tuned]
         cells: list[Cell] = []
-        for side in ([by[place] for place in places if place in by] for by in (of_paper, of_tuned)):
+        for side in ([*of_paper.values()], [*of_tuned.values()]):
             epochs = [record["epochs"] for record in side if record.get("epochs") is not None]
             cells += [
                 mean(ONE_STEP)(side),
@@ -597,7 +623,7 @@ def both_recipes() -> Table:
                 f"{np.mean(epochs):.0f}" if epochs else "–",
             ]
         if epochs or any(record.get("epochs") for record in of_paper.values()):
-            rows.append((method, str(len(places)), *cells))
+            rows.append((method, str(len(of_paper)), *cells))
     columns = ("paper's recipe: MAE [sd]", "validation", "epochs", "tuned: MAE [sd]", "validation ", "epochs ")
     return Table.of(("", "textures", *columns), rows)
 
@@ -765,9 +791,7 @@ def equal_tuning() -> Table:
 
 EQUALLY_TUNED = ((ONE_STEP, BEST_AR), (LSD, AR_LSD), (LEVEL, "free_run_ar.level_error_db"))
 """Figures that systems are compared by at equally many recipes, and those of the linear predictor."""
-TUNED: Mapping[str, Callable[[], Records]] = {
-    "simulated textures": lambda: table_1() if runs_of("table-1-tuned") else []
-}
+TUNED: Mapping[str, Callable[[], Records]] = {"simulated textures": by_both}
 """Runs in which the other systems have the best of at least as many recipes as ours."""
 
 

@@ -1,0 +1,153 @@
+"""The paper's tables on the site, of made-up runs: which runs a row is made of, and sums that can be known beforehand."""
+
+from __future__ import annotations
+
+import importlib.util
+import sys
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import pytest
+
+from foten.experiments.experiment import experiment_path, read_experiment
+
+TEXTURES = read_experiment(experiment_path("table-1")).textures
+ERRORS = {"FNN [13]": 0.4, "DSTN [15]": 0.3, "LDHTD [20]": 0.25, "FoTEN": 0.2, "foten-plus (ours)": 0.1}
+MODELS = dict(zip(ERRORS, ("fnn", "dstn", "ldhtd", "foten", "foten-plus"), strict=True))
+Runs = dict[str, list[dict[str, Any]]]
+
+
+@pytest.fixture
+def tables() -> Iterator[ModuleType]:
+    path = Path(__file__).parents[1] / "docs" / "make" / "tables.py"
+    spec = importlib.util.spec_from_file_location("site_tables", path)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules["site_tables"] = module
+    spec.loader.exec_module(module)
+    yield module
+    del sys.modules["site_tables"]
+
+
+@pytest.fixture
+def runs(tables: ModuleType, monkeypatch: pytest.MonkeyPatch) -> Runs:
+    """Runs by experiment, none at first, which the tables are made of."""
+    of: Runs = {name: [] for name in tables.FULL_LENGTH}
+    monkeypatch.setattr(tables, "runs_of", lambda name: of[name])
+    return of
+
+
+def run(method: str, texture: str, error: float, **more: Any) -> dict[str, Any]:
+    """A run with an error of one step on the test blocks, and the same on validation."""
+    shared = {
+        "split": 1,
+        "training_s": 1.0,
+        "recipe": "",
+        "epochs": 10,
+        "excitation": "yes",
+        "rate_hz": 1000.0,
+        "recording_sha256": texture,
+    }
+    figures = {"one_step.mae_scaled": error, "validation.mae_scaled": error, "one_step.gfc": 1 - error}
+    return {"method": method, "model": MODELS.get(method, "foten"), "texture": texture, **shared, **figures, **more}
+
+
+def of_systems(textures: Sequence[str], by: float = 1.0) -> list[dict[str, Any]]:
+    return [run(method, texture, by * error) for method, error in ERRORS.items() for texture in textures]
+
+
+def test_tuned_runs_are_no_rows_of_table_1_before_they_have_all_its_textures(tables: ModuleType, runs: Runs) -> None:
+    """Else the table would be of fewer textures than were measured."""
+    runs["table-1"] = of_systems(TEXTURES[:3])
+    runs["table-1-tuned"] = of_systems(TEXTURES[:2], by=0.5)
+    runs["table-1-tuned"].pop()  # ours on the second texture
+    shown = tables.chosen(tables.table_1())
+    assert {(record["texture"], record["recipe"]) for record in shown} == {(t, "the paper's") for t in TEXTURES[:3]}
+    assert tables.so_far() == "Done so far: 3 of 12 textures by the paper's recipe; 1 of 12 textures by tuned recipes."
+    assert [(row[0], row[1]) for row in tables.both_recipes().rows] == [(name, "1") for name in ERRORS]
+    runs["table-1-tuned"] = of_systems(TEXTURES[:3], by=0.5)
+    assert {record["recipe"] for record in tables.chosen(tables.table_1())} == {"tuned"}
+    runs["table-1-tuned"] = of_systems(TEXTURES[:3], by=1.5)
+    assert {record["recipe"] for record in tables.chosen(tables.table_1())} == {"the paper's"}
+
+
+def test_a_texture_that_a_system_lacks_is_in_no_row(tables: ModuleType, runs: Runs) -> None:
+    runs["table-1"] = of_systems(TEXTURES[:3])[:-1]
+    assert {record["texture"] for record in tables.table_1()} == {*TEXTURES[:2]}
+    runs["table-1"] = of_systems(TEXTURES)
+    runs["table-1-tuned"] = of_systems(TEXTURES)
+    assert tables.so_far() == ""
+
+
+def test_ranks_agree_with_the_papers_or_are_its_reverse(tables: ModuleType, runs: Runs) -> None:
+    """Errors are in the paper's order, and a GFC of 1 − error too; errors in m/s² are the other way round."""
+    runs["table-1"] = [{**one, "one_step.mae_m_s2": -one["one_step.mae_scaled"]} for one in of_systems(TEXTURES)]
+    head, *rows = tables.orders().rows
+    assert head == ("the paper's MAE", "4", "3", "2", "1", "")
+    assert rows == [
+        ("one step [sd]", "4", "3", "2", "1", "+1.0"),
+        ("one step [m/s²]", "1", "2", "3", "4", "-1.0"),
+        ("one-step GFC", "4", "3", "2", "1", "+1.0"),
+    ]
+
+
+def test_an_error_that_is_a_power_of_the_gfcs_lack_is_found_at_the_papers_gfc(tables: ModuleType, runs: Runs) -> None:
+    runs["table-1"] = [
+        {**one, "one_step.gfc": 1 - (one["one_step.mae_scaled"] / 2) ** 2} for one in of_systems(TEXTURES)
+    ]
+    table = tables.pairs()
+    assert str(table.columns[3]) == "MAE at that GFC here [sd], ± 0 %"
+    of_foten = next(row for row in table.rows if row[0] == "FoTEN")
+    here = 2 * (1 - 0.9215) ** 0.5
+    assert of_foten == ("FoTEN", "0.149", "92.15", f"{here:.2f}", f"{0.149 / here:.2f}")
+
+
+def test_ours_stands_beside_the_best_other_system_on_the_textures_that_both_recipes_have(
+    tables: ModuleType, runs: Runs
+) -> None:
+    linear = {"references.ar_best.mae_scaled": 0.4}
+    runs["table-1"] = [{**one, **linear} for one in of_systems(TEXTURES)]
+    assert tables.equal_tuning().rows == ()
+    runs["table-1-tuned"] = [{**one, **linear} for one in of_systems(TEXTURES[:4], by=0.5)]
+    ((title, n, over_best, over_linear, *lacking),) = tables.equal_tuning().rows
+    assert (title, n, over_best) == ("simulated textures", "4", "0.500 (FoTEN)")
+    assert str(over_linear) == "0.125"
+    assert {str(cell) for cell in lacking} == {"–"}
+
+
+def test_table_2_has_the_network_of_table_1_on_the_textures_that_variants_have(tables: ModuleType, runs: Runs) -> None:
+    runs["table-1"] = of_systems(TEXTURES)
+    runs["table-2"] = [
+        run(name, texture, 0.3, model=name, experiment="Table II")
+        for name in ("ten", "foten-d")
+        for texture in TEXTURES[:2]
+    ]
+    rows = {str(row[0]): row for row in tables.table_2().rows}
+    assert [*rows] == ["ten", "foten-d", "foten"]
+    assert "0.200" in str(rows["foten"][1])
+    assert "0.300" in str(rows["ten"][1])
+
+
+def test_every_run_of_figure_5_is_in_a_cell(tables: ModuleType, runs: Runs) -> None:
+    """Errors of a grid by window, loss and threshold, each where it belongs."""
+    planned = read_experiment(experiment_path("figure-5")).runs()
+    losses = {"mae": 0.1, "mse": 0.2, "huber": 0.3}
+    for one in planned:
+        window, loss = one.sizes["window"], one.train["loss"]
+        error = losses[loss] + window / 1000 if "window" in one.cell else one.train["delta"] / 10
+        runs["figure-5"].append(run(one.label, one.place[2], error))
+    cells = [[str(cell) for cell in row] for row in tables.windows_by_loss().rows]
+    assert [row[0] for row in cells] == ["5", "10", "15", "20", "25", "30"]
+    for row in cells:
+        expected = [f"{error + int(row[0]) / 1000:.4f}" for error in losses.values()]
+        assert row[1:] == [*expected, *expected]
+    thresholds = {str(row[0]): str(row[1]) for row in tables.by_threshold().rows}
+    assert [*thresholds] == ["0.2", "0.4", "0.8", "1.2", "1.6", "1.6, no dropout", "1.6, seed 2", "1.6, seed 3", "2.0"]
+    assert (thresholds["0.2"], thresholds["1.6"], thresholds["2.0"]) == (
+        "0.0200",
+        "0.3200",  # 20 samples and Huber loss, from the first grid
+        "0.2000",
+    )
