@@ -118,6 +118,21 @@ def test_ours_stands_beside_the_best_other_system_on_the_textures_that_both_reci
     assert {str(cell) for cell in lacking} == {"–"}
 
 
+def test_systems_behind_a_low_pass_stand_beside_the_same_textures_without(tables: ModuleType, runs: Runs) -> None:
+    linear = {"references.ar_best.mae_scaled": 0.4}
+    runs["table-1-tuned"] = [{**one, **linear, "experiment": "tuned"} for one in of_systems(TEXTURES)]
+    assert tables.bands().rows == ()
+    title = tables.of_file(tables.BEHIND_LOW_PASS)["title"]
+    runs["table-1-350hz"] = [
+        run(method, f"{texture}-350hz", 0.3 - error / 2, **linear, experiment=title)
+        for method, error in ERRORS.items()
+        for texture in TEXTURES[:3]
+    ]
+    rows = [tuple(map(str, row)) for row in tables.bands().rows]
+    assert rows[0] == ("FNN [13]", "0.400", "1.000", "5", "0.100", "0.250", "1")
+    assert rows[-1] == ("foten-plus (ours)", "0.100", "0.250", "1", "0.250", "0.625", "5")
+
+
 def test_table_2_has_the_network_of_table_1_on_the_textures_that_variants_have(tables: ModuleType, runs: Runs) -> None:
     runs["table-1"] = of_systems(TEXTURES)
     runs["table-2"] = [

@@ -1,6 +1,6 @@
 """Put the tables into README.md and the pages of docs/, each between its markers, from the CSV files in docs/results.
 
-    python docs/make/tables.py [--check] [--add DIR]
+    python docs/make/tables.py [--check] [--add DIR [--recordings DIR]]
 
 `docs/results/EXPERIMENT.csv` is the `runs.csv` that `foten tables` writes of a sweep; the others are what benchmarks keep by
 `--csv`. With --check nothing is written, and the exit status is 1 where a page is not what the CSV files give. A table without
@@ -19,6 +19,7 @@ from dataclasses import replace
 from functools import cache, partial
 from itertools import product
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -43,13 +44,15 @@ MAIN = {
 }
 FULL_LENGTH = {
     "recipes": "recipes",
-    "table-1": "table-1",
-    "table-1-tuned": "table-1",
-    "table-1-near": "table-1",
-    "table-2": "table-2",
-    "figure-5": "figure-5",
+    "table-1": "paper",
+    "table-1-tuned": "paper",
+    "table-1-near": "paper",
+    "table-1-350hz": "paper",
+    "table-2": "paper",
+    "figure-5": "paper",
 }
 """Experiments of the paper's tables, and the CSV that holds their runs."""
+BEHIND_LOW_PASS = "table-1-350hz"  # whose recordings docs/make/headline.py writes
 DISTINCT = 0.03  # a difference of the areas for one texture that means something
 MAX_COLUMNS, MAX_ROWS = 8, 12  # of a table that people read, a row of means not counted; the rest is CSV
 SYSTEM_NAMES = {"ar": "AR", "fnn": "FNN", "dstn": "DSTN", "ldhtd": "LDHTD", "gan": "GAN", "foten": "FoTEN"}
@@ -92,9 +95,14 @@ def records_of(name: str) -> list[Record]:
     return list(read_records(path)) if path.exists() else []
 
 
+def of_file(name: str) -> dict[str, Any]:
+    """What an experiment's file says; its recordings need not be here."""
+    return tomllib.loads(experiment_path(name).read_text(encoding="utf-8"))
+
+
 def runs_of(name: str) -> list[Record]:
     """Runs of an experiment of the paper's tables, in a CSV that may hold another one after it."""
-    title = read_experiment(experiment_path(name)).title
+    title = of_file(name)["title"]
     return [record for record in records_of(FULL_LENGTH[name]) if record["experiment"] == title]
 
 
@@ -691,6 +699,22 @@ def pairs() -> Table:
     return Table.of(("", *heads), rows)
 
 
+def bands() -> Table:
+    """Errors of one step of tuned systems with the whole band and behind a low-pass, on the textures of both, and ranks."""
+    smooth = [{**run, "texture": run["texture"].rpartition("-")[0]} for run in runs_of(BEHIND_LOW_PASS)]
+    whole = [run for run in runs_of("table-1-tuned") if run["method"] in {other["method"] for other in smooth}]
+    shared = textures_of(on_shared_textures(whole, smooth)) if whole else set()
+    columns: dict[str, list[Cell]] = {}
+    for part in (whole, smooth) if shared else ():
+        systems = by_place([run for run in part if run["texture"] in shared])
+        errors = [_mean([*of.values()], ONE_STEP, "").value or 0.0 for of in systems.values()]
+        for (method, of), rank in zip(systems.items(), ranks(errors), strict=True):
+            runs = [*of.values()]
+            columns.setdefault(method, []).extend((mean(ONE_STEP)(runs), mean(ONE_STEP, BEST_AR)(runs), str(rank)))
+    heads = ("MAE [sd]", "÷ best AR", "rank", "behind 350 Hz: MAE [sd]", "÷ best AR ", "rank ")
+    return Table.of(("", *heads), [(method, *cells) for method, cells in columns.items()])
+
+
 def near() -> Table:
     """Networks that are near one another, by their best recipes, on three recordings of each texture."""
     more = runs_of("table-1-near")
@@ -815,8 +839,9 @@ def spent() -> Table:
     for name in FULL_LENGTH:
         records = runs_of(name)
         seconds = sum(record["training_s"] + record["evaluation_s"] for record in records)
-        planned = sum(1 for _ in read_experiment(experiment_path(name)).runs())
-        rows.append((f"`{name}`", f"{len(records)} of {planned}", f"{seconds / 3600:.1f}"))
+        planned = None if name == BEHIND_LOW_PASS else len(read_experiment(experiment_path(name)).runs())
+        done = f"{len(records)} of {planned}" if planned else str(len(records))
+        rows.append((f"`{name}`", done, f"{seconds / 3600:.1f}"))
     return Table.of(("experiment", "runs done", "core-hours"), rows)
 
 
@@ -906,10 +931,9 @@ def listed(*names: str) -> str:
     """Links to the runs of experiments that have been run."""
     lines = []
     for name in names:
-        if records_of(name):
-            experiment = tomllib.loads(experiment_path(name).read_text(encoding="utf-8"))
-            note = records_of(name)[0]["note"] or experiment["note"]  # that of when it was run, where the CSV has it
-            lines.append(f"- [{name}](results/{name}.csv): {note.rstrip('.')}")
+        if records := runs_of(name) if name in FULL_LENGTH else records_of(name):
+            note = records[0]["note"] or of_file(name)["note"]  # that of when it was run, where the CSV has it
+            lines.append(f"- [{name}](results/{FULL_LENGTH.get(name, name)}.csv): {note.rstrip('.')}")
     return "\n".join(lines)
 
 
@@ -960,11 +984,12 @@ TABLES: dict[str, dict[str, Callable[[], Table | str]]] = {
         "orders": orders,
         "headline": headline,
         "pairs": pairs,
+        "bands": bands,
         "table-1-real": partial(of_experiment, "table-1-real", compared),
         "efficiency": partial(cost, ("model", "input", "PyTorch", "median", "ONNX", "kernel", "paper's mean")),
         "epochs": partial(cost, ("model", "parameters", "epoch [s]", "of it", "epoch in", "foten's", "the paper's")),
         "quicker": quicker,
-        "csv": partial(listed, "recipes", "table-1", "table-1-real", "table-2", "figure-5"),
+        "csv": partial(listed, *FULL_LENGTH, "table-1-real"),
     },
     "reproduce.md": {"spent": spent},
     "runtime.md": {name: partial(benchmark, name) for name in BENCHMARKS},
@@ -993,14 +1018,13 @@ def pages() -> Iterator[tuple[Path, str, str]]:
         yield path, before, text
 
 
-def add(folder: Path) -> None:
-    """Put the results of a sweep, all or a part, into the CSV of their experiment, before what the CSV has of others."""
+def add(folder: Path, recordings: Path | None) -> None:
+    """Put the results of a sweep, all or a part, into the CSV of their experiment, beside what the CSV has of others."""
     records = brief(read_records(folder))
-    titles = {name: read_experiment(experiment_path(name)).title for name in FULL_LENGTH}
-    name = next(name for name, title in titles.items() if title == records[0]["experiment"])
+    name = next(name for name in FULL_LENGTH if of_file(name)["title"] == records[0]["experiment"])
     file = FULL_LENGTH[name]
     parts = {other: runs_of(other) for other in FULL_LENGTH if FULL_LENGTH[other] == file}
-    places = [run.place for run in read_experiment(experiment_path(name)).runs()]
+    places = [run.place for run in read_experiment(experiment_path(name), recordings).runs()]
     of_name = joined([records, parts[name]], mixed=True)
     parts[name] = sorted(
         of_name, key=lambda one: places.index(tuple(one[k] for k in ("method", "recipe", "texture", "split")))
@@ -1012,9 +1036,12 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--check", action="store_true", help="exit 1 where a page is not what the CSV files give")
     parser.add_argument("--add", type=Path, metavar="DIR", help="first put the results of a sweep into their CSV")
+    parser.add_argument(
+        "--recordings", type=Path, metavar="DIR", help="recordings that the sweep is of, where they are files"
+    )
     arguments = parser.parse_args()
     if arguments.add:
-        add(arguments.add)
+        add(arguments.add, arguments.recordings)
         records_of.cache_clear()
     stale = [(path, text) for path, before, text in pages() if before != text]
     if arguments.check and stale:
