@@ -171,6 +171,7 @@ MUTANTS = (
     ),
     *of_c(
         "src/window_loop.c",
+        ("a network goes on from silence", "&l->predictor, played,", "&l->predictor, 0 * played,", f"export {KERNEL}"),
         ("a network goes on from its uncut sample", "&l->predictor, played,", "&l->predictor, sample,"),
         ("a stroke begins with the warm start", "}\n    set_condition(", "}\n    return;\n    set_condition("),
         ("a network's stroke begins without bound", "window, FOTEN_MAX_INITIAL);", "window, INFINITY);"),
@@ -251,7 +252,7 @@ MUTANTS = (
         "src/model.c",
         ("the network is in every loop", "s->network_in_loop ? &m->rendering_network : NULL;", "&m->network;"),
         ("a file is not proved", "if (worst <= tolerance) return 1;", "return 1;", f"texture_file {KERNEL}"),
-        ("steps of a network are proved from its own", "if (m->kind->replace_last)", "if (0)", f"export {KERNEL}"),
+        ("steps of a network are proved from its own", "m->kind->replace_last ?", "0 ?", f"export {KERNEL}"),
     ),
     *of_c(
         "src/stylus.c",

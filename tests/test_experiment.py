@@ -44,18 +44,21 @@ def test_ours_are_read_and_as_large_as_they_say(name: str) -> None:
     assert windows == ({5, 10, 15, 20, 25, 30} if name == "figure-5" else {20})
 
 
-def test_what_is_tuned_has_the_recipe_that_was_best_on_validation() -> None:
+def test_what_is_tuned_has_the_recipe_that_was_best_on_validation(tmp_path: Path) -> None:
     """Chosen by the errors in recipes.csv, on textures that are in no table."""
     best = {name: next(iter(errors)) for name, errors in by_recipe(read_records(RESULTS / "recipes.csv")).items()}
     tried = read_experiment(experiment_path("recipes")).runs()
     chosen = {run.method: {**run.train, "seed": 0} for run in tried if run.recipe == best[run.method]}
-    tuned = [run for name in ("tuned", "near") for run in read_experiment(experiment_path(f"table-1-{name}")).runs()]
+    for key in ("steel-mesh-1", "jeans", "towel"):
+        (tmp_path / f"{key}-350hz.h5").touch()
+    by_name = (read_experiment(experiment_path(f"table-1-{name}"), tmp_path) for name in ("tuned", "near", "350hz"))
+    tuned = [run for experiment in by_name for run in experiment.runs()]
     assert len(chosen) == 6
     for run in tuned:
         if run.model != "ar":
             longer = {"seed": 0} | ({"epochs": 24} if run.model == "fnn" else {})  # it takes a minute
             assert {**run.train, **longer} == chosen[run.method.removesuffix(" with excitation")], run.method
-    assert not {run.texture for run in tuned} & {run.texture for run in tried}
+    assert not {Path(run.texture).stem.removesuffix("-350hz") for run in tuned} & {run.texture for run in tried}
     assert {str(run.preprocess) for run in tuned} == {str(run.preprocess) for run in tried}
 
 
@@ -244,11 +247,16 @@ def test_a_part_of_an_experiment_keeps_its_place_in_the_whole(
     )
 
 
-def test_every_experiment_that_comes_with_foten_is_listed(capsys: pytest.CaptureFixture[str]) -> None:
+def test_every_experiment_that_comes_with_foten_is_listed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert _status(["sweep", "--list"]) == 0
     lines = dict(line.split(maxsplit=1) for line in capsys.readouterr().out.splitlines())
-    files = experiment_path("table-1").parent.glob("*.toml")
-    assert lines == {path.stem: tomllib.loads(path.read_text(encoding="utf-8"))["title"] for path in files}
+    files = {path.stem: path for path in experiment_path("table-1").parent.glob("*.toml")}
+    assert set(lines) == set(files)
+    for name, path in files.items():
+        for recording in tomllib.loads(path.read_text(encoding="utf-8"))["textures"]:
+            if recording.endswith(".h5"):
+                (tmp_path / recording).touch()
+        assert read_experiment(path, tmp_path).title == lines[name]
     for lacking in (["sweep"], ["sweep", "table-2"]):
         assert _status(lacking) == 2
         assert "--list shows" in capsys.readouterr().err

@@ -92,12 +92,9 @@ def test_a_draft_goes_on_from_its_warm_start_and_is_proved_on_validation_windows
     np.testing.assert_allclose(closed_loop(texture), texture.tensors["golden.closed_loop"], atol=1e-4)
 
 
-def closed_loop(texture: Texture, start: np.ndarray | None = None, condition: np.ndarray | None = None) -> np.ndarray:
-    """The kernel's deterministic loop, by default from the warm start under the golden condition."""
-    start, condition = (
-        texture.tensors[name].astype(float) if value is None else value
-        for name, value in (("warm_start", start), ("golden.condition", condition))
-    )
+def closed_loop(texture: Texture) -> np.ndarray:
+    """The kernel's deterministic loop from the warm start under the golden condition."""
+    start, condition = (texture.tensors[name].astype(float) for name in ("warm_start", "golden.condition"))
     path = np.maximum(condition[:, :1] * texture.scaling.sd[1] + texture.scaling.mean[1], 0.0)
     kernel = NativeTexture(texture.to_bytes())
     return render_streams(kernel, start[None], np.concatenate([condition, path], axis=1)[None], None)[0]

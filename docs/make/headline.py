@@ -86,14 +86,21 @@ def judge(trace: Trace, other: Trace, seed: int) -> dict[str, float]:
     }
 
 
-def smoothed(recording: Recording, cutoff_hz: float) -> Recording:
-    """A recording with its acceleration behind a causal low-pass; it has no truth then."""
+def smoothed(recording: Recording, config: PreprocessConfig, cutoff_hz: float) -> Recording:
+    """A recording whose trace has its acceleration behind that low-pass, at the sensor's own rate; it has no truth then."""
+    from scipy import signal
+
+    sections = butterworth("lowpass", cutoff_hz, config.rate_hz, FILTER_ORDER)
+    sos = np.array([[b0, b1, b2, 1.0, a1, a2] for b0, b1, b2, a1, a2 in sections])
     channels = dict(recording.channels)
-    for channel in recording.axes("acceleration"):
-        name = next(name for name, one in channels.items() if one is channel)
-        sections = butterworth("lowpass", cutoff_hz, channel.rate_hz, FILTER_ORDER)
-        channels[name] = replace(channel, samples=filter_recorded(sections, channel.samples))
-    done = f"acceleration behind a low-pass of {cutoff_hz:g} Hz, order {FILTER_ORDER}"
+    for name, channel in recording.channels.items():
+        if name.startswith("acceleration"):
+            n = len(channel.samples)
+            frequencies = np.fft.rfftfreq(n, 1 / channel.rate_hz)
+            _, response = signal.sosfreqz(sos, worN=frequencies, fs=config.rate_hz)
+            response[frequencies >= config.rate_hz / 2] = 0.0  # as at half the rate itself
+            channels[name] = replace(channel, samples=np.fft.irfft(response * np.fft.rfft(channel.samples), n))
+    done = f"acceleration behind a low-pass of {cutoff_hz:g} Hz, order {FILTER_ORDER} at {config.rate_hz:g} Hz"
     return replace(recording, channels=channels, simulation=None, history=(*recording.history, done))
 
 
@@ -111,7 +118,7 @@ def main() -> None:
         assert cutoff_hz is not None
         for run in (run for run in runs if run.texture in WRITTEN):
             path = arguments.recordings / f"{run.texture}-{cutoff_hz:g}hz.h5"
-            write_recording(smoothed(recording_of(run), cutoff_hz), path)
+            write_recording(smoothed(recording_of(run), PreprocessConfig(**run.preprocess), cutoff_hz), path)
             print(path)
         return
     rows: list[tuple[str, ...]] = []

@@ -2,9 +2,9 @@
 
     python docs/make/tables.py [--check] [--add DIR [--recordings DIR]]
 
-`docs/results/EXPERIMENT.csv` is the `runs.csv` that `foten tables` writes of a sweep; the others are what benchmarks keep by
-`--csv`. With --check nothing is written, and the exit status is 1 where a page is not what the CSV files give. A table without
-a CSV says so.
+`docs/results/EXPERIMENT.csv` is the `runs.csv` that `foten tables` writes of a sweep, `paper.csv` those of the paper's tables,
+which --add puts there; the others are what benchmarks keep by `--csv`. With --check nothing is written, and the exit status is 1
+where a page is not what the CSV files give. A table without a CSV says so.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import csv
 import sys
 import tomllib
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import cache, partial
 from itertools import product
@@ -101,7 +101,7 @@ def of_file(name: str) -> dict[str, Any]:
 
 
 def runs_of(name: str) -> list[Record]:
-    """Runs of an experiment of the paper's tables, in a CSV that may hold another one after it."""
+    """Runs of an experiment of the paper's tables, whose CSV holds others too."""
     title = of_file(name)["title"]
     return [record for record in records_of(FULL_LENGTH[name]) if record["experiment"] == title]
 
@@ -568,36 +568,40 @@ def by_place(records: Records) -> dict[str, dict[Place, Record]]:
     return methods
 
 
-PAPERS, TUNED_RECIPE = "the paper's", "tuned"
+PAPERS = "the paper's"
+TABLE_1 = {PAPERS: "table-1", "tuned": "table-1-tuned"}
+"""Experiments of Table I, by what its recipes are called."""
 
 
 def of_recipe(recipe: str) -> list[Record]:
     """Runs of Table I by the paper's recipe or by the tuned ones, with that as the name of their recipe."""
-    name = {PAPERS: "table-1", TUNED_RECIPE: "table-1-tuned"}[recipe]
-    return [{**record, "recipe": recipe} for record in runs_of(name)]
+    return [{**record, "recipe": recipe} for record in runs_of(TABLE_1[recipe])]
 
 
-def on_shared_textures(*parts: Records) -> list[Record]:
-    """Runs of parts on the textures that all methods of all parts have."""
-    textures = [
-        {record["texture"] for record in part if record["method"] == method}
-        for part in parts
-        for method in {record["method"] for record in part}
-    ]
+def with_all(records: Records, methods: Collection[str]) -> list[Record]:
+    """Runs on the textures that all of some methods have."""
+    textures = [{record["texture"] for record in records if record["method"] == method} for method in methods]
     shared = set.intersection(*textures) if textures else set()
-    return [record for part in parts for record in part if record["texture"] in shared]
+    return [record for record in records if record["texture"] in shared]
+
+
+def whole(recipe: str) -> list[Record]:
+    """Runs of Table I by a recipe on the textures that all its systems have."""
+    methods = read_experiment(experiment_path(TABLE_1[recipe])).methods
+    return with_all(of_recipe(recipe), [method.title for method in methods])
 
 
 def by_both() -> list[Record]:
     """Runs of Table I by both recipes, on the textures that have both."""
-    tuned = of_recipe(TUNED_RECIPE)
-    return on_shared_textures(of_recipe(PAPERS), tuned) if tuned else []
+    papers, tuned = (whole(recipe) for recipe in TABLE_1)
+    shared = textures_of(papers) & textures_of(tuned)
+    return [record for record in (*papers, *tuned) if record["texture"] in shared]
 
 
 def table_1() -> list[Record]:
     """Runs of Table I: by both recipes, of which `chosen` takes the better on validation, once the tuned ones are all done."""
-    by_papers, both = on_shared_textures(of_recipe(PAPERS)), by_both()
-    return both if len(textures_of(both)) == len(textures_of(by_papers)) else by_papers
+    papers, both = whole(PAPERS), by_both()
+    return both if len(textures_of(both)) == len(textures_of(papers)) else papers
 
 
 def textures_of(records: Records) -> set[str]:
@@ -607,18 +611,15 @@ def textures_of(records: Records) -> set[str]:
 def so_far() -> str:
     """How much of Table I is done."""
     planned = len(read_experiment(experiment_path("table-1")).textures)
-    recipes = {PAPERS: "the paper's recipe", TUNED_RECIPE: "tuned recipes"}
-    done = {words: len(textures_of(on_shared_textures(of_recipe(recipe)))) for recipe, words in recipes.items()}
-    parts = [f"{n} of {planned} textures by {words}" for words, n in done.items() if n < planned]
+    done = {recipe: len(textures_of(whole(recipe))) for recipe in TABLE_1}
+    parts = [f"{n} of {planned} textures by {recipe} recipes" for recipe, n in done.items() if n < planned]
     return f"Done so far: {'; '.join(parts)}." if parts else ""
 
 
 def both_recipes() -> Table:
     """Errors of one step by both recipes of each system, on the textures that have both; on validation too, which chooses."""
     records = by_both() or table_1()
-    paper, tuned = (
-        by_place([record for record in records if record["recipe"] == recipe]) for recipe in (PAPERS, TUNED_RECIPE)
-    )
+    paper, tuned = (by_place([record for record in records if record["recipe"] == recipe]) for recipe in TABLE_1)
     rows = []
     for method, of_paper in paper.items():
         of_tuned = tuned.get(method, {})
@@ -702,10 +703,12 @@ def pairs() -> Table:
 def bands() -> Table:
     """Errors of one step of tuned systems with the whole band and behind a low-pass, on the textures of both, and ranks."""
     smooth = [{**run, "texture": run["texture"].rpartition("-")[0]} for run in runs_of(BEHIND_LOW_PASS)]
-    whole = [run for run in runs_of("table-1-tuned") if run["method"] in {other["method"] for other in smooth}]
-    shared = textures_of(on_shared_textures(whole, smooth)) if whole else set()
+    tuned = runs_of("table-1-tuned")
+    methods = {run["method"] for run in smooth} & {run["method"] for run in tuned}
+    both = [with_all([run for run in part if run["method"] in methods], methods) for part in (tuned, smooth)]
+    shared = set.intersection(*map(textures_of, both))
     columns: dict[str, list[Cell]] = {}
-    for part in (whole, smooth) if shared else ():
+    for part in both if shared else ():
         systems = by_place([run for run in part if run["texture"] in shared])
         errors = [_mean([*of.values()], ONE_STEP, "").value or 0.0 for of in systems.values()]
         for (method, of), rank in zip(systems.items(), ranks(errors), strict=True):

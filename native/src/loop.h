@@ -50,8 +50,9 @@ struct loop_kind {
     /* Set numbers to zero that are too small to matter, before they become denormal and slow. */
     void (*quiet)(const foten_model *model, loop *l);
 
-    /* Put another sample in the place of the last one; NULL where what a step rounds stays as small. */
-    void (*replace_last)(const foten_model *model, loop *l, double sample);
+    /* Put another sample in the place of the last one, and return that; NULL where all is in double, so that the
+     * proof's steps leave rounding small. */
+    double (*replace_last)(const foten_model *model, loop *l, double sample);
 };
 
 extern const loop_kind lattice_loop, window_loop, piecewise_ar_loop;

@@ -115,16 +115,16 @@ static int proven(texture_file *file, const char *what, const double *computed, 
     return file_refuse(file, FOTEN_NO_PROOF, format, what, worst, tolerance);
 }
 
-/* Sixty-four steps from a warm start. A network in its closed loop may be chaotic, and what one step rounds is a
- * million times as large some steps later: each of its steps goes on from the golden samples. */
+/* Sixty-four steps from a warm start, and what each fed back. A network of floats in its closed loop may be chaotic,
+ * and what a step rounds is a million times as large some steps later: its next step goes on from the golden sample. */
 static void run_golden(const foten_model *m, loop *l, const double *warm, const double *conditions,
-                       const double *golden, double *out) {
+                       const double *golden, double *out, double *fed_back) {
     m->kind->start(m, l, warm, m->history, 0);
     for (size_t i = 0; i < replayed(GOLDEN_STEPS); i++) {
         condition c = condition_of(&m->lattice.level, conditions + 2 * i);
         double noise = noise_at(0, 0, i);
         out[i] = m->kind->step(m, l, &c, model_is_random(m) ? &noise : NULL, INFINITY);
-        if (m->kind->replace_last) m->kind->replace_last(m, l, golden[i]);
+        fed_back[i] = m->kind->replace_last ? m->kind->replace_last(m, l, golden[i]) : out[i];
     }
 }
 
@@ -166,8 +166,12 @@ static int prove(foten_model *m, texture_file *file, arena *memory) {
     }
     if (sigma && !proven(file, "the excitation", computed, sigma, n, FOTEN_ONE_STEP_TOLERANCE)) return 0;
     m->kind->start(m, m->begin, warm, m->history, 0);
-    run_golden(m, l, warm, conditions, closed, computed);
-    return proven(file, "64 closed-loop steps", computed, closed, GOLDEN_STEPS, FOTEN_CLOSED_LOOP_TOLERANCE);
+    double *fed_back = arena_take(memory, GOLDEN_STEPS, sizeof *fed_back);
+    if (!fed_back) return file_refuse(file, FOTEN_NO_MEMORY, "no memory");
+    run_golden(m, l, warm, conditions, closed, computed, fed_back);
+    static const char what[] = "64 closed-loop steps";
+    return proven(file, what, computed, closed, GOLDEN_STEPS, FOTEN_CLOSED_LOOP_TOLERANCE) &&
+           proven(file, what, fed_back, closed, GOLDEN_STEPS, FOTEN_CLOSED_LOOP_TOLERANCE);
 }
 
 int model_prove(foten_model *m, texture_file *file) {

@@ -35,8 +35,11 @@ void predictor_push(const predictor *p, predictor_state *s, double sample, const
     predictor_set_condition(p, s, scaled);
 }
 
-void predictor_replace_last(const predictor *p, predictor_state *s, double sample) {
-    s->window[(p->window - 1) * p->n_inputs] = (float)sample;
+double predictor_replace_last(const predictor *p, predictor_state *s, double sample) {
+    float *last = s->window + (p->window - 1) * p->n_inputs;
+    double before = *last;
+    *last = (float)sample;
+    return before;
 }
 
 double predictor_predict(const predictor *p, predictor_state *s) {

@@ -34,8 +34,8 @@ void predictor_set_condition(const predictor *p, predictor_state *s, const doubl
 /* Take in a sample, its speed and force, and its noise. */
 void predictor_push(const predictor *p, predictor_state *s, double sample, const double scaled[2], double noise);
 
-/* Put another sample in the place of the last one. */
-void predictor_replace_last(const predictor *p, predictor_state *s, double sample);
+/* Put another sample in the place of the last one, and return that. */
+double predictor_replace_last(const predictor *p, predictor_state *s, double sample);
 
 /* The next sample; 0 where somebody else's function gives no finite number. */
 double predictor_predict(const predictor *p, predictor_state *s);

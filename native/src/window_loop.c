@@ -56,8 +56,8 @@ static void begin(const foten_model *m, loop *l, const condition *c, noise_sourc
 
 static void quiet(const foten_model *m, loop *l) { predictor_quiet(&m->predictor, &l->predictor); }
 
-static void replace_last(const foten_model *m, loop *l, double sample) {
-    predictor_replace_last(&m->predictor, &l->predictor, sample);
+static double replace_last(const foten_model *m, loop *l, double sample) {
+    return predictor_replace_last(&m->predictor, &l->predictor, sample);
 }
 
 const loop_kind window_loop = {place, start, begin, predict, push, scale_of_noise, step, quiet, replace_last};
