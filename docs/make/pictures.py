@@ -524,9 +524,9 @@ def rates(arguments: argparse.Namespace) -> None:
 
 def compared(arguments: argparse.Namespace) -> None:
     """Waveforms of each system of Table I in the closed loop, of three textures."""
-    results = chosen_results(read_results(arguments.sweep))
-    shown = [result for result in results if result["run"]["texture"] in ("steel-mesh-1", "cardboard", "towel")]
-    save(waveforms(shown), "compared")
+    results = chosen_results(read_results(arguments.sweep, mixed=True))
+    shown = [result for result in results if result["run"]["texture"] in ("steel-mesh-1", "cardboard", "plain-cloth")]
+    save(waveforms(shown), "compared", n_colours=160)
 
 
 def capture(arguments: argparse.Namespace) -> None:

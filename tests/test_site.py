@@ -1,10 +1,11 @@
 """The paper's tables on the site, of made-up runs: which runs a row is made of, and sums that can be known beforehand.
 
-And the recordings behind a low-pass that one of them is of.
+And the recordings behind a low-pass that one of them is of, and pictures of figures in CSV files.
 """
 
 from __future__ import annotations
 
+import argparse
 import importlib.util
 from collections.abc import Sequence
 from pathlib import Path
@@ -210,3 +211,14 @@ def test_recordings_behind_a_low_pass_become_the_traces_that_ar_is_measured_on()
     np.testing.assert_array_equal(trace.speed, expected.speed)
     assert written.simulation is None
     assert "350 Hz" in written.history[-1]
+
+
+@pytest.mark.parametrize("name", ["ceiling", "limits", "abrupt"])
+def test_a_picture_can_be_drawn_from_the_csv_files(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """They hold every figure that it shows."""
+    pictures, drawn = made_by("pictures"), []
+    monkeypatch.setattr(pictures, "save", lambda figure, name, **_: drawn.append((name, figure)))
+    pictures.PICTURES[name](argparse.Namespace())
+    ((as_named, figure),) = drawn
+    assert as_named == name
+    assert all(axes.has_data() for axes in figure.axes)
