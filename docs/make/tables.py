@@ -975,7 +975,7 @@ TABLES: dict[str, dict[str, Callable[[], Table | str]]] = {
     "compared.md": {
         "so-far": so_far,
         "table-1": lambda: compared(chosen(table_1())) if table_1() else Table((), ()),
-        "findings": lambda: "\n".join(f"- {line}" for line in findings(table_1())),
+        "findings": lambda: "\n".join(f"- {line}" for line in findings(table_1())) if table_1() else "",
         "both-recipes": both_recipes,
         "near": near,
         "warm-start": lambda: warm_start(chosen(table_1())) if table_1() else Table((), ()),
