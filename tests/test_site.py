@@ -51,8 +51,9 @@ def tables() -> ModuleType:
 @pytest.fixture
 def runs(tables: ModuleType, monkeypatch: pytest.MonkeyPatch) -> Runs:
     """Runs by experiment, none at first, which the tables are made of."""
-    of: Runs = {name: [] for name in tables.FULL_LENGTH}
+    of: Runs = {name: [] for name in (*tables.FULL_LENGTH, *tables.OTHER_DATA.values())}
     monkeypatch.setattr(tables, "runs_of", lambda name: of[name])
+    monkeypatch.setattr(tables, "records_of", lambda name: of[name])
     return of
 
 
@@ -145,6 +146,29 @@ def test_ours_stands_beside_the_best_other_system_on_the_textures_that_both_reci
     assert (title, n, over_best) == ("simulated textures", "4", "0.500 (FoTEN)")
     assert str(over_linear) == "0.125"
     assert {str(cell) for cell in lacking} == {"–"}
+
+
+def test_other_data_are_compared_once_all_systems_have_all_their_recipes_there(tables: ModuleType, runs: Runs) -> None:
+    """Contact by tuned recipes, real recordings by the better of two on validation; with an order of their own."""
+    runs["table-1"] = of_systems(TEXTURES)
+    names = {"foten-plus (ours)": "foten-plus", "FoTEN": "foten"}
+    runs["main-contact"] = [{**one, "method": names.get(one["method"], one["method"])} for one in tuned(["cork"])]
+    by_recipe = {
+        (method, recipe): error if recipe != "tuned" else 0.52 - error
+        for method, error in ERRORS.items()
+        for recipe in ([""] if MODELS[method] in ("ar", "foten-plus") else ["paper", "tuned"])
+        if not method.startswith("GAN")
+    }
+    *real, of_ours = (run(method, "wood", error, recipe=recipe) for (method, recipe), error in by_recipe.items())
+    runs["table-1-real"] = [*real, run("FoTEN with excitation", "wood", 0.5, recipe="tuned")]
+    assert [row[0] for row in tables.equal_tuning().rows] == ["contact mechanics"]
+    runs["table-1-real"].append(of_ours)
+    contact, of_real = ([str(cell) for cell in row[:3]] for row in tables.equal_tuning().rows)
+    assert contact == ["contact mechanics", "1", "0.500 (foten)"]
+    assert of_real == ["real, 2.5 kHz", "1", "0.833 (FNN [13])"]
+    rows = {row[0]: row[1:] for row in tables.orders().rows}
+    assert rows["one step, contact mechanics [sd]"] == ("5", "4", "3", "2", "–", "1", "+1.0")
+    assert rows["one step, real, 2.5 kHz [sd]"] == ("5", "1", "3", "4", "–", "2", "+0.3")
 
 
 def test_systems_behind_a_low_pass_stand_beside_the_same_textures_without(tables: ModuleType, runs: Runs) -> None:

@@ -33,8 +33,8 @@ from foten.simulation import contact_mechanics, linear_family, simulate
 DOCS = Path(__file__).resolve().parents[1]
 RESULTS = DOCS / "results"
 REAL_10, REAL_2_5, LINEAR, SIMULATED = "main-real-10khz", "main-real-2500hz", "main-linear", "main-simulated"
-CONTACT = "main-contact"
-OURS = "foten-plus"
+CONTACT, REAL_TABLE_1 = "main-contact", "table-1-real"
+OURS, EXCITED = "foten-plus", "with excitation"  # how the names of systems begin, or end
 MAIN = {
     REAL_10: "real, 10 kHz",
     REAL_2_5: "real, 2.5 kHz",
@@ -42,6 +42,8 @@ MAIN = {
     SIMULATED: "simulated textures",
     CONTACT: "contact mechanics",
 }
+OTHER_DATA = {MAIN[CONTACT]: CONTACT, "real, 2.5 kHz": REAL_TABLE_1}
+"""Experiments with all systems on other data than Table I's, by what that is."""
 FULL_LENGTH = {
     "recipes": "recipes",
     "table-1": "paper",
@@ -107,8 +109,9 @@ def runs_of(name: str) -> list[Record]:
 
 
 def runs(name: str, model: str = OURS) -> list[Record]:
-    """Runs of a model in an experiment."""
-    return [record for record in records_of(name) if record["model"] == model]
+    """Runs of a model in an experiment, those with an excitation that it has not by itself left out."""
+    records = records_of(name)
+    return [record for record in records if record["model"] == model and not record["method"].endswith(EXCITED)]
 
 
 def values(records: Records, over: str, under: str = "") -> list[np.ndarray]:
@@ -637,33 +640,43 @@ def both_recipes() -> Table:
     return Table.of(("", "textures", *columns), rows)
 
 
-def means_of(records: Records) -> dict[str, list[float | None]]:
-    """Means over textures of each of the `ORDERS` of the paper's systems, by model; None where a system has no such figure."""
-    methods = {method.name: method.model for method in read_experiment(experiment_path("table-1")).methods}
-    means: dict[str, list[float | None]] = {}
-    for method, model in methods.items():
-        runs = [record for record in records if record["method"] == method]
-        if model in PAPER_GFC and runs:
-            of_figures = ([record[path] for record in runs if record.get(path) is not None] for path in ORDERS.values())
-            means[model] = [float(np.mean(values)) if len(values) == len(runs) else None for values in of_figures]
+def tuned_on(name: str) -> list[Record]:
+    """Runs of an experiment on the textures that all its systems have by all their recipes."""
+    of_file_methods = ({"model": one} if isinstance(one, str) else one for one in of_file(name)["methods"])
+    systems = {
+        (one.get("name", one["model"]), recipe) for one in of_file_methods for recipe in one.get("recipes", [""])
+    }
+    records = records_of(name)
+    have = {(record["method"], record.get("recipe") or "", record["texture"]) for record in records}
+    return [record for record in records if all((*system, record["texture"]) in have for system in systems)]
+
+
+def means_of(records: Records, path: str) -> dict[str, float]:
+    """Means over textures of a figure of the paper's systems, by model, but for those that lack it in a run."""
+    means = {}
+    for model in PAPER_GFC:
+        runs = [record for record in records if record["model"] == model and not record["method"].endswith(EXCITED)]
+        by_texture = values(runs, path)
+        if runs and sum(map(len, by_texture)) == len(runs):
+            means[model] = float(np.mean([np.mean(splits) for splits in by_texture]))
     return means
 
 
 def orders() -> Table:
-    """Ranks of the paper's systems by figures of several units and regimes, and their correlation with the paper's (Spearman)."""
-    means = means_of(chosen(table_1()))
-    if not means:
+    """Ranks of the paper's systems by unit, regime and data, and their correlation with the paper's (Spearman)."""
+    if not table_1():
         return Table((), ())
-    rows = [["the paper's MAE", *map(str, ranks([PAPER[model] for model in means])), ""]]
-    for k, (figure, path) in enumerate(ORDERS.items()):
-        sign = -1 if path.endswith("gfc") else 1
-        have = {model: sign * mean for model, of in means.items() if (mean := of[k]) is not None}
-        if len(have) > 2:
-            here, there = ranks([*have.values()]), ranks([PAPER[model] for model in have])
-            by_model = dict(zip(have, map(str, here), strict=True))
-            agreement = float(np.corrcoef(here, there)[0, 1])
-            rows.append([figure, *(by_model.get(model, "–") for model in means), f"{agreement:+.1f}"])
-    return Table.of(("", *(SYSTEM_NAMES[model] for model in means), "with the paper"), rows)
+    figures = [(figure, chosen(table_1()), path) for figure, path in ORDERS.items()]
+    figures += [(f"one step, {title} [sd]", chosen(tuned_on(name)), ONE_STEP) for title, name in OTHER_DATA.items()]
+    rows = [["the paper's MAE", *map(str, ranks([PAPER[model] for model in PAPER_GFC])), ""]]
+    for figure, records, path in figures:
+        means = means_of(records, path)
+        if len(means) > 2:
+            here = ranks([-mean if path.endswith("gfc") else mean for mean in means.values()])
+            by_model = dict(zip(means, map(str, here), strict=True))
+            agreement = float(np.corrcoef(here, ranks([PAPER[model] for model in means]))[0, 1])
+            rows.append([figure, *(by_model.get(model, "–") for model in PAPER_GFC), f"{agreement:+.1f}"])
+    return Table.of(("", *(SYSTEM_NAMES[model] for model in PAPER_GFC), "with the paper"), rows)
 
 
 def ranks(values: Sequence[float]) -> list[int]:
@@ -818,7 +831,10 @@ def equal_tuning() -> Table:
 
 EQUALLY_TUNED = ((ONE_STEP, BEST_AR), (LSD, AR_LSD), (LEVEL, "free_run_ar.level_error_db"))
 """Figures that systems are compared by at equally many recipes, and those of the linear predictor."""
-TUNED: Mapping[str, Callable[[], Records]] = {"simulated textures": by_both}
+TUNED: Mapping[str, Callable[[], Records]] = {
+    MAIN[SIMULATED]: by_both,
+    **{title: partial(tuned_on, name) for title, name in OTHER_DATA.items()},
+}
 """Runs in which the other systems have the best of at least as many recipes as ours."""
 
 
