@@ -64,6 +64,7 @@ DRAWN = "sandstone"  # whose levels by frame are in the table, for a picture
 FRAME_S, AFTER_S, SPECTRUM_S = 0.01, 0.1, 0.05  # of levels, of what is judged, of a segment of its spectrum
 SOFT_S, BEFORE_S, HELD_S = 0.1, 0.35, 0.45  # to the condition before, held before the change, and held after it
 LEVELS_S = (-0.05, 0.35)  # around a change, in the table
+LEVELS = f"levels from {1000 * LEVELS_S[0]:.0f} ms, each {1000 * FRAME_S:.0f} ms [dB]"  # in one column
 NEAR_DB, NEAR_S = 2.0, 0.05  # the level has arrived where it stays so near for as long
 LEAD_IN_S = 0.5  # at most, of the first condition, so that tones of a path begin anywhere
 AT_ONCE = 32  # realisations in memory
@@ -254,14 +255,14 @@ def rows_of(key: str, rendering: str, hand: str, ours: Measured, true: Sequence[
             "family": SURFACES.get(key, ""),
             **{name: f"{values[i]:.3f}" for name, values in figures.items()},
             "arrives_ms": arrives_ms(whole[i, start:]),
-            **(level_columns(levels(ours.power)[i]) if hand in ("", "live") and key == DRAWN else {}),
+            **({LEVELS: drawn_levels(levels(ours.power)[i])} if hand in ("", "live") and key == DRAWN else {}),
         }
 
 
-def level_columns(levels: Array) -> dict[str, str]:
-    """Levels around a change, by when a frame begins."""
+def drawn_levels(levels: Array) -> str:
+    """Levels around a change, of frame after frame."""
     n = round((LEVELS_S[1] - LEVELS_S[0]) / FRAME_S)
-    return {f"{1000 * (LEVELS_S[0] + k * FRAME_S):.0f} ms": f"{level:.2f}" for k, level in enumerate(levels[:n])}
+    return " ".join(f"{level:.2f}" for level in levels[:n])
 
 
 def arrives_ms(away: Array) -> str:

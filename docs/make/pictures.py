@@ -423,8 +423,8 @@ def abrupt(arguments: argparse.Namespace) -> None:
     """Levels around four abrupt changes on a surface of two masses, of the truth and of renderings."""
     rows = [row for row in rows_of("abrupt") if row["surface"] == "sandstone"]
     shown = ("speed 40 → 200 mm/s", "reversal at 120 mm/s", "force 0.5 → 2 N", "tap of 1.5 N at 80 mm/s")
-    starts = [name for name in rows[0] if name.endswith(" ms")]
-    at = [float(name.removesuffix(" ms")) + 5.0 for name in starts]  # the middle of a frame of 10 ms
+    levels = next(name for name in rows[0] if name.startswith("levels from"))
+    first, each = (float(word) for word in levels.split() if word.lstrip("-").isdigit())
     lines = {
         "truth": ("second realisation", INK, "-"),
         "its flat surface": ("flat surface", INK, ":"),
@@ -434,8 +434,10 @@ def abrupt(arguments: argparse.Namespace) -> None:
     figure, panels = drawn(9, 2.8, 1, 4, sharey=True)
     for axes, change in zip(panels, shown, strict=True):
         for name, (rendering, colour, dashes) in lines.items():
-            of = (row for row in rows if (row["change"], row["rendering"]) == (change, rendering) and row[starts[0]])
-            axes.plot(at, [float(row[start]) for row in of for start in starts], color=colour, ls=dashes, label=name)
+            of = (row for row in rows if (row["change"], row["rendering"]) == (change, rendering) and row[levels])
+            values = [float(value) for row in of for value in row[levels].split()]
+            at = first + each * (np.arange(len(values)) + 0.5)  # the middle of a frame
+            axes.plot(at, values, color=colour, ls=dashes, label=name)
         axes.axvline(0.0, color="#cccccc", lw=0.8, zorder=0)
         axes.set_title(change, loc="left", fontsize=9)
         axes.set(xlim=(-50, 250), xlabel="ms")

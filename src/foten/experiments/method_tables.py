@@ -271,7 +271,7 @@ def brief(records: Records) -> list[dict[str, Any]]:
     places = {*REFERENCES.values(), *FREE_RUN_REFERENCES.values(), "free_run_deterministic"}
     paths |= {f"{place}.{figure.path.rpartition('.')[2]}" for place in places for figure in FIGURES.values()}
     paths |= {f"{place}.lsd_long_db" for place in ("free_run", *FREE_RUN_REFERENCES.values())}  # of all blocks together
-    heads = ("listener.", "validation_listener.", "warm_start.", "stability.", "onset.")
+    heads = ("listener.", "warm_start.", "stability.", "onset.")
     keys = paths | {key for record in records for key in record if key.startswith(heads)}
     return [{key: value for key, value in record.items() if "." not in key or key in keys} for record in records]
 
