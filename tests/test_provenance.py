@@ -16,7 +16,7 @@ from foten.cli.command_line import _status
 from foten.experiments import sweep as sweeping
 from foten.experiments.experiment import read_experiment
 from foten.experiments.provenance import KERNEL, Provenance, closure, platform_here, provenance_of, sources_of
-from foten.experiments.results import check_alike, joined, read_records, read_results, records_of, runs_table
+from foten.experiments.results import check_alike, joined, mixture, read_records, read_results, records_of, runs_table
 from foten.experiments.sweep import lacking, planned
 
 ROOT = Path(foten.__file__).parent
@@ -247,6 +247,9 @@ def test_runs_of_two_models_have_different_digests_and_are_alike(folder: Path) -
     assert len(joined([again])) == 5
     with pytest.raises(ValueError, match=r"differ in code \(of fnn\)"):
         joined([[*again[:3], {**again[3], "code": "3"}]])
+    of_both = mixture([*again, *({**one, "code": "3"} for one in again[2:])])
+    assert of_both.count("differ in") == 2  # each model is named
+    assert "and 1 more differ in code (of fnn); 'FoTEN on" in of_both
     unknown = [{**record, "code": "", "platform": ""} for record in again]
     assert len(joined([unknown])) == 5
     with pytest.raises(ValueError, match="differ in code"):

@@ -602,7 +602,7 @@ def test_a_method_without_one_step_has_a_row_and_the_papers_figure(results: list
     rows = {row[0]: row for row in summary(records).cells()}
     assert rows["spectra"][1:4] == ["–", "0.298", "–"]
     assert float(rows["spectra"][4]) > 0
-    assert "one-step MAE [sd]: not compared, for want of textures or splits: spectra." in findings(records)
+    assert "one-step MAE [sd]: there is none of spectra." in findings(records)
 
 
 def test_a_folder_without_results_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

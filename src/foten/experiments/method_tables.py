@@ -203,7 +203,7 @@ def warm_start(records: Records) -> Table:
     """MAE and GFC of one step beside those of a free run from the warm start, of silence and of the ceiling; Sec. VI-a.
 
     Means over textures ± standard error; of a free run whole blocks are scored. `start forgotten`: the median time until runs
-    from two windows are the same, and in how many runs that is ever so; not of a silent run.
+    from two windows are the same, of those runs where that is ever so, and in how many it is; not of a silent run.
     """
     textures = list(dict.fromkeys(record["texture"] for record in records))
 
@@ -346,7 +346,9 @@ def _best_method(records: Records, name: str) -> Iterator[str]:
     figure = FIGURES[name]
     textures, rows = rows_of(records, name)
     with_all = complete(rows, textures)
-    lacking = [row.name for row in rows if row.model and row not in with_all]
+    lacking = [row.name for row in rows if row.model and row.values and row not in with_all]
+    if none := [row.name for row in rows if row.model and not row.values]:
+        yield f"{figure.name}: there is none of {', '.join(none)}."
     if lacking:
         yield f"{figure.name}: not compared, for want of textures or splits: {', '.join(lacking)}."
     best, p = compared(rows, textures, figure.better)

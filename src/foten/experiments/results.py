@@ -155,18 +155,25 @@ def check_alike(records: Records) -> None:
 
 
 def mixture(records: Records) -> str:
-    """Two runs of different code or platform, in words; nothing where all are alike.
+    """Runs of different code or platform, in words; nothing where all are alike.
 
     Of result files the modules that both import are compared, of a `runs.csv` the digests of one model and the same measures.
     """
     first: dict[str, tuple[str, str]] = {}
+    others: dict[str, list[str]] = {}
     for record in records:
         name = f"{record['method']} on {record['texture']}, split {record['split']:g}"
         for what, value in _provenance(record).items():
-            known, other = first.setdefault(what, (value, name))
+            known, _ = first.setdefault(what, (value, name))
             if value != known:
-                return f"{other!r} and {name!r} differ in {what}"
-    return ""
+                others.setdefault(what, []).append(name)
+    said: dict[tuple[str, ...], str] = {}  # of the same runs the first of what they differ in
+    for what, names in others.items():
+        said.setdefault((first[what][1], *names), what)
+    return "; ".join(
+        f"{name!r} and {other!r}{f' and {len(more)} more' if more else ''} differ in {what}"
+        for (name, other, *more), what in said.items()
+    )
 
 
 def _provenance(record: Record) -> dict[str, str]:
