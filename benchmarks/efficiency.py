@@ -206,9 +206,8 @@ def measure(arguments: argparse.Namespace) -> dict[str, Any]:
 
 def step_table(models: dict[str, Any]) -> list[list[str]]:
     """The cost of a step on a CPU, beside the paper's."""
-    cells = [
-        ["model", "input [samples]", "PyTorch, mean [µs]", "median", "ONNX Runtime", "kernel", "paper's mean [µs]"]
-    ]
+    steps = ["PyTorch, mean [µs]", "median", "ONNX Runtime, median", "kernel, median", "paper's mean [µs]"]
+    cells = [["model", "input [samples]", *steps]]
     for key, of in models.items():
         mean, median = of["step_us"]["pytorch"]
         others = (

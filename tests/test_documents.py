@@ -159,6 +159,20 @@ def test_tables_are_what_the_results_give() -> None:
     assert done.returncode == 0, done.stderr
 
 
+def test_pages_of_results_have_their_figures_from_the_csv_files() -> None:
+    """In what is written by hand no number has two decimals but settings, and what others have measured; nor an error."""
+    others = {"0.149", "92.15", "0.03", "0.14", "2.27", "0.56", "0.24", "0.32"}  # the paper's; limits of people
+    generated, code = (
+        re.compile(r"<!-- ([\w-]+) -->.*?<!-- /\1 -->", re.DOTALL),
+        re.compile("```.*?```|`[^`]*`", re.DOTALL),
+    )
+    for name in ("results", "compared", "listener"):
+        text = code.sub("", generated.sub("", (ROOT / "docs" / f"{name}.md").read_text(encoding="utf-8")))
+        prose = "\n".join(line for line in text.splitlines() if not line.startswith("|"))  # tables of others' figures
+        assert set(re.findall(r"\d+\.\d\d+", prose)) <= others, name
+        assert not re.search(r"\d ± ", prose), name
+
+
 def test_the_repository_is_small() -> None:
     """7.8 MB, of which 1.1 are word vectors and 0.8 textures; 610 files (sources, tests and pages: no results beyond the CSV, nor
     settings, which begin with a dot); and 200 kB of each experiment.

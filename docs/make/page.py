@@ -1,4 +1,4 @@
-"""Pictures of the pages for README and the site, docs/pictures/page.jpg and page-*.jpg: as a browser shows them.
+"""Pictures of the pages for README and the site, docs/pictures/page.webp and page-*.webp: as a browser shows them.
 
     python docs/make/page.py
 
@@ -8,6 +8,7 @@ Needs Chromium and Playwright (`pip install '.[browser]'`). The pages are served
 from __future__ import annotations
 
 import contextlib
+import io
 import math
 import re
 import shutil
@@ -18,14 +19,20 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+from PIL import Image
 from playwright.sync_api import sync_playwright
 
 import foten
 
 PICTURES = Path(__file__).resolve().parents[1] / "pictures"
 SIZE = {"width": 1280, "height": 760}
-FORM: dict[str, Any] = {"type": "jpeg", "quality": 82}
 MICROPHONE = ["--use-fake-ui-for-media-stream", "--use-fake-device-for-media-stream"]
+
+
+def take(page: Any, name: str) -> None:
+    """Write a screenshot."""
+    image = Image.open(io.BytesIO(page.screenshot())).convert("RGB")
+    image.save(PICTURES / f"{name}.webp", quality=80, method=6)
 
 
 def stroked(page: Any, name: str) -> None:
@@ -86,7 +93,7 @@ def of_a_user(page: Any, link: str) -> None:
     page.wait_for_selector("html[data-ready]")
     page.click("#go")
     page.wait_for_selector("#lights button:not([disabled])")
-    page.screenshot(path=PICTURES / "page-adapt.jpg", **FORM)
+    take(page, "page-adapt")
 
 
 def of_textures(page: Any, link: str) -> None:
@@ -94,13 +101,13 @@ def of_textures(page: Any, link: str) -> None:
     page.goto(link)
     page.wait_for_selector("html[data-ready]")
     stroked(page, "Jeans")
-    page.screenshot(path=PICTURES / "page.jpg", **FORM)
+    take(page, "page")
     page.click("#capture-one")
     page.wait_for_timeout(1500)
     # The browser's make-believe microphone beeps.
     page.evaluate("document.querySelector('#trouble').style.visibility = 'hidden'")
     page.evaluate("document.querySelector('#hears i').style.setProperty('clip-path', 'inset(0 45% 0 0)', 'important')")
-    page.screenshot(path=PICTURES / "page-capture.jpg", **FORM)
+    take(page, "page-capture")
 
 
 @contextlib.contextmanager
@@ -134,10 +141,10 @@ def of_participants(page: Any, other: Any, operator: str, participants: str) -> 
             box["x"] + (0.3 + 0.006 * i) * box["width"], box["y"] + (0.5 + 0.1 * math.sin(i / 8)) * box["height"]
         )
         page.wait_for_timeout(8)
-    page.screenshot(path=PICTURES / "page-study.jpg", **FORM)
+    take(page, "page-study")
     other.goto(operator)
     other.wait_for_timeout(2500)
-    other.screenshot(path=PICTURES / "page-operator.jpg", **FORM)
+    take(other, "page-operator")
 
 
 if __name__ == "__main__":

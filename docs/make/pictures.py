@@ -3,7 +3,8 @@
     python docs/make/pictures.py [--only NAME,...] [--recordings DIR] [--sweep DIR]
 
 Figures are read from docs/results. Textures that a picture shows are trained once, into build/pictures. DIR of `--recordings`
-holds the real recordings, for the picture `rates`; DIR of `--sweep` is what `foten sweep table-1` wrote, for `compared`.
+holds the real recordings, for the picture `rates`; DIR of `--sweep` is what `foten sweep table-1` wrote, for
+`compared` and the paper's Fig. 6 and 7.
 """
 
 from __future__ import annotations
@@ -20,8 +21,10 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.patches import FancyBboxPatch
+from PIL import Image
 from scipy.signal import spectrogram, welch
 
 from foten.baselines.sizes import TRAINABLE
@@ -33,8 +36,8 @@ from foten.dsp.perception import RATES_HZ, carried
 from foten.dsp.resample import interpolate
 from foten.evaluate.free_run import scored, synthesize, synthesize_linear
 from foten.evaluate.one_step import ORDERS, fit_linear, predict
+from foten.experiments import figures
 from foten.experiments.experiment import experiment_path, read_experiment
-from foten.experiments.figures import waveforms
 from foten.experiments.results import chosen_results, read_records, read_results
 from foten.experiments.simulator_reference import linear_bounds
 from foten.models.texture_file import Texture, read_texture, write_texture
@@ -42,7 +45,7 @@ from foten.recording.preprocess import PreprocessConfig, preprocess
 from foten.recording.scaling import fit_scaling
 from foten.recording.split import Split, split_blocks
 from foten.recording.windows import first_scored, targets
-from foten.reporting.figure import BLUE, GREEN, MAUVE, ORANGE, Style, add_legend, new_figure, write_figure
+from foten.reporting.figure import BLUE, GREEN, MAUVE, ORANGE, Style, add_legend, new_figure
 from foten.reporting.table import mean_number
 from foten.runtime.live.sinks import pcm_wav
 from foten.runtime.native import NativeState, NativeTexture
@@ -59,18 +62,31 @@ from foten.training.pipeline import train
 DOCS = Path(__file__).resolve().parents[1]
 RESULTS, BUILD = DOCS / "results", DOCS.parent / "build" / "pictures"
 REAL = ("copper", "fabric", "leather", "wood")
+COMPARED = ("steel-mesh-1", "cardboard", "towel")  # of the twelve of Table I
 SHOWN = "towel"  # the easiest of the simulated textures to predict, and the paper's network falls silent on it
 SEED = 1
 OURS_KEY = "foten-plus"
 INK, OURS, PAPER, LINEAR, CEILING = "#333333", BLUE, ORANGE, GREEN, MAUVE
 SOUND_HZ = 4000
 STYLE = Style(INK, label_pt=10, tick_pt=9)
+DPI = 110
 N_COLOURS = 48  # of the palette of a picture of lines
 
 
-def save(figure: Figure, name: str, n_colours: int = N_COLOURS) -> None:
+def image_of(figure: Figure) -> Image.Image:
+    figure.set_dpi(DPI)
+    canvas = figure.canvas
+    assert isinstance(canvas, FigureCanvasAgg)
+    canvas.draw()
+    return Image.fromarray(np.asarray(canvas.buffer_rgba())).convert("RGB")
+
+
+def save(figure: Figure | Image.Image, name: str, n_colours: int = N_COLOURS) -> None:
+    """Write a picture of few colours, without loss but for these."""
     (DOCS / "pictures").mkdir(exist_ok=True)
-    write_figure(figure, DOCS / "pictures" / f"{name}.png", dpi=110, n_colours=n_colours)
+    image = figure if isinstance(figure, Image.Image) else image_of(figure)
+    palette = image.quantize(n_colours, dither=Image.Dither.NONE).convert("RGB")
+    palette.save(DOCS / "pictures" / f"{name}.webp", lossless=True, quality=100, method=6)
     print(name)
 
 
@@ -524,11 +540,33 @@ def rates(arguments: argparse.Namespace) -> None:
     save(figure, "rates")
 
 
+def of_sweep(arguments: argparse.Namespace) -> list[Any]:
+    """Results of Table I, of the recipe that validation chose."""
+    return chosen_results(read_results(arguments.sweep, mixed=True))
+
+
 def compared(arguments: argparse.Namespace) -> None:
     """Waveforms of each system of Table I in the closed loop, of three textures."""
-    results = chosen_results(read_results(arguments.sweep, mixed=True))
-    shown = [result for result in results if result["run"]["texture"] in ("steel-mesh-1", "cardboard", "plain-cloth")]
-    save(waveforms(shown), "compared", n_colours=160)
+    shown = [result for result in of_sweep(arguments) if result["run"]["texture"] in COMPARED]
+    save(figures.waveforms(shown), "compared", n_colours=160)
+
+
+def figure_6(arguments: argparse.Namespace) -> None:
+    """Fig. 6 as printed, free runs of the paper's network from the warm start over recordings; below how all systems converge."""
+    results = of_sweep(arguments)
+    above = figures.waveforms([result for result in results if result["run"]["model"] == "foten"])
+    below = figures.convergence(results)
+    below.set_size_inches(above.get_figwidth(), 4.8)
+    images = [image_of(above), image_of(below)]
+    whole = Image.new("RGB", (images[0].width, sum(image.height for image in images)))
+    whole.paste(images[0], (0, 0))
+    whole.paste(images[1], (0, images[0].height))
+    save(whole, "figure-6")
+
+
+def figure_7(arguments: argparse.Namespace) -> None:
+    """Fig. 7: spectra of the test blocks and of every system's free run."""
+    save(figures.spectra(of_sweep(arguments)), "figure-7")
 
 
 def capture(arguments: argparse.Namespace) -> None:
@@ -567,6 +605,8 @@ PICTURES: dict[str, Callable[[argparse.Namespace], None]] = {
     "listener": listener,
     "impact": impact,
     "compared": compared,
+    "figure-6": figure_6,
+    "figure-7": figure_7,
     "capture": capture,
 }
 

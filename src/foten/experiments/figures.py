@@ -189,9 +189,10 @@ def waveforms(results: Results) -> Figure:
         bar, beyond = float(f"{0.45 * step:.1g}"), 1.03 * times[-1]
         axes.plot([beyond, beyond], [-bar / 2, bar / 2], color=RECORDED, lw=2)
         axes.annotate(f"{bar:g} m/s²", (1.04 * times[-1], 0), rotation=90, va="center", fontsize=6.5)
-        names = [method.replace(", ", ",\n") for method in by_method]
+        names = [method.replace(", ", ",\n") for method in by_method] if len(colours) > 1 else []
         axes.set_yticks([-k * step for k in range(len(names))], names, fontsize=7)
-    figure.supxlabel("time [ms]; grey: recorded", fontsize=9)
+    drawn = "" if len(colours) > 1 else f", in colour: {next(iter(colours))}"
+    figure.supxlabel(f"time [ms]; grey: recorded{drawn}", fontsize=9)
     return figure
 
 

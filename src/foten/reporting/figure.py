@@ -99,23 +99,12 @@ def log_hertz(axes: Any, low: float, high: float, style: Style = PRINT) -> None:
     axes.grid(color=style.ink, alpha=0.5 * style.grid, linewidth=0.6, which="minor")
 
 
-def write_figure(figure: Figure, path: Path, dpi: float = 140.0, n_colours: int | None = None) -> None:
-    """Write a figure in the form of the path's suffix, .png or .pdf, without date and software.
-
-    Args:
-        dpi: resolution of a PNG.
-        n_colours: of a PNG's palette, which is half of its size; None for true colour.
-    """
+def write_figure(figure: Figure, path: Path, dpi: float = 140.0) -> None:
+    """Write a figure in the form of the path's suffix, .png of a resolution or .pdf, without date and software."""
     form = path.suffix[1:]
     nothing = {"png": {"Software": None}, "pdf": {"CreationDate": None, "Creator": None, "Producer": None}}[form]
     with atomic_write(path) as part:
         figure.savefig(part, format=form, dpi=dpi, facecolor="white", metadata=nothing)
-        if n_colours is not None:
-            from PIL import Image
-
-            with Image.open(part) as image:
-                palette = image.convert("RGB").quantize(n_colours, dither=Image.Dither.NONE)
-            palette.save(part, format=form, optimize=True)
 
 
 def inline_svg(figure: Figure, name: str, description: str) -> str:
