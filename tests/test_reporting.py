@@ -92,6 +92,7 @@ def test_a_mean_over_groups_has_the_standard_error_of_the_groups_means() -> None
 
 def test_signs_are_true_minus_signs_and_none_stands_before_zero() -> None:
     assert [signed(value, 1) for value in (0.25, -0.25, -0.04)] == ["+0.2", "−0.2", "0.0"]
+    assert str(Number(-0.04, ".1f")) == "0.0"
     assert minus("foten-2 -1.5 to -0.5, a-b") == "foten-2 −1.5 to −0.5, a-b"
 
 

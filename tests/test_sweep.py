@@ -490,8 +490,14 @@ def test_the_papers_network_has_waveforms_of_its_own_among_others(results: list[
     assert "figure-6-foten" not in dict(figures(results))
     for result in results[::2]:
         result["run"] |= {"model": "foten", "method": "FoTEN"}
-    axes = dict(figures(results))["figure-6-foten"].axes[0]
-    assert [label.get_text() for label in axes.get_yticklabels()] == ["FoTEN,\nwithout excitation"]
+    drawn = dict(figures(results))
+    alone, among = drawn["figure-6-foten"], drawn["figure-6"]
+    assert alone.get_supxlabel() == "time [ms]; grey: recorded, in colour: FoTEN, without excitation"
+    lines = {
+        figure: [line for line in figure.axes[0].get_lines() if len(line.get_xdata()) > 2] for figure in drawn.values()
+    }
+    assert (len(lines[alone]), len(lines[among])) == (2, 4)  # a run over the recording, and of both methods
+    assert lines[alone][1].get_color() in {line.get_color() for line in lines[among][1::2]}
 
 
 def test_an_error_over_time_is_that_of_silence_where_a_run_is_silent(results: list[dict]) -> None:

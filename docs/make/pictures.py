@@ -12,6 +12,7 @@ from __future__ import annotations
 import argparse
 import csv
 import os
+import re
 from collections.abc import Callable, Mapping
 from fractions import Fraction
 from pathlib import Path
@@ -25,7 +26,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.patches import FancyBboxPatch
 from PIL import Image
-from scipy.signal import spectrogram, welch
+from scipy.signal import welch
 
 from foten.baselines.sizes import TRAINABLE
 from foten.datasets.hdf5 import load_recording
@@ -70,7 +71,7 @@ INK, OURS, PAPER, LINEAR, CEILING = "#333333", BLUE, ORANGE, GREEN, MAUVE
 SOUND_HZ = 4000
 STYLE = Style(INK, label_pt=10, tick_pt=9)
 DPI = 110
-N_COLOURS = 48  # of the palette of a picture of lines
+N_COLOURS, N_COLOURS_OF_MANY = 48, 160  # of the palette of a picture of lines, and of one with a colour for each system
 
 
 def image_of(figure: Figure) -> Image.Image:
@@ -105,34 +106,14 @@ def texture_of(key: str, model: str = OURS_KEY, **changed: int) -> Texture:
 
 
 def stroke(arguments: argparse.Namespace) -> None:
-    """One stroke of a test block, recorded and rendered: waveform, spectrogram, and both as sound."""
-    key = "jeans"
-    texture = texture_of(key)
-    trace = preprocess(simulate(key, 64.0, seed=SEED), PreprocessConfig())
+    """Test blocks, recorded and rendered, as sound."""
+    texture = texture_of("jeans")
+    trace = preprocess(simulate("jeans", 64.0, seed=SEED), PreprocessConfig())
     blocks = Split.from_fields(texture.card["split"]).test
     rendered, _ = synthesize(NativeTexture(texture.to_bytes()), trace, blocks, excitation=True, n_seeds=1)
-    both = {"recorded": trace.blocks(trace.acceleration)[list(blocks)], "rendered": rendered[0]}
-    speed = trace.blocks(trace.speed)[list(blocks)]
-    shown = int(np.argmax(np.ptp(speed, axis=1)))  # the block in which the speed changes most
-    figure, panels = drawn(9, 4.6, 3, 2, sharex=True, height_ratios=[0.6, 1, 1.3])
-    seconds = np.arange(trace.block) / trace.rate_hz
-    largest = 1.05 * max(float(np.abs(signal[shown]).max()) for signal in both.values())
-    for column, (name, signal) in enumerate(both.items()):
-        top, middle, bottom = panels[:, column]
-        top.plot(seconds, speed[shown], color=INK, lw=1.2)
-        top.set_title(name, loc="left", fontsize=11)
-        middle.plot(seconds, signal[shown], color=OURS if column else INK, lw=0.5)
-        middle.set_ylim(-largest, largest)
-        hertz, times, power = spectrogram(signal[shown], trace.rate_hz, nperseg=128, noverlap=112)
-        image = 10 * np.log10(power + 1e-9)
-        highest = 10 * np.log10(np.percentile(both["recorded"][shown] ** 2, 99) / 50)
-        bottom.pcolormesh(times, hertz, image, vmin=highest - 40, vmax=highest, cmap="magma", shading="gouraud")
-        bottom.set(xlabel="time [s]", xlim=(0, seconds[-1]), facecolor="#000004")
-    for axes, label in zip(panels[:, 0], ("speed\n[mm/s]", "acceleration\n[m/s²]", "frequency\n[Hz]"), strict=True):
-        axes.set_ylabel(label)
-    save(figure, "stroke", 128)  # a spectrogram
     played = slice(0, round(2.5 * trace.rate_hz))
-    write_sound("stroke", [signal.ravel()[played] for signal in both.values()], trace.rate_hz)
+    signals = (trace.blocks(trace.acceleration)[list(blocks)], rendered[0])
+    write_sound("stroke", [signal.ravel()[played] for signal in signals], trace.rate_hz)
 
 
 def write_sound(name: str, signals: list[np.ndarray], rate_hz: float) -> None:
@@ -440,7 +421,9 @@ def abrupt(arguments: argparse.Namespace) -> None:
     rows = [row for row in rows_of("abrupt") if row["surface"] == "sandstone"]
     shown = ("speed 40 → 200 mm/s", "reversal at 120 mm/s", "force 0.5 → 2 N", "tap of 1.5 N at 80 mm/s")
     levels = next(name for name in rows[0] if name.startswith("levels from"))
-    first, each = (float(word) for word in levels.split() if word.lstrip("-").isdigit())
+    ms = re.fullmatch(r"levels from (-?\d+) ms, each (\d+) ms \[dB\]", levels)
+    assert ms is not None
+    first, each = map(float, ms.groups())
     lines = {
         "truth": ("second realisation", INK, "-"),
         "its flat surface": ("flat surface", INK, ":"),
@@ -548,25 +531,25 @@ def of_sweep(arguments: argparse.Namespace) -> list[Any]:
 def compared(arguments: argparse.Namespace) -> None:
     """Waveforms of each system of Table I in the closed loop, of three textures."""
     shown = [result for result in of_sweep(arguments) if result["run"]["texture"] in COMPARED]
-    save(figures.waveforms(shown), "compared", n_colours=160)
+    save(figures.waveforms(shown), "compared", N_COLOURS_OF_MANY)
 
 
 def figure_6(arguments: argparse.Namespace) -> None:
     """Fig. 6 as printed, free runs of the paper's network from the warm start over recordings; below how all systems converge."""
     results = of_sweep(arguments)
-    above = figures.waveforms([result for result in results if result["run"]["model"] == "foten"])
+    above = figures.waveforms(results, "foten")
     below = figures.convergence(results)
     below.set_size_inches(above.get_figwidth(), 4.8)
     images = [image_of(above), image_of(below)]
-    whole = Image.new("RGB", (images[0].width, sum(image.height for image in images)))
-    whole.paste(images[0], (0, 0))
-    whole.paste(images[1], (0, images[0].height))
-    save(whole, "figure-6")
+    picture = Image.new("RGB", (images[0].width, sum(image.height for image in images)))
+    picture.paste(images[0], (0, 0))
+    picture.paste(images[1], (0, images[0].height))
+    save(picture, "figure-6", N_COLOURS_OF_MANY)
 
 
 def figure_7(arguments: argparse.Namespace) -> None:
     """Fig. 7: spectra of the test blocks and of every system's free run."""
-    save(figures.spectra(of_sweep(arguments)), "figure-7")
+    save(figures.spectra(of_sweep(arguments)), "figure-7", N_COLOURS_OF_MANY)
 
 
 def capture(arguments: argparse.Namespace) -> None:

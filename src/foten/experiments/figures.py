@@ -60,7 +60,7 @@ def figures(
         yield "figure-6", waveforms(with_signals)
         of_paper = [result for result in with_signals if result["run"]["model"] == "foten"]
         if of_paper and len(methods) > 1:
-            yield "figure-6-foten", waveforms(of_paper)  # as printed, large
+            yield "figure-6-foten", waveforms(with_signals, "foten")  # as printed, large
         yield "figure-6-convergence", convergence(with_signals)
         yield "figure-7", spectra(with_signals)
 
@@ -163,13 +163,21 @@ def thresholds(results: Results) -> Figure:
     return figure
 
 
-def waveforms(results: Results) -> Figure:
+def waveforms(results: Results, model: str = "") -> Figure:
     """400 ms of a test block of each texture from the warm start: each method's free run over the recording, as Fig. 6.
 
     A line marks the 100 ms in which the paper's network converges. Where a run draws noise, it is another realisation:
     compare level and character, not samples. All of a panel have one scale.
+
+    Args:
+        model: of the methods that are drawn, in the colours that they have among all; all by default.
     """
     textures, colours = _first_split(results)
+    if model:
+        of_model = {label_of(result) for result in results if result["run"]["model"] == model}
+        colours = {method: colour for method, colour in colours.items() if method in of_model}
+        of_textures = ((key, {m: one for m, one in of.items() if m in of_model}) for key, of in textures.items())
+        textures = {key: of for key, of in of_textures if of}
     figure, panels = panel_grid([*map(texture_name, textures)], 3.4, 0.7 + 0.45 * len(colours))
     for axes, by_method in zip(panels, textures.values(), strict=True):
         first = next(iter(by_method.values()))

@@ -170,9 +170,9 @@ def mean_number(groups: Sequence[Array], digits: int, best: bool = False) -> Num
 
 
 def formatted(value: float, spec: str) -> str:
-    """Text of a number; a sign that the format asks for is left out where it rounds to zero."""
+    """Text of a number; where it rounds to zero without a sign."""
     text = format(value, spec)
-    return text.lstrip("+-") if spec.startswith("+") and not float(text) else text
+    return text if text.strip("+-0.,") else text.lstrip("+-")
 
 
 def minus(text: str) -> str:
