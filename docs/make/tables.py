@@ -592,7 +592,7 @@ def with_all(records: Records, methods: Collection[str]) -> list[Record]:
     return [record for record in records if record["texture"] in shared]
 
 
-def whole(recipe: str) -> list[Record]:
+def of_all_systems(recipe: str) -> list[Record]:
     """Runs of Table I by a recipe on the textures that all its systems have."""
     methods = read_experiment(experiment_path(TABLE_1[recipe])).methods
     return with_all(of_recipe(recipe), [method.title for method in methods])
@@ -600,14 +600,14 @@ def whole(recipe: str) -> list[Record]:
 
 def by_both() -> list[Record]:
     """Runs of Table I by both recipes, on the textures that have both."""
-    papers, tuned = (whole(recipe) for recipe in TABLE_1)
+    papers, tuned = (of_all_systems(recipe) for recipe in TABLE_1)
     shared = textures_of(papers) & textures_of(tuned)
     return [record for record in (*papers, *tuned) if record["texture"] in shared]
 
 
 def table_1() -> list[Record]:
     """Runs of Table I: by both recipes, of which `chosen` takes the better on validation, once the tuned ones are all done."""
-    papers, both = whole(PAPERS), by_both()
+    papers, both = of_all_systems(PAPERS), by_both()
     return both if len(textures_of(both)) == len(textures_of(papers)) else papers
 
 
@@ -618,7 +618,7 @@ def textures_of(records: Records) -> set[str]:
 def so_far() -> str:
     """How much of Table I is done."""
     planned = len(read_experiment(experiment_path("table-1")).textures)
-    done = {recipe: len(textures_of(whole(recipe))) for recipe in TABLE_1}
+    done = {recipe: len(textures_of(of_all_systems(recipe))) for recipe in TABLE_1}
     parts = [f"{n} of {planned} textures by {recipe} recipes" for recipe, n in done.items() if n < planned]
     return f"Done so far: {'; '.join(parts)}." if parts else ""
 

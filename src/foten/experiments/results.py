@@ -45,7 +45,7 @@ _SCORES = (
     *("one_step", "free_run", "free_run_deterministic", "free_run_ar", "ceiling", "warm_start"),
     *("listener", "references", "validation"),
 )
-_SAID_ONCE = ("note", "platform")  # in `runs.csv`: empty where an experiment's run before has the same
+_ONCE = ("note", "platform")  # in `runs.csv`: empty where an experiment's run before has the same
 VALIDATION = ("validation.mae_scaled", "validation.spectrum_db")  # what a recipe is chosen by, the first that it has
 _TEXTS = (
     *("experiment", "note", "method", "recipe", "beside", "model", "texture"),
@@ -167,12 +167,12 @@ def mixture(records: Records) -> str:
             known, _ = first.setdefault(what, (value, name))
             if value != known:
                 others.setdefault(what, []).append(name)
-    said: dict[tuple[str, ...], str] = {}  # of the same runs the first of what they differ in
+    differences: dict[tuple[str, ...], str] = {}  # of the same runs the first of what they differ in
     for what, names in others.items():
-        said.setdefault((first[what][1], *names), what)
+        differences.setdefault((first[what][1], *names), what)
     return "; ".join(
         f"{name!r} and {other!r}{f' and {len(more)} more' if more else ''} differ in {what}"
-        for (name, other, *more), what in said.items()
+        for (name, other, *more), what in differences.items()
     )
 
 
@@ -222,11 +222,10 @@ def read_records(path: Path) -> list[dict[str, Any]]:
         or not {f.path for f in FIGURES.values()} & set(rows[0])
     ):
         raise ValueError(f"{path.name} is no runs.csv of foten tables")
-    said: dict[tuple[str, str], str] = {}
-    for row, name in itertools.product(rows, _SAID_ONCE):
-        row[name] = said[row.get("experiment", ""), name] = row.get(name) or said.get(
-            (row.get("experiment", ""), name), ""
-        )
+    above: dict[tuple[str, str], str] = {}
+    for row, name in itertools.product(rows, _ONCE):
+        key = row.get("experiment", ""), name
+        row[name] = above[key] = row.get(name) or above.get(key, "")
     return [dict.fromkeys(_TEXTS, "") | {key: _parsed(key, text) for key, text in row.items()} for row in rows]
 
 
@@ -253,15 +252,13 @@ def runs_table(records: Records, digits: int | None = None) -> Table:
             return f"{value:.0f}" if value.is_integer() else repr(value) if digits is None else f"{value:.{digits}g}"
         return "" if value is None else str(value)
 
-    said: dict[str, Record] = {}
+    previous: dict[str, Record] = {}  # run of an experiment
     rows = []
     for record in records:
-        above = said.get(record["experiment"])
-        names = (
-            {} if above is None else {k: "" if above[k] == record[k] else record[k] or "unknown" for k in _SAID_ONCE}
-        )
+        above = previous.get(record["experiment"])
+        names = {} if above is None else {k: "" if above[k] == record[k] else record[k] or "unknown" for k in _ONCE}
         rows.append([cell({**record, **names}.get(key)) for key in keys])
-        said[record["experiment"]] = record
+        previous[record["experiment"]] = record
     return Table.of(keys, rows)
 
 
