@@ -1,6 +1,6 @@
 """Table III: what a step and an epoch cost, framework and runtimes side by side, beside the paper's figures.
 
-    python benchmarks/efficiency.py [--models dstn,ldhtd,…] [--steps 1000] [--seconds 56] [--csv FILE]
+    python benchmarks/efficiency.py [--models dstn,ldhtd,…] [--steps 1000] [--seconds 56] [--csv FILE] [--on gpu]
 
 A step is a sample, one window at a time on one thread: eager PyTorch, as the paper measured its own in Keras, the mean of all
 steps as in the paper and their median; ONNX Runtime, and the kernel where it runs the model, medians. An epoch is one of the
@@ -8,8 +8,9 @@ paper's recipe (batches of 16) over the training blocks of a simulated recording
 one of its teacher and one of the student. Encoder layers train in foten's kernel in C; ratios are of epochs in PyTorch's own
 operations, as the other layers train, and so are steps. Sizes that no source states are ours, and the order of the systems
 depends on them. Networks are untrained: their costs are the same. All in one run, in three rounds over all models, so that a
-machine that slows down slows all alike; ratios are what to read, since machines differ. A GPU is measured where there is one.
-What a sample of foten-plus costs depends on the texture: `foten bench T.foten`.
+machine that slows down slows all alike; ratios are what to read, since machines differ. `--on gpu` measures a GPU instead: steps
+in three rounds, then one epoch each, all in PyTorch's own operations; the GAN trains on the CPU. What a sample of foten-plus
+costs depends on the texture: `foten bench T.foten`.
 """
 
 from __future__ import annotations
@@ -21,9 +22,8 @@ import platform
 import sys
 import time
 from collections import defaultdict
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager
-from pathlib import Path
 from typing import Any
 from unittest.mock import patch
 
@@ -105,10 +105,10 @@ def has_encoder(model: str) -> bool:
     return model == "ldhtd" or any(isinstance(module, EncoderLayer) for module in network.modules())
 
 
-def epochs_s(model: str, blocks: ScaledBlocks) -> tuple[float, float | None]:
+def epochs_s(model: str, blocks: ScaledBlocks, device: str = "cpu") -> tuple[float, float | None]:
     """How long an epoch takes, and that of the teacher of a model that has one [s]."""
-    teacher_s = epoch_s("hapinf", blocks, TRAINABLE[model]().window) if model == "ldhtd" else None
-    return epoch_s(model, blocks) + (teacher_s or 0.0), teacher_s
+    teacher_s = epoch_s("hapinf", blocks, TRAINABLE[model]().window, device) if model == "ldhtd" else None
+    return epoch_s(model, blocks, device=device) + (teacher_s or 0.0), teacher_s
 
 
 def steps(model: str, n: int, texture: Texture | None) -> dict[str, list[float]]:
@@ -122,9 +122,6 @@ def steps(model: str, n: int, texture: Texture | None) -> dict[str, list[float]]
     times = {}
     with torch.no_grad(), in_pytorch():
         times["pytorch"] = times_us(lambda: network(window), n)
-        if torch.cuda.is_available():
-            network, on_gpu = network.cuda(), window.cuda()
-            times["gpu"] = times_us(lambda: network(on_gpu).item(), n)
     times["onnxruntime"] = times_us(lambda: predictor.predict(array), n)
     if texture is not None:
         state, out = NativeState(NativeTexture(texture.to_bytes()), excitation=False), np.empty(1, np.float32)
@@ -133,7 +130,16 @@ def steps(model: str, n: int, texture: Texture | None) -> dict[str, list[float]]
     return times
 
 
-def epoch_s(model: str, blocks: ScaledBlocks, window: int | None = None) -> float:
+def steps_on_gpu(model: str, n: int) -> list[float]:
+    """How long each of n steps takes in PyTorch on a GPU, its result read back [µs]."""
+    torch.manual_seed(0)
+    sizes = TRAINABLE[model]()
+    network, window = build(model, sizes).eval().cuda(), torch.randn(1, sizes.history, 3).cuda()
+    with torch.no_grad():
+        return times_us(lambda: network(window).cpu(), n)
+
+
+def epoch_s(model: str, blocks: ScaledBlocks, window: int | None = None, device: str = "cpu") -> float:
     """How long an epoch takes with its validation [s]; of the GAN, as many spectrograms as windows.
 
     Args:
@@ -145,7 +151,7 @@ def epoch_s(model: str, blocks: ScaledBlocks, window: int | None = None) -> floa
     windows = one_step_windows(blocks, sizes.window)
     with reproducible():
         torch.manual_seed(0)
-        network = build(model, sizes)
+        network = build(model, sizes).to(device)
         if isinstance(network, Gan):
             # Epoch 0 is a validation and no more.
             before, line = fit_adversarial(network, sizes.window, blocks, config, Monitor()).epochs
@@ -166,11 +172,40 @@ def untrained(model: str, recording: Recording, blocks: ScaledBlocks, config: Pr
     return proved(model, sizes, tensors, blocks.scaling, windows, windows[0], card).texture
 
 
-def measure(arguments: argparse.Namespace) -> dict[str, Any]:
-    """All times of all models: of steps the mean and the median, of epochs the quickest round."""
-    recording, config = simulate("towel", arguments.seconds + 4.0), PreprocessConfig()
-    trace = preprocess(recording, config)
-    blocks = scaled_blocks(trace, split_blocks(trace))
+def measured_on_gpu(models: Sequence[str], n: int, blocks: ScaledBlocks) -> list[list[str]]:
+    """Steps in rounds and one epoch of each model on a GPU, beside the paper's."""
+    times: dict[str, list[float]] = defaultdict(list)
+    for model in [*models] * ROUNDS:
+        times[model] += steps_on_gpu(model, -(-n // ROUNDS))
+    epochs: dict[str, float] = {}
+    for model in models:
+        if model != "gan":  # which trains on the CPU
+            epochs[model], _ = epochs_s(model, blocks, "cuda")
+            print(f"{model}: an epoch takes {epochs[model]:.1f} s", file=sys.stderr, flush=True)
+    return gpu_table(times, epochs)
+
+
+def gpu_table(times_us: Mapping[str, Sequence[float]], epochs: Mapping[str, float]) -> list[list[str]]:
+    """Times of steps [µs] and epochs [s] on a GPU, beside the paper's."""
+    of_steps = ("step, mean [µs]", "median", "the paper's mean [µs]")
+    cells = [["model", *of_steps, "epoch [s]", "foten's ÷ its", "the paper's"]]
+    for model, of in times_us.items():
+        published = f"{1000 * PAPER[model].gpu_ms:.0f}" if model in PAPER else "–"
+        epoch = f"{epochs[model]:.1f}" if model in epochs else "–"
+        ratio = f"{epochs['foten'] / epochs[model]:.2f}" if {"foten", model} <= epochs.keys() else "–"
+        steps = f"{np.mean(of):.0f}", f"{np.median(of):.0f}", published
+        cells.append([model, *steps, epoch, ratio, published_ratio(model)])
+    return cells
+
+
+def published_ratio(model: str) -> str:
+    """The paper's epoch of FoTEN over that of a model."""
+    return f"{PAPER['foten'].epoch_s / PAPER[model].epoch_s:.2f}" if model in PAPER else "–"
+
+
+def measured(arguments: argparse.Namespace, recording: Recording, blocks: ScaledBlocks) -> dict[str, Any]:
+    """All times of all models on the CPU: of steps the mean and the median, of epochs the quickest round."""
+    config = PreprocessConfig()
     models: dict[str, Any] = {}
     for model in arguments.models:
         sizes = TRAINABLE[model]()
@@ -197,11 +232,7 @@ def measure(arguments: argparse.Namespace) -> dict[str, Any]:
     for model, of in models.items():
         own = {runtime: lines for (name, runtime), lines in times.items() if name == model}
         of["step_us"] = {runtime: (float(np.mean(us)), float(np.median(us))) for runtime, us in own.items()}
-    return {
-        "machine": f"{platform.machine()}, {os.cpu_count()} cores",
-        "n_train_windows": len(blocks.targets(TRAINABLE[arguments.models[-1]]().window)[0]),
-        "models": models,
-    }
+    return models
 
 
 def step_table(models: dict[str, Any]) -> list[list[str]]:
@@ -218,15 +249,6 @@ def step_table(models: dict[str, Any]) -> list[list[str]]:
     return cells
 
 
-def gpu_table(models: dict[str, Any]) -> list[list[str]]:
-    """The cost of a step on a GPU in eager PyTorch, beside the paper's."""
-    cells = [["model", "GPU, mean [µs]", "median", "paper's mean [µs]"]]
-    for key, of in models.items():
-        mean, median = of["step_us"]["gpu"]
-        cells.append([key, f"{mean:.0f}", f"{median:.0f}", f"{1000 * PAPER[key].gpu_ms:.0f}" if key in PAPER else "–"])
-    return cells
-
-
 def epoch_table(models: dict[str, Any]) -> list[list[str]]:
     """The cost of an epoch, and foten's over it, both in PyTorch alone, beside the paper's."""
     heads = ["model", "parameters that render", "epoch [s]", "of it the teacher's", "epoch in PyTorch alone [s]"]
@@ -234,10 +256,9 @@ def epoch_table(models: dict[str, Any]) -> list[list[str]]:
     foten_s = models.get("foten", {}).get("pytorch_epoch_s")
     for key, of in models.items():
         ratio = "–" if foten_s is None else f"{foten_s / of['pytorch_epoch_s']:.2f}"
-        published = f"{PAPER['foten'].epoch_s / PAPER[key].epoch_s:.2f}" if key in PAPER else "–"
         teacher = "" if of["teacher_s"] is None else f"{of['teacher_s']:.1f}"
         times = f"{of['epoch_s']:.1f}", teacher, f"{of['pytorch_epoch_s']:.1f}"
-        cells.append([key, f"{of['n_parameters']:,}", *times, ratio, published])
+        cells.append([key, f"{of['n_parameters']:,}", *times, ratio, published_ratio(key)])
     return cells
 
 
@@ -247,25 +268,32 @@ def main() -> None:
     parser.add_argument("--steps", type=int, default=1000)
     parser.add_argument("--seconds", type=float, default=56.0)
     add_csv(parser)
-    parser.add_argument("--gpu-csv", type=Path, metavar="FILE", help="keep the table of a GPU's steps as CSV there")
+    parser.add_argument("--on", choices=("cpu", "gpu"), default="cpu")
     arguments = parser.parse_args()
     unknown = set(arguments.models) - set(MODELS)
     if unknown:
         parser.error(f"unknown model {sorted(unknown)[0]}")
-    result = measure(arguments)
-    models = result["models"]
-    per_step, per_epoch = step_table(models), epoch_table(models)
-    report(per_step, None)
-    print()
-    report(per_epoch, None)
-    if arguments.csv is not None:  # both in one
-        joined = [[*first, *second[1:]] for first, second in zip(per_step, per_epoch, strict=True)]
-        arguments.csv.parent.mkdir(parents=True, exist_ok=True)
-        Table.of(joined[0], joined[1:]).write(arguments.csv, "csv")
-    if all("gpu" in of["step_us"] for of in models.values()):
+    if arguments.on == "gpu" and not torch.cuda.is_available():
+        parser.error("PyTorch finds no GPU: is this its CPU build?")
+    recording = simulate("towel", arguments.seconds + 4.0)
+    trace = preprocess(recording, PreprocessConfig())
+    blocks = scaled_blocks(trace, split_blocks(trace))
+    machine = f"{platform.machine()}, {os.cpu_count()} cores"
+    if arguments.on == "gpu":
+        machine += f", {torch.cuda.get_device_name()}"
+        report(measured_on_gpu(arguments.models, arguments.steps, blocks), arguments.csv)
+    else:
+        models = measured(arguments, recording, blocks)
+        per_step, per_epoch = step_table(models), epoch_table(models)
+        report(per_step, None)
         print()
-        report(gpu_table(models), arguments.gpu_csv)
-    print(f"{result['machine']}; {result['n_train_windows']:,} training windows an epoch", file=sys.stderr)
+        report(per_epoch, None)
+        if arguments.csv is not None:  # both in one
+            joined = [[*first, *second[1:]] for first, second in zip(per_step, per_epoch, strict=True)]
+            arguments.csv.parent.mkdir(parents=True, exist_ok=True)
+            Table.of(joined[0], joined[1:]).write(arguments.csv, "csv")
+    n_windows = len(blocks.targets(TRAINABLE[arguments.models[-1]]().window)[0])
+    print(f"{machine}; {n_windows:,} training windows an epoch", file=sys.stderr)
 
 
 if __name__ == "__main__":
