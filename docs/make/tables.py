@@ -14,7 +14,7 @@ import csv
 import sys
 import tomllib
 from collections import Counter
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import cache, partial
 from itertools import product
@@ -22,6 +22,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.stats import rankdata, spearmanr
 
 from foten.atomic_write import atomic_write
 from foten.evaluate.warm_start import CONVERGED_MS, SILENT_DB
@@ -700,20 +701,20 @@ def orders() -> Table:
         return Table((), ())
     figures = [(figure, chosen(table_1()), path) for figure, path in ORDERS.items()]
     figures += [(f"one step, {title} [sd]", chosen(tuned_on(name)), ONE_STEP) for title, name in OTHER_DATA.items()]
-    rows = [["the paper's MAE", *map(str, ranks([PAPER[model] for model in PAPER_GFC])), ""]]
+    rows = [["the paper's MAE", *in_order(PAPER[model] for model in PAPER_GFC), ""]]
     for figure, records, path in figures:
         means = means_of(records, path)
         if len(means) > 2:
-            here = ranks([-mean if path.endswith("gfc") else mean for mean in means.values()])
-            by_model = dict(zip(means, map(str, here), strict=True))
-            agreement = float(np.corrcoef(here, ranks([PAPER[model] for model in means]))[0, 1])
+            here = [-mean if path.endswith("gfc") else mean for mean in means.values()]
+            by_model = dict(zip(means, in_order(here), strict=True))
+            agreement = spearmanr(here, [PAPER[model] for model in means]).statistic
             rows.append([figure, *(by_model.get(model, "–") for model in PAPER_GFC), f"{agreement:+.1f}"])
     return Table.of(("", *(SYSTEM_NAMES[model] for model in PAPER_GFC), "with the paper"), rows)
 
 
-def ranks(values: Sequence[float]) -> list[int]:
-    """Rank of each value, from 1 for the lowest."""
-    return [1 + sum(other < value for other in values) for value in values]
+def in_order(values: Iterable[float]) -> list[str]:
+    """Rank of each value, from 1 for the lowest; those that tie share the mean of theirs."""
+    return [f"{rank:g}" for rank in rankdata(list(values))]
 
 
 def pairs() -> Table:
@@ -756,9 +757,9 @@ def bands() -> Table:
     for part in both if shared else ():
         systems = by_place([run for run in part if run["texture"] in shared])
         errors = [_mean([*of.values()], ONE_STEP, "").value or 0.0 for of in systems.values()]
-        for (method, of), rank in zip(systems.items(), ranks(errors), strict=True):
+        for (method, of), rank in zip(systems.items(), in_order(errors), strict=True):
             runs = [*of.values()]
-            columns.setdefault(method, []).extend((mean(ONE_STEP)(runs), mean(ONE_STEP, BEST_AR)(runs), str(rank)))
+            columns.setdefault(method, []).extend((mean(ONE_STEP)(runs), mean(ONE_STEP, BEST_AR)(runs), rank))
     heads = ("MAE [sd]", "÷ best AR", "rank", "behind 350 Hz: MAE [sd]", "÷ best AR ", "rank ")
     return Table.of(("", *heads), [(method, *cells) for method, cells in columns.items()])
 
