@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
 from foten.experiments.experiment import experiment_path, read_experiment
 from foten.recording.preprocess import PreprocessConfig, preprocess
@@ -273,12 +274,23 @@ def test_recordings_behind_a_low_pass_become_the_traces_that_ar_is_measured_on()
     assert "350 Hz" in written.history[-1]
 
 
+def picture(name: str, monkeypatch: pytest.MonkeyPatch) -> Figure:
+    pictures, drawn = made_by("pictures"), dict[str, Figure]()
+    monkeypatch.setattr(pictures, "save", lambda figure, name, **_: drawn.update({name: figure}))
+    pictures.PICTURES[name](argparse.Namespace())
+    assert list(drawn) == [name]
+    return drawn[name]
+
+
 @pytest.mark.parametrize("name", ["ceiling", "limits", "abrupt"])
 def test_a_picture_can_be_drawn_from_the_csv_files(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """They hold every figure that it shows."""
-    pictures, drawn = made_by("pictures"), []
-    monkeypatch.setattr(pictures, "save", lambda figure, name, **_: drawn.append((name, figure)))
-    pictures.PICTURES[name](argparse.Namespace())
-    ((as_named, figure),) = drawn
-    assert as_named == name
-    assert all(axes.has_data() for axes in figure.axes)
+    assert all(axes.has_data() for axes in picture(name, monkeypatch).axes)
+
+
+def test_an_abrupt_change_is_drawn_at_zero(monkeypatch: pytest.MonkeyPatch) -> None:
+    axes = picture("abrupt", monkeypatch).axes[0]
+    truth = next(line for line in axes.lines if line.get_label() == "truth")
+    ms, levels_db = map(np.asarray, truth.get_data())
+    steepest = np.argmax(np.abs(np.diff(levels_db)))
+    assert 0.0 < ms[steepest] < 10.0  # a level follows within a frame
