@@ -118,6 +118,7 @@ def test_ranks_agree_with_the_papers_or_are_its_reverse(tables: ModuleType, runs
     head, *rows = tables.orders().rows
     assert head == ("the paper's MAE", "6", "5", "3", "2", "4", "1", "")
     assert rows == [
+        ("one step, the paper's recipe for all [sd]", "5", "4", "3", "2", "–", "1", "+1.0"),
         ("one step [sd]", "5", "4", "3", "2", "–", "1", "+1.0"),
         ("one step [m/s²]", "1", "2", "3", "4", "–", "5", "-1.0"),
         ("one-step GFC", "5", "4", "3", "2", "–", "1", "+1.0"),

@@ -1,10 +1,10 @@
 """Make the pictures and sounds of README.md and docs/, each from measured figures or from a simulation made on the spot.
 
-    python docs/make/pictures.py [--only NAME,...] [--recordings DIR] [--sweep DIR]
+    python docs/make/pictures.py [--only NAME,...] [--recordings DIR] [--sweep DIR DIR]
 
 Figures are read from docs/results. Textures that a picture shows are trained once, into build/pictures. DIR of `--recordings`
-holds the real recordings, for the picture `rates`; DIR of `--sweep` is what `foten sweep table-1` wrote, for
-`compared` and the paper's Fig. 6 and 7.
+holds the real recordings, for the picture `rates`; those of `--sweep` are what `foten sweep table-1` and `foten sweep
+table-1-tuned` wrote, for `compared` and the paper's Fig. 6 and 7.
 """
 
 from __future__ import annotations
@@ -71,7 +71,7 @@ INK, OURS, PAPER, LINEAR, CEILING = "#333333", BLUE, ORANGE, GREEN, MAUVE
 SOUND_HZ = 4000
 STYLE = Style(INK, label_pt=10, tick_pt=9)
 DPI = 110
-N_COLOURS, N_COLOURS_OF_MANY = 48, 160  # of the palette of a picture of lines, and of one with a colour for each system
+N_COLOURS, N_COLOURS_OF_MANY = 48, 255  # of the palette of a picture of lines, and of one with a colour for each system
 
 
 def image_of(figure: Figure) -> Image.Image:
@@ -523,20 +523,26 @@ def rates(arguments: argparse.Namespace) -> None:
     save(figure, "rates")
 
 
-def of_sweep(arguments: argparse.Namespace) -> list[Any]:
-    """Results of Table I, of the recipe that validation chose."""
-    return chosen_results(read_results(arguments.sweep, mixed=True))
+def of_sweeps(arguments: argparse.Namespace) -> list[Any]:
+    """Results of Table I by several recipes, of each system those of the recipe that validation chose."""
+    results = [
+        {**result, "run": {**result["run"], "recipe": folder.name}}
+        for folder in arguments.sweep
+        for result in read_results(folder, mixed=True)
+    ]
+    order = [method.title for method in read_experiment(experiment_path("table-1-tuned")).methods]
+    return sorted(chosen_results(results), key=lambda result: order.index(result["run"]["method"]))
 
 
 def compared(arguments: argparse.Namespace) -> None:
     """Waveforms of each system of Table I in the closed loop, of three textures."""
-    shown = [result for result in of_sweep(arguments) if result["run"]["texture"] in COMPARED]
+    shown = [result for result in of_sweeps(arguments) if result["run"]["texture"] in COMPARED]
     save(figures.waveforms(shown), "compared", N_COLOURS_OF_MANY)
 
 
 def figure_6(arguments: argparse.Namespace) -> None:
     """Fig. 6 as printed, free runs of the paper's network from the warm start over recordings; below how all systems converge."""
-    results = of_sweep(arguments)
+    results = of_sweeps(arguments)
     above = figures.waveforms(results, "foten")
     below = figures.convergence(results)
     below.set_size_inches(above.get_figwidth(), 4.8)
@@ -549,7 +555,7 @@ def figure_6(arguments: argparse.Namespace) -> None:
 
 def figure_7(arguments: argparse.Namespace) -> None:
     """Fig. 7: spectra of the test blocks and of every system's free run."""
-    save(figures.spectra(of_sweep(arguments)), "figure-7", N_COLOURS_OF_MANY)
+    save(figures.spectra(of_sweeps(arguments)), "figure-7", N_COLOURS_OF_MANY)
 
 
 def capture(arguments: argparse.Namespace) -> None:
@@ -597,7 +603,8 @@ PICTURES: dict[str, Callable[[argparse.Namespace], None]] = {
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--recordings", type=Path, default=Path("recordings"))
-    parser.add_argument("--sweep", type=Path, default=Path("results/table-1"))
+    tables = [Path("results") / name for name in ("table-1", "table-1-tuned")]
+    parser.add_argument("--sweep", type=Path, nargs="+", default=tables)
     parser.add_argument("--only", type=lambda text: text.split(","), default=list(PICTURES))
     arguments = parser.parse_args()
     for name in arguments.only:

@@ -611,7 +611,9 @@ def by_both() -> list[Record]:
 def table_1() -> list[Record]:
     """Runs of Table I: by both recipes, of which `chosen` takes the better on validation, once the tuned ones are all done."""
     papers, both = of_all_systems(PAPERS), by_both()
-    return both if len(textures_of(both)) == len(textures_of(papers)) else papers
+    order = [method.title for method in read_experiment(experiment_path(TABLE_1["tuned"])).methods]
+    runs = both if len(textures_of(both)) == len(textures_of(papers)) else papers
+    return sorted(runs, key=lambda record: order.index(record["method"]))
 
 
 def textures_of(records: Records) -> set[str]:
@@ -699,7 +701,8 @@ def orders() -> Table:
     """Ranks of the paper's systems by unit, regime and data, and their correlation with the paper's (Spearman)."""
     if not table_1():
         return Table((), ())
-    figures = [(figure, chosen(table_1()), path) for figure, path in ORDERS.items()]
+    figures = [("one step, the paper's recipe for all [sd]", of_all_systems(PAPERS), ONE_STEP)]
+    figures += [(figure, chosen(table_1()), path) for figure, path in ORDERS.items()]
     figures += [(f"one step, {title} [sd]", chosen(tuned_on(name)), ONE_STEP) for title, name in OTHER_DATA.items()]
     rows = [["the paper's MAE", *in_order(PAPER[model] for model in PAPER_GFC), ""]]
     for figure, records, path in figures:

@@ -6,6 +6,7 @@ import csv
 import itertools
 import json
 import math
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -40,6 +41,7 @@ FIGURES = {
     "lsd": Figure("free-run log-spectral distance [dB]", "free_run.lsd_db", 2, -1, LINEAR_RUN),
     "level": Figure("free-run level error [dB]", "free_run.level_error_db", 2, -1, LINEAR_RUN),
 }
+OF_MODEL = "code (of "  # how what runs of one model differ in begins
 WITHOUT = ", without excitation"  # after a method's name, where its free run has none
 _SCORES = (
     *("one_step", "free_run", "free_run_deterministic", "free_run_ar", "ceiling", "warm_start"),
@@ -161,6 +163,7 @@ def mixture(records: Records) -> str:
     """
     first: dict[str, tuple[str, str]] = {}
     others: dict[str, list[str]] = {}
+    counts = Counter(what for record in records for what in _provenance(record))
     for record in records:
         name = f"{record['method']} on {record['texture']}, split {record['split']:g}"
         for what, value in _provenance(record).items():
@@ -170,16 +173,25 @@ def mixture(records: Records) -> str:
     differences: dict[tuple[str, ...], str] = {}  # of the same runs the first of what they differ in
     for what, names in others.items():
         differences.setdefault((first[what][1], *names), what)
-    return "; ".join(
+    by_model = {what: names for names, what in differences.items() if what.startswith(OF_MODEL)}
+    clauses = [
         f"{name!r} and {other!r}{f' and {len(more)} more' if more else ''} differ in {what}"
         for (name, other, *more), what in differences.items()
-    )
+        if len(by_model) < 2 or what not in by_model
+    ]
+    if len(by_model) > 1:
+        shares = (
+            f"{what.removeprefix(OF_MODEL).rstrip(')')} {len(names) - 1} of {counts[what]}"
+            for what, names in by_model.items()
+        )
+        clauses.append(f"runs of other code than the first of their model: {', '.join(shares)}")
+    return "; ".join(clauses)
 
 
 def _provenance(record: Record) -> dict[str, str]:
     """Digests of a run's sources and its platform, by what two that are not alike differ in."""
     sources = {f"code ({name})": value for name, value in (record.get("sources") or {}).items()}
-    of_all = f"code (of {record['model']} {record.get('measures', '')}".rstrip() + ")"
+    of_all = f"{OF_MODEL}{record['model']} {record.get('measures', '')}".rstrip() + ")"
     return {**sources, of_all: record.get("code") or "", "platform": record.get("platform") or ""}
 
 
