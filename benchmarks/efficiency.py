@@ -144,6 +144,7 @@ def epoch_s(model: str, blocks: ScaledBlocks, window: int | None = None, device:
 
     Args:
         window: samples; by default the model's.
+        device: on which it trains, the GAN aside, which does so on the CPU.
     """
     changed = {**OWN_RECIPES.get(model, {}), "epochs": 1, "threads": 1, "batch": RECIPES["paper"].batch}
     sizes = TRAINABLE[model]() if window is None else HapinfSizes(window=window, n_start=min(10, window))
@@ -185,16 +186,16 @@ def measured_on_gpu(models: Sequence[str], n: int, blocks: ScaledBlocks) -> list
     return gpu_table(times, epochs)
 
 
-def gpu_table(times_us: Mapping[str, Sequence[float]], epochs: Mapping[str, float]) -> list[list[str]]:
-    """Times of steps [µs] and epochs [s] on a GPU, beside the paper's."""
-    of_steps = ("step, mean [µs]", "median", "the paper's mean [µs]")
-    cells = [["model", *of_steps, "epoch [s]", "foten's ÷ its", "the paper's"]]
-    for model, of in times_us.items():
+def gpu_table(steps_us: Mapping[str, Sequence[float]], epochs: Mapping[str, float]) -> list[list[str]]:
+    """Times of steps [µs] and epochs [s] on a GPU, a teacher's with its student's, beside the paper's."""
+    heads = ("step, mean [µs]", "median", "the paper's mean [µs]", "epoch [s]", "foten's ÷ its", "the paper's")
+    cells = [["model", *heads]]
+    for model, of in steps_us.items():
         published = f"{1000 * PAPER[model].gpu_ms:.0f}" if model in PAPER else "–"
         epoch = f"{epochs[model]:.1f}" if model in epochs else "–"
         ratio = f"{epochs['foten'] / epochs[model]:.2f}" if {"foten", model} <= epochs.keys() else "–"
-        steps = f"{np.mean(of):.0f}", f"{np.median(of):.0f}", published
-        cells.append([model, *steps, epoch, ratio, published_ratio(model)])
+        step = f"{np.mean(of):.0f}", f"{np.median(of):.0f}", published
+        cells.append([model, *step, epoch, ratio, published_ratio(model)])
     return cells
 
 

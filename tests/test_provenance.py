@@ -247,8 +247,9 @@ def test_runs_of_two_models_have_different_digests_and_are_alike(folder: Path) -
     assert len(joined([again])) == 5
     with pytest.raises(ValueError, match=r"differ in code \(of fnn\)"):
         joined([[*again[:3], {**again[3], "code": "3"}]])
-    of_both = mixture([*again, *({**one, "code": "3"} for one in again[2:])])
-    assert of_both == "runs of other code than the first of their model: fnn 2 of 6, foten 1 of 2"
+    both = [*again, *({**one, "code": "3"} for one in again[2:])]
+    assert mixture(both) == "runs of other code than most of their model: fnn 2 of 6, foten 1 of 2"
+    assert mixture(both[::-1]) == "runs of other code than most of their model: foten 1 of 2, fnn 2 of 6"
     unknown = [{**record, "code": "", "platform": ""} for record in again]
     assert len(joined([unknown])) == 5
     with pytest.raises(ValueError, match="differ in code"):

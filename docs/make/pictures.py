@@ -526,7 +526,7 @@ def rates(arguments: argparse.Namespace) -> None:
 def of_sweeps(arguments: argparse.Namespace) -> list[Any]:
     """Results of Table I by several recipes, of each system those of the recipe that validation chose."""
     results = [
-        {**result, "run": {**result["run"], "recipe": folder.name}}
+        {**result, "run": {**result["run"], "recipe": result["experiment"]["title"]}}
         for folder in arguments.sweep
         for result in read_results(folder, mixed=True)
     ]
@@ -541,7 +541,7 @@ def compared(arguments: argparse.Namespace) -> None:
 
 
 def figure_6(arguments: argparse.Namespace) -> None:
-    """Fig. 6 as printed, free runs of the paper's network from the warm start over recordings; below how all systems converge."""
+    """Fig. 6, free runs of FoTEN, with an excitation and without, over recordings; below how all systems converge."""
     results = of_sweeps(arguments)
     above = figures.waveforms(results, "foten")
     below = figures.convergence(results)

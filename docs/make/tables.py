@@ -540,8 +540,8 @@ def abrupt_surfaces() -> Table:
     return Table.of(("", *GROUPS, "a flat surface, force and taps"), cells)
 
 
-def cost(name: str, heads: Sequence[str]) -> Table:
-    """Columns of the costs of steps and epochs, by how their headings begin."""
+def cost(name: str, heads: Sequence[str] = ("",)) -> Table:
+    """Columns of the costs of steps and epochs, by how their headings begin; by default all."""
     with (RESULTS / f"{name}.csv").open(encoding="utf-8") as file:
         heading, *rows = csv.reader(file)
     shown = [k for head in heads for k, title in enumerate(heading) if title.startswith(head)]
@@ -625,7 +625,7 @@ def so_far() -> str:
     planned = len(read_experiment(experiment_path("table-1")).textures)
     done = {recipe: len(textures_of(of_all_systems(recipe))) for recipe in TABLE_1}
     parts = [f"{n} of {planned} textures by {recipe} recipes" for recipe, n in done.items() if n < planned]
-    return f"Done so far: {'; '.join(parts)}." if parts else ""
+    return f"Done so far: {'; '.join(parts)}." if parts else f"All {planned} textures have both recipes."
 
 
 def both_recipes() -> Table:
@@ -724,14 +724,14 @@ def pairs() -> Table:
     """Errors of one step that go with the paper's GFC here, by least squares of logarithms over all systems and textures."""
     records = table_1()
     places = ("one_step", *(f"references.{name}" for name in ("ar", "ar_scheduled", "ar_best")))
-    both = [
+    both = {  # a linear predictor's once for all runs on a recording
         (record[f"{place}.mae_scaled"], 1 - record[f"{place}.gfc"])
         for record, place in product(records, places)
         if record.get(f"{place}.gfc") is not None
-    ]
+    }
     if not both:
         return Table((), ())
-    error, lack = np.log(np.array(both)).T
+    error, lack = np.log(np.array(sorted(both))).T
     slope, constant = np.polyfit(lack, error, 1)
     spread = float(np.std(error - constant - slope * lack))
     rows = []
@@ -1057,7 +1057,7 @@ TABLES: dict[str, dict[str, Callable[[], Table | str]]] = {
         "efficiency": partial(
             cost, "efficiency", ("model", "input", "PyTorch", "median", "ONNX", "kernel", "paper's mean")
         ),
-        "gpu": partial(cost, "efficiency-gpu", ("",)),
+        "gpu": partial(cost, "efficiency-gpu"),
         "epochs": partial(
             cost, "efficiency", ("model", "param", "epoch [s]", "of it", "epoch in", "foten's", "the paper's")
         ),

@@ -215,12 +215,11 @@ def warm_start(records: Records) -> Table:
     rows: list[list[Number | str]] = []
     for method in dict.fromkeys(record["method"] for record in records):
         runs = [record for record in records if record["method"] == method]
-        times = [run["warm_start.forgotten_ms"] for run in runs if run.get("warm_start.forgotten_ms") is not None]
-        levels = [level for run in runs if (level := run.get("warm_start.stored.level_db")) is not None]
-        silent = bool(levels) and float(np.median(levels)) < SILENT_DB  # a mean would be one dead run's
-        forgotten = f"{np.median(times):.0f}, {len(times)} of {len(runs)}" if times else "never"
-        if silent or not any(run.get("warm_start.synthesised.mae_scaled") for run in runs):
-            forgotten = "silent" if silent else "–"
+        heard = [run for run in runs if (run.get("warm_start.stored.level_db") or 0.0) >= SILENT_DB]
+        times = [run["warm_start.forgotten_ms"] for run in heard if run.get("warm_start.forgotten_ms") is not None]
+        forgotten = f"{np.median(times):.0f}, {len(times)} of {len(runs)}" if times else "never" if heard else "silent"
+        if not any(run.get("warm_start.synthesised.mae_scaled") for run in runs):
+            forgotten = "–"
         rows.append([method, *(cell(runs, *column[1:]) for column in WARM_START), forgotten])
     # The same whatever was trained beside them: once for each recording and split.
     once = list(

@@ -163,28 +163,27 @@ def mixture(records: Records) -> str:
     """
     first: dict[str, tuple[str, str]] = {}
     others: dict[str, list[str]] = {}
-    counts = Counter(what for record in records for what in _provenance(record))
+    counts: dict[str, Counter[str]] = {}  # of values
     for record in records:
         name = f"{record['method']} on {record['texture']}, split {record['split']:g}"
         for what, value in _provenance(record).items():
+            counts.setdefault(what, Counter())[value] += 1
             known, _ = first.setdefault(what, (value, name))
             if value != known:
                 others.setdefault(what, []).append(name)
     differences: dict[tuple[str, ...], str] = {}  # of the same runs the first of what they differ in
     for what, names in others.items():
         differences.setdefault((first[what][1], *names), what)
-    by_model = {what: names for names, what in differences.items() if what.startswith(OF_MODEL)}
+    by_model = [what for what in differences.values() if what.startswith(OF_MODEL)]
     clauses = [
         f"{name!r} and {other!r}{f' and {len(more)} more' if more else ''} differ in {what}"
         for (name, other, *more), what in differences.items()
         if len(by_model) < 2 or what not in by_model
     ]
     if len(by_model) > 1:
-        shares = (
-            f"{what.removeprefix(OF_MODEL).rstrip(')')} {len(names) - 1} of {counts[what]}"
-            for what, names in by_model.items()
-        )
-        clauses.append(f"runs of other code than the first of their model: {', '.join(shares)}")
+        totals = {what: (counts[what].total(), counts[what].most_common(1)[0][1]) for what in by_model}
+        shares = (f"{what.removeprefix(OF_MODEL).rstrip(')')} {n - most} of {n}" for what, (n, most) in totals.items())
+        clauses.append(f"runs of other code than most of their model: {', '.join(shares)}")
     return "; ".join(clauses)
 
 
