@@ -129,6 +129,43 @@ def test_ranks_agree_with_the_papers_or_are_its_reverse(tables: ModuleType, runs
     assert tables.orders().rows[-1] == ("one-step GFC", "5", "4", "2", "2", "–", "2", "+0.9")
 
 
+def test_a_start_is_forgotten_by_runs_that_are_heard(tables: ModuleType) -> None:
+    def shown(*of: tuple[float, float | None]) -> str:
+        window = {"warm_start.synthesised.mae_scaled": 0.5}
+        records = [
+            run(
+                "FNN [13]",
+                texture,
+                0.3,
+                **window,
+                **{"warm_start.stored.level_db": level, "warm_start.forgotten_ms": ms},
+            )
+            for texture, (level, ms) in zip(TEXTURES, of, strict=False)
+        ]
+        return str(tables.warm_start(records).rows[0][-1])
+
+    assert shown((-1.0, 100.0), (-2.0, 300.0), (-30.0, None)) == "200, 2 of 3"
+    assert shown((-1.0, None), (-30.0, None)) == "never"
+    assert shown((-21.0, None), (-30.0, None)) == "silent"
+
+
+def test_what_is_quicker_is_quicker_by_a_tenth_and_measured(
+    tables: ModuleType, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setattr(tables, "RESULTS", tmp_path)
+    on_cpu = {"dstn": "91,5", "ldhtd": "89,20", "gan": "10,8.9", "foten": "100,10"}
+    on_gpu = {"dstn": "10,1", "ldhtd": "200,8", "gan": "10,–", "foten": "100,10"}
+    for name, head, rows in (
+        ("efficiency", '"PyTorch, mean [µs]",epoch in PyTorch alone [s]', on_cpu),
+        ("efficiency-gpu", '"step, mean [µs]",epoch [s]', on_gpu),
+    ):
+        lines = [f"model,{head}", *(f"{model},{times}" for model, times in rows.items())]
+        (tmp_path / f"{name}.csv").write_text("\n".join(lines), encoding="utf-8")
+    text = tables.quicker()
+    assert "quicker in a step: LDHTD and GAN; in an epoch: DSTN and GAN. " in text
+    assert "On a GPU in a step: DSTN and GAN; in an epoch: DSTN and LDHTD. " in text
+
+
 def test_an_order_by_the_papers_recipe_stands_beside_that_by_the_better(tables: ModuleType, runs: Runs) -> None:
     """Tuned errors are all lower, and in the reverse order."""
     runs["table-1"] = of_systems(TEXTURES)
