@@ -750,10 +750,15 @@ def pairs() -> Table:
 
 
 def bands() -> Table:
-    """Errors of one step of tuned systems with the whole band and behind a low-pass, on the textures of both, and ranks."""
+    """Errors of one step of tuned systems with the whole band and behind a low-pass, on the textures of both, and ranks.
+
+    Of the systems that have all textures behind it.
+    """
     smooth = [{**run, "texture": run["texture"].rpartition("-")[0]} for run in runs_of(BEHIND_LOW_PASS)]
     tuned = runs_of("table-1-tuned")
-    methods = {run["method"] for run in smooth} & {run["method"] for run in tuned}
+    behind = by_place(smooth)
+    methods = {name for name in behind if len(behind[name]) == max(map(len, behind.values()))}
+    methods &= {run["method"] for run in tuned}
     both = [with_all([run for run in part if run["method"] in methods], methods) for part in (tuned, smooth)]
     shared = set.intersection(*map(textures_of, both))
     columns: dict[str, list[Cell]] = {}
