@@ -129,6 +129,30 @@ def test_ranks_agree_with_the_papers_or_are_its_reverse(tables: ModuleType, runs
     assert tables.orders().rows[-1] == ("one-step GFC", "5", "4", "2", "2", "–", "2", "+0.9")
 
 
+def test_systems_have_one_order_by_whichever_recipe_they_are_shown(tables: ModuleType, runs: Runs) -> None:
+    runs["table-1"] = of_systems(TEXTURES)
+    better = ("FNN [13]", "FoTEN")
+    runs["table-1-tuned"] = [
+        one | {"validation.mae_scaled": 0.01} if one["method"] in better else one for one in tuned(TEXTURES, by=1.5)
+    ]
+    shown = {record["method"]: record["recipe"] for record in tables.chosen(tables.table_1())}
+    assert [*shown] == [
+        *[name for name in ERRORS if name != "foten-plus (ours)"],
+        "FoTEN with excitation",
+        "foten-plus (ours)",
+    ]
+    assert {name for name, recipe in shown.items() if recipe == "tuned"} == {*better, "FoTEN with excitation"}
+
+
+def test_a_linear_predictor_counts_once_for_all_runs_on_a_recording(tables: ModuleType, runs: Runs) -> None:
+    linear = {"references.ar.mae_scaled": 0.9, "references.ar.gfc": 0.99}
+    runs["table-1"] = of_systems(TEXTURES)
+    runs["table-1"][0] |= linear
+    once = tables.pairs().rows
+    runs["table-1"] = of_systems(TEXTURES, **linear)
+    assert tables.pairs().rows == once
+
+
 def test_a_start_is_forgotten_by_runs_that_are_heard(tables: ModuleType) -> None:
     def shown(*of: tuple[float, float | None]) -> str:
         window = {"warm_start.synthesised.mae_scaled": 0.5}
