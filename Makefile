@@ -34,7 +34,7 @@ $(VENV)/.docs: $(VENV)/.installed
 docs: $(VENV)/.docs
 	$(THREADS) $(BIN)/python docs/make/tables.py --check
 	$(BIN)/zensical build --strict --clean
-	$(BIN)/python docs/make/live.py
+	$(BIN)/python native/wasm/pack.py --out build/site/live && cp -R src/foten/textures build/site/live # of the first page
 	$(BIN)/python docs/make/screenshots.py
 
 # Every table and figure of the paper, reduced as each says, in half an hour on two cores: build/paper. It goes on where it stopped.

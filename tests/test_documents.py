@@ -129,7 +129,7 @@ def test_every_link_leads_somewhere(page: Path) -> None:
     text = FENCE.sub("", page.read_text(encoding="utf-8"))
     targets = re.findall(r"\]\(([^)\s]+)\)", text) + re.findall(r'src="([^"]+)"', text)
     for target in targets:
-        if target.startswith(("https://", "live/")):  # which docs/make/live.py makes, and a browser test tries
+        if target.startswith(("https://", "live/")):  # which `make docs` makes, and a browser test tries
             continue
         name, _, anchor = target.partition("#")
         path = (page.parent / name).resolve() if name else page

@@ -89,14 +89,18 @@ def test_tuned_runs_are_no_rows_of_table_1_before_they_have_all_its_textures(tab
     runs["table-1-tuned"] = tuned(TEXTURES[:2], by=0.5)
     runs["table-1-tuned"].pop()  # ours on the second texture
     shown = tables.chosen(tables.table_1())
-    assert {(record["texture"], record["recipe"]) for record in shown} == {(t, "the paper's") for t in TEXTURES[:3]}
+    assert {record["texture"] for record in shown} == {*TEXTURES[:3]}
+    recipes = {"ar": "its own", "gan": "its own", "foten-plus": "its own"}
+    assert {record["model"]: record["recipe"] for record in shown} == dict.fromkeys(
+        MODELS.values(), "the paper's"
+    ) | recipes
     assert tables.so_far() == "Done so far: 3 of 12 textures by the paper's recipes; 1 of 12 textures by tuned recipes."
     assert [(row[0], row[1]) for row in tables.both_recipes().rows] == [(name, "1") for name in ERRORS]
     runs["table-1-tuned"] = tuned(TEXTURES[:3], by=0.5)
     assert {record["recipe"] for record in tables.chosen(tables.table_1())} == {"tuned"}
     runs["table-1-tuned"] = tuned(TEXTURES[:3], by=1.5)
     shown = [record for record in tables.chosen(tables.table_1()) if record["method"] in ERRORS]
-    assert {record["recipe"] for record in shown} == {"the paper's"}
+    assert {record["recipe"] for record in shown} == {"the paper's", "its own"}
 
 
 def test_a_texture_that_a_system_lacks_is_in_no_row(tables: ModuleType, runs: Runs) -> None:
@@ -142,6 +146,76 @@ def test_systems_have_one_order_by_whichever_recipe_they_are_shown(tables: Modul
         "foten-plus (ours)",
     ]
     assert {name for name, recipe in shown.items() if recipe == "tuned"} == {*better, "FoTEN with excitation"}
+
+
+def test_systems_stand_beside_the_best_ar_and_their_neighbours_with_what_chance_does(
+    tables: ModuleType, runs: Runs
+) -> None:
+    """The exact p of twelve differences of one sign is 2/2¹²; after Holm it is as many times that as there are systems."""
+    linear = {"references.ar_best.mae_scaled": 0.28}
+    runs["table-1"] = of_systems(TEXTURES, **linear)
+    rng = np.random.default_rng(0)
+    for one in runs["table-1"]:
+        if "one_step.mae_scaled" in one:
+            one["one_step.mae_scaled"] += 0.001 * rng.random()
+    (fnn,) = (row for row in tables.beside_ar().rows if row[0] == "FNN [13]")
+    assert (fnn[1][:4], *fnn[2:]) == ("1.43", "0 of 12", f"{6 * 2 / 2**12:.3f}", "–", "–", "–")
+    runs["table-1-tuned"] = tuned(TEXTURES, by=0.5, **linear)
+    rows = {row[0]: row[1:] for row in tables.beside_ar().rows}
+    assert [*rows] == [method for method in ERRORS if not method.startswith("GAN")]
+    assert rows["FoTEN"][1:5] == ("12 of 12", f"{6 * 2 / 2**12:.3f}", "0.357", "12 of 12")
+    assert rows["piecewise AR [12]"][1:5] == ("0 of 12", f"{6 * 2 / 2**12:.3f}", "0.893", "12 of 12")
+    runs["table-1-tuned"] = []
+    near = iter([0.05, -0.05] * 6)
+    for one in runs["table-1"]:
+        if one["model"] == "dstn":
+            one["one_step.mae_scaled"] = ERRORS["LDHTD [20]"] + next(near) + 0.001
+    text = tables.neighbours()
+    assert "on the 12 textures" in text
+    assert "foten-plus (ours) and FoTEN 0.002; FoTEN and LDHTD [20] 0.002; " in text
+    assert float(text.partition("LDHTD [20] and DSTN [15] ")[2].partition(";")[0]) > 0.1
+
+
+def test_networks_that_learned_longer_stand_beside_the_same_recordings_before(tables: ModuleType, runs: Runs) -> None:
+    runs["table-1-tuned"] = tuned(TEXTURES)
+    assert tables.longer().rows == ()
+    runs["table-1-longer"] = [run("FoTEN", texture, 0.1, epochs=48) for texture in TEXTURES[:3]]
+    ((name, n, *cells),) = tables.longer().rows
+    assert (name, n) == ("FoTEN", "3")
+    assert [*map(str, cells)] == ["0.200", "0.200", "10", "0.100", "0.100", "48"]
+
+
+def test_real_recordings_are_compared_on_splits_that_all_systems_have(tables: ModuleType, runs: Runs) -> None:
+    assert tables.on_real() == ""
+    systems = [(name, recipe) for name in ERRORS for recipe in ("paper", "tuned") if not name.startswith("GAN")]
+    systems = [(name, "" if MODELS[name] in ("ar", "foten-plus") else recipe) for name, recipe in systems]
+    runs["table-1-real"] = [
+        run(name, texture, 0.5, recipe=recipe, split=split, **{"references.zero.mae_scaled": silence})
+        for name, recipe in dict.fromkeys(
+            [*systems, ("FoTEN with excitation", "tuned"), ("FoTEN with excitation", "paper")]
+        )
+        for texture in ("copper", "fabric", "leather", "wood")
+        for split, silence in ((1, 0.7), (2, 0.7 if texture == "wood" else 0.8))
+    ]
+    removed = runs["table-1-real"].pop(0)
+    assert (removed["texture"], removed["split"]) == ("copper", 1)
+    assert {(one["texture"], one["split"]) for one in tables.tuned_on("table-1-real")} == {
+        (one["texture"], one["split"]) for one in runs["table-1-real"][:7]
+    }
+    assert tables.on_real().startswith("Means over the 7 of 8 splits that all systems have. Both splits of wood have")
+
+
+def test_cells_that_were_made_anew_have_every_figure_of_the_table(tables: ModuleType) -> None:
+    """Ten runs of `table-1`, from a clone, by somebody who had only the page *Reproduce*: equal to four digits."""
+    published = {(one["experiment"], *tables.place_of(one)): one for one in tables.records_of("paper")}
+    anew = tables.records_of("made-anew")
+    assert len(anew) == 10
+    assert len({one["model"] for one in anew}) == 5
+    for one in anew:
+        figures = {key: value for key, value in one.items() if "." in key}
+        assert sum(isinstance(value, float) for value in figures.values()) > 30
+        of_table = published[(one["experiment"], *tables.place_of(one))]
+        assert {key: of_table.get(key) for key in figures} == figures
 
 
 def test_a_linear_predictor_counts_once_for_all_runs_on_a_recording(tables: ModuleType, runs: Runs) -> None:
@@ -221,8 +295,14 @@ def test_ours_stands_beside_the_best_other_system_on_the_textures_that_both_reci
     assert tables.equal_tuning().rows == ()
     runs["table-1-tuned"] = tuned(TEXTURES[:4], by=0.5, **linear)
     ((title, n, over_best, over_linear, *lacking),) = tables.equal_tuning().rows
-    assert (title, n, over_best) == ("simulated textures", "4", "0.500 (FoTEN)")
-    assert str(over_linear) == "0.125"
+    assert (title, n, over_best) == ("simulated textures", "4", "0.500 ± 0.000 (FoTEN)")
+    assert str(over_linear) == "0.125 ± 0.000"
+    by_two = zip(runs["table-1-tuned"], [1, 3] * len(runs["table-1-tuned"]), strict=False)
+    runs["table-1-tuned"] = [
+        one | {"one_step.mae_scaled": by * 0.05} if one["model"] == "foten-plus" else one for one, by in by_two
+    ]
+    ((*_, over_linear), *_) = (row[:4] for row in tables.equal_tuning().rows)
+    assert str(over_linear) == "0.250 ± 0.072"  # of 0.125 and 0.375, two textures each
     assert {str(cell) for cell in lacking} == {"–"}
 
 
@@ -250,7 +330,7 @@ def test_other_data_are_compared_once_all_systems_have_all_their_recipes_there(t
     assert [row[0] for row in tables.equal_tuning().rows] == ["contact mechanics"]
     runs["table-1-real"].append(last)
     contact, of_real = ([str(cell) for cell in row[:3]] for row in tables.equal_tuning().rows)
-    assert contact == ["contact mechanics", "10", "0.500 (foten)"]
+    assert contact == ["contact mechanics", "10", "0.500 ± 0.000 (foten)"]
     assert of_real[:2] == ["real recordings", "4"]
     assert of_real[2].startswith("0.833")
     assert of_real[2].endswith("(FNN [13])")

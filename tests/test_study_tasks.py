@@ -505,8 +505,14 @@ def test_strokes_are_those_of_one_surface(tmp_path: Path) -> None:
         store.add_strokes(1, 1, [Stroked(0, events), Stroked(2, events + np.array([0, 1, 0, 5]))])
     common = ("strokes", tmp_path / "s.db", "--participant", 1, "--trial", 1, "-o", tmp_path / "s.csv")
     assert "surfaces 1, 3 were stroked in that trial: which one? --surface 1" in foten(*common, ok=False)
-    assert "20 events" in foten(*common, "--surface", 3)
+    said = foten(*common, "--surface", 3)
+    assert "20 events" in said
+    assert "--pressure" not in said  # nothing was answered yet that the tablet's curve is kept with
     assert "no stroke of participant 1 in trial 1 on surface 2" in foten(*common, "--surface", 2, ok=False)
+    with Store(tmp_path / "s.db") as store:
+        tablet = {"newtons": 0.15, "steepness": 3.0}
+        store.take_step(1, "trial:1", (1, Rated({"choice": 0.0}, log=tablet)))
+    assert f"--stroke {tmp_path / 's.csv'} --pressure 0.15,3\n" in foten(*common, "--surface", 3)
 
 
 # For the record

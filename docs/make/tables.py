@@ -17,7 +17,7 @@ from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import cache, partial
-from itertools import product
+from itertools import pairwise, product
 from pathlib import Path
 from typing import Any
 
@@ -27,8 +27,30 @@ from scipy.stats import rankdata, spearmanr
 from foten.atomic_write import atomic_write
 from foten.evaluate.warm_start import CONVERGED_MS, SILENT_DB
 from foten.experiments.experiment import experiment_path, read_experiment
-from foten.experiments.method_tables import PAPER, brief, findings, ratios, summary, warm_start
-from foten.experiments.results import Record, Records, by_recipe, chosen, joined, read_records, runs_table
+from foten.experiments.method_tables import (
+    PAPER,
+    Row,
+    brief,
+    complete,
+    findings,
+    holm,
+    ratios,
+    rows_of,
+    signed_rank,
+    summary,
+    warm_start,
+)
+from foten.experiments.results import (
+    BEST_LINEAR,
+    WITHOUT,
+    Record,
+    Records,
+    by_recipe,
+    chosen,
+    joined,
+    read_records,
+    runs_table,
+)
 from foten.reporting.table import Cell, Number, Table, mean_number
 from foten.simulation import contact_mechanics, linear_family, simulate
 
@@ -52,6 +74,7 @@ FULL_LENGTH = {
     "table-1": "paper",
     "table-1-tuned": "paper",
     "table-1-near": "paper",
+    "table-1-longer": "paper",
     "table-1-350hz": "paper",
     "table-2": "paper",
     "figure-5": "paper",
@@ -578,14 +601,24 @@ def by_place(records: Records) -> dict[str, dict[Place, Record]]:
     return methods
 
 
-PAPERS = "the paper's"
-TABLE_1 = {PAPERS: "table-1", "tuned": "table-1-tuned"}
+PAPERS, TUNED, OWN = "the paper's", "tuned", "its own"
+TABLE_1 = {PAPERS: "table-1", TUNED: "table-1-tuned"}
 """Experiments of Table I, by what its recipes are called."""
+WITH_OWN = ("ar", "gan", OURS)
+"""Models that the paper's recipe is not for."""
 
 
 def of_recipe(recipe: str) -> list[Record]:
-    """Runs of Table I by the paper's recipe or by the tuned ones, with that as the name of their recipe."""
-    return [{**record, "recipe": recipe} for record in runs_of(TABLE_1[recipe])]
+    """Runs of Table I by the paper's recipe or by the tuned ones, with the name of their recipe."""
+    return [
+        {**record, "recipe": OWN if recipe == PAPERS and record["model"] in WITH_OWN else recipe}
+        for record in runs_of(TABLE_1[recipe])
+    ]
+
+
+def of_sides(records: Records) -> list[list[Record]]:
+    """Runs by the paper's recipe or a system's own, and by the tuned ones."""
+    return [[record for record in records if (record["recipe"] == TUNED) == tuned] for tuned in (False, True)]
 
 
 def with_all(records: Records, methods: Collection[str]) -> list[Record]:
@@ -611,7 +644,7 @@ def by_both() -> list[Record]:
 def table_1() -> list[Record]:
     """Runs of Table I: by both recipes, of which `chosen` takes the better on validation, once the tuned ones are all done."""
     papers, both = of_all_systems(PAPERS), by_both()
-    order = [method.title for method in read_experiment(experiment_path(TABLE_1["tuned"])).methods]
+    order = [method.title for method in read_experiment(experiment_path(TABLE_1[TUNED])).methods]
     runs = both if len(textures_of(both)) == len(textures_of(papers)) else papers
     return sorted(runs, key=lambda record: order.index(record["method"]))
 
@@ -630,27 +663,74 @@ def so_far() -> str:
 
 def both_recipes() -> Table:
     """Errors of one step by both recipes of each system, on the textures that have both; on validation too, which chooses."""
-    records = by_both() or table_1()
-    paper, tuned = (by_place([record for record in records if record["recipe"] == recipe]) for recipe in TABLE_1)
+    return side_by_side("paper's recipe", "tuned", *of_sides(by_both() or table_1()))
+
+
+def longer() -> Table:
+    """Errors of one step by tuned recipes and by the same for twice as long, on the recordings of the latter."""
+    twice = by_place(runs_of("table-1-longer"))
+    once = by_place(runs_of("table-1-tuned"))
+    pairs = [(once[method][place], one) for method, of in twice.items() for place, one in of.items() if method in once]
+    return side_by_side("tuned", "twice as long", *map(list, zip(*pairs, strict=True))) if pairs else Table((), ())
+
+
+def side_by_side(first: str, second: str, *sides: Records) -> Table:
+    """Errors of one step of two sides by system, on test and validation blocks, and epochs."""
+    left, right = map(by_place, sides)
     rows = []
-    for method, of_paper in paper.items():
-        of_tuned = tuned.get(method, {})
+    for method, of_left in left.items():
         cells: list[Cell] = []
-        for side in ([*of_paper.values()], [*of_tuned.values()]):
+        for side in ([*of_left.values()], [*right.get(method, {}).values()]):
             epochs = [record["epochs"] for record in side if record.get("epochs") is not None]
             cells += [
                 mean(ONE_STEP)(side),
                 mean("validation.mae_scaled")(side),
                 f"{np.mean(epochs):.0f}" if epochs else "–",
             ]
-        if epochs or any(record.get("epochs") for record in of_paper.values()):
-            rows.append((method, str(len(of_paper)), *cells))
-    columns = ("paper's recipe: MAE [sd]", "validation", "epochs", "tuned: MAE [sd]", "validation ", "epochs ")
+        if epochs or any(record.get("epochs") for record in of_left.values()):
+            rows.append((method, str(len(of_left)), *cells))
+    columns = (f"{first}: MAE [sd]", "validation", "epochs", f"{second}: MAE [sd]", "validation ", "epochs ")
     return Table.of(("", "textures", *columns), rows)
 
 
+def errors_of(records: Records) -> tuple[list[str], list[Row]]:
+    """Textures, and rows of one-step errors of references and of systems, each once."""
+    return rows_of([record for record in records if not record["method"].endswith(EXCITED)], "mae")
+
+
+def beside_ar() -> Table:
+    """Errors of one step by both recipes beside those of the best AR: ratio, number of textures, p after Holm over systems."""
+    sides: list[dict[str, tuple[Cell, ...]]] = []
+    for side in of_sides(by_both() or table_1()):
+        textures, rows = errors_of(side)
+        linear, systems = next((row for row in rows if row.name == BEST_LINEAR), None), complete(rows, textures)
+        p = signed_rank(linear, systems, textures) if linear else {}
+        cells: dict[str, tuple[Cell, ...]] = {}
+        for row in systems if linear else ():
+            ratios = row.means(textures) / linear.means(textures)
+            below = f"{np.sum(ratios < 1)} of {ratios.size}"
+            cells[row.name.removesuffix(WITHOUT)] = (f"{ratios.mean():.3f}", below, f"{p[row.name]:.3f}" if p else "–")
+        sides.append(cells)
+    heads = ("paper's recipe: ÷ best AR", "below it on", "p", "tuned: ÷ best AR", "below it on ", "p ")
+    return Table.of(("", *heads), [(name, *(c for of in sides for c in of.get(name, "–––"))) for name in sides[0]])
+
+
+def neighbours() -> str:
+    """Sentence on what chance may have done to the order of systems by their errors of one step."""
+    textures, rows = errors_of(chosen(table_1()))
+    systems = sorted(complete(rows, textures), key=lambda row: float(row.means(textures).mean()))
+    p = [next(iter(signed_rank(row, [behind], textures).values()), 1.0) for row, behind in pairwise(systems)]
+    if not p:
+        return ""
+    pairs = (f"{a.name} and {b.name} {value:.3f}" for (a, b), value in zip(pairwise(systems), holm(p), strict=True))
+    return (
+        f"Neighbours in one step on the {len(textures)} textures, best first, and p of their difference, after Holm for "
+        f"{len(p)} pairs: {'; '.join(pairs).replace(WITHOUT, '')}."
+    )
+
+
 def tuned_on(name: str) -> list[Record]:
-    """Runs of an experiment, once all its systems have all textures and splits by all their recipes, but for refused AR."""
+    """Runs of an experiment on the splits that all its systems have, once all are done but for AR that was refused."""
     experiment, records = of_file(name), records_of(name)
     n_done = Counter((record["method"], record.get("recipe") or "") for record in records)
     n_textures = len(experiment["textures"])
@@ -659,7 +739,21 @@ def tuned_on(name: str) -> list[Record]:
         n = n_textures if one["model"] == "ar" else n_textures * len(one.get("split_seeds", experiment["split_seeds"]))
         if min(n_done[one.get("name", one["model"]), recipe] for recipe in one.get("recipes", [""])) < n:
             return []
-    return records
+    places = [{*of} for of in by_place(records).values()]
+    shared = set.intersection(*places) if places else set()
+    return [record for record in records if (record["texture"], record["split"]) in shared]
+
+
+def on_real() -> str:
+    """Sentences on which splits of the real recordings are compared, and which of them have the same test blocks."""
+    records, shared = records_of(REAL_TABLE_1), tuned_on(REAL_TABLE_1)
+    n, of = (len({(record["texture"], record["split"]) for record in some}) for some in (shared, records))
+    silence: dict[str, dict[float, float]] = {}  # errors on the test blocks, which are the same where these are
+    for record in shared:
+        silence.setdefault(record["texture"], {})[record["split"]] = record["references.zero.mae_scaled"]
+    same = [texture for texture, errors in silence.items() if 1 == len({*errors.values()}) < len(errors)]
+    blocks = f" Both splits of {' and of '.join(same)} have the same test blocks and differ in what was learned from."
+    return f"Means over the {n} of {of} splits that all systems have.{blocks if same else ''}" if n else ""
 
 
 def means_of(records: Records, path: str) -> dict[str, float]:
@@ -693,7 +787,14 @@ def convergence() -> Table:
     if rows:
         once = list({(record["texture"], record["split"]): record for record in shown}.values())
         rows.append(("ceiling", *[""] * 4, *(mean(path.format("ceiling"), digits=2)(once) for path in EARLY_AND_LATE)))
-    heads = ("within 100 ms", "later", "never", "silent", "error ÷ silence's, first 100 ms", "next 300 ms")
+    heads = (
+        "within 100 ms",
+        "later",
+        "not in the block's 2 s",
+        "silent",
+        "error ÷ silence's, first 100 ms",
+        "next 300 ms",
+    )
     return Table.of(("", *heads), rows)
 
 
@@ -773,7 +874,7 @@ def bands() -> Table:
 
 
 def near() -> Table:
-    """Networks that are near one another, by their best recipes, on three recordings of each texture."""
+    """Systems that are near one another, by their best recipes, on three recordings of each texture."""
     more = runs_of("table-1-near")
     textures, methods = ({record[key] for record in more} for key in ("texture", "method"))
     first = [r for r in runs_of("table-1-tuned") if r["texture"] in textures and r["method"] in methods]
@@ -846,20 +947,25 @@ def over_best(methods: Mapping[str, Mapping[Place, Record]], path: str) -> str:
     textures = {texture for texture, _ in ours}
     of_all = [name for name, of in ratios.items() if {record["texture"] for record in of} == textures]
     worst = max(of_all, key=lambda name: _mean(ratios[name], "ratio", "").value or 0.0, default="")
-    return f"{mean('ratio')(ratios[worst])} ({worst})" if worst else "–"
+    return f"{over_textures(ratios[worst], 'ratio')} ({worst})" if worst else "–"
+
+
+def over_textures(records: Records, over: str, under: str = "") -> Number:
+    """Mean over textures ± its standard error, which is that of textures here and not of splits."""
+    means = np.array([np.mean(splits) for splits in values(records, over, under)])
+    error = float(means.std(ddof=1) / np.sqrt(means.size)) if means.size > 1 else None
+    return Number(float(means.mean()) if means.size else None, ".3f", error)
 
 
 def equal_tuning() -> Table:
     """foten-plus over the other systems at equally many recipes, and over linear predictors: means over textures."""
     rows = []
-    for title, records in TUNED.items():
+    for title, records in EQUAL.items():
         methods = by_place(chosen(records()))
         ours = [record for name, of in methods.items() if name.startswith(OURS) for record in of.values()]
         if ours:
             textures = str(len({record["texture"] for record in ours}))
-            of_all = set.intersection(*(set(of) for of in methods.values()))
-            shared = [record for record in ours if (record["texture"], record["split"]) in of_all]
-            pairs = ((over_best(methods, path), mean(path, linear)(shared)) for path, linear in EQUALLY_TUNED)
+            pairs = ((over_best(methods, path), over_textures(ours, path, linear)) for path, linear in EQUALLY_TUNED)
             rows.append((title, textures, *(cell for pair in pairs for cell in pair)))
     heads = (
         "one step ÷ best system",
@@ -874,7 +980,7 @@ def equal_tuning() -> Table:
 
 EQUALLY_TUNED = ((ONE_STEP, BEST_AR), (LSD, AR_LSD), (LEVEL, "free_run_ar.level_error_db"))
 """Figures that systems are compared by at equally many recipes, and those of the linear predictor."""
-TUNED: Mapping[str, Callable[[], Records]] = {
+EQUAL: Mapping[str, Callable[[], Records]] = {
     MAIN[SIMULATED]: by_both,
     **{title: partial(tuned_on, name) for title, name in OTHER_DATA.items()},
 }
@@ -903,17 +1009,40 @@ def place_of(record: Record) -> tuple[Any, ...]:
     return record["method"], record.get("recipe") or "", record["texture"], record["split"]
 
 
+def core_hours(records: Records) -> str:
+    """Hours of training and evaluation, a dash where the CSV lacks them."""
+    seconds = [record.get(key) for record in records for key in ("training_s", "evaluation_s")]
+    return "–" if None in seconds else f"{sum(seconds) / 3600:.1f}"
+
+
+def experiments() -> Table:
+    """What the other experiments are of, and what the runs in their CSV files took."""
+    rows = []
+    for name in (*MAIN, *LISTENERS, "ingredients"):
+        of = of_file(name)
+        runs = [
+            one
+            for one in records_of(LISTENERS.get(name, name))
+            if name not in LISTENERS or one["experiment"] == of["title"]
+        ]
+        rows.append((f"`{name}`", of["note"].rstrip("."), str(len(runs)), core_hours(runs)))
+    return Table.of(("experiment", "what", "runs", "core-hours"), rows)
+
+
+LISTENERS = {"listener": "listener", "listener-256s": "listener"}
+"""Experiments with listeners, and the CSV that holds their runs."""
+
+
 def spent() -> Table:
     """Runs of the paper's tables at full length that are done, and what they took."""
     rows = []
     for name in (*FULL_LENGTH, REAL_TABLE_1):
         records = runs_of(name) if name in FULL_LENGTH else records_of(name)
-        seconds = sum(record["training_s"] + record["evaluation_s"] for record in records)
         planned = (
             None if name in (BEHIND_LOW_PASS, REAL_TABLE_1) else len(read_experiment(experiment_path(name)).runs())
         )
         done = f"{len(records)} of {planned}" if planned else str(len(records))
-        rows.append((f"`{name}`", done, f"{seconds / 3600:.1f}"))
+        rows.append((f"`{name}`", done, core_hours(records)))
     return Table.of(("experiment", "runs done", "core-hours"), rows)
 
 
@@ -1046,7 +1175,10 @@ TABLES: dict[str, dict[str, Callable[[], Table | str]]] = {
         "table-1": lambda: compared(chosen(table_1())) if table_1() else Table((), ()),
         "findings": lambda: "\n".join(f"- {line}" for line in findings(table_1())) if table_1() else "",
         "both-recipes": both_recipes,
+        "beside-ar": beside_ar,
+        "neighbours": neighbours,
         "near": near,
+        "longer": longer,
         "convergence": convergence,
         "warm-start": lambda: warm_start(chosen(table_1())) if table_1() else Table((), ()),
         "equal-tuning": equal_tuning,
@@ -1058,7 +1190,8 @@ TABLES: dict[str, dict[str, Callable[[], Table | str]]] = {
         "headline": headline,
         "pairs": pairs,
         "bands": bands,
-        "table-1-real": partial(of_experiment, "table-1-real", compared),
+        "table-1-real": lambda: compared(chosen(tuned_on(REAL_TABLE_1))) if tuned_on(REAL_TABLE_1) else Table((), ()),
+        "on-real": on_real,
         "efficiency": partial(
             cost, "efficiency", ("model", "input", "PyTorch", "median", "ONNX", "kernel", "paper's mean")
         ),
@@ -1069,7 +1202,7 @@ TABLES: dict[str, dict[str, Callable[[], Table | str]]] = {
         "quicker": quicker,
         "csv": partial(listed, *FULL_LENGTH, "table-1-real"),
     },
-    "reproduce.md": {"spent": spent},
+    "reproduce.md": {"experiments": experiments, "spent": spent},
     "runtime.md": {name: partial(benchmark, name) for name in BENCHMARKS},
 }
 

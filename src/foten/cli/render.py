@@ -86,7 +86,10 @@ class StrokeOptions:
             stroke, source = recorded_stroke(recording, rate_hz), recording.sha256()
         elif self.stroke is not None:
             stroke = _stroke_from(self.stroke, self.units, self.pressure, rate_hz)
-            source = self.stroke.name if self.pressure is None else f"{self.stroke.name}, pressure {self.pressure}"
+            read_as = [f"unit {unit}" for unit in self.units or ()] + [f"pressure {self.pressure}"] * bool(
+                self.pressure
+            )
+            source = ", ".join([self.stroke.name, *read_as])
         else:
             speed, force, seconds = (float(value or 0) for value in constants)
             stroke = constant_stroke(speed, force, seconds, rate_hz)

@@ -61,6 +61,9 @@ class TrainOptions:
     batch: int | None = Option(None, help="Windows a step, of foten-plus chunks; the recipe's by default.")
     learning_rate: float | None = Option(None, help="Highest; the recipe's by default.")
     dropout: float | None = Option(None, help="Share of hidden values.", show_default=_of("dropout"))
+    initial_weights: str | None = Option(
+        None, help="uniform, as PyTorch draws them, or glorot, as Keras.", show_default=_of("initial_weights")
+    )
     excitation: bool = Option(
         False, "--excitation", help="Add a random part, without which a network's free run falls silent."
     )
@@ -126,7 +129,7 @@ class TrainOptions:
 
     def changes(self) -> dict[str, Any]:
         """Settings of `TrainConfig` that differ from the recipe's, by name."""
-        names = ("epochs", "loss", "delta", "batch", "learning_rate", "dropout", "threads")
+        names = ("epochs", "loss", "delta", "batch", "learning_rate", "dropout", "initial_weights", "threads")
         return _not_none(**{name: getattr(self, name) for name in names})
 
     def config(self) -> TrainConfig:

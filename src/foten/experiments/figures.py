@@ -16,7 +16,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
 from foten.dsp import Array
-from foten.evaluate.warm_start import CONVERGED_MS, ERROR_FRAME_MS
+from foten.evaluate.warm_start import CONVERGED_MS, ERROR_FRAME_MS, SILENT_DB
 from foten.experiments.experiment import Run, recording_of, texture_name
 from foten.experiments.results import Results, chosen_results, label_of
 from foten.recording.preprocess import PreprocessConfig, preprocess
@@ -26,7 +26,6 @@ from foten.reporting.figure import COLOURS, PRINT, add_legend, new_figure, panel
 RECORDED = PRINT.ink
 PARTS = {"train": "#8fd3e8", "validation": "#f3e28a", "test": "#f0a3a0"}
 LOWEST_DB = -60.0  # level that is drawn
-SILENT_DB = 20.0  # below the recording, from where on a free run is called silent
 
 
 def figures(
@@ -190,7 +189,7 @@ def waveforms(results: Results, model: str = "") -> Figure:
             axes.plot(times, recorded - k * step, color=RECORDED, alpha=0.35, lw=0.9)
             axes.plot(times, run.clip(-0.5 * step, 0.5 * step) - k * step, color=colours[method], lw=0.8)
             below = _below_db(recorded[settled].var(), run[settled].var())
-            if below > SILENT_DB:
+            if below > -SILENT_DB:
                 place = {"xy": (times[-1], (0.12 - k) * step), "ha": "right", "va": "bottom"}
                 axes.annotate(f"silent here: {below:.0f} dB below the recording", **place, fontsize=6.5)
         axes.axvline(CONVERGED_MS, color=RECORDED, lw=0.7, ls=(0, (3, 2)))
@@ -271,7 +270,7 @@ def _silence(method: str, textures: Mapping[str, Mapping[str, Mapping[str, Any]]
     """Say on how many textures a method falls silent, and how far below the recording; nothing where on none."""
     densities = [by_method[method]["signals"]["density"] for by_method in textures.values() if method in by_method]
     below = [_below_db(np.mean(density["recorded"]), np.mean(density["free_run"])) for density in densities]
-    silent = [level for level in below if level > SILENT_DB]
+    silent = [level for level in below if level > -SILENT_DB]
     where = "" if len(silent) == len(below) else f" on {len(silent)} of {len(below)} textures"
     return f": falls silent{where}, {min(silent):.0f} dB or more below the recording" if silent else ""
 

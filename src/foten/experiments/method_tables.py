@@ -320,6 +320,8 @@ def findings(records: Records) -> Iterator[str]:
     yield from _same_blocks(records)
     for method, errors in by_recipe(records).items():
         (best, lowest), *others = errors.items()
+        if lowest == others[-1][1]:  # of a method without settings to choose
+            continue
         yield (
             f"{method} is shown by the recipe {best!r}, whose validation error is {lowest:.4f}; "
             f"{', '.join(f'{name!r} has {error:.4f}' for name, error in others)}."

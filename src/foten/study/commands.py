@@ -434,6 +434,7 @@ def strokes(
     check_files([output])
     with _store(database) as store:
         parts = [part for part in store.parts(participant, trial) if len(part.events)]
+        rows = [row for row in store.ratings() if (row["participant"], row["trial"]) == (participant, trial)]
     surfaces = sorted({part.interval + 1 for part in parts})
     if surface is None and len(surfaces) > 1:
         raise ValueError(f"surfaces {', '.join(map(str, surfaces))} were stroked in that trial: which one? --surface 1")
@@ -448,6 +449,9 @@ def strokes(
         writer.writerow(("t", "x", "y", "pressure"))
         writer.writerows([f"{value:.6f}" for value in (t - events[0, 3], x, y, p)] for x, y, p, t in events)
     print(f"wrote {output}: {counted(len(events), 'event')}, {events[-1, 3] - events[0, 3]:.1f} s")
+    measured = rows[0]["measured"] if rows else {}
+    if "newtons" in measured:
+        print(f"this tablet's force: foten render --stroke {output} --pressure {measured['newtons']:g},{measured['steepness']:g}")
 
 
 @app.command()
