@@ -28,6 +28,7 @@ from foten.atomic_write import atomic_write
 from foten.evaluate.warm_start import CONVERGED_MS, SILENT_DB
 from foten.experiments.experiment import experiment_path, read_experiment
 from foten.experiments.method_tables import (
+    BY_RECIPE,
     PAPER,
     Row,
     brief,
@@ -42,6 +43,7 @@ from foten.experiments.method_tables import (
 )
 from foten.experiments.results import (
     BEST_LINEAR,
+    VALIDATION,
     WITHOUT,
     Record,
     Records,
@@ -684,13 +686,18 @@ def side_by_side(first: str, second: str, *sides: Records) -> Table:
             epochs = [record["epochs"] for record in side if record.get("epochs") is not None]
             cells += [
                 mean(ONE_STEP)(side),
-                mean("validation.mae_scaled")(side),
+                mean(next((key for key in VALIDATION if values(side, key)), VALIDATION[0]))(side),
                 f"{np.mean(epochs):.0f}" if epochs else "–",
             ]
         if epochs or any(record.get("epochs") for record in of_left.values()):
             rows.append((method, str(len(of_left)), *cells))
     columns = (f"{first}: MAE [sd]", "validation", "epochs", f"{second}: MAE [sd]", "validation ", "epochs ")
     return Table.of(("", "textures", *columns), rows)
+
+
+def table_1_findings() -> str:
+    """Sentences on Table I, but for those on recipes, which stand in a table."""
+    return "\n".join(f"- {line}" for line in findings(table_1()) if BY_RECIPE not in line) if table_1() else ""
 
 
 def errors_of(records: Records) -> tuple[list[str], list[Row]]:
@@ -1173,7 +1180,7 @@ TABLES: dict[str, dict[str, Callable[[], Table | str]]] = {
     "compared.md": {
         "so-far": so_far,
         "table-1": lambda: compared(chosen(table_1())) if table_1() else Table((), ()),
-        "findings": lambda: "\n".join(f"- {line}" for line in findings(table_1())) if table_1() else "",
+        "findings": table_1_findings,
         "both-recipes": both_recipes,
         "beside-ar": beside_ar,
         "neighbours": neighbours,

@@ -36,6 +36,7 @@ CHANGES: tuple[tuple[str, str, Callable[[float, float], float]], ...] = (
     ("test: level error", "free_run.level_error_db", truediv),
 )
 """Figures in which a method is compared with the one that it stands beside: name, path in a record, comparison."""
+BY_RECIPE = " is shown by the recipe "  # in sentences
 PAPERS = "paper's MAE, unit not stated"
 PAPER = {
     **{"ar": 0.400, "fnn": 0.378, "dstn": 0.201, "ldhtd": 0.178, "gan": 0.298, "foten": 0.149},
@@ -323,7 +324,7 @@ def findings(records: Records) -> Iterator[str]:
         if lowest == others[-1][1]:  # of a method without settings to choose
             continue
         yield (
-            f"{method} is shown by the recipe {best!r}, whose validation error is {lowest:.4f}; "
+            f"{method}{BY_RECIPE}{best!r}, whose validation error is {lowest:.4f}; "
             f"{', '.join(f'{name!r} has {error:.4f}' for name, error in others)}."
         )
     shown = chosen(records)

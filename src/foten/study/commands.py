@@ -451,7 +451,9 @@ def strokes(
     print(f"wrote {output}: {counted(len(events), 'event')}, {events[-1, 3] - events[0, 3]:.1f} s")
     measured = rows[0]["measured"] if rows else {}
     if "newtons" in measured:
-        print(f"this tablet's force: foten render --stroke {output} --pressure {measured['newtons']:g},{measured['steepness']:g}")
+        print(
+            f"this tablet's force: foten render --stroke {output} --pressure {measured['newtons']:g},{measured['steepness']:g}"
+        )
 
 
 @app.command()
