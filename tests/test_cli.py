@@ -294,6 +294,19 @@ def test_every_training_says_the_problems_of_its_recording(
         assert "problem: force" in capsys.readouterr().err
 
 
+def test_initial_weights_are_those_that_are_asked_for(
+    recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    train = ["train", str(recording), "-o", str(tmp_path / "t.foten"), "--model", "foten", *FAST, "--epochs", "0"]
+    for given in ([], ["--initial-weights", "glorot"]):
+        assert _status([*train, *given]) == 0
+        settings = read_texture(tmp_path / "t.foten").card["training"]
+        assert settings["initial_weights"] == (given or ["", "uniform"])[1]
+    capsys.readouterr()
+    assert _status([*train, "--initial-weights", "he"]) == 2
+    assert "'he', expected one of" in capsys.readouterr().err
+
+
 def test_credit_goes_from_the_command_to_every_conversion(
     recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -442,7 +455,9 @@ def test_a_stroke_of_any_table_is_rendered_and_doubts_are_said(
         messages[name] = capsys.readouterr().err
     doubt = "speed peaks at 0.0805, expected mm/s up to about 350; was it given in m/s? It is taken as mm/s\n"
     assert messages == {"a": "", "b": "", "c": doubt}
-    assert _status([*arguments, "--unit", "speed=m/s", "-o", str(tmp_path / "c.csv")]) == 0
+    outputs = [argument for suffix in ("csv", "npz") for argument in ("-o", str(tmp_path / f"c.{suffix}"))]
+    assert _status([*arguments, "--unit", "speed=m/s", *outputs]) == 0
+    assert json.loads(str(np.load(tmp_path / "c.npz")["about"]))["stroke"] == "c.txt, unit speed=m/s"
     a, b, c = (np.loadtxt(tmp_path / f"{name}.csv", delimiter=",", skiprows=1) for name in "abc")
     np.testing.assert_allclose(b, a, rtol=1e-4)  # m/s times 1000 is mm/s but for rounding, which the loop carries on
     np.testing.assert_allclose(c, a, rtol=1e-4)
