@@ -1,4 +1,4 @@
-"""`foten adapt`: how a user feels through her actuator, measured on a page."""
+"""`foten adapt`: measure on a page how a user feels her actuator."""
 
 from __future__ import annotations
 
@@ -30,21 +30,23 @@ def _going_on(stored: UserProfile, now: UserProfile, output: Path) -> UserProfil
 
 def adapt(
     texture_file: Path | None = Argument(
-        None, metavar="[T.foten]", help="To be matched to its real surface, which lies beside the page."
+        None, metavar="[T.foten]", help="Texture to match to its real surface, which lies beside the page."
     ),
-    output: Path = Option(..., "-o", "--output", help="The user's profile, .json; it goes on where it ended."),
-    name: str = Option("", help="Of the user, for cards of textures."),
+    output: Path = Option(..., "-o", "--output", help="User profile to write (.json); an existing one is continued."),
+    name: str = Option("", help="Name of the user, written into the cards of adapted textures."),
     feel: bool = Option(
-        True, "--feel/--no-feel", help="Thresholds and equal strength at five frequencies: four minutes."
+        True, "--feel/--no-feel", help="Measure thresholds and equal strength at five frequencies (four minutes)."
     ),
     actuator: Actuator = None,
     host: str = Option(
-        "127.0.0.1", help="127.0.0.1 for this machine, 0.0.0.0 for a tablet on the network, as 'foten serve'."
+        "127.0.0.1",
+        help="Address to listen on: 127.0.0.1 for this machine only, 0.0.0.0 for a tablet on the network, as in 'foten "
+        "serve'.",
     ),
-    port: int = Option(8000, min=0, max=65535, help="0 for any that is free."),
+    port: int = Option(8000, min=0, max=65535, help="Port of the page; 0 chooses a free one."),
     open_page: bool = Option(True, "--open/--no-open", help="Open the page in this machine's browser."),
 ) -> None:
-    """Measure how a user feels through her actuator, on a page: what she detects, what is equally strong, what is most like.
+    """Measure on a page how a user feels her actuator: thresholds, equal strength, and the best match to a real surface.
 
     foten adapt denim.foten -o me.json: four minutes of tones, then up to 25 choices with the real denim beside the page.
 

@@ -44,7 +44,7 @@ class _Commands(typer.core.TyperGroup):
 app = typer.Typer(
     name="foten",
     cls=_Commands,
-    help="Haptic textures learned from a recording and given back as vibration.",
+    help="Learn haptic textures from recordings and render them as vibration.",
     add_completion=True,
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
@@ -69,7 +69,7 @@ def _print_version(requested: bool) -> None:
 @app.callback()
 def _global_options(
     version: Annotated[
-        bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version and stop.")
+        bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version and exit.")
     ] = False,
 ) -> None:
     pass

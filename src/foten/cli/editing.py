@@ -1,4 +1,4 @@
-"""`foten describe`, `foten edit` and `foten blend`: a texture in figures, moved by them, or between two others."""
+"""`foten describe`, `foten edit` and `foten blend`: measure a texture, change it, or blend two."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ if TYPE_CHECKING:
 
 
 def describe(texture_file: TextureFile, as_json: JsonOption = False) -> None:
-    """Say in figures what a texture is like: level, centroid, width, roughness, period, exponents.
+    """Describe a texture in numbers: level, spectral centroid and width, roughness, period, exponents of speed and force.
 
-    They are measured on what is rendered at 100 mm/s and 0.7 N, or at the nearest that it was learned at. 'foten edit' sets them.
+    It is rendered and measured at 100 mm/s and 0.7 N, or the nearest that it was trained on. 'foten edit' changes the numbers.
     """
     from foten.editing.describe import describe as described
     from foten.models.texture_file import read_texture
@@ -34,18 +34,20 @@ def describe(texture_file: TextureFile, as_json: JsonOption = False) -> None:
 
 def edit(
     texture_file: TextureFile,
-    output: Path = Option(..., "-o", "--output", help="The texture to write, .foten."),
-    level: float = Option(0.0, metavar="DB", help="Louder by so much (dB)."),
-    brighter: float = Option(0.0, metavar="OCTAVES", help="Centroid upwards (octaves)."),
-    wider: float = Option(0.0, metavar="OCTAVES", help="Width of the spectrum (octaves)."),
-    rougher: float = Option(0.0, metavar="DB", help="How much the level varies under a steady hand (dB)."),
-    period: float | None = Option(None, metavar="MM", help="After which the surface repeats (mm)."),
-    speed_exponent: float | None = Option(None, help="Power of speed that the level grows with."),
-    force_exponent: float | None = Option(None, help="Power of force that the level grows with."),
+    output: Path = Option(..., "-o", "--output", help="Texture file to write (.foten)."),
+    level: float = Option(0.0, metavar="DB", help="Raise the level by this much (dB); a negative value lowers it."),
+    brighter: float = Option(0.0, metavar="OCTAVES", help="Raise the spectral centroid by this much (octaves)."),
+    wider: float = Option(0.0, metavar="OCTAVES", help="Widen the spectrum by this much (octaves)."),
+    rougher: float = Option(
+        0.0, metavar="DB", help="Make the level vary more at constant speed and force, by this much (dB)."
+    ),
+    period: float | None = Option(None, metavar="MM", help="New period of a surface that repeats (mm)."),
+    speed_exponent: float | None = Option(None, help="Make the level grow as speed^x, with this exponent x (0 to 2)."),
+    force_exponent: float | None = Option(None, help="Make the level grow as force^x, with this exponent x (0 to 2)."),
     user: UserFile = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Change a texture by the figures that 'foten describe' measures.
+    """Change a texture by the numbers that 'foten describe' measures.
 
     foten edit denim.foten --level +3 --brighter 0.5 --wider 0.2 -o bright.foten
 
@@ -71,13 +73,13 @@ def edit(
 
 
 def blend(
-    first: Path = Argument(..., metavar="A.foten", help="Texture file."),
-    second: Path = Argument(..., metavar="B.foten", help="Texture file."),
-    output: Path = Option(..., "-o", "--output", help="The texture to write, .foten."),
-    at: float = Option(0.5, help="0 is the first, 1 the second."),
+    first: Path = Argument(..., metavar="A.foten", help="First texture file."),
+    second: Path = Argument(..., metavar="B.foten", help="Second texture file."),
+    output: Path = Option(..., "-o", "--output", help="Texture file to write (.foten)."),
+    at: float = Option(0.5, help="Position between the two: 0 is the first texture, 1 the second."),
     as_json: JsonOption = False,
 ) -> None:
-    """Make a texture between two.
+    """Blend two textures into one between them.
 
     foten blend denim.foten towel.foten --at 0.3 -o between.foten
     """

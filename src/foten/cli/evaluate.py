@@ -19,16 +19,26 @@ if TYPE_CHECKING:
 def evaluate(
     texture_file: TextureFile,
     recording_files: list[Path] = Argument(
-        ..., metavar="REC.h5…", help="The recording or takes it was trained on, or others."
+        ...,
+        metavar="REC.h5…",
+        help="Recording or takes that the texture was trained on (test blocks), or another recording (all blocks).",
     ),
-    report: Path | None = Option(None, metavar="DIR", help="Write DIR/report.html and DIR/evaluation.json."),
-    seed: int = Option(0, min=0, max=2**32 - 1, help="Of the excitation."),
-    trim: float | None = Option(None, help="Another recording's, at both ends (ms).", show_default="the trained one's"),
-    block: float | None = Option(None, help="Another recording's unit (ms).", show_default="the trained one's"),
-    listener: bool = Option(False, "--listener", help="Train networks to tell the free run from the surface."),
+    report: Path | None = Option(
+        None, metavar="DIR", help="Folder for report.html and evaluation.json; without it, no files are written."
+    ),
+    seed: int = Option(0, min=0, max=2**32 - 1, help="Seed of the random excitation."),
+    trim: float | None = Option(
+        None, help="Time discarded at both ends of another recording (ms).", show_default="the trained one's"
+    ),
+    block: float | None = Option(
+        None, help="Length of the blocks of another recording (ms).", show_default="the trained one's"
+    ),
+    listener: bool = Option(
+        False, "--listener", help="Also train networks to tell the free run from the recorded surface."
+    ),
     as_json: JsonOption = False,
 ) -> None:
-    """Judge a texture on its test blocks: one-step and free-run, beside references and a ceiling."""
+    """Evaluate a texture on its test blocks, one-step and free-run, beside references (e.g. linear prediction) and a ceiling."""
     from foten.datasets.hdf5 import load_takes
     from foten.evaluate import evaluate as judge
     from foten.evaluate.report.rows import to_text
@@ -54,7 +64,7 @@ def evaluate(
 
 
 def info(texture_file: TextureFile, as_json: JsonOption = False) -> None:
-    """Show what a texture file holds, and prove it on its golden windows."""
+    """Show what a texture file holds, and check it by replaying its golden windows (stored predictions)."""
     from foten.models.conditions import FADE_FORCE, FADE_SPEED
     from foten.models.registry import GRAPH
     from foten.models.texture_file import read_texture

@@ -11,29 +11,43 @@ from typer import Argument, Exit, Option
 from foten.atomic_write import atomic_write
 from foten.console import JsonOption, check_folder, folder_option, print_result, refuse, say
 
-MixedOption = Annotated[bool, Option("--mixed", help="Take results of different code or platform too.")]
+MixedOption = Annotated[bool, Option("--mixed", help="Accept results of different code or platforms.")]
 
 
 def sweep(
     experiment_file: str | None = Argument(
-        None, metavar="FILE.toml", help="An experiment, or the name of one of foten's."
+        None,
+        metavar="FILE.toml",
+        help="Experiment file, or the name of an experiment that comes with foten (see --list).",
     ),
-    output: Annotated[Path | None, folder_option("Folder of the results, one file a run.")] = None,
-    workers: int | None = Option(None, min=1, help="Runs at a time, a thread each.", show_default="its cores"),
-    address: str | None = Option(None, help="Of a Ray cluster; auto for the one that this machine is part of."),
-    gpus_per_run: float = Option(0.0, min=0.0, max=8.0, help="Share of a GPU for each run: 0.25 lets four share one."),
-    recordings: Path | None = Option(None, metavar="DIR", help="Of the recordings.", show_default="that of the file"),
-    mixed: bool = Option(False, "--mixed", help="Keep results of other platforms: a sweep that goes on elsewhere."),
-    only: list[str] = Option([], metavar="TEXT", help="Runs whose line of --dry-run contains it; may be repeated."),
-    dry_run: bool = Option(False, "--dry-run", help="List the runs and stop; needs no -o."),
-    show_list: bool = Option(False, "--list", help="Show the experiments that come with foten and stop."),
+    output: Annotated[Path | None, folder_option("Folder for the results, one file per run.")] = None,
+    workers: int | None = Option(
+        None, min=1, help="Number of runs at a time on this machine, one thread each.", show_default="its cores"
+    ),
+    address: str | None = Option(
+        None, help="Address of a Ray cluster (HOST:PORT), or auto for the one that this machine is part of."
+    ),
+    gpus_per_run: float = Option(
+        0.0, min=0.0, max=8.0, help="Share of a GPU for each run: 0.25 lets four runs share one; 0 uses none."
+    ),
+    recordings: Path | None = Option(
+        None, metavar="DIR", help="Folder of the recordings.", show_default="that of the file"
+    ),
+    mixed: bool = Option(
+        False, "--mixed", help="Keep results of other platforms, to continue a sweep on another machine."
+    ),
+    only: list[str] = Option(
+        [], metavar="TEXT", help="Select the runs whose line in --dry-run contains this text; repeatable."
+    ),
+    dry_run: bool = Option(False, "--dry-run", help="List the runs and exit; needs no -o."),
+    show_list: bool = Option(False, "--list", help="List the experiments that come with foten and exit."),
     as_json: JsonOption = False,
 ) -> None:
-    """Train and judge every method of an experiment on every texture and split; goes on where it stopped.
+    """Train and evaluate every method of an experiment on every texture and split; continues where it stopped.
 
-    Results stay where code, data, configuration and platform are the same, and are made again otherwise.
+    A result is kept if code, data, configuration and platform are the same; otherwise the run is repeated.
 
-    Ctrl-C or SIGTERM stops it with exit status 130 and keeps every run that is done.
+    Ctrl-C or SIGTERM stops the sweep with exit status 130 and keeps the finished runs.
     """
     from foten.experiments.experiment import experiment_path, experiments, of_lines, read_experiment
 
@@ -63,14 +77,20 @@ def sweep(
 
 
 def tables(
-    results: list[Path] = Argument(..., metavar="DIR|runs.csv...", help="Results of foten sweep, or runs.csv of it."),
-    output: Annotated[Path | None, folder_option("Write .md, .csv and .tex of each table, and runs.csv.")] = None,
-    short: bool = Option(False, "--brief", help="Only the figures in runs.csv that methods are compared by."),
-    digits: int | None = Option(None, min=1, max=9, help="Significant digits in runs.csv; by default all."),
+    results: list[Path] = Argument(
+        ..., metavar="DIR|runs.csv...", help="Result folders of 'foten sweep', or a runs.csv that 'foten tables' wrote."
+    ),
+    output: Annotated[
+        Path | None, folder_option("Folder for each table as .md, .csv and .tex, and for runs.csv.")
+    ] = None,
+    short: bool = Option(False, "--brief", help="Restrict runs.csv to the measures by which methods are compared."),
+    digits: int | None = Option(
+        None, min=1, max=9, help="Significant digits of the numbers in runs.csv; by default all."
+    ),
     mixed: MixedOption = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Set the results of a sweep beside references and beside the paper's figures."""
+    """Tabulate the results of a sweep beside reference methods and the paper's numbers."""
     from foten.experiments.method_tables import brief, findings, tables_of
     from foten.experiments.results import joined, read_records, runs_table, title_of
     from foten.reporting.table import FORMS
@@ -95,10 +115,13 @@ def tables(
 
 
 def figures(
-    results: Annotated[Path, Argument(metavar="DIR", help="Results of foten sweep.")],
-    output: Annotated[Path, folder_option("Write each figure there, .png and .pdf.")],
+    results: Annotated[Path, Argument(metavar="DIR", help="Result folder of 'foten sweep'.")],
+    output: Annotated[Path, folder_option("Folder for the figures, each as .png and .pdf.")],
     recordings: Path | None = Option(
-        None, metavar="DIR", help="Recordings of Fig. 4.", show_default="where the sweep had them"
+        None,
+        metavar="DIR",
+        help="Folder of the recordings, which Fig. 4 shows.",
+        show_default="where the sweep had them",
     ),
     mixed: MixedOption = False,
     as_json: JsonOption = False,
@@ -120,15 +143,15 @@ def figures(
 
 
 def demo(
-    output: Annotated[Path, folder_option("Folder for everything it makes.")] = Path("demo"),
-    key: str = Option("towel", "--texture", help="Simulated texture; foten simulate --list."),
-    seconds: float = Option(44.0, help="Length of the recording (s)."),
-    epochs: int = Option(5, help="Of training."),
-    seed: int = Option(0, min=0, max=2**31, help="Of everything."),
-    threads: int = Option(2, help="Share each batch among so many cores (on a GPU there is one share)."),
+    output: Annotated[Path, folder_option("Folder for all files that the demo writes.")] = Path("demo"),
+    key: str = Option("towel", "--texture", help="Key of the simulated texture; 'foten simulate --list' shows all."),
+    seconds: float = Option(44.0, help="Length of the simulated recording (s)."),
+    epochs: int = Option(5, help="Maximum number of training epochs."),
+    seed: int = Option(0, min=0, max=2**31, help="Seed of simulation, training and rendering."),
+    threads: int = Option(2, help="Number of CPU threads that share each batch; a GPU takes the whole batch."),
     as_json: JsonOption = False,
 ) -> None:
-    """Go once through everything without data or hardware: simulate, train, judge, render."""
+    """Run all stages once without data or hardware: simulate, train, evaluate, render."""
     from foten.experiments.demo import run_demo
 
     paths = {name: str(path) for name, path in run_demo(output, key, seconds, epochs, seed, threads, say).items()}

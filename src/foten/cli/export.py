@@ -1,4 +1,4 @@
-"""`foten export`: a texture, or a stroke of it, in other formats."""
+"""`foten export`: a texture, or its vibration under one stroke, in other formats."""
 
 from __future__ import annotations
 
@@ -28,17 +28,21 @@ TEXTURES = ("c", "onnx", "web", "unity")
 class ExportOptions(StrokeOptions):
     """Options of `foten export`."""
 
-    output: Path = Option(..., "-o", "--output", help="File to write; a folder for web and unity.")
+    output: Path = Option(..., "-o", "--output", help="File to write, e.g. denim.ahap; a folder for web and unity.")
     texture_files: list[Path] | None = Argument(
-        None, metavar="[T.foten]…", help="A texture file; for web any number, or folders, by default foten's."
+        None,
+        metavar="[T.foten]…",
+        help="Texture file; for web any number of files or folders, by default the textures that come with foten.",
     )
     to: str | None = Option(
         None,
-        help="A clip of one stroke: wav (driven: peak 1, 48 kHz, 16 bits), csv, npz, ahap (Apple), haptic (Meta), hjif or "
-        "hjif-parametric (MPEG), android. The texture itself: c (a header), onnx (its one-step network), unity (a package). "
-        "Textures: web (the page of 'foten serve' as files). By the output's name where that says it.",
+        help="Format, by default that of the output's suffix. Clip of one stroke: wav (peak 1, 48 kHz, 16 bits), csv, "
+        "npz, ahap (Apple), haptic (Meta), hjif or hjif-parametric (MPEG), android. Texture itself: c (header), "
+        "onnx (one-step network), unity (package). Several textures: web (the page of 'foten serve' as files).",
     )
-    full_scale: float | None = Option(None, help="m/s² that is 1 in the clip; by default its peak.")
+    full_scale: float | None = Option(
+        None, help="Acceleration that becomes 1 in the clip (m/s²); by default the clip's peak."
+    )
     actuator: Actuator = None
 
     def __post_init__(self) -> None:
@@ -62,7 +66,7 @@ class ExportOptions(StrokeOptions):
 
 @options_from(ExportOptions)
 def export(options: ExportOptions) -> None:
-    """Write a texture, or a stroke of it, in another format.
+    """Export a texture, or its vibration under one stroke, to another format.
 
     foten export denim.foten --speed 80 --force 0.8 --seconds 2 -o denim.ahap
 

@@ -12,34 +12,54 @@ from foten.console import JsonOption, print_result, refuse, say
 
 def imagine(
     source: str = Argument(
-        ..., metavar="WORDS|HEIGHT.png", help="Words; or a height, displacement or normal map: PNG, TIFF, EXR, …"
+        ...,
+        metavar="WORDS|HEIGHT.png",
+        help="Words in quotes, or a height, displacement or normal map (PNG, TIFF, EXR, …).",
     ),
-    output: Path | None = Option(None, "-o", "--output", help="The texture to write, .foten."),
+    output: Path | None = Option(None, "-o", "--output", help="Texture file to write (.foten)."),
     library: Path | None = Option(
-        None, metavar="DIR", help="Of words: a library of 15 textures or more.", show_default="foten's few, and a guess"
+        None,
+        metavar="DIR",
+        help="Words only: library of at least 15 textures to learn from (see 'foten library').",
+        show_default="foten's few, and a guess",
     ),
     encoder: str | None = Option(
-        None, help="Of words: a sentence encoder, a folder or a name; extra words.", show_default="a table of words"
+        None,
+        help="Words only: sentence encoder, as a folder or a name; needs foten's extra 'words'.",
+        show_default="a table of words",
     ),
-    rate: float | None = Option(None, help="Of words: rate of the texture (Hz).", show_default="1000"),
-    scale: float | None = Option(None, metavar="MM", help="Of a pixel (mm)."),
+    rate: float | None = Option(None, help="Words only: sampling rate of the texture (Hz).", show_default="1000"),
+    scale: float | None = Option(None, metavar="MM", help="Size of a pixel (mm); required for a picture."),
     depth: float | None = Option(
-        None, metavar="MM", help="From the darkest pixel to the lightest (mm).", show_default="0.1"
+        None,
+        metavar="MM",
+        help="Height difference between the darkest and the lightest pixel (mm).",
+        show_default="0.1",
     ),
     tiles: bool = Option(
-        True, "--tiles/--no-tiles", help="Whether a picture goes on at its edges, or is mirrored there."
+        True,
+        "--tiles/--no-tiles",
+        help="Whether the picture repeats seamlessly (tiles); otherwise it is mirrored at its edges.",
     ),
-    tip: float | None = Option(None, metavar="MM", help="Radius of the tool's tip (mm).", show_default="0.8"),
-    mass: float | None = Option(None, metavar="G", help="Of the tool, as the surface feels it (g).", show_default="14"),
+    tip: float | None = Option(None, metavar="MM", help="Radius of the simulated tool's tip (mm).", show_default="0.8"),
+    mass: float | None = Option(
+        None, metavar="G", help="Mass of the simulated tool that acts on the surface (g).", show_default="14"
+    ),
     modulus: float | None = Option(
-        None, metavar="MPA", help="Of the contact, E* (MPa): rubber 10, wood 300, steel 2000.", show_default="200"
+        None, metavar="MPA", help="Contact modulus E* (MPa), e.g. rubber 10, wood 300, steel 2000.", show_default="200"
     ),
-    seconds: float | None = Option(None, min=14.0, help="That a picture is stroked (s).", show_default="64"),
-    seed: int = Option(0, min=0, max=2**32 - 1, help="Of the hand, the sensors and the training."),
-    photo: bool = Option(False, "--photo", help="It shows light and not height: only propose a period."),
+    seconds: float | None = Option(
+        None, min=14.0, help="Duration of the simulated stroke over the picture (s).", show_default="64"
+    ),
+    seed: int = Option(
+        0, min=0, max=2**32 - 1, help="Seed of the simulated stroke, the sensor noise and the training."
+    ),
+    photo: bool = Option(
+        False, "--photo", help="The picture is a photograph, not a height map: only propose a period (mm)."
+    ),
     as_json: JsonOption = False,
 ) -> None:
-    """Make a texture from words, by regression over a library; or from a picture of heights, stroked by a simulated tool.
+    """Make a texture from words, by regression over a library; or from a height map, stroked by a simulated tool.
 
     foten imagine "rough woven linen" --library surfaces -o linen.foten
 

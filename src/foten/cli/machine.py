@@ -11,10 +11,10 @@ from foten.console import JsonOption, TextureFile, print_result
 
 def bench(
     texture_file: TextureFile,
-    n: int = Option(20_000, "-n", min=1000, help="Samples to time."),
+    n: int = Option(20_000, "-n", min=1000, help="Number of samples to time."),
     as_json: JsonOption = False,
 ) -> None:
-    """Time a sample of a texture in each instruction set of this processor."""
+    """Time the rendering of one sample with each instruction set of this processor."""
     from foten.runtime import bench as timing
 
     if not texture_file.exists():
@@ -24,7 +24,7 @@ def bench(
 
 
 def devices(as_json: JsonOption = False) -> None:
-    """List what this machine can play on: sound outputs for --device and --channel, and analogue outputs of NI-DAQs."""
+    """List the outputs of this machine: sound cards for --device and --channel, and analogue outputs of NI-DAQs."""
     from foten.reporting.table import Table
     from foten.runtime.live.devices import daq_channels, sound_devices
 
@@ -41,10 +41,12 @@ def devices(as_json: JsonOption = False) -> None:
 
 
 def doctor(
-    c_flags: bool = Option(False, "--c-flags", help="Print flags, for cc stroke.c $(foten doctor --c-flags)"),
+    c_flags: bool = Option(
+        False, "--c-flags", help="Print compiler flags, as in: cc stroke.c $(foten doctor --c-flags)"
+    ),
     as_json: JsonOption = False,
 ) -> None:
-    """Look at what this machine has for rendering, and say what is missing."""
+    """Check what this machine has for rendering, and report what is missing."""
     if c_flags:
         from foten.runtime.binding import c_flags as flags_of
 

@@ -1,4 +1,4 @@
-"""`foten simulate`, `foten import` and `foten inspect`: sources and content of recordings."""
+"""`foten simulate`, `foten import` and `foten inspect`: make, import and check recordings."""
 
 from __future__ import annotations
 
@@ -19,18 +19,28 @@ if TYPE_CHECKING:
 
 
 def simulate(
-    key: str | None = Argument(None, help="Texture or linear process; --list shows them."),
-    output: Path | None = Option(None, "-o", "--output", help="HDF5 file to write; with --capture a folder."),
-    seconds: float = Option(64.0, help="Length (s)."),
-    seed: int | None = Option(None, help="Of everything random that the next two leave out.", show_default="0"),
-    noise_seed: int | None = Option(None, help="Of surface and sensors: another one, the same stroke again."),
-    stroke_seed: int | None = Option(None, help="Of the hand."),
-    accelerometer_hz: float | None = Option(None, help="10000 over a whole number.", show_default="10000; linear 1000"),
-    capture: bool = Option(False, "--capture", help="Write sound.wav and pen.csv to the folder -o."),
-    show_list: bool = Option(False, "--list", help="Show the keys and stop."),
+    key: str | None = Argument(None, help="Key of a simulated texture or linear process; --list shows all."),
+    output: Path | None = Option(None, "-o", "--output", help="Recording to write (.h5); with --capture a folder."),
+    seconds: float = Option(64.0, help="Length of the recording (s)."),
+    seed: int | None = Option(
+        None, help="Seed of all random parts that --noise-seed and --stroke-seed do not set.", show_default="0"
+    ),
+    noise_seed: int | None = Option(
+        None, help="Seed of the surface and the sensor noise; change it alone to repeat the same stroke."
+    ),
+    stroke_seed: int | None = Option(None, help="Seed of the stroke."),
+    accelerometer_hz: float | None = Option(
+        None,
+        help="Sampling rate of the accelerometer (Hz): 10000 divided by a whole number.",
+        show_default="10000; linear 1000",
+    ),
+    capture: bool = Option(
+        False, "--capture", help="Simulate a microphone on a pen instead: write sound.wav and pen.csv to the folder -o."
+    ),
+    show_list: bool = Option(False, "--list", help="List the keys and exit."),
     as_json: JsonOption = False,
 ) -> None:
-    """Write a simulated recording with a known truth: raw sensors over a texture, or a linear process."""
+    """Simulate a recording with known ground truth: raw sensors over a texture, or a linear process."""
     from foten.datasets.hdf5 import write_recording
     from foten.simulation import simulate as simulator
 
@@ -83,50 +93,68 @@ def _simulate_capture(key: str, seconds: float, seed: int, folder: Path, as_json
 def import_(
     files: list[Path] = Argument(
         ...,
-        help="CSV, TSV, .xlsx, .npz, .mat, .tdms, .wav, .h5; one .xml of models; or the folder of a public dataset.",
+        help="Files to import (CSV, TSV, .xlsx, .npz, .mat, .tdms, .wav, .h5), one .xml of models, or the folder of a "
+        "public dataset.",
     ),
-    output: Path = Option(..., "-o", "--output", help="The recording to write, .h5; of models a texture, .foten."),
+    output: Path = Option(
+        ..., "-o", "--output", help="Recording to write (.h5); for an .xml of models, texture file to write (.foten)."
+    ),
     mapping: list[str] | None = Option(
         None,
         "--map",
-        help="CHANNEL=COLUMN,… with channels time, acceleration, speed, force, or by axis acceleration_x, position_x, "
-        "force_x and so on (z is the surface normal). A column is a header name, or a number from 0; with several files "
-        "FILE:COLUMN. time may be given once per file and serves the channels of that file with as many rows; without "
-        "FILE: it is that column of every file which has it. What is not mapped is taken from the header names, said on stderr.",
+        help="Columns of the channels: CHANNEL=COLUMN,… with channels time, acceleration, speed, force, or by axis "
+        "acceleration_x, position_x, force_x and so on (z is the surface normal). COLUMN is a header or a number "
+        "from 0; with several files FILE:COLUMN. time may be given once per file, for the channels of that file "
+        "with as many rows; without FILE: it is that column of every file that has it. Channels that are not "
+        "mapped are taken from the headers and reported on stderr.",
     ),
     units: list[str] | None = Option(
         None,
         "--unit",
-        help="CHANNEL=UNIT,… of the file: acceleration m/s^2, g, mg, mm/s^2, in/s^2, ft/s^2; speed mm/s, cm/s, m/s, in/s, "
-        "ft/s, mm/min, km/h; position mm, cm, m, um, in, ft; force N, cN, mN, kN, gf, kgf, lbf, ozf, dyn; time s, ms, us, ns, "
-        "min. CHANNEL=V*FACTOR or *FACTOR multiplies, for a sensitivity: force=V*4.9 for 4.9 N per volt. "
-        "Default: what the file states, else m/s^2, mm/s, mm, N, s.",
+        help="Units, as CHANNEL=UNIT,… of the file: acceleration m/s^2, g, mg, mm/s^2, in/s^2, ft/s^2; speed mm/s, "
+        "cm/s, m/s, in/s, ft/s, mm/min, km/h; position mm, cm, m, um, in, ft; force N, cN, mN, kN, gf, kgf, lbf, "
+        "ozf, dyn; time s, ms, us, ns, min. CHANNEL=V*FACTOR or CHANNEL=*FACTOR multiplies by a sensitivity, e.g. "
+        "force=V*4.9 for 4.9 N per volt. Default: the units that the file states, else m/s^2, mm/s, mm, N, s.",
     ),
-    rate: list[str] | None = Option(None, help="HZ for channels without a rate or times, or CHANNEL=HZ,… of any."),
-    fill_gaps: float = Option(0.0, metavar="MS", help="Fill gaps of up to MS ms in position, speed and force."),
-    force_units: bool = Option(False, "--force-units", help="Accept spikes above 5 m/s, 1000 m/s², 500 N or 10 m."),
+    rate: list[str] | None = Option(
+        None,
+        help="Sampling rate (Hz) of channels without a rate or times, e.g. 10000; or of any channel, e.g. force=1000.",
+    ),
+    fill_gaps: float = Option(
+        0.0, metavar="MS", help="Fill gaps up to this long (ms) in position, speed and force by straight lines."
+    ),
+    force_units: bool = Option(
+        False, "--force-units", help="Accept values above 5 m/s, 1000 m/s², 500 N or 10 m, e.g. spikes."
+    ),
     normal: str | None = Option(
-        None, metavar="x,y,z", help="Of the surface, in the axes of force_x, force_y, force_z.", show_default="0,0,1"
+        None,
+        metavar="x,y,z",
+        help="Surface normal in the axes of force_x, force_y, force_z, for a tilted force sensor.",
+        show_default="0,0,1",
     ),
     pen: Path | None = Option(
         None,
         metavar="E.csv",
-        help="Events of a pen (t, x, y, pressure) beside the sound of a microphone on it; its taps before and after the "
-        "strokes join the clocks. Without --unit acceleration=*FACTOR the texture is in relative units.",
+        help="Pen events (t, x, y, pressure) to join to the sound of a microphone on the pen, by taps before and after "
+        "the strokes. Units are relative without --unit acceleration=*FACTOR.",
     ),
     pressure: str | None = Option(
-        None, help="a,b of force (N) = a exp(b pressure), else Eq. 12's; foten serve fits it."
+        None,
+        help="Convert the pressure p of --pen to force (N) by a·exp(b·p); give a,b as fitted by 'foten serve'; default "
+        "0.13,3.32 (Eq. 12).",
     ),
-    texture: str = Option("", help="What was stroked; the first file's name by default."),
-    tool: str = Option("", help="What it was stroked with."),
-    sensors: str = Option("", help="Sensors, amplifiers, ranges."),
-    notes: str = Option("", help="Anything else."),
-    surface: int | None = Option(None, help="Of a dataset: the number of the surface."),
-    append: bool = Option(False, "--append", help="Add it to the recording -o as a further take of the same surface."),
+    texture: str = Option("", help="Name of the surface; by default the name of the first file."),
+    tool: str = Option("", help="Tool that the surface was stroked with."),
+    sensors: str = Option("", help="Description of the sensors, amplifiers and ranges."),
+    notes: str = Option("", help="Further notes."),
+    surface: int | None = Option(None, help="Number of the surface to import from a dataset's folder."),
+    append: bool = Option(
+        False, "--append", help="Add the files to the existing recording -o as another take of the same surface."
+    ),
     anyway: Anyway = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Turn files of any origin into one recording, converting units and changing nothing else.
+    """Import files of any origin into one recording; units are converted, nothing else is changed.
 
     foten import denim.csv --map time=t,acceleration=ax,speed=v,force=fz --unit acceleration=g -o denim.h5
 
@@ -269,13 +297,15 @@ def _import_models(files: list[Path], output: Path, texture: str, notes: str, as
 
 def inspect(
     recording_file: RecordingFile,
-    output: Annotated[Path | None, folder_option("Write inspect.json, overview.png, coverage.png, psd.png.")] = None,
+    output: Annotated[
+        Path | None, folder_option("Folder for inspect.json, overview.png, coverage.png and psd.png.")
+    ] = None,
     strict: bool = Option(
-        False, "--strict", help="Exit 1 where there is a problem, and not only where nothing can be learned."
+        False, "--strict", help="Exit with status 1 on any problem, not only if nothing can be learned."
     ),
     as_json: JsonOption = False,
 ) -> None:
-    """Say what a recording holds and what is wrong with it: units, coverage, clipping, gaps, order."""
+    """Report what a recording holds and what is wrong with it: units, coverage, clipping, gaps, order of rows."""
     from foten import __version__
     from foten.datasets.hdf5 import load_recording
     from foten.recording.inspection import inspect_recording

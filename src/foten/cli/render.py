@@ -26,19 +26,38 @@ if TYPE_CHECKING:
 
 SAY_EVERY_S = 5.0  # how far a long rendering is
 
-Units = Annotated[list[str] | None, Option("--unit", help="CHANNEL=UNIT,… of --stroke, as of foten import.")]
+Units = Annotated[
+    list[str] | None,
+    Option("--unit", help="Units of the columns of --stroke, e.g. speed=cm/s,force=gf, as in 'foten import'."),
+]
 Pressure = Annotated[
     str | None,
-    Option("--pressure", metavar="a,b", help="Newtons of --stroke's pressure p: a·exp(b·p).", show_default="0.13,3.32"),
+    Option(
+        "--pressure",
+        metavar="a,b",
+        help="Convert the pressure p of --stroke to force (N) by a·exp(b·p).",
+        show_default="0.13,3.32",
+    ),
 ]
-Speed = Annotated[float | None, Option(help="Constant speed (mm/s).")]
-Force = Annotated[float | None, Option(help="Constant force (N).")]
-Deterministic = Annotated[bool, Option("--deterministic", help="Without excitation.")]
-Actuator = Annotated[Path | None, Option(metavar="P.json", help="Profile of the actuator that is driven.")]
-Gain = Annotated[float | None, Option(help="Full scale (sound) or volts (daq) for 1 m/s², or for 1 of the drive.")]
-Device = Annotated[str | None, Option(help="Number or name of the sound card, as 'foten devices' lists them.")]
-UserFile = Annotated[Path | None, Option("--user", metavar="U.json", help="A user's profile, of 'foten adapt'.")]
-Channel = Annotated[int | None, Option(min=1, help="Of the sound card that is played on; 1 by default.")]
+Speed = Annotated[float | None, Option(help="Constant speed (mm/s), with --force.")]
+Force = Annotated[float | None, Option(help="Constant force (N), with --speed.")]
+Deterministic = Annotated[bool, Option("--deterministic", help="Leave out the random excitation.")]
+Actuator = Annotated[
+    Path | None, Option(metavar="P.json", help="Profile of the actuator (.json), whose response is compensated.")
+]
+Gain = Annotated[
+    float | None,
+    Option(
+        help="Output for 1 m/s², or 1 unit of drive with --actuator: share of full scale (sound), e.g. 0.02, or volts "
+        "(daq)."
+    ),
+]
+Device = Annotated[str | None, Option(help="Number or name of the sound card, as listed by 'foten devices'.")]
+UserFile = Annotated[
+    Path | None,
+    Option("--user", metavar="U.json", help="Adapt textures to a user: profile (.json) from 'foten adapt'."),
+]
+Channel = Annotated[int | None, Option(min=1, help="Channel of the sound card to play on; 1 by default.")]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,15 +67,17 @@ class StrokeOptions:
     stroke: Path | None = Option(
         None,
         metavar="S.csv",
-        help="Table of t, speed or x and y, force or pressure (0 to 1); s, mm/s, mm, N by default.",
+        help="Table of the stroke: t (s), speed (mm/s) or x and y (mm), force (N) or pressure (0 to 1).",
     )
     units: Units = None
     pressure: Pressure = None
-    recording_file: Path | None = Option(None, "--recording", metavar="REC.h5", help="Take the hand of a recording.")
+    recording_file: Path | None = Option(
+        None, "--recording", metavar="REC.h5", help="Use the speed and force of a recording (.h5)."
+    )
     speed: Speed = None
     force: Force = None
-    seconds: float | None = Option(None, help="How long, with --speed and --force (s).")
-    seed: int = Option(0, min=0, max=2**32 - 1, help="Of the excitation.")
+    seconds: float | None = Option(None, help="Duration of the stroke (s), with --speed and --force.")
+    seed: int = Option(0, min=0, max=2**32 - 1, help="Seed of the random excitation.")
     as_json: JsonOption = False
 
     @property
@@ -103,9 +124,15 @@ class RenderOptions(StrokeOptions):
     """Options of `foten render`."""
 
     texture_file: TextureFile
-    output: list[Path] = Option(..., "-o", "--output", help=".wav (float, m/s²), .csv, .npz or .png; repeatable.")
-    audible: Path | None = Option(None, metavar="FILE.wav", help="Also as sound, 48 kHz, 16 bits.")
-    tool: Path | None = Option(None, metavar="TOOL.json", help="As another tool feels it, of 'foten tool measure'.")
+    output: list[Path] = Option(
+        ..., "-o", "--output", help="File to write: .wav (float, m/s²), .csv, .npz or .png (plots); repeatable."
+    )
+    audible: Path | None = Option(
+        None, metavar="FILE.wav", help="Also write the vibration as audible sound (48 kHz, 16 bits)."
+    )
+    tool: Path | None = Option(
+        None, metavar="TOOL.json", help="Render for another tool: file (.json) from 'foten tool measure'."
+    )
     user: UserFile = None
     deterministic: Deterministic = False
 
@@ -116,7 +143,7 @@ class RenderOptions(StrokeOptions):
 
 @options_from(RenderOptions)
 def render(options: RenderOptions) -> None:
-    """Render vibration from a texture and a stroke."""
+    """Render the vibration of a texture under a stroke, into files."""
     from foten.models.texture_file import read_texture
     from foten.runtime.live import sinks
     from foten.runtime.renderer import Renderer
@@ -163,22 +190,32 @@ def render(options: RenderOptions) -> None:
 class PlayOptions:
     """Options of `foten play`."""
 
-    texture_file: Path | None = Argument(None, metavar="T.foten", help="By default one that comes with foten.")
-    to: str = Option("sound", help="sound, null, FILE.wav, daq:Dev1/ao0, udp:HOST:PORT or osc:HOST:PORT.")
-    stroke: Path | None = Option(None, metavar="S.csv", help="As of 'foten render', over and over; else a circle.")
+    texture_file: Path | None = Argument(
+        None, metavar="T.foten", help="Texture file to play; by default one that comes with foten."
+    )
+    to: str = Option(
+        "sound", help="Output: sound, FILE.wav, daq:Dev1/ao0, udp:HOST:PORT, osc:HOST:PORT, or null (no output)."
+    )
+    stroke: Path | None = Option(
+        None,
+        metavar="S.csv",
+        help="Table of the stroke, as in 'foten render', played in a loop; by default a circling stroke.",
+    )
     units: Units = None
     pressure: Pressure = None
     speed: Speed = None
     force: Force = None
-    seconds: float | None = Option(None, min=0.0, help="How long (s); by default until Ctrl-C, and 10 s into a file.")
-    rate: float | None = Option(None, help="Of the output (Hz); by default 48000 for sound, else 8000 or more.")
+    seconds: float | None = Option(None, min=0.0, help="Duration (s); by default until Ctrl-C, or 10 s into a file.")
+    rate: float | None = Option(
+        None, help="Sampling rate of the output (Hz); by default 48000 for sound, else 8000 or more."
+    )
     actuator: Actuator = None
     user: UserFile = None
     gain: Gain = None
     device: Device = None
     channel: Channel = None
-    lead_ms: float | None = Option(None, help="Rendered ahead of what is heard (ms); 10 by default.")
-    seed: int = Option(0, min=0, max=2**64 - 1, help="Of the excitation.")
+    lead_ms: float | None = Option(None, help="How far ahead of playback to render (ms); 10 by default.")
+    seed: int = Option(0, min=0, max=2**64 - 1, help="Seed of the random excitation.")
     deterministic: Deterministic = False
     as_json: JsonOption = False
 

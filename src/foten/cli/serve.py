@@ -22,14 +22,20 @@ if TYPE_CHECKING:
 
 def serve(
     textures: list[Path] | None = Argument(
-        None, metavar="[T.foten|DIR]…", help="Files or folders; by default foten's."
+        None, metavar="[T.foten|DIR]…", help="Texture files or folders; by default the textures that come with foten."
     ),
     host: str = Option(
-        "127.0.0.1", help="127.0.0.1 for this machine, 0.0.0.0 for the network, by HTTPS and a link for each device."
+        "127.0.0.1",
+        help="Address to listen on: 127.0.0.1 for this machine only, 0.0.0.0 for the network (HTTPS, a link for each "
+        "device).",
     ),
-    port: int = Option(8000, min=0, max=65535, help="0 for any that is free."),
-    captures: Path = Option(Path("captures"), metavar="DIR", help="Of captured surfaces; made with the first."),
-    to: str = Option("sound", help="The server plays to sound, daq:Dev1/ao0, udp:HOST:PORT, osc:HOST:PORT or null."),
+    port: int = Option(8000, min=0, max=65535, help="Port of the page; 0 chooses a free one."),
+    captures: Path = Option(
+        Path("captures"), metavar="DIR", help="Folder of captured surfaces; created with the first capture."
+    ),
+    to: str = Option(
+        "sound", help="Output of the server: sound, daq:Dev1/ao0, udp:HOST:PORT, osc:HOST:PORT, or null (no output)."
+    ),
     actuator: Actuator = None,
     gain: Gain = None,
     device: Device = None,
@@ -37,7 +43,7 @@ def serve(
     user: UserFile = None,
     open_page: bool = Option(True, "--open/--no-open", help="Open the page in this machine's browser."),
 ) -> None:
-    """Open a page to stroke textures on, with a mouse, a finger or a pen, and to capture surfaces of one's own. Ctrl-C ends it.
+    """Serve a page to stroke textures with a mouse, a finger or a pen, and to capture your own surfaces. Ctrl-C stops it.
 
     foten serve
 

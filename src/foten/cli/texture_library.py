@@ -1,4 +1,4 @@
-"""`foten library`: a folder of textures, by what they are like and by words."""
+"""`foten library`: keep textures in a folder, and search it by similarity and by words."""
 
 from __future__ import annotations
 
@@ -13,21 +13,27 @@ from foten.console import JsonOption, TextureFile, print_result, say
 if TYPE_CHECKING:
     from foten.editing.texture_library import Entry
 
-app = typer.Typer(help="A folder of textures, found by what they are like and by words.", no_args_is_help=True)
-Folder = Annotated[Path, Option("--library", metavar="DIR", help="The library.")]
+app = typer.Typer(
+    help="Keep textures in a library, a folder that can be searched by similarity and by words.", no_args_is_help=True
+)
+Folder = Annotated[Path, Option("--library", metavar="DIR", help="Folder of the library.")]
 DEFAULT = Path("library")
 SHOWN = 12
 
 
 @app.command()
 def add(
-    files: list[Path] = Argument(..., metavar="T.foten|MODELS.xml…", help="Textures, or models of Penn's toolkit."),
+    files: list[Path] = Argument(
+        ...,
+        metavar="T.foten|MODELS.xml…",
+        help="Texture files, or model files (.xml) of the Penn Haptic Texture Toolkit.",
+    ),
     library: Folder = DEFAULT,
-    tag: list[str] | None = Option(None, help="Words for all of them, such as coarse or woven; repeatable."),
-    name: str = Option("", help="What it is called, of one texture."),
+    tag: list[str] | None = Option(None, help="Tag for all added textures, such as coarse or woven; repeatable."),
+    name: str = Option("", help="Name of the texture, if only one is added."),
     as_json: JsonOption = False,
 ) -> None:
-    """Copy textures into a library, and note what they are like."""
+    """Copy textures into a library, and measure them for its index."""
     from foten.editing.texture_library import open_library
 
     if name and len(files) != 1:
@@ -61,7 +67,7 @@ def _added(opened: Any, file: Path, tags: list[str], name: str) -> Entry:
 
 @app.command(name="list")
 def list_(library: Folder = DEFAULT, as_json: JsonOption = False) -> None:
-    """Show what a library holds."""
+    """List the textures of a library."""
     from foten.editing.texture_library import open_library
 
     entries = open_library(library).entries
@@ -70,7 +76,7 @@ def list_(library: Folder = DEFAULT, as_json: JsonOption = False) -> None:
 
 @app.command()
 def nearest(texture_file: TextureFile, library: Folder = DEFAULT, as_json: JsonOption = False) -> None:
-    """Show the textures that are most like one, by level, centroid, width and roughness, in just noticeable differences."""
+    """Show the textures nearest to a given one, by level, centroid, width and roughness in just noticeable differences."""
     from foten.editing.texture_library import entry_of, open_library
     from foten.models.texture_file import read_texture
 
@@ -80,12 +86,14 @@ def nearest(texture_file: TextureFile, library: Folder = DEFAULT, as_json: JsonO
 
 @app.command()
 def search(
-    text: str = Argument(..., help='Words, such as "coarse denim".'),
+    text: str = Argument(..., help='Words to search for, such as "coarse denim".'),
     library: Folder = DEFAULT,
-    encoder: str | None = Option(None, help="A sentence encoder: folder or name.", show_default="a table of words"),
+    encoder: str | None = Option(
+        None, help="Sentence encoder, as a folder or a name.", show_default="a table of words"
+    ),
     as_json: JsonOption = False,
 ) -> None:
-    """Show the textures whose names and tags are most like some words."""
+    """Show the textures whose names and tags best match some words."""
     from foten.editing.texture_library import open_library
     from foten.editing.words import encoder_of
 

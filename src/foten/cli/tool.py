@@ -1,4 +1,4 @@
-"""`foten tool`: how another tool feels, from strokes on one surface with both."""
+"""`foten tool`: adapt textures to another tool, measured by strokes on one surface with both."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from foten.console import JsonOption, TextureFile, check_files, print_result
 if TYPE_CHECKING:
     from foten.editing.tool import Transfer
 
-app = typer.Typer(help="Another tool: measured once, then applied to any texture.", no_args_is_help=True)
+app = typer.Typer(help="Measure once how another tool differs, then apply it to any texture.", no_args_is_help=True)
 
 
 @app.command()
@@ -22,13 +22,13 @@ def measure(
     recordings: list[Path] = Argument(
         ...,
         metavar="A.h5 B.h5 …",
-        help="A surface with your textures' tool and with the other; more surfaces likewise.",
+        help="Recordings in pairs: one surface with your textures' tool, then with the other; more surfaces likewise.",
     ),
-    output: Path = Option(..., "-o", "--output", help="The tool to write, .json."),
-    rate: float = Option(1000.0, help="Of the textures that it is for (Hz)."),
+    output: Path = Option(..., "-o", "--output", help="Tool file to write (.json)."),
+    rate: float = Option(1000.0, help="Sampling rate of the textures that the tool will be applied to (Hz)."),
     as_json: JsonOption = False,
 ) -> None:
-    """Measure how a tool differs from that of your textures: stroke one surface with both, over the same speeds and forces.
+    """Measure how a tool differs from that of your textures, by stroking one surface with both at the same speeds and forces.
 
     foten tool measure pen-a.h5 pen-b.h5 -o pen-b.json
 
@@ -71,11 +71,11 @@ def _lines(transfer: Transfer) -> list[str]:
 @app.command()
 def apply(
     texture_file: TextureFile,
-    tool: Path = Argument(..., metavar="TOOL.json", help="As 'foten tool measure' writes it."),
-    output: Path = Option(..., "-o", "--output", help="The texture to write, .foten."),
+    tool: Path = Argument(..., metavar="TOOL.json", help="Tool file, as written by 'foten tool measure'."),
+    output: Path = Option(..., "-o", "--output", help="Texture file to write (.foten)."),
     as_json: JsonOption = False,
 ) -> None:
-    """Write a texture as another tool would feel it: for a page, an app or a study."""
+    """Write a texture as it would feel through another tool, for a page, an app or a study."""
     from foten.editing.describe import describe
     from foten.editing.tool import read_transfer, transferred
     from foten.models.texture_file import read_texture, write_texture

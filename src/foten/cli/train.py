@@ -1,4 +1,4 @@
-"""`foten train`."""
+"""`foten train`: train a texture file on a recording."""
 
 from __future__ import annotations
 
@@ -21,7 +21,9 @@ if TYPE_CHECKING:
     from foten.training.job import Trained, TrainingJob
 
 
-Anyway = Annotated[bool, Option("--anyway", help="Go on where nothing sensible can be learned from the recording.")]
+Anyway = Annotated[
+    bool, Option("--anyway", help="Continue even if nothing sensible can be learned from the recording.")
+]
 
 
 def _of(name: str) -> str:
@@ -35,60 +37,94 @@ class TrainOptions:
     """Options of `foten train`; None is the recipe's, or the model's."""
 
     recording_files: list[Path] = Argument(
-        ..., metavar="REC.h5…", help="A recording that foten import wrote; several are takes of the same surface."
+        ..., metavar="REC.h5…", help="Recordings written by 'foten import'; several are takes of the same surface."
     )
-    output: Path = Option(..., "-o", "--output", metavar="T.foten", help="The texture file to write.")
+    output: Path = Option(..., "-o", "--output", metavar="T.foten", help="Texture file to write (.foten).")
     model: str = Option(
         "foten-plus",
-        help="foten-plus (ours), foten (the paper's); its variants ten, ten-mfcc, ten-wavelet, foten-d; re-implemented "
-        "systems: ar (piecewise AR), fnn, dstn, hapinf, ldhtd, dftnet, gan.",
+        help="Model: foten-plus (ours), foten (the paper's), its variants ten, ten-mfcc, ten-wavelet, foten-d, or a "
+        "re-implemented system: ar (piecewise AR), fnn, dstn, hapinf, ldhtd, dftnet, gan.",
     )
     recipe: str = Option(
-        "default", help="default (ours), or paper: Sec. IV-e, low-pass of 25 Hz; not for foten-plus and gan."
+        "default",
+        help="Training settings: default (ours) or paper (Sec. IV-e, low-pass of 25 Hz; not for foten-plus and gan).",
     )
-    rate: float | None = Option(None, help="Of the model (Hz); the acceleration's own at most.", show_default="1000")
-    trim: float | None = Option(None, help="Discarded at both ends (ms).", show_default="2000; takes as fits")
-    block: float | None = Option(None, help="Unit of the split (ms).", show_default="2000; takes as fits")
-    window: int | None = Option(None, help="Samples of history.", show_default="20; ten 25, ten-* 30, dstn 40, fnn 144")
-    seed: int = Option(0, min=0, max=2**32 - 1, help="Of initial weights, order and dropout.")
-    split: str = Option("regrouped", help="regrouped by speed and force, or contiguous in time.")
-    split_seed: int = Option(0, min=0, help="Of the regrouped split.")
+    rate: float | None = Option(
+        None, help="Sampling rate of the model (Hz), at most that of the recorded acceleration.", show_default="1000"
+    )
+    trim: float | None = Option(
+        None, help="Time discarded at both ends of the recording (ms).", show_default="2000; takes as fits"
+    )
+    block: float | None = Option(
+        None,
+        help="Length of the blocks that are split into training, validation and test (ms).",
+        show_default="2000; takes as fits",
+    )
+    window: int | None = Option(
+        None,
+        help="Number of past samples that the network predicts from.",
+        show_default="20; ten 25, ten-* 30, dstn 40, fnn 144",
+    )
+    seed: int = Option(
+        0, min=0, max=2**32 - 1, help="Seed of the initial weights, the order of training windows and dropout."
+    )
+    split: str = Option(
+        "regrouped", help="How blocks are split: regrouped (by speed and force) or contiguous (in time)."
+    )
+    split_seed: int = Option(0, min=0, help="Seed of the regrouped split.")
     epochs: int | None = Option(
-        None, help="At most; of gan 50 steps each. Below 8, foten-plus trains less in its closed loop."
+        None,
+        help="Maximum number of epochs; by default the recipe's. Below 8, foten-plus trains less in closed loop; a gan "
+        "epoch is 50 steps.",
     )
-    loss: str | None = Option(None, help="huber, mse or mae; foten-plus has a likelihood.", show_default=_of("loss"))
-    delta: float | None = Option(None, help="Huber threshold, scaled.", show_default=_of("delta"))
-    batch: int | None = Option(None, help="Windows a step, of foten-plus chunks; the recipe's by default.")
-    learning_rate: float | None = Option(None, help="Highest; the recipe's by default.")
-    dropout: float | None = Option(None, help="Share of hidden values.", show_default=_of("dropout"))
+    loss: str | None = Option(
+        None, help="Training loss: huber, mse or mae; foten-plus uses a likelihood instead.", show_default=_of("loss")
+    )
+    delta: float | None = Option(
+        None, help="Threshold of the Huber loss, in scaled (standardised) acceleration.", show_default=_of("delta")
+    )
+    batch: int | None = Option(None, help="Windows (foten-plus: chunks) per training step; by default the recipe's.")
+    learning_rate: float | None = Option(None, help="Highest learning rate of the schedule; by default the recipe's.")
+    dropout: float | None = Option(
+        None, help="Share of hidden values that dropout sets to zero.", show_default=_of("dropout")
+    )
     initial_weights: str | None = Option(
-        None, help="uniform, as PyTorch draws them, or glorot, as Keras.", show_default=_of("initial_weights")
+        None,
+        help="Initial weights: uniform (as in PyTorch) or glorot (as in Keras).",
+        show_default=_of("initial_weights"),
     )
     excitation: bool = Option(
-        False, "--excitation", help="Add a random part, without which a network's free run falls silent."
+        False, "--excitation", help="Add a random excitation, without which a network's free run falls silent."
     )
     settings: list[str] | None = Option(
         None,
         "--set",
         metavar="SIZE=VALUE",
-        help="Another size or reading of the network; repeatable. foten-plus: n_hidden, head_width, n_components; foten: "
-        "d_model, n_heads, n_layers, d_feedforward, head=[256,64], spectral_width (1 as printed), pre_norm=false, bins=half.",
+        help="Change a size or variant of the network, e.g. n_layers=2; repeatable. foten-plus: n_hidden, head_width, "
+        "n_components; foten: d_model, n_heads, n_layers, d_feedforward, head=[256,64], spectral_width (1 as "
+        "printed in the paper), pre_norm=false, bins=half.",
     )
-    zero_phase: bool = Option(False, "--zero-phase", help="Filter forwards and backwards, which no live filter can.")
-    force_units: bool = Option(False, "--force-units", help="Accept speeds above 5 m/s, 1000 m/s² and 500 N.")
+    zero_phase: bool = Option(
+        False,
+        "--zero-phase",
+        help="Filter the recording forwards and backwards (zero phase), which a live filter cannot do.",
+    )
+    force_units: bool = Option(False, "--force-units", help="Accept values above 5 m/s, 1000 m/s² or 500 N.")
     anyway: Anyway = False
-    resume: bool = Option(False, "--resume", help="Go on from the run folder's checkpoint.")
+    resume: bool = Option(False, "--resume", help="Continue from the checkpoint in the run folder.")
     run_folder: Path | None = Option(
-        None, "--run", metavar="DIR", help="Of log, curves and checkpoint.", show_default="T.run"
+        None, "--run", metavar="DIR", help="Run folder, for log, curves and checkpoint.", show_default="T.run"
     )
-    texture: str = Option("", help="Name in the card; the recording's by default.")
-    licence: str = Option("", help="Licence of the texture, best its SPDX identifier: CC-BY-4.0, CC0-1.0, …")
-    author: str = Option("", help="Whom to name, for the card.")
-    source: str = Option("", help="Where the recording is from, for the card: a dataset, a link.")
-    doi: str = Option("", help="Of the recording or its paper: 10.6084/m9.figshare.29438288.")
-    photo: str = Option("", help="Whose the photograph beside the file is, and its licence.")
+    texture: str = Option("", help="Name of the texture in the file's card; by default the recording's.")
+    licence: str = Option("", help="Licence of the texture, preferably an SPDX identifier: CC-BY-4.0, CC0-1.0, …")
+    author: str = Option("", help="Author to credit in the file's card.")
+    source: str = Option("", help="Origin of the recording for the file's card: a dataset or a link.")
+    doi: str = Option("", help="DOI of the recording or its paper, e.g. 10.6084/m9.figshare.29438288.")
+    photo: str = Option("", help="Credit and licence of the photograph that lies beside the file.")
     threads: int | None = Option(
-        None, help="Cores that share a batch; a GPU takes it all.", show_default=_of("threads")
+        None,
+        help="Number of CPU threads that share each batch; a GPU takes the whole batch.",
+        show_default=_of("threads"),
     )
     as_json: JsonOption = False
 
@@ -165,7 +201,7 @@ class TrainOptions:
 
 @options_from(TrainOptions)
 def train(options: TrainOptions) -> None:
-    """Learn a texture file from a recording. Ctrl-C keeps the best so far."""
+    """Train a texture on a recording. Ctrl-C stops it and keeps the best model so far."""
     from foten.datasets.hdf5 import load_takes
     from foten.models.texture_file import Texture, write_texture
     from foten.recording.inspection import inspect_recording

@@ -14,42 +14,47 @@ if TYPE_CHECKING:
     from foten.study.store import Store
 
 app = typer.Typer(
-    help="A perceptual study (Sec. VII): new, check, run, analyze; simulate tries it without people.",
+    help="Design, run and analyse a perceptual study (Sec. VII); 'simulate' tries it without people.",
     no_args_is_help=True,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 
-StudyFile = Annotated[Path, Argument(metavar="STUDY.toml", help="A study file, as 'foten study new' writes it.")]
-Database = Annotated[Path, Argument(metavar="STUDY.db", help="Ratings of a study, as 'foten study run' keeps them.")]
+StudyFile = Annotated[Path, Argument(metavar="STUDY.toml", help="Study file, as written by 'foten study new'.")]
+Database = Annotated[
+    Path, Argument(metavar="STUDY.db", help="Database with the answers of a study, as written by 'foten study run'.")
+]
 Participant = Annotated[int, Option("--participant", min=1, help="Number of the participant.")]
 TrialNumber = Annotated[int, Option("--trial", help="Number of the trial.")]
 Sd = Annotated[float, Option(min=0.1, help="Standard deviation of ratings between raters (points).")]
 Effect = Annotated[
     float | None,
     Option(
-        help="Where surfaces are chosen: the share of choices of one method over each other one (paired, 0.65), d′ (abx, oddity, "
-        "1), or by how many dB its threshold is lower (3).",
+        help="Effect, unless the task is rating: share of choices for the better method (paired, 0.65), d′ (abx, "
+        "oddity, 1), or dB that its threshold is lower (3).",
         show_default=False,
     ),
 ]
-Correlation = Annotated[float, Option(min=0, max=0.99, help="Between two ratings of one rater.")]
+Correlation = Annotated[float, Option(min=0, max=0.99, help="Correlation between two ratings by one rater.")]
 
 
 @app.command()
 def new(
-    output: Path = Argument(..., metavar="STUDY.toml", help="The study file to write."),
+    output: Path = Argument(..., metavar="STUDY.toml", help="Study file to write (.toml)."),
     textures: list[Path] = Argument(
-        ..., metavar="T.foten…", help="Texture files: two methods or more of each texture."
+        ..., metavar="T.foten…", help="Texture files: two or more methods (models) of each texture."
     ),
-    title: str | None = Option(None, help="Shown to participants.", show_default="the question"),
-    task: str = Option("rating", help="What a trial asks: rating, paired, abx, oddity or threshold."),
-    language: str = Option("en", help="Of all that participants read: en, de, fr, es, ja, ko or zh."),
+    title: str | None = Option(None, help="Title shown to participants.", show_default="the question"),
+    task: str = Option("rating", help="Task of each trial: rating, paired, abx, oddity or threshold."),
+    language: str = Option("en", help="Language of the participants' pages: en, de, fr, es, ja, ko or zh."),
     participants: int | None = Option(
-        None, min=1, help="How many; by default as many as find an effect that is printed, in whole squares."
+        None,
+        min=1,
+        help="Number of participants; by default enough to find the effect that is printed, rounded up to complete "
+        "Latin squares.",
     ),
-    seed: int = Option(1, min=0, help="Of the order of trials."),
+    seed: int = Option(1, min=0, help="Seed of the order of trials."),
 ) -> None:
-    """Write a study file to edit, from texture files: which texture and which method each is, its card says.
+    """Write a study file to edit, from texture files; each file's card says which texture and which method it is.
 
     foten study new similarity.toml denim-ar.foten denim.foten mesh-ar.foten mesh.foten
     """
@@ -85,7 +90,7 @@ def new(
 
 @app.command()
 def check(study: StudyFile, as_json: JsonOption = False) -> None:
-    """Check a study file: texture files, levels, balance of the orders, devices, and how long it takes."""
+    """Check a study file: texture files, levels, balance of the trial orders, devices, and duration."""
     from foten.recording.inspection.values import counted
     from foten.study.loading import load_study
     from foten.study.orders import balance
@@ -125,17 +130,21 @@ def check(study: StudyFile, as_json: JsonOption = False) -> None:
 def run(
     study: StudyFile,
     output: Path | None = Option(
-        None, "-o", "--output", metavar="STUDY.db", help="Where answers are kept; beside the study file."
+        None, "-o", "--output", metavar="STUDY.db", help="Database for the answers; by default beside the study file."
     ),
-    host: str = Option("127.0.0.1", help="127.0.0.1 for this machine alone, 0.0.0.0 for tablets on the network."),
-    port: int = Option(8000, min=0, max=65535, help="0 for any that is free."),
+    host: str = Option(
+        "127.0.0.1", help="Address to listen on: 127.0.0.1 for this machine only, 0.0.0.0 for tablets on the network."
+    ),
+    port: int = Option(8000, min=0, max=65535, help="Port of the pages; 0 chooses a free one."),
     simulated: bool = Option(
-        False, "--simulated", help="Those who answer are programs: the ratings are marked as simulated for ever."
+        False, "--simulated", help="Programs answer, not people: mark the answers permanently as simulated."
     ),
-    lsl: bool = Option(False, "--lsl", help="Send markers of trials, contacts and answers by Lab Streaming Layer."),
+    lsl: bool = Option(
+        False, "--lsl", help="Send markers of trials, contacts and answers through Lab Streaming Layer."
+    ),
     open_page: bool = Option(True, "--open/--no-open", help="Open the operator's page in this machine's browser."),
 ) -> None:
-    """Run a study: participants' pages and the operator's. Ctrl-C ends it; the same command goes on where it was.
+    """Run a study: serve the pages of participants and operator. Ctrl-C stops it; the same command continues it.
 
     foten study run similarity.toml --host 0.0.0.0
     """
@@ -185,7 +194,7 @@ def run(
 
 @app.command()
 def status(database: Database, as_json: JsonOption = False) -> None:
-    """Print who has rated how much, and whether the file is sound; also while the study runs."""
+    """Print the progress of each participant, and check the database; works while the study runs."""
     from foten.recording.inspection.values import counted
 
     with _store(database) as store:
@@ -212,18 +221,20 @@ def status(database: Database, as_json: JsonOption = False) -> None:
 @app.command()
 def simulate(
     study: StudyFile,
-    output: Path = Option(..., "-o", "--output", metavar="STUDY.db", help="A new database, marked as simulated."),
+    output: Path = Option(
+        ..., "-o", "--output", metavar="STUDY.db", help="New database to write, marked as simulated."
+    ),
     difference: float | None = Option(
-        None, help="Points of the scale that one method is better by, to the raters.", show_default="10"
+        None, help="Points (of 100) by which the better method is rated higher, for the task rating.", show_default="10"
     ),
     effect: Effect = None,
-    better: str | None = Option(None, metavar="METHOD", help="That is better; by default the last."),
+    better: str | None = Option(None, metavar="METHOD", help="Key of the better method; by default the last one."),
     sd: Sd = 10.67,
     correlation: Correlation = 0.3,
-    missing: float = Option(0.0, min=0, max=0.9, help="Share of raters who leave before their end."),
-    seed: int = Option(0, min=0, help="Of what the raters answer."),
+    missing: float = Option(0.0, min=0, max=0.9, help="Share of raters who leave before the end, e.g. 0.1."),
+    seed: int = Option(0, min=0, help="Seed of the raters' answers."),
 ) -> None:
-    """Let raters of a stated model take part, to try the analysis before anyone is invited. What comes is marked as simulated.
+    """Simulate raters who take part, to try the analysis before inviting people. Their answers are marked as simulated.
 
     foten study simulate similarity.toml -o simulated.db --difference 10
     """
@@ -255,11 +266,17 @@ def simulate(
 
 @app.command()
 def power(
-    study: Path | None = Argument(None, metavar="[STUDY.toml]", help="For as many methods and textures as it has."),
-    methods: int | None = Option(None, min=2, help="How many, without a study file.", show_default="4"),
-    textures: int | None = Option(None, min=1, help="How many, without a study file.", show_default="12"),
+    study: Path | None = Argument(
+        None,
+        metavar="[STUDY.toml]",
+        help="Study file that gives the task and the numbers of methods, textures and repeats.",
+    ),
+    methods: int | None = Option(None, min=2, help="Number of methods, without a study file.", show_default="4"),
+    textures: int | None = Option(None, min=1, help="Number of textures, without a study file.", show_default="12"),
     difference: float | None = Option(
-        None, help="Points that the last method is better by; by default the paper's effects where there are 4 × 12."
+        None,
+        help="Points by which the last method is rated higher; by default the paper's effects (4 methods × 12 "
+        "textures), else 8.75.",
     ),
     sd: float | None = Option(
         None, min=0.1, help="Standard deviation of ratings between raters (points).", show_default="10.67"
@@ -267,21 +284,21 @@ def power(
     correlation: Correlation = 0.3,
     effect: Effect = None,
     task: str | None = Option(
-        None, help="rating, paired, abx, oddity or threshold, without a study file.", show_default="rating"
+        None, help="Task, without a study file: rating, paired, abx, oddity or threshold.", show_default="rating"
     ),
     repeats: int | None = Option(
-        None, min=1, help="Of each pair on each texture, without a study file.", show_default="1"
+        None, min=1, help="Trials of each pair of methods on each texture, without a study file.", show_default="1"
     ),
     studies: int | None = Option(
         None,
         min=50,
-        help="That are simulated for each number of participants.",
+        help="Number of studies to simulate for each number of participants.",
         show_default="500, or 200 where surfaces are chosen",
     ),
-    seed: int = Option(0, min=0, help="Of the simulation."),
+    seed: int = Option(0, min=0, help="Seed of the simulation."),
     as_json: JsonOption = False,
 ) -> None:
-    """Print how many participants a study needs, by simulated studies.
+    """Estimate how many participants a study needs, by simulating studies.
 
     foten study power --difference 9
     """
@@ -357,15 +374,20 @@ def _print_power_of_choices(
 @app.command()
 def analyze(
     database: Database,
-    output: Annotated[Path, folder_option("Of report, figures and tables; made if there is none.")] = Path("results"),
-    reference: str | None = Option(
-        None, metavar="METHOD", help="Compare the others with this one alone; by default all pairs."
+    output: Annotated[Path, folder_option("Folder for report, figures and tables; created if missing.")] = Path(
+        "results"
     ),
-    correction: str = Option("bonferroni", help="Of the stars of Fig. 9: bonferroni, as in the paper, or holm."),
+    reference: str | None = Option(
+        None, metavar="METHOD", help="Compare the other methods with this one only; by default all pairs."
+    ),
+    correction: str = Option(
+        "bonferroni", help="Correction for multiple tests of the stars in Fig. 9: bonferroni (as in the paper) or holm."
+    ),
     as_json: JsonOption = False,
 ) -> None:
-    """Analyse answers: analyses of variance, paired tests, ranks, a mixed model, reliability of ratings and thresholds; strengths
-    of paired comparisons; d′ of ABX and oddity; figures, a report, tidy tables. Of fewer than three participants the tables.
+    """Analyse the answers of a study: statistics, figures, tidy tables and a report. Below three participants, only the tables.
+
+    Ratings, thresholds: ANOVA, paired and rank tests, a mixed model, reliability. Paired comparisons: strengths. ABX, oddity: d′.
 
     foten study analyze similarity.db -o results
     """
@@ -392,12 +414,13 @@ def analyze(
 @app.command()
 def export(
     database: Database,
-    output: Annotated[Path, folder_option("Of the data set; made if there is none.")] = Path("dataset"),
+    output: Annotated[Path, folder_option("Folder for the data set; created if missing.")] = Path("dataset"),
     to: str = Option(
-        "psych-ds", help="psych-ds: tidy tables and what their columns mean; bids: events of each participant."
+        "psych-ds",
+        help="Format: psych-ds (tidy tables with the meaning of each column) or bids (events of each participant).",
     ),
 ) -> None:
-    """Write a study as a data set for the record, from the first answer on.
+    """Export a study as a data set for an archive; possible from the first answer on.
 
     foten study export similarity.db -o dataset
     """
@@ -417,10 +440,10 @@ def strokes(
     database: Database,
     participant: Participant,
     trial: TrialNumber,
-    surface: int | None = Option(None, min=1, max=3, help="Which surface of the trial, where it has several."),
-    output: Path = Option(..., "-o", "--output", metavar="S.csv", help="The table to write: t, x, y, pressure."),
+    surface: int | None = Option(None, min=1, max=3, help="Number of the surface, if the trial has several."),
+    output: Path = Option(..., "-o", "--output", metavar="S.csv", help="Table to write (.csv): t, x, y, pressure."),
 ) -> None:
-    """Write how a participant stroked the virtual surface in a trial, as 'foten render --stroke' reads it.
+    """Write a participant's stroke on the virtual surface in a trial, as a table for 'foten render --stroke'.
 
     foten study strokes similarity.db --participant 3 --trial 7 -o stroke.csv
     """
@@ -461,12 +484,12 @@ def correct(
     database: Database,
     participant: Participant,
     trial: TrialNumber,
-    rating: float | None = Option(None, help="What was meant, 0 to 100."),
-    choice: str | None = Option(None, help="Which surface was meant, where one is chosen: A, B, 1, 2 or 3."),
-    scale: str | None = Option(None, metavar="KEY", help="Of the rating, where a trial has several."),
-    reason: str = Option(..., help="Why; kept with the correction."),
+    rating: float | None = Option(None, help="Rating that was meant (0 to 100)."),
+    choice: str | None = Option(None, help="Surface that was meant, if the task is to choose one: A, B, 1, 2 or 3."),
+    scale: str | None = Option(None, metavar="KEY", help="Key of the rating's scale, if a trial has several."),
+    reason: str = Option(..., help="Reason, stored with the correction."),
 ) -> None:
-    """Put another answer in the place of a wrong one. The old one stays in the file.
+    """Replace a wrong answer by the right one. The old one stays in the file.
 
     foten study correct similarity.db --participant 3 --trial 7 --rating 40 --reason "read the scale the wrong way round"
     """
@@ -489,9 +512,11 @@ def correct(
 
 @app.command()
 def forget(
-    database: Database, participant: Participant, yes: bool = Option(False, "--yes", help="Do not ask.")
+    database: Database,
+    participant: Participant,
+    yes: bool = Option(False, "--yes", help="Do not ask for confirmation."),
 ) -> None:
-    """Remove all of one participant's data from a study's file, for good. Backups keep theirs."""
+    """Remove all data of one participant from a study's database, permanently. Backups are not changed."""
     from foten.studio.access import Admitted
 
     with _store(database) as store:
@@ -506,9 +531,9 @@ def forget(
 
 @app.command()
 def backup(
-    database: Database, output: Path = Option(..., "-o", "--output", metavar="COPY.db", help="The copy to write.")
+    database: Database, output: Path = Option(..., "-o", "--output", metavar="COPY.db", help="Copy to write (.db).")
 ) -> None:
-    """Copy a study's file, also while the study runs."""
+    """Copy a study's database; works while the study runs."""
     from foten.recording.inspection.values import counted
 
     check_files([output])
