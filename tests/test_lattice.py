@@ -14,6 +14,7 @@ from foten.dsp import lattice
 from foten.dsp.lattice import LEAK, analyse, check_reflections, delayed, polynomial, predict, push, rotate_back
 from foten.dsp.speed_force_table import FORCE_FLOOR, SpeedForceTable, spanning
 from foten.models.foten_plus.linear_model import (
+    MIN_INNOVATION,
     N_FOLDS,
     N_FOLDS_OF_MANY,
     SCALES,
@@ -281,6 +282,18 @@ def test_a_growing_signal_gives_a_lattice_that_is_stable() -> None:
     data = LatticeData(x, np.ones_like(x), 0 * x, 0 * x, (0, 1, 2, 3), (4, 5))
     schedule = select_lattices(data, 20)[0].table
     assert np.abs(schedule.values).max() <= lattice.MAX_REFLECTION
+
+
+def test_no_knot_leaves_less_to_the_innovation_than_a_sensor_resolves() -> None:
+    """Fast strokes hum without noise, so their knot left 1e-13 of the amplitude, which innovations were divided by."""
+    t = np.arange(8000)
+    hum = sum(np.sin(2 * np.pi * frequency * t) for frequency in (0.05, 0.11, 0.17, 0.23))
+    x = np.concatenate([np.random.default_rng(6).standard_normal(8000), hum]).reshape(32, 500)
+    speed = np.repeat([20.0, 200.0], 16)[:, None] + 0 * x
+    data = LatticeData(x, np.ones_like(x), speed, np.ones_like(x), tuple(range(32)), ())
+    slow, *_, fast = np.sqrt(1 - np.square(fit_reflections(data, 40, 3, 1).values)).prod(axis=1)
+    assert fast == pytest.approx(MIN_INNOVATION, rel=1e-6)
+    assert slow > 0.9
 
 
 def test_reflections_of_chance_are_not_kept() -> None:

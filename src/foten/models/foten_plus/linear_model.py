@@ -41,6 +41,9 @@ LEVEL_SAMPLES = 241  # samples that a level is averaged over for the gain before
 NEIGHBOURS = 10  # sections on each side from which the variance of a reflection is estimated
 NEAR = 0.015  # share by which the error of a kind may be larger for it to be tried in the closed loop
 MIN_GAIN = 1e-3  # share by which a longer order, the gain before the filter or a table must lower the error
+# Least share of the vibration's amplitude that a knot leaves to the innovation, 80 dB below it: sensors are noisier. Knots at which
+# next to nothing was recorded left as little as 1e-13, and divided by it.
+MIN_INNOVATION = 1e-4
 _SCALES = np.array(SCALES)
 
 
@@ -168,6 +171,7 @@ def fit_reflections(
     shares = share_beyond_chance(data, order) if shares is None else shares
     sections = Sections(data, chosen, table)
     reflections = np.zeros((len(table.values), order))
+    left = np.ones(len(table.values))  # to the innovation
     for i in range(order):
         gram, correlation = sections.vertex_sums(i + 1)  # before that a section still fills
         moment = -correlation
@@ -175,7 +179,9 @@ def fit_reflections(
         # In units of a section's own error: a reflection is known to within √((1 − k²)/n).
         noise = max(1e-4, 1 - everywhere**2) * gram.sum() / sections.forward[:, i + 1 :].size
         k = everywhere + _shrunk(gram / noise, (moment - gram.sum(axis=1) * everywhere) / noise, parts)
-        reflections[:, i] = np.clip(k, -MAX_REFLECTION, MAX_REFLECTION)
+        largest = np.sqrt(np.maximum(0.0, 1 - np.square(MIN_INNOVATION / left))).clip(max=MAX_REFLECTION)
+        reflections[:, i] = np.clip(k, -largest, largest)
+        left *= np.sqrt(1 - np.square(reflections[:, i]))
         sections.rotate_back(reflections[:, i])
     return replace(table, values=reflections)
 
