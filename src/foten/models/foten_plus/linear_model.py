@@ -41,9 +41,9 @@ LEVEL_SAMPLES = 241  # samples that a level is averaged over for the gain before
 NEIGHBOURS = 10  # sections on each side from which the variance of a reflection is estimated
 NEAR = 0.015  # share by which the error of a kind may be larger for it to be tried in the closed loop
 MIN_GAIN = 1e-3  # share by which a longer order, the gain before the filter or a table must lower the error
-# Least share of the vibration's amplitude that a knot leaves to the innovation, 80 dB below it: sensors are noisier. Knots at which
-# next to nothing was recorded left as little as 1e-13, and divided by it.
-MIN_INNOVATION = 1e-4
+# Least share of the amplitude that a knot leaves to the innovation, 120 dB down: no sensor resolves more. A knot where next to
+# nothing was recorded left 1e-13, by which innovations are divided.
+MIN_INNOVATION = 1e-6
 _SCALES = np.array(SCALES)
 
 
