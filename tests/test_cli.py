@@ -16,8 +16,10 @@ from rich.text import Text
 from typer.main import get_command
 
 from foten.atomic_write import atomic_write
+from foten.baselines.sizes import TRAINABLE
 from foten.cli.command_line import _status, app
 from foten.cli.evaluate import network_summary
+from foten.cli.train import TrainOptions
 from foten.datasets.hdf5 import load_recording, write_recording
 from foten.models.texture_file import read_texture, write_texture
 
@@ -292,6 +294,14 @@ def test_every_training_says_the_problems_of_its_recording(
         cut = ["--trim", "0", "--block", "500", "--force-units", "--anyway"]
         assert _status(["train", str(path), "-o", str(tmp_path / "t.foten"), "--model", model, *cut, *options]) == 0
         assert "problem: force" in capsys.readouterr().err
+
+
+def test_the_windows_in_the_help_are_those_of_the_models() -> None:
+    text = TrainOptions.__dataclass_fields__["window"].default.show_default
+    said = {
+        key: int(n) for keys, _, n in (part.partition(": ") for part in text.split("; ")) for key in keys.split(", ")
+    }
+    assert said == {key: sizes().window for key, sizes in TRAINABLE.items() if key != "ar"}
 
 
 def test_initial_weights_are_those_that_are_asked_for(

@@ -17,8 +17,8 @@ from typer import Argument, Option
 from foten.untrusted import shown
 
 JsonOption = Annotated[bool, Option("--json", help="Print the result as JSON on stdout.")]
-TextureFile = Annotated[Path, Argument(metavar="T.foten", help="A texture file.")]
-RecordingFile = Annotated[Path, Argument(metavar="REC.h5", help="A recording that foten import wrote.")]
+TextureFile = Annotated[Path, Argument(metavar="T.foten", help="Texture file (.foten).")]
+RecordingFile = Annotated[Path, Argument(metavar="REC.h5", help="Recording (.h5), as 'foten import' writes it.")]
 Options = TypeVar("Options")
 
 

@@ -28,10 +28,10 @@ def evaluate(
     ),
     seed: int = Option(0, min=0, max=2**32 - 1, help="Seed of the random excitation."),
     trim: float | None = Option(
-        None, help="Time discarded at both ends of another recording (ms).", show_default="the trained one's"
+        None, help="Time discarded at both ends of another recording (ms).", show_default="as in training"
     ),
     block: float | None = Option(
-        None, help="Length of the blocks of another recording (ms).", show_default="the trained one's"
+        None, help="Length of the blocks of another recording (ms).", show_default="as in training"
     ),
     listener: bool = Option(
         False, "--listener", help="Also train networks to tell the free run from the recorded surface."

@@ -22,7 +22,7 @@ def sweep(
     ),
     output: Annotated[Path | None, folder_option("Folder for the results, one file per run.")] = None,
     workers: int | None = Option(
-        None, min=1, help="Number of runs at a time on this machine, one thread each.", show_default="its cores"
+        None, min=1, help="Number of runs at a time on this machine, one thread each.", show_default="number of cores"
     ),
     address: str | None = Option(
         None, help="Address of a Ray cluster (HOST:PORT), or auto for the one that this machine is part of."
@@ -31,7 +31,7 @@ def sweep(
         0.0, min=0.0, max=8.0, help="Share of a GPU for each run: 0.25 lets four runs share one; 0 uses none."
     ),
     recordings: Path | None = Option(
-        None, metavar="DIR", help="Folder of the recordings.", show_default="that of the file"
+        None, metavar="DIR", help="Folder of the recordings.", show_default="the experiment file's folder"
     ),
     mixed: bool = Option(
         False, "--mixed", help="Keep results of other platforms, to continue a sweep on another machine."
@@ -121,7 +121,7 @@ def figures(
         None,
         metavar="DIR",
         help="Folder of the recordings, which Fig. 4 shows.",
-        show_default="where the sweep had them",
+        show_default="the folder that the sweep used",
     ),
     mixed: MixedOption = False,
     as_json: JsonOption = False,

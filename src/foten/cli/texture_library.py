@@ -89,7 +89,7 @@ def search(
     text: str = Argument(..., help='Words to search for, such as "coarse denim".'),
     library: Folder = DEFAULT,
     encoder: str | None = Option(
-        None, help="Sentence encoder, as a folder or a name.", show_default="a table of words"
+        None, help="Sentence encoder, as a folder or a name.", show_default="built-in word vectors"
     ),
     as_json: JsonOption = False,
 ) -> None:

@@ -53,17 +53,20 @@ class TrainOptions:
         None, help="Sampling rate of the model (Hz), at most that of the recorded acceleration.", show_default="1000"
     )
     trim: float | None = Option(
-        None, help="Time discarded at both ends of the recording (ms).", show_default="2000; takes as fits"
+        None,
+        help="Time discarded at both ends of the recording (ms).",
+        show_default="2000, or less to fit a short recording",
     )
     block: float | None = Option(
         None,
         help="Length of the blocks that are split into training, validation and test (ms).",
-        show_default="2000; takes as fits",
+        show_default="2000, or less to fit a short recording",
     )
     window: int | None = Option(
         None,
         help="Number of past samples that the network predicts from.",
-        show_default="20; ten 25, ten-* 30, dstn 40, fnn 144",
+        show_default="foten, foten-d, hapinf, ldhtd: 20; ten: 25; ten-mfcc, ten-wavelet: 30; foten-plus, dstn: 40; dftnet: 100; "
+        "fnn: 144; gan: 272",
     )
     seed: int = Option(
         0, min=0, max=2**32 - 1, help="Seed of the initial weights, the order of training windows and dropout."
