@@ -150,7 +150,7 @@ def test_ctrl_c_in_the_first_epoch_leaves_the_playable_file(
     capsys.readouterr()
     assert _status(["train", str(recording), "-o", str(out), *FAST, *TINY]) == 130
     shown = capsys.readouterr().err.splitlines()
-    assert f"wrote {out}, playable without its network; it is replaced by a better one" in shown
+    assert f"wrote {out}: playable, but still without its network; training will replace it" in shown
     assert shown[-1] == "foten: interrupted"
     assert [path.name for path in tmp_path.iterdir()] == ["p.foten"]
     sound = tmp_path / "s.wav"
@@ -208,7 +208,7 @@ def test_a_disk_that_fills_up_while_training_costs_no_more_than_the_run_folder(
     shown = [line for line in capsys.readouterr().err.splitlines() if "no space left" in line]
     why = "no space left on device; the training"
     assert shown == [
-        f"{folder / 'log.csv'}: {why} goes on without its log",
+        f"{folder / 'log.csv'}: {why} continues without its log",
         f"{folder / 'checkpoint.pt'}: {why} went on without its checkpoint",
         f"{folder / 'log.csv'}: no space left on device; the run folder is not complete",
     ]
@@ -236,15 +236,15 @@ def test_render_writes_each_output(texture: Path, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("sizes", "mae_scaled", "share", "words"),
     [
-        ({}, 0.95, 1.0, "improves one-step predictions by 5.0 %, and makes the random part of a rendering"),
-        ({}, 0.95, 0.35, "improves one-step predictions by 5.0 %, with 35 % of its mean, and makes"),
-        ({}, 1.0, 0.0, "does not correct one-step predictions, as no gain on the validation blocks was beyond"),
-        ({"network_in_loop": False}, 0.9999, 1.0, "does not improve one-step predictions; a rendering does without it"),
+        ({}, 0.95, 1.0, "improves one-step predictions by 5.0 %, and generates the random part of a rendering"),
+        ({}, 0.95, 0.35, "improves one-step predictions by 5.0 %, with its mean scaled to 35 %, and"),
+        ({}, 1.0, 0.0, "does not correct one-step predictions: no gain on the validation blocks exceeded"),
+        ({"network_in_loop": False}, 0.9999, 1.0, "does not improve one-step predictions; not used in renderings"),
         (
             {"n_tones": 3},
             0.9,
             1.0,
-            "improves one-step predictions by 10.0 %; a second one makes the part of a rendering that is not tones",
+            "improves one-step predictions by 10.0 %; a second network generates the residual of a rendering",
         ),
     ],
 )
@@ -350,8 +350,11 @@ def test_render_says_what_became_of_samples_outside_the_range(
     entries["extrapolation_exponents"] = {"speed": 0.0, "force": 0.0}
     write_texture(dataclasses.replace(texture_, card={**texture_.card, **entries}), held)
     for speed, messages in (
-        ("1", "speed was below 2 mm/s or force below 0.3 N for 100.0 %; the vibration falls there, to silence at rest"),
-        ("200", "speed was above the trained 150 mm/s for 100.0 %; the level was held there"),
+        (
+            "1",
+            "speed was below 2 mm/s or force below 0.3 N for 100.0 % of the time; the vibration fades there, to silence at rest",
+        ),
+        ("200", "speed was above the trained 150 mm/s for 100.0 % of the time; the level was held there"),
     ):
         capsys.readouterr()
         constants = ["--speed", speed, "--force", "1", "--seconds", "0.2"]
@@ -382,7 +385,7 @@ RENDER = ("render", "{tex}", "-o", "{out}.wav", "--speed", "1", "--force", "1")
         ([*TRAIN, "--set", "bogus=1"], "has no size 'bogus'"),
         ([*TRAIN, "--trim", "nan"], "trim_ms is nan"),
         ([*FOTEN, "--loss", "mae", "--delta", "1"], "delta is the threshold of the huber loss, and the loss is mae"),
-        ([*FOTEN, "--set", "excitation_width=8"], "excitation_width is of an excitation, and there is none"),
+        ([*FOTEN, "--set", "excitation_width=8"], "excitation_width is for an excitation, and there is none"),
         ([*FOTEN, "--set", "n_hidden=8"], "foten has no size 'n_hidden'"),
         ([*TRAIN, "--window", "101"], "five times as long"),
         ([*TRAIN, "--window", "100000"], "window is 100000, expected 512 at most"),
@@ -414,16 +417,16 @@ RENDER = ("render", "{tex}", "-o", "{out}.wav", "--speed", "1", "--force", "1")
         (["evaluate", "{tex}", "{rec}", "--trim", "0"], "--trim and --block are for others"),
         (["evaluate", "{tex}", "{tex}"], "foten import"),
         (["nonsense"], "No such command"),
-        ([*TRAIN, "--split", "contiguous", "--split-seed", "3"], "--split-seed is of the regrouped split"),
+        ([*TRAIN, "--split", "contiguous", "--split-seed", "3"], "--split-seed is for the regrouped split"),
         ([*TRAIN, "--model", "ar", "--epochs", "0"], "--epochs is for networks"),
-        ([*RENDER, "--seconds", "1", "--deterministic", "--seed", "3"], "--seed is of the excitation"),
+        ([*RENDER, "--seconds", "1", "--deterministic", "--seed", "3"], "--seed sets the excitation"),
         ([*TRAIN, "--doi", "https://doi.org/10.1/x"], "expected 10.NUMBER/NAME, without https"),
         (["simulate", "towel", "-o", "{out}", "--capture", "--stroke-seed", "0"], "--stroke-seed is for recordings"),
         (["simulate", "towel", "-o", "{out}.h5", *SEEDS], "--seed has no effect beside --noise-seed"),
-        (["import", "{stroke}", "-o", "{out}.h5", "--pressure", "1,2"], "--pressure is of a --pen"),
+        (["import", "{stroke}", "-o", "{out}.h5", "--pressure", "1,2"], "--pressure is for use with --pen"),
         (["import", "{stroke}", "-o", "{out}.h5", "--normal", "up"], "--normal is 'up', expected x,y,z"),
         (["export", "{tex}", "--to", "c", "--seed", "3", "-o", "{out}.h"], "c holds the texture itself"),
-        (["tables", "{out}", "--digits", "3"], "--digits is of runs.csv"),
+        (["tables", "{out}", "--digits", "3"], "--digits is for runs.csv"),
         (["study", "power", "{out}.toml", "--methods", "3"], "--methods is in the study file"),
     ],
 )

@@ -92,7 +92,7 @@ def test_a_file_says_what_its_numbers_are(file: Path, tmp_path: Path) -> None:
         (["--to", "null", "--speed", "80"], "--speed with --force"),
         (["--to", "null", "--speed", "-1", "--force", "1"], "speed"),
         (["--to", "a.wav", "--seconds", "inf"], "--seconds is inf"),
-        (["--to", "a.wav", "--lead-ms", "5"], "--lead-ms is for what plays live"),
+        (["--to", "a.wav", "--lead-ms", "5"], "--lead-ms is for live output"),
         (["--to", "none/a.wav"], "there is no folder none"),
     ],
 )
@@ -125,7 +125,7 @@ def test_ctrl_c_ends_it_and_prints_the_counts(file: Path) -> None:
         preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
     )
     assert child.stderr is not None
-    assert "Ctrl-C ends it" in child.stderr.readline()
+    assert "Ctrl-C stops it" in child.stderr.readline()
     child.send_signal(signal.SIGINT)
     out, _ = child.communicate(timeout=30)
     assert child.returncode == 130
@@ -149,7 +149,7 @@ def test_what_went_wrong_is_printed_with_what_helps(
     assert "too late 7 times" in card
     assert "--lead-ms" not in card
     assert "8 blocks" in late
-    assert "no number 3 times" in err
+    assert "not a number 3 times" in err
     assert "in place of 4 samples" in err
 
 

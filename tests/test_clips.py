@@ -339,7 +339,7 @@ def test_a_stroke_is_exported_by_the_name_of_the_file(
     stroke.write_text("t,x,y,pressure\n0,0,0,0.5\n0.5,40,0,0.5\n1.0,90,0,0.4\n")
     assert ran("--stroke", stroke, "-o", tmp_path / name) == 0
     out = capsys.readouterr().out
-    assert "1 s, 1 is " in out
+    assert "1 s, full scale (1) is " in out
     assert "keep" in out or "kept" in out
     if name == "a.wav":
         rate, samples = scipy.io.wavfile.read(tmp_path / name)
@@ -347,7 +347,7 @@ def test_a_stroke_is_exported_by_the_name_of_the_file(
         assert 32_000 < np.abs(samples).max() <= 32_767
         about = comment(tmp_path / name)
         assert (about["unit"], about["texture"], about["seed"]) == ("m/s^2", "steel-mesh-1", 0)
-        assert f"1 is {about['full_scale']:.3g} m/s²" in out
+        assert f"full scale (1) is {about['full_scale']:.3g} m/s²" in out
     elif name == "a.csv":
         table = np.loadtxt(tmp_path / name, delimiter=",", skiprows=1)
         assert table.shape == (8000, 2)
@@ -371,7 +371,7 @@ def test_a_wav_of_a_relative_texture_says_what_1_is(tmp_path: Path, capsys: pyte
     assert _status(["export", str(tmp_path / "t.foten"), *STROKE, "-o", str(path)]) == 0
     about = comment(path)
     assert about["unit"] == "relative"
-    assert f"1 is {about['full_scale']:.3g} times the recording's RMS" in capsys.readouterr().out
+    assert f"full scale (1) is {about['full_scale']:.3g} times the recording's RMS" in capsys.readouterr().out
 
 
 def test_onnx_is_checked_and_predicts_what_the_kernel_does(tmp_path: Path) -> None:
@@ -431,10 +431,10 @@ def test_a_site_without_a_name_has_the_textures_that_come_along(tmp_path: Path) 
 @pytest.mark.parametrize(
     ("arguments", "match"),
     [
-        (["-o", "x.mp3"], "the name x.mp3 is no format, expected --to wav"),
-        ([str(EXAMPLE), "-o", "x.ahap"], "ahap is made of one texture file, got 2"),
-        ([str(EXAMPLE), "--to", "unity", "-o", "x"], "unity is made of one texture file, got 2"),
-        (["--to", "haps", "-o", "x"], "--to haps is no format"),
+        (["-o", "x.mp3"], "the name x.mp3 gives no known format, expected --to wav"),
+        ([str(EXAMPLE), "-o", "x.ahap"], "ahap takes one texture file, got 2"),
+        ([str(EXAMPLE), "--to", "unity", "-o", "x"], "unity takes one texture file, got 2"),
+        (["--to", "haps", "-o", "x"], "--to haps gives no known format"),
         (["--to", "web", "--speed", "80", "-o", "site"], "web holds the texture itself: leave out the stroke"),
         (["--speed", "80", "-o", "x.ahap"], "expected one of --stroke"),
         (["-o", "nowhere/x.ahap"], "there is no folder nowhere"),

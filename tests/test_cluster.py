@@ -76,8 +76,8 @@ def test_the_command_names_what_there_is_and_keeps_the_credit(
     for arguments, words in (
         ([], "name one of its surfaces, --surface 7"),
         (["--surface", "3"], "there is no surface 3 in it, --surface 7"),
-        (["--surface", "7", "--rate", "6000"], "--rate is of tables"),
-        (["--surface", "7", str(dataset)], "got 2 files, expected the folder of a dataset by itself"),
+        (["--surface", "7", "--rate", "6000"], "--rate is for tables"),
+        (["--surface", "7", str(dataset)], "got 2 files, expected only the folder of a dataset"),
     ):
         assert _status(["import", str(dataset), "-o", str(path), *arguments]) == 2
         assert words in capsys.readouterr().err

@@ -258,7 +258,7 @@ def test_the_commands(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Non
     [
         (["edit", "towel", "--period", "1"], "the texture has no period to change"),
         (["edit", "jeans", "--period", "100"], "the period is 100 mm, expected 0.09 to 9 mm"),
-        (["edit", "towel"], "nothing is changed, expected --level"),
+        (["edit", "towel"], "nothing to change, expected --level"),
         (["edit", "towel", "--brighter", "9"], "brighter is 9 octaves, expected -3 to 3"),
         (["edit", "towel", "--wider", "-2"], "wider is -2 octaves, and the width is"),
         (["edit", "steel-mesh-1_ar", "--brighter", "1"], "only the level of a texture of ar can be edited"),

@@ -97,7 +97,7 @@ def test_the_command_makes_a_texture_that_renders_and_is_judged(
     assert judged["split"] == "foreign"
     assert np.isfinite(judged["one_step"]["mae_scaled"])
     assert _status(["info", str(out)]) == 0
-    assert "it was not learned here from a recording" in capsys.readouterr().out
+    assert "not trained here on a recording" in capsys.readouterr().out
     assert _status(["import", str(source), "--rate", "1000", "-o", str(out)]) == 2
     assert "--rate is for recordings" in capsys.readouterr().err
 

@@ -147,13 +147,16 @@ def test_a_photo_proposes_a_period_or_none() -> None:
     ("arguments", "message"),
     [
         (["flat.png", "--scale", "0.05"], "the picture is of one height: there is nothing to feel"),
-        (["flat.png", "--scale", "20"], "--scale is 20 mm a pixel, expected 0.001 to 5; was it given in pixels a mm?"),
+        (
+            ["flat.png", "--scale", "20"],
+            "--scale is 20 mm per pixel, expected 0.001 to 5; was it given in pixels per mm?",
+        ),
         (["flat.png", "--scale", "0.05", "--depth", "0"], "--depth is 0 mm, expected more than 0 and 10 at most"),
         (["tiny.png", "--scale", "0.05"], "tiny.png has 4 × 4 pixels, expected 8 × 8 to 100 million"),
         (["bad.png", "--scale", "0.05"], "bad.png is truncated or is no picture"),
         (["bad.obj", "--scale", "0.05"], "bad.obj is no picture, expected one of .png"),
         (["none.png", "--scale", "0.05"], "none.png"),
-        (["flat.png", "--scale", "0.05", "--photo"], "--output is of a texture, and --photo proposes a period"),
+        (["flat.png", "--scale", "0.05", "--photo"], "--output is for making a texture, and --photo only proposes"),
     ],
 )
 def test_what_cannot_be_is_refused_in_a_line(

@@ -693,7 +693,7 @@ def test_all_that_is_missing_is_refused_in_one_message_that_can_be_copied(tmp_pa
         "foten: nothing sensible can be learned: there is no speed, and no position to take it from; it may be Tip X [um] and "
         f"Tip Y [um] or Cam X [mm] and Cam Y [mm]: add --map '{speed[0]}' or --map '{speed[1]}'. There is no normal force "
         f"(force or force_z); it may be Load X [gf] and Load Z [gf] or Grip [N]: add --map '{force[0]}' or --map '{force[1]}' "
-        "(--anyway goes on)"
+        "(use --anyway to continue)"
     )
     assert _status([*arguments, "--map", speed[0], "--map", force[0]]) == 0
     recording = load_recording(tmp_path / "a.h5")
@@ -793,7 +793,10 @@ def test_texture_and_tool_stated_above_the_table_are_taken_unless_given(tmp_path
     assert _status(arguments) == 0
     recording = load_recording(tmp_path / "a.h5")
     assert (recording.texture, recording.tool) == ("walnut, planed", "steel ball")
-    assert "texture: walnut, planed, as stated above the table; --texture gives another" in capsys.readouterr().err
+    assert (
+        "texture: walnut, planed, read from the lines above the table; --texture overrides it"
+        in capsys.readouterr().err
+    )
     assert _status([*arguments, "--texture", "oak"]) == 0
     assert (load_recording(tmp_path / "a.h5").texture, load_recording(tmp_path / "a.h5").tool) == ("oak", "steel ball")
     assert "texture: walnut" not in capsys.readouterr().err

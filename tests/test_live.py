@@ -372,7 +372,7 @@ def test_windows_plays_through_wasapi_and_devices_are_listed(
 ) -> None:
     """The same card is there once for each interface of the system, MME first, which is late by 100 ms and more."""
     assert _status(["devices"]) == 0
-    assert re.search(r"1 +Speakers +ALSA +2 +10 +48000 +usual", capsys.readouterr().out)
+    assert re.search(r"1 +Speakers +ALSA +2 +10 +48000 +default", capsys.readouterr().out)
     microphone = ("Microphone (USB Audio)", 0, 1)
     sound.cards = ("Speakers (USB Audio)", 2, 0), ("Headphones", 2, 1), microphone, ("Speakers (USB Audio)", 2, 1)
     sound.hosts = (

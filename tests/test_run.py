@@ -26,7 +26,7 @@ def test_nothing_is_written_before_the_first_line(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="nothing to resume"):
         RunFolder(folder.path).open({"x": 1}, resume=True)
     folder.checkpoint.write_bytes(b"")
-    with pytest.raises(ValueError, match="go on with --resume, or delete"):
+    with pytest.raises(ValueError, match="continue with --resume, or delete"):
         RunFolder(folder.path).open({"x": 1}, resume=False)
     with pytest.raises(ValueError, match="other settings"):
         RunFolder(folder.path).open({"x": 2}, resume=True)
@@ -50,7 +50,7 @@ def test_a_disk_that_fills_up_costs_the_log_and_not_the_training(
     monkeypatch.setattr("foten.training.run_folder._write_log", full)
     folder.log(epoch(1))
     folder.log(epoch(2))
-    assert notes == [f"{folder.path / 'log.csv'}: no space left on device; the training goes on without its log"]
+    assert notes == [f"{folder.path / 'log.csv'}: no space left on device; the training continues without its log"]
     assert (folder.path / "log.csv").read_text() == before
     with pytest.raises(OSError, match="No space left"):
         refused.log(epoch(0))

@@ -43,13 +43,13 @@ def test_from_texture_files_to_a_report_without_anyone(tmp_path: Path) -> None:
     textures = sorted(tmp_path.glob("*.foten"))
     assert "3 textures × 2 methods, 15 participants" in foten("new", study, *textures, "--participants", "15")
     checked = foten("check", study)
-    assert "6 trials of each of 15 participants" in checked
-    assert "about 11 minutes of each participant" in checked
+    assert "6 trials for each of 15 participants" in checked
+    assert "about 11 minutes for each participant" in checked
     assert "the real surface: whether it is touched is not checked" in checked
     foten("simulate", study, "-o", database, "--difference", "12", "--better", "dstn", "--missing", "0.2")
     status = foten("status", database)
     assert "15 simulated raters" in status
-    assert "the file is sound" in status
+    assert "the file is intact" in status
     said = foten("analyze", database, "-o", results, "--reference", "dstn")
     assert "The highest mean is that of dstn." in said
     assert "simulated raters rated 2 methods on 3 textures" in said
@@ -63,7 +63,7 @@ def test_from_texture_files_to_a_report_without_anyone(tmp_path: Path) -> None:
     document = json.loads((results / "results.json").read_text(encoding="utf-8"))
     assert document["results"]["similarity"]["anova_one_way"][0]["p_corrected"] < 0.01
     assert document["results"]["similarity"]["mixed_model"]["n_participants"] == len(wide) - 1
-    assert "is there already" in foten("simulate", study, "-o", database, ok=False)
+    assert "already exists" in foten("simulate", study, "-o", database, ok=False)
     assert "expected one of ar, dstn" in foten("analyze", database, "--reference", "x", "-o", tmp_path / "r", ok=False)
     assert not (tmp_path / "r").exists()
     foten("backup", database, "-o", tmp_path / "copy.db")
@@ -83,7 +83,7 @@ def test_from_texture_files_to_a_report_without_anyone(tmp_path: Path) -> None:
 def test_what_a_command_refuses_is_a_line(tmp_path: Path) -> None:
     study = study_file(tmp_path)
     textures = sorted(tmp_path.glob("*.foten"))
-    assert "is there already" in foten("new", study, *textures, ok=False)
+    assert "already exists" in foten("new", study, *textures, ok=False)
     refused = foten("new", tmp_path / "x.toml", textures[0], ok=False)
     assert "has one method, expected two texture files or more" in refused
     assert not (tmp_path / "x.toml").exists()
@@ -97,7 +97,7 @@ def test_a_study_of_one_texture_in_another_language(tmp_path: Path) -> None:
     assert "1 texture × 2 methods, 1 participant\n" in said
     assert read_language("ko").new["title"] in study.read_text(encoding="utf-8")
     checked = foten("check", study)
-    assert "1 texture × 2 methods: 2 trials of each of 1 participant, 2 of practice" in checked
+    assert "1 texture × 2 methods: 2 trials for each of 1 participant, after 2 for practice" in checked
     assert "the Korean texts have not been reviewed by a speaker" in checked
     refused = foten("new", tmp_path / "x.toml", *tmp_path.glob("*.foten"), "--language", "xx", ok=False)
     assert "language is 'xx', expected one of en, de" in refused

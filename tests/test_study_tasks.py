@@ -289,7 +289,7 @@ def test_a_choice_is_corrected_by_its_name(tmp_path: Path) -> None:
     common = ("correct", tmp_path / "s.db", "--participant", 1, "--trial", 1, "--reason", "a slip")
     assert "the task is oddity, expected --choice 1, 2, 3" in foten(*common, "--rating", 2, ok=False)
     assert "--choice is 'B', expected one of 1, 2, 3" in foten(*common, "--choice", "B", ok=False)
-    assert "trial 1: 3 holds now" in foten(*common, "--choice", 3)
+    assert "trial 1: the answer is now 3" in foten(*common, "--choice", 3)
     with Store(tmp_path / "s.db") as store:
         assert [row["rating"] for row in store.ratings()] == [2.0]
 

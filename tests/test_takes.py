@@ -181,9 +181,9 @@ def test_the_commands_take_several_files_and_append(
     assert _status(["import", str(table), "-o", whole, "--append"]) == 2
     assert "take 2 (d.csv) has the same samples as take 1" in capsys.readouterr().err
     assert _status(["import", str(table), "-o", whole, "--append", "--texture", "jeans"]) == 2
-    assert "--texture is of the recording that is added to" in capsys.readouterr().err
+    assert "--texture comes from the recording that is extended" in capsys.readouterr().err
     table.write_text(f"t,acceleration,speed,force\n{rows.replace(',1', ',2')}")
     assert _status(["import", str(table), "-o", whole, "--append"]) == 0
     assert [one.name for one in load_recording(Path(whole)).takes] == ["d.csv", "d.csv"]
     assert _status(["render", texture, "--recording", whole, "-o", str(tmp_path / "o.csv")]) == 0
-    assert "the recording has 2 takes: the hand of the first is taken (d.csv)" in capsys.readouterr().err
+    assert "the recording has 2 takes: the stroke of the first is used (d.csv)" in capsys.readouterr().err

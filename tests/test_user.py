@@ -286,8 +286,8 @@ def test_commands_take_a_user(tmp_path: Path, capsys: pytest.CaptureFixture[str]
     ("arguments", "line"),
     [
         (["-o", "me.txt"], "a user's profile is written as .json, got -o me.txt"),
-        (["--no-feel", "-o", "me.json"], "nothing is asked"),
-        ([str(EXAMPLE.parent / "steel-mesh-1_ar.foten"), "-o", "me.json"], "expected one of foten-plus"),
+        (["--no-feel", "-o", "me.json"], "nothing to measure"),
+        ([str(EXAMPLE.parent / "steel-mesh-1_ar.foten"), "-o", "me.json"], "expected foten-plus"),
     ],
 )
 def test_what_cannot_be_adapted_is_refused(
@@ -303,13 +303,15 @@ def test_another_actuator_or_user_needs_another_file(tmp_path: Path, capsys: pyt
     me, coil = str(tmp_path / "me.json"), str(tmp_path / "coil.json")
     write_user(UserProfile("Ada", "coil", "m/s²"), Path(me))
     assert _status(["adapt", "-o", me]) == 2
-    assert "was measured with the actuator coil: expected the same, or another -o" in capsys.readouterr().err
+    assert (
+        "was measured with the actuator coil: continue in the same way, or give another -o" in capsys.readouterr().err
+    )
     write_profile(ActuatorProfile("coil", gain=3.0, limit=2.0), Path(coil))
     assert _status(["adapt", "-o", me, "--actuator", coil]) == 2
-    assert "with the actuator coil, whose figures were others" in capsys.readouterr().err
+    assert "with the actuator coil, whose profile was different then" in capsys.readouterr().err
     write_user(UserProfile("Ada"), Path(me))
     assert _status(["adapt", "-o", me, "--name", "Bea"]) == 2
-    assert "is of Ada, not of Bea" in capsys.readouterr().err
+    assert "is the profile of Ada, not of Bea" in capsys.readouterr().err
 
 
 def test_a_response_is_not_taken_off_twice(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -318,7 +320,7 @@ def test_a_response_is_not_taken_off_twice(tmp_path: Path, capsys: pytest.Captur
     write_profile(ActuatorProfile("coil", gain=3.0, limit=2.0), Path(coil))
     command = ["play", str(TOWEL), "--user", me, "--actuator", coil, "--to", str(tmp_path / "a.wav"), "--seconds", "1"]
     assert _status(command) == 2
-    assert "was measured without --actuator, so its response is in the profile" in capsys.readouterr().err
+    assert "was measured without --actuator, so it holds the actuator's response" in capsys.readouterr().err
     mine = adapted(read_texture(TOWEL), GAINS)
     with pytest.raises(ValueError, match="one for a user already"):
         adapted(mine, GAINS)

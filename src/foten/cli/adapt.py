@@ -20,11 +20,11 @@ MAX_OFF_DB = 0.01  # of the largest tones of an actuator, from one session to th
 def _going_on(stored: UserProfile, now: UserProfile, output: Path) -> UserProfile:
     """The stored profile, or ValueError where it is another user's, or of another actuator."""
     if now.name and now.name != stored.name:
-        raise ValueError(f"{output} is of {stored.name or 'a nameless user'}, not of {now.name}: expected another -o")
+        raise ValueError(f"{output} is the profile of {stored.name or 'an unnamed user'}, not of {now.name}: give another -o")
     if stored.unit != now.unit or any(abs(a - b) > MAX_OFF_DB for a, b in zip(stored.max_db, now.max_db, strict=True)):
-        was = f"with the actuator {stored.actuator}" if stored.actuator else "without an actuator's profile"
-        also = ", whose figures were others" if stored.actuator == now.actuator else ""
-        raise ValueError(f"{output} was measured {was}{also}: expected the same, or another -o")
+        was = f"with the actuator {stored.actuator}" if stored.actuator else "without an actuator profile"
+        also = ", whose profile was different then" if stored.actuator == now.actuator else ""
+        raise ValueError(f"{output} was measured {was}{also}: continue in the same way, or give another -o")
     return stored
 
 
@@ -63,7 +63,7 @@ def adapt(
     if output.suffix != ".json":
         raise ValueError(f"a user's profile is written as .json, got -o {output.name}")
     if texture_file is None and not feel:
-        raise ValueError("nothing is asked, expected a texture, or no --no-feel")
+        raise ValueError("nothing to measure: give a texture file, or leave out --no-feel")
     check_files([output])
     profile = None if actuator is None else read_profile(actuator)
     known = "" if profile is None else profile.name or str(actuator)
@@ -73,25 +73,27 @@ def adapt(
     texture, ranges = None if texture_file is None else read_texture(texture_file), {}
     if texture is not None:
         if (model := texture.card["model"]) != "foten-plus":
-            raise ValueError(f"{texture_file} is of {model}, expected one of foten-plus: others cannot be moved")
+            raise ValueError(f"{texture_file} has the model {model}, expected foten-plus: others cannot be adjusted")
         ranges = reachable(texture)
     title = "" if texture is None or texture_file is None else str(texture.card["texture"]) or texture_file.stem
     session = Session(before, title, ranges or FULL_RANGES, feel)
     if session.n_dropped:
-        say(f"{session.n_dropped} choices were made without the gains that are measured now: they are asked anew")
+        say(
+            f"{session.n_dropped} earlier choices were made without the gains measured now: these questions are asked again"
+        )
     server = AdaptServer(session, output, texture, profile)
 
     def announce(access: Access, shown: str, joined: bool) -> None:
         link = access.link(shown)
         if session.answers and not joined:
-            say(f"{output} holds {len(session.answers)} answers: it goes on there")
-        say(f"a device came in; for another: {link}" if joined else f"open {link}")
+            say(f"{output} holds {len(session.answers)} answers: the session continues after them")
+        say(f"a device connected; link for another one: {link}" if joined else f"open {link}")
         if access.token is not None:
             say_code(link)
         elif open_page and not joined:
             open_in_browser(link)
         if not joined:
-            say(f"answers are kept in {output}; Ctrl-C ends it")
+            say(f"answers are saved in {output}; Ctrl-C stops the server")
 
     serve_page(server.app, host, port, announce)
     for line in session.profile.in_words() if session.answers else ():

@@ -61,7 +61,7 @@ def edit(
     change = Edit(level, brighter, wider, rougher, period, speed_exponent, force_exponent)
     if not change.in_words() and user is None:
         expected = "--level, --brighter, --wider, --rougher, --period, an exponent or --user"
-        raise ValueError(f"nothing is changed, expected {expected}")
+        raise ValueError(f"nothing to change, expected {expected}")
     check_texture(output)
     result = edited(for_user(read_texture(texture_file), user), change)
     write_texture(result.texture, output)

@@ -85,20 +85,20 @@ def info(texture_file: TextureFile, as_json: JsonOption = False) -> None:
         **({"made": texture.evidence} if texture.evidence else {}),
         **({"unfinished": texture.unfinished} if texture.unfinished else {}),
         "model": f"{card['model']}, {holds}",
-        "history": f"a prediction is made from the last {card['window']} samples",
+        "history": f"a prediction uses the last {card['window']} samples",
         **_linear_model(texture),
         **_takes(card),
-        "cost": f"{cost:,} multiply-adds a rendered sample",
+        "cost": f"{cost:,} multiply-adds per rendered sample",
         "rate": f"{texture.rate_hz:g} Hz",
-        "trained range": f"{texture.trained_range_in_words()}; a rendering fades below {FADE_SPEED:g} mm/s and {FADE_FORCE:g} N",
-        "above it": texture.extrapolation_in_words(),
+        "trained range": f"{texture.trained_range_in_words()}; renderings fade below {FADE_SPEED:g} mm/s and {FADE_FORCE:g} N",
+        "above range": texture.extrapolation_in_words(),
         "acceleration": f"{texture.scaling.sd[0]:.4g} {unit} standard deviation",
-        "delay": f"{card['delay_ms']:.1f} ms, of the {card['lowpass_hz']:g} Hz low-pass of speed and force",
+        "delay": f"{card['delay_ms']:.1f} ms, from the {card['lowpass_hz']:g} Hz low-pass of speed and force",
         "excitation": "yes" if texture.has_excitation else "no",
         "validation": validation_summary(card),
-        "credit": texture.credit or "(not stated: whose it is, and its licence)",
+        "credit": texture.credit or "(author and licence not stated)",
         "sha256": texture.sha256(),
-        "proof": "golden windows replayed",
+        "proof": "golden windows (stored predictions) reproduced",
     }
     text = "\n".join(f"{name:14s}{value}" for name, value in rows.items())
     print_result({"sha256": texture.sha256(), **card}, text, as_json)
@@ -108,25 +108,27 @@ def _linear_model(texture: Texture) -> dict[str, str]:
     """Rows of `info` on the local models, or on the lattice and the tones."""
     sizes = texture.card["sizes"]
     if texture.card["model"] == "ar":
-        zeros = f", {sizes['ma']} zeros" if sizes["ma"] else ""
-        return {"models": f"{sizes['n_models']} of order {sizes['order']}{zeros}, in {sizes['n_triangles']} triangles"}
+        zeros = f", {sizes['ma']} zeros each" if sizes["ma"] else ""
+        return {
+            "models": f"{sizes['n_models']} of order {sizes['order']}{zeros}, on a mesh of {sizes['n_triangles']} triangles"
+        }
     if texture.card["model"] != "foten-plus":
         return {}
     vertices = sizes["n_speed"] * sizes["n_force"]
-    over = "for all speeds and forces" if vertices == 1 else f"over {vertices} speeds and forces"
+    over = "for all speeds and forces" if vertices == 1 else f"over {vertices} pairs of speed and force"
     before_filter = ", gain before the filter"
     gain = before_filter * sizes["gain_before_filter"]
-    parts = f"the network takes in {sizes['window']} of them, and the lattice those before"
-    rows = {"history": f"a prediction is made from the last {texture.window} samples: {parts}"}
+    parts = f"the lattice all of them, the network the last {sizes['window']}"
+    rows = {"history": f"a prediction uses the last {texture.window} samples: {parts}"}
     rows |= {"lattice": f"order {sizes['order']}, {over}{gain}", "tones": "none"}
     rows["network"] = network_summary(texture.card)
     if sizes["n_tones"]:
-        every = f", the surface repeats every {2 * pi / (texture.tensors['tones.phase_params'][0] * texture.rate_hz):.3g} mm"
-        residual = f"for the residual a lattice of order {sizes['residual_order']}"
+        every = f" of a surface that repeats every {2 * pi / (texture.tensors['tones.phase_params'][0] * texture.rate_hz):.3g} mm"
+        residual = f"residual by a lattice of order {sizes['residual_order']}"
         rows["tones"] = (
-            f"{sizes['n_tones']} multiples{every}; {residual}{before_filter * sizes['residual_gain_before_filter']}"
+            f"{sizes['n_tones']} harmonics{every}; {residual}{before_filter * sizes['residual_gain_before_filter']}"
         )
-    rows["equaliser"] = "eight bands, by speed, how it changes, and force" if sizes.get("equalised") else "none"
+    rows["equaliser"] = "eight bands, set by speed, change of speed, and force" if sizes.get("equalised") else "none"
     return rows
 
 
@@ -141,30 +143,30 @@ def network_summary(card: Mapping[str, Any]) -> str:
     """Use of a foten-plus texture's network, in words."""
     sizes, metrics = card["sizes"], card["metrics"]
     if metrics.get("n_epochs") == 0:
-        return "not trained: none of its epochs ran"
+        return "not trained: no epoch was run"
     without = metrics.get("validation_mae_scaled_lattice")
     gain = 100 * (1 - metrics["validation_mae_scaled"] / without) if without else 0.0
     share, improves = metrics.get("mean_share", 1.0), "does not improve one-step predictions"
     if share == 0:
-        improves = "does not correct one-step predictions, as no gain on the validation blocks was beyond chance"
+        improves = "does not correct one-step predictions: no gain on the validation blocks exceeded chance"
     elif gain >= 0.05:
         improves = f"improves one-step predictions by {gain:.1f} %"
-        improves += f", with {100 * share:.0f} % of its mean" * (share < 1)
+        improves += f", with its mean scaled to {100 * share:.0f} %" * (share < 1)
     if not sizes["network_in_loop"]:
-        return f"{improves}; a rendering does without it, as its free runs were no nearer to the recording"
+        return f"{improves}; not used in renderings: with it, free runs were no nearer to the recording"
     if sizes["n_tones"]:
-        return f"{improves}; a second one makes the part of a rendering that is not tones"
-    return f"{improves}, and makes the random part of a rendering"
+        return f"{improves}; a second network generates the residual of a rendering (all but the tones)"
+    return f"{improves}, and generates the random part of a rendering"
 
 
 def validation_summary(card: Mapping[str, Any]) -> str:
     """Validation errors of a card, in words."""
     if card["split"] is None:
-        return "none: it was not learned here from a recording"
+        return "none: not trained here on a recording"
     metrics = card["metrics"]
     if metrics["validation_mae_scaled"] is not None:
-        return f"{metrics['validation_mae_scaled']:.4f} sd one-step"
+        return f"one-step error {metrics['validation_mae_scaled']:.4f} sd"
     distance = f"{metrics['validation_spectrum_db']:.2f} dB"
     if card["model"] == "gan":
-        return f"mean spectra missed by {distance}"
-    return f"spectra of single frames missed by {distance}, of which chance alone is 4.3"
+        return f"mean spectra differ by {distance}"
+    return f"spectra of single frames differ by {distance}, of which 4.3 dB is chance"

@@ -71,7 +71,7 @@ def sweep(
     except sweeping.Stopped as stopped:
         raise Exit(130) from stopped
     result = {"output": str(output), "n_runs": len(runs), "n_done": n_done, "n_failed": n_failed}
-    print_result(result, f"{len(runs)} runs, {n_done} now, {n_failed} failed; next: foten tables {output}", as_json)
+    print_result(result, f"{len(runs)} runs: {n_done} new, {n_failed} failed; next: foten tables {output}", as_json)
     if n_failed:
         raise Exit(1)
 
@@ -96,7 +96,7 @@ def tables(
     from foten.reporting.table import FORMS
 
     if output is None:
-        refuse("is of runs.csv, which is written with -o DIR", brief=short, digits=digits)
+        refuse("is for runs.csv, which is written with -o DIR", brief=short, digits=digits)
     records = joined([read_records(path) for path in results], mixed)
     check_folder(output)
     shown, title, sentences = tables_of(records), title_of(records), list(findings(records))

@@ -49,7 +49,7 @@ class ExportOptions(StrokeOptions):
         kind = self.kind
         if kind not in (*CLIPS, *TEXTURES):
             what = f"--to {self.to}" if self.to else f"the name {self.output.name}"
-            raise ValueError(f"{what} is no format, expected --to {', '.join((*CLIPS, *TEXTURES))}")
+            raise ValueError(f"{what} gives no known format, expected --to {', '.join((*CLIPS, *TEXTURES))}")
         if kind in FOLDERS:
             check_folder(self.output)
         else:
@@ -87,7 +87,7 @@ def _only(files: list[Path], kind: str) -> Texture:
     from foten.models.texture_file import read_texture
 
     if len(files) != 1:
-        raise ValueError(f"{kind} is made of one texture file, got {len(files)}; --to web takes any number")
+        raise ValueError(f"{kind} takes one texture file, got {len(files)}; --to web takes any number")
     return read_texture(files[0])
 
 
@@ -125,7 +125,7 @@ def _write_clip(kind: str, clip: Clip, output: Path) -> tuple[dict[str, Any], st
     seconds, full_scale, unit = clip.duration_s, clip.full_scale, clip.about["unit"]
     words = "times the recording's RMS" if unit == RELATIVE else unit.replace("^2", "²")
     document = {"seconds": seconds, "rate_hz": clip.rate_hz, "full_scale": full_scale, "unit": unit}
-    return document, f"{seconds:g} s, 1 is {full_scale:.3g} {words}; {keeps}"
+    return document, f"{seconds:g} s, full scale (1) is {full_scale:.3g} {words}; {keeps}"
 
 
 def _write_header(texture: Texture, output: Path) -> tuple[dict[str, Any], str]:
@@ -153,14 +153,14 @@ def _write_site(files: list[Path], output: Path) -> tuple[dict[str, Any], str]:
     listed = shelf.listed()
     web.write_site(page_files(), listed, shelf.files(), output)
     document = {"textures": [texture["file"] for texture in listed["textures"]]}
-    return document, f"{counted(len(shelf), 'texture')}; {web.KEEPS}; put the folder on any host, and open it by HTTPS"
+    return document, f"{counted(len(shelf), 'texture')}; {web.KEEPS}; put it on any web host and open it over HTTPS"
 
 
 def _write_unity(texture: Texture, output: Path) -> tuple[dict[str, Any], str]:
     from foten.export import unity
 
     name = unity.write_unity(texture, output)
-    return {"name": name}, f"{name}; {unity.KEEPS}; put the folder into the Packages of a project"
+    return {"name": name}, f"{name}; {unity.KEEPS}; copy it into the Packages folder of a Unity project"
 
 
 _TEXTURE_WRITERS = {"c": _write_header, "onnx": _write_onnx, "unity": _write_unity}

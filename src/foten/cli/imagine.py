@@ -72,14 +72,14 @@ def imagine(
     picture = Path(source)
     of_pictures = {"scale": scale, "depth": depth, "tip": tip, "mass": mass, "modulus": modulus, "seconds": seconds}
     if picture.suffix.lower() not in SUFFIXES and " " not in source and picture.suffix:
-        raise ValueError(f"{picture.name} is no picture, expected one of {' '.join(SUFFIXES)}, or words")
+        raise ValueError(f"{picture.name} is no picture, expected one of {' '.join(SUFFIXES)}, or words in quotes")
     if picture.suffix.lower() in SUFFIXES:
-        refuse("is of words, and a picture is given", library=library, encoder=encoder, rate=rate)
+        refuse("is for words, and a picture is given", library=library, encoder=encoder, rate=rate)
         if scale is None:
-            raise ValueError("expected --scale, how many mm a pixel is")
+            raise ValueError("expected --scale, the size of a pixel in mm")
         _from_picture(picture, output, scale, depth, tiles, of_pictures, seed, photo, as_json)
         return
-    refuse("is of pictures, and words are given", **of_pictures, photo=photo or None, tiles=None if tiles else False)
+    refuse("is for pictures, and words are given", **of_pictures, photo=photo or None, tiles=None if tiles else False)
     _from_words(source, output, library, encoder, rate or 1000.0, as_json)
 
 
@@ -103,11 +103,11 @@ def _from_words(
     description = describe(made.texture)
     lines = [f"{name:11s}{figure}" for name, figure in description.figures(made.texture.unit).items()]
     if made.guessed:
-        few = f"{len(library.entries)} textures are too few to learn from, expected {words.MIN_TEXTURES}"
-        say(f"a guess: {few}; {made.nearest[0]} was moved by sliders")
+        few = f"{len(library.entries)} textures are too few to learn from, expected {words.MIN_TEXTURES} or more"
+        say(f"a guess: {few}; {made.nearest[0]} was adjusted instead")
     else:
         lines.append(
-            f"spread     ± {made.spread_db:.1f} dB of its spectrum; most alike by words: {', '.join(made.nearest)}"
+            f"spread     ± {made.spread_db:.1f} dB of the spectrum (1 sd); most similar by words: {', '.join(made.nearest)}"
         )
     lines.append(f"wrote {output}; next: foten edit {output} --level … --brighter … -o {output}")
     document = {"output": str(output), **description.to_json(), "spread_db": made.spread_db, "guessed": made.guessed}
@@ -129,10 +129,10 @@ def _from_picture(
 
     if not height_map.MIN_SCALE_MM <= scale <= height_map.MAX_SCALE_MM:
         expected = f"expected {height_map.MIN_SCALE_MM:g} to {height_map.MAX_SCALE_MM:g}"
-        raise ValueError(f"--scale is {scale:g} mm a pixel, {expected}; was it given in pixels a mm?")
+        raise ValueError(f"--scale is {scale:g} mm per pixel, {expected}; was it given in pixels per mm?")
     if photo:
         of_texture = {name: value for name, value in options.items() if name != "scale"}
-        refuse("is of a texture, and --photo proposes a period", output=output, **of_texture)
+        refuse("is for making a texture, and --photo only proposes a period", output=output, **of_texture)
         _propose(picture, scale, as_json)
         return
     if output is None:

@@ -29,9 +29,9 @@ def devices(as_json: JsonOption = False) -> None:
     from foten.runtime.live.devices import daq_channels, sound_devices
 
     sound, daq = sound_devices(), daq_channels()
-    heads = ("--device", "name", "through", "channels", "latency [ms]", "rate [Hz]", "")
+    heads = ("--device", "name", "interface", "channels", "latency [ms]", "rate [Hz]", "")
     rows = [
-        (f"{d.number}", d.name, d.host, f"{d.channels}", f"{d.latency_ms:.0f}", f"{d.rate_hz:g}", "usual" * d.default)
+        (f"{d.number}", d.name, d.host, f"{d.channels}", f"{d.latency_ms:.0f}", f"{d.rate_hz:g}", "default" * d.default)
         for d in sound
     ]
     lines = Table.of(heads, rows).text() if rows else ["no sound output"]

@@ -171,7 +171,7 @@ def import_(
         of_table = dict[str, Any](map=mapping, unit=units, rate=rate, fill_gaps=fill_gaps or None, pen=pen)
         of_recording = {**of_table, "pressure": pressure, "force_units": force_units, "tool": tool, "sensors": sensors}
         of_recording |= {"surface": surface, "append": append, "anyway": anyway, "normal": normal}
-        refuse("is for recordings, and an .xml holds models with units and rate", **of_recording)
+        refuse("is for recordings, and an .xml file holds models with their units and rate", **of_recording)
         _import_models(files, output, texture, notes, as_json)
         return
     from foten.datasets.cluster import read_cluster
@@ -187,21 +187,21 @@ def import_(
     along = None if normal is None else parse_normal(normal)
     options = ImportOptions(tuple(pairs), units_of, rate_hz, rates_hz, fill_gaps, force_units, along)
     if append:
-        refuse("is of the recording that is added to", texture=texture, tool=tool, sensors=sensors, notes=notes)
+        refuse("comes from the recording that is extended", texture=texture, tool=tool, sensors=sensors, notes=notes)
     if any(file.is_dir() for file in files):
         of_table = dict[str, Any](
             map=mapping, unit=units, rate=rate, fill_gaps=fill_gaps or None, force_units=force_units
         )
-        refuse("is of tables, and a dataset's are known", **of_table, pen=pen, pressure=pressure, normal=normal)
+        refuse("is for tables, and a dataset's format is known", **of_table, pen=pen, pressure=pressure, normal=normal)
         if len(files) != 1:
-            raise ValueError(f"got {len(files)} files, expected the folder of a dataset by itself")
+            raise ValueError(f"got {len(files)} files, expected only the folder of a dataset")
         imported, decisions = read_cluster(files[0], surface)
     elif pen is None:
-        refuse("is of a --pen", pressure=pressure)
-        refuse("is of a dataset's folder", surface=surface)
+        refuse("is for use with --pen", pressure=pressure)
+        refuse("is for the folder of a dataset", surface=surface)
         imported, decisions = import_recording(files, options)
     else:
-        refuse("is of a force in three axes, and a pen's is a pressure", normal=normal)
+        refuse("is for a force in three axes, and a pen measures pressure", normal=normal)
         imported, decisions = _import_capture(files, pen, pressure, options)
     inspection = inspect_recording(imported)
     refusals = () if anyway else unusable(inspection, decisions)
@@ -211,7 +211,7 @@ def import_(
     check_usable(refusals)
     for field, given in {"texture": texture, "tool": tool}.items():
         if (text := getattr(imported, field)) and not given and not files[0].is_dir():
-            say(f"{field}: {text}, as stated above the table; --{field} gives another")
+            say(f"{field}: {text}, read from the lines above the table; --{field} overrides it")
     stated = {"texture": texture, "tool": tool, "sensors": sensors, "notes": notes}
     named = {
         "texture": imported.texture or _named(files[0]),
@@ -260,7 +260,7 @@ def _import_capture(
     from foten.datasets.importing import import_capture
 
     if len(files) != 1 or options.mapping:
-        raise ValueError("--pen stands beside one sound, whose first channel is the acceleration: leave out --map")
+        raise ValueError("--pen expects one sound file, whose first channel is the acceleration: leave out --map")
     recording, _, decisions = import_capture(files[0], pen, options, pressure_calibration(curve).force)
     return recording, decisions
 
@@ -273,7 +273,7 @@ def _import_models(files: list[Path], output: Path, texture: str, notes: str, as
     from foten.models.texture_file import write_texture
 
     if len(files) != 1:
-        raise ValueError(f"got {len(files)} files, expected one .xml of models by itself")
+        raise ValueError(f"got {len(files)} files, expected a single .xml of models")
     if output.suffix != ".foten":
         raise ValueError(f"models are written as a texture file, .foten, got -o {output.name}")
     check_files([output])
@@ -289,7 +289,7 @@ def _import_models(files: list[Path], output: Path, texture: str, notes: str, as
     text = (
         f"{card['texture'] or files[0].stem}: {sizes['n_models']} models of order {sizes['order']} at {card['rate_hz']:g} Hz, "
         f"{sizes['ma']} zeros each, up to {speed:.0f} mm/s and {force:.1f} N\n"
-        "the licence of the model file holds for the texture too: see its notice before you pass it on\n"
+        "the licence of the model file also applies to the texture: read its notice before you share it\n"
         f"wrote {output}; next: foten render {output} --speed 80 --force 0.8 --seconds 3 -o {output.stem}.wav"
     )
     print_result(document, text, as_json)

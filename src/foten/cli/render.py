@@ -103,7 +103,7 @@ class StrokeOptions:
 
             recording = load_recording(self.recording_file)
             if recording.later_takes:
-                say(f"the recording has {len(recording.takes)} takes: the hand of the first is taken{recording.named}")
+                say(f"the recording has {len(recording.takes)} takes: the stroke of the first is used{recording.named}")
             stroke, source = recorded_stroke(recording, rate_hz), recording.sha256()
         elif self.stroke is not None:
             stroke = _stroke_from(self.stroke, self.units, self.pressure, rate_hz)
@@ -138,7 +138,7 @@ class RenderOptions(StrokeOptions):
 
     def __post_init__(self) -> None:
         if self.deterministic:
-            refuse("is of the excitation, and --deterministic has none", seed=self.seed or None)
+            refuse("sets the excitation, and --deterministic has none", seed=self.seed or None)
 
 
 @options_from(RenderOptions)
@@ -183,7 +183,7 @@ def render(options: RenderOptions) -> None:
     document = {"outputs": [str(path) for path in output], **levels, **counts}
     _print_rendered(document, lines, counts, texture, options.as_json)
     if not texture.has_excitation and not options.deterministic:
-        say(f"{texture.card['model']} carries no excitation, so the loop is deterministic and may fall silent")
+        say(f"{texture.card['model']} has no excitation: its free run is deterministic and may fall silent")
 
 
 @dataclass(frozen=True)
@@ -222,7 +222,7 @@ class PlayOptions:
     def __post_init__(self) -> None:
         stroke, speed, force = self.stroke, self.speed, self.force
         if (speed is None) != (force is None) or (stroke is not None and speed is not None):
-            raise ValueError("expected --stroke, or --speed with --force, or neither for a circle")
+            raise ValueError("expected --stroke, or --speed with --force, or neither for a circling stroke")
         if stroke is None:
             refuse("is for the columns of --stroke", unit=self.units, pressure=self.pressure)
         for name, value, unit in (("speed", speed, " mm/s"), ("force", force, " N"), ("seconds", self.seconds, "")):
@@ -230,9 +230,9 @@ class PlayOptions:
                 raise ValueError(f"--{name} is {value}{unit}, expected a finite number, 0 or more")
         if self.into_file:
             of_live = {"device": self.device, "channel": self.channel, "lead_ms": self.lead_ms}
-            refuse(f"is for what plays live, and {self.to} is a file", **of_live)
+            refuse(f"is for live output, and {self.to} is a file", **of_live)
         if self.deterministic:
-            refuse("is of the excitation, and --deterministic has none", seed=self.seed or None)
+            refuse("sets the excitation, and --deterministic has none", seed=self.seed or None)
 
     @property
     def into_file(self) -> bool:
@@ -283,7 +283,7 @@ def play(options: PlayOptions) -> None:
 
     def on_start() -> None:
         name, long = info.texture or texture_file.name, "" if seconds is None else f" for {seconds:g} s"
-        say(f"{name} to {to} at {renderer.rate:g} Hz{long}; Ctrl-C ends it")
+        say(f"playing {name} to {to} at {renderer.rate:g} Hz{long}; Ctrl-C stops it")
 
     lead_ms = LEAD_MS if options.lead_ms is None else options.lead_ms
     played = play_live(renderer, sink, conditions, seconds, lead_ms, on_start)
@@ -331,17 +331,17 @@ def _lines_of(played: Played, lead_ms: float, scale: float) -> list[str]:
     delays = ", ".join(f"{ms:.1f} ms {name}" for name, ms in played.delays_ms.items())
     lines = [statistics.line(), f"delay from stroke to output: {delays}"]
     if n := played.counted["n_limited"]:
-        lines.append(f"the actuator's limit bent {counted(n, 'sample')}")
+        lines.append(f"the actuator's limit compressed {counted(n, 'sample')}")
     if n := statistics.n_underruns:
         silence = f"{counted(statistics.n_lacking, 'sample')} of silence"
-        lines.append(f"the ring ran empty {counted(n, 'time')}, {silence}; a longer --lead-ms than {lead_ms:g} helps")
+        lines.append(f"the buffer ran empty {counted(n, 'time')}, {silence}; a longer --lead-ms than {lead_ms:g} helps")
     if n := played.n_device_underruns:
-        busy = "this machine is busy with something else"
-        lines.append(f"the sound card got its samples too late {counted(n, 'time')}, whatever the ring held: {busy}")
+        busy = "this machine is busy with other work"
+        lines.append(f"the sound card got its samples too late {counted(n, 'time')}, whatever the buffer held: {busy}")
     if n := played.n_late:
-        lines.append(f"this machine stood still for {counted(n, 'block')} of the sink, which were not made up for")
+        lines.append(f"this machine stalled for {counted(n, 'block')} of the output, which were skipped")
     if n := played.n_cut:
-        lines.append(f"cut beyond full scale: {counted(n, 'sample')}; a smaller --gain than {scale:.3g} keeps them")
+        lines.append(f"clipped at full scale: {counted(n, 'sample')}; a smaller --gain than {scale:.3g} avoids this")
     return lines
 
 
@@ -361,7 +361,7 @@ def user_with(user: Path, actuator: Path | None) -> UserProfile:
     profile = read_user(user)
     if actuator is not None and profile.unit == "full scale":
         raise ValueError(
-            f"{user} was measured without --actuator, so its response is in the profile: leave one of them out"
+            f"{user} was measured without --actuator, so it holds the actuator's response: leave out --user or --actuator"
         )
     return profile
 
@@ -423,9 +423,9 @@ def _report(stroke: Stroke) -> None:
     for doubt in stroke.doubts:
         say(doubt)
     if stroke.gap_s:
-        say(f"the stroke has a hole of {stroke.gap_s:.3g} s, bridged in a straight line")
+        say(f"the stroke has a gap of {stroke.gap_s:.3g} s, filled by linear interpolation")
     if stroke.n_lifted:
-        say(f"the pen was taken as lifted in holes or jumps of the stroke, {stroke.n_lifted} in all: silence there")
+        say(f"gaps or jumps in the stroke: {stroke.n_lifted}; the pen is taken as lifted there, which gives silence")
 
 
 def _print_rendered(
@@ -436,11 +436,11 @@ def _print_rendered(
 
     print_result(document, "\n".join([*lines, *_outside_range(counts, texture)]), as_json)
     if n := counts["n_saturated"]:
-        say(f"the saturator cut {counted(n, 'sample')}: the loop ran away there")
+        say(f"the saturator cut {counted(n, 'sample')}: the closed loop was unstable there")
     if n := counts["n_refused"]:
-        say(f"the hand was negative or no number {counted(n, 'time')}, taken as 0 or as it was before")
+        say(f"speed or force was negative or not a number {counted(n, 'time')}: 0 or the value before was used")
     if n := counts["n_lost"]:
-        say(f"silence in place of {counted(n, 'sample')} without a number; is the file foten's own?")
+        say(f"silence in place of {counted(n, 'sample')} that were not finite; was the texture file written by foten?")
 
 
 def _outside_range(counts: dict[str, int], texture: Texture) -> Iterator[str]:
@@ -451,13 +451,13 @@ def _outside_range(counts: dict[str, int], texture: Texture) -> Iterator[str]:
     for name, unit, reach in (("speed", "mm/s", REACH_SPEED), ("force", "N", REACH_FORCE)):
         if of_time := share.get(f"n_{name}_beyond"):
             high, power = texture.trained_range(name)[1], texture.extrapolation_exponent(name)
-            grown = f"the level grew with {name}^{power:.2g} there" if power else "the level was held there"
-            yield f"{name} was above the trained {high:.4g} {unit} for {of_time}; {grown}"
+            grown = f"the level grew as {name}^{power:.2g} there" if power else "the level was held there"
+            yield f"{name} was above the trained {high:.4g} {unit} for {of_time} of the time; {grown}"
         if of_time := share.get(f"n_{name}_clamped"):
             limit = max(EXTRAPOLATION_LIMIT * texture.trained_range(name)[1], reach)
-            yield f"{name} was above {limit:.4g} {unit} for {of_time}, and taken as that"
+            yield f"{name} was above {limit:.4g} {unit} for {of_time} of the time, and was limited to that"
     if of_time := share.get("n_below"):
         slow = max(texture.trained_range("speed")[0], FADE_SPEED)
         light = max(texture.trained_range("force")[0], FADE_FORCE)
-        below = f"speed was below {slow:.4g} mm/s or force below {light:.3g} N for {of_time}"
-        yield f"{below}; the vibration falls there, to silence at rest"
+        below = f"speed was below {slow:.4g} mm/s or force below {light:.3g} N for {of_time} of the time"
+        yield f"{below}; the vibration fades there, to silence at rest"

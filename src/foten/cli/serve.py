@@ -78,16 +78,16 @@ def serve(
     def announce(access: Access, shown: str, joined: bool) -> None:
         link = access.link(shown)
         if joined:
-            say(f"a device came in; for the next one: {link}")
+            say(f"a device connected; link for the next one: {link}")
             say_code(link)
             return
         many = counted(studio.shelf.n_names, "texture")
         say(f"{many} at {link}")
         if access.token is not None:
             say_code(link)
-            say("the link lets one device in; once it is used, the next is printed")
-            say("the tablet warns once: the certificate was made here, for this start, and no one else vouches for it")
-        say("Ctrl-C ends it")
+            say("the link admits one device; once it is used, the next link is printed")
+            say("the tablet warns once, because this server makes its own (self-signed) certificate at each start")
+        say("Ctrl-C stops the server")
         if open_page and access.token is None:
             open_in_browser(link)
 
@@ -108,9 +108,9 @@ def _for_user(paths: list[Path], profile: UserProfile, folder: Path) -> list[Pat
         texture = read_texture(path)
         try:
             texture = adapted(texture, profile)
-            say(f"{path.name} for {profile.name or 'the user'}")
+            say(f"{path.name}: adapted to {profile.name or 'the user'}")
         except ValueError as error:
-            say(f"{path.name} as it is: {error}")
+            say(f"{path.name}: not adapted: {error}")
         written.append(place / path.name)
         write_texture(texture, written[-1])
         for picture in (path.with_suffix(suffix) for suffix in PICTURES):

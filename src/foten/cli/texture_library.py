@@ -37,7 +37,7 @@ def add(
     from foten.editing.texture_library import open_library
 
     if name and len(files) != 1:
-        raise ValueError(f"--name is of one texture, got {len(files)}")
+        raise ValueError(f"--name is for one texture, got {len(files)}")
     opened, added = open_library(library, make=True), []
     for i, file in enumerate(files, 1):
         added.append(_added(opened, file, tag or [], name))

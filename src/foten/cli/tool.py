@@ -64,7 +64,7 @@ def _lines(transfer: Transfer) -> list[str]:
     rows = list(zip(transfer.hz, transfer.gain_db, transfer.gain_sd_db, strict=True))[::PER_OCTAVE]
     cells = [(f"{hz:.0f}", f"{gain:+.1f}", f"{sd:.1f}") for hz, gain, sd in rows]
     powers = f"with speed^{transfer.speed_exponent:+.2f} and force^{transfer.force_exponent:+.2f}"
-    at = f"at {transfer.speed_mm_s:.0f} mm/s and {transfer.force_n:.2f} N, growing {powers}"
+    at = f"gain at {transfer.speed_mm_s:.0f} mm/s and {transfer.force_n:.2f} N; it grows {powers}"
     return [*Table.of(("Hz", "gain [dB]", "±"), cells).text(), at]
 
 

@@ -146,12 +146,12 @@ class TrainOptions:
         if not self.has_network:
             refuse("is for networks, and --model ar is none", **of_networks, recipe=self.recipe != "default")
         if self.of_spectra:
-            of_noise = f"is for models that predict samples, and {self.model} is made of noise"
+            of_noise = f"is for models that predict samples, and {self.model} filters noise"
             refuse(of_noise, excitation=self.excitation)
         if self.doi and not re.fullmatch(r"10\.\d{4,9}/\S+", self.doi):
             raise ValueError(f"--doi is {self.doi!r}, expected 10.NUMBER/NAME, without https://doi.org/")
         if self.split == "contiguous":
-            refuse("is of the regrouped split, and --split is contiguous", split_seed=self.split_seed or None)
+            refuse("is for the regrouped split, and --split is contiguous", split_seed=self.split_seed or None)
         check_used(self.model, self.changes(), self.config().loss)
 
     @property
@@ -192,7 +192,7 @@ class TrainOptions:
         sizes |= {"excitation": True} if self.excitation else {}
         trained_sizes = trainable_sizes(self.model, sizes)
         if "excitation_width" in sizes and not trained_sizes.excited:
-            none = "excitation_width is of an excitation, and there is none"
+            none = "excitation_width is for an excitation, and there is none"
             raise ValueError(f"{none}: leave it out, or add --excitation")
         texture, config = self.texture or recording.texture, self.config()
         of_split = self.split, self.split_seed
@@ -226,7 +226,7 @@ def train(options: TrainOptions) -> None:
     if options.has_network:
         folder.open(_settled(job), options.resume)
     with display:
-        early = [f"wrote {output}, playable without its network; it is replaced by a better one"]
+        early = [f"wrote {output}: playable, but still without its network; training will replace it"]
 
         def on_playable(playable: Texture) -> None:
             write_texture(playable, output)
@@ -250,7 +250,7 @@ def train(options: TrainOptions) -> None:
         outputs += f" and {folder.path}"
     following = f"foten evaluate {output} {' '.join(map(str, options.recording_files))}"
     if trained.progress.interrupted and folder.checkpoint.exists():
-        following = "the same command with --resume, which goes on from here"
+        following = "the same command with --resume, which continues from here"
     text = f"{_summary(trained)}\nwrote {outputs}; next: {following}"
     print_result({"output": str(output), **_document(trained)}, text, options.as_json)
     if trained.progress.interrupted:
@@ -298,28 +298,28 @@ def _summary(trained: Trained) -> str:
     metrics, sizes, condition = card["metrics"], card["sizes"], card["warm_start"]["recorded"]
     summary, origin = f"validation blocks: {validation_summary(card)}", "recorded"
     if card["model"] == "ar":
-        summary += f", order {sizes['order']}, {sizes['n_models']} models from {metrics['n_pieces']} pieces"
-        summary += ", those around it counted"
+        summary += f", order {sizes['order']}, {sizes['n_models']} models from {metrics['n_pieces']} segments"
+        summary += ", including those around the trained range"
         if metrics["n_pieces_left_out"]:
-            summary += f", {counted(metrics['n_pieces_left_out'], 'piece')} without vibration left out"
+            summary += f", {counted(metrics['n_pieces_left_out'], 'segment')} without vibration left out"
         origin = "modelled"
     else:
         summary += f" (epoch {metrics['best_epoch']})"
     if metrics.get("validation_mae_scaled_lattice") is not None:
-        summary += f", {metrics['validation_mae_scaled_lattice']:.4f} sd without its network"
+        summary += f", {metrics['validation_mae_scaled_lattice']:.4f} sd without the network"
     lines = [summary]
     takes = f"{len(trace.take_blocks)} takes, " if trace.take_blocks else ""
     trim_ms, block_ms = trace.preprocess["trim_ms"], 1000 * trace.block / trace.rate_hz
     lines.append(f"{takes}{len(trace) / trace.rate_hz:g} s in {trace.n_blocks} {cut_in_words(trim_ms, block_ms)}")
     if card["model"] == "foten-plus":
         lines.append(f"network: {network_summary(card)}")
-    lines.append(f"above the trained range {trained.texture.extrapolation_in_words()}")
+    lines.append(f"above the trained range, {trained.texture.extrapolation_in_words()}")
     if trace.n_uncovered:
         lines.append(f"not used: {_duration(trace.n_uncovered, trace.rate_hz)} that only some of the sensors recorded")
     if trace.n_dropped:
         lines.append(f"not used: {_duration(trace.n_dropped, trace.rate_hz)} at the end, too short for another block")
     where = f"{condition['speed']:.0f} mm/s and {condition['force']:.2f} N"
-    return "\n".join([*lines, f"warm start {origin} at {where}, the nearest to the paper's 45 mm/s and 0.8 N"])
+    return "\n".join([*lines, f"warm start (first window) {origin} at {where}, nearest the paper's 45 mm/s and 0.8 N"])
 
 
 def _duration(n_samples: int, rate_hz: float) -> str:
@@ -343,7 +343,7 @@ def check_usable(refusals: Sequence[str]) -> None:
     if refusals:
         first, *others = refusals
         sentences = ". ".join([first, *(f"{text[0].upper()}{text[1:]}" for text in others)])
-        raise ValueError(f"nothing sensible can be learned: {sentences} (--anyway goes on)")
+        raise ValueError(f"nothing sensible can be learned: {sentences} (use --anyway to continue)")
 
 
 def _notes(inspection: Inspection, rate_hz: float) -> Iterator[str]:
@@ -353,8 +353,8 @@ def _notes(inspection: Inspection, rate_hz: float) -> Iterator[str]:
     shares = inspection.carried
     yield from (f"problem: {problem.text}" for problem in inspection.problems)
     if shares and rate_hz < perception.smallest_rate(shares):
-        more = f"--rate {perception.smallest_rate(shares):g} would hold more of it"
-        yield f"of what can be felt of it, {perception.in_words(shares)}: {more}"
+        more = f"--rate {perception.smallest_rate(shares):g} would keep more"
+        yield f"of the perceived power, a sampling rate of {perception.in_words(shares)}: {more}"
 
 
 def _settings(pairs: list[str]) -> dict[str, Any]:

@@ -68,7 +68,7 @@ def new(
         raise ValueError(f"--task is {task!r}, expected one of {', '.join(TASKS)}")
     check_files([output])
     if output.exists():
-        raise ValueError(f"{output} is there already: edit it, or give another name")
+        raise ValueError(f"{output} already exists: edit it, or give another name")
     texts = read_language(language)
     key = QUESTIONS.get("detection" if task == "threshold" else task)
     title = title or (texts.new["title"] if key is None else texts.words[key])
@@ -78,9 +78,9 @@ def new(
     methods = len(next(iter(files.values())))
     if participants is None:
         participants, enough = participants_for(task, methods, len(files))
-        found = f"{enough or 'more than 60'} find {EFFECTS[task]} in 80 % of studies"
-        squares = "" if enough is None or enough == participants else f"; {participants} make whole squares of orders"
-        say(f"{counted(participants, 'participant')}: {found}{squares}; foten study power says more")
+        found = f"{enough or 'more than 60'} are needed to find {EFFECTS[task]} in 80 % of studies"
+        squares = "" if enough is None or enough == participants else f"; {participants} fill complete Latin squares"
+        say(f"{counted(participants, 'participant')}: {found}{squares}; details: foten study power")
     with atomic_write(output) as part:
         part.write_text(study_text(title, files, participants, seed, language, task), encoding="utf-8")
     sizes = f"{counted(len(files), 'texture')} × {counted(methods, 'method')}"
@@ -103,16 +103,16 @@ def check(study: StudyFile, as_json: JsonOption = False) -> None:
     of_each = {"rating": "", "threshold": f" × {counted(design.repeats, 'answer')}"}
     of_each |= {kind: f" in pairs × {design.repeats}" for kind in ("paired", "abx", "oddity")}
     sizes = f"{counted(shape[0], 'texture')} × {counted(shape[1], 'method')}{of_each[design.task.kind]}"
-    length = "where a trial is as long as the paper's" if design.task.kind == "rating" else "where a choice takes 20 s"
-    real = "asked for before each rating" if design.setup.real_checked else "whether it is touched is not checked"
+    length = "if a trial takes as long as in the paper" if design.task.kind == "rating" else "if a choice takes 20 s"
+    real = "must be touched before each rating" if design.setup.real_checked else "whether it is touched is not checked"
     rows = [
-        f"{sizes}: {counted(design.n_trials, 'trial')} of each of {counted(design.participants, 'participant')}, "
-        f"{design.practice} of practice before",
+        f"{sizes}: {counted(design.n_trials, 'trial')} for each of {counted(design.participants, 'participant')}, "
+        f"after {design.practice} for practice",
         *(f"{name}: {low} to {high} times" for name, (low, high) in spread.items()),
         *(f"{s.texture_key}, {s.method_key}: {s.gain_db:+.1f} dB" for s in stimuli.listed),
         *loaded.doubts,
         f"plays through {design.output.to}",
-        f"about {counted(design.minutes, 'minute')} of each participant, {length}",
+        f"about {counted(design.minutes, 'minute')} for each participant, {length}",
         *([] if design.real_side == "none" else [f"the real surface: {real}"]),
     ]
     document = {
@@ -172,16 +172,18 @@ def run(
         server.link = partial(access.link, host)
         participants, operator = server.link(), server.operator_link
         if joined:
-            say(f"a device came in; for the next one: {participants} or, for the operator, {operator}")
+            say(f"a device connected; links for the next one: {participants} or, for the operator, {operator}")
             return
-        say(f"{loaded.design.title}: {len(store.codes())} of {loaded.design.participants} have begun, in {database}")
+        say(
+            f"{loaded.design.title}: {len(store.codes())} of {loaded.design.participants} have started; answers in {database}"
+        )
         say("\n".join([*loaded.doubts, f"operator: {operator}", f"participants at {participants}"]))
         if access.token is not None:
-            say("each link lets one device in; the next is printed then, and the operator's page shows codes to scan")
+            say("each link admits one device; then the next link is printed; the operator's page shows codes to scan")
             say(
-                f"devices that were let in stay so, by {folder}: whoever reads that folder can be taken for this server"
+                f"admitted devices stay admitted, as {folder} records: whoever reads that folder can impersonate this server"
             )
-        say("Ctrl-C ends it; the same command goes on where it was")
+        say("Ctrl-C stops the study; the same command continues it")
         if open_page and access.token is None:
             webbrowser.open(operator)
 
@@ -205,7 +207,7 @@ def status(database: Database, as_json: JsonOption = False) -> None:
         for number, row in counts.items():
             last = (row["last"] or row["joined"])[:16].replace("T", " ")
             rows.append(f"{number:4d}  {row['code']}  {row['n']:3d} of {trials}  last {last}")
-        rows += faults or ["the file is sound: every check of SQLite holds, no trial is rated twice"]
+        rows += faults or ["the file is intact: it passes all checks of SQLite, and no trial is rated twice"]
         document = {
             "title": store.study["title"],
             "simulated": store.simulated,
@@ -244,7 +246,7 @@ def simulate(
     from foten.study.raters import raters_for
 
     if output.exists():
-        raise ValueError(f"{output} is there already: give another name")
+        raise ValueError(f"{output} already exists: give another name")
     loaded = load_study(study)
     methods = list(loaded.design.methods)
     if better is not None and better not in methods:
@@ -260,7 +262,7 @@ def simulate(
         effect = DEFAULT_EFFECTS.get(kind, 0.0) if effect is None else effect
         simulate_study(store, loaded.design, raters, effect, index, missing, seed)
         n = len(store.ratings())
-    print(f"wrote {output}: {counted(n, 'simulated answer')} of {counted(loaded.design.participants, 'rater')}")
+    print(f"wrote {output}: {counted(n, 'simulated answer')} from {counted(loaded.design.participants, 'rater')}")
     print(f"next: foten study analyze {output} -o results")
 
 
@@ -342,8 +344,8 @@ def power(
     rows = [f"{of}, {sizes}, sd {raters.sd:.3g}, correlation {raters.correlation:.2g}, α = 0.05"]
     rows += Table.of(table[0], cells).text()
     rows += [
-        f"participants who find a pair in 80 % of studies: {'more than 60' if smallest is None else smallest}",
-        "pair: the last method from another on one texture, after Holm's adjustment; all pairs: on every texture from each other",
+        f"participants needed to find a pair in 80 % of studies: {'more than 60' if smallest is None else smallest}",
+        "pair: the last method differs from another on one texture (Holm's adjustment); all pairs: from all on every texture",
     ]
     print_result({"power": table, "participants": smallest}, "\n".join(rows), as_json)
 
@@ -365,7 +367,7 @@ def _print_power_of_choices(
     rows = [
         f"{what}, {methods} methods, {counted(per_pair, 'trial')} of each pair by each participant, α = 0.05",
         *Table.of(table[0], cells).text(),
-        f"participants who find a pair in 80 % of studies: {'more than 60' if smallest is None else smallest}",
+        f"participants needed to find a pair in 80 % of studies: {'more than 60' if smallest is None else smallest}",
         f"any: the test of all methods; pair: {pair}, adjusted for all pairs",
     ]
     print_result({"power": table, "participants": smallest}, "\n".join(rows), as_json)
@@ -475,7 +477,8 @@ def strokes(
     measured = rows[0]["measured"] if rows else {}
     if "newtons" in measured:
         print(
-            f"this tablet's force: foten render --stroke {output} --pressure {measured['newtons']:g},{measured['steepness']:g}"
+            f"to render with this tablet's force: foten render --stroke {output} "
+            f"--pressure {measured['newtons']:g},{measured['steepness']:g}"
         )
 
 
@@ -507,7 +510,7 @@ def correct(
         value = choices.index(choice.upper()) if choice is not None else rating
         assert value is not None
         store.correct(participant, trial, float(value), reason, scale)
-    print(f"participant {participant}, trial {trial}: {choice or f'{rating:g}'} holds now")
+    print(f"participant {participant}, trial {trial}: the answer is now {choice or f'{rating:g}'}")
 
 
 @app.command()
@@ -520,13 +523,13 @@ def forget(
     from foten.studio.access import Admitted
 
     with _store(database) as store:
-        if not yes and not typer.confirm(f"Remove all data of participant {participant} for good?", err=True):
+        if not yes and not typer.confirm(f"Remove all data of participant {participant} permanently?", err=True):
             raise typer.Abort
         code = next((code for code, number in store.codes().items() if number == participant), None)
         store.forget(participant)
     if code is not None and (devices := _devices(database)).exists():
         Admitted(devices).drop(f"{code} ")
-    print(f"all data of participant {participant} was removed from {database}; backups keep theirs")
+    print(f"all data of participant {participant} was removed from {database}; backups still hold it")
 
 
 @app.command()
@@ -539,7 +542,7 @@ def backup(
     check_files([output])
     with _store(database) as store:
         n = store.backup(output)
-    print(f"wrote {output}: {counted(n, 'rating')}, and every check holds")
+    print(f"wrote {output}: {counted(n, 'rating')}, all checks passed")
 
 
 def _devices(database: Path) -> Path:

@@ -41,11 +41,11 @@ class RunFolder:
         self._config = json.dumps(config, indent=1, sort_keys=True) + "\n"
         interrupted = self.checkpoint.exists()
         if interrupted and not resume:
-            raise ValueError(f"an interrupted training lies in {self.path}: go on with --resume, or delete the folder")
+            raise ValueError(f"{self.path} holds an interrupted training: continue with --resume, or delete the folder")
         if resume and not interrupted:
             raise ValueError(f"nothing to resume: {self.checkpoint} does not exist")
         if resume and (self.path / "config.json").read_text() != self._config:
-            raise ValueError(f"{self.path} was trained with other settings, see its config.json; resume with the same")
+            raise ValueError(f"{self.path} was trained with other settings, see its config.json; resume with those")
 
     def log(self, epoch: Epoch) -> None:
         """Add one line to the log on disk; the first one raises an OSError where that cannot be."""
@@ -60,7 +60,7 @@ class RunFolder:
             if len(self._epochs) == 1:
                 raise
             if not self._noted:
-                self._on_note(f"{reason(error)}; the training goes on without its log")
+                self._on_note(f"{reason(error)}; the training continues without its log")
             self._noted = True
 
     def close(self, trained: Trained) -> None:
