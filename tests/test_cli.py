@@ -308,10 +308,13 @@ def test_initial_weights_are_those_that_are_asked_for(
     recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     train = ["train", str(recording), "-o", str(tmp_path / "t.foten"), "--model", "foten", *FAST, "--epochs", "0"]
+    weights = {}
     for given in ([], ["--initial-weights", "glorot"]):
         assert _status([*train, *given]) == 0
-        settings = read_texture(tmp_path / "t.foten").card["training"]
-        assert settings["initial_weights"] == (given or ["", "uniform"])[1]
+        texture = read_texture(tmp_path / "t.foten")
+        assert texture.card["training"]["initial_weights"] == (given or ["", "uniform"])[1]
+        weights[len(given)] = texture.tensors
+    assert any((weights[0][name] != other).any() for name, other in weights[2].items() if name.endswith("weight"))
     capsys.readouterr()
     assert _status([*train, "--initial-weights", "he"]) == 2
     assert "'he', expected one of" in capsys.readouterr().err

@@ -37,6 +37,7 @@ from foten.experiments.method_tables import (
     holm,
     ratios,
     rows_of,
+    same_blocks,
     signed_rank,
     summary,
     warm_start,
@@ -665,7 +666,7 @@ def so_far() -> str:
 
 def both_recipes() -> Table:
     """Errors of one step by both recipes of each system, on the textures that have both; on validation too, which chooses."""
-    return side_by_side("paper's recipe", "tuned", *of_sides(by_both() or table_1()))
+    return side_by_side("paper's recipe, or own", "tuned", *of_sides(by_both() or table_1()))
 
 
 def longer() -> Table:
@@ -681,15 +682,16 @@ def side_by_side(first: str, second: str, *sides: Records) -> Table:
     left, right = map(by_place, sides)
     rows = []
     for method, of_left in left.items():
+        both = [*of_left.values()], [*right.get(method, {}).values()]
+        paths = (next((key for key in VALIDATION if values(side, key)), VALIDATION[0]) for side in both)
+        chosen_by = [mean(path)(side) for path, side in zip(paths, both, strict=True)]
+        lowest = min(number.value or np.inf for number in chosen_by)
         cells: list[Cell] = []
-        for side in ([*of_left.values()], [*right.get(method, {}).values()]):
+        for side, validation in zip(both, chosen_by, strict=True):
             epochs = [record["epochs"] for record in side if record.get("epochs") is not None]
-            cells += [
-                mean(ONE_STEP)(side),
-                mean(next((key for key in VALIDATION if values(side, key)), VALIDATION[0]))(side),
-                f"{np.mean(epochs):.0f}" if epochs else "–",
-            ]
-        if epochs or any(record.get("epochs") for record in of_left.values()):
+            cells += [mean(ONE_STEP)(side), replace(validation, best=validation.value == lowest)]
+            cells.append(f"{np.mean(epochs):.0f}" if epochs else "–")
+        if any(record.get("epochs") for side in both for record in side):
             rows.append((method, str(len(of_left)), *cells))
     columns = (f"{first}: MAE [sd]", "validation", "epochs", f"{second}: MAE [sd]", "validation ", "epochs ")
     return Table.of(("", "textures", *columns), rows)
@@ -718,16 +720,16 @@ def beside_ar() -> Table:
             below = f"{np.sum(ratios < 1)} of {ratios.size}"
             cells[row.name.removesuffix(WITHOUT)] = (f"{ratios.mean():.3f}", below, f"{p[row.name]:.3f}" if p else "–")
         sides.append(cells)
-    heads = ("paper's recipe: ÷ best AR", "below it on", "p", "tuned: ÷ best AR", "below it on ", "p ")
-    return Table.of(("", *heads), [(name, *(c for of in sides for c in of.get(name, "–––"))) for name in sides[0]])
+    heads = ("paper's recipe, or own: ÷ best AR", "below it on", "p", "tuned: ÷ best AR", "below it on ", "p ")
+    return Table.of(("", *heads), [(name, *(c for of in sides for c in of.get(name, ("–",) * 3))) for name in sides[0]])
 
 
 def neighbours() -> str:
     """Sentence on what chance may have done to the order of systems by their errors of one step."""
     textures, rows = errors_of(chosen(table_1()))
     systems = sorted(complete(rows, textures), key=lambda row: float(row.means(textures).mean()))
-    p = [next(iter(signed_rank(row, [behind], textures).values()), 1.0) for row, behind in pairwise(systems)]
-    if not p:
+    p = [value for row, behind in pairwise(systems) for value in signed_rank(row, [behind], textures).values()]
+    if not p:  # fewer than six textures
         return ""
     pairs = (f"{a.name} and {b.name} {value:.3f}" for (a, b), value in zip(pairwise(systems), holm(p), strict=True))
     return (
@@ -752,15 +754,10 @@ def tuned_on(name: str) -> list[Record]:
 
 
 def on_real() -> str:
-    """Sentences on which splits of the real recordings are compared, and which of them have the same test blocks."""
+    """Sentences on which splits of the real recordings are compared, and which of them are the same blocks."""
     records, shared = records_of(REAL_TABLE_1), tuned_on(REAL_TABLE_1)
     n, of = (len({(record["texture"], record["split"]) for record in some}) for some in (shared, records))
-    silence: dict[str, dict[float, float]] = {}  # errors on the test blocks, which are the same where these are
-    for record in shared:
-        silence.setdefault(record["texture"], {})[record["split"]] = record["references.zero.mae_scaled"]
-    same = [texture for texture, errors in silence.items() if 1 == len({*errors.values()}) < len(errors)]
-    blocks = f" Both splits of {' and of '.join(same)} have the same test blocks and differ in what was learned from."
-    return f"Means over the {n} of {of} splits that all systems have.{blocks if same else ''}" if n else ""
+    return " ".join([f"Means over the {n} of {of} splits that all systems have.", *same_blocks(shared)]) if n else ""
 
 
 def means_of(records: Records, path: str) -> dict[str, float]:
@@ -1022,22 +1019,23 @@ def core_hours(records: Records) -> str:
     return "–" if None in seconds else f"{sum(seconds) / 3600:.1f}"
 
 
+LISTENERS = {"listener": "listener", "listener-256s": "listener"}
+"""Experiments with listeners, and the CSV that holds their runs."""
+
+
 def experiments() -> Table:
     """What the other experiments are of, and what the runs in their CSV files took."""
     rows = []
     for name in (*MAIN, *LISTENERS, "ingredients"):
-        of = of_file(name)
-        runs = [
-            one
-            for one in records_of(LISTENERS.get(name, name))
-            if name not in LISTENERS or one["experiment"] == of["title"]
-        ]
-        rows.append((f"`{name}`", of["note"].rstrip("."), str(len(runs)), core_hours(runs)))
+        title, every = of_file(name)["title"], records_of(LISTENERS.get(name, name))
+        runs = [record for record in every if name not in LISTENERS or record["experiment"] == title]
+        rows.append((f"`{name}`", note_of(name, runs), str(len(runs)), core_hours(runs)))
     return Table.of(("experiment", "what", "runs", "core-hours"), rows)
 
 
-LISTENERS = {"listener": "listener", "listener-256s": "listener"}
-"""Experiments with listeners, and the CSV that holds their runs."""
+def note_of(name: str, runs: Records) -> str:
+    """Note of an experiment: that of when it was run, where the CSV has it."""
+    return str((runs[0]["note"] if runs else "") or of_file(name)["note"]).rstrip(".")
 
 
 def spent() -> Table:
@@ -1140,8 +1138,7 @@ def listed(*names: str) -> str:
     lines = []
     for name in names:
         if records := runs_of(name) if name in FULL_LENGTH else records_of(name):
-            note = records[0]["note"] or of_file(name)["note"]  # that of when it was run, where the CSV has it
-            lines.append(f"- [{name}](results/{FULL_LENGTH.get(name, name)}.csv): {note.rstrip('.')}")
+            lines.append(f"- [{name}](results/{FULL_LENGTH.get(name, name)}.csv): {note_of(name, records)}")
     return "\n".join(lines)
 
 

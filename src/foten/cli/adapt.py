@@ -20,7 +20,9 @@ MAX_OFF_DB = 0.01  # of the largest tones of an actuator, from one session to th
 def _going_on(stored: UserProfile, now: UserProfile, output: Path) -> UserProfile:
     """The stored profile, or ValueError where it is another user's, or of another actuator."""
     if now.name and now.name != stored.name:
-        raise ValueError(f"{output} is the profile of {stored.name or 'an unnamed user'}, not of {now.name}: give another -o")
+        raise ValueError(
+            f"{output} is the profile of {stored.name or 'an unnamed user'}, not of {now.name}: give another -o"
+        )
     if stored.unit != now.unit or any(abs(a - b) > MAX_OFF_DB for a, b in zip(stored.max_db, now.max_db, strict=True)):
         was = f"with the actuator {stored.actuator}" if stored.actuator else "without an actuator profile"
         also = ", whose profile was different then" if stored.actuator == now.actuator else ""

@@ -41,8 +41,8 @@ LEVEL_SAMPLES = 241  # samples that a level is averaged over for the gain before
 NEIGHBOURS = 10  # sections on each side from which the variance of a reflection is estimated
 NEAR = 0.015  # share by which the error of a kind may be larger for it to be tried in the closed loop
 MIN_GAIN = 1e-3  # share by which a longer order, the gain before the filter or a table must lower the error
-# Least share of the amplitude that a knot leaves to the innovation, 120 dB down: no sensor resolves more. A knot where next to
-# nothing was recorded left 1e-13, by which innovations are divided.
+# Least share of the amplitude that a knot leaves to the innovation. A knot of ribbed plastic, where next to nothing was recorded,
+# left 1e-13, by which innovations are divided; of 130 other simulated recordings none comes near.
 MIN_INNOVATION = 1e-6
 _SCALES = np.array(SCALES)
 
