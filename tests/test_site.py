@@ -100,6 +100,9 @@ def test_tuned_runs_are_no_rows_of_table_1_before_they_have_all_its_textures(tab
     assert [(row[0], row[1]) for row in tables.both_recipes().rows] == [(name, "1") for name in ERRORS]
     runs["table-1-tuned"] = tuned(TEXTURES[:3], by=0.5)
     assert {record["recipe"] for record in tables.chosen(tables.table_1())} == {"tuned"}
+    assert {(row[3].best, row[6].best) for row in tables.both_recipes().rows} == {
+        (False, True)
+    }  # the lower on validation
     runs["table-1-tuned"] = tuned(TEXTURES[:3], by=1.5)
     shown = [record for record in tables.chosen(tables.table_1()) if record["method"] in ERRORS]
     assert {record["recipe"] for record in shown} == {"the paper's", "its own"}
@@ -178,6 +181,8 @@ def test_systems_stand_beside_the_best_ar_and_their_neighbours_with_what_chance_
     assert "on the 12 textures" in text
     assert "foten-plus (ours) and FoTEN 0.002; FoTEN and LDHTD [20] 0.002; " in text
     assert float(text.partition("LDHTD [20] and DSTN [15] ")[2].partition(";")[0]) > 0.1
+    runs["table-1"] = of_systems(TEXTURES[:5])
+    assert tables.neighbours() == ""  # no p of five textures is below 0.05
 
 
 def test_networks_that_learned_longer_stand_beside_the_same_recordings_before(tables: ModuleType, runs: Runs) -> None:
