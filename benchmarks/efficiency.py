@@ -18,7 +18,6 @@ from __future__ import annotations
 import argparse
 import dataclasses
 import os
-import platform
 import sys
 import time
 from collections import defaultdict
@@ -38,13 +37,13 @@ from foten.baselines.fit import log_spectra
 from foten.baselines.gan import STEPS, Gan, fit_adversarial
 from foten.baselines.graph import build, graph_of
 from foten.baselines.sizes import TRAINABLE, HapinfSizes, NoiseModelSizes
+from foten.experiments.provenance import processor
 from foten.models.foten.transformer import EncoderLayer
 from foten.models.registry import GraphSizes
 from foten.models.texture_file import Texture
 from foten.recording.preprocess import PreprocessConfig, preprocess
 from foten.recording.recording import Recording
 from foten.recording.split import split_blocks
-from foten.reporting.table import Table
 from foten.runtime.native import NativeState, NativeTexture
 from foten.runtime.onnx_predictor import GRAPH, OnnxPredictor
 from foten.runtime.proof import proved
@@ -55,7 +54,7 @@ from foten.training.loop import Monitor
 from foten.training.pipeline import reproducible
 from foten.training.texture_builder import tensors_of
 from foten.training.window_fit import fit_windows, one_step_windows
-from result_table import add_csv, report
+from result_table import add_csv, report, write_rows
 
 MODELS = ("dstn", "ldhtd", "gan", "dftnet", "hapinf", "fnn", "ten", "ten-mfcc", "ten-wavelet", "foten", "foten-d")
 
@@ -279,20 +278,20 @@ def main() -> None:
     recording = simulate("towel", arguments.seconds + 4.0)
     trace = preprocess(recording, PreprocessConfig())
     blocks = scaled_blocks(trace, split_blocks(trace))
-    machine = f"{platform.machine()}, {os.cpu_count()} cores"
+    machine = torch.cuda.get_device_name() if arguments.on == "gpu" else f"{processor()}, {os.cpu_count()} cores"
     if arguments.on == "gpu":
-        machine += f", {torch.cuda.get_device_name()}"
-        report(measured_on_gpu(arguments.models, arguments.steps, blocks), arguments.csv)
+        per_model = measured_on_gpu(arguments.models, arguments.steps, blocks)
+        report(per_model, None)
     else:
         models = measured(arguments, recording, blocks)
         per_step, per_epoch = step_table(models), epoch_table(models)
         report(per_step, None)
         print()
         report(per_epoch, None)
-        if arguments.csv is not None:  # both in one
-            joined = [[*first, *second[1:]] for first, second in zip(per_step, per_epoch, strict=True)]
-            arguments.csv.parent.mkdir(parents=True, exist_ok=True)
-            Table.of(joined[0], joined[1:]).write(arguments.csv, "csv")
+        per_model = [[*first, *second[1:]] for first, second in zip(per_step, per_epoch, strict=True)]
+    if arguments.csv is not None:
+        head, *rows = per_model
+        write_rows([dict(zip(head, row, strict=True)) | {"machine": machine} for row in rows], arguments.csv)
     n_windows = len(blocks.targets(TRAINABLE[arguments.models[-1]]().window)[0])
     print(f"{machine}; {n_windows:,} training windows an epoch", file=sys.stderr)
 

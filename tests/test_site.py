@@ -6,7 +6,7 @@ And the recordings behind a low-pass that one of them is of, and pictures of fig
 from __future__ import annotations
 
 import argparse
-import importlib.util
+import importlib
 from collections.abc import Sequence
 from pathlib import Path
 from types import ModuleType
@@ -37,23 +37,20 @@ Runs = dict[str, list[dict[str, Any]]]
 
 def made_by(name: str) -> ModuleType:
     """A script of docs/make as a module."""
-    spec = importlib.util.spec_from_file_location(name, Path(__file__).parents[1] / "docs" / "make" / f"{name}.py")
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(Path(__file__).parents[1] / "docs" / "make")
+        return importlib.import_module(name)
 
 
 @pytest.fixture
 def tables() -> ModuleType:
-    return made_by("tables")
+    return made_by("paper_tables")
 
 
 @pytest.fixture
 def runs(tables: ModuleType, monkeypatch: pytest.MonkeyPatch) -> Runs:
     """Runs by experiment, none at first, which the tables are made of."""
-    of: Runs = {name: [] for name in (*tables.FULL_LENGTH, *tables.OTHER_DATA.values())}
+    of: Runs = {name: [] for name in (*made_by("csv_records").FULL_LENGTH, *tables.OTHER_DATA.values())}
     monkeypatch.setattr(tables, "runs_of", lambda name: of[name])
     monkeypatch.setattr(tables, "records_of", lambda name: of[name])
     return of
@@ -266,7 +263,7 @@ def test_a_start_is_forgotten_by_runs_that_are_heard(tables: ModuleType) -> None
 def test_what_is_quicker_is_quicker_by_a_tenth_and_measured(
     tables: ModuleType, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    monkeypatch.setattr(tables, "RESULTS", tmp_path)
+    monkeypatch.setattr(made_by("csv_records"), "RESULTS", tmp_path)
     on_cpu = {"dstn": "91,5", "ldhtd": "89,20", "gan": "10,8.9", "foten": "100,10"}
     on_gpu = {"dstn": "10,1", "ldhtd": "200,8", "gan": "10,–", "foten": "100,10"}
     for name, head, rows in (
