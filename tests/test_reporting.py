@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from foten.reporting.figure import add_legend, new_figure, write_figure
+from foten.reporting.figure import LEGEND_LINE_PT, add_legend, new_figure, write_figure
 from foten.reporting.table import Heading, Number, Table, mean_number, minus, signed
 
 COLUMNS = (Heading("model", words=True), Heading("error", "sd", note="lower is better"), Heading("LSD", "dB"))
@@ -100,8 +100,9 @@ def test_signs_are_true_minus_signs_and_none_stands_before_zero() -> None:
 def test_the_same_figure_is_the_same_bytes(tmp_path: Path, suffix: str) -> None:
     for name in "ab":
         figure, panels = new_figure(3, 2, nrows=2)
-        panels[0].plot([0, 1], label="x")
+        panels[0].plot([0, 1], label="x", lw=0.5)
         add_legend(panels[0])
+        assert [line.get_linewidth() for line in panels[0].get_legend().get_lines()] == [LEGEND_LINE_PT]
         write_figure(figure, tmp_path / f"{name}.{suffix}", dpi=50)
     first, second = (tmp_path / f"{name}.{suffix}" for name in "ab")
     assert first.read_bytes() == second.read_bytes()

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
+from PIL import Image
 
 from foten.experiments.experiment import experiment_path, read_experiment
 from foten.experiments.method_tables import OF_BLOCKS
@@ -343,6 +344,10 @@ def test_other_data_are_compared_once_all_systems_have_all_their_recipes_there(t
     assert [row[0] for row in tables.equal_tuning().rows] == ["contact mechanics"]
     runs["table-1-real"].append(last)
     contact, of_real = ([str(cell) for cell in row[:3]] for row in tables.equal_tuning().rows)
+    lines = tables.contact_findings().splitlines()
+    others = "piecewise AR [12] 0, FNN [13] 0, DSTN [15] 0, LDHTD [20] 0, foten 0"
+    assert lines[0] == f"- Of 10 textures, the one-step error is below that of foten-plus on: {others}."
+    assert [line.partition(":")[0] for line in lines[1:]] == ["- one-step MAE [sd]"]
     assert contact == ["contact mechanics", "10", "0.500 ± 0.000 (foten)"]
     assert of_real[:2] == ["real recordings", "4"]
     assert of_real[2].startswith("0.833")
@@ -456,6 +461,18 @@ def picture(name: str, monkeypatch: pytest.MonkeyPatch) -> Figure:
 def test_a_picture_can_be_drawn_from_the_csv_files(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """They hold every figure that it shows."""
     assert all(axes.has_data() for axes in picture(name, monkeypatch).axes)
+
+
+def test_a_picture_keeps_the_colour_of_a_line_that_is_rare(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pictures = made_by("pictures")
+    monkeypatch.setattr(pictures, "DOCS", tmp_path)
+    many = np.random.default_rng(0).integers(0, 64, (100, 400, 3)).astype(np.uint8)  # shades of what is drawn most
+    many[50, :20] = 230, 40, 200
+    pictures.save(Image.fromarray(many), "rare")
+    with Image.open(tmp_path / "pictures" / "rare.webp") as saved:
+        shown = np.asarray(saved.convert("RGB"), int)
+    assert len(np.unique(shown.reshape(-1, 3), axis=0)) <= pictures.N_COLOURS
+    assert np.abs(shown[50, 10] - [230, 40, 200]).max() < 25
 
 
 def test_an_abrupt_change_is_drawn_at_zero(monkeypatch: pytest.MonkeyPatch) -> None:

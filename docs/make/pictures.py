@@ -71,7 +71,7 @@ INK, OURS, PAPER, LINEAR, CEILING = "#333333", BLUE, ORANGE, GREEN, MAUVE
 SOUND_HZ = 4000
 STYLE = Style(INK, label_pt=10, tick_pt=9)
 DPI = 110
-N_COLOURS, N_COLOURS_OF_MANY = 48, 255  # of the palette of a picture of lines, and of one with a colour for each system
+N_COLOURS = 64  # of a picture's palette
 
 
 def image_of(figure: Figure) -> Image.Image:
@@ -82,11 +82,11 @@ def image_of(figure: Figure) -> Image.Image:
     return Image.fromarray(np.asarray(canvas.buffer_rgba())).convert("RGB")
 
 
-def save(figure: Figure | Image.Image, name: str, n_colours: int = N_COLOURS) -> None:
-    """Write a picture of few colours, without loss but for these."""
+def save(figure: Figure | Image.Image, name: str) -> None:
+    """Write a picture of few colours, without loss but for these: none is far from that of a line, rare or frequent."""
     (DOCS / "pictures").mkdir(exist_ok=True)
     image = figure if isinstance(figure, Image.Image) else image_of(figure)
-    palette = image.quantize(n_colours, dither=Image.Dither.NONE).convert("RGB")
+    palette = image.quantize(N_COLOURS, Image.Quantize.MAXCOVERAGE, kmeans=3, dither=Image.Dither.NONE).convert("RGB")
     palette.save(DOCS / "pictures" / f"{name}.webp", lossless=True, quality=100, method=6)
     print(name)
 
@@ -537,7 +537,7 @@ def of_sweeps(arguments: argparse.Namespace) -> list[Any]:
 def compared(arguments: argparse.Namespace) -> None:
     """Waveforms of each system of Table I in the closed loop, of three textures."""
     shown = [result for result in of_sweeps(arguments) if result["run"]["texture"] in COMPARED]
-    save(figures.waveforms(shown), "compared", N_COLOURS_OF_MANY)
+    save(figures.waveforms(shown), "compared")
 
 
 def figure_6(arguments: argparse.Namespace) -> None:
@@ -550,12 +550,12 @@ def figure_6(arguments: argparse.Namespace) -> None:
     picture = Image.new("RGB", (images[0].width, sum(image.height for image in images)))
     picture.paste(images[0], (0, 0))
     picture.paste(images[1], (0, images[0].height))
-    save(picture, "figure-6", N_COLOURS_OF_MANY)
+    save(picture, "figure-6")
 
 
 def figure_7(arguments: argparse.Namespace) -> None:
     """Fig. 7: spectra of the test blocks and of every system's free run."""
-    save(figures.spectra(of_sweeps(arguments)), "figure-7", N_COLOURS_OF_MANY)
+    save(figures.spectra(of_sweeps(arguments)), "figure-7")
 
 
 def capture(arguments: argparse.Namespace) -> None:

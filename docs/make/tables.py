@@ -87,6 +87,12 @@ def readme() -> Table:
     return Table.of(("", *(head for head, _ in columns), "what it means"), rows)
 
 
+def readme_systems() -> Table:
+    """One step and the free run's spectrum of foten-plus over those of the best other system, by data."""
+    heads = ("", "one step ÷ best other system", "free run ÷ best other system")
+    return Table.of(heads, [(row[0], row[2], row[4]) for row in paper_tables.equal_tuning().rows])
+
+
 def meaning(title: str, records: Records) -> str:
     """What the figures of a kind of texture mean, in a line."""
     if title == MAIN[LINEAR]:
@@ -548,7 +554,7 @@ def listed(*names: str) -> str:
 
 BENCHMARKS = ("step", "contacts", "soak", "install", "studio-page", "studio-load", "study")
 TABLES: dict[str, dict[str, Callable[[], Table | str]]] = {
-    "../README.md": {"readme": readme},
+    "../README.md": {"readme": readme, "readme-systems": readme_systems},
     "results.md": {
         "short": short,
         "real": partial(by_texture, REAL_10, REAL_2_5),

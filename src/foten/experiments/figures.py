@@ -191,7 +191,8 @@ def waveforms(results: Results, model: str = "") -> Figure:
             below = _below_db(recorded[settled].var(), run[settled].var())
             if below > -SILENT_DB:
                 place = {"xy": (times[-1], (0.12 - k) * step), "ha": "right", "va": "bottom"}
-                axes.annotate(f"silent here: {below:.0f} dB below the recording", **place, fontsize=6.5)
+                behind = {"boxstyle": "square,pad=0.15", "facecolor": "white", "alpha": 0.8, "linewidth": 0}
+                axes.annotate(f"silent: {below:.0f} dB below", **place, fontsize=6.5, bbox=behind)
         axes.axvline(CONVERGED_MS, color=RECORDED, lw=0.7, ls=(0, (3, 2)))
         bar, beyond = float(f"{0.45 * step:.1g}"), 1.03 * times[-1]
         axes.plot([beyond, beyond], [-bar / 2, bar / 2], color=RECORDED, lw=2)

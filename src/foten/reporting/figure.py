@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 BLUE, ORANGE, GREEN, MAUVE = "#2b83cf", "#e08a1e", "#1a9c72", "#b77ab0"
 COLOURS = (BLUE, ORANGE, GREEN, MAUVE, "#c2452d", "#7a6a10", "#4f4fb5", "#12b5cb")
 """Distinct with any colour vision, and by lightness on white and on black."""
+LEGEND_LINE_PT = 2.0
 TICKS_HZ = (20, 30, 50, 100, 200, 300, 500, 1000, 2000, 3000, 5000, 10_000, 20_000)
 
 
@@ -74,8 +75,10 @@ def panel_grid(names: list[str], width: float, height: float, style: Style = PRI
 
 
 def add_legend(of: Any, style: Style = PRINT, **options: Any) -> None:
-    """Add a legend to axes or a figure; `options` as of `Axes.legend`."""
-    of.legend(**{"frameon": False, "fontsize": style.legend_pt, "labelcolor": style.ink, **options})
+    """Add a legend to axes or a figure, its lines wide enough to show their colours; `options` as of `Axes.legend`."""
+    legend = of.legend(**{"frameon": False, "fontsize": style.legend_pt, "labelcolor": style.ink, **options})
+    for line in legend.get_lines():
+        line.set_linewidth(max(line.get_linewidth(), LEGEND_LINE_PT))
 
 
 def add_colour_bar(figure: Figure, of: Any, label: str, style: Style = PRINT, **options: Any) -> None:
