@@ -136,6 +136,28 @@ def test_ctrl_c_after_the_last_epoch_is_one_too_and_says_how_to_go_on(
     assert "next: foten evaluate" in capsys.readouterr().out
 
 
+def test_ctrl_c_in_a_teacher_says_how_to_go_on(
+    recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """There is no texture before there is a student."""
+    from foten.training.loop import Checkpoint
+
+    save, out = Checkpoint.save, tmp_path / "o.foten"
+
+    def stopping(self: Checkpoint, *state: Any) -> None:
+        save(self, *state)
+        raise KeyboardInterrupt
+
+    command = ["train", str(recording), "-o", str(out), "--model", "ldhtd", "--epochs", "1", "--threads", "1"]
+    with monkeypatch.context() as patch:
+        patch.setattr(Checkpoint, "save", stopping)
+        assert _status(command) == 130
+    assert "next: the same command with --resume" in capsys.readouterr().err
+    assert not out.exists()
+    assert _status([*command, "--resume"]) == 0
+    assert "next: foten evaluate" in capsys.readouterr().out
+
+
 def test_ctrl_c_in_the_first_epoch_leaves_the_playable_file(
     recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -181,6 +181,31 @@ def test_loops_in_one_checkpoint_go_on_as_if_nothing_had_been(stopped_in: int, t
                 assert torch.equal(ours, theirs)
 
 
+def test_a_training_goes_on_from_its_own_checkpoint_alone(tmp_path: Path) -> None:
+    """With its seconds, and where the generator of random numbers was; what other code wrote, or half a file, is no beginning."""
+    path, about = tmp_path / "a.checkpoint", {"code": "1", "platform": {"kernel": "avx2"}}
+    first = Checkpoint.going_on(path, CONFIG, about)
+    run_loop(noisy("loop", 3), CONFIG, Monitor(on_epoch=interrupting(4), checkpoint=first))
+    expected = torch.rand(3)
+    again = Checkpoint.going_on(path, CONFIG, about)
+    assert again.seconds == first.seconds > 0.0
+    loop = noisy("loop", 8)
+    assert (
+        len(again.load("loop", {"network": loop.network, "averaged": noisy("loop", 8).network, **loop.parts}).epochs)
+        == 4
+    )
+    assert torch.equal(torch.rand(3), expected)
+    again.save("loop", loop.parts, Progress())
+    assert again.seconds > first.seconds
+    others = [(CONFIG, {**about, "code": "2"}), (CONFIG, {}), (replace(CONFIG, batch=32), about)]
+    for config, of in others:
+        with pytest.raises(ValueError, match="written by a run with other settings"):
+            Checkpoint(path, config, resume=True, about=of)
+        assert Checkpoint.going_on(path, config, of).load("loop", {}).epochs == []
+    path.write_bytes(path.read_bytes()[:500])
+    assert Checkpoint.going_on(path, CONFIG, about).seconds == 0.0
+
+
 def full_disk(path: Path, *_: object) -> None:
     raise OSError(errno.ENOSPC, "No space left on device", str(path))
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -164,17 +165,17 @@ LOOPS = ("network", "phase-conditioned network", "closed loop")
 
 
 class InterruptedCheckpoint(Checkpoint):
-    """One after whose first epoch of a loop somebody presses Ctrl-C."""
+    """One after an epoch of a loop somebody presses Ctrl-C."""
 
-    def __init__(self, path: Path, config: TrainConfig, loop: str) -> None:
+    def __init__(self, path: Path, config: TrainConfig, loop: str, n: int = 1) -> None:
         super().__init__(path, config)
-        self._loop = loop
+        self._loop, self._n = loop, n
         self.saved = list[str]()
 
     def save(self, name: str, parts: Any, progress: Progress) -> None:
         super().save(name, parts, progress)
         self.saved.append(name)
-        if name == self._loop:
+        if self.saved.count(self._loop) == self._n:
             raise KeyboardInterrupt
 
 
@@ -236,6 +237,27 @@ def test_a_training_goes_on_in_the_loop_where_it_was_interrupted(
     assert again.texture.to_bytes() == of_mesh.texture.to_bytes()
     assert not again.progress.interrupted
     assert [line.epoch for line in again.progress.epochs] == [0, 1, 2]
+
+
+@pytest.fixture(scope="module")
+def of_student(recording: Recording) -> Texture:
+    return train(job_of(recording, "ldhtd", batch=256)).texture
+
+
+@pytest.mark.parametrize(("loop", "n"), [("teacher", 1), ("teacher", 2), ("network", 1)])
+def test_a_student_goes_on_with_the_teacher_that_it_had(
+    recording: Recording, of_student: Texture, loop: str, n: int, tmp_path: Path
+) -> None:
+    """Also where the teacher was just done, whose training the student's initial weights come after."""
+    job, path, shown = job_of(recording, "ldhtd", batch=256), tmp_path / "checkpoint.pt", list[int]()
+    checkpoint = InterruptedCheckpoint(path, job.config, loop, n)
+    with suppress(KeyboardInterrupt):  # there is no texture before there is a student
+        assert train(job, Monitor(checkpoint=checkpoint)).progress.interrupted
+    assert checkpoint.saved == (["teacher"] * n if loop == "teacher" else ["teacher", "teacher", "network"])
+    again = Checkpoint(path, job.config, resume=True)
+    resumed = train(job, Monitor(on_epoch=lambda line: shown.append(line.epoch), checkpoint=again))
+    assert resumed.texture.to_bytes() == of_student.to_bytes()
+    assert shown == [0, 1, 2] * 2
 
 
 def test_the_card_says_how_it_came_about(trained: Trained) -> None:

@@ -11,8 +11,10 @@ import socket
 import subprocess
 import sys
 from contextlib import suppress
+from dataclasses import asdict, replace
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -43,6 +45,7 @@ from foten.experiments.sweep import _stoppable, lacking, planned, sweep
 from foten.models.texture_file import read_texture
 from foten.reporting.table import Number
 from foten.simulation.simulate import simulate
+from foten.training.loop import Checkpoint, Progress
 
 
 @pytest.fixture(scope="module")
@@ -104,7 +107,54 @@ def test_a_sweep_that_a_queue_ends_says_what_is_done(tmp_path: Path) -> None:
         said = process.stderr.read().splitlines()
     assert process.returncode == 130
     assert said == ["stopped, 1 of 4 done; the same command goes on"]
-    assert sorted(path.suffix for path in (tmp_path / "results").iterdir()) == [".foten", ".json"]
+    suffixes = sorted(path.suffix for path in (tmp_path / "results").iterdir())
+    assert [suffix for suffix in suffixes if suffix != ".checkpoint"] == [".foten", ".json"]
+
+
+def test_a_run_that_was_stopped_goes_on_after_its_last_epoch(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """To the same result, to the last bit, with the seconds of both; by other code it begins anew."""
+    text = TINY.replace("epochs = 1", "epochs = 3")
+    plan, recordings = planned(read_experiment(experiment(tmp_path, text)), tmp_path)
+    item = plan[0]
+    run, recording = asdict(item.run), recordings[item.run.source]
+    expected, texture = sweeping._guarded(run, recording, None)
+    saved: list[int] = []
+    save = Checkpoint.save
+
+    def stopping(self: Checkpoint, name: str, parts: dict, progress: Progress) -> None:
+        save(self, name, parts, progress)
+        saved.append(progress.epochs[-1].epoch)
+        if saved == [1, 2]:
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(Checkpoint, "save", stopping)
+    with pytest.raises(KeyboardInterrupt):
+        sweeping._guarded(run, recording, item.checkpoint)
+    before = Checkpoint.going_on
+    seconds: list[float] = []
+
+    def later(*of: Any) -> Checkpoint:
+        checkpoint = before(*of)
+        seconds.append(checkpoint.seconds)
+        checkpoint.seconds += 1000.0
+        return checkpoint
+
+    monkeypatch.setattr(Checkpoint, "going_on", later)
+    result, again = sweeping._guarded(run, recording, item.checkpoint)
+    assert saved == [1, 2, 3]
+    assert seconds[0] > 0.0
+    assert again == texture
+    assert result["seconds"].pop("training") > 1000.0
+    expected.pop("seconds"), result.pop("seconds")
+    assert result == expected
+    assert [path.suffix for path in tmp_path.iterdir() if path.stem == item.path.stem] == [".checkpoint"]
+    monkeypatch.setattr(Checkpoint, "going_on", before)
+    other = replace(provenance_of(item.run, recording.sha256()), platform={"kernel": "another"})
+    monkeypatch.setattr(sweeping, "provenance_of", lambda *_: other)
+    sweeping._guarded(run, recording, item.checkpoint)
+    assert saved == [1, 2, 3, 1, 2, 3]
+    item.write(result, again)
+    assert sorted(path.suffix for path in tmp_path.iterdir()) == [".foten", ".json", ".toml"]
 
 
 def test_a_signal_as_ray_starts_is_not_lost() -> None:

@@ -92,7 +92,7 @@ def distilled(windows: TrainingWindows, m: int, config: TrainConfig, monitor: Mo
     """
     monitor.on_stage("training the teacher, hapinf")
     teacher = build("hapinf", HapinfSizes(window=m, n_start=min(10, m))).to(pick_device())
-    if fit_windows(teacher, windows, config, Monitor()).interrupted:
+    if fit_windows(teacher, windows, config, monitor, "teacher").interrupted:
         raise KeyboardInterrupt
     target = windows.samples[:, 0].copy()
     target[windows.train] = 0.5 * (target[windows.train] + predict(teacher, windows, windows.train))

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from foten.recording.recording import Recording
     from foten.training.job import Trained, TrainingJob
 
+GO_ON = "the same command with --resume, which continues from here"
 
 Anyway = Annotated[
     bool, Option("--anyway", help="Continue even if nothing sensible can be learned from the recording.")
@@ -240,7 +241,12 @@ def train(options: TrainOptions) -> None:
             folder.log(epoch)
 
         checkpoint = Checkpoint(folder.checkpoint, config, options.resume)
-        trained = train_texture(job, Monitor(display.stage, on_epoch, on_playable, checkpoint))
+        try:
+            trained = train_texture(job, Monitor(display.stage, on_epoch, on_playable, checkpoint))
+        except KeyboardInterrupt:  # before there was a network to write
+            if folder.checkpoint.exists():
+                display.note(f"next: {GO_ON}")
+            raise
         for note in (*notes, *trained.progress.notes):
             display.note(note)
     write_texture(trained.texture, output)
@@ -250,7 +256,7 @@ def train(options: TrainOptions) -> None:
         outputs += f" and {folder.path}"
     following = f"foten evaluate {output} {' '.join(map(str, options.recording_files))}"
     if trained.progress.interrupted and folder.checkpoint.exists():
-        following = "the same command with --resume, which continues from here"
+        following = GO_ON
     text = f"{_summary(trained)}\nwrote {outputs}; next: {following}"
     print_result({"output": str(output), **_document(trained)}, text, options.as_json)
     if trained.progress.interrupted:

@@ -140,7 +140,7 @@ def platform_here() -> dict[str, str]:
         "processor": processor(),
         "python": platform.python_version(),
         "numpy": np.__version__,
-        "torch": torch.__version__,
+        "torch": str(torch.__version__),
         "kernel": isa(),
     }
 

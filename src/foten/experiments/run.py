@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from importlib import import_module
+from pathlib import Path
 from typing import Any
 
 from foten.baselines.sizes import trainable_sizes
@@ -23,15 +24,26 @@ from foten.recording.preprocess import PreprocessConfig
 from foten.recording.recording import Recording
 from foten.training.config import TrainConfig
 from foten.training.job import TrainingJob
+from foten.training.loop import Checkpoint, Monitor
 from foten.training.pipeline import train
 
 
-def execute(run: Run, recording: Recording) -> tuple[dict[str, Any], Texture]:
-    """Result and texture of a run: its settings, its figures on the test blocks, and the seconds of both stages."""
+def execute(
+    run: Run, recording: Recording, checkpoint: Path | None = None, about: Mapping[str, Any] | None = None
+) -> tuple[dict[str, Any], Texture]:
+    """Result and texture of a run: its settings, its figures on the test blocks, and the seconds of both stages.
+
+    Args:
+        checkpoint: file that the training goes on from where there is one, and writes after each epoch.
+        about: what has to be the same to go on from it, beside the settings.
+    """
     started = time.perf_counter()
     sizes, preprocess = trainable_sizes(run.model, run.sizes), PreprocessConfig(**run.preprocess)
-    config = TrainConfig(**run.train)
-    trained = train(TrainingJob(recording, run.model, sizes, config, preprocess, split_seed=run.split_seed))
+    config, monitor = TrainConfig(**run.train), Monitor()
+    if checkpoint is not None:
+        earlier = Checkpoint.going_on(checkpoint, config, about or {})
+        monitor, started = Monitor(checkpoint=earlier), started - earlier.seconds
+    trained = train(TrainingJob(recording, run.model, sizes, config, preprocess, split_seed=run.split_seed), monitor)
     if trained.progress.interrupted:
         raise KeyboardInterrupt
     return _result(run, recording, trained.texture, time.perf_counter() - started), trained.texture

@@ -49,13 +49,19 @@ class Planned:
     provenance: Provenance  # that a result has to have
     replaces: Path | None = None  # result of other data or settings in the same place of the tables
 
+    @property
+    def checkpoint(self) -> Path:
+        """File that the training goes on from when it was stopped."""
+        return self.path.with_suffix(".checkpoint").absolute()
+
     def write(self, result: Mapping[str, Any], texture: bytes | None = None) -> None:
-        """Write the result, with the names of the experiment, after its texture file, where there is one."""
+        """Write the result, with the names of the experiment, after its texture file, where there is one, for its checkpoint."""
         if texture is not None:
             with atomic_write(self.path.with_suffix(".foten")) as part:
                 part.write_bytes(texture)
         with atomic_write(self.path) as part:
             part.write_text(json.dumps({**result, **self.about}, indent=1, sort_keys=True) + "\n")
+        self.checkpoint.unlink(missing_ok=True)
         if self.replaces is not None:
             for replaced in (self.replaces, self.replaces.with_suffix(".foten")):
                 replaced.unlink(missing_ok=True)
@@ -72,6 +78,8 @@ def sweep(
     only: Sequence[str] = (),
 ) -> tuple[int, int]:
     """Execute the runs of an experiment that have no result yet, and return how many were done and failed.
+
+    On this machine, a run that was stopped goes on after its last epoch, to the same result.
 
     Args:
         workers: runs at a time on this machine; one for each core by default. Each has one thread.
@@ -106,7 +114,12 @@ def sweep(
         stored = {source: ray.put(recordings[source]) for source in {item.run.source for item in waiting}}
         recordings.clear()  # held by Ray's object store from here on
         task = ray.remote(num_cpus=1, num_gpus=gpus_per_run, max_retries=RETRIES)(_guarded)
-        pending = {task.remote(asdict(item.run), stored[item.run.source]): item for item in waiting}
+        # A node of a cluster need not have the folder.
+        checkpoints = [item.checkpoint if address is None else None for item in waiting]
+        pending = {
+            task.remote(asdict(item.run), stored[item.run.source], checkpoint): item
+            for item, checkpoint in zip(waiting, checkpoints, strict=True)
+        }
         return _collected(pending, done, say)
     except KeyboardInterrupt as error:
         # Before Ray is shut down, which takes seconds.
@@ -260,13 +273,14 @@ def _check_answered(address: str) -> None:
         raise ValueError(NO_CLUSTER.format(address, error)) from error
 
 
-def _guarded(run: Mapping[str, Any], recording: Recording) -> tuple[dict[str, Any], bytes]:
+def _guarded(run: Mapping[str, Any], recording: Recording, checkpoint: Path | None) -> tuple[dict[str, Any], bytes]:
     """Result and texture file of a run, or `failed` with the reason: Ray retries what raises, and an error here would recur."""
     try:
         checked = Run(**run)
         # Of this worker's machine, and of its sources before anybody changes them.
         provenance = provenance_of(checked, recording.sha256())
-        result, texture = execute(checked, recording)
+        about = {"code": provenance.code, "platform": dict(provenance.platform)}
+        result, texture = execute(checked, recording, checkpoint, about)
         return {**result, "provenance": provenance.to_json()}, texture.to_bytes()
     except Exception as error:
         return {"failed": f"{type(error).__name__}: {(str(error).splitlines() or [''])[0]}"}, b""

@@ -9,6 +9,7 @@ import pickle
 import time
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -329,19 +330,33 @@ class Checkpoint:
         ValueError: there is one to go on from, and it is damaged or was written under another configuration.
     """
 
-    def __init__(self, path: Path, config: TrainConfig, resume: bool = False) -> None:
-        self._path, self._config, self._loops = path, asdict(config), dict[str, Any]()
+    def __init__(
+        self, path: Path, config: TrainConfig, resume: bool = False, about: Mapping[str, Any] | None = None
+    ) -> None:
+        """`about` is what else has to be the same to go on: numbers, texts and dictionaries of them."""
+        self._path, self._loops, self._started = path, dict[str, Any](), time.perf_counter()
+        self._of = {"config": asdict(config), "about": dict(about or {})}
+        self.seconds = 0.0  # that the training took until it was last written
         if not resume:
             return
         try:
             content = torch.load(path, weights_only=True, map_location="cpu")
         except (pickle.UnpicklingError, RuntimeError, EOFError, OSError) as error:
             raise ValueError(f"{path.name} is damaged and cannot be resumed; delete it and start again") from error
-        if "loops" not in content:
+        if not {"loops", "seconds", *self._of} <= content.keys():
             raise ValueError(f"{path.name} is of another version of foten; delete it and start again")
-        if content.get("config") != self._config:
+        if {key: content[key] for key in self._of} != self._of:
             raise ValueError(f"{path.name} was written by a run with other settings; resume with the same ones")
-        self._loops = dict(content["loops"])
+        self._loops, self.seconds = dict(content["loops"]), content["seconds"]
+        self._started -= self.seconds
+
+    @classmethod
+    def going_on(cls, path: Path, config: TrainConfig, about: Mapping[str, Any]) -> Checkpoint:
+        """The checkpoint at a path to go on from where it is of this very training, otherwise a new one."""
+        if path.exists():
+            with suppress(ValueError):
+                return cls(path, config, resume=True, about=about)
+        return cls(path, config, about=about)
 
     def load(self, name: str, parts: Mapping[str, Any]) -> Progress:
         """Log of a loop, every part put into its state; an empty one where the loop had not begun."""
@@ -353,6 +368,7 @@ class Checkpoint:
         try:
             for key, part in parts.items():
                 part.load_state_dict(state["parts"][key])
+            torch.set_rng_state(state["random"])  # which the initial weights of a network after this one come from
         except KeyError as error:
             raise ValueError(f"{self._path.name} is of another version of foten; delete it and start again") from error
         return Progress([Epoch(**line) for line in state["epochs"]], state["best_loss"], state["best_state"])
@@ -361,12 +377,14 @@ class Checkpoint:
         """Write the state and log of a loop beside those of the loops before it; a full disk gives one note."""
         self._loops[name] = {
             "parts": {key: part.state_dict() for key, part in parts.items()},
+            "random": torch.get_rng_state(),
             "epochs": [asdict(epoch) for epoch in progress.epochs],
             "best_loss": progress.best_loss,
             "best_state": progress.best_state,
         }
+        self.seconds = time.perf_counter() - self._started
         content = io.BytesIO()  # PyTorch's own writer does not say that a disk is full
-        torch.save({"config": self._config, "loops": self._loops}, content)
+        torch.save({**self._of, "seconds": self.seconds, "loops": self._loops}, content)
         try:
             with atomic_write(self._path) as part:
                 part.write_bytes(content.getbuffer())

@@ -81,8 +81,10 @@ def loss_of(config: TrainConfig) -> Callable[[Tensor, Tensor], Tensor]:
     return nn.MSELoss() if config.loss == "mse" else nn.L1Loss()
 
 
-def fit_windows(network: nn.Module, data: TrainingWindows, config: TrainConfig, monitor: Monitor) -> Progress:
-    """Train a new network in place, windows (b, m, 3) → (b,) or (b, k); see `run_loop`."""
+def fit_windows(
+    network: nn.Module, data: TrainingWindows, config: TrainConfig, monitor: Monitor, name: str = "network"
+) -> Progress:
+    """Train a new network in place, windows (b, m, 3) → (b,) or (b, k); see `run_loop`. `name` is that in a checkpoint."""
     if config.initial_weights == "glorot":
         draw_glorot(network)
     on_device = DeviceWindows(data, network)
@@ -117,7 +119,7 @@ def fit_windows(network: nn.Module, data: TrainingWindows, config: TrainConfig, 
     with ThreadPoolExecutor(n_threads) as pool:
         step = gradient_step(network, optimiser, gradients, config.clip_norm, schedule(config, n_steps))
         validate = partial(validated, data=on_device, criterion=criterion, over=pool.map)
-        return run_loop(Loop("network", network, n_steps, step, validate, {"optimiser": optimiser}), config, monitor)
+        return run_loop(Loop(name, network, n_steps, step, validate, {"optimiser": optimiser}), config, monitor)
 
 
 def predict(network: nn.Module, data: TrainingWindows, n: NDArray[np.int64]) -> NDArray[np.float64]:
