@@ -192,6 +192,13 @@ def stability() -> Table:
     return table(("worst of",), kinds, columns)
 
 
+def chaotic() -> str:
+    """Sentence on the textures whose renderings from two windows stay apart."""
+    records = [record for of in measured("stability").values() for record in of]
+    never = [str(record["texture"]) for record in records if record.get("forgets_s") is None]
+    return f"A rendering that never forgets has a loop that is chaotic with its network: {', '.join(never) or 'none'}."
+
+
 def n_textures(records: Records) -> str:
     return str(len(records))
 
@@ -562,6 +569,7 @@ TABLES: dict[str, dict[str, Callable[[], Table | str]]] = {
         "simulated": partial(by_texture, SIMULATED),
         "contact": partial(by_texture, CONTACT),
         "stability": stability,
+        "chaotic": chaotic,
         "onset": onset,
         "abrupt": abrupt,
         "abrupt-filter": abrupt_filter,
