@@ -114,7 +114,7 @@ def test_the_student_learns_half_from_its_teacher() -> None:
     samples = rng.standard_normal((400, 3))
     windows = TrainingWindows(samples, np.arange(20, 300), np.arange(320, 400), 20)
     config = TrainConfig(epochs=1, batch=64, threads=1, loss="mse")
-    target = distilled(windows, 20, config, Monitor()).target
+    target = distilled(windows, 20, config, Monitor())[0].target
     assert target is not None
     np.testing.assert_array_equal(target[windows.validation], samples[windows.validation, 0])
     # A teacher that knows next to nothing of white noise predicts about zero, so the targets are about half.

@@ -8,6 +8,7 @@ import math
 import subprocess
 import sys
 import threading
+import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
@@ -188,22 +189,45 @@ def test_a_training_goes_on_from_its_own_checkpoint_alone(tmp_path: Path) -> Non
     run_loop(noisy("loop", 3), CONFIG, Monitor(on_epoch=interrupting(4), checkpoint=first))
     expected = torch.rand(3)
     again = Checkpoint.going_on(path, CONFIG, about)
-    assert again.seconds == first.seconds > 0.0
+    assert again.elapsed_s() < 1.0  # nothing was taken over yet
     loop = noisy("loop", 8)
     assert (
         len(again.load("loop", {"network": loop.network, "averaged": noisy("loop", 8).network, **loop.parts}).epochs)
         == 4
     )
     assert torch.equal(torch.rand(3), expected)
-    again.save("loop", loop.parts, Progress())
-    assert again.seconds > first.seconds
     others = [(CONFIG, {**about, "code": "2"}), (CONFIG, {}), (replace(CONFIG, batch=32), about)]
     for config, of in others:
         with pytest.raises(ValueError, match="written by a run with other settings"):
             Checkpoint(path, config, resume=True, about=of)
         assert Checkpoint.going_on(path, config, of).load("loop", {}).epochs == []
-    path.write_bytes(path.read_bytes()[:500])
-    assert Checkpoint.going_on(path, CONFIG, about).seconds == 0.0
+    torch.save(torch.ones(2), tmp_path / "tensor")
+    for damaged in (path.read_bytes()[:500], b"a text", (tmp_path / "tensor").read_bytes()):
+        path.write_bytes(damaged)
+        assert Checkpoint.going_on(path, CONFIG, about).load("loop", {}).epochs == []
+
+
+def test_seconds_before_a_stop_count_and_what_is_done_twice_counts_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Ten seconds before a loop of two epochs of a second each, the second of which is stopped; then the same again."""
+    now, path, config = [0.0], tmp_path / "a.checkpoint", replace(CONFIG, epochs=2)
+    monkeypatch.setattr(time, "perf_counter", lambda: now[0])
+
+    def trained(epoch_s: dict[int, float], stop: int) -> Checkpoint:
+        checkpoint = Checkpoint.going_on(path, config, {})
+        now[0] += 10.0
+
+        def on_epoch(line: Epoch) -> None:
+            now[0] += epoch_s.get(line.epoch, 0.0)
+            interrupting(stop)(line)
+
+        run_loop(noisy("loop", 3), config, Monitor(on_epoch=on_epoch, checkpoint=checkpoint))
+        return checkpoint
+
+    trained({1: 1.0, 2: 1.0}, stop=2)
+    now[0] = 100.0
+    assert trained({2: 1.0}, stop=-1).elapsed_s() == pytest.approx(12.0)
 
 
 def full_disk(path: Path, *_: object) -> None:

@@ -278,6 +278,25 @@ def test_what_is_quicker_is_quicker_by_a_tenth_and_measured(
     assert "On a GPU in a step: DSTN and GAN; in an epoch: DSTN and LDHTD. " in text
 
 
+def test_what_does_not_forget_is_named_with_its_network(monkeypatch: pytest.MonkeyPatch) -> None:
+    tables = made_by("tables")
+    watched = {"stability.max_sd": 9.0, "network_in_loop": True}
+    of = {
+        "main-contact": [
+            {"texture": "canvas", **watched, "stability.forgets_s": None},
+            {"texture": "cork", **watched, "stability.forgets_s": 0.2},
+            {"texture": "cork", **watched, "stability.max_sd": None},  # a second split, which is not measured
+        ],
+        "main-linear": [{"texture": "linear-hum", **watched, "stability.forgets_s": None, "network_in_loop": False}],
+    }
+    monkeypatch.setattr(tables, "runs", lambda name: of.get(name, []))
+    with_network, without = "canvas (with the network in the loop)", "linear-hum (without the network in the loop)"
+    assert tables.chaotic() == f"Still apart at the end: {without}, {with_network}."
+    of["main-contact"].pop(0)
+    of["main-linear"].clear()
+    assert tables.chaotic() == "All renderings forget within that time."
+
+
 def test_an_order_by_the_papers_recipe_stands_beside_that_by_the_better(tables: ModuleType, runs: Runs) -> None:
     """Tuned errors are all lower, and in the reverse order."""
     runs["table-1"] = of_systems(TEXTURES)
@@ -323,10 +342,9 @@ def test_ours_stands_beside_the_best_other_system_on_the_textures_that_both_reci
 def test_other_data_are_compared_once_all_systems_have_all_their_recipes_there(tables: ModuleType, runs: Runs) -> None:
     """Contact by tuned recipes, real recordings by the better of two on validation; with an order of their own."""
     runs["table-1"] = of_systems(TEXTURES)
-    names = {"foten-plus (ours)": "foten-plus", "FoTEN": "foten"}
     of_contact = tuned(tables.of_file("main-contact")["textures"])
     of_contact += [one | {"split": 2} for one in of_contact if one["model"] == "foten-plus"]
-    runs["main-contact"] = [one | {"method": names.get(one["method"], one["method"])} for one in of_contact]
+    runs["main-contact"] = of_contact
     by_recipe = {
         (method, recipe): error if recipe != "tuned" else 0.52 - error
         for method, error in ERRORS.items()
@@ -345,10 +363,11 @@ def test_other_data_are_compared_once_all_systems_have_all_their_recipes_there(t
     runs["table-1-real"].append(last)
     contact, of_real = ([str(cell) for cell in row[:3]] for row in tables.equal_tuning().rows)
     lines = tables.contact_findings().splitlines()
-    others = "piecewise AR [12] 0, FNN [13] 0, DSTN [15] 0, LDHTD [20] 0, foten 0"
-    assert lines[0] == f"- Of 10 textures, the one-step error is below that of foten-plus on: {others}."
+    p = f"{5 * 2 / 2**10:.3f}"  # of ten differences of one sign and five other systems
+    others = ", ".join(f"{name} 0 (p {p})" for name in ERRORS if not name.startswith(("GAN", "foten-plus")))
+    assert lines[0].endswith(f"below that of foten-plus (ours) on (p of the difference): {others}.")
     assert [line.partition(":")[0] for line in lines[1:]] == ["- one-step MAE [sd]"]
-    assert contact == ["contact mechanics", "10", "0.500 ± 0.000 (foten)"]
+    assert contact == ["contact mechanics", "10", "0.500 ± 0.000 (FoTEN)"]
     assert of_real[:2] == ["real recordings", "4"]
     assert of_real[2].startswith("0.833")
     assert of_real[2].endswith("(FNN [13])")

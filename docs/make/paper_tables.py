@@ -86,6 +86,12 @@ def cost(name: str, heads: Sequence[str] = ("",)) -> Table:
     return Table.of([heading[k] for k in shown], [[row[k] for k in shown] for row in rows])
 
 
+def machine() -> str:
+    """Sentence on what the costs on a CPU were measured on."""
+    machines = {row["machine"] for row in csv_rows("efficiency") if row.get("machine")}
+    return f"Measured on: {', '.join(sorted(machines))}." if machines else ""
+
+
 def quicker() -> str:
     """Sentence on which compared systems are quicker than the paper's network, in a step and in an epoch, on a CPU and a GPU."""
 
@@ -265,24 +271,29 @@ def tuned_on(name: str) -> list[Record]:
 
 
 def on_other_data(name: str) -> Table:
-    """All systems on other data than Table I's."""
+    """All systems on other data than Table I's, without the paper's figures, which are of twelve textures of its own."""
     records = tuned_on(name)
-    return compared(chosen(records)) if records else Table((), ())
+    if not records:
+        return Table((), ())
+    shown = compared(chosen(records))
+    kept = [k for k, column in enumerate(shown.columns) if not str(column).startswith("paper's")]
+    return Table.of([shown.columns[k] for k in kept], [[row[k] for k in kept] for row in shown.rows])
 
 
 def contact_findings() -> str:
-    """Sentences on contact mechanics: on how many textures others are ahead of ours in one step, and the best of each figure."""
+    """Sentences on contact mechanics: where others are ahead of ours in one step, with p, and the best of each figure."""
     shown = chosen(tuned_on(CONTACT))
     if not shown:
         return ""
     textures, rows = errors_of(shown)
     ours, *others = sorted(complete(rows, textures), key=lambda row: not row.name.startswith(OURS))
+    p = signed_rank(ours, others, textures)
     ahead = {row.name: int(np.sum(row.means(textures) < ours.means(textures))) for row in others}
-    counts = ", ".join(f"{name.removesuffix(WITHOUT)} {n}" for name, n in ahead.items())
+    counts = ", ".join(f"{name.removesuffix(WITHOUT)} {n} (p {p[name]:.3f})" for name, n in ahead.items())
     lines = [
         line for line in findings(shown) if line.startswith(("one-step MAE", "free-run")) and "none of" not in line
     ]
-    counted = f"Of {len(textures)} textures, the one-step error is below that of {ours.name} on: {counts}."
+    counted = f"Of {len(textures)} textures, the one-step error is below that of {ours.name} on (p of the difference): {counts}."
     return "\n".join(f"- {line}" for line in (counted, *lines))
 
 
@@ -581,6 +592,7 @@ TABLES: dict[str, Callable[[], Table | str]] = {
     "efficiency": partial(
         cost, "efficiency", ("model", "input", "PyTorch", "median", "ONNX", "kernel", "paper's mean")
     ),
+    "machine": machine,
     "gpu": partial(cost, "efficiency-gpu"),
     "epochs": partial(
         cost, "efficiency", ("model", "param", "epoch [s]", "of it", "epoch in", "foten's", "the paper's")

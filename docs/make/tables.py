@@ -193,10 +193,14 @@ def stability() -> Table:
 
 
 def chaotic() -> str:
-    """Sentence on the textures whose renderings from two windows stay apart."""
-    records = [record for of in measured("stability").values() for record in of]
-    never = [str(record["texture"]) for record in records if record.get("forgets_s") is None]
-    return f"A rendering that never forgets has a loop that is chaotic with its network: {', '.join(never) or 'none'}."
+    """Sentence on the textures whose renderings from two windows are still apart when they are no longer watched."""
+    never = [
+        f"{record['texture']} ({'with' if record['network_in_loop'] else 'without'} the network in the loop)"
+        for name in MAIN
+        for record in runs(name)
+        if record.get("stability.max_sd") is not None and record.get("stability.forgets_s") is None
+    ]
+    return f"Still apart at the end: {', '.join(never)}." if never else "All renderings forget within that time."
 
 
 def n_textures(records: Records) -> str:

@@ -23,7 +23,7 @@ from foten.runtime.onnx_predictor import INPUT, NOISE
 from foten.runtime.proof import Tensors
 from foten.training.config import TrainConfig
 from foten.training.job import ScaledBlocks, Trained, TrainingJob, check_block
-from foten.training.loop import Monitor, pick_device
+from foten.training.loop import Monitor, Progress, pick_device
 from foten.training.window_fit import Packed, TrainingWindows, fit_windows, one_step_texture, one_step_windows, predict
 
 _AT_ONCE = 65536  # frames
@@ -38,12 +38,13 @@ def fit(job: TrainingJob, monitor: Monitor) -> Trained:
     import onnx  # noqa: F401
     import onnxruntime  # noqa: F401
 
-    blocks, m = job.blocks(), job.sizes.window
+    blocks, m, teacher = job.blocks(), job.sizes.window, Progress()
     check_block(blocks, m)
     torch.manual_seed(job.config.seed)
     windows = one_step_windows(blocks, m)
     if job.model == "ldhtd":
-        windows = distilled(windows, m, job.config, monitor)
+        windows, teacher = distilled(windows, m, job.config, monitor)
+        monitor.on_stage("training the student, ldhtd")
     network = build(job.model, job.sizes)
     if job.model == "gan":  # stays on the CPU
         progress = fit_adversarial(network, m, blocks, job.config, monitor)
@@ -55,6 +56,7 @@ def fit(job: TrainingJob, monitor: Monitor) -> Trained:
     else:
         progress = fit_windows(network.to(pick_device()), windows, job.config, monitor)
         packed = one_step_graph(network, job.sizes)
+    progress.include(teacher)
     return one_step_texture(job, blocks, network, progress, packed, monitor)
 
 
@@ -85,18 +87,21 @@ def noise_graph(network: nn.Module, sizes: ModelSizes, spectrum_error_nat: float
     return Packed(GraphSizes(sizes.window), {GRAPH: graph}, definition, metrics)
 
 
-def distilled(windows: TrainingWindows, m: int, config: TrainConfig, monitor: Monitor) -> TrainingWindows:
-    """Windows whose training targets are the means of the recording and a teacher's predictions.
+def distilled(
+    windows: TrainingWindows, m: int, config: TrainConfig, monitor: Monitor
+) -> tuple[TrainingWindows, Progress]:
+    """Windows whose training targets are the means of the recording and a teacher's predictions, and its training.
 
     0.5 (y − s)² + 0.5 (t − s)² differs from the squared error against that mean by a constant.
     """
     monitor.on_stage("training the teacher, hapinf")
     teacher = build("hapinf", HapinfSizes(window=m, n_start=min(10, m))).to(pick_device())
-    if fit_windows(teacher, windows, config, monitor, "teacher").interrupted:
+    progress = fit_windows(teacher, windows, config, monitor, "teacher")
+    if progress.interrupted:
         raise KeyboardInterrupt
     target = windows.samples[:, 0].copy()
     target[windows.train] = 0.5 * (target[windows.train] + predict(teacher, windows, windows.train))
-    return replace(windows, target=target)
+    return replace(windows, target=target), progress
 
 
 def log_spectra(windows: TrainingWindows, blocks: ScaledBlocks) -> TrainingWindows:

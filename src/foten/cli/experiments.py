@@ -48,7 +48,7 @@ def sweep(
     A result is kept if code, data, configuration and platform are the same; otherwise the run is repeated.
 
     Ctrl-C or SIGTERM stops the sweep with exit status 130 and keeps the finished runs. On this machine, a run that was under way
-    continues after its last epoch, with the same result.
+    continues after the last epoch that it finished, with the same result.
     """
     from foten.experiments.experiment import experiment_path, experiments, of_lines, read_experiment
 

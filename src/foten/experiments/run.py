@@ -37,16 +37,17 @@ def execute(
         checkpoint: file that the training goes on from where there is one, and writes after each epoch.
         about: what has to be the same to go on from it, beside the settings.
     """
-    started = time.perf_counter()
+    started, earlier = time.perf_counter(), None
     sizes, preprocess = trainable_sizes(run.model, run.sizes), PreprocessConfig(**run.preprocess)
-    config, monitor = TrainConfig(**run.train), Monitor()
+    config = TrainConfig(**run.train)
     if checkpoint is not None:
         earlier = Checkpoint.going_on(checkpoint, config, about or {})
-        monitor, started = Monitor(checkpoint=earlier), started - earlier.seconds
-    trained = train(TrainingJob(recording, run.model, sizes, config, preprocess, split_seed=run.split_seed), monitor)
+    job = TrainingJob(recording, run.model, sizes, config, preprocess, split_seed=run.split_seed)
+    trained = train(job, Monitor(checkpoint=earlier))
     if trained.progress.interrupted:
         raise KeyboardInterrupt
-    return _result(run, recording, trained.texture, time.perf_counter() - started), trained.texture
+    seconds = time.perf_counter() - started if earlier is None else earlier.elapsed_s()
+    return _result(run, recording, trained.texture, seconds), trained.texture
 
 
 def _result(run: Run, recording: Recording, texture: Texture, seconds: float) -> dict[str, Any]:

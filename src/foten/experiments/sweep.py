@@ -9,7 +9,7 @@ import signal
 import socket
 import threading
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -24,9 +24,11 @@ from foten.experiments.provenance import Provenance, platform_here, provenance_o
 from foten.experiments.results import read_result
 from foten.experiments.run import execute
 from foten.recording.recording import Recording
+from foten.training.loop import device_name
 
 RETRIES = 3  # of a run whose worker or node is lost
 ANSWER_S = 5.0  # in which a cluster has to answer
+LEFT_S = 600.0  # after which what a worker wrote in part was left, which takes it no second
 QUIET_S = 300.0  # after which a line says that it goes on
 NO_CLUSTER = (
     "no Ray cluster answers at {}: was it started with 'ray start --head', and is RAY_AUTH_TOKEN its token? ({})"
@@ -55,7 +57,10 @@ class Planned:
         return self.path.with_suffix(".checkpoint").absolute()
 
     def write(self, result: Mapping[str, Any], texture: bytes | None = None) -> None:
-        """Write the result, with the names of the experiment, after its texture file, where there is one, for its checkpoint."""
+        """Write the result, with the names of the experiment, after its texture file, where there is one.
+
+        Then delete its checkpoint.
+        """
         if texture is not None:
             with atomic_write(self.path.with_suffix(".foten")) as part:
                 part.write_bytes(texture)
@@ -63,8 +68,8 @@ class Planned:
             part.write_text(json.dumps({**result, **self.about}, indent=1, sort_keys=True) + "\n")
         self.checkpoint.unlink(missing_ok=True)
         if self.replaces is not None:
-            for replaced in (self.replaces, self.replaces.with_suffix(".foten")):
-                replaced.unlink(missing_ok=True)
+            for suffix in (".json", ".foten", ".checkpoint"):
+                self.replaces.with_suffix(suffix).unlink(missing_ok=True)
 
 
 def sweep(
@@ -79,7 +84,7 @@ def sweep(
 ) -> tuple[int, int]:
     """Execute the runs of an experiment that have no result yet, and return how many were done and failed.
 
-    On this machine, a run that was stopped goes on after its last epoch, to the same result.
+    On this machine, a run that was stopped continues after the last epoch that it finished, with the same result.
 
     Args:
         workers: runs at a time on this machine; one for each core by default. Each has one thread.
@@ -106,6 +111,7 @@ def sweep(
             platforms = _cluster_platforms()
         waiting = lacking(plan, results, None if mixed else platforms, say)
         n_before = len(plan) - len(waiting)
+        _clean(results, {item.path for item in plan} - {item.path for item in waiting})
         say(f"{len(plan)} runs, {n_before} of them done before")
         if not waiting:
             return 0, 0
@@ -189,6 +195,16 @@ def lacking(
         more = f" and {len(runs) - 1} more" if len(runs) > 1 else ""
         say(f"{runs[0].line}{more}: run again, {why}")
     return waiting
+
+
+def _clean(results: Path, done: Collection[Path]) -> None:
+    """Delete checkpoints of runs that are done, and parts of those that a worker wrote when it was ended."""
+    for path in done:
+        path.with_suffix(".checkpoint").unlink(missing_ok=True)
+    for part in results.glob(".*.checkpoint.*.part"):
+        with suppress(OSError):  # of a sweep beside this one
+            if time.time() - part.stat().st_mtime > LEFT_S:
+                part.unlink()
 
 
 def _why_again(item: Planned, result: Mapping[str, Any] | None, platforms: Sequence[Mapping[str, str]] | None) -> str:
@@ -279,7 +295,7 @@ def _guarded(run: Mapping[str, Any], recording: Recording, checkpoint: Path | No
         checked = Run(**run)
         # Of this worker's machine, and of its sources before anybody changes them.
         provenance = provenance_of(checked, recording.sha256())
-        about = {"code": provenance.code, "platform": dict(provenance.platform)}
+        about = {"code": provenance.code, "platform": dict(provenance.platform), "device": device_name()}
         result, texture = execute(checked, recording, checkpoint, about)
         return {**result, "provenance": provenance.to_json()}, texture.to_bytes()
     except Exception as error:

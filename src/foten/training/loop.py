@@ -5,7 +5,6 @@ from __future__ import annotations
 import copy
 import io
 import math
-import pickle
 import time
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -323,6 +322,11 @@ def pick_device() -> torch.device:
     return torch.device("cuda" if torch.cuda.is_available() else "cpu")
 
 
+def device_name() -> str:
+    """Name of the device that networks train on."""
+    return torch.cuda.get_device_name() if torch.cuda.is_available() else "cpu"
+
+
 class Checkpoint:
     """State of a training, written after each epoch: of one loop, or of several by name.
 
@@ -336,19 +340,17 @@ class Checkpoint:
         """`about` is what else has to be the same to go on: numbers, texts and dictionaries of them."""
         self._path, self._loops, self._started = path, dict[str, Any](), time.perf_counter()
         self._of = {"config": asdict(config), "about": dict(about or {})}
-        self.seconds = 0.0  # that the training took until it was last written
         if not resume:
             return
         try:
-            content = torch.load(path, weights_only=True, map_location="cpu")
-        except (pickle.UnpicklingError, RuntimeError, EOFError, OSError) as error:
+            content = dict(torch.load(path, weights_only=True, map_location="cpu"))
+        except Exception as error:  # of many kinds, by what the bytes are
             raise ValueError(f"{path.name} is damaged and cannot be resumed; delete it and start again") from error
-        if not {"loops", "seconds", *self._of} <= content.keys():
+        if not {"loops", *self._of} <= content.keys():
             raise ValueError(f"{path.name} is of another version of foten; delete it and start again")
         if {key: content[key] for key in self._of} != self._of:
             raise ValueError(f"{path.name} was written by a run with other settings; resume with the same ones")
-        self._loops, self.seconds = dict(content["loops"]), content["seconds"]
-        self._started -= self.seconds
+        self._loops = dict(content["loops"])
 
     @classmethod
     def going_on(cls, path: Path, config: TrainConfig, about: Mapping[str, Any]) -> Checkpoint:
@@ -357,6 +359,10 @@ class Checkpoint:
             with suppress(ValueError):
                 return cls(path, config, resume=True, about=about)
         return cls(path, config, about=about)
+
+    def elapsed_s(self) -> float:
+        """How long the training has taken, what an earlier process did included, and what was done twice counted once."""
+        return time.perf_counter() - self._started
 
     def load(self, name: str, parts: Mapping[str, Any]) -> Progress:
         """Log of a loop, every part put into its state; an empty one where the loop had not begun."""
@@ -369,6 +375,7 @@ class Checkpoint:
             for key, part in parts.items():
                 part.load_state_dict(state["parts"][key])
             torch.set_rng_state(state["random"])  # which the initial weights of a network after this one come from
+            self._started = time.perf_counter() - state["seconds"]
         except KeyError as error:
             raise ValueError(f"{self._path.name} is of another version of foten; delete it and start again") from error
         return Progress([Epoch(**line) for line in state["epochs"]], state["best_loss"], state["best_state"])
@@ -378,13 +385,13 @@ class Checkpoint:
         self._loops[name] = {
             "parts": {key: part.state_dict() for key, part in parts.items()},
             "random": torch.get_rng_state(),
+            "seconds": self.elapsed_s(),
             "epochs": [asdict(epoch) for epoch in progress.epochs],
             "best_loss": progress.best_loss,
             "best_state": progress.best_state,
         }
-        self.seconds = time.perf_counter() - self._started
         content = io.BytesIO()  # PyTorch's own writer does not say that a disk is full
-        torch.save({**self._of, "seconds": self.seconds, "loops": self._loops}, content)
+        torch.save({**self._of, "loops": self._loops}, content)
         try:
             with atomic_write(self._path) as part:
                 part.write_bytes(content.getbuffer())

@@ -26,7 +26,7 @@ class RunFolder:
 
     def __init__(self, path: Path, on_note: Callable[[str], None] = lambda text: None) -> None:
         self.path, self.checkpoint = path, path / "checkpoint.pt"
-        self._on_note, self._noted = on_note, False
+        self._on_note, self._noted, self._begun = on_note, False, False
         self._config = ""
         self._epochs: list[Epoch] = []
 
@@ -48,20 +48,27 @@ class RunFolder:
             raise ValueError(f"{self.path} was trained with other settings, see its config.json; resume with those")
 
     def log(self, epoch: Epoch) -> None:
-        """Add one line to the log on disk; the first one raises an OSError where that cannot be."""
-        if not self._epochs:
+        """Add one line to the log on disk, a teacher's until its student begins.
+
+        Raises:
+            OSError: the first line cannot be written.
+        """
+        if not self._begun:
             self.path.mkdir(parents=True, exist_ok=True)
             with atomic_write(self.path / "config.json") as part:
                 part.write_text(self._config)
+        if epoch.epoch == 0:
+            self._epochs.clear()
         self._epochs.append(epoch)
         try:
             _write_log(self.path / "log.csv", self._epochs)
         except OSError as error:
-            if len(self._epochs) == 1:
+            if not self._begun:
                 raise
             if not self._noted:
                 self._on_note(f"{reason(error)}; the training continues without its log")
             self._noted = True
+        self._begun = True
 
     def close(self, trained: Trained) -> None:
         """Write log, split and curves where the disk allows; delete the checkpoint unless the run was interrupted."""
@@ -113,7 +120,7 @@ class TrainingDisplay:
     """The training on stderr: on a terminal a bar with the remaining time, elsewhere a line for each stage and epoch."""
 
     def __init__(self, epochs: int, unit: str = "sd") -> None:
-        self._epochs, self._unit = epochs, unit
+        self._epochs, self._unit, self._stage = epochs, unit, ""
         self._console = Console(stderr=True)
         done = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TextColumn("{task.fields[error]}"))
         times = (TimeElapsedColumn(), TextColumn("left"), TimeRemainingColumn())
@@ -133,6 +140,7 @@ class TrainingDisplay:
         self._console.print(text, highlight=False, soft_wrap=True)
 
     def stage(self, name: str) -> None:
+        self._stage = name
         self._bar.update(self._task, description=name)
         if not self._console.is_terminal:
             self.note(f"{name} …")
@@ -141,9 +149,8 @@ class TrainingDisplay:
         train = "        " if math.isnan(line.train_loss) else f"{line.train_loss:.6f}"
         error = f"error {line.validation_mae:.4f} {self._unit}"
         shown = f"{error}, best" if line.best else error
-        self._bar.update(
-            self._task, description="training the network", total=self._epochs, completed=line.epoch, error=shown
-        )
+        what = self._stage if self._stage.startswith("training the ") else "training the network"
+        self._bar.update(self._task, description=what, total=self._epochs, completed=line.epoch, error=shown)
         if not self._console.is_terminal:
             self.note(
                 f"epoch {line.epoch:3d}/{self._epochs}  loss {train} {line.validation_loss:.6f}  "
