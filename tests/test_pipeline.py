@@ -260,6 +260,15 @@ def test_a_student_goes_on_with_the_teacher_that_it_had(
     assert shown == [0, 1, 2] * 2
 
 
+def test_a_teacher_and_its_student_say_what_they_do(recording: Recording) -> None:
+    """Stages in turn, and the notes of both: neither gains enough in its first epoch."""
+    stages = list[str]()
+    job = job_of(recording, "ldhtd", batch=256, trial_epochs=1, min_gain=0.99)
+    notes = train(job, Monitor(on_stage=stages.append)).progress.notes
+    assert stages[:2] == ["training the teacher, hapinf", "training the student, ldhtd"]
+    assert [note.endswith("its training stops there") for note in notes] == [True, True]
+
+
 def test_the_card_says_how_it_came_about(trained: Trained) -> None:
     """Statistics are of the training blocks."""
     card, trace, split = trained.texture.card, trained.trace, trained.split

@@ -56,6 +56,23 @@ def test_a_disk_that_fills_up_costs_the_log_and_not_the_training(
         refused.log(epoch(0))
 
 
+def test_a_teacher_is_in_the_log_until_its_student_begins(tmp_path: Path) -> None:
+    folder, display = RunFolder(tmp_path / "a.run"), TrainingDisplay(2)
+    folder.open({}, resume=False)
+    shown = []
+    for stage in ("training the teacher, hapinf", "training the student, ldhtd"):
+        display.stage(stage)
+        for number in range(2):
+            folder.log(epoch(number))
+            display.show(epoch(number))
+        shown.append(display._bar.tasks[0].description)
+        assert len((folder.path / "log.csv").read_text().splitlines()) == 3
+    assert shown == ["training the teacher, hapinf", "training the student, ldhtd"]
+    display.stage("fitting the excitation")
+    display.show(epoch(1))
+    assert display._bar.tasks[0].description == "training the network"
+
+
 def test_what_is_not_a_terminal_sees_a_line_for_each_stage_and_epoch(capsys: pytest.CaptureFixture[str]) -> None:
     with TrainingDisplay(2) as display:
         display.stage("fitting level and lattice")

@@ -363,6 +363,8 @@ def test_other_data_are_compared_once_all_systems_have_all_their_recipes_there(t
     runs["table-1-real"].append(last)
     contact, of_real = ([str(cell) for cell in row[:3]] for row in tables.equal_tuning().rows)
     lines = tables.contact_findings().splitlines()
+    heads = [str(column) for column in tables.on_other_data("main-contact").columns]
+    assert heads == ["", "MAE [sd]", "p", "GFC [%]", "training [s]"]  # not the paper's figures, which are of other data
     p = f"{5 * 2 / 2**10:.3f}"  # of ten differences of one sign and five other systems
     others = ", ".join(f"{name} 0 (p {p})" for name in ERRORS if not name.startswith(("GAN", "foten-plus")))
     assert lines[0].endswith(f"below that of foten-plus (ours) on (p of the difference): {others}.")
