@@ -47,8 +47,9 @@ def sweep(
 
     A result is kept if code, data, configuration and platform are the same; otherwise the run is repeated.
 
-    Ctrl-C or SIGTERM stops the sweep with exit status 130 and keeps the finished runs. On this machine, a run that was under way
-    continues after the last epoch that it finished, with the same result.
+    Ctrl-C or SIGTERM stops the sweep with exit status 130 and keeps the finished runs.
+
+    On this machine, a run that was under way continues after the last epoch that it finished, with the same result.
     """
     from foten.experiments.experiment import experiment_path, experiments, of_lines, read_experiment
 
