@@ -41,7 +41,7 @@ def test_every_form_has_the_same_numbers() -> None:
     assert TABLE.markdown().splitlines() == [
         *("# Errors", "", "8 s alone.", ""),
         *("| model | error [sd] | LSD [dB] |", "|---|---|---|"),
-        "| ours | **0.123 ± 0.010** | -1.2 |",
+        "| ours | **0.123\u00a0±\u00a00.010** | -1.2 |",
         *("| theirs | 0.500 | – |", "| silent | – | – |"),
     ]
     latex = TABLE.latex().splitlines()

@@ -61,6 +61,7 @@ QUICKER = 0.9  # times the seconds of another in one run of the benchmark, so th
 COMPARED = ("dstn", "ldhtd", "gan")  # in Table III
 PAPER_GFC = {"ar": 86.28, "fnn": 87.83, "dstn": 90.33, "ldhtd": 91.02, "gan": 88.65, "foten": 92.15}
 """The paper's GFC [%], means over its twelve textures; Table I."""
+PAPER_CELL = (20, "huber")  # window [samples] and loss, the paper's best, with δ = 1.6; Fig. 5
 ORDERS = {
     "one step [sd]": ONE_STEP,
     "one step [m/s²]": ERROR,
@@ -280,21 +281,28 @@ def on_other_data(name: str) -> Table:
     return Table.of([shown.columns[k] for k in kept], [[row[k] for k in kept] for row in shown.rows])
 
 
+def ahead_of(model: str, records: Records) -> str:
+    """Sentence on how many textures each other method's error of one step is below that of a model on, with p."""
+    textures, rows = errors_of(records)
+    own, *others = sorted(complete(rows, textures), key=lambda row: row.model != model)
+    p = signed_rank(own, others, textures)
+    counts = ", ".join(
+        f"{row.name.removesuffix(WITHOUT)} {np.sum(row.means(textures) < own.means(textures))}"
+        + (f" (p {p[row.name]:.3f})" if row.name in p else "")
+        for row in others
+    )
+    return f"Of {len(textures)} textures, the one-step error is below that of {own.name} on (p of the difference): {counts}."
+
+
 def contact_findings() -> str:
     """Sentences on contact mechanics: where others are ahead of ours in one step, with p, and the best of each figure."""
     shown = chosen(tuned_on(CONTACT))
     if not shown:
         return ""
-    textures, rows = errors_of(shown)
-    ours, *others = sorted(complete(rows, textures), key=lambda row: not row.name.startswith(OURS))
-    p = signed_rank(ours, others, textures)
-    ahead = {row.name: int(np.sum(row.means(textures) < ours.means(textures))) for row in others}
-    counts = ", ".join(f"{name.removesuffix(WITHOUT)} {n} (p {p[name]:.3f})" for name, n in ahead.items())
     lines = [
         line for line in findings(shown) if line.startswith(("one-step MAE", "free-run")) and "none of" not in line
     ]
-    counted = f"Of {len(textures)} textures, the one-step error is below that of {ours.name} on (p of the difference): {counts}."
-    return "\n".join(f"- {line}" for line in (counted, *lines))
+    return "\n".join(f"- {line}" for line in (ahead_of(OURS, shown), *lines))
 
 
 def on_real() -> str:
@@ -429,8 +437,8 @@ def near() -> Table:
     return compared([*first, *more]) if more else Table((), ())
 
 
-def table_2() -> Table:
-    """Variants of the network beside the network, whose runs are those of Table I by the published recipe."""
+def of_variants() -> list[Record]:
+    """Runs of the network's variants, and of the network itself, whose runs are those of Table I by the published recipe."""
     variants = [record for record in runs_of("table-2") if record["model"] != "foten"]
     done = {(record["texture"], record["split"]) for record in variants}
     network = [
@@ -438,7 +446,20 @@ def table_2() -> Table:
         for record in runs_of("table-1")
         if record["method"] == "FoTEN" and (record["texture"], record["split"]) in done
     ]
-    return compared([*variants, *network]) if variants else Table((), ())
+    return [*variants, *network] if variants else []
+
+
+def table_2() -> Table:
+    """Variants of the network beside the network, on the textures that all variants have so far."""
+    return compared(records) if (records := with_all(of_variants(), of_file("table-2")["methods"])) else Table((), ())
+
+
+def table_2_findings() -> str:
+    """Sentences on the variants: where they are ahead of the network in one step, with p, and their order."""
+    if not (records := with_all(of_variants(), of_file("table-2")["methods"])):
+        return ""
+    lines = [line for line in findings(records) if line.startswith(("one-step", "By one-step error"))]
+    return "\n".join(f"- {line}" for line in (ahead_of("foten", records), *lines))
 
 
 def cell_of(record: Record) -> dict[str, str]:
@@ -446,15 +467,32 @@ def cell_of(record: Record) -> dict[str, str]:
     return dict(item.rsplit(" ", 1) for item in record["method"].removeprefix(f"{record['model']} ").split(", "))
 
 
-def windows_by_loss() -> Table:
-    """Errors of one step by window and loss, means over the textures: test and validation."""
+def by_window() -> dict[tuple[int, str], list[Record]]:
+    """Runs of the grid by window and loss; the Huber loss is that of 1.6."""
     cells: dict[tuple[int, str], list[Record]] = {}
     for record in runs_of("figure-5"):
-        cell = cell_of(record)
-        if "window" in cell:
+        if "window" in (cell := cell_of(record)):
             cells.setdefault((int(cell["window"]), cell["loss"]), []).append(record)
-    losses = ("mae", "mse", "huber")
-    columns = [*product((ONE_STEP, "validation.mae_scaled"), losses)]
+    return cells
+
+
+def of_huber() -> dict[str, list[Record]]:
+    """Runs of the grid at the paper's window with the Huber loss: by its threshold, by another seed and without dropout."""
+    cells = {"1.6": by_window().get(PAPER_CELL, [])}
+    for record in runs_of("figure-5"):
+        cell = cell_of(record)
+        if "delta" in cell:
+            cells.setdefault(f"{float(cell['delta']):.1f}", []).append(record)
+        elif "window" not in cell:
+            ((name, value),) = cell.items()
+            cells.setdefault(f"1.6, seed {value}" if name == "seed" else "1.6, no dropout", []).append(record)
+    return {name: cells[name] for name in sorted(cells) if cells[name]}
+
+
+def windows_by_loss() -> Table:
+    """Errors of one step by window and loss, means over the textures: test and validation."""
+    cells, losses = by_window(), ("mae", "mse", "huber")
+    columns = [*product((ONE_STEP, VALIDATION[0]), losses)]
     rows = [
         (str(window), *(mean(path, digits=4)(cells.get((window, loss), [])) for path, loss in columns))
         for window in sorted({window for window, _ in cells})
@@ -469,19 +507,27 @@ def windows_by_loss() -> Table:
 
 def by_threshold() -> Table:
     """Errors of one step by the threshold of the Huber loss, by another seed and without dropout: test and validation."""
-    cells: dict[str, list[Record]] = {}
-    for record in runs_of("figure-5"):
-        cell = cell_of(record)
-        if "delta" in cell:
-            cells.setdefault(f"{float(cell['delta']):.1f}", []).append(record)
-        elif "window" not in cell:
-            ((name, value),) = cell.items()
-            cells.setdefault(f"1.6, {name} {value}" if name == "seed" else "1.6, no dropout", []).append(record)
-        elif (cell["window"], cell["loss"]) == ("20", "huber"):
-            cells.setdefault("1.6", []).append(record)
-    columns = (ONE_STEP, "validation.mae_scaled")
-    rows = [(delta, *(mean(path, digits=4)(cells[delta]) for path in columns)) for delta in sorted(cells)]
+    cells = of_huber()
+    rows = [(name, *(mean(path, digits=4)(cells[name]) for path in (ONE_STEP, VALIDATION[0]))) for name in cells]
     return Table.of(("δ [sd]", "test: MAE [sd]", "validation"), rows)
+
+
+def grid_findings() -> str:
+    """Sentences on the best cell of the finished grid by validation, beside the paper's and what its seeds alone change."""
+    if len(runs_of("figure-5")) < len(read_experiment(experiment_path("figure-5")).runs()):
+        return ""
+
+    def error(records: Records, path: str = ONE_STEP) -> float:
+        return mean_of(records, path).value or 0.0
+
+    cells = by_window()
+    window, loss = best = min(cells, key=lambda cell: error(cells[cell], VALIDATION[0]))
+    seeds = [error(of) for name, of in of_huber().items() if name == "1.6" or "seed" in name]
+    return (
+        f"Best on validation: {window} samples and loss {loss}, with {error(cells[best]):.4f} on test. The paper's best, "
+        f"{PAPER_CELL[0]} samples and loss {PAPER_CELL[1]} with δ = 1.6, has {error(cells[PAPER_CELL]):.4f}; "
+        f"its {len(seeds)} seeds range from {min(seeds):.4f} to {max(seeds):.4f}."
+    )
 
 
 def over_best(methods: Mapping[str, Mapping[Place, Record]], path: str) -> str:
@@ -578,8 +624,10 @@ TABLES: dict[str, Callable[[], Table | str]] = {
     "warm-start": lambda: warm_start(chosen(table_1())) if table_1() else Table((), ()),
     "equal-tuning": equal_tuning,
     "table-2": table_2,
+    "table-2-findings": table_2_findings,
     "windows-by-loss": windows_by_loss,
     "thresholds": by_threshold,
+    "grid-findings": grid_findings,
     "recipes": recipes,
     "orders": orders,
     "headline": headline,

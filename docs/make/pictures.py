@@ -1,10 +1,10 @@
 """Make the pictures and sounds of README.md and docs/, each from measured figures or from a simulation made on the spot.
 
-    python docs/make/pictures.py [--only NAME,...] [--recordings DIR] [--sweep DIR DIR]
+    python docs/make/pictures.py [--only NAME,...] [--recordings DIR] [--sweep DIR DIR] [--grid DIR]
 
 Figures are read from docs/results. Textures that a picture shows are trained once, into build/pictures. DIR of `--recordings`
 holds the real recordings, for the picture `rates`; those of `--sweep` are what `foten sweep table-1` and `foten sweep
-table-1-tuned` wrote, for `compared` and the paper's Fig. 6 and 7.
+table-1-tuned` wrote, for `compared` and the paper's Fig. 6 and 7; that of `--grid` is what `foten sweep figure-5` wrote.
 """
 
 from __future__ import annotations
@@ -540,6 +540,12 @@ def compared(arguments: argparse.Namespace) -> None:
     save(figures.waveforms(shown), "compared")
 
 
+def figure_5(arguments: argparse.Namespace) -> None:
+    """Fig. 5: errors by window and loss."""
+    results = read_results(arguments.grid, mixed=True)
+    save(figures.windows_and_losses([result for result in results if "window" in result["run"]["cell"]]), "figure-5")
+
+
 def figure_6(arguments: argparse.Namespace) -> None:
     """Fig. 6, free runs of FoTEN, with an excitation and without, over recordings; below how all systems converge."""
     results = of_sweeps(arguments)
@@ -594,6 +600,7 @@ PICTURES: dict[str, Callable[[argparse.Namespace], None]] = {
     "listener": listener,
     "impact": impact,
     "compared": compared,
+    "figure-5": figure_5,
     "figure-6": figure_6,
     "figure-7": figure_7,
     "capture": capture,
@@ -605,6 +612,7 @@ def main() -> None:
     parser.add_argument("--recordings", type=Path, default=Path("recordings"))
     tables = [Path("results") / name for name in ("table-1", "table-1-tuned")]
     parser.add_argument("--sweep", type=Path, nargs="+", default=tables)
+    parser.add_argument("--grid", type=Path, default=Path("results") / "figure-5")
     parser.add_argument("--only", type=lambda text: text.split(","), default=list(PICTURES))
     arguments = parser.parse_args()
     for name in arguments.only:

@@ -105,9 +105,10 @@ class Table:
         return names
 
     def markdown(self) -> str:
-        """Markdown, title and notes above."""
+        """Markdown, title and notes above; no line break beside a ±."""
         above = "".join(f"{text}\n\n" for text in [*([f"# {self.title}"] if self.title else []), *self.notes])
         lines = ["| " + " | ".join(row) + " |\n" for row in self._printed("**{}**", {ord("|"): r"\|"})]
+        lines = [line.replace(" ± ", "\u00a0±\u00a0") for line in lines]
         return "".join([above, lines[0], "|" + "---|" * len(self.columns) + "\n", *lines[1:]])
 
     def csv(self) -> str:
