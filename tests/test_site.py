@@ -183,13 +183,19 @@ def test_systems_stand_beside_the_best_ar_and_their_neighbours_with_what_chance_
     assert tables.neighbours() == ""  # no p of five textures is below 0.05
 
 
-def test_networks_that_learned_longer_stand_beside_the_same_recordings_before(tables: ModuleType, runs: Runs) -> None:
+def test_systems_with_a_change_stand_beside_the_same_recordings_before(tables: ModuleType, runs: Runs) -> None:
     runs["table-1-tuned"] = tuned(TEXTURES)
-    assert tables.longer().rows == ()
-    runs["table-1-longer"] = [run("FoTEN", texture, 0.1, epochs=48) for texture in TEXTURES[:3]]
-    ((name, n, *cells),) = tables.longer().rows
-    assert (name, n) == ("FoTEN", "3")
-    assert [*map(str, cells)] == ["0.200", "0.200", "10", "0.100", "0.100", "48"]
+    assert tables.changed().rows == ()
+    changes = {"FoTEN, twice the epochs": 48, "FoTEN, DSTN's window": 24}
+    runs["table-1-changed"] = [
+        run(name, texture, 0.1, epochs=epochs, model="foten")
+        for name, epochs in changes.items()
+        for texture in TEXTURES[:3]
+    ]
+    rows = {str(name): [*map(str, cells)] for name, *cells in tables.changed().rows}
+    assert [*rows] == [*changes]
+    for name, epochs in changes.items():
+        assert rows[name] == ["3", "0.200", "0.200", "10", "0.100", "0.100", str(epochs)]
 
 
 def test_real_recordings_are_compared_on_splits_that_all_systems_have(tables: ModuleType, runs: Runs) -> None:

@@ -32,7 +32,7 @@ FULL_LENGTH = {
     "table-1": "paper",
     "table-1-tuned": "paper",
     "table-1-near": "paper",
-    "table-1-longer": "paper",
+    "table-1-changed": "paper",
     "table-1-350hz": "paper",
     "table-2": "paper",
     "figure-5": "paper",

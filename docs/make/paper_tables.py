@@ -187,12 +187,15 @@ def both_recipes() -> Table:
     return side_by_side("paper's recipe, or own", "tuned", *of_sides(by_both() or table_1()))
 
 
-def longer() -> Table:
-    """Errors of one step by tuned recipes and by the same for twice as long, on the recordings of the latter."""
-    twice = by_place(runs_of("table-1-longer"))
-    once = by_place(runs_of("table-1-tuned"))
-    pairs = [(once[method][place], one) for method, of in twice.items() for place, one in of.items() if method in once]
-    return side_by_side("tuned", "twice as long", *map(list, zip(*pairs, strict=True))) if pairs else Table((), ())
+def changed() -> Table:
+    """Errors of one step by tuned recipes and with one change of each, on the recordings of the latter."""
+    before = by_place(runs_of("table-1-tuned"))
+    pairs = []
+    for one in runs_of("table-1-changed"):
+        system = one["method"].partition(", ")[0]
+        if (tuned := before.get(system, {}).get((one["texture"], one["split"]))) is not None:
+            pairs.append(({**tuned, "method": one["method"]}, one))
+    return side_by_side("tuned", "changed", *map(list, zip(*pairs, strict=True))) if pairs else Table((), ())
 
 
 def side_by_side(first: str, second: str, *sides: Records) -> Table:
@@ -619,7 +622,7 @@ TABLES: dict[str, Callable[[], Table | str]] = {
     "beside-ar": beside_ar,
     "neighbours": neighbours,
     "near": near,
-    "longer": longer,
+    "changed": changed,
     "convergence": convergence,
     "warm-start": lambda: warm_start(chosen(table_1())) if table_1() else Table((), ()),
     "equal-tuning": equal_tuning,
