@@ -33,7 +33,8 @@ class PreprocessConfig:
     """How a recording becomes a trace.
 
     Differs from the paper: its band of 20 to 1000 Hz cannot exist at 1 kHz; what remains is the high-pass. Speed and
-    force pass one low-pass of 20 Hz in training and in rendering, where the paper trains with 25 and renders with 20.
+    force pass one low-pass of 20 Hz in training and in rendering, where the paper trains with 25 and renders with 20; the
+    recipe `paper` does as the paper.
     """
 
     rate_hz: float = 1000.0  # of the trace; Sec. III-c
