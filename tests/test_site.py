@@ -303,6 +303,20 @@ def test_what_does_not_forget_is_named_with_its_network(monkeypatch: pytest.Monk
     assert tables.chaotic() == "All renderings forget within that time."
 
 
+def test_every_run_is_of_a_version_or_older(monkeypatch: pytest.MonkeyPatch) -> None:
+    tables = made_by("tables")
+    (first, codes), (second, later), *_ = tables.VERSIONS.items()
+    runs = {"table-1": [{"code": code} for code in (*codes, *later)], "main-linear": [{"code": "of no version"}]}
+    for read in ("runs_of", "records_of"):
+        monkeypatch.setattr(tables, read, lambda name: runs.get(name, []))
+    n = len(codes) + len(later)
+    assert tables.versions().cells()[1:] == [
+        [first, f"`table-1` ({len(codes)} of {n})"],
+        [second, f"`table-1` ({len(later)} of {n})"],
+        ["older", "`main-linear`"],
+    ]
+
+
 def test_an_order_by_the_papers_recipe_stands_beside_that_by_the_better(tables: ModuleType, runs: Runs) -> None:
     """Tuned errors are all lower, and in the reverse order."""
     runs["table-1"] = of_systems(TEXTURES)

@@ -87,9 +87,9 @@ def cost(name: str, heads: Sequence[str] = ("",)) -> Table:
     return Table.of([heading[k] for k in shown], [[row[k] for k in shown] for row in rows])
 
 
-def machine() -> str:
-    """Sentence on what the costs on a CPU were measured on."""
-    machines = {row["machine"] for row in csv_rows("efficiency") if row.get("machine")}
+def machine(name: str) -> str:
+    """Sentence on what the costs in a CSV were measured on."""
+    machines = {row["machine"] for row in csv_rows(name) if row.get("machine")}
     return f"Measured on: {', '.join(sorted(machines))}." if machines else ""
 
 
@@ -643,8 +643,9 @@ TABLES: dict[str, Callable[[], Table | str]] = {
     "efficiency": partial(
         cost, "efficiency", ("model", "input", "PyTorch", "median", "ONNX", "kernel", "paper's mean")
     ),
-    "machine": machine,
-    "gpu": partial(cost, "efficiency-gpu"),
+    "machine": partial(machine, "efficiency"),
+    "gpu-machine": partial(machine, "efficiency-gpu"),
+    "gpu": partial(cost, "efficiency-gpu", ("model", "step", "median", "the paper's", "epoch", "foten's")),
     "epochs": partial(
         cost, "efficiency", ("model", "param", "epoch [s]", "of it", "epoch in", "foten's", "the paper's")
     ),

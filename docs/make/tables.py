@@ -12,6 +12,7 @@ from __future__ import annotations
 import argparse
 import csv
 import sys
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
 from itertools import product
@@ -480,6 +481,27 @@ def experiments() -> Table:
     return Table.of(("experiment", "what", "runs", "core-hours"), rows)
 
 
+VERSIONS = {
+    "cc4c4292": {"69404639f09a9196", "0c720e2e7db4e48b", "07ba0a3fa116e97d", "f05e4aa1c77ccf15"},
+    "2f0f0d6e": {"7e5f9516d6af35bf", "396feffc46c5c2bb", "daed59569aa57f0e", "7a51214710a5daa5", "44f1efb5c1cd1f53"},
+    "2a974bd7": {"29401e15b6d05a20", "7d77f7c7239854cc"},
+}
+"""Commits that runs are of, and their digests; a digest covers what a model's runs import, so commits may share some."""
+
+
+def versions() -> Table:
+    """How many runs of the paper's and the main tables are of which commit; of none that is known: older ones."""
+    runs: dict[str, list[str]] = {commit: [] for commit in (*VERSIONS, "older")}
+    for name in (*FULL_LENGTH, REAL_TABLE_1, *MAIN):
+        records = runs_of(name) if name in FULL_LENGTH else records_of(name)
+        of = Counter(
+            next((commit for commit, codes in VERSIONS.items() if r["code"] in codes), "older") for r in records
+        )
+        for commit, n in of.items():
+            runs[commit].append(f"`{name}`" + (f" ({n} of {len(records)})" if n < len(records) else ""))
+    return Table.of(("commit", "runs of"), [(commit, ", ".join(of)) for commit, of in runs.items() if of])
+
+
 def spent() -> Table:
     """Runs of the paper's tables at full length that are done, and what they took."""
     rows = []
@@ -596,7 +618,7 @@ TABLES: dict[str, dict[str, Callable[[], Table | str]]] = {
     },
     "model.md": {"random-part": partial(benchmark, "random-part")},
     "compared.md": {**paper_tables.TABLES, "csv": partial(listed, *FULL_LENGTH, REAL_TABLE_1)},
-    "reproduce.md": {"experiments": experiments, "spent": spent},
+    "reproduce.md": {"experiments": experiments, "versions": versions, "spent": spent},
     "runtime.md": {name: partial(benchmark, name) for name in BENCHMARKS},
 }
 
