@@ -1,10 +1,11 @@
 """Make the pictures and sounds of README.md and docs/, each from measured figures or from a simulation made on the spot.
 
-    python docs/make/pictures.py [--only NAME,...] [--recordings DIR] [--sweep DIR DIR] [--grid DIR]
+    python docs/make/pictures.py [--only NAME,...] [--recordings DIR] [--sweep DIR DIR] [--variants DIR] [--grid DIR]
 
 Figures are read from docs/results. Textures that a picture shows are trained once, into build/pictures. DIR of `--recordings`
 holds the real recordings, for the picture `rates`; those of `--sweep` are what `foten sweep table-1` and `foten sweep
-table-1-tuned` wrote, for `compared` and the paper's Fig. 6 and 7; that of `--grid` is what `foten sweep figure-5` wrote.
+table-1-tuned` wrote, for `compared` and the paper's Fig. 6 and 7; those of `--variants` and `--grid` what `foten sweep table-2`
+and `foten sweep figure-5` wrote.
 """
 
 from __future__ import annotations
@@ -561,10 +562,11 @@ def figure_5(arguments: argparse.Namespace) -> None:
 
 
 def figure_6(arguments: argparse.Namespace) -> None:
-    """Fig. 6, free runs of FoTEN, with an excitation and without, over recordings; below how all systems converge."""
+    """Fig. 6, free runs of FoTEN, with an excitation and without, over recordings; below how all systems and TEN converge."""
     results = of_sweeps(arguments)
+    variants = [result for result in read_results(arguments.variants, mixed=True) if result["run"]["model"] == "ten"]
     above = figures.waveforms(results, "foten")
-    below = figures.convergence(results)
+    below = figures.convergence([*results, *({**of, "run": {**of["run"], "method": "TEN"}} for of in variants)])
     below.set_size_inches(above.get_figwidth(), 4.8)
     images = [image_of(above), image_of(below)]
     picture = Image.new("RGB", (images[0].width, sum(image.height for image in images)))
@@ -626,6 +628,7 @@ def main() -> None:
     parser.add_argument("--recordings", type=Path, default=Path("recordings"))
     tables = [Path("results") / name for name in ("table-1", "table-1-tuned")]
     parser.add_argument("--sweep", type=Path, nargs="+", default=tables)
+    parser.add_argument("--variants", type=Path, default=Path("results") / "table-2")
     parser.add_argument("--grid", type=Path, default=Path("results") / "figure-5")
     parser.add_argument("--only", type=lambda text: text.split(","), default=list(PICTURES))
     arguments = parser.parse_args()
