@@ -62,6 +62,14 @@ COMPARED = ("dstn", "ldhtd", "gan")  # in Table III
 PAPER_GFC = {"ar": 86.28, "fnn": 87.83, "dstn": 90.33, "ldhtd": 91.02, "gan": 88.65, "foten": 92.15}
 """The paper's GFC [%], means over its twelve textures; Table I."""
 PAPER_CELL = (20, "huber")  # window [samples] and loss, the paper's best, with δ = 1.6; Fig. 5
+CHANGES = {
+    "seed": "seed {}",
+    "dropout": "no dropout",
+    "batch": "batches of {}",
+    "clip_norm": "clipped gradients",
+    "initial_weights": "PyTorch's weights",
+}
+"""Settings of Fig. 5's grid beside window, loss and threshold, as its rows name them."""
 ORDERS = {
     "one step [sd]": ONE_STEP,
     "one step [m/s²]": ERROR,
@@ -480,7 +488,7 @@ def by_window() -> dict[tuple[int, str], list[Record]]:
 
 
 def of_huber() -> dict[str, list[Record]]:
-    """Runs of the grid at the paper's window with the Huber loss: by its threshold, by another seed and without dropout."""
+    """Runs of the grid at the paper's window with the Huber loss: by its threshold, by another seed, and with one change."""
     cells = {"1.6": by_window().get(PAPER_CELL, [])}
     for record in runs_of("figure-5"):
         cell = cell_of(record)
@@ -488,7 +496,7 @@ def of_huber() -> dict[str, list[Record]]:
             cells.setdefault(f"{float(cell['delta']):.1f}", []).append(record)
         elif "window" not in cell:
             ((name, value),) = cell.items()
-            cells.setdefault(f"1.6, seed {value}" if name == "seed" else "1.6, no dropout", []).append(record)
+            cells.setdefault(f"1.6, {CHANGES[name].format(value)}", []).append(record)
     return {name: cells[name] for name in sorted(cells) if cells[name]}
 
 
@@ -509,7 +517,7 @@ def windows_by_loss() -> Table:
 
 
 def by_threshold() -> Table:
-    """Errors of one step by the threshold of the Huber loss, by another seed and without dropout: test and validation."""
+    """Errors of one step by the threshold of the Huber loss, another seed, and a change of the recipe: test and validation."""
     cells = of_huber()
     rows = [(name, *(mean(path, digits=4)(cells[name]) for path in (ONE_STEP, VALIDATION[0]))) for name in cells]
     return Table.of(("δ [sd]", "test: MAE [sd]", "validation"), rows)
