@@ -18,6 +18,7 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 from foten.experiments.experiment import experiment_path, read_experiment
+from foten.experiments.figures import convergence
 from foten.experiments.method_tables import OF_BLOCKS
 from foten.recording.preprocess import PreprocessConfig, preprocess
 from foten.simulation.simulate import simulate
@@ -516,6 +517,17 @@ def picture(name: str, monkeypatch: pytest.MonkeyPatch) -> Figure:
     pictures.PICTURES[name](argparse.Namespace())
     assert list(drawn) == [name]
     return drawn[name]
+
+
+def test_more_methods_than_colours_are_dashed(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("foten.experiments.figures.label_of", lambda result: result["method"])
+    signals = {"error_to_silence": np.ones(4), "level_db": np.zeros(4)}
+    warm = {"warm_start": {"silence_mae_scaled": 1.0}}
+    names = [f"system {k}" for k in range(10)]
+    results = [{"method": name, "signals": signals, "evaluation": warm} for name in names]
+    lines = convergence(results).axes[0].get_lines()[: len(names)]
+    looks = {(line.get_color(), line.get_linestyle()) for line in lines}
+    assert len(looks) == len(names)
 
 
 @pytest.mark.parametrize("name", ["ceiling", "limits", "abrupt"])

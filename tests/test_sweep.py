@@ -363,11 +363,13 @@ def test_brief_runs_give_the_same_tables(records: list[dict], tmp_path: Path) ->
     for one in records:
         one["beside"] = "FNN [13]" if one["method"] == "excited" else ""
         one["listener.listener_auc"], one["stability.n_attack"] = 0.625, 1_000_008.0
+        one["references.bound.mae_m_s2"] = 0.5
     runs_table(records).write(tmp_path / "whole.csv")
     assert {one["stability.n_attack"] for one in read_records(tmp_path / "whole.csv")} == {1_000_008}  # whole it stays
     assert _status(["tables", str(tmp_path / "whole.csv"), "-o", str(tmp_path / "out"), "--brief"]) == 0
     heading = (tmp_path / "out" / "runs.csv").read_text().splitlines()[0].split(",")
     assert "stability.n_attack" in heading  # of which there is a table
+    assert "references.bound.mae_m_s2" in heading  # for the distance above the bound
     assert not [key for key in heading if key.startswith("free_run.gfc")]
     again = read_records(tmp_path / "out" / "runs.csv")
     assert tables_of(again) == tables_of(read_records(tmp_path / "whole.csv"))
