@@ -1,11 +1,10 @@
 """Make the pictures and sounds of README.md and docs/, each from measured figures or from a simulation made on the spot.
 
-    python docs/make/pictures.py [--only NAME,...] [--recordings DIR] [--sweep DIR DIR] [--variants DIR] [--grid DIR]
+    python docs/make/pictures.py [--only NAME,...] [--recordings DIR] [--sweep DIR DIR]
 
 Figures are read from docs/results. Textures that a picture shows are trained once, into build/pictures. DIR of `--recordings`
 holds the real recordings, for the picture `rates`; those of `--sweep` are what `foten sweep table-1` and `foten sweep
-table-1-tuned` wrote, for `compared` and the paper's Fig. 6 and 7; those of `--variants` and `--grid` what `foten sweep table-2`
-and `foten sweep figure-5` wrote.
+table-1-tuned` wrote, for `compared` and the paper's Fig. 6 and 7.
 """
 
 from __future__ import annotations
@@ -29,6 +28,7 @@ from matplotlib.patches import FancyBboxPatch
 from PIL import Image
 from scipy.signal import welch
 
+from csv_records import ONE_STEP
 from foten.baselines.sizes import TRAINABLE
 from foten.datasets.hdf5 import load_recording
 from foten.dsp.distance import log_spectral_distance, scored_bins, segment_length
@@ -40,7 +40,7 @@ from foten.evaluate.free_run import scored, synthesize, synthesize_linear
 from foten.evaluate.one_step import ORDERS, fit_linear, predict
 from foten.experiments import figures
 from foten.experiments.experiment import Run, experiment_path, read_experiment, recording_of
-from foten.experiments.results import chosen_results, read_records, read_results
+from foten.experiments.results import VALIDATION, chosen_results, read_records, read_results
 from foten.experiments.simulator_reference import linear_bounds
 from foten.models.texture_file import Texture, read_texture, write_texture
 from foten.recording.preprocess import PreprocessConfig, preprocess
@@ -60,6 +60,7 @@ from foten.simulation.simulated_capture import SOUND_HZ as CAPTURED_HZ
 from foten.training.config import recipe_of
 from foten.training.job import TrainingJob
 from foten.training.pipeline import train
+from paper_tables import by_window
 
 DOCS = Path(__file__).resolve().parents[1]
 RESULTS, BUILD = DOCS / "results", DOCS.parent / "build" / "pictures"
@@ -557,16 +558,19 @@ def compared(arguments: argparse.Namespace) -> None:
 
 def figure_5(arguments: argparse.Namespace) -> None:
     """Fig. 5: errors by window and loss."""
-    results = read_results(arguments.grid, mixed=True)
-    save(figures.windows_and_losses([result for result in results if "window" in result["run"]["cell"]]), "figure-5")
+    errors = {
+        (record["texture"], loss, window): np.array([record[path] for path in (ONE_STEP, VALIDATION[0])])
+        for (window, loss), records in by_window().items()
+        for record in records
+    }
+    save(figures.windows_and_losses(errors), "figure-5")
 
 
 def figure_6(arguments: argparse.Namespace) -> None:
-    """Fig. 6, free runs of FoTEN, with an excitation and without, over recordings; below how all systems and TEN converge."""
+    """Fig. 6, free runs of FoTEN, with an excitation and without, over recordings; below how all systems converge."""
     results = of_sweeps(arguments)
-    variants = [result for result in read_results(arguments.variants, mixed=True) if result["run"]["model"] == "ten"]
     above = figures.waveforms(results, "foten")
-    below = figures.convergence([*results, *({**of, "run": {**of["run"], "method": "TEN"}} for of in variants)])
+    below = figures.convergence(results)
     below.set_size_inches(above.get_figwidth(), 4.8)
     images = [image_of(above), image_of(below)]
     picture = Image.new("RGB", (images[0].width, sum(image.height for image in images)))
@@ -628,8 +632,6 @@ def main() -> None:
     parser.add_argument("--recordings", type=Path, default=Path("recordings"))
     tables = [Path("results") / name for name in ("table-1", "table-1-tuned")]
     parser.add_argument("--sweep", type=Path, nargs="+", default=tables)
-    parser.add_argument("--variants", type=Path, default=Path("results") / "table-2")
-    parser.add_argument("--grid", type=Path, default=Path("results") / "figure-5")
     parser.add_argument("--only", type=lambda text: text.split(","), default=list(PICTURES))
     arguments = parser.parse_args()
     for name in arguments.only:

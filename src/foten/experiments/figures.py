@@ -49,7 +49,7 @@ def figures(
         name = f"figure-5-{model if alone else f'{k}-{_file_name(method)}'}"
         for others, some in _by_other_settings(of_method, ("window", "loss")):
             if len({(result["run"]["sizes"]["window"], result["run"]["train"]["loss"]) for result in some}) > 1:
-                yield f"{name}{others}", windows_and_losses(some)
+                yield f"{name}{others}", windows_and_losses(_mean_errors(some, ("train", "loss"), ("sizes", "window")))
         huber = [result for result in of_method if result["run"]["train"]["loss"] == "huber"]
         for others, some in _by_other_settings(huber, ("delta",)):
             if len({result["run"]["train"]["delta"] for result in some}) > 1:
@@ -129,9 +129,12 @@ def split(result: Mapping[str, Any], recordings: Path | None = None) -> Figure:
     return figure
 
 
-def windows_and_losses(results: Results) -> Figure:
-    """One-step errors by window and loss, a panel for each texture, as Fig. 5: test solid, validation hollow."""
-    errors = _mean_errors(results, ("train", "loss"), ("sizes", "window"))
+def windows_and_losses(errors: Mapping[tuple[Any, ...], Array]) -> Figure:
+    """One-step errors by window and loss, a panel for each texture, as Fig. 5: test solid, validation hollow.
+
+    Args:
+        errors: on test and validation blocks, (2,), by texture, loss and window.
+    """
     textures, losses = list(dict.fromkeys(key[0] for key in errors)), sorted({key[1] for key in errors})
     figure, panels = panel_grid([*map(texture_name, textures)], 2.6, 2.1)
     for axes, texture in zip(panels, textures, strict=True):
@@ -214,13 +217,12 @@ def convergence(results: Results) -> Figure:
     for result in results:
         by_method[label_of(result)].append(result["signals"])
     figure, (errors, levels) = new_figure(6.5, 5.0, nrows=2, sharex=True)
-    for i, (method, of_method) in enumerate(by_method.items()):
-        colour, dashes = COLOURS[i % len(COLOURS)], "-" if i < len(COLOURS) else "--"
+    for (method, of_method), colour in zip(by_method.items(), itertools.cycle(COLOURS), strict=False):
         length = min(len(signals["level_db"]) for signals in of_method)
         times = ERROR_FRAME_MS * (np.arange(length) + 0.5)
         for axes, key in ((errors, "error_to_silence"), (levels, "level_db")):
             mean = np.mean([signals[key][:length] for signals in of_method], axis=0)
-            axes.plot(times, np.maximum(mean, LOWEST_DB), lw=1.3, ls=dashes, color=colour, label=method)
+            axes.plot(times, np.maximum(mean, LOWEST_DB), lw=1.3, color=colour, label=method)
     warm = [result["evaluation"]["warm_start"] for result in results]
     ceiling = [one["ceiling"]["mae_scaled"] / one["silence_mae_scaled"] for one in warm if "ceiling" in one]
     for value, name in ((1.0, "silence"), *([(float(np.mean(ceiling)), "ceiling")] if ceiling else [])):
