@@ -32,7 +32,7 @@ MICROPHONE = ["--use-fake-ui-for-media-stream", "--use-fake-device-for-media-str
 def take(page: Any, name: str) -> None:
     """Write a screenshot."""
     image = Image.open(io.BytesIO(page.screenshot())).convert("RGB")
-    image.save(PICTURES / f"{name}.webp", quality=80, method=6)
+    image.save(PICTURES / f"{name}.webp", quality=65, method=6)
 
 
 def stroked(page: Any, name: str) -> None:
@@ -61,7 +61,7 @@ def served(*arguments: str) -> Iterator[list[str]]:
         assert server.stderr is not None
         for line in server.stderr:
             links += re.findall(r"http://\S+", line)
-            if "ends it" in line:
+            if "Ctrl-C" in line:
                 break
         yield links
     finally:
