@@ -176,12 +176,26 @@ def test_systems_stand_beside_the_best_ar_and_their_neighbours_with_what_chance_
     for one in runs["table-1"]:
         if one["model"] == "dstn":
             one["one_step.mae_scaled"] = ERRORS["LDHTD [20]"] + next(near) + 0.001
-    text = tables.neighbours()
-    assert "on the 12 textures" in text
-    assert "foten-plus (ours) and FoTEN 0.002; FoTEN and LDHTD [20] 0.002; " in text
-    assert float(text.partition("LDHTD [20] and DSTN [15] ")[2].partition(";")[0]) > 0.1
-    runs["table-1"] = of_systems(TEXTURES[:5])
-    assert tables.neighbours() == ""  # no p of five textures is below 0.05
+    text = tables.neighbours(tables.chosen(runs["table-1"]))
+    assert "on 12 recordings of 12 textures" in text
+    assert "foten-plus (ours) is ahead of FoTEN on 12 (p 0.002); FoTEN is ahead of LDHTD [20] on 12 (p 0.002); " in text
+    _, _, chance = text.partition("LDHTD [20] is ahead of DSTN [15] on 6 (p ")
+    assert float(chance.partition(")")[0]) > 0.1
+    assert tables.neighbours(of_systems(TEXTURES[:5])) == ""  # no p of five textures is below 0.05
+
+
+def test_near_systems_are_compared_on_all_recordings_of_a_texture(tables: ModuleType, runs: Runs) -> None:
+    def of_split(split: int) -> list[dict[str, Any]]:
+        pairs = (("FNN [13]", 0.3 + 0.2 * (split == 3)), ("LDHTD [20]", 0.4))
+        return [run(method, texture, error, split=split) for texture in TEXTURES[:7] for method, error in pairs]
+
+    runs["table-1-tuned"] = [*of_split(1), *(run("DSTN [15]", texture, 0.1) for texture in TEXTURES)]
+    assert tables.near() == []
+    runs["table-1-near"] = [*of_split(2), *of_split(3)][:-1]  # not all of the seventh texture
+    assert {record["texture"] for record in tables.near()} == set(TEXTURES[:6])
+    text = tables.neighbours(tables.near())
+    assert "on 18 recordings of 6 textures" in text
+    assert "FNN [13] is ahead of LDHTD [20] on 12 (p 0.031)" in text  # of six means of one sign, 2 / 2⁶
 
 
 def test_systems_with_a_change_stand_beside_the_same_recordings_before(tables: ModuleType, runs: Runs) -> None:

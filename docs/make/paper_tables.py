@@ -261,17 +261,20 @@ def beside_ar() -> Table:
     return Table.of(("", *heads), [(name, *(c for of in sides for c in of.get(name, ("–",) * 3))) for name in sides[0]])
 
 
-def neighbours() -> str:
+def neighbours(records: Records) -> str:
     """Sentence on what chance may have done to the order of systems by their errors of one step."""
-    textures, rows = errors_of(chosen(table_1()))
+    textures, rows = errors_of(records)
     systems = sorted(complete(rows, textures), key=lambda row: float(row.means(textures).mean()))
     p = [value for row, behind in pairwise(systems) for value in signed_rank(row, [behind], textures).values()]
     if not p:  # fewer than six textures
         return ""
-    pairs = (f"{a.name} and {b.name} {value:.3f}" for (a, b), value in zip(pairwise(systems), holm(p), strict=True))
+    pairs = []
+    for (first, second), value in zip(pairwise(systems), holm(p), strict=True):
+        ahead = np.concatenate([first.values[texture] < second.values[texture] for texture in textures])
+        pairs.append(f"{first.name} is ahead of {second.name} on {ahead.sum()} (p {value:.3f})")
     return (
-        f"Neighbours in one step on the {len(textures)} textures, best first, and p of their difference, after Holm for "
-        f"{len(p)} pairs: {'; '.join(pairs).replace(WITHOUT, '')}."
+        f"Neighbours in one step, best first, on {ahead.size} recordings of {len(textures)} textures; p of the textures' means, "
+        f"after Holm for {len(p)} pairs: {'; '.join(pairs).replace(WITHOUT, '')}."
     )
 
 
@@ -451,12 +454,13 @@ def bands() -> Table:
     return Table.of(("", *heads), [(method, *cells) for method, cells in columns.items()])
 
 
-def near() -> Table:
-    """Systems that are near one another, by their best recipes, on three recordings of each texture."""
+def near() -> list[Record]:
+    """Runs of systems that are near one another, by their tuned recipes, on the textures whose three recordings all have."""
     more = runs_of("table-1-near")
-    textures, methods = ({record[key] for record in more} for key in ("texture", "method"))
-    first = [r for r in runs_of("table-1-tuned") if r["texture"] in textures and r["method"] in methods]
-    return compared([*first, *more]) if more else Table((), ())
+    methods, splits = ({record[key] for record in more} for key in ("method", "split"))
+    n_done = Counter(record["texture"] for record in more)
+    shown = [r for r in (*runs_of("table-1-tuned"), *more) if r["method"] in methods]
+    return [record for record in shown if n_done[record["texture"]] == len(methods) * len(splits)]
 
 
 def of_variants() -> list[Record]:
@@ -647,8 +651,9 @@ TABLES: dict[str, Callable[[], Table | str]] = {
     "findings": table_1_findings,
     "both-recipes": both_recipes,
     "beside-ar": beside_ar,
-    "neighbours": neighbours,
-    "near": near,
+    "neighbours": lambda: neighbours(chosen(table_1())),
+    "near": lambda: compared(near()) if near() else Table((), ()),
+    "near-neighbours": lambda: neighbours(near()),
     "changed": changed,
     "convergence": convergence,
     "warm-start": lambda: warm_start(chosen(table_1())) if table_1() else Table((), ()),
