@@ -477,7 +477,7 @@ def test_table_2_has_the_network_of_table_1_on_the_textures_that_all_variants_ha
         assert f"{name} {n} (p 0.062)" in first
     order = next(line for line in others if "By one-step error" in line)
     assert (
-        "ten-mfcc, foten-d, foten, ten-wavelet, ten here; foten, foten-d, ten-mfcc, ten-wavelet, ten in the paper"
+        "TEN + MFCC, FoTEN-D, FoTEN, TEN + wavelets, TEN here; FoTEN, FoTEN-D, TEN + MFCC, TEN + wavelets, TEN in the paper"
         in order
     )
 

@@ -217,12 +217,13 @@ def convergence(results: Results) -> Figure:
     for result in results:
         by_method[label_of(result)].append(result["signals"])
     figure, (errors, levels) = new_figure(6.5, 5.0, nrows=2, sharex=True)
-    for (method, of_method), colour in zip(by_method.items(), itertools.cycle(COLOURS), strict=False):
+    for i, (method, of_method) in enumerate(by_method.items()):
+        colour, dashes = COLOURS[i % len(COLOURS)], "-" if i < len(COLOURS) else "--"
         length = min(len(signals["level_db"]) for signals in of_method)
         times = ERROR_FRAME_MS * (np.arange(length) + 0.5)
         for axes, key in ((errors, "error_to_silence"), (levels, "level_db")):
             mean = np.mean([signals[key][:length] for signals in of_method], axis=0)
-            axes.plot(times, np.maximum(mean, LOWEST_DB), lw=1.3, color=colour, label=method)
+            axes.plot(times, np.maximum(mean, LOWEST_DB), lw=1.3, ls=dashes, color=colour, label=method)
     warm = [result["evaluation"]["warm_start"] for result in results]
     ceiling = [one["ceiling"]["mae_scaled"] / one["silence_mae_scaled"] for one in warm if "ceiling" in one]
     for value, name in ((1.0, "silence"), *([(float(np.mean(ceiling)), "ceiling")] if ceiling else [])):

@@ -391,11 +391,12 @@ def _beside_linear(rows: Sequence[Row], methods: Sequence[Row], textures: Sequen
 def _order(records: Records) -> Iterator[str]:
     textures, rows = rows_of(records, "mae")
     known = as_in_paper(rows)
-    means = {row.model: float(row.means(textures).mean()) for row in complete(rows, textures) if row.name in known}
-    if len(means) > 1:
-        here, there = sorted(means, key=means.__getitem__), sorted(means, key=PAPER.__getitem__)
+    shown = {row.model: row for row in complete(rows, textures) if row.name in known}
+    if len(shown) > 1:
+        here = [row.name for row in sorted(shown.values(), key=lambda row: float(row.means(textures).mean()))]
+        there = [shown[model].name for model in sorted(shown, key=PAPER.__getitem__)]
         same = "the same order" if here == there else "another order"
         yield (
             f"By one-step error, best first: {', '.join(here)} here; {', '.join(there)} in the paper, whose regime and unit "
-            f"are not stated: {same}."
+            f"are not stated: {same}.".replace(WITHOUT, "")
         )
