@@ -362,9 +362,7 @@ def convergence() -> Table:
         within = sum(ms is not None and ms <= CONVERGED_MS for ms in times)
         counts = (within, len(times) - within - times.count(None), times.count(None), len(silent))
         errors = (mean(path.format("stored"), digits=2)(runs) for path in EARLY_AND_LATE)
-        n = len(textures_of(runs))
-        name = method if n == len(textures_of(shown)) else f"{method}, {n} textures"
-        rows.append((name, *map(str, counts), *errors))
+        rows.append((method, *map(str, counts), *errors))
     if rows:
         once = list({(record["texture"], record["split"]): record for record in shown}.values())
         rows.append(("ceiling", *[""] * 4, *(mean(path.format("ceiling"), digits=2)(once) for path in EARLY_AND_LATE)))
