@@ -295,7 +295,8 @@ def test_a_trial_lasts_as_long_as_the_study_asks_and_goes_on_after_a_restart_wit
 ) -> None:
     """By the server's own clock, whatever the page says, from when the trial was shown first."""
     path = study_file(tmp_path, practice="0", min_seconds="3")
-    with joined(server_of(path), rate_hz=8000) as page:
+    server = server_of(path)
+    with joined(server, rate_hz=8000) as page:
         page.to_trial()
         begin = time.monotonic()
         page.stroke_until_it_sounds()
@@ -303,6 +304,8 @@ def test_a_trial_lasts_as_long_as_the_study_asks_and_goes_on_after_a_restart_wit
             page.say(do="side", side=side)
             while page.until("step")["step"]["side"] != side:  # a stroke is answered by a step too
                 pass
+        while len(server.store.switches(1, 1)) < 2:  # stored after the page is told, which may leave before
+            time.sleep(0.01)
         code, step_id = page.code, page.step["id"]
     with joined(server_of(path), code=code.lower()) as page:
         assert page.step["id"] == step_id
