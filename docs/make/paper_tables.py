@@ -458,7 +458,8 @@ def near() -> list[Record]:
     methods, splits = ({record[key] for record in more} for key in ("method", "split"))
     n_done = Counter(record["texture"] for record in more)
     shown = [r for r in (*runs_of("table-1-tuned"), *more) if r["method"] in methods]
-    return [record for record in shown if n_done[record["texture"]] == len(methods) * len(splits)]
+    done = [record for record in shown if n_done[record["texture"]] == len(methods) * len(splits)]
+    return done if len(textures_of(done)) >= 6 else []  # as a p needs
 
 
 def of_variants() -> list[Record]:
