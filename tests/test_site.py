@@ -510,8 +510,15 @@ def test_every_run_of_figure_5_is_in_a_cell(tables: ModuleType, runs: Runs) -> N
         "0.2000",
     )
     # Of 5 samples and MAE; of 20 samples and Huber loss, which both other seeds have here as 1.6 / 10.
-    assert "Best on validation: 5 samples and loss mae, with 0.1050 on test." in tables.grid_findings()
-    assert "has 0.3200; its 3 seeds range from 0.1600 to 0.3200." in tables.grid_findings()
+    found = tables.grid_findings().splitlines()
+    assert "Best on validation: 5 samples and loss mae, with 0.1050 on test." in found[0]
+    assert "has 0.3200; its 3 seeds range from 0.1600 to 0.3200." in found[0]
+    windows = np.array([5, 10, 15, 20, 25, 30]) / 1000
+    by_loss = {loss: np.mean((error + windows) / (losses["huber"] + windows)) for loss, error in losses.items()}
+    assert found[1].endswith(f": mae {by_loss['mae']:.3f} (18 of 18), mse {by_loss['mse']:.3f} (18 of 18).")
+    longer = np.mean([(error + windows[4]) / (error + windows[3]) for error in losses.values()])
+    assert f"25 samples {longer:.3f} (0 of 9), 30 samples" in found[2]
+    assert "no dropout 0.500 (3 of 3), seed 2 0.500 (3 of 3)" in found[3]
     runs["figure-5"].pop()
     assert tables.grid_findings() == ""
 

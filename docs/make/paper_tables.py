@@ -500,6 +500,11 @@ def cell_of(record: Record) -> dict[str, str]:
     return dict(item.rsplit(" ", 1) for item in record["method"].removeprefix(f"{record['model']} ").split(", "))
 
 
+def in_textures(records: Records) -> list[Record]:
+    """Runs in the order of their textures' names."""
+    return sorted(records, key=lambda record: record["texture"])
+
+
 def by_window() -> dict[tuple[int, str], list[Record]]:
     """Runs of the grid by window and loss; the Huber loss is that of 1.6."""
     cells: dict[tuple[int, str], list[Record]] = {}
@@ -546,21 +551,42 @@ def by_threshold() -> Table:
 
 
 def grid_findings() -> str:
-    """Sentences on the best cell of the finished grid by validation, beside the paper's and what its seeds alone change."""
+    """Sentences on the finished grid: its best cell by validation, windows and losses, and what one change of the recipe does."""
     if len(runs_of("figure-5")) < len(read_experiment(experiment_path("figure-5")).runs()):
         return ""
 
     def error(records: Records, path: str = ONE_STEP) -> float:
         return mean_of(records, path).value or 0.0
 
+    def ratios(of: Mapping[str, Records], to: Records) -> str:
+        """Ratios of errors to others of the same textures, in their order, and how many are below 1."""
+        texts = []
+        for name, records in of.items():
+            ratio = np.array([record[ONE_STEP] for record in records]) / [record[ONE_STEP] for record in to]
+            texts.append(f"{name} {ratio.mean():.3f} ({np.sum(ratio < 1)} of {ratio.size})")
+        return ", ".join(texts)
+
+    def joined(part: int, name: int | str) -> list[Record]:
+        return [record for cell in sorted(cells) if cell[part] == name for record in in_textures(cells[cell])]
+
     cells = by_window()
+    thresholds = {name: in_textures(records) for name, records in of_huber().items()}
+    changes = {name.removeprefix("1.6, "): records for name, records in thresholds.items() if name.startswith("1.6, ")}
     window, loss = best = min(cells, key=lambda cell: error(cells[cell], VALIDATION[0]))
-    seeds = [error(of) for name, of in of_huber().items() if name == "1.6" or "seed" in name]
-    return (
+    seeds = [error(of) for name, of in thresholds.items() if name == "1.6" or "seed" in name]
+    paper_window, paper_loss = PAPER_CELL
+    windows, losses = ({cell[part] for cell in cells} - {PAPER_CELL[part]} for part in (0, 1))
+    lines = (
         f"Best on validation: {window} samples and loss {loss}, with {error(cells[best]):.4f} on test. The paper's best, "
         f"{PAPER_CELL[0]} samples and loss {PAPER_CELL[1]} with δ = 1.6, has {error(cells[PAPER_CELL]):.4f}; "
-        f"its {len(seeds)} seeds range from {min(seeds):.4f} to {max(seeds):.4f}."
+        f"its {len(seeds)} seeds range from {min(seeds):.4f} to {max(seeds):.4f}.",
+        f"Error ÷ that of the loss {paper_loss} on the same textures with the same windows, and how many are below: "
+        f"{ratios({name: joined(1, name) for name in sorted(losses)}, joined(1, paper_loss))}.",
+        f"Error ÷ that of {paper_window} samples with the same losses: "
+        f"{ratios({f'{name} samples': joined(0, name) for name in sorted(windows)}, joined(0, paper_window))}.",
+        f"Error ÷ that of the paper's best with δ = 1.6: {ratios(changes, thresholds['1.6'])}.",
     )
+    return "\n".join(f"- {line}" for line in lines)
 
 
 def over_best(methods: Mapping[str, Mapping[Place, Record]], path: str) -> str:
