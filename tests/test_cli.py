@@ -368,7 +368,7 @@ def test_credit_goes_from_the_command_to_every_conversion(
 def test_render_says_what_became_of_samples_outside_the_range(
     texture: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """A range that begins at almost nothing fades below 2 mm/s all the same, where it said nothing of it."""
+    """A range that begins at almost nothing fades below 2 mm/s all the same; what follows a law fades only near rest."""
     texture_ = read_texture(texture)
     held, path = tmp_path / "held.foten", str(tmp_path / "o.csv")
     entries = {"trained_range": {"speed": [0.0026, 150.0], "force": [0.3, 1.5]}}
@@ -385,6 +385,15 @@ def test_render_says_what_became_of_samples_outside_the_range(
         constants = ["--speed", speed, "--force", "1", "--seconds", "0.2"]
         assert _status(["render", str(held), *constants, "-o", path]) == 0
         assert capsys.readouterr().out.splitlines()[2:] == [messages]
+    assert _status(["info", str(held)]) == 0
+    assert "renderings fade below 2 mm/s or 0.3 N" in capsys.readouterr().out
+    card = {**texture_.card, **entries, "extrapolation_exponents": {"speed": 0.0, "force": 0.5}}
+    write_texture(dataclasses.replace(texture_, card=card), held)
+    assert _status(["render", str(held), "--speed", "100", "--force", "0.2", "--seconds", "0.2", "-o", path]) == 0
+    assert capsys.readouterr().out.splitlines()[2:] == [
+        "speed was below 2 mm/s or force below 0.3 N for 100.0 % of the time; the level falls there, and fades "
+        "below 2 mm/s or 0.1 N, to silence at rest"
+    ]
 
 
 TRAIN = ("train", "{rec}", "-o", "{out}.foten", *FAST)

@@ -8,6 +8,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
+from PIL import Image
 
 from foten.cli.command_line import _status
 from foten.console import preload
@@ -110,11 +111,15 @@ def test_a_pipe_is_no_file(tmp_path: Path) -> None:
 
 
 def test_a_missing_library_is_named(recording: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys) -> None:
-    (tmp_path / "empty").mkdir()
-    (tmp_path / "empty" / "h5py.py").write_text("raise ModuleNotFoundError('no h5py', name='h5py')")
-    monkeypatch.syspath_prepend(tmp_path / "empty")
+    Image.new("L", (64, 64)).save(tmp_path / "map.png")
+    for name in ("h5py", "PIL"):
+        (tmp_path / f"{name}.py").write_text(f"raise ModuleNotFoundError('no {name}', name='{name}')")
+        monkeypatch.delitem(sys.modules, name)
+    monkeypatch.syspath_prepend(tmp_path)
     assert _status(["inspect", str(recording)]) == 2
-    assert "this needs h5py, which is not installed" in capsys.readouterr().err
+    assert "this needs h5py, which is not installed: pip install 'foten[data]'" in capsys.readouterr().err
+    assert _status(["imagine", str(tmp_path / "map.png"), "--scale", "0.05", "--photo"]) == 2
+    assert "this needs PIL, which is not installed: pip install 'foten[data]'" in capsys.readouterr().err
 
 
 def test_libraries_are_imported_beside_the_reading_of_files_that_exist(

@@ -188,7 +188,7 @@ typedef struct {
     uint64_t n;                                /* samples rendered at the texture's own rate */
     uint64_t n_speed_beyond, n_force_beyond;   /* of those: above the trained range */
     uint64_t n_speed_clamped, n_force_clamped; /* of these: above where the level grows no more */
-    uint64_t n_below;                          /* of n: below 5 mm/s, 0.1 N or the trained range: fading */
+    uint64_t n_below;                          /* of n: below 2 mm/s, 0.1 N or the trained range */
     uint64_t n_saturated;                      /* cut by the saturator */
     uint64_t n_refused;                        /* conditions that were negative or not finite */
     uint64_t n_limited;                        /* output samples in the range where the actuator's limit acts */

@@ -51,7 +51,7 @@ app = typer.Typer(
 )
 
 
-_EXTRAS = dict.fromkeys(("scipy", "h5py", "matplotlib", "openpyxl", "nptdms", "pymatreader"), "data")
+_EXTRAS = dict.fromkeys(("scipy", "h5py", "matplotlib", "openpyxl", "nptdms", "pymatreader", "PIL"), "data")
 _EXTRAS |= dict.fromkeys(("starlette", "uvicorn", "websockets", "segno", "cryptography"), "serve")
 _EXTRAS |= dict.fromkeys(("statsmodels", "pandas"), "study")
 _EXTRAS |= {"sentence_transformers": "words", "torch": "train", "ray": "sweep", "onnx": "onnx", "onnxruntime": "onnx"}

@@ -65,7 +65,6 @@ def evaluate(
 
 def info(texture_file: TextureFile, as_json: JsonOption = False) -> None:
     """Show what a texture file holds, and check it by replaying its golden windows (stored predictions)."""
-    from foten.models.conditions import FADE_FORCE, FADE_SPEED
     from foten.models.registry import GRAPH
     from foten.models.texture_file import read_texture
     from foten.runtime.native import NativeTexture
@@ -90,7 +89,7 @@ def info(texture_file: TextureFile, as_json: JsonOption = False) -> None:
         **_takes(card),
         "cost": f"{cost:,} multiply-adds per rendered sample",
         "rate": f"{texture.rate_hz:g} Hz",
-        "trained range": f"{texture.trained_range_in_words()}; renderings fade below {FADE_SPEED:g} mm/s and {FADE_FORCE:g} N",
+        "trained range": f"{texture.trained_range_in_words()}; renderings fade {texture.fading_in_words()}",
         "above range": texture.extrapolation_in_words(),
         "acceleration": f"{texture.scaling.sd[0]:.4g} {unit} standard deviation",
         "delay": f"{card['delay_ms']:.1f} ms, from the {card['lowpass_hz']:g} Hz low-pass of speed and force",

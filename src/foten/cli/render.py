@@ -460,4 +460,6 @@ def _outside_range(counts: dict[str, int], texture: Texture) -> Iterator[str]:
         slow = max(texture.trained_range("speed")[0], FADE_SPEED)
         light = max(texture.trained_range("force")[0], FADE_FORCE)
         below = f"speed was below {slow:.4g} mm/s or force below {light:.3g} N for {of_time} of the time"
-        yield f"{below}; the vibration fades there, to silence at rest"
+        held = (texture.fades_below("speed"), texture.fades_below("force")) == (slow, light)
+        fades = "the vibration fades there" if held else f"the level falls there, and fades {texture.fading_in_words()}"
+        yield f"{below}; {fades}, to silence at rest"

@@ -76,9 +76,8 @@ def render(
     warm_start = texture.tensors["warm_start"].astype(np.float64)
     stream = model.start(np.repeat(warm_start[None], n_streams, axis=0))
     random = excitation and texture.has_excitation
-    rest = np.array([FADE_SPEED, FADE_FORCE])
-    low = np.maximum(low, rest)
-    fades = np.where(exponents > 0, rest, low)
+    low = np.maximum(low, [FADE_SPEED, FADE_FORCE])
+    fades = np.array([texture.fades_below(channel) for channel in ("speed", "force")])
     fade = np.minimum(physical / fades, 1.0).prod(axis=1)
 
     def noise(first: int, n: int) -> Array:

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from foten.atomic_write import atomic_write
-from foten.models.conditions import REACH_FORCE, REACH_SPEED
+from foten.models.conditions import FADE_FORCE, FADE_SPEED, REACH_FORCE, REACH_SPEED
 from foten.models.model_sizes import ModelSizes, shortened
 from foten.models.registry import GRAPH, MODELS, sizes_of
 from foten.recording.preprocess import PreprocessConfig
@@ -128,6 +128,15 @@ class Texture:
     def extrapolation_exponent(self, channel: str) -> float:
         """The power of `speed` or `force` that the level grows with above its trained range."""
         return float(self.card["extrapolation_exponents"][channel])
+
+    def fades_below(self, channel: str) -> float:
+        """Speed [mm/s] or force [N] below which a rendering fades: near rest, or below the trained range if the level is held."""
+        rest = {"speed": FADE_SPEED, "force": FADE_FORCE}[channel]
+        return rest if self.extrapolation_exponent(channel) > 0 else max(rest, self.trained_range(channel)[0])
+
+    def fading_in_words(self) -> str:
+        """Where a rendering fades: "below 2 mm/s or 0.1 N"."""
+        return f"below {self.fades_below('speed'):.4g} mm/s or {self.fades_below('force'):.3g} N"
 
     def extrapolation_in_words(self) -> str:
         """Sentence on the level outside the trained range: where it follows a law, and where and why it is held above."""
