@@ -14,13 +14,15 @@ from foten.evaluate.evaluate import Judgement, evaluate
 from foten.evaluate.free_run import synthesize_linear
 from foten.evaluate.one_step import ORDERS, Linear, excitation_scores
 from foten.models.conditions import MOVING_FORCE, MOVING_SPEED
-from foten.models.texture_file import Texture
+from foten.models.texture_file import Texture, read_texture
 from foten.recording.preprocess import PreprocessConfig, preprocess
 from foten.recording.recording import Channel, Recording
 from foten.recording.split import Split
 from foten.recording.trace import Trace
 from foten.recording.windows import targets
 from foten.runtime.native import NativeTexture
+from foten.runtime.renderer import EXAMPLE
+from foten.simulation.simulate import simulate
 
 PREPROCESS = PreprocessConfig(trim_ms=0, block_ms=1000)
 N_BLOCKS, BLOCK, FIRST = 16, 1000, 320
@@ -137,6 +139,22 @@ def test_the_best_ar_is_chosen_on_the_validation_blocks(judged: Judgement, trace
     assert (best["order"], best["scheduled"]) == chosen
     assert best["mae_scaled"] == pytest.approx(error(trace, SPLIT.test, kinds[chosen]), rel=1e-6)
     assert best["mae_scaled"] > 1.1 * error(trace, SPLIT.test, kinds[tempting])
+
+
+def test_no_recorded_window_is_scored_as_a_free_run() -> None:
+    """It is longer than a fifth of a short block, which scored the recording itself."""
+    texture = read_texture(EXAMPLE.with_name("towel.foten"))
+    judged = evaluate(texture, simulate("towel", 3.0, seed=1), trim_ms=0, block_ms=200)
+    assert texture.window > round(0.2 * judged.trace.block)
+    recorded = judged.trace.picked(judged.blocks)[0][:, judged.scored]
+    assert recorded.shape[1] == judged.trace.block - texture.window
+    assert not (judged.synthesized["free_run"][..., judged.scored] == recorded).any()
+    missed = np.abs(judged.synthesized["free_run"][..., judged.scored] - recorded).mean()
+    figures = judged.document["free_run"]
+    assert figures["mae_scaled"] == pytest.approx(missed / texture.scaling.sd[0])
+    shorter = evaluate(texture, simulate("towel", 3.0, seed=1), trim_ms=0, block_ms=100)
+    assert shorter.document["free_run"]["lsd_db"] is None
+    assert "too short for a spectrum, which takes 64 samples after the first" in shorter.document["reasons"]["free_run"]
 
 
 def test_the_excitation_is_scored_where_the_tool_moves_and_touches(recording: Recording, texture: Texture) -> None:

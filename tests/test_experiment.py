@@ -300,7 +300,7 @@ def test_what_a_file_names_is_measured(
 ) -> None:
     """The listener by the evaluation, the others beside it."""
     recording = simulate("linear-hum", 4)
-    judgement = Judgement({"recording_sha256": ""}, None, (), {}, {})  # type: ignore[arg-type]
+    judgement = Judgement({"recording_sha256": ""}, None, (), slice(None), {}, {})  # type: ignore[arg-type]
     called: list[str] = []
     monkeypatch.setattr(
         "foten.experiments.run.reference_for", lambda *_, listener: called.extend(["listener"] * listener)

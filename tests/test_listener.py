@@ -268,6 +268,8 @@ def test_a_recording_needs_enough_for_a_listener_and_twice_that_for_a_control(mo
     blocks = stroke(hiss(1), 30)
     with pytest.raises(ValueError, match="38 s to listen to, expected at least 40"):
         listener_scores(long_stroke(blocks, range(19)), lambda seed: hiss(seed))
+    with pytest.raises(ValueError, match="pieces of 480 ms to listen to, expected at least 496 ms"):
+        listener_scores(Trace(hiss(1), *hand(), RATE_HZ, round(0.48 * RATE_HZ)), lambda seed: hiss(seed))
     alone = listener_scores(blocks, lambda seed: hiss(20 + seed))
     assert alone["listener_auc_control"] is None
     monkeypatch.setattr("foten.evaluate.listener.MIN_LISTENED_S", 30.0)

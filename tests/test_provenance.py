@@ -250,6 +250,8 @@ def test_runs_of_two_models_have_different_digests_and_are_alike(folder: Path) -
     both = [*again, *({**one, "code": "3"} for one in again[2:])]
     assert mixture(both) == "runs of other code than most of their model: fnn 2 of 6, foten 1 of 2"
     assert mixture(both[::-1]) == "runs of other code than most of their model: foten 1 of 2, fnn 2 of 6"
+    with pytest.raises(ValueError, match=r"FNN .* on .*, split 1, is there of two recordings"):
+        joined([again, [{**again[0], "recording_sha256": "of a new simulator"}]])
     unknown = [{**record, "code": "", "platform": ""} for record in again]
     assert len(joined([unknown])) == 5
     with pytest.raises(ValueError, match="differ in code"):

@@ -507,6 +507,10 @@ def test_the_verdict_reads_the_free_run(judged):
     assert level.sentence.startswith("Level: 0.3 dB too low")
     assert {spectrum.tone, level.tone, dynamics.tone} == {"good"}
     assert any("saturator cut 3 samples" in note for note in cautions(document))
+    document["free_run"]["level_bias_db"] = None
+    document["reasons"]["free_run.level_bias_db"] = "what is scored holds no frame"
+    assert verdict(document)[2].sentence == "Level: not measured (what is scored holds no frame)."
+    assert headline(replace(judged, document=document)) == "Not judged: what is scored holds no frame."
     document["free_run_ar"]["lsd_db"] = 2.0  # a baseline is closer: never a full mark
     assert verdict(document)[1].tone == "even"
     document["ceiling"]["level_corr"] = -0.2  # says nothing of this hand

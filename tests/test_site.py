@@ -504,6 +504,28 @@ def test_table_2_has_the_network_of_table_1_on_the_textures_that_all_variants_ha
     assert any("TEN + MFCC, FoTEN-D, FoTEN" in line for line in tables.findings(silent))  # the same names
 
 
+def test_a_run_that_is_added_replaces_the_one_in_its_place(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """Of another recording too, as after a change of the simulator: both were kept, as two splits."""
+    tables, written = made_by("tables"), dict[str, list[dict[str, Any]]]()
+    title = read_experiment(experiment_path("table-1")).title
+    old = [run(name, "towel", 0.3, experiment=title, recipe="") for name in ("FNN [13]", "FoTEN")]
+    new = run("FoTEN", "towel", 0.2, experiment=title, recipe="") | {"recording_sha256": "other"}
+    monkeypatch.setattr(tables, "brief", lambda records: records)
+    monkeypatch.setattr(tables, "read_records", lambda folder: [new])
+    monkeypatch.setattr(tables, "runs_of", lambda name: old if name == "table-1" else [])
+
+    class Written:
+        def write(self, path: Path) -> None:
+            assert path.name == "paper.csv"
+
+    monkeypatch.setattr(tables, "runs_table", lambda records, digits: written.update(rows=records) or Written())
+    tables.add(tmp_path, None)
+    assert [(one["method"], one["one_step.mae_scaled"]) for one in written["rows"]] == [
+        ("FNN [13]", 0.3),
+        ("FoTEN", 0.2),
+    ]
+
+
 def test_every_run_of_figure_5_is_in_a_cell(tables: ModuleType, runs: Runs) -> None:
     """Errors of a grid by window, loss and threshold, each where it belongs."""
     planned = read_experiment(experiment_path("figure-5")).runs()

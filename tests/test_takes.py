@@ -13,6 +13,7 @@ import pytest
 
 from foten.cli.command_line import _status
 from foten.datasets.hdf5 import load_recording, load_takes, write_recording
+from foten.models.foten_plus.sizes import FotenPlusSizes
 from foten.models.piecewise_ar.fit import _pieces
 from foten.models.texture_file import read_texture
 from foten.recording.inspection import inspect_recording
@@ -20,7 +21,7 @@ from foten.recording.preprocess import PreprocessConfig, fitting_cut, preprocess
 from foten.recording.recording import Channel, Recording, joined_takes
 from foten.recording.split import Split
 from foten.simulation.simulate import simulate
-from foten.training.job import scaled_blocks
+from foten.training.job import scaled_blocks, shortest_block
 
 CONFIG = PreprocessConfig(trim_ms=0.0, block_ms=500.0)
 
@@ -125,6 +126,16 @@ def test_one_take_of_no_use_is_left_out_and_spoils_no_other(takes: Recording) ->
     assert inspect_recording(joined_takes(short)).verdict.startswith("record again: 2 takes hold 2 blocks")
 
 
+def test_blocks_hold_the_windows_of_the_model() -> None:
+    """A training refuses what is shorter: recordings of 4.3 s were cut into blocks of 100 ms, and refused."""
+    rate_hz, short = PreprocessConfig().rate_hz, take(1, 4.3)
+    needed = 1000 * shortest_block(FotenPlusSizes().window) / rate_hz
+    assert fitting_cut(short)[1] >= needed
+    assert fitting_cut(short, 100.0) == (0.0, 100.0)
+    assert fitting_cut(take(1, 20.0), 1360.0) == (0.0, 2000.0)  # as the GAN's windows need
+    assert fitting_cut(take(1, 20.0), 3000.0) == (0.0, 2000.0)  # which is refused, for the longest is too short
+
+
 def test_a_tap_beside_strokes_does_not_cut_their_blocks_short(takes: Recording) -> None:
     tap = joined_takes([take(6, 20.0), take(7, 20.0), take(8, 1.0)])
     assert fitting_cut(tap) == fitting_cut(joined_takes(tap.takes[:2])) == (0.0, 1000.0)
@@ -141,7 +152,7 @@ def test_a_tap_beside_strokes_does_not_cut_their_blocks_short(takes: Recording) 
         (20.0, 4, (0.0, 2000.0)),
         (8.0, 4, (0.0, 1000.0)),
         (5.0, 6, (0.0, 500.0)),
-        (0.5, 60, (0.0, 100.0)),
+        (0.5, 60, (0.0, 200.0)),  # the shortest that holds five windows
     ],
 )
 def test_blocks_fit_the_recording_and_its_takes(seconds: float, n: int, fits: tuple[float, float]) -> None:

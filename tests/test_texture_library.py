@@ -178,6 +178,10 @@ def test_few_textures_are_moved_and_that_is_called_a_guess(tmp_path: Path, capsy
         for text in ("rough gritty stone", "smooth silky satin")
     )
     assert rough.level_db > smooth.level_db + 1
+    capsys.readouterr()
+    assert _status(["imagine", "rough woven linen", "-o", str(tmp_path / "fast.foten"), "--rate", "2500"]) == 2
+    assert "is of 1000 Hz: leave out the rate of 2500 Hz" in capsys.readouterr().err
+    assert not (tmp_path / "fast.foten").exists()
 
 
 @pytest.mark.parametrize(

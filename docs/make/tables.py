@@ -60,7 +60,7 @@ from csv_records import (
 from foten.atomic_write import atomic_write
 from foten.experiments.experiment import experiment_path, read_experiment
 from foten.experiments.method_tables import brief, ratios
-from foten.experiments.results import Record, Records, chosen, joined, read_records, runs_table
+from foten.experiments.results import Record, Records, chosen, read_records, runs_table
 from foten.reporting.table import Number, Table, mean_number
 from foten.simulation import contact_mechanics, linear_family, simulate
 
@@ -652,7 +652,9 @@ def add(folder: Path, recordings: Path | None) -> None:
     file = FULL_LENGTH[name]
     parts = {other: runs_of(other) for other in FULL_LENGTH if FULL_LENGTH[other] == file}
     places = [run.place for run in read_experiment(experiment_path(name), recordings).runs()]
-    parts[name] = sorted(joined([records, parts[name]], mixed=True), key=lambda one: places.index(place_of(one)))
+    done = {*map(place_of, records)}
+    kept = [record for record in parts[name] if place_of(record) not in done]
+    parts[name] = sorted([*records, *kept], key=lambda one: places.index(place_of(one)))
     runs_table([record for part in parts.values() for record in part], 4).write(RESULTS / f"{file}.csv")
 
 

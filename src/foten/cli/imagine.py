@@ -80,11 +80,11 @@ def imagine(
         _from_picture(picture, output, scale, depth, tiles, of_pictures, seed, photo, as_json)
         return
     refuse("is for pictures, and words are given", **of_pictures, photo=photo or None, tiles=None if tiles else False)
-    _from_words(source, output, library, encoder, rate or 1000.0, as_json)
+    _from_words(source, output, library, encoder, rate, as_json)
 
 
 def _from_words(
-    text: str, output: Path | None, folder: Path | None, encoder: str | None, rate_hz: float, as_json: bool
+    text: str, output: Path | None, folder: Path | None, encoder: str | None, rate_hz: float | None, as_json: bool
 ) -> None:
     from foten.editing import imagine as words
     from foten.editing.describe import describe

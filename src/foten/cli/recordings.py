@@ -182,6 +182,8 @@ def import_(
     from foten.recording.recording import joined_takes
 
     _check_recording(output)
+    if any(file.resolve() == output.resolve() for file in (*files, *([pen] if pen else []))):
+        raise ValueError(f"-o {output} is a file to import, which it would replace: give another name")
     rate_hz, rates_hz = parse_rates(rate or [])
     pairs, units_of = parse_pairs(mapping or [], "--map"), dict(parse_pairs(units or [], "--unit"))
     along = None if normal is None else parse_normal(normal)

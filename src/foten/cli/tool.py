@@ -47,7 +47,7 @@ def measure(
     check_files([output])
     loaded, traces = [load_recording(path) for path in recordings], []
     for recording in loaded:
-        _, block_ms = fitting_cut(recording)
+        _, block_ms = fitting_cut(recording, 0.0)
         traces.append(preprocess(recording, PreprocessConfig(rate_hz=rate, trim_ms=0.0, block_ms=block_ms)))
     names = [recording.tool or path.stem for recording, path in zip(loaded[:2], recordings[:2], strict=True)]
     transfer = fitted_transfer(traces[::2], traces[1::2], (names[0], names[1]))

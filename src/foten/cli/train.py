@@ -180,18 +180,19 @@ class TrainOptions:
         """Training job of a recording."""
         from foten.baselines.sizes import trainable_sizes
         from foten.recording.preprocess import PreprocessConfig, fitting_cut
-        from foten.training.job import TrainingJob
+        from foten.training.job import TrainingJob, shortest_block
 
+        sizes = _not_none(window=self.window) | _settings(self.settings or [])
+        sizes |= {"excitation": True} if self.excitation else {}
+        trained_sizes = trainable_sizes(self.model, sizes)
         trim_ms, block_ms = self.trim, self.block
         if self.recipe != "paper":
-            fitting = fitting_cut(recording)
+            rate_hz = self.rate or PreprocessConfig().rate_hz
+            fitting = fitting_cut(recording, 1000 * shortest_block(trained_sizes.window) / rate_hz)
             trim_ms = fitting[0] if trim_ms is None else trim_ms
             block_ms = fitting[1] if block_ms is None else block_ms
         cut = _not_none(rate_hz=self.rate, trim_ms=trim_ms, block_ms=block_ms) | FILTERS[self.recipe]
         preprocess = PreprocessConfig(zero_phase=self.zero_phase, force_units=self.force_units, **cut)
-        sizes = _not_none(window=self.window) | _settings(self.settings or [])
-        sizes |= {"excitation": True} if self.excitation else {}
-        trained_sizes = trainable_sizes(self.model, sizes)
         if "excitation_width" in sizes and not trained_sizes.excited:
             none = "excitation_width is for an excitation, and there is none"
             raise ValueError(f"{none}: leave it out, or add --excitation")

@@ -28,6 +28,7 @@ MIN_TEXTURES = 15  # of a library, below which words only move sliders
 LENGTHS = (0.0, 0.5, 0.8, 1.2, 2.0)  # of the Gaussian process, in distances of unit vectors; 0 for the linear kernel
 NOISES = (0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 1e6)  # λ, re the kernel's own variance; the last is the mean of all
 LAW = (0.95, 0.33)  # powers of speed and force where a library does not say
+DEFAULT_RATE_HZ = 1000.0
 SLIDERS = {
     "level_db": (4.0, "rough coarse bumpy jagged gritty", "smooth soft silky slick fine"),
     "brighter": (0.5, "fine sharp hard metal glass", "coarse soft thick fluffy bumpy"),
@@ -131,19 +132,26 @@ class Imagined:
     guessed: bool
 
 
-def imagine(text: str, library: Library, encoder: Encoder, rate_hz: float, base: Sequence[Texture] = ()) -> Imagined:
+def imagine(
+    text: str, library: Library, encoder: Encoder, rate_hz: float | None = None, base: Sequence[Texture] = ()
+) -> Imagined:
     """A texture of a text.
 
     Args:
-        rate_hz: of the texture.
+        rate_hz: of the texture, 1000 by default; of a small library, that of the texture that is moved.
         base: textures that words choose from and move where the library is small.
 
     Raises:
-        ValueError: no word is known, or there is nothing to choose from.
+        ValueError: no word is known, there is nothing to choose from, or what is chosen has another rate.
     """
     vector = encoder.encode(text)
     if len(library.entries) < MIN_TEXTURES:
-        return _guessed(text, library, encoder, base)
+        made = _guessed(text, library, encoder, base)
+        if rate_hz not in (None, made.texture.rate_hz):
+            few = f"{made.nearest[0]}, which is adjusted as {len(library.entries)} textures are too few to learn from"
+            raise ValueError(f"{few}, is of {made.texture.rate_hz:g} Hz: leave out the rate of {rate_hz:g} Hz")
+        return made
+    rate_hz = rate_hz or DEFAULT_RATE_HZ
     fitted = fit(library.entries, encoder)
     expected, left = fitted.regression.at(vector)
     bands, powers = expected[: len(BANDS_HZ)], np.clip(expected[len(BANDS_HZ) :], 0.0, 1.5)

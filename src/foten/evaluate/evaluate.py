@@ -29,9 +29,10 @@ FREE_RUN_KEYS = (
     *("lsd_db", "lsd_long_db", "gfc_raw", "gfc_welch", "level_bias_db", "level_error_db", "level_corr"),
     *("kurtosis", "max_sd"),
 )
+MIN_SCORED = 64  # samples of a block, of free runs
 ANCHOR_ORDER = 20  # of the linear predictor that every model is held against
 _WHY_UNKNOWN = {
-    "level_bias_db": "blocks hold no frame of 40 ms after their first fifth",
+    "level_bias_db": "what is scored of a block holds no frame of 40 ms",
     "level_corr": "the level does not vary",
     "modulation_db": "less than 1 s of a block is scored",
 }
@@ -55,6 +56,7 @@ class Judgement:
     document: dict[str, Any]  # figures, plain JSON values; None where unknown, with the reason under `reasons`
     trace: Trace  # the preprocessed recording
     blocks: tuple[int, ...]  # that were scored
+    scored: slice  # samples of each of them, of free runs
     synthesized: Mapping[str, Array]  # free runs [m/s²] by name, each (n_seeds, n_blocks, block)
     from_warm_start: Mapping[str, Array]  # the same of whole blocks, by what they start from (`evaluate.warm_start`)
 
@@ -154,7 +156,7 @@ def evaluate(
         "recording_sha256": trace.recording_sha256,
         "validation": {name: texture.card["metrics"].get(f"validation_{name}") for name in validation},
     }
-    return Judgement(document, trace, blocks, synthesized, from_warm_start)
+    return Judgement(document, trace, blocks, case.scored, synthesized, from_warm_start)
 
 
 @dataclass(frozen=True)
@@ -169,6 +171,11 @@ class _Case:
     simulated: SimulatorReference
     seed: int
     reasons: dict[str, str] = field(default_factory=dict)
+
+    @property
+    def scored(self) -> slice:
+        """Samples of a block that free runs are scored on: none of a recorded window that one of them starts from."""
+        return runs.scored(self.trace.block, max(self.texture.window, ANCHOR_ORDER))
 
 
 def _warm_start(case: _Case, linear: Linear | None, ceiling: Array | None) -> tuple[dict[str, Any], dict[str, Array]]:
@@ -250,8 +257,9 @@ def _free_run(case: _Case, linear: Linear | None) -> tuple[dict[str, Any], dict[
     texture, trace, blocks, reasons = case.texture, case.trace, case.blocks, case.reasons
     scores: dict[str, Any] = {name: dict.fromkeys(FREE_RUN_KEYS) for name in RUNS}
     recorded, *_ = trace.picked(blocks)
-    if recorded[:, runs.scored(trace.block)].shape[1] < 64:
-        reasons["free_run"] = f"blocks of {trace.block} samples are too short for a spectrum"
+    if recorded[:, case.scored].shape[1] < MIN_SCORED:
+        needed = f"{MIN_SCORED} samples after the first {case.scored.start}"
+        reasons["free_run"] = f"blocks of {trace.block} samples are too short for a spectrum, which takes {needed}"
         return scores, {}
     signals: dict[str, Array] = {}
     saturated: dict[str, int] = {}
@@ -275,7 +283,9 @@ def _free_run(case: _Case, linear: Linear | None) -> tuple[dict[str, Any], dict[
         reasons["ceiling"] = "a foreign recording has no training blocks"
     for name, signal in signals.items():
         n_history = {"ceiling": 0, "free_run_ar": ANCHOR_ORDER}.get(name, texture.window)
-        scores[name] = runs.free_run(recorded, signal, trace.rate_hz, texture.scaling.sd[0], n_history)
+        scores[name] = runs.free_run(
+            recorded, signal, trace.rate_hz, texture.scaling.sd[0], n_history, case.scored.start
+        )
         reasons.update({f"{name}.{key}": why for key, why in _WHY_UNKNOWN.items() if scores[name][key] is None})
         if name in saturated:
             scores[name]["n_saturated"] = saturated[name]

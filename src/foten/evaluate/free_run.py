@@ -24,9 +24,9 @@ N_SEEDS = 5
 SETTLING = 0.2  # of each block, not scored
 
 
-def scored(block: int) -> slice:
-    """Scored part of a block: all but the first fifth, in which the loop settles."""
-    return slice(round(SETTLING * block), None)
+def scored(block: int, window: int = 0) -> slice:
+    """Scored part of a block: all but the first fifth, in which the loop settles, and the recorded window that it starts from."""
+    return slice(max(round(SETTLING * block), window), None)
 
 
 def synthesize(
@@ -86,14 +86,17 @@ def nearest_training_blocks(trace: Trace, blocks: tuple[int, ...], train: tuple[
     return acceleration[distance.argmin(axis=1)][None]
 
 
-def free_run(recorded: Array, synthesized: Array, rate_hz: float, sd: float, n_history: int = 0) -> dict[str, Any]:
+def free_run(
+    recorded: Array, synthesized: Array, rate_hz: float, sd: float, n_history: int = 0, window: int = 0
+) -> dict[str, Any]:
     """Free-run figures of synthesized blocks beside recorded ones.
 
     Args:
-        recorded: [m/s²], shape (n_blocks, block), whole blocks; the first fifth of each is not scored.
+        recorded: [m/s²], shape (n_blocks, block), whole blocks, of which the part of `scored` counts.
         synthesized: [m/s²], shape (n_seeds, n_blocks, block).
         sd: training standard deviation of the acceleration [m/s²].
         n_history: samples at the start of each synthesized block that are the recorded window it started from.
+        window: the longest of these of all runs that are compared.
 
     Returns:
         `lsd_db`: log-spectral distance, mean over blocks and seeds, `lsd_long_db` on spectra pooled over all of them;
@@ -104,7 +107,7 @@ def free_run(recorded: Array, synthesized: Array, rate_hz: float, sd: float, n_h
         frequency; `mae_scaled`: of the waveform, in `sd`, and that of silence, `mae_scaled_silence`; `band_correlation_error`:
         RMS difference of the correlations between the envelopes of bands; `intervals`.
     """
-    n_segment, part = segment_length(recorded.shape[-1]), scored(recorded.shape[-1])
+    n_segment, part = segment_length(recorded.shape[-1]), scored(recorded.shape[-1], window)
     worst = np.abs(synthesized[:, :, n_history:]).max(axis=(0, 2)) / sd
     recorded, synthesized = recorded[..., part], synthesized[..., part]
     frequencies, p = welch(recorded, rate_hz, n_segment)

@@ -75,10 +75,13 @@ def listener_scores(
         `listener_control_of`; `listener_s`.
 
     Raises:
-        ValueError: the recording is too short.
+        ValueError: the recording is too short, or a piece of it.
     """
-    from foten.evaluate.listener_network import listener_auc
+    from foten.evaluate.listener_network import EXCERPT, listener_auc
 
+    excerpt_ms, piece_ms = EXCERPT * BAND_FRAME_MS, 1000 * recorded.block / recorded.rate_hz
+    if piece_ms < excerpt_ms:
+        raise ValueError(f"pieces of {piece_ms:g} ms to listen to, expected at least {excerpt_ms:g} ms")
     seconds = len(recorded) / recorded.rate_hz
     if seconds < MIN_LISTENED_S:
         raise ValueError(f"{seconds:.0f} s to listen to, expected at least {MIN_LISTENED_S:g}")

@@ -201,15 +201,18 @@ def joined(parts: Sequence[Records], mixed: bool = False) -> list[dict[str, Any]
         mixed: allow runs of different code or platform.
 
     Raises:
-        ValueError: they are of several experiments, or of different code or platform.
+        ValueError: they are of several experiments, of different code or platform, or of two recordings in one place.
     """
     titles = list(dict.fromkeys(record["experiment"] for part in parts for record in part))
     if len(titles) > 1:
         raise ValueError(f"results of {' and of '.join(map(repr, titles))}, expected those of one experiment")
-    names = ("method", "recipe", "texture", "split", "recording_sha256")
+    names = ("method", "recipe", "texture", "split")
     runs: dict[tuple[Any, ...], dict[str, Any]] = {}
     for record in itertools.chain.from_iterable(parts):
-        runs.setdefault(tuple(record[name] for name in names), dict(record))
+        first = runs.setdefault(tuple(record[name] for name in names), dict(record))
+        if first["recording_sha256"] != record["recording_sha256"]:
+            what = f"{record['method']} on {record['texture']}, split {record['split']:g}"
+            raise ValueError(f"{what}, is there of two recordings, as after a change of the simulator: leave one out")
     records = list(runs.values())
     if not mixed:
         check_alike(records)

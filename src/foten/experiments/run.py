@@ -13,7 +13,6 @@ from foten.baselines.sizes import trainable_sizes
 from foten.dsp import Array
 from foten.dsp.distance import scored_bins, segment_length, welch
 from foten.evaluate.evaluate import Judgement, evaluate
-from foten.evaluate.free_run import scored
 from foten.evaluate.report.signals import shown_run, typical_block
 from foten.evaluate.warm_start import SHOWN_MS, over_time
 from foten.experiments.experiment import MEASURES, OF_FIRST_SPLIT, Run
@@ -80,15 +79,15 @@ def _measures(names: Sequence[str], texture: Texture, recording: Recording) -> d
 
 
 def _signals(judgement: Judgement) -> dict[str, Any] | None:
-    """From the warm start: 400 ms of a typical test block, error and level over time; spectra after the first fifth of blocks."""
+    """From the warm start: 400 ms of a typical test block, error and level over time; spectra of what is scored."""
     if shown_run(judgement) is None:
         return None
     trace, block, runs = judgement.trace, typical_block(judgement), judgement.from_warm_start["stored"]
     recorded, *_ = trace.picked(judgement.blocks)
     errors, levels_db = over_time(recorded, runs, trace.rate_hz)
-    n_shown, n_segment, part = round(SHOWN_MS * trace.rate_hz / 1000), segment_length(trace.block), scored(trace.block)
-    frequencies, density = welch(recorded[..., part], trace.rate_hz, n_segment)
-    _, of_run = welch(runs[..., part], trace.rate_hz, n_segment)
+    n_shown, n_segment = round(SHOWN_MS * trace.rate_hz / 1000), segment_length(trace.block)
+    frequencies, density = welch(recorded[..., judgement.scored], trace.rate_hz, n_segment)
+    _, of_run = welch(runs[..., judgement.scored], trace.rate_hz, n_segment)
     bins = scored_bins(frequencies, trace.rate_hz)
     return {
         "recorded": _rounded(recorded[block, :n_shown]),

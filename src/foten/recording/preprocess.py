@@ -19,6 +19,7 @@ from foten.recording.trace import CHANNELS, Trace
 
 MAX_HIGHPASS_ORDER = 20
 SHORT_BLOCKS_MS = (2000.0, 1000.0, 500.0, 200.0, 100.0)  # of a recording too short for the defaults
+SHORTEST_MS = 200.0  # block that holds enough windows of foten-plus at 1 kHz
 BLOCKS_OF_TAKE = 6  # of the shortest take: what is left over at its end is a twelfth of it on the mean
 ENOUGH_BLOCKS = 9  # of a split: two validate and two test
 JUDGED_BLOCKS = 23  # of a split: five test, from which intervals are drawn
@@ -103,12 +104,20 @@ def fitting_options(seconds: float, rate_hz: float, captured_hz: float | None = 
     return f"{named}--trim {trim_ms:g} --block {blocks_ms[0]:g}"
 
 
-def fitting_cut(recording: Recording) -> tuple[float, float]:
+def blocks_of(shortest_ms: float) -> tuple[float, ...]:
+    """Blocks for short recordings of at least some length, longest first [ms]; the longest of all where none is as long."""
+    return tuple(block_ms for block_ms in SHORT_BLOCKS_MS if block_ms >= shortest_ms) or SHORT_BLOCKS_MS[:1]
+
+
+def fitting_cut(recording: Recording, shortest_ms: float = SHORTEST_MS) -> tuple[float, float]:
     """Trim and block [ms] that fit a recording: the defaults of a long one, shorter ones where too few blocks would judge it.
 
     Nothing is trimmed where that would cost more than a tenth. Each take gives `BLOCKS_OF_TAKE` blocks where it can; one of less
     than a quarter of the usual length is no measure for the others. A single recording of less than `MIN_ALONE_S` needs options
     that a user chooses (`fitting_options`).
+
+    Args:
+        shortest_ms: block that holds enough windows of the model.
     """
     lengths_ms, config = np.array([1000 * take.duration_s for take in recording.takes]), PreprocessConfig()
     if lengths_ms.size == 1 and lengths_ms[0] < 1000 * MIN_ALONE_S:
@@ -121,7 +130,8 @@ def fitting_cut(recording: Recording) -> tuple[float, float]:
         n = usable_ms // block_ms
         return bool(n.sum() >= JUDGED_BLOCKS and (n.size == 1 or n[usual].min() >= BLOCKS_OF_TAKE))
 
-    return trim_ms, next(filter(fits, SHORT_BLOCKS_MS), SHORT_BLOCKS_MS[-1])
+    blocks_ms = blocks_of(shortest_ms)
+    return trim_ms, next(filter(fits, blocks_ms), blocks_ms[-1])
 
 
 def cut_in_words(trim_ms: float, block_ms: float) -> str:

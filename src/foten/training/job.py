@@ -164,10 +164,15 @@ class Trained:
     linear_mae: float | None = None  # one-step validation error without the network, scaled, where it may lower it
 
 
+def shortest_block(window: int) -> int:
+    """Samples that a block has at least, to hold enough windows."""
+    return 5 * window
+
+
 def check_block(blocks: ScaledBlocks, m: int) -> None:
     """Refuse blocks that are too short to hold enough windows."""
     block = blocks.trace.block
-    if block < 5 * m:
+    if block < shortest_block(m):
         raise ValueError(
             f"a block of {block} samples is too short for windows of {m}, expected five times as long: "
             "use a longer --block or a shorter --window"

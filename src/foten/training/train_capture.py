@@ -24,11 +24,11 @@ from foten.models.texture_file import Texture, write_texture
 from foten.recording.capture_folder import ABOUT, PEN, SOUND, About, file_name
 from foten.recording.inspection import inspect_recording
 from foten.recording.inspection.values import counted
-from foten.recording.preprocess import SHORT_BLOCKS_MS, PreprocessConfig
+from foten.recording.preprocess import PreprocessConfig, blocks_of
 from foten.recording.recording import Recording
 from foten.runtime.stylus import PressureCalibration
 from foten.training.config import recipe_of
-from foten.training.job import TrainingJob
+from foten.training.job import TrainingJob, shortest_block
 from foten.training.loop import Epoch, Monitor
 from foten.training.pipeline import train
 
@@ -82,7 +82,8 @@ def train_recording(recording: Recording, carried: Mapping[float, float], output
     """Train a texture at the rate that carries the recording, by the share that each rate does (`perception.carried`)."""
     rate_hz = min(MAX_RATE_HZ, smallest_rate(carried)) if carried else PreprocessConfig().rate_hz
     usable_ms = 1000 * recording.duration_s
-    block_ms = next((ms for ms in SHORT_BLOCKS_MS if usable_ms >= ENOUGH_BLOCKS * ms), SHORT_BLOCKS_MS[-1])
+    blocks_ms = blocks_of(1000 * shortest_block(FotenPlusSizes().window) / rate_hz)
+    block_ms = next((ms for ms in blocks_ms if usable_ms >= ENOUGH_BLOCKS * ms), blocks_ms[-1])
     config = recipe_of(MODEL)
     # Nothing is to be trimmed: what lies before the first stroke and after the last was left out with the taps.
     preprocess = PreprocessConfig(rate_hz=rate_hz, trim_ms=0.0, block_ms=block_ms)

@@ -140,9 +140,10 @@ def one_step_section(document: Mapping[str, Any]) -> str:
 def free_run_section(document: Mapping[str, Any]) -> str:
     """Section of the page: figures of the free runs."""
     return (
-        '<section id="free-run"><h2>Free run</h2><p>Synthesized under the recorded speed and force, its own output as '
-        "history, and compared with what was recorded; the first fifth of each block is not scored. The ceiling says "
-        f"what a true vibration of the same texture reaches.</p>{free_run_table(document).html('b')}"
+        '<section id="free-run"><h2>Free run</h2><p>Synthesized under the recorded speed and force, after a recorded '
+        "window its own output as history, and compared with what was recorded. The first fifth of each block, or the window "
+        "where that is longer, is not scored. "
+        f"The ceiling says what a true vibration of the same texture reaches.</p>{free_run_table(document).html('b')}"
         f"<p>{waveform_error(document)}</p></section>"
     )
 

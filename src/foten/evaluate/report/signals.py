@@ -12,7 +12,6 @@ from foten.dsp.distance import MIN_SCORED_HZ, scored_bins, segment_length, welch
 from foten.dsp.level import frame_levels
 from foten.dsp.resample import decimate, interpolate
 from foten.evaluate.evaluate import Judgement
-from foten.evaluate.free_run import scored
 from foten.runtime.live.sinks import pcm_wav
 
 N_WAVEFORM = 400  # samples
@@ -40,15 +39,14 @@ def shown_run(judgement: Judgement) -> str | None:
 def scored_runs(judgement: Judgement) -> dict[str, Array]:
     """Scored samples of `recorded` and of each run [m/s²], (n_seeds, n_blocks, n), in the order of `LABELS`."""
     recorded = judgement.trace.picked(judgement.blocks)[0][None]
-    runs, part = {"recorded": recorded, **judgement.synthesized}, scored(judgement.trace.block)
-    return {name: runs[name][:, :, part] for name in LABELS if name in runs}
+    runs = {"recorded": recorded, **judgement.synthesized}
+    return {name: runs[name][:, :, judgement.scored] for name in LABELS if name in runs}
 
 
 def scored_conditions(judgement: Judgement) -> tuple[Array, Array]:
     """Speed [mm/s] and force [N] of the scored samples, each (n_blocks, n)."""
     _, speed, force = judgement.trace.picked(judgement.blocks)
-    part = scored(judgement.trace.block)
-    return speed[:, part], force[:, part]
+    return speed[:, judgement.scored], force[:, judgement.scored]
 
 
 def shown_blocks(judgement: Judgement) -> NDArray[np.int64]:

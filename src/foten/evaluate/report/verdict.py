@@ -79,7 +79,7 @@ def verdict(document: Mapping[str, Any]) -> list[Finding]:
     key = "free_run" if document["free_run"]["lsd_db"] is not None else "free_run_deterministic"
     if document[key]["lsd_db"] is None:
         return [_one_step(document), _unknown("Free run", "not scored", document, "free_run")]
-    findings = [_one_step(document), _spectrum(document, key), _level(document[key]), _dynamics(document, key)]
+    findings = [_one_step(document), _spectrum(document, key), _level(document, key), _dynamics(document, key)]
     with_listener = document.get("listener") or "listener" in document["reasons"]
     return [*findings, *(_listeners(document) if with_listener else [])]
 
@@ -94,6 +94,8 @@ def _good_for(judgement: Judgement) -> str:
     document, key = judgement.document, shown_run(judgement)
     if key is None:
         return f"Not judged: {reason(document, 'free_run')}."
+    if document[key]["level_bias_db"] is None:
+        return f"Not judged: {reason(document, f'{key}.level_bias_db')}."
     ranges = _levels_by_speed(judgement, key)
     if not ranges:
         return "Not judged: the tool hardly moves, or hardly presses, in this recording."
@@ -257,8 +259,11 @@ def _spectrum_tone(distance: float, ceiling: float | None, linear: float | None)
     return tone
 
 
-def _level(run: Mapping[str, Any]) -> Finding:
+def _level(document: Mapping[str, Any], key: str) -> Finding:
+    run = document[key]
     bias, error = run["level_bias_db"], run["level_error_db"]
+    if bias is None:
+        return _unknown("Level", "not measured", document, f"{key}.level_bias_db")
     tone = "good" if abs(bias) <= 1 else "even" if abs(bias) <= 3 else "bad"
     side = "right on average" if abs(bias) < 0.05 else f"{abs(bias):.1f} dB too {'high' if bias > 0 else 'low'}"
     # Levels below −30 dB count as −30 dB, and a hand pauses: of a silent run the bias alone is too small.

@@ -346,7 +346,7 @@ def fit_closed_loop(
     envelope_distance = EnvelopeEnergyDistance(excerpts.recorded(*known)[0], excerpts.moving(*known), rate)
     device = next(network.parameters()).device
     batches = Batches(excerpts.data, excerpts.blocks, warm_up, config, device)
-    n_threads = config.threads if device.type == "cpu" else 1
+    n_threads = min(config.threads, N_EXCERPTS, config.batch) if device.type == "cpu" else 1
     parameters = dict(network.named_parameters())
     rng = np.random.default_rng()
 

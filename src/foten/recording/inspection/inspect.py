@@ -54,18 +54,18 @@ def inspect_recording(recording: Recording, is_trained: bool = False) -> Inspect
         findings += check_ranges(coverage)
     longest = max(range(len(takes)), key=lambda i: takes[i].duration_s)
     psd, shares = inspections[longest].psd, inspections[longest].carried
-    trim_ms, block_ms = fitting_cut(recording)
-    lost_ms = 2 * trim_ms + PreprocessConfig().delay_ms
-    n_blocks = sum(max(0, int((1000 * take.duration_s - lost_ms) // block_ms)) for take in takes)
+    cut_ms, shortest_ms = fitting_cut(recording), SHORT_BLOCKS_MS[-1]  # which a higher rate may take
+    lost_ms = 2 * cut_ms[0] + PreprocessConfig().delay_ms
+    n_blocks = sum(max(0, int((1000 * take.duration_s - lost_ms) // shortest_ms)) for take in takes)
     if n_blocks < MIN_BLOCKS:
-        blocks = f"{len(takes)} takes hold {n_blocks} blocks of {block_ms:g} ms"
+        blocks = f"{len(takes)} takes hold {n_blocks} blocks of {shortest_ms:g} ms"
         findings.append(Finding(UNUSABLE, "short", "", f"{blocks}, expected {MIN_BLOCKS} or more: record for longer"))
     rate_hz = perception.smallest_rate(shares) if shares else PreprocessConfig().rate_hz
     options = f"--rate {rate_hz:g}"
     reports = tuple(map(_pooled, zip(*(inspection.channels for inspection in inspections), strict=True)))
     about = psd, shares, options, recording.sha256()
     lengths_s = tuple(take.duration_s for take in takes)
-    return Inspection(reports, tuple(findings), coverage, *about, lengths_s, (trim_ms, block_ms))
+    return Inspection(reports, tuple(findings), coverage, *about, lengths_s, cut_ms)
 
 
 def _findings_of(takes: Sequence[Recording], inspections: Sequence[Inspection]) -> list[Finding]:
