@@ -8,6 +8,7 @@ from __future__ import annotations
 import argparse
 import importlib
 from collections.abc import Sequence
+from itertools import permutations
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -502,6 +503,15 @@ def test_table_2_has_the_network_of_table_1_on_the_textures_that_all_variants_ha
     )
     silent = [{**record, "excitation": "no"} for record in tables.of_variants() if record["texture"] != TEXTURES[7]]
     assert any("TEN + MFCC, FoTEN-D, FoTEN" in line for line in tables.findings(silent))  # the same names
+
+
+def test_pairs_of_the_same_pens_are_not_independent() -> None:
+    """Of sums of two members' values, the error is that of twice the mean of the members."""
+    values = dict(zip("abcdef", np.random.default_rng(0).standard_normal(6), strict=True))
+    pairs = list(permutations(values, 2))
+    figures = np.array([[values[a] + values[b], 1.0] for a, b in pairs])
+    expected = 2 * np.std([*values.values()], ddof=1) / np.sqrt(len(values))
+    np.testing.assert_allclose(made_by("tools").standard_error(pairs, figures), [expected, 0], atol=1e-12)
 
 
 def test_a_run_that_is_added_replaces_the_one_in_its_place(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

@@ -6,7 +6,7 @@ Simulated: a sphere of 0.5 to 1 mm, and one 1.6 times as large on 0.6 of the mas
 under a moving hand, and applied to textures of five others, learned from 64 s of the first tool without a network; judged against
 the second tool at six steady conditions. `own` is learned from the second tool. With --pens, spectra of eight pens at 15
 conditions, twice: measured at 100 mm/s and 1.5 N, judged at the others in the other repeat, over all pairs. Means ± standard
-errors; dB.
+errors, by leaving out a pen or a surface with all its pairs; dB.
 """
 
 from __future__ import annotations
@@ -42,6 +42,8 @@ SURFACES = ("sawn-wood", "sandpaper-coarse", "ribbed-plastic", "canvas", "leathe
 CONDITIONS = ((50.0, 0.5), (50.0, 1.5), (100.0, 0.5), (100.0, 1.5), (200.0, 0.5), (200.0, 1.5))
 MEASURED_SECONDS, JUDGED_SECONDS = 24.0, 8.0
 AT = 5  # of a pen's conditions: 100 mm/s, 1.5 N
+Case = tuple[str, str, str, float, float]
+"""Two surfaces or pens, method, level error and log-spectral distance [dB]."""
 
 
 def other_tool(tool: ContactParameters) -> ContactParameters:
@@ -59,8 +61,8 @@ def recorded(key: str, other: bool, stroke: Stroking, seed: int) -> Recording:
     return Recording(channels, texture=key, tool="b" if other else "a")
 
 
-def simulated(measured_on: str) -> Iterator[tuple[str, float, float]]:
-    """Method, level error and log-spectral distance of each other surface."""
+def simulated(measured_on: str) -> Iterator[Case]:
+    """Cases of each other surface."""
     cut = PreprocessConfig(trim_ms=0.0)
     strokes = [stroking(MEASURED_SECONDS, seed, RATE_HZ) for seed in (20, 21)]
     both = [preprocess(recorded(measured_on, bool(other), stroke, 1), cut) for other, stroke in enumerate(strokes)]
@@ -82,7 +84,7 @@ def simulated(measured_on: str) -> Iterator[tuple[str, float, float]]:
         }.items():
             figures = compared(one, truths)
             print(measured_on, key, method, {name: round(value, 2) for name, value in figures.items()}, flush=True)
-            yield method, figures["level_error_db"], figures["lsd_db"]
+            yield measured_on, key, method, figures["level_error_db"], figures["lsd_db"]
 
 
 def smoothed(density: Array, hz: Array) -> Array:
@@ -92,8 +94,8 @@ def smoothed(density: Array, hz: Array) -> Array:
     return np.stack(parts, axis=-1)
 
 
-def pens(path: Path) -> Iterator[tuple[str, float, float]]:
-    """Method, level error and log-spectral distance of each ordered pair of pens."""
+def pens(path: Path) -> Iterator[Case]:
+    """Cases of each ordered pair of pens."""
     arrays = np.load(path)
     density = {name: np.square(arrays[name].astype(np.float64)) for name in arrays.files}
     hz, others = 10.0 + 2.0 * np.arange(245), np.arange(15) != AT
@@ -111,7 +113,15 @@ def pens(path: Path) -> Iterator[tuple[str, float, float]]:
             }.items():
                 error = 10 * np.log10(smoothed(ours, hz) / truth)
                 level = 10 * np.log10(ours.sum(axis=1) / b[judged][others].sum(axis=1))
-                yield method, float(np.abs(level).mean()), float(np.sqrt(np.square(error).mean(axis=1)).mean())
+                distance = float(np.sqrt(np.square(error).mean(axis=1)).mean())
+                yield first, second, method, float(np.abs(level).mean()), distance
+
+
+def standard_error(pairs: list[tuple[str, str]], figures: Array) -> Array:
+    """Of the means of (n, k) figures of pairs: jackknife that leaves out one member of the pairs, with all its pairs."""
+    members = sorted({member for pair in pairs for member in pair})
+    means = np.array([figures[[member not in pair for pair in pairs]].mean(axis=0) for member in members])
+    return np.sqrt((len(members) - 1) * np.square(means - means.mean(axis=0)).mean(axis=0))
 
 
 def main() -> None:
@@ -126,9 +136,10 @@ def main() -> None:
     rows = {"simulated": [row for key in arguments.surfaces for row in simulated(key)]}
     rows |= {"pens on paper": list(pens(arguments.pens))} if arguments.pens else {}
     for kind, each in rows.items():
-        for method in dict.fromkeys(row[0] for row in each):
-            figures = np.array([row[1:] for row in each if row[0] == method])
-            error = figures.std(axis=0, ddof=1) / np.sqrt(len(figures))
+        for method in dict.fromkeys(row[2] for row in each):
+            of_method = [row for row in each if row[2] == method]
+            figures = np.array([row[3:] for row in of_method])
+            error = standard_error([row[:2] for row in of_method], figures)
             values = [f"{x:.3f}" for pair in zip(figures.mean(axis=0), error, strict=True) for x in pair]
             cells.append([kind, method, str(len(figures)), *values])
     Table.of(cells[0], cells[1:]).write(CSV)

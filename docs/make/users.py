@@ -139,9 +139,9 @@ def main() -> None:
     cells = []
 
     def row(what: str, procedure: str, answers: float, errors: Array, signed: bool) -> None:
-        size = np.abs(errors)
+        size = np.abs(errors)  # (people,), or (people, tones)
         spread = [f"{errors.mean():.3f}", f"{errors.std(ddof=1):.3f}"] if signed else ["", ""]
-        se = size.std(ddof=1) / np.sqrt(len(errors))
+        se = size.reshape(len(errors), -1).mean(axis=1).std(ddof=1) / np.sqrt(len(errors))
         cells.append([what, procedure, f"{answers:g}", *spread, f"{size.mean():.3f}", f"{se:.3f}"])
 
     for what, kind, sd_db in (("threshold [dB]", Detection(), 8.0), ("equal strength [dB]", Comparison(), 6.0)):
@@ -158,8 +158,8 @@ def main() -> None:
         for part in ("detect", "compare", "match")
     }
     reference = TONES_HZ.index(160.0)
-    thresholds = np.concatenate([np.array(profile.threshold_db) - true for profile, true, *_ in people])
-    gains = np.concatenate(
+    thresholds = np.array([np.array(profile.threshold_db) - true for profile, true, *_ in people])
+    gains = np.array(
         [np.delete(np.array(profile.gain_db) - (true - true[reference]), reference) for profile, _, true, _ in people]
     )
     points = [np.array(profile.moves) / list(MOVES.values()) - ideal for profile, *_, ideal in people]
