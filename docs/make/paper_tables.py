@@ -505,6 +505,17 @@ def near() -> list[Record]:
     return done if len(textures_of(done)) >= 6 else []  # as a p needs
 
 
+def near_neighbours() -> str:
+    """Sentences on the order of near systems: of textures with three recordings, and with the others, which have one."""
+    if not (shown := near()):
+        return ""
+    methods, textures = ({record[key] for record in shown} for key in ("method", "texture"))
+    single = [r for r in runs_of("table-1-tuned") if r["method"] in methods and r["texture"] not in textures]
+    of_all = [*shown, *with_all(single, methods)]
+    lines = [neighbours(records) for records in ((shown, of_all) if len(of_all) > len(shown) else (shown,))]
+    return "\n".join(f"- {line}" for line in lines)
+
+
 def of_variants() -> list[Record]:
     """Runs of the network's variants, and of the network itself, whose runs are those of Table I by the published recipe."""
     variants = [record for record in runs_of("table-2") if record["model"] != "foten"]
@@ -742,7 +753,7 @@ TABLES: dict[str, Callable[[], Table | str]] = {
     "beside-short-ar": beside_short_ar,
     "neighbours": lambda: neighbours(chosen(table_1())),
     "near": lambda: compared(near()) if near() else Table((), ()),
-    "near-neighbours": lambda: neighbours(near()),
+    "near-neighbours": near_neighbours,
     "changed": changed,
     "convergence": convergence,
     "warm-start": lambda: warm_start(chosen(table_1())) if table_1() else Table((), ()),
