@@ -514,6 +514,29 @@ def test_table_2_has_the_network_of_table_1_on_the_textures_that_all_variants_ha
     assert any("TEN + MFCC, FoTEN-D, FoTEN" in line for line in tables.findings(silent))  # the same names
 
 
+@pytest.mark.parametrize("n_splits", [1, 10])
+def test_a_mean_differs_by_its_interval_over_textures(n_splits: int) -> None:
+    """Of three textures Student's is 4.30 standard errors; more splits of the same ones say no more."""
+    tables = made_by("tables")
+    for spread, words in ((0.05, "not shown to differ from"), (0.01, "5 % below")):
+        ratios = {"a": 0.95 - spread, "b": 0.95, "c": 0.95 + spread}  # standard error 0.58 of the spread
+        records = [{"texture": name, "x": ratio, "y": 1.0} for name, ratio in ratios.items()] * n_splits
+        assert tables._beside(records, "x", "y") == words
+
+
+def test_a_difference_of_areas_varies_by_that_between_two_recordings(monkeypatch: pytest.MonkeyPatch) -> None:
+    tables = made_by("tables")
+    areas = {("a", 1): (0.6, 0.7), ("a", 2): (0.6, 0.8), ("b", 1): (0.5, 0.9), ("b", 2): (0.7, 0.9)}
+    records = [
+        {"texture": texture, "split": split, "method": method, "validation_listener.area": area}
+        for (texture, split), both in areas.items()
+        for method, area in zip(("default", "no network"), both, strict=True)
+    ]
+    monkeypatch.setattr(tables, "records_of", lambda name: records)
+    variances = (0.1**2 / 2, 0.2**2 / 2)  # of 0.1 and 0.2, and of 0.4 and 0.2
+    assert tables.varies_by() == pytest.approx(np.sqrt(np.mean(variances)))
+
+
 def test_pairs_of_the_same_pens_are_not_independent() -> None:
     """Of sums of two members' values, the error is that of twice the mean of the members."""
     values = dict(zip("abcdef", np.random.default_rng(0).standard_normal(6), strict=True))

@@ -677,11 +677,11 @@ def over_best(methods: Mapping[str, Mapping[Place, Record]], path: str) -> str:
     return f"{over_textures(ratios[worst], 'ratio')} ({worst})" if worst else "–"
 
 
-def over_textures(records: Records, over: str, under: str = "") -> Number:
+def over_textures(records: Records, over: str, under: str = "", digits: int = 3) -> Number:
     """Mean over textures ± its standard error, which is that of textures here and not of splits."""
     means = np.array([np.mean(splits) for splits in values(records, over, under)])
     error = float(means.std(ddof=1) / np.sqrt(means.size)) if means.size > 1 else None
-    return Number(float(means.mean()) if means.size else None, ".3f", error)
+    return Number(float(means.mean()) if means.size else None, f".{digits}f", error)
 
 
 def equal_tuning() -> Table:

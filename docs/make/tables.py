@@ -19,6 +19,7 @@ from itertools import product
 from pathlib import Path
 
 import numpy as np
+from scipy.stats import t as student_t
 
 import paper_tables
 from csv_records import (
@@ -56,36 +57,36 @@ from csv_records import (
     runs,
     runs_of,
     table,
+    values,
 )
 from foten.atomic_write import atomic_write
 from foten.experiments.experiment import experiment_path, read_experiment
-from foten.experiments.method_tables import brief, ratios
+from foten.experiments.method_tables import brief, ratios, same_blocks
 from foten.experiments.results import Record, Records, chosen, read_records, runs_table
 from foten.reporting.table import Number, Table, mean_number
 from foten.simulation import contact_mechanics, linear_family, simulate
+from paper_tables import over_textures
 
 DOCS = Path(__file__).resolve().parents[1]
-DISTINCT = 0.03  # a difference of the areas for one texture that means something
 MAX_COLUMNS, MAX_ROWS = 8, 12  # of a table that people read, a row of means not counted; the rest is CSV
 NOT_RUN = "*Not measured yet with this version.*"
 
 
 def readme() -> Table:
     """The rows of the README, with what each means."""
-    kinds = {title: runs(name) for name, title in MAIN.items()}
-    # A recording at two rates is two textures.
-    every = [{**record, "texture": f"{title}/{record['texture']}"} for title, of in kinds.items() for record in of]
-    used = [record for record in every if record["network_in_loop"]]
-    used_in = f"A rendering uses the network in {in_loop(every)} runs, where the validation blocks say that it helps"
-    columns: Columns = (
-        ("one step ÷ best AR", mean(ONE_STEP, BEST_AR, 2)),
-        ("free run ÷ AR(20)", mean(LSD, AR_LSD, 2)),
-        ("free run ÷ ceiling", mean(LSD, CEILING, 2)),
-    )
-    figures = table(("",), {**kinds, "network in the loop": used}, columns)
-    means = [*(meaning(title, records) for title, records in kinds.items() if records), used_in]
-    rows = [(*row, words) for row, words in zip(figures.rows, means, strict=False)]
-    return Table.of(("", *(head for head, _ in columns), "what it means"), rows)
+    heads = ("one step ÷ best AR", "free run ÷ AR(20)", "free run ÷ ceiling")
+    paths = ((ONE_STEP, BEST_AR), (LSD, AR_LSD), (LSD, CEILING))
+    kinds = {title: records for name, title in MAIN.items() if (records := runs(name))}
+    rows = [
+        (title, *(over_textures(records, *path, digits=2) for path in paths), meaning(title, records))
+        for title, records in kinds.items()
+    ]
+    return Table.of(("", *heads, "what it means"), rows)
+
+
+def readme_in_loop() -> str:
+    """Sentence on how many renderings use the network."""
+    return f"In {in_loop([record for name in MAIN for record in runs(name)])} runs, a rendering uses the network."
 
 
 def readme_systems() -> Table:
@@ -103,7 +104,7 @@ def meaning(title: str, records: Records) -> str:
         further = 100 * (mean_of(records, LSD, CEILING).value - 1)
         return f"The free run is {further:.0f} % further away than a second realisation of the same stroke"
     one_step, free_run = _beside(records, ONE_STEP, BEST_AR), _beside(records, LSD, AR_LSD)
-    return f"One-step error {one_step} that of the best linear predictor; free run {free_run} AR(20)'s"
+    return f"One-step error {one_step} the best linear predictor's; free run {free_run} AR(20)'s"
 
 
 def beside_foten(name: str) -> list[Record]:
@@ -113,10 +114,10 @@ def beside_foten(name: str) -> list[Record]:
 
 
 def _beside(records: Records, over: str, under: str) -> str:
-    """How a mean ratio differs from 1 beyond its standard error, in words."""
-    ratio = mean_of(records, over, under)
-    if abs(ratio.value - 1) <= (ratio.error or 0.0):
-        return "level with"
+    """How a mean ratio differs from 1, in words: by Student's interval of 95 % over textures."""
+    ratio, n = over_textures(records, over, under), len(values(records, over, under))
+    if n < 2 or abs(ratio.value - 1) <= student_t.ppf(0.975, n - 1) * ratio.error:
+        return "not shown to differ from"
     return f"{100 * abs(ratio.value - 1):.0f} % {'below' if ratio.value < 1 else 'above'}"
 
 
@@ -285,6 +286,20 @@ def listener() -> Table:
     return table(("mean of", "method"), rows, (*AREAS, last))
 
 
+def varies_by() -> float:
+    """Standard deviation of a difference of the areas with and without the network, over recordings of a texture."""
+    areas = {
+        (record["texture"], record["split"], record["method"]): record["validation_listener.area"]
+        for record in records_of("ingredients")
+        if record["method"] in ("default", "no network")
+    }
+    differences: dict[str, list[float]] = {}
+    for (texture, split, method), area in areas.items():
+        if method == "default":
+            differences.setdefault(texture, []).append(areas[texture, split, "no network"] - area)
+    return float(np.sqrt(np.mean([np.var(each, ddof=1) for each in differences.values() if len(each) > 1])))
+
+
 def listener_notes() -> str:
     """Sentences on what the controls vary by, and on textures that are told apart more often with the network."""
     records = [record for of in listened("listener").values() for record in of]
@@ -296,16 +311,18 @@ def listener_notes() -> str:
     controls = [record[f"listener.{kind}_control"] for record in records for kind in kinds]
     within = f"controls lie between {min(controls):.2f} and {max(controls):.2f}"
     by_place = {(record["texture"], record["method"]): record for record in records}
-    worse = []
+    varies = varies_by()
+    n, worse = 0, []
     for texture, method in by_place:
         for kind, way in kinds.items():
             with_network, without = (by_place[texture, name][f"listener.{kind}"] for name in (OURS, method))
-            if with_network >= without + DISTINCT:
+            n += method != OURS
+            if with_network >= without + 2 * varies:
                 worse.append(f"{texture} {way} ({with_network:.2f}, without {without:.2f})")
-    more = f"Told apart more often with the network, by {DISTINCT} or more: {'; '.join(worse) or 'none'}."
+    more = f"Of {n} comparisons, told apart more often with the network by as much: {'; '.join(worse) or 'none'}."
     return (
-        f"One recording and one fit of each texture, and {within}: a difference below {DISTINCT} for one texture means "
-        f"little. {more}"
+        f"One recording and one fit of each texture; {within}. Between two recordings, a difference of with and without the "
+        f"network varies by {varies:.3f} (standard deviation), so one below {2 * varies:.2f} means little. {more}"
     )
 
 
@@ -572,7 +589,7 @@ def users_session() -> Table:
         )
         for row in rows
     ]
-    return Table.of(("the whole session", "answers", "bias", "spread", "mean"), cells)
+    return Table.of(("the session", "answers", "bias", "spread", "mean error, or time"), cells)
 
 
 def listed(*names: str) -> str:
@@ -586,10 +603,11 @@ def listed(*names: str) -> str:
 
 BENCHMARKS = ("step", "contacts", "soak", "install", "studio-page", "studio-load", "study")
 TABLES: dict[str, dict[str, Callable[[], Table | str]]] = {
-    "../README.md": {"readme": readme, "readme-systems": readme_systems},
+    "../README.md": {"readme": readme, "readme-in-loop": readme_in_loop, "readme-systems": readme_systems},
     "results.md": {
         "short": short,
         "real": partial(by_texture, REAL_10, REAL_2_5),
+        "real-same": lambda: " ".join(dict.fromkeys(same_blocks([*runs(REAL_10), *runs(REAL_2_5)]))),
         "linear": partial(by_texture, LINEAR),
         "simulated": partial(by_texture, SIMULATED),
         "contact": partial(by_texture, CONTACT),

@@ -167,8 +167,8 @@ def main() -> None:
     minutes = sum(SECONDS[part] * answers[part] for part in SECONDS) / 60
     row("session: thresholds [dB]", "", n["detect"], thresholds, signed=True)
     row("session: equal strength [dB]", "", n["compare"], gains, signed=True)
+    row("session: time of these two, a second an answer [min]", "", n["detect"] + n["compare"], minutes, signed=False)
     row("session: preference [JND]", "", n["match"], np.linalg.norm(points, axis=1) / JND, signed=False)
-    row("session: time, a second an answer [min]", "", n["detect"] + n["compare"], minutes, signed=False)
     Table.of(["what", "procedure", "answers", "bias", "spread", "distance", "distance_se"], cells).write(CSV)
     print(
         "\n".join(Table.of(["what", "procedure", "answers", "bias", "spread", "distance", "distance_se"], cells).text())

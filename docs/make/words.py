@@ -69,7 +69,7 @@ def predictions(i: int, entries: list[Entry], values: np.ndarray, encoder: str |
         "most alike by words": values[others[int(np.argmax(likeness))]],
         "words": fit(rest, known).regression.at(vector)[0],
         **({} if encoder is None else {"words, sentence encoder": _by_sentences(entries[i], rest, encoder)}),
-        "sliders, no library": parabola(entries[i]),
+        "sliders (truth known)": parabola(entries[i]),
         "nearest other (truth known)": values[others[int(np.argmin(errors))]],
     }
 
