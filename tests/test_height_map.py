@@ -128,6 +128,18 @@ def test_pictures_of_many_kinds_are_read(tmp_path: Path) -> None:
         np.testing.assert_allclose(pixels if pixels.ndim == 2 else pixels[..., 0], grey, atol=tolerance)
 
 
+@pytest.mark.filterwarnings("error")
+def test_a_picture_that_pillow_thinks_too_large_is_refused_in_a_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    Image.new("L", (64, 64)).save(tmp_path / "map.png")
+    monkeypatch.setattr(Image, "MAX_IMAGE_PIXELS", 64 * 64 - 1)
+    assert read_picture(tmp_path / "map.png").shape == (64, 64)
+    monkeypatch.setattr(Image, "MAX_IMAGE_PIXELS", 64 * 64 // 2 - 1)
+    with pytest.raises(ValueError, match=r"map.png has too many pixels, expected 100 million at most"):
+        read_picture(tmp_path / "map.png")
+
+
 def test_an_exr_is_read(tmp_path: Path) -> None:
     exr = pytest.importorskip("OpenEXR")
     grey = waves(1.3).astype(np.float32)

@@ -11,7 +11,9 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
+from urllib.parse import unquote
 
 import numpy as np
 import pytest
@@ -36,6 +38,7 @@ from foten.studio.messages import MAX_EVENTS
 from foten.studio.websocket import MAX_WAITING_BLOCKS, MAX_WAITING_TEXTS
 from foten.study import session as session_module
 from foten.study import store as store_module
+from foten.study.analysis import of_trials, read_ratings
 from foten.study.design import study_text, titled
 from foten.study.languages import read_language
 from foten.study.loading import load_study
@@ -710,6 +713,77 @@ def test_the_page_that_strokes_is_the_one_that_sounds(tmp_path: Path) -> None:
     (row,) = server.store.ratings()
     assert row["measured"]["n_contacts"] >= 2
     assert len(server.store.strokes(1, 1)) > 10  # of both; what the old one still had on its way is not taken any more
+
+
+def test_an_output_that_ends_by_itself_is_said_counted_and_begun_again(tmp_path: Path) -> None:
+    """An unplugged sound card: the participant rated a dead surface, and nobody was told."""
+    server = server_of(study_file(tmp_path, practice="0"))
+    with joined(server, rate_hz=8000) as page:
+        page.to_trial()
+        page.stroke_until_it_sounds()
+        session = server.sessions[1]
+        assert session.contact is not None
+
+        def unplugged(out: np.ndarray) -> None:
+            raise OSError("the device was unplugged")
+
+        player = session.contact.player
+        player._render = unplugged  # type: ignore[attr-defined]
+        while player.running:
+            time.sleep(0.01)
+        page.stroke(1)
+        assert page.until("refused")["refused"] == read_language("en").words["cannot_play"]
+        assert session.for_operator()["trouble"] == "nothing can be played: the device was unplugged"
+        page.bytes = 0
+        page.stroke_until_it_sounds()
+        assert "trouble" not in session.for_operator()
+        page.answer()
+    (row,) = server.store.ratings()
+    assert row["measured"]["n_stopped"] == 1
+    with Store(server.store.path, read_only=True) as store:
+        assert "trials in which the output ended by itself: 1" in of_trials(read_ratings(store)[0])
+
+
+def test_a_device_that_refuses_to_begin_is_given_back(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each event of the pen opened it once more."""
+    server, stopped = server_of(study_file(tmp_path, practice="0")), list[bool]()
+    make = server.player
+
+    def player(rate_hz: float) -> Any:
+        made = make(rate_hz)
+        monkeypatch.setattr(made, "start", lambda render: (_ for _ in ()).throw(OSError("it is in use")))
+        monkeypatch.setattr(made, "stop", lambda: stopped.append(True))
+        return made
+
+    monkeypatch.setattr(server, "player", player)
+    with joined(server, rate_hz=8000) as page:
+        page.to_trial()
+        page.stroke(1)
+        assert page.until("refused")["refused"] == read_language("en").words["cannot_play"]
+        assert stopped == [True]
+
+
+def test_data_of_a_study_with_any_name_is_downloaded(tmp_path: Path) -> None:
+    path = study_file(tmp_path, practice="0").rename(tmp_path / '類似 "1".toml')
+    server = server_of(path)
+    with served(server) as client, client.websocket_connect(f"{WS}/session") as socket:
+        page = Page(socket)
+        page.to_trial()
+        page.answer()
+        client.get("/operator", params={"key": server.operator_key})
+        answer = client.get("/data.zip")
+    assert answer.status_code == 200
+    assert unquote(answer.headers["content-disposition"]) == "attachment; filename*=UTF-8''類似 \"1\".zip"
+
+
+def test_the_operator_is_told_that_the_noise_has_ended(tmp_path: Path) -> None:
+    server = server_of(study_file(tmp_path))
+    for noise, ended in ((None, False), (SimpleNamespace(running=True), False), (SimpleNamespace(running=False), True)):
+        server.noise = noise  # type: ignore[assignment]
+        with served(server) as client:
+            client.get("/operator", params={"key": server.operator_key})
+            with client.websocket_connect(f"{WS}/operate") as socket:
+                assert json.loads(socket.receive_text())["noise_ended"] is ended
 
 
 def page_of(connection: Connection, **joining: Any) -> Page:

@@ -161,6 +161,8 @@ def test_words_over_a_library_make_a_texture(tmp_path: Path) -> None:
     assert 0 < textures[0].spread_db < 20
     with pytest.raises(ValueError, match=f"the library has 10 textures with known words, expected {MIN_TEXTURES}"):
         fit(entries[:10], word_table())
+    with pytest.raises(ValueError, match="all 16 textures of the library are named 'muslin', expected others"):
+        fit([entry(f"muslin-{k}", -10.0) for k in range(16)], word_table())
 
 
 def test_few_textures_are_moved_and_that_is_called_a_guess(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -149,6 +149,50 @@ console.log(Math.max(...alone.map(([s]) => s)), run((k) => Math.floor(k / 37) % 
     assert going_over > 0.3 * alone
 
 
+@needs_node
+def test_the_path_that_was_chosen_last_is_the_one_that_renders(tmp_path: Path) -> None:
+    """Where another is chosen before the server has answered, its connection is closed, and nothing is taken from it."""
+    for name, path in page_files().items():
+        shutil.copy(path, tmp_path / name)
+    (tmp_path / "package.json").write_text('{"type": "module"}')
+    program = tmp_path / "paths.js"
+    program.write_text(
+        """
+globalThis.location = { href: "http://localhost/" };
+globalThis.fetch = async () => ({ arrayBuffer: async () => new Uint8Array([0, 97, 115, 109, 1, 0, 0, 0]).buffer });
+const sockets = [];
+globalThis.WebSocket = class {
+  static OPEN = 1;
+  constructor() { Object.assign(this, { readyState: 0, isClosed: false }); sockets.push(this); }
+  send() {}
+  close() { this.isClosed = true; }
+  up() { this.readyState = 1; this.onopen(); }
+};
+const { PageSound } = await import("./sound.js");
+const made = () => {
+  const sound = new PageSound();
+  sound.context = { sampleRate: 48000, state: "running", currentTime: 0 };
+  sound.node = { port: { postMessage() {} } };
+  sockets.length = 0;
+  return sound;
+};
+let sound = made();
+const first = sound.from("stream");
+await sound.from("");
+sockets[0].up();
+await first;
+console.log(sound.server, sockets[0].isClosed);
+sound = made();
+const both = [sound.from("stream"), sound.from("device")];
+for (const socket of sockets) socket.up();
+await Promise.all(both);
+console.log(sound.server.sink, sockets.map((socket) => socket.isClosed).join(" "));
+"""
+    )
+    done = subprocess.run(["node", program], cwd=tmp_path, capture_output=True, text=True, check=True)
+    assert done.stdout.splitlines() == ["null true", "device true false"]
+
+
 def test_a_description_is_made_anew_once_the_file_changes(tmp_path: Path) -> None:
     path = tmp_path / "t.foten"
     shutil.copy(TOWEL, path)

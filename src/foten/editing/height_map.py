@@ -60,10 +60,15 @@ def read_picture(path: Path) -> Array:
 
 
 def _read_image(path: Path) -> Array:
+    import warnings
+
     from PIL import Image, UnidentifiedImageError
 
     try:
-        with Image.open(path) as opened:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", Image.DecompressionBombWarning)  # of pictures that `MAX_PIXELS` allows
+            opened = Image.open(path)
+        with opened:
             image: Image.Image = opened
             if image.width * image.height > MAX_PIXELS:
                 raise ValueError(
@@ -72,6 +77,8 @@ def _read_image(path: Path) -> Array:
             if image.mode in ("P", "LA", "RGBA", "CMYK", "1"):
                 image = image.convert("RGB")
             pixels: NDArray[Any] = np.asarray(image)
+    except Image.DecompressionBombError:
+        raise ValueError(f"{path.name} has too many pixels, expected {MAX_PIXELS / 1e6:g} million at most") from None
     except (UnidentifiedImageError, OSError, SyntaxError) as error:
         raise ValueError(f"{path.name} is truncated or is no picture ({error})") from None
     if pixels.dtype.kind == "u":

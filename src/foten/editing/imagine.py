@@ -104,6 +104,10 @@ def fit(entries: Sequence[Entry], encoder: Encoder) -> Fitted:
         raise ValueError(f"the library has {len(known)} textures with known words, expected {MIN_TEXTURES} or more")
     values, matrix = values_of(known), np.array(vectors)
     stems = [entry.stem for entry in known]
+    if len(set(stems)) < 2:
+        raise ValueError(
+            f"all {len(stems)} textures of the library are named {stems[0]!r}, expected others to compare with"
+        )
     tried = []
     for length, noise in product(LENGTHS, NOISES):
         tried.append((left_out_error(matrix, values, stems, length, noise), length, noise))

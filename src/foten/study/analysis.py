@@ -348,6 +348,8 @@ def of_trials(ratings: Ratings) -> list[str]:
         cautions.append(f"ratings corrected by hand: {corrected}; the log of the study says which")
     if under := sum(bool(row["measured"].get("n_underruns")) for row in trials):
         cautions.append(f"trials in which the sound had under-runs: {under}")
+    if stopped := sum(bool(row["measured"].get("n_stopped")) for row in trials):
+        cautions.append(f"trials in which the output ended by itself: {stopped}")
     if without := sum(row["measured"].get("contact_s") == 0 for row in trials):
         cautions.append(f"trials that were answered without a stroke on the virtual surface: {without}")
     cautions += _of_thresholds(ratings)

@@ -188,7 +188,7 @@ def run(
             webbrowser.open(operator)
 
     try:
-        with loaded.noise():
+        with loaded.noise() as server.noise:
             serve(server.app, host, port, announce, folder)
     finally:
         store.close()

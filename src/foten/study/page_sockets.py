@@ -240,6 +240,7 @@ class OperatorPage(PageSocket):
         about |= {name: getattr(design.setup, name) for name in ("operator", "screens", "real_checked")}
         while True:
             # Another link after each use: the codes to scan are drawn anew.
-            sessions = [session.for_operator() for session in server.sessions.values()]
-            self.say({**about, "link": server.link(), "sessions": sessions})
+            sessions = [session.for_operator() for session in list(server.sessions.values())]  # a thread adds others
+            silent = server.noise is not None and not server.noise.running
+            self.say({**about, "link": server.link(), "sessions": sessions, "noise_ended": silent})
             await asyncio.sleep(REFRESH_S)

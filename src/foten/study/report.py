@@ -84,6 +84,7 @@ DICTIONARY = (  # columns of ratings.csv, meaning, unit, and of which tasks; of 
     ("block_p99_ms", "99 % of blocks were rendered within", "ms", ()),
     ("n_missed", "blocks that came late", "", ()),
     ("n_underruns", "times that the sound had nothing to play", "", ()),
+    ("n_stopped", "times that the output ended by itself", "", ()),
     ("software", "version of foten that stored the answer", "", ()),
     ("sha256", "of the texture file", "", ()),
     ("at", "when the answer was stored (UTC)", "", ()),

@@ -342,6 +342,7 @@ class Session:
                 if self.contact is None and self.step is step:
                     await self._open(page, step["trial"])
         if self.contact is not None:
+            await self._check_plays(self.contact)
             self.contact.push(events)
             down = bool(events[-1, 2] > 0)
             if down and not self._down:
@@ -410,13 +411,35 @@ class Session:
 
         try:
             player = await asyncio.to_thread(server.player, page.rate_hz if plays_in_page else SOUND_RATE_HZ)
-            contact = Contact(player, on_block)
-            await asyncio.to_thread(contact.load, [self._surface(trial, i) for i in range(self._n_intervals)])
         except (OSError, ValueError) as error:
             raise self._unplayable(error) from error
-        await self._put_under_pen(contact, page, trial)
+        contact = Contact(player, on_block)
+        try:
+            await asyncio.to_thread(contact.load, [self._surface(trial, i) for i in range(self._n_intervals)])
+            await self._put_under_pen(contact, page, trial)
+        except BaseException as error:  # a device that stays open refuses the next event too
+            with contextlib.suppress(OSError, ValueError, RuntimeError):
+                await asyncio.to_thread(contact.close)
+            if isinstance(error, OSError | ValueError) and not isinstance(error, RefusedError):
+                raise self._unplayable(error) from error
+            raise
         self._log.contacts.append(player.statistics)
         self.contact, self._page, self._saved_at = contact, page, time.monotonic()
+
+    async def _check_plays(self, contact: Contact) -> None:
+        """Refuse events of a contact whose output ended by itself; the next one begins another."""
+        if contact.player.running:
+            return
+        async with self._changing:
+            if self.contact is not contact:
+                return
+            self.contact = None
+            self._log.n_stopped += 1
+            try:
+                await asyncio.to_thread(contact.close)
+            except (OSError, ValueError, RuntimeError) as error:
+                raise self._unplayable(error) from error
+            raise self._unplayable(OSError("the output ended by itself"))
 
     async def _put_under_pen(self, contact: Contact, page: ParticipantPage, trial: Trial) -> None:
         """Let a contact render the surface that is stroked, at its level."""
@@ -557,6 +580,7 @@ class TrialLog:
     events: list[tuple[int, NDArray[np.float64]]] = field(default_factory=list)  # of the pen, by surface
     conditions: list[tuple[float, float]] = field(default_factory=list)  # speed [mm/s], force [N] at each block's end
     contacts: list[LiveStatistics] = field(default_factory=list)
+    n_stopped: int = 0  # times that the output ended by itself
     earlier: NDArray[np.float64] = field(default_factory=lambda: NO_CONDITIONS)  # conditions before the server began
 
     def contact_s(self, interval: int) -> float:
@@ -566,7 +590,7 @@ class TrialLog:
 
     def summary(self) -> dict[str, Any]:
         """Seconds in contact, by the pen's own clock; of its blocks the 10th, 50th and 90th percentile of speed [mm/s] and
-        force [N]; p99 of a block's rendering [ms], blocks that came late, and under-runs.
+        force [N]; p99 of a block's rendering [ms], blocks that came late, under-runs, and times that the output ended.
         """
         block = Timing()
         for contact in self.contacts:
@@ -584,6 +608,7 @@ class TrialLog:
             "block_p99_ms": round(p99_ms, 4) if math.isfinite(p99_ms) else None,
             "n_missed": sum(contact.n_missed for contact in self.contacts),
             "n_underruns": sum(contact.n_underruns for contact in self.contacts),
+            "n_stopped": self.n_stopped,
             "n_contacts": len(self.contacts) + bool(len(self.earlier)),
         }
 

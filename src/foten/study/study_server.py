@@ -15,6 +15,7 @@ from functools import partial
 from pathlib import Path
 from string import Template
 from typing import Any
+from urllib.parse import quote
 
 from starlette.applications import Starlette
 from starlette.requests import HTTPConnection, Request
@@ -23,6 +24,7 @@ from starlette.routing import Route, WebSocketRoute
 from starlette.types import ASGIApp
 from starlette.websockets import WebSocket
 
+from foten.runtime.live.live import Live
 from foten.studio.access import COOKIE, Access, Admitted, Guarded, is_same
 from foten.studio.messages import RefusedError
 from foten.studio.page_files import page_files
@@ -62,6 +64,7 @@ class StudyServer:
         self.gains = {key: stimulus.gain_db for key, stimulus in store.stimuli().items()}
         self.player: Callable[[float], Player] = (study.output or RoundRobinRenderer()).player
         self.link: Callable[..., str]  # by which the next device comes in, as `Access.link` gives it
+        self.noise: Live | None = None  # that masks the sound of the actuator
         self.say: Callable[[str], None] = lambda line: None  # to who began the server
         self.requests = itertools.count(1)  # of devices that ask to go on where another was
         self._has_devices = False
@@ -92,12 +95,12 @@ class StudyServer:
         """
         code = code or "".join(secrets.choice(LETTERS) for _ in range(CODE_LENGTH))
         async with self._beginning:  # two pages may ask with one code
-            known = next((session for session in self.sessions.values() if session.code == code), None)
+            known = next((session for session in list(self.sessions.values()) if session.code == code), None)
             return known or await self.on_disk(lambda: self._session(self.store.join(code), code))
 
     def by_code(self, code: str) -> Session:
         """Session that a code names, or raise RefusedError."""
-        for session in self.sessions.values():
+        for session in list(self.sessions.values()):
             if is_same(code.strip().upper(), session.code):
                 return session
         raise RefusedError(self.design.language.say("no_such_code"))
@@ -122,7 +125,7 @@ class StudyServer:
         again = asyncio.create_task(self._save_again())
         yield
         again.cancel()
-        for session in self.sessions.values():
+        for session in list(self.sessions.values()):
             await session.end_contact()
         self._downloading.shutdown()
         self.disk.shutdown()
@@ -199,10 +202,8 @@ class StudyServer:
             data = await asyncio.get_running_loop().run_in_executor(self._downloading, packed)
         except ValueError as error:
             return missing(str(error))
-        name = f"{self.store.path.stem}.zip"
-        return Response(
-            data, media_type="application/zip", headers={"content-disposition": f'attachment; filename="{name}"'}
-        )
+        named = f"attachment; filename*=UTF-8''{quote(f'{self.store.path.stem}.zip')}"  # a header is in Latin-1
+        return Response(data, media_type="application/zip", headers={"content-disposition": named})
 
     def device_of(self, connection: HTTPConnection) -> str | None:
         """Secret of the device that a page is on; None for a server of this machine alone, which is one device."""

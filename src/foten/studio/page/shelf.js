@@ -24,7 +24,8 @@ export function titled(name) {
 
 export class Texture {
   constructor({ file, name, method, picture = null, relative = false, bytes = null }) {
-    Object.assign(this, { file, name, method, photo: picture, relative });
+    const photo = picture && picture.split("/").map(encodeURIComponent).join("/"); // a name may hold # or ?
+    Object.assign(this, { file, name, method, photo, relative });
     this.id = file;
     this.held = bytes && Promise.resolve(bytes);
   }

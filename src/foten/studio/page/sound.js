@@ -133,6 +133,7 @@ export class PageSound extends EventTarget {
 
   /** Have the sound rendered by the server, which sends it here (`stream`) or plays it itself (`device`); null for this page. */
   async from(sink) {
+    const mine = (this.choosing = {});
     this.server?.close();
     this.server = null;
     this.post({ do: "listen", on: false });
@@ -140,6 +141,7 @@ export class PageSound extends EventTarget {
     if (!sink) return;
     const server = new Server(this, sink);
     await server.opened;
+    if (this.choosing !== mine) return server.socket.close(); // another was chosen meanwhile
     this.server = server;
     this.setVolume(this.volumeDb);
     if (this.id) server.open(this.id, this.scale(this.id));

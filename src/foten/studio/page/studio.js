@@ -52,8 +52,8 @@ async function paint(texture) {
   if (texture.photo) {
     const photo = new Image();
     photo.src = texture.photo;
-    await photo.decode();
-    return { ...picture, canvas: photo, url: texture.photo };
+    const isThere = await photo.decode().then(() => true, () => false);
+    if (isThere) return { ...picture, canvas: photo, url: texture.photo };
   }
   return picture;
 }

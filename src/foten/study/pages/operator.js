@@ -29,7 +29,7 @@ function connect() {
 const counted = (n, what) => `${n} ${what}${n === 1 ? "" : what.endsWith("ch") ? "es" : "s"}`;
 const ask = (message) => socket.readyState === WebSocket.OPEN && socket.send(JSON.stringify(message));
 
-function show({ title, planned, simulated, operator, screens, real_checked: realChecked, sessions, link: newest }) {
+function show({ title, planned, simulated, operator, screens, real_checked: realChecked, sessions, link: newest, noise_ended: noiseEnded }) {
   if (newest !== link && invited && $("invite").open) invite({ ...invited, screens }); // a link lets one device in
   link = newest;
   const asked = invited && sessions.find((one) => one.number === invited.started), wanted = screens ?? 1;
@@ -41,6 +41,7 @@ function show({ title, planned, simulated, operator, screens, real_checked: real
   $("title").textContent = title;
   document.title = `Operator: ${title}`;
   $("simulated").hidden = !simulated;
+  if (noiseEnded && $("message").hidden) say("The masking noise has ended: look after its sound card, and start the study again.");
   const ended = sessions.filter((one) => one.kind === "end").length;
   $("count").value = `${ended} of ${planned} have finished`;
   $("none").hidden = sessions.length > 0;
