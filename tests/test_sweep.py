@@ -24,7 +24,7 @@ from foten.cli.command_line import _status
 from foten.datasets.hdf5 import write_recording
 from foten.experiments import sweep as sweeping
 from foten.experiments.experiment import Run, read_experiment, recording_of
-from foten.experiments.figures import figures
+from foten.experiments.figures import figures, windows_and_losses
 from foten.experiments.method_tables import (
     PAPER,
     PAPERS,
@@ -435,6 +435,10 @@ def test_windows_and_losses_are_drawn_where_there_is_a_grid(results: list[dict])
     other["run"]["train"]["loss"] = "mae"
     drawn = dict(figures([results[0], other]))["figure-5-fnn"]
     assert [text.get_text() for text in drawn.axes[0].get_legend().get_texts()] == ["mae", "mse"]
+    errors = {("jeans", "mae", m): np.array([0.3, 0.4]) for m in (10, 20)}
+    (axes,) = (axes for axes in windows_and_losses(errors, {("jeans", 20): [0.35, 0.28, 0.31]}).axes if axes.lines)
+    assert axes.lines[0].get_xydata().tolist() == [[20, 0.28], [20, 0.35]]
+    assert axes.lines[0].get_label() == "3 seeds"
     # The errors of a grid are not averaged with those of the grid beside it.
     grid = []
     for method, factor in (("FNN [13]", 1.0), ("excited", 10.0)):

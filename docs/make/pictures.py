@@ -60,7 +60,7 @@ from foten.simulation.simulated_capture import SOUND_HZ as CAPTURED_HZ
 from foten.training.config import recipe_of
 from foten.training.job import TrainingJob
 from foten.training.pipeline import train
-from paper_tables import by_window
+from paper_tables import PAPER_CELL, by_window, of_huber
 
 DOCS = Path(__file__).resolve().parents[1]
 RESULTS, BUILD = DOCS / "results", DOCS.parent / "build" / "pictures"
@@ -557,13 +557,17 @@ def compared(arguments: argparse.Namespace) -> None:
 
 
 def figure_5(arguments: argparse.Namespace) -> None:
-    """Fig. 5: errors by window and loss."""
+    """Fig. 5: errors by window and loss, and the range of those of several seeds."""
     errors = {
         (record["texture"], loss, window): np.array([record[path] for path in (ONE_STEP, VALIDATION[0])])
         for (window, loss), records in by_window().items()
         for record in records
     }
-    save(figures.windows_and_losses(errors), "figure-5")
+    seeds: dict[tuple[str, int], list[float]] = {}
+    for name, records in of_huber().items():
+        for record in records if name == "1.6" or "seed" in name else ():
+            seeds.setdefault((record["texture"], PAPER_CELL[0]), []).append(record[ONE_STEP])
+    save(figures.windows_and_losses(errors, seeds), "figure-5")
 
 
 def figure_6(arguments: argparse.Namespace) -> None:

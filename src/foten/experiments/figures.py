@@ -25,6 +25,7 @@ from foten.reporting.figure import COLOURS, PRINT, add_legend, new_figure, panel
 
 RECORDED = PRINT.ink
 PARTS = {"train": "#8fd3e8", "validation": "#f3e28a", "test": "#f0a3a0"}
+RANGE = "#c9c9c9"
 LOWEST_DB = -60.0  # level that is drawn
 
 
@@ -129,15 +130,22 @@ def split(result: Mapping[str, Any], recordings: Path | None = None) -> Figure:
     return figure
 
 
-def windows_and_losses(errors: Mapping[tuple[Any, ...], Array]) -> Figure:
+def windows_and_losses(
+    errors: Mapping[tuple[Any, ...], Array], seeds: Mapping[tuple[str, int], Sequence[float]] | None = None
+) -> Figure:
     """One-step errors by window and loss, a panel for each texture, as Fig. 5: test solid, validation hollow.
 
     Args:
         errors: on test and validation blocks, (2,), by texture, loss and window.
+        seeds: errors on test blocks of several seeds by texture and window, which are drawn as a range.
     """
     textures, losses = list(dict.fromkeys(key[0] for key in errors)), sorted({key[1] for key in errors})
     figure, panels = panel_grid([*map(texture_name, textures)], 2.6, 2.1)
     for axes, texture in zip(panels, textures, strict=True):
+        for (key, window), of in (seeds or {}).items():
+            if key == texture:
+                span = [min(of), max(of)]
+                axes.plot([window] * 2, span, lw=7, color=RANGE, solid_capstyle="butt", label=f"{len(of)} seeds")
         for loss, colour in zip(losses, COLOURS, strict=False):
             windows = sorted(window for *of, window in errors if of == [texture, loss])
             tested, validated = np.array([errors[texture, loss, window] for window in windows]).reshape(-1, 2).T
