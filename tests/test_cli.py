@@ -557,8 +557,9 @@ def test_a_rendered_table_is_imported_with_its_units(
     written = np.loadtxt(table, delimiter=",", skiprows=1)
     np.testing.assert_array_equal(recording["acceleration"].samples, written[:, 1])
     before = back.read_bytes()
-    assert _status(["import", str(back), "-o", str(tmp_path / "." / back.name)]) == 2
-    assert "s.h5 is a file to import, which it would replace: give another name" in capsys.readouterr().err
+    (tmp_path / "same.h5").symlink_to(back)
+    assert _status(["import", str(back), "-o", str(tmp_path / "same.h5")]) == 2
+    assert "same.h5 is a file to import, which it would replace: give another name" in capsys.readouterr().err
     assert back.read_bytes() == before
     np.testing.assert_allclose(recording["speed"].samples, 80, rtol=1e-6)
     np.testing.assert_allclose(recording["force"].samples, 1, rtol=1e-6)
