@@ -15,6 +15,7 @@ import os
 import re
 from collections.abc import Callable, Mapping, Sequence
 from fractions import Fraction
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -60,7 +61,7 @@ from foten.simulation.simulated_capture import SOUND_HZ as CAPTURED_HZ
 from foten.training.config import recipe_of
 from foten.training.job import TrainingJob
 from foten.training.pipeline import train
-from paper_tables import PAPER_CELL, by_window, of_huber
+from paper_tables import PAPER_CELL, by_window, of_seeds
 
 DOCS = Path(__file__).resolve().parents[1]
 RESULTS, BUILD = DOCS / "results", DOCS.parent / "build" / "pictures"
@@ -564,9 +565,8 @@ def figure_5(arguments: argparse.Namespace) -> None:
         for record in records
     }
     seeds: dict[tuple[str, int], list[float]] = {}
-    for name, records in of_huber().items():
-        for record in records if name == "1.6" or "seed" in name else ():
-            seeds.setdefault((record["texture"], PAPER_CELL[0]), []).append(record[ONE_STEP])
+    for record in chain.from_iterable(of_seeds()):
+        seeds.setdefault((record["texture"], PAPER_CELL[0]), []).append(record[ONE_STEP])
     save(figures.windows_and_losses(errors, seeds), "figure-5")
 
 

@@ -341,8 +341,9 @@ class Session:
             async with self._changing:
                 if self.contact is None and self.step is step:
                     await self._open(page, step["trial"])
+        if self.contact is not None and not self.contact.player.running:
+            await self._end_stopped(self.contact)
         if self.contact is not None:
-            await self._check_plays(self.contact)
             self.contact.push(events)
             down = bool(events[-1, 2] > 0)
             if down and not self._down:
@@ -426,12 +427,10 @@ class Session:
         self._log.contacts.append(player.statistics)
         self.contact, self._page, self._saved_at = contact, page, time.monotonic()
 
-    async def _check_plays(self, contact: Contact) -> None:
-        """Refuse events of a contact whose output ended by itself; the next one begins another."""
-        if contact.player.running:
-            return
+    async def _end_stopped(self, contact: Contact) -> None:
+        """Refuse an event of a contact whose output ended by itself; the next one begins another."""
         async with self._changing:
-            if self.contact is not contact:
+            if self.contact is not contact:  # it was ended meanwhile
                 return
             self.contact = None
             self._log.n_stopped += 1
