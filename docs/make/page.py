@@ -32,7 +32,7 @@ MICROPHONE = ["--use-fake-ui-for-media-stream", "--use-fake-device-for-media-str
 def take(page: Any, name: str) -> None:
     """Write a screenshot."""
     image = Image.open(io.BytesIO(page.screenshot())).convert("RGB")
-    image.save(PICTURES / f"{name}.webp", quality=65, method=6)
+    image.save(PICTURES / f"{name}.webp", quality=45, method=6)
 
 
 def stroked(page: Any, name: str) -> None:
