@@ -231,6 +231,23 @@ def test_systems_with_a_change_stand_beside_the_same_recordings_before(tables: M
     assert [*rows] == [*changes]
     for name, epochs in changes.items():
         assert rows[name] == ["3", "0.200", "0.200", "10", "0.100", "0.100", str(epochs)]
+    assert tables.difference_explained() == ""
+    runs["table-1-tuned"] += [run("DSTN [15]", texture, 0.17) for texture in TEXTURES[:3]]
+    runs["table-1-changed"] += [
+        run(name, texture, error, split=1)
+        for name, errors in {
+            "DSTN [15], FoTEN's window": (0.1, 0.3, 0.18),
+            "DSTN [15], FoTEN's size": (0.2, 0.2, 0.2),
+            "DSTN [15], twice the epochs": (0.4, 0.4, 0.4),
+            "FoTEN, DSTN's size": (0.2, 0.3, 0.1),
+        }.items()
+        for texture, error in zip(TEXTURES, errors, strict=False)
+    ]
+    assert tables.difference_explained().endswith(
+        "mean over the 3 textures, and on how many it is ahead: as tuned 0.030 (3), both with FoTEN's window 0.007 (2), "
+        "both with DSTN's window -0.070 (0), both of FoTEN's size 0.000 (0), both of DSTN's size 0.030 (2), "
+        "both with twice the epochs -0.300 (0)."
+    )
 
 
 def test_real_recordings_are_compared_on_splits_that_all_systems_have(tables: ModuleType, runs: Runs) -> None:
