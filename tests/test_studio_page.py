@@ -22,6 +22,7 @@ from typing import Any
 import numpy as np
 import pytest
 import scipy.io.wavfile
+from PIL import Image
 
 from conftest import exported
 from foten.baselines.sizes import TRAINABLE
@@ -734,6 +735,22 @@ def test_an_actuator_is_driven_in_its_own_unit(browser: Any, link: str, tmp_path
         page.click("#profile-none")
         page.keyboard.press("Escape")
         assert page.inner_text("#acceleration-unit") == "m/s²"
+
+
+def test_a_photo_is_on_its_swatch_and_what_is_no_picture_leaves_the_drawn_one(browser: Any, tmp_path: Path) -> None:
+    mesh = read_texture(EXAMPLE)
+    for name in ("tea #1", "towel"):
+        write_texture(type(mesh)({**mesh.card, "texture": name}, mesh.tensors), tmp_path / f"{name}.foten")
+    Image.new("RGB", (8, 8), "red").save(tmp_path / "tea #1.jpg")
+    (tmp_path / "towel.jpg").write_bytes(b"no picture")
+    with serving(str(tmp_path)) as (_, link), opened(browser, link, tap=False) as page:
+        until(page, "document.querySelectorAll('#textures .painted').length === 2")
+        pictures = page.evaluate(
+            "Object.fromEntries([...document.querySelectorAll('#textures .swatch')]"
+            ".map((one) => [one.dataset.id, one.style.backgroundImage]))"
+        )
+        assert "tea%20%231" in pictures["tea #1.foten"]
+        assert pictures["towel.foten"].startswith('url("data:image/')
 
 
 def test_it_is_accessible_and_one_tap_is_enough_to_hear_a_texture(browser: Any, link: str) -> None:

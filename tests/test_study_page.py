@@ -307,6 +307,25 @@ def test_a_tablets_clock_that_is_set_back_holds_no_trial_up(browser: Any, tmp_pa
         assert 0.7 < row["response_s"] < 30
 
 
+def test_the_operator_reads_that_the_noise_has_ended_and_goes_on(browser: Any, tmp_path: Path) -> None:
+    with running(study_file(tmp_path)) as (operator, _):
+        page = browser.new_page()
+
+        def told(route: Any) -> None:
+            """What the server says, as after the end of the noise; `tests/test_study_server.py` has when it says so."""
+            server = route.connect_to_server()
+            server.on_message(lambda data: route.send(json.dumps({**json.loads(data), "noise_ended": True})))
+
+        page.route_web_socket("**/operate", told)
+        page.goto(operator)
+        until(page, "!document.querySelector('#message').hidden")
+        assert page.locator("#message").inner_text().startswith("The masking noise has ended")
+        page.wait_for_selector("#begin-one:not([disabled])")
+        page.click("#begin-one")
+        until(page, "document.querySelectorAll('#people li').length === 1")
+        page.close()
+
+
 def test_a_second_device_waits_for_the_operator_to_let_it_go_on(browser: Any, tmp_path: Path) -> None:
     options = ("--port", "0", "--host", "0.0.0.0")
     process, operator_link, link = started_study(study_file(tmp_path, practice="0"), *options)
