@@ -310,7 +310,9 @@ def caveats(records: Records, name: str = "summary") -> list[str]:
     if name == "warm-start":
         notes.append("The GFC is blind to gain: a run that dies away may have that of a true vibration.")
     if name in ("summary", "gfc"):
-        notes.append("The GFC of a one-step prediction is blind to delay and gain, as persistence shows.")
+        repeated = [gfc for record in records if (gfc := record.get("references.persistence.gfc")) is not None]
+        shown = f": repeating the last sample has {100 * np.mean(repeated):.2f} %" if repeated else ""
+        notes.append(f"The GFC of a one-step prediction is blind to delay and gain{shown}.")
     return notes
 
 
