@@ -34,6 +34,7 @@ def test_the_papers_recipe_is_the_papers() -> None:
         ({"batch": 2.5}, "batch is 2.5, expected a whole number"),
         ({"epochs": True}, "epochs is True, expected a whole number"),
         ({"seed": "1"}, "seed is '1', expected a whole number"),
+        ({"tones": "no"}, "tones is 'no', expected true or false"),
         ({"delta": float("inf")}, "delta is inf, expected a finite number"),
     ],
 )

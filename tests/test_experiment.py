@@ -98,7 +98,7 @@ def test_a_setting_that_a_method_does_not_use_is_no_grid(tmp_path: Path) -> None
     ar = 'title = "x"\nmethods = ["ar"]\ntextures = ["towel"]\n'
     for more, match in (
         ("[train]\nepoch = 1", "unknown key 'epoch'"),
-        ("[grid]\nepochs = [1]", "unknown key 'epochs'"),
+        ("[grid]\nepochs = [1]", "a grid is of settings of networks, and the file has none"),
     ):
         with pytest.raises(ValueError, match=match):
             read_experiment(experiment(tmp_path, ar + more))
@@ -190,6 +190,8 @@ def test_recordings_are_where_it_is_said(tmp_path: Path) -> None:
         ("seconds = 8", "seconds = ", "this is not TOML"),
         ("seconds = 8", "second = 8", "unknown key 'second' in the file, expected 'seconds'?"),
         ("seconds = 8", "seconds = '8'", "'seconds' of the file is '8', expected a number"),
+        ("seconds = 8", "seconds = true", "'seconds' of the file is True, expected a number"),
+        ("seconds = 8", "seconds = nan", "nan s asked for, expected 1 to 3600"),
         ('"linear-twin"', '"silk"', "unknown texture 'silk'"),
         ('name = "excited"', 'name = "FNN [13]"', "two methods have the same name"),
         ('"fnn", name = "e', '"fn", name = "e', "unknown model 'fn'"),
@@ -215,6 +217,7 @@ def test_what_is_wrong_in_a_file_is_said_in_one_line(
     path = experiment(tmp_path, TINY.replace(old, new, 1))
     assert _status(["sweep", str(path), "-o", str(tmp_path / "results"), "--dry-run"]) == 2
     message = capsys.readouterr().err.strip()
+    assert message.startswith(f"foten: {path.name}: ")
     assert match in message
     assert "\n" not in message
     assert not (tmp_path / "results").exists()
@@ -223,8 +226,9 @@ def test_what_is_wrong_in_a_file_is_said_in_one_line(
 def test_runs_are_listed_without_running(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert _status(["sweep", str(experiment(tmp_path)), "-o", str(tmp_path / "results"), "--dry-run"]) == 0
     assert capsys.readouterr().out.splitlines()[0] == "FNN [13], linear-cloth, split 1"
-    assert _status(["sweep", "no-such", "-o", str(tmp_path / "results")]) == 2
-    assert "table-1-tuned" in capsys.readouterr().err
+    for name in ("no-such", "no/such"):
+        assert _status(["sweep", name, "-o", str(tmp_path / "results")]) == 2
+        assert "table-1-tuned" in capsys.readouterr().err
 
 
 def test_a_part_of_an_experiment_keeps_its_place_in_the_whole(

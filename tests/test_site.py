@@ -356,7 +356,7 @@ def test_what_does_not_forget_is_named_with_its_network(monkeypatch: pytest.Monk
     assert tables.chaotic() == "All renderings forget within that time."
 
 
-def test_every_run_is_of_a_version_or_older(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_every_run_is_of_a_known_version_or_another(monkeypatch: pytest.MonkeyPatch) -> None:
     tables = made_by("tables")
     (first, codes), (second, later), *_ = tables.VERSIONS.items()
     runs = {"table-1": [{"code": code} for code in (*codes, *later)], "main-linear": [{"code": "of no version"}]}
@@ -366,7 +366,7 @@ def test_every_run_is_of_a_version_or_older(monkeypatch: pytest.MonkeyPatch) -> 
     assert tables.versions().cells()[1:] == [
         [first, f"`table-1` ({len(codes)} of {n})"],
         [second, f"`table-1` ({len(later)} of {n})"],
-        ["older", "`main-linear`"],
+        ["other", "`main-linear`"],
     ]
 
 
@@ -523,8 +523,7 @@ def test_table_2_has_the_network_of_table_1_on_the_textures_that_all_variants_ha
     assert failed == f"- Within 2 % of silence's one-step error, or above: TEN on {TEXTURES[0]}."
     assert f"Without {TEXTURES[0]}: Of 6 textures, the one-step error is below that of FoTEN on" in without
     assert (
-        "FoTEN-D 6 (p 0.125). MAE [sd] and GFC: TEN 0.332, 61.7 %; TEN + MFCC 0.100, 90.0 %; "
-        in without
+        "FoTEN-D 6 (p 0.125). MAE [sd] and GFC: TEN 0.332, 61.7 %; TEN + MFCC 0.100, 90.0 %; " in without
     )  # five of 0.7 and one of 0.2
     runs["table-2"][0] |= {"one_step.mae_scaled": 0.3}
     order = next(line for line in others if "By one-step error" in line)

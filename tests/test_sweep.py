@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import csv
 import json
 import os
 import shutil
@@ -10,6 +11,7 @@ import signal
 import socket
 import subprocess
 import sys
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -321,9 +323,48 @@ def test_tables_are_written_in_three_forms(swept: Path, tmp_path: Path, capsys: 
     numbers = [(one, value) for one, value in numbers if type(one) is float and one]
     assert all(value == (one if one.is_integer() else float(f"{one:.3g}")) for one, value in numbers)
     assert any(value != one for one, value in numbers)
-    (tmp_path / "other.csv").write_text("a,b\n1,2\n")
+    with_mark = "\ufeff" + (tmp_path / "short" / "runs.csv").read_text()  # as a spreadsheet writes
+    (tmp_path / "marked.csv").write_text(with_mark)
+    assert read_records(tmp_path / "marked.csv") == short
+
+
+@pytest.mark.parametrize(
+    ("changed", "message"),
+    [
+        (lambda rows: [["a", "b"], ["1", "2"]], "other.csv is no runs.csv of foten tables"),
+        (lambda rows: [*rows[:-1], rows[-1][:5]], "other.csv, row 5: its cells are not as many as there are names"),
+        (lambda rows: [rows[0], [*rows[1], "1"], *rows[2:]], "other.csv, row 2: its cells are not as many"),
+        (lambda rows: with_cell(rows, "epochs", "0,5"), "other.csv, row 3: epochs is '0,5', expected a number"),
+        (lambda rows: with_cell(rows, "split", ""), "on linear-cloth has no split: is this the whole runs.csv"),
+        (
+            lambda rows: [[cell for k, cell in enumerate(row) if rows[0][k] != "rate_hz"] for row in rows],
+            "has no rate_hz",
+        ),
+        (lambda rows: [["\udcff"], *rows], "other.csv is no CSV file in UTF-8"),
+    ],
+)
+def test_what_is_no_table_of_runs_is_refused_in_one_line(
+    swept: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    changed: Callable[..., list[list[str]]],
+    message: str,
+) -> None:
+    runs_table(read_records(swept)).write(tmp_path / "runs.csv")
+    with (tmp_path / "runs.csv").open(newline="") as file:
+        rows = list(csv.reader(file))
+    with (tmp_path / "other.csv").open("w", newline="", errors="surrogateescape") as file:
+        csv.writer(file).writerows(changed(rows))
     assert _status(["tables", str(tmp_path / "other.csv")]) == 2
-    assert "other.csv is no runs.csv of foten tables" in capsys.readouterr().err
+    said = capsys.readouterr().err.strip()
+    assert message in said
+    assert "\n" not in said
+
+
+def with_cell(rows: list[list[str]], name: str, text: str) -> list[list[str]]:
+    """A table with another cell in its second row."""
+    rows[2][rows[0].index(name)] = text
+    return rows
 
 
 def test_a_figure_is_rounded_once(records: list[dict], tmp_path: Path) -> None:
@@ -584,7 +625,8 @@ def test_a_sweep_names_what_it_has_anew_and_makes_again_what_is_damaged(swept: P
     path, whole = plan[0].path, plan[0].path.read_text()
     without_split = json.loads(whole)
     del without_split["evaluation"]["split_sha256"]
-    for text in (whole[:-100], json.dumps(without_split), "5", '{"evaluation": 5}'):
+    without_index = {name: value for name, value in json.loads(whole).items() if name != "index"}
+    for text in (whole[:-100], json.dumps(without_split), json.dumps(without_index), "5", '{"evaluation": 5}'):
         path.write_text(text)
         lines: list[str] = []
         assert lacking(plan, folder, [platform_here()], lines.append) == plan[:1]

@@ -507,12 +507,12 @@ VERSIONS = {
 
 
 def versions() -> Table:
-    """How many runs of the paper's and the main tables are of which commit; of none that is known: older ones."""
-    runs: dict[str, list[str]] = {commit: [] for commit in (*VERSIONS, "older")}
+    """How many runs of the paper's and the main tables are of which commit; of none that is known: others, older ones too."""
+    runs: dict[str, list[str]] = {commit: [] for commit in (*VERSIONS, "other")}
     for name in (*FULL_LENGTH, REAL_TABLE_1, *MAIN):
         records = runs_of(name) if name in FULL_LENGTH else records_of(name)
         of = Counter(
-            next((commit for commit, codes in VERSIONS.items() if r["code"] in codes), "older") for r in records
+            next((commit for commit, codes in VERSIONS.items() if r["code"] in codes), "other") for r in records
         )
         for commit, n in of.items():
             runs[commit].append(f"`{name}`" + (f" ({n} of {len(records)})" if n < len(records) else ""))
@@ -666,7 +666,12 @@ def pages() -> Iterator[tuple[Path, str, str]]:
 def add(folder: Path, recordings: Path | None) -> None:
     """Put the results of a sweep, all or a part, into the CSV of their experiment, beside what the CSV has of others."""
     records = brief(read_records(folder))
-    name = next(name for name in FULL_LENGTH if of_file(name)["title"] == records[0]["experiment"])
+    title = records[0]["experiment"]
+    name = next((name for name in FULL_LENGTH if of_file(name)["title"] == title), None)
+    if name is None:
+        sys.exit(
+            f"{title!r} is none of {', '.join(FULL_LENGTH)}: write its CSV by foten tables, as docs/reproduce.md says"
+        )
     file = FULL_LENGTH[name]
     parts = {other: runs_of(other) for other in FULL_LENGTH if FULL_LENGTH[other] == file}
     places = [run.place for run in read_experiment(experiment_path(name), recordings).runs()]

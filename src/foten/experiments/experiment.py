@@ -18,7 +18,7 @@ from foten.baselines.sizes import TRAINABLE, trainable_sizes
 from foten.datasets.hdf5 import load_recording
 from foten.recording.preprocess import PreprocessConfig
 from foten.recording.recording import Recording
-from foten.simulation.simulate import CONTACT, LINEAR_FAMILY, OTHER_LINEAR, TEXTURES, TWO_MASS, simulate
+from foten.simulation.simulate import CONTACT, LINEAR_FAMILY, OTHER_LINEAR, TEXTURES, TWO_MASS, check_seconds, simulate
 from foten.training.config import FILTERS, OWN_RECIPES, RECIPES, TrainConfig, check_recipe, check_used
 
 RECORDED = (".h5", ".hdf5")
@@ -222,7 +222,7 @@ def experiment_path(name: str) -> Path:
     Raises:
         FileNotFoundError: there is neither.
     """
-    path = Path(name) if name.endswith(".toml") else Path(__file__).with_name(f"{name}.toml")
+    path = Path(name) if name.endswith(".toml") else Path(__file__).parent / f"{name}.toml"
     if not name.endswith(".toml") and not path.exists():
         raise FileNotFoundError(f"no experiment {name!r}, expected a .toml file or one of {', '.join(experiments())}")
     return path
@@ -239,7 +239,9 @@ def read_experiment(path: Path, recordings: Path | None = None) -> Experiment:
         ValueError: it is no TOML, or has an unknown key or a value that does not fit.
     """
     try:
-        return _experiment(tomllib.loads(path.read_text(encoding="utf-8")), recordings or path.parent)
+        experiment = _experiment(tomllib.loads(path.read_text(encoding="utf-8")), recordings or path.parent)
+        experiment.runs()  # refuses settings that do not fit
+        return experiment
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise ValueError(f"{path.name}: this is not TOML ({error})") from error
     except ValueError as error:
@@ -264,11 +266,14 @@ def _experiment(content: dict[str, Any], folder: Path) -> Experiment:
     for grid in values.get("grid", ()):
         if not isinstance(grid, dict):
             raise ValueError(f"a grid is {grid!r}, expected a table")
-        _check_known("key", grid, OF_TRAINING | sizes if networks else (), " in [grid]")
+        if not networks:
+            raise ValueError("a grid is of settings of networks, and the file has none: leave it out")
+        _check_known("key", grid, OF_TRAINING | sizes, " in [grid]")
         for name, settings in grid.items():
             if not isinstance(settings, list) or not settings:
                 raise ValueError(f"{name!r} in the grid is {settings!r}, expected a list")
     experiment = Experiment(**{**values, "textures": textures, "methods": methods})
+    check_seconds(experiment.seconds)
     for method in methods:
         if not set(method.split_seeds or ()) <= set(experiment.split_seeds):
             raise ValueError(f"method {method.title!r}: its split_seeds are not all among the experiment's")
@@ -311,7 +316,7 @@ def _checked(content: Mapping[str, Any], configuration: type, where: str) -> dic
     _check_known("key", content, kinds, f" in {where}")
     for name, value in content.items():
         kind, expected = kinds[name]
-        if not isinstance(value, kind):
+        if not isinstance(value, kind) or isinstance(value, bool):
             raise ValueError(f"{name!r} of {where} is {value!r}, expected {expected}")
         if name in KEYS:
             _check_known("key", value, KEYS[name], f" in {name!r} of {where}")

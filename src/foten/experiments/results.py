@@ -49,6 +49,7 @@ _SCORES = (
 )
 _ONCE = ("note", "platform")  # in `runs.csv`: empty where an experiment's run before has the same
 VALIDATION = ("validation.mae_scaled", "validation.spectrum_db")  # what a recipe is chosen by, the first that it has
+_NEEDED = ("split", "rate_hz", "recording_sha256", "training_s")  # for tables
 _TEXTS = (
     *("experiment", "note", "method", "recipe", "beside", "model", "texture"),
     *("excitation", "measures", "code", "platform"),
@@ -102,6 +103,7 @@ def records_of(results: Results) -> list[dict[str, Any]]:
 def _record(result: Mapping[str, Any]) -> dict[str, Any]:
     run, evaluation, provenance = Run(**result["run"]), result["evaluation"], result["provenance"]
     method, recipe, texture, split = run.place
+    int(result["index"])  # of which results are put in order
     record: dict[str, Any] = {
         "experiment": result["experiment"]["title"],
         "note": result["experiment"]["note"],
@@ -201,7 +203,8 @@ def joined(parts: Sequence[Records], mixed: bool = False) -> list[dict[str, Any]
         mixed: allow runs of different code or platform.
 
     Raises:
-        ValueError: they are of several experiments, of different code or platform, or of two recordings in one place.
+        ValueError: they are of several experiments, of different code or platform, or of two recordings in one place; a run lacks
+            what tables need.
     """
     titles = list(dict.fromkeys(record["experiment"] for part in parts for record in part))
     if len(titles) > 1:
@@ -209,6 +212,9 @@ def joined(parts: Sequence[Records], mixed: bool = False) -> list[dict[str, Any]
     names = ("method", "recipe", "texture", "split")
     runs: dict[tuple[Any, ...], dict[str, Any]] = {}
     for record in itertools.chain.from_iterable(parts):
+        if missing := [name for name in _NEEDED if record.get(name) in (None, "")]:
+            what = f"{record['method']} on {record['texture']} has no {' and no '.join(missing)}"
+            raise ValueError(f"{what}: is this the whole runs.csv that foten tables wrote?")
         first = runs.setdefault(tuple(record[name] for name in names), dict(record))
         if first["recording_sha256"] != record["recording_sha256"]:
             what = f"{record['method']} on {record['texture']}, split {record['split']:g}"
@@ -227,8 +233,11 @@ def read_records(path: Path) -> list[dict[str, Any]]:
     """
     if path.suffix != ".csv":
         return records_of(read_results(path, mixed=True))
-    with path.open(encoding="utf-8", newline="") as file:
-        rows = list(csv.DictReader(file))
+    try:
+        with path.open(encoding="utf-8-sig", newline="") as file:  # a spreadsheet writes a mark before the first name
+            rows = list(csv.DictReader(file))
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise ValueError(f"{path.name} is no CSV file in UTF-8 ({error})") from error
     # A figure that no run has is no column: before the first run with an excitation is done, for example.
     if (
         not rows
@@ -237,10 +246,22 @@ def read_records(path: Path) -> list[dict[str, Any]]:
     ):
         raise ValueError(f"{path.name} is no runs.csv of foten tables")
     above: dict[tuple[str, str], str] = {}
-    for row, name in itertools.product(rows, _ONCE):
-        key = row.get("experiment", ""), name
-        row[name] = above[key] = row.get(name) or above.get(key, "")
-    return [dict.fromkeys(_TEXTS, "") | {key: _parsed(key, text) for key, text in row.items()} for row in rows]
+    records = []
+    for n, row in enumerate(rows, 2):  # as a spreadsheet counts
+        if None in row or None in row.values():
+            raise ValueError(
+                f"{path.name}, row {n}: its cells are not as many as there are names in row 1; is it cut off?"
+            )
+        for name in _ONCE:
+            of = row.get("experiment", ""), name
+            row[name] = above[of] = row.get(name) or above.get(of, "")
+        records.append(dict.fromkeys(_TEXTS, ""))
+        for key, text in row.items():
+            try:
+                records[-1][key] = _parsed(key, text)
+            except ValueError as error:
+                raise ValueError(f"{path.name}, row {n}: {key} is {text!r}, expected a number such as 0.123") from error
+    return records
 
 
 def _parsed(key: str, text: str) -> Any:

@@ -224,6 +224,16 @@ def realisations(
         raise ValueError(f"its parameters are those of another simulator ({error}): simulate it again") from error
 
 
+def check_seconds(seconds: float) -> None:
+    """Refuse a length that nothing is simulated for.
+
+    Raises:
+        ValueError: it is not from 1 s to an hour.
+    """
+    if not 1 <= seconds <= 3600:
+        raise ValueError(f"{seconds:g} s asked for, expected 1 to 3600")
+
+
 def _simulated(
     simulation: Mapping[str, Any], noise_seeds: Sequence[int], spans_s: Sequence[tuple[float, float]] = ()
 ) -> list[Recording]:
@@ -237,8 +247,7 @@ def _simulated(
     # By a field that only they have.
     kind = next((kind for name, kind in kinds.items() if name in simulation["parameters"]), TextureParameters)
     parameters = kind(**simulation["parameters"])
-    if not 1 <= seconds <= 3600:
-        raise ValueError(f"{seconds:g} s asked for, expected 1 to 3600")
+    check_seconds(seconds)
     if not 100 <= rate_hz <= RATE_HZ:
         raise ValueError(f"the accelerometer is at {rate_hz:g} Hz, expected 100 to {RATE_HZ:g}")
     if min(*noise_seeds, stroke_seed) < 0:

@@ -50,6 +50,8 @@ class TrainConfig:
             value = getattr(self, field.name)
             if field.type == "int" and type(value) is not int:
                 raise ValueError(f"{field.name} is {value!r}, expected a whole number")
+            if field.type == "bool" and type(value) is not bool:
+                raise ValueError(f"{field.name} is {value!r}, expected true or false")
             if field.type == "float" and (type(value) not in (int, float) or not math.isfinite(value)):
                 raise ValueError(f"{field.name} is {value!r}, expected a finite number")
         for name in ("epochs", "batch", "patience", "trial_epochs", "threads", "max_order"):
