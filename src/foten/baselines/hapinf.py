@@ -15,7 +15,7 @@ class Hapinf(nn.Module):
     """Encoder of acceleration, speed and force, and a decoder of the last tokens and a placeholder for the next sample.
 
     Source: Informer (Zhou et al., AAAI 2021), without its sparse attention, which has no use in a window of 20 samples. No source
-    of HapInf [20] itself was available: our re-implementation.
+    of HapInf, for which the paper gives no number, was available: our re-implementation.
     """
 
     def __init__(self, sizes: HapinfSizes) -> None:

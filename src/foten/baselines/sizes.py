@@ -78,7 +78,7 @@ class DstnSizes(GraphSizes):
 
 @dataclass(frozen=True)
 class HapinfSizes(GraphSizes):
-    """Encoder and decoder after Informer, the teacher of [20]; no source of it was available."""
+    """Encoder and decoder after Informer, here the teacher of LDHTD [20]; no source of it was available."""
 
     window: int = 20  # m, samples
     d_model: int = 64

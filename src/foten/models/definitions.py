@@ -56,7 +56,7 @@ def render(
     linearly to zero. Where the gain comes before the lattice it is what enters that fades, and what rang rings out. Where a card
     has an exponent of 0 the level is held above, and fades linearly from the trained range on.
 
-    Differs from the paper: it clamps to the recorded range on both sides (Sec. VIII), and so vibrates at rest.
+    Differs from the paper: it keeps to the recorded range (Sec. VIII), and vibrates at rest if that is so below it too.
 
     Args:
         speed, force: at the texture's rate [mm/s, N], shape (n,).

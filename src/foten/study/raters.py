@@ -13,7 +13,7 @@ PAPER_PARTICIPANTS, PAPER_TEXTURES = 21, 12
 PAPER_MEAN, PAPER_SD = 80.14, 10.67  # of FoTEN; Sec. VIII
 # By how much FoTEN was better on the 8 textures where it was significantly so, and on the other 4 from nothing to that; Sec. VII.
 PAPER_DIFFERENCES = {"dstn": (9.75, 31.33), "ldhtd": (8.75, 25.25)}
-# Of AR the text gives p alone, after Bonferroni's correction for 6 pairs, on all 12 textures; Sec. VII.
+# Of AR the text gives p alone, after Bonferroni's correction, taken as for 6 pairs, on all 12 textures; Sec. VII.
 PAPER_AR_P = (2.0e-7, 1.0e-3)
 SHOWN = (4, 8, 12, 16, 21, 24, 30, 40, 50, 60)  # numbers of participants whose power is printed
 AIM = 0.8  # power that a study should have

@@ -28,8 +28,8 @@ class Network:
         if sizes.pre_norm:
             tokens = w.norm("temporal.norm", tokens)
         if isinstance(sizes, SpectralSizes):
-            spectral = w.linear("spectral_embedding", self._spectral(sizes, windows[:, :, 0])[:, :, None])
-            tokens = np.concatenate([tokens, spectral], axis=2)  # Eq. 10
+            spectral = w.linear("spectral_embedding", self._spectral(sizes, windows[:, :, 0])[:, :, None])  # Eq. 10
+            tokens = np.concatenate([tokens, spectral], axis=2)
         fused = np.concatenate([tokens[:, -1], windows[:, -1, 1:3]], axis=1)  # Eq. 11, the last token
         hidden = np.maximum(w.linear("head_1", fused), 0.0)
         hidden = np.maximum(w.linear("head_2", hidden), 0.0)

@@ -13,7 +13,7 @@ from foten.models.model_sizes import ModelSizes, Shapes, check_count, check_head
 class TransformerSizes(ModelSizes):
     """A temporal branch and a head.
 
-    Differs from the paper where it is silent: layers normalise before attention (Fig. 3 shows it so).
+    Differs from the paper where it says two things: layers normalise before attention (Sec. IV-c, Fig. 3), unlike those of [17].
     """
 
     window: int = 25  # m, samples; Table II
@@ -72,8 +72,8 @@ class TenSizes(TransformerSizes, WithExcitation):
 class SpectralSizes(TransformerSizes):
     """A temporal and a Fourier branch, fused at the last token.
 
-    Differs from the paper where it is silent: the spectral branches are lifted from width 1 to `spectral_width` and projected
-    back, since at width 1 a layer normalisation outputs a constant; all m bins are kept, and Eq. 9 gives its real part.
+    Differs from the paper: the spectral branches are lifted from width 1 to `spectral_width` and projected back, since at width
+    1 a layer normalisation outputs a constant; of Eq. 9 the real part is taken.
     """
 
     window: int = 20  # m, samples; Sec. VI-b
