@@ -238,6 +238,7 @@ def test_systems_with_a_change_stand_beside_the_same_recordings_before(tables: M
         for name, errors in {
             "DSTN [15], FoTEN's window": (0.1, 0.3, 0.18),
             "DSTN [15], FoTEN's size": (0.2, 0.2, 0.2),
+            "DSTN [15], FoTEN's loss": (0.2, 0.3, 0.1),
             "DSTN [15], twice the epochs": (0.4, 0.4, 0.4),
             "FoTEN, DSTN's size": (0.2, 0.3, 0.1),
         }.items()
@@ -246,7 +247,7 @@ def test_systems_with_a_change_stand_beside_the_same_recordings_before(tables: M
     assert tables.difference_explained().endswith(
         "mean over the 3 textures, and on how many it is ahead: as tuned 0.030 (3), both with FoTEN's window 0.007 (2), "
         "both with DSTN's window -0.070 (0), both of FoTEN's size 0.000 (0), both of DSTN's size 0.030 (2), "
-        "both with twice the epochs -0.300 (0)."
+        "both with FoTEN's loss 0.000 (1), both with twice the epochs -0.300 (0)."
     )
 
 

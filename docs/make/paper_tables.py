@@ -241,6 +241,7 @@ ON_A_PAR = {
     "both with DSTN's window": ("", ", DSTN's window"),
     "both of FoTEN's size": (", FoTEN's size", ""),
     "both of DSTN's size": ("", ", DSTN's size"),
+    "both with FoTEN's loss": (", FoTEN's loss", ""),
     "both with twice the epochs": (", twice the epochs", ", twice the epochs"),
 }
 """Changes to DSTN and to FoTEN that take one difference between the two away, by what they are then."""
