@@ -69,7 +69,7 @@ def test_a_grid_crosses_sizes_and_training(tmp_path: Path) -> None:
     assert {(run.sizes["window"], run.train["loss"]) for run in runs} == {
         (m, loss) for m in (120, 144) for loss in ("mse", "mae")
     }
-    assert (runs[0].method, runs[0].label) == ("FNN [13]", "FNN [13] window 120, loss mse")
+    assert (runs[0].method, runs[0].label) == ("FNN [13]", "FNN [13] loss mse, window 120")
 
 
 def test_each_of_several_grids_is_run_for_itself(tmp_path: Path) -> None:

@@ -619,10 +619,25 @@ def in_textures(records: Records) -> list[Record]:
     return sorted(records, key=lambda record: record["texture"])
 
 
+def of_grid() -> tuple[list[Record], list[str]]:
+    """Runs of the grid on the textures that are done, and the textures that are not."""
+    planned = Counter(run.place[2] for run in read_experiment(experiment_path("figure-5")).runs())
+    done = Counter(record["texture"] for record in runs_of("figure-5"))
+    missing = [texture for texture, n in planned.items() if done[texture] < n]
+    return [record for record in runs_of("figure-5") if record["texture"] not in missing], missing
+
+
+def grid_so_far() -> str:
+    """How much of the grid is done."""
+    records, missing = of_grid()
+    done = ", ".join(sorted(textures_of(records))) or "no texture"
+    return f"Done so far: {done}; not yet: {', '.join(missing)}." if missing else f"Means over {done}."
+
+
 def by_window() -> dict[tuple[int, str], list[Record]]:
     """Runs of the grid by window and loss; the Huber loss is that of 1.6."""
     cells: dict[tuple[int, str], list[Record]] = {}
-    for record in runs_of("figure-5"):
+    for record in of_grid()[0]:
         if "window" in (cell := cell_of(record)):
             cells.setdefault((int(cell["window"]), cell["loss"]), []).append(record)
     return cells
@@ -631,7 +646,7 @@ def by_window() -> dict[tuple[int, str], list[Record]]:
 def of_huber() -> dict[str, list[Record]]:
     """Runs of the grid at the paper's window with the Huber loss: by its threshold, by another seed, and with one change."""
     cells = {"1.6": by_window().get(PAPER_CELL, [])}
-    for record in runs_of("figure-5"):
+    for record in of_grid()[0]:
         cell = cell_of(record)
         if "delta" in cell:
             cells.setdefault(f"{float(cell['delta']):.1f}", []).append(record)
@@ -670,8 +685,8 @@ def by_threshold() -> Table:
 
 
 def grid_findings() -> str:
-    """Sentences on the finished grid: its best cell by validation, windows and losses, and what one change of the recipe does."""
-    if len(runs_of("figure-5")) < len(read_experiment(experiment_path("figure-5")).runs()):
+    """Sentences on the grid: its best cell by validation, windows and losses, and what one change of the recipe does."""
+    if not of_grid()[0]:
         return ""
 
     def error(records: Records, path: str = ONE_STEP) -> float:
@@ -806,6 +821,7 @@ TABLES: dict[str, Callable[[], Table | str]] = {
     "equal-tuning": equal_tuning,
     "table-2": table_2,
     "table-2-findings": table_2_findings,
+    "grid-so-far": grid_so_far,
     "windows-by-loss": windows_by_loss,
     "thresholds": by_threshold,
     "grid-findings": grid_findings,

@@ -74,7 +74,7 @@ INK, OURS, PAPER, LINEAR, CEILING = "#333333", BLUE, ORANGE, GREEN, MAUVE
 SOUND_HZ = 4000
 STYLE = Style(INK, label_pt=10, tick_pt=9)
 DPI = 110
-N_COLOURS = 64  # of a picture's palette
+N_COLOURS = 32  # of a picture's palette
 
 
 def image_of(figure: Figure) -> Image.Image:

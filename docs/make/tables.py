@@ -663,6 +663,10 @@ def pages() -> Iterator[tuple[Path, str, str]]:
         yield path, before, text
 
 
+ONLY = {"figure-5": ("one_step", "validation")}
+"""Figures that are kept of an experiment of many runs."""
+
+
 def add(folder: Path, recordings: Path | None) -> None:
     """Put the results of a sweep, all or a part, into the CSV of their experiment, beside what the CSV has of others."""
     records = brief(read_records(folder))
@@ -672,6 +676,10 @@ def add(folder: Path, recordings: Path | None) -> None:
         sys.exit(
             f"{title!r} is none of {', '.join(FULL_LENGTH)}: write its CSV by foten tables, as docs/reproduce.md says"
         )
+    if name in ONLY:
+        records = [
+            {key: one[key] for key in one if key.partition(".")[0] in ONLY[name] or "." not in key} for one in records
+        ]
     file = FULL_LENGTH[name]
     parts = {other: runs_of(other) for other in FULL_LENGTH if FULL_LENGTH[other] == file}
     places = [run.place for run in read_experiment(experiment_path(name), recordings).runs()]

@@ -63,8 +63,8 @@ class Run:
 
     @property
     def label(self) -> str:
-        """Name of its row in a table: the method, and its cell of the grid."""
-        return " ".join([self.method, ", ".join(f"{k} {v}" for k, v in self.cell.items())]).rstrip()
+        """Name of its row in a table: the method, and its cell of the grid, which its result holds in alphabetical order too."""
+        return " ".join([self.method, ", ".join(f"{k} {v}" for k, v in sorted(self.cell.items()))]).rstrip()
 
     @property
     def line(self) -> str:
