@@ -588,6 +588,19 @@ def test_a_run_that_is_added_replaces_the_one_in_its_place(monkeypatch: pytest.M
         ("FNN [13]", 0.3),
         ("FoTEN", 0.2),
     ]
+    grid = read_experiment(experiment_path("figure-5"))
+    new |= {
+        "experiment": grid.title,
+        "method": grid.runs()[0].label,
+        "texture": grid.textures[0],
+        "free_run.lsd_db": 3.0,
+    }
+    tables.add(tmp_path, None)
+    (kept,) = (one for one in written["rows"] if one["experiment"] == grid.title)
+    assert kept == {name: value for name, value in new.items() if name != "free_run.lsd_db"}  # which no table reads
+    new["experiment"] = "Simulated textures"
+    with pytest.raises(SystemExit, match="'Simulated textures' is none of recipes, table-1"):
+        tables.add(tmp_path, None)
 
 
 def test_every_run_of_figure_5_is_in_a_cell(tables: ModuleType, runs: Runs) -> None:
