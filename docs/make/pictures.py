@@ -565,7 +565,8 @@ def figure_5(arguments: argparse.Namespace) -> None:
         for record in records
     }
     if not errors:
-        return print("figure-5: there are no runs in docs/results yet")
+        print("figure-5: there are no runs in docs/results yet")
+        return
     seeds: dict[tuple[str, int], list[float]] = {}
     for record in chain.from_iterable(of_seeds()):
         seeds.setdefault((record["texture"], PAPER_CELL[0]), []).append(record[ONE_STEP])

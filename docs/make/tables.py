@@ -663,7 +663,7 @@ def pages() -> Iterator[tuple[Path, str, str]]:
         yield path, before, text
 
 
-ONLY = {"figure-5": ("one_step", "validation")}
+KEPT_FIGURES = {"figure-5": ("one_step", "validation")}
 """Figures that are kept of an experiment of many runs."""
 
 
@@ -676,9 +676,10 @@ def add(folder: Path, recordings: Path | None) -> None:
         sys.exit(
             f"{title!r} is none of {', '.join(FULL_LENGTH)}: write its CSV by foten tables, as docs/reproduce.md says"
         )
-    if name in ONLY:
+    if name in KEPT_FIGURES:
         records = [
-            {key: one[key] for key in one if key.partition(".")[0] in ONLY[name] or "." not in key} for one in records
+            {key: one[key] for key in one if key.partition(".")[0] in KEPT_FIGURES[name] or "." not in key}
+            for one in records
         ]
     file = FULL_LENGTH[name]
     parts = {other: runs_of(other) for other in FULL_LENGTH if FULL_LENGTH[other] == file}
