@@ -677,7 +677,7 @@ def test_more_methods_than_colours_are_dashed(monkeypatch: pytest.MonkeyPatch) -
     assert len(looks) == len(names)
 
 
-@pytest.mark.parametrize("name", ["ceiling", "limits", "abrupt"])
+@pytest.mark.parametrize("name", ["ceiling", "limits", "abrupt", "figure-5"])
 def test_a_picture_can_be_drawn_from_the_csv_files(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """They hold every figure that it shows."""
     assert all(axes.has_data() for axes in picture(name, monkeypatch).axes)
