@@ -677,10 +677,27 @@ def test_more_methods_than_colours_are_dashed(monkeypatch: pytest.MonkeyPatch) -
     assert len(looks) == len(names)
 
 
-@pytest.mark.parametrize("name", ["ceiling", "limits", "abrupt", "figure-5"])
+@pytest.mark.parametrize("name", ["ceiling", "limits", "abrupt"])
 def test_a_picture_can_be_drawn_from_the_csv_files(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """They hold every figure that it shows."""
     assert all(axes.has_data() for axes in picture(name, monkeypatch).axes)
+
+
+def test_figure_5_shows_every_run_by_window_and_the_range_of_seeds(monkeypatch: pytest.MonkeyPatch) -> None:
+    records = made_by("csv_records").runs_of("figure-5")
+    panels = picture("figure-5", monkeypatch).axes
+    assert [axes.get_title(loc="left") for axes in panels] == [*dict.fromkeys(record["texture"] for record in records)]
+    for axes in panels:
+        runs = {one["method"]: one for one in records if one["texture"] == axes.get_title(loc="left")}
+        shown = {line.get_label(): np.asarray(line.get_ydata()) for line in axes.lines if line.get_linestyle() == "-"}
+        hollow = [np.asarray(line.get_ydata()) for line in axes.lines if line.get_markerfacecolor() == "none"]
+        for loss, validated in zip(sorted(("mae", "mse", "huber")), hollow, strict=True):
+            cells = [runs[f"foten loss {loss}, window {window}"] for window in (5, 10, 15, 20, 25, 30)]
+            np.testing.assert_array_equal(shown[loss], [cell["one_step.mae_scaled"] for cell in cells])
+            np.testing.assert_array_equal(validated, [cell["validation.mae_scaled"] for cell in cells])
+        names = ("loss huber, window 20", "seed 2", "seed 3")
+        of_seeds = [runs[f"foten {name}"]["one_step.mae_scaled"] for name in names]
+        assert [*shown["3 seeds"]] == [min(of_seeds), max(of_seeds)]
 
 
 def test_a_picture_keeps_the_colour_of_a_line_that_is_rare(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
