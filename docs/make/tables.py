@@ -663,7 +663,7 @@ def pages() -> Iterator[tuple[Path, str, str]]:
         yield path, before, text
 
 
-KEPT_FIGURES = {"figure-5": ("one_step", "validation")}
+KEPT_FIGURES = {"figure-5": ("one_step", "validation"), "recipes": ("one_step", "references", "validation")}
 """Figures that are kept of an experiment of many runs."""
 
 
