@@ -683,10 +683,12 @@ def add(folder: Path, recordings: Path | None) -> None:
         ]
     file = FULL_LENGTH[name]
     parts = {other: runs_of(other) for other in FULL_LENGTH if FULL_LENGTH[other] == file}
-    places = [run.place for run in read_experiment(experiment_path(name), recordings).runs()]
+    experiment = read_experiment(experiment_path(name), recordings)
+    places = [run.place for run in experiment.runs()]
     done = {*map(place_of, records)}
     kept = [record for record in parts[name] if place_of(record) not in done]
-    parts[name] = sorted([*records, *kept], key=lambda one: places.index(place_of(one)))
+    described = [one | {"note": experiment.note} for one in (*records, *kept)]  # as it is now, of earlier runs too
+    parts[name] = sorted(described, key=lambda one: places.index(place_of(one)))
     runs_table([record for part in parts.values() for record in part], 4).write(RESULTS / f"{file}.csv")
 
 
