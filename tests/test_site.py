@@ -584,9 +584,10 @@ def test_a_run_that_is_added_replaces_the_one_in_its_place(monkeypatch: pytest.M
 
     monkeypatch.setattr(tables, "runs_table", lambda records, digits: written.update(rows=records) or Written())
     tables.add(tmp_path, None)
-    assert [(one["method"], one["one_step.mae_scaled"]) for one in written["rows"]] == [
-        ("FNN [13]", 0.3),
-        ("FoTEN", 0.2),
+    note = read_experiment(experiment_path("table-1")).note  # of the file, for all: an older run has an older one
+    assert [(one["method"], one["one_step.mae_scaled"], one["note"]) for one in written["rows"]] == [
+        ("FNN [13]", 0.3, note),
+        ("FoTEN", 0.2, note),
     ]
     grid = read_experiment(experiment_path("figure-5"))
     new |= {
@@ -597,9 +598,10 @@ def test_a_run_that_is_added_replaces_the_one_in_its_place(monkeypatch: pytest.M
     }
     tables.add(tmp_path, None)
     (kept,) = (one for one in written["rows"] if one["experiment"] == grid.title)
-    assert kept == {name: value for name, value in new.items() if name != "free_run.lsd_db"}  # which no table reads
-    new["experiment"] = "Simulated textures"
-    with pytest.raises(SystemExit, match="'Simulated textures' is none of recipes, table-1"):
+    expected = {name: value for name, value in new.items() if name != "free_run.lsd_db"}  # which no table reads
+    assert kept == expected | {"note": grid.note}
+    new["experiment"] = "Ingredients"
+    with pytest.raises(SystemExit, match="'Ingredients' is none of recipes, table-1"):
         tables.add(tmp_path, None)
 
 

@@ -37,7 +37,7 @@ FULL_LENGTH = {
     "table-2": "paper",
     "figure-5": "paper",
 }
-"""Experiments of the paper's tables, and the CSV that holds their runs."""
+"""Experiments of the paper's tables, and the CSV that holds their runs; other experiments have one of their own name."""
 ONE_STEP, BEST_AR = "one_step.mae_scaled", "references.ar_best.mae_scaled"
 ERROR, BOUND = "one_step.mae_m_s2", "references.bound.mae_m_s2"
 LSD, AR_LSD, CEILING = "free_run.lsd_db", "free_run_ar.lsd_db", "ceiling.lsd_db"
@@ -71,9 +71,9 @@ def of_file(name: str) -> dict[str, Any]:
 
 
 def runs_of(name: str) -> list[Record]:
-    """Runs of an experiment of the paper's tables, whose CSV holds others too."""
+    """Runs of an experiment, whose CSV may hold others too."""
     title = of_file(name)["title"]
-    return [record for record in records_of(FULL_LENGTH[name]) if record["experiment"] == title]
+    return [record for record in records_of(FULL_LENGTH.get(name, name)) if record["experiment"] == title]
 
 
 def runs(name: str, model: str = OURS) -> list[Record]:

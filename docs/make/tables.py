@@ -509,8 +509,8 @@ VERSIONS = {
 def versions() -> Table:
     """How many runs of the paper's and the main tables are of which commit; of none that is known: others, older ones too."""
     runs: dict[str, list[str]] = {commit: [] for commit in (*VERSIONS, "other")}
-    for name in (*FULL_LENGTH, REAL_TABLE_1, *MAIN):
-        records = runs_of(name) if name in FULL_LENGTH else records_of(name)
+    for name in JOINED:
+        records = runs_of(name)
         of = Counter(
             next((commit for commit, codes in VERSIONS.items() if r["code"] in codes), "other") for r in records
         )
@@ -523,7 +523,7 @@ def spent() -> Table:
     """Runs of the paper's tables at full length that are done, and what they took."""
     rows = []
     for name in (*FULL_LENGTH, REAL_TABLE_1):
-        records = runs_of(name) if name in FULL_LENGTH else records_of(name)
+        records = runs_of(name)
         done = str(len(records))
         if name not in (paper_tables.BEHIND_LOW_PASS, REAL_TABLE_1):  # which need recordings
             runs = read_experiment(experiment_path(name)).runs()
@@ -596,7 +596,7 @@ def listed(*names: str) -> str:
     """Links to the runs of experiments that have been run."""
     lines = []
     for name in names:
-        if records := runs_of(name) if name in FULL_LENGTH else records_of(name):
+        if records := runs_of(name):
             lines.append(f"- [{name}](results/{FULL_LENGTH.get(name, name)}.csv): {note_of(name, records)}")
     return "\n".join(lines)
 
@@ -663,6 +663,8 @@ def pages() -> Iterator[tuple[Path, str, str]]:
         yield path, before, text
 
 
+JOINED = (*FULL_LENGTH, REAL_TABLE_1, *MAIN)
+"""Experiments that are run in parts, in the order of their versions."""
 KEPT_FIGURES = {"figure-5": ("one_step", "validation"), "recipes": ("one_step", "references", "validation")}
 """Figures that are kept of an experiment of many runs."""
 
@@ -671,18 +673,16 @@ def add(folder: Path, recordings: Path | None) -> None:
     """Put the results of a sweep, all or a part, into the CSV of their experiment, beside what the CSV has of others."""
     records = brief(read_records(folder))
     title = records[0]["experiment"]
-    name = next((name for name in FULL_LENGTH if of_file(name)["title"] == title), None)
+    name = next((name for name in JOINED if of_file(name)["title"] == title), None)
     if name is None:
-        sys.exit(
-            f"{title!r} is none of {', '.join(FULL_LENGTH)}: write its CSV by foten tables, as docs/reproduce.md says"
-        )
+        sys.exit(f"{title!r} is none of {', '.join(JOINED)}: write its CSV by foten tables, as docs/reproduce.md says")
     if name in KEPT_FIGURES:
         records = [
             {key: one[key] for key in one if key.partition(".")[0] in KEPT_FIGURES[name] or "." not in key}
             for one in records
         ]
-    file = FULL_LENGTH[name]
-    parts = {other: runs_of(other) for other in FULL_LENGTH if FULL_LENGTH[other] == file}
+    file = FULL_LENGTH.get(name, name)
+    parts = {other: runs_of(other) for other in JOINED if FULL_LENGTH.get(other, other) == file}
     experiment = read_experiment(experiment_path(name), recordings)
     places = [run.place for run in experiment.runs()]
     done = {*map(place_of, records)}
