@@ -291,6 +291,22 @@ def test_cells_that_were_made_anew_have_every_figure_of_the_table(tables: Module
         assert {key: of_table.get(key) for key in figures} == figures
 
 
+@pytest.mark.parametrize("name", ["table-1", "table-1-tuned", "table-1-near", "table-2", "main-contact"])
+def test_all_runs_of_a_texture_and_a_split_are_of_the_same_recording(tables: ModuleType, name: str) -> None:
+    """Its hash may differ, as between instruction sets; what does not depend on the method is equal to four digits."""
+    places: dict[tuple[str, float], dict[str, float]] = {}
+    n_compared = 0
+    for one in tables.runs_of(name):
+        figures = {key: one[key] for key in one if key.startswith(("references.", "ceiling.", "free_run_ar."))}
+        figures = {key: value for key, value in figures.items() if value is not None}
+        seen = places.setdefault((one["texture"], one["split"]), {})
+        shared = seen.keys() & figures.keys()
+        assert {key: figures[key] for key in shared} == pytest.approx({key: seen[key] for key in shared}, rel=1e-3)
+        n_compared += len(shared)
+        seen |= figures
+    assert n_compared > 5 * (len(tables.runs_of(name)) - len(places))
+
+
 def test_a_linear_predictor_counts_once_for_all_runs_on_a_recording(tables: ModuleType, runs: Runs) -> None:
     linear = {"references.ar.mae_scaled": 0.9, "references.ar.gfc": 0.99}
     runs["table-1"] = of_systems(TEXTURES)
