@@ -379,9 +379,12 @@ def test_every_run_is_of_a_known_version_or_another(monkeypatch: pytest.MonkeyPa
     runs = {"table-1": [{"code": code} for code in (*codes, *later)], "main-linear": [{"code": "of no version"}]}
     for read in ("runs_of", "records_of"):
         monkeypatch.setattr(tables, read, lambda name: runs.get(name, []))
+    monkeypatch.setattr(
+        tables, "csv_rows", lambda name: [{"code": code} for code in codes] if name == "efficiency" else []
+    )
     n = len(codes) + len(later)
     assert tables.versions().cells()[1:] == [
-        [first, f"`table-1` ({len(codes)} of {n})"],
+        [first, f"`table-1` ({len(codes)} of {n}), Table III on the CPU"],
         [second, f"`table-1` ({len(later)} of {n})"],
         ["other", "`main-linear`"],
     ]

@@ -812,6 +812,7 @@ TABLES: dict[str, Callable[[], Table | str]] = {
     "beside-ar": beside_ar,
     "beside-short-ar": beside_short_ar,
     "neighbours": lambda: neighbours(chosen(table_1())),
+    "neighbours-papers": lambda: neighbours(of_all_systems(PAPERS)),
     "near": lambda: compared(near()) if near() else Table((), ()),
     "near-neighbours": near_neighbours,
     "changed": changed,

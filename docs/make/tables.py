@@ -502,8 +502,14 @@ VERSIONS = {
     "cc4c4292": {"69404639f09a9196", "0c720e2e7db4e48b", "07ba0a3fa116e97d", "f05e4aa1c77ccf15"},
     "2f0f0d6e": {"7e5f9516d6af35bf", "396feffc46c5c2bb", "daed59569aa57f0e", "7a51214710a5daa5", "44f1efb5c1cd1f53"},
     "2a974bd7": {"29401e15b6d05a20", "7d77f7c7239854cc"},
+    "214eeaf5": {"738830bef19dd066", "0ace9ef399e18463"},
 }
 """Commits that runs are of, and their digests; a digest covers what a model's runs import, so commits may share some."""
+
+
+def commit_of(code: object) -> str:
+    """Commit of a digest of code."""
+    return next((commit for commit, codes in VERSIONS.items() if code in codes), "other")
 
 
 def versions() -> Table:
@@ -511,16 +517,15 @@ def versions() -> Table:
     runs: dict[str, list[str]] = {commit: [] for commit in (*VERSIONS, "other")}
     for name in JOINED:
         records = runs_of(name)
-        of = Counter(
-            next((commit for commit, codes in VERSIONS.items() if r["code"] in codes), "other") for r in records
-        )
-        for commit, n in of.items():
+        for commit, n in Counter(commit_of(record["code"]) for record in records).items():
             runs[commit].append(f"`{name}`" + (f" ({n} of {len(records)})" if n < len(records) else ""))
+    for commit in dict.fromkeys(commit_of(row["code"]) for row in csv_rows("efficiency")):
+        runs[commit].append("Table III on the CPU")
     return Table.of(("commit", "runs of"), [(commit, ", ".join(of)) for commit, of in runs.items() if of])
 
 
 def spent() -> Table:
-    """Runs of the paper's tables at full length that are done, and what they took."""
+    """Runs of the paper's tables at full length and of the main tables that are done, and what they took."""
     rows = []
     for name in (*FULL_LENGTH, REAL_TABLE_1):
         records = runs_of(name)
@@ -530,6 +535,10 @@ def spent() -> Table:
             # Those of the network in Table II are runs of Table I.
             done += f" of {sum((name, run.model) != ('table-2', 'foten') for run in runs)}"
         rows.append((f"`{name}`", done, core_hours(records)))
+    main = [record for name in MAIN for record in runs_of(name)]
+    every = main + [record for name in (*FULL_LENGTH, REAL_TABLE_1) for record in runs_of(name)]
+    rows.append(("main tables", str(len(main)), core_hours(main)))
+    rows.append(("**all**", str(len(every)), f"**{core_hours(every)}**"))
     return Table.of(("experiment", "runs done", "core-hours"), rows)
 
 

@@ -357,18 +357,20 @@ def _best_method(records: Records, name: str) -> Iterator[str]:
         yield f"{figure.name}: there is none of {', '.join(none)}."
     if lacking:
         yield f"{figure.name}: not compared, for want of textures or splits: {', '.join(lacking)}."
-    best, p = compared(rows, textures, figure.better)
-    if best:
-        means = {row.name: float(row.means(textures).mean()) for row in with_all}
-        n_methods = len(
-            {tuple(row.means(textures)) for row in with_all}
-        )  # an excitation changes no one-step prediction
-        chance = ", ".join(other.removesuffix(WITHOUT) for other, value in p.items() if value >= 0.05)
-        differ = f"; the difference may be chance for {chance}" if chance else ""
-        differ = "; all others differ (p < 0.05)" if p and not chance else differ
-        is_best = f"is best on the mean of {n_methods} trained methods, with" if n_methods > 1 else "has"
-        beside = _beside_linear(rows, with_all, textures, figure)
-        yield f"{figure.name}: {best} {is_best} {means[best]:.{figure.digits}f}{differ}.{beside}"
+    if not with_all:
+        return
+    first: dict[tuple[float, ...], Row] = {}  # of equal figures: an excitation changes no one-step prediction
+    for row in with_all:
+        first.setdefault(tuple(row.means(textures)), row)
+    distinct = [*first.values()]
+    best, p = compared(distinct, textures, figure.better)
+    mean = next(float(row.means(textures).mean()) for row in distinct if row.name == best)
+    chance = ", ".join(other.removesuffix(WITHOUT) for other, value in p.items() if value >= 0.05)
+    differ = f"; the difference may be chance for {chance}" if chance else ""
+    differ = "; all others differ (p < 0.05)" if p and not chance else differ
+    is_best = f"is best on the mean of {len(distinct)} trained methods, with" if len(distinct) > 1 else "has"
+    beside = _beside_linear(rows, distinct, textures, figure)
+    yield f"{figure.name}: {best} {is_best} {mean:.{figure.digits}f}{differ}.{beside}"
 
 
 def _beside_linear(rows: Sequence[Row], methods: Sequence[Row], textures: Sequence[str], figure: Figure) -> str:
