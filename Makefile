@@ -37,7 +37,7 @@ docs: $(VENV)/.docs
 	$(BIN)/python native/wasm/pack.py --out build/site/live && cp -R src/foten/textures build/site/live # of the first page
 	$(BIN)/python docs/make/screenshots.py
 
-# Every table and figure of the paper, reduced as each says, in half an hour on two cores: build/paper. It goes on where it stopped.
+# Every table and figure of the paper, reduced as each says, in a quarter of an hour on two cores: build/paper. It goes on where it stopped.
 SMALL := table-1 table-2 figure-5
 paper-small: $(VENV)/.installed
 	for name in $(SMALL); do \
