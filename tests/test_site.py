@@ -280,7 +280,7 @@ def test_real_recordings_are_compared_on_splits_that_all_systems_have(tables: Mo
 def test_cells_that_were_made_anew_have_every_figure_of_the_table(tables: ModuleType) -> None:
     """Ten runs of `table-1`, from a clone, by somebody who had only the page *Reproduce*: equal to four digits."""
     published = {(one["experiment"], *tables.place_of(one)): one for one in tables.records_of("paper")}
-    anew = tables.records_of("made-anew")
+    anew = [one for one in tables.records_of("made-anew") if "avx512" in one["platform"]]  # as the table
     assert len(anew) == 10
     assert len({one["model"] for one in anew}) == 5
     for one in anew:
