@@ -551,7 +551,8 @@ def made_anew() -> Table:
         cell = published[(record["experiment"], *place_of(record))]
         if record["platform"] != cell["platform"]:
             here, there = record[ONE_STEP], cell[ONE_STEP]
-            shown = f"`{titles[record['experiment']]}`", f"{record['method']}, {record['texture']}"
+            method = paper_tables.VARIANTS.get(record["method"], record["method"])
+            shown = f"`{titles[record['experiment']]}`", f"{method}, {record['texture']}"
             rows.append((*shown, f"{there:.4f}", f"{here:.4f}", f"{100 * (here / there - 1):+.1f}"))
     return Table.of(("experiment", "cell", "MAE [sd]", "again", "difference [%]"), rows)
 
