@@ -508,7 +508,7 @@ VERSIONS = {
 
 
 def commit_of(code: object) -> str:
-    """Commit of a digest of code."""
+    """Commit that a digest of code, of 16 hexadecimal digits, is of; `other` where `VERSIONS` does not have it."""
     return next((commit for commit, codes in VERSIONS.items() if code in codes), "other")
 
 
