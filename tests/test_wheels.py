@@ -224,6 +224,9 @@ def test_the_wheel_at_hand_exports_what_it_should_and_renders(wheels: ModuleType
     ran(*pip, "--no-deps", "--no-build-isolation", "--wheel-dir", tmp_path, ROOT)
     (wheel,) = tmp_path.glob("*.whl")
     wheels.check_functions(target, wheel)
+    with zipfile.ZipFile(wheel) as archive:  # the word vectors in it are not under the project's own licence
+        (notice,) = (name for name in archive.namelist() if name.endswith(".dist-info/licenses/NOTICE"))
+        assert "Public Domain Dedication and License 1.0" in archive.read(notice).decode()
     installed(wheel, tmp_path)
 
 
@@ -319,6 +322,24 @@ def found(path: str, pattern: str) -> str:
     match = re.search(pattern, (ROOT / path).read_text(), re.MULTILINE)
     assert match is not None, f"{path} has no {pattern}"
     return match[1]
+
+
+def test_workflows_name_actions_by_one_commit_each() -> None:
+    """A tag can be moved to other code, a commit cannot."""
+    lines = "".join(path.read_text() for path in (ROOT / ".github/workflows").glob("*.yml"))
+    used = set(re.findall(r"uses: *(.*)", lines))
+    pinned = {re.fullmatch(r"([\w/-]+)@[0-9a-f]{40} # v\d+\.\d+\.\d+", line) for line in used}
+    assert None not in pinned
+    assert len({match[1] for match in pinned if match}) == len(used)
+
+
+def test_the_release_job_installs_by_hash_what_the_constraints_name() -> None:
+    text = (NATIVE / "release-requirements.txt").read_text()
+    pins = re.findall(r"^([\w-]+==\S+) --hash=sha256:[0-9a-f]{64}$", text, flags=re.MULTILINE)
+    assert len(pins) == sum(not line.startswith("#") for line in text.splitlines())
+    constraints = (ROOT / "constraints.txt").read_text().split()
+    tools = ("cmake", "lief", "ninja", "scikit-build-core", "ziglang")  # of the extra wheels
+    assert {pin for pin in constraints if pin.split("==")[0] in tools} <= set(pins)
 
 
 def test_the_version_is_the_same_everywhere() -> None:
