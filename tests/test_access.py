@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import ssl
+import stat
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,7 @@ from starlette.testclient import TestClient
 from starlette.websockets import WebSocketDisconnect
 
 from foten.runtime.renderer import EXAMPLE
-from foten.studio.access import Access, Admitted, access_to, certificate_for, write_certificate
+from foten.studio.access import Access, Admitted, access_to, certificate_for, private_folder, write_certificate
 from foten.studio.shelf import Shelf
 from foten.studio.studio_server import Studio
 from test_studio_server import HERE, LOCAL, WS
@@ -34,6 +35,20 @@ def test_a_page_that_another_name_leads_to_is_refused(studio: Studio) -> None:
             assert "does not answer to" in answer.text
         for host in ("localhost:8000", "[::1]:8000"):
             assert client.get("/textures.json", headers={"host": host}).status_code == 200
+
+
+@pytest.mark.parametrize("site", ["cross-site", "same-site"])
+def test_a_page_of_another_origin_gets_nothing_but_the_opened_page(studio: Studio, site: str) -> None:
+    """By an image's tag, say; a link on it opens the page."""
+    with TestClient(studio.app(LOCAL), base_url=HERE) as client:
+        asked = client.get("/gains", headers={"sec-fetch-site": site, "sec-fetch-mode": "no-cors"})
+        assert asked.status_code == 403
+        assert asked.text == f"a page of another origin asks for this ({site!r}), expected this server's own page\n"
+        opened = {"sec-fetch-site": site, "sec-fetch-mode": "navigate"}
+        assert client.get("/", headers={**opened, "sec-fetch-dest": "iframe"}).status_code == 403
+        assert client.get("/", headers={**opened, "sec-fetch-dest": "document"}).status_code == 200
+        for own in ("same-origin", "none"):
+            assert client.get("/", headers={"sec-fetch-site": own}).status_code == 200
 
 
 @pytest.mark.parametrize("origin", ["http://evil.example", "https://127.0.0.1:8000", "http://127.0.0.1:8001", None])
@@ -84,6 +99,42 @@ def test_who_was_let_in_is_known_to_the_next_server_by_a_hash(tmp_path: Path) ->
     path.write_text("[3]")
     with pytest.raises(ValueError, match="holds no devices that were let in"):
         Admitted(path)
+
+
+@pytest.mark.skipif(os.name != "posix", reason="has no owners and modes as these")
+@pytest.mark.parametrize("why", ["open to others", "belongs to another user", "is a link"])
+def test_secrets_that_others_may_have_put_there_are_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, why: str
+) -> None:
+    """Whoever writes the folder lets any device in; who reads it can take the server's place."""
+    folder = private_folder(tmp_path / "study.access")
+    assert stat.S_IMODE(folder.stat().st_mode) == 0o700
+    Admitted(folder / "devices.json").add()
+    write_certificate(folder, ["localhost"])
+    Admitted(private_folder(folder) / "devices.json")  # the next start
+    if why == "open to others":
+        for path, mode in ((folder, 0o755), (folder / "devices.json", 0o620), (folder / "key.pem", 0o602)):
+            before = path.stat().st_mode
+            path.chmod(mode)
+            with pytest.raises(ValueError, match=rf"{path} is open to others \(its mode is {mode:o}\)") as refused:
+                private_folder(folder)
+            assert f"remove {folder}" in str(refused.value)
+            path.chmod(before)
+        (folder / "devices.json").chmod(0o644)
+    elif why == "is a link":
+        folder.rename(tmp_path / "elsewhere")
+        folder.symlink_to(tmp_path / "elsewhere")
+        with pytest.raises(ValueError, match=why):
+            private_folder(folder)
+        folder.unlink()
+        private_folder(folder)
+        (folder / "devices.json").symlink_to(tmp_path / "elsewhere" / "devices.json")
+    else:
+        monkeypatch.setattr(os, "geteuid", lambda: 12345, raising=False)
+        with pytest.raises(ValueError, match=why):
+            private_folder(folder)
+    with pytest.raises(ValueError, match=rf"devices\.json .*{why}|devices\.json {why}"):
+        Admitted(folder / "devices.json")
 
 
 def test_two_links_have_a_token_each(studio: Studio) -> None:

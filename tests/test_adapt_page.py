@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
 import subprocess
 import sys
@@ -26,6 +27,8 @@ from foten.studio.access import LOOPBACK, Access
 from foten.studio.adapt_server import AdaptServer
 from foten.studio.adapt_session import Limits, Session
 from foten.studio.page_files import page_files
+from foten.studio.shelf import Shelf
+from foten.studio.studio_server import Studio
 
 TOWEL = EXAMPLE.parent / "towel.foten"
 HERE = "http://127.0.0.1:8000"
@@ -98,9 +101,29 @@ def test_others_get_nothing(client: TestClient) -> None:
         client.post("/answer", json={"n": 0, "which": 0}, headers={"origin": "http://elsewhere.example"}).status_code
         == 403
     )
-    for path in ("/pair/0/0", "/pair/99/5", "/textures/other.foten", "/session.py", "/../session.py"):
+    for path in ("/pair/0/0", "/pair/99/5", "/pair/-1/0", "/textures/other.foten", "/session.py", "/../session.py"):
         assert client.get(path).status_code == 404
     assert "foten: your hand" in client.get("/").text
+
+
+def test_no_address_is_a_fault_of_a_server(server: AdaptServer, tmp_path: Path) -> None:
+    """Every route of every server, with values in each place of its path and of its query."""
+    from test_study_server import server_of, study_file
+
+    asked = set()
+    for one in (server, Studio(Shelf([TOWEL])), server_of(study_file(tmp_path))):
+        app = one.app(Access(LOOPBACK, 8000))
+        with TestClient(app, base_url=HERE, headers={"origin": HERE}) as client:
+            for value in ("9" * 5000, "-1", "1e999", "nan", "²", "%00", "%ff", "a" * 5000):
+                query = "&".join(
+                    f"{name}={value}" for name in ("texture", "level", "at", "exact", "key", "role", "token")
+                )
+                for route in app._app.routes:  # type: ignore[attr-defined]
+                    path = re.sub(r"\{.*?\}", value, route.path)
+                    for method in sorted(getattr(route, "methods", ())):  # a WebSocket has none
+                        assert client.request(method, f"{path}?texture={TOWEL.name}&{query}").status_code < 500, path
+                        asked.add(route.path)
+    assert len(asked) >= 12
 
 
 def test_a_profile_that_cannot_be_written_is_said(server: AdaptServer, client: TestClient) -> None:

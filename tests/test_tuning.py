@@ -2,7 +2,10 @@
 
 import shutil
 import subprocess
+import threading
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,11 +15,12 @@ from foten.editing.describe import describe
 from foten.editing.edit import Edit, edited
 from foten.models.texture_file import read_texture, texture_from_bytes, write_texture
 from foten.runtime.renderer import EXAMPLE
-from foten.studio.access import LOOPBACK, Access
+from foten.studio import studio_server, tuning
 from foten.studio.page_files import page_files
 from foten.studio.shelf import Shelf
 from foten.studio.studio_server import Studio
 from foten.studio.tuning import moves_of, tuned
+from test_studio_server import HERE, LOCAL
 
 FOLDER = EXAMPLE.parent
 TOWEL, JEANS = FOLDER / "towel.foten", FOLDER / "jeans.foten"
@@ -70,9 +74,9 @@ def test_the_server_moves_its_textures_alone(tmp_path: Path) -> None:
     for path in (TOWEL, JEANS):
         shutil.copy(path, tmp_path / path.name)
     shutil.copy(FOLDER / "steel-mesh-1_ar.foten", tmp_path / "ar.foten")
-    app = Studio(Shelf([tmp_path]), tmp_path / "captures").app(Access(LOOPBACK, 8000))
-    with TestClient(app, base_url="http://127.0.0.1:8000") as client:
-        answer = client.get(
+    app = Studio(Shelf([tmp_path]), tmp_path / "captures").app(LOCAL)
+    with TestClient(app, base_url=HERE, headers={"origin": HERE}) as client:
+        answer = client.post(
             "/tuned", params={"texture": "towel.foten", "level": "3", "other": "jeans.foten", "at": "0.3"}
         )
         assert answer.status_code == 200
@@ -83,9 +87,35 @@ def test_the_server_moves_its_textures_alone(tmp_path: Path) -> None:
             ({"texture": "towel.foten", "level": "x"}, "cannot be moved so: level is no number"),
             ({"texture": "ar.foten", "brighter": "1"}, "only the level of a texture of ar can be edited"),
         ):
-            answer = client.get("/tuned", params=query)
+            answer = client.post("/tuned", params=query)
             assert answer.status_code == 404
             assert line in answer.text
+
+
+def test_the_work_of_sliders_is_done_for_this_servers_page_alone_and_one_at_a_time(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """An exact search takes ten seconds, which a tag on a page of someone else's must not begin."""
+    work, done = threading.Event(), threading.Event()
+    monkeypatch.setattr(studio_server, "MAX_TUNING_WAIT_S", 0.05)
+    monkeypatch.setattr(tuning, "tuned", lambda *arguments: (work.set(), done.wait(10), b"moved")[-1])
+    here = {"origin": HERE}
+    with TestClient(Studio(Shelf([TOWEL])).app(LOCAL), base_url=HERE) as client:
+
+        def ask(method: str = "POST", **headers: str) -> Any:
+            return client.request(method, "/tuned?texture=towel.foten&level=1&exact=1", headers=headers)
+
+        assert ask("GET").status_code == 404
+        assert [ask(**headers).status_code for headers in ({}, {"origin": "http://evil.example"})] == [403, 403]
+        assert not work.is_set()
+        with ThreadPoolExecutor(1) as executor:
+            first = executor.submit(ask, **here)
+            assert work.wait(10)
+            busy = ask(**here)
+            done.set()
+            assert (busy.status_code, busy.text.count("\n")) == (503, 1)
+            assert "another texture is being moved" in busy.text
+            assert first.result().content == ask(**here).content == b"moved"
 
 
 @needs_node

@@ -39,6 +39,7 @@ MAX_PAGES = 64  # that stroke at once
 MAX_COMPARED = 16  # methods
 MAX_CAPTURING = 8  # pages at once, each of which holds its sound or waits for its texture
 CAPTURES = Path("captures")  # below where the server is started
+MAX_TUNING_WAIT_S = 2.0  # for the sliders of other pages; one search for what they say takes 10 s
 STATE_S = 1.0  # between two reports of how rendering keeps up
 
 
@@ -71,7 +72,8 @@ class Studio:
             Route("/textures/{key}", self._texture),
             Route("/pictures/{name}", self._picture),
             Route("/gains", self._gains),  # ?texture=A&texture=B
-            Route("/tuned", self._tuned),  # ?texture=A&brighter=0.5&other=B&at=0.3&exact=1
+            # ?texture=A&brighter=0.5&other=B&at=0.3&exact=1; a POST, as its origin is checked whatever the browser
+            Route("/tuned", self._tuned, methods=["POST"]),
             Route("/state", self._state),
             WebSocketRoute("/stroke", self._stroke),
             WebSocketRoute("/capture", self._capture),
@@ -120,15 +122,22 @@ class Studio:
         entry, other = self.shelf.get(query.get("texture", "")), self.shelf.get(query.get("other", ""))
         if entry is None or ("other" in query and other is None):
             return missing("there is no such texture here")
-        from foten.studio.tuning import moves_of, tuned
+        from foten.studio import tuning
 
+        path = None if other is None else other.path
         try:
-            moves = moves_of(query)
-            async with self._tuning:  # one at a time: a page asks again and again
-                path = None if other is None else other.path
-                data = await asyncio.to_thread(tuned, entry.path, path, moves, query.get("exact") == "1")
+            moves = tuning.moves_of(query)
+            await asyncio.wait_for(self._tuning.acquire(), MAX_TUNING_WAIT_S)
+        except TimeoutError:
+            return PlainTextResponse("another texture is being moved: try again in some seconds\n", status_code=503)
+        except ValueError as error:
+            return missing(f"{entry.name} cannot be moved so: {error}")
+        try:
+            data = await asyncio.to_thread(tuning.tuned, entry.path, path, moves, query.get("exact") == "1")
         except (OSError, ValueError) as error:
             return missing(f"{entry.name} cannot be moved so: {error}")
+        finally:
+            self._tuning.release()
         return Response(data, media_type="application/octet-stream")
 
     async def _state(self, _request: Request) -> Response:

@@ -16,7 +16,7 @@ from pathlib import Path
 import uvicorn
 from starlette.types import ASGIApp, Receive, Scope, Send
 
-from foten.studio.access import LOOPBACK, Access, access_to, certificate_for
+from foten.studio.access import LOOPBACK, Access, access_to, certificate_for, private_folder
 from foten.studio.messages import MAX_BYTES
 
 SHUTDOWN_S = 3
@@ -88,8 +88,7 @@ def serve(
         files: dict[str, str] = {}
         if access.token is not None:
             folder = folder or Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="foten-")))
-            folder.mkdir(mode=0o700, exist_ok=True)
-            certificate, key = certificate_for(folder, access.hosts)
+            certificate, key = certificate_for(private_folder(folder), access.hosts)
             files = {"ssl_certfile": str(certificate), "ssl_keyfile": str(key)}
         connections = Connections(app(access), min(MAX_WAITING, _allowed_files() // 2))
         config = uvicorn.Config(

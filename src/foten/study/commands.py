@@ -151,7 +151,7 @@ def run(
     import webbrowser
     from functools import partial
 
-    from foten.studio.access import Access, Admitted
+    from foten.studio.access import Access, Admitted, private_folder
     from foten.studio.web_server import serve
     from foten.study.loading import load_study
     from foten.study.markers import Markers
@@ -163,8 +163,7 @@ def run(
     database = output or study.with_suffix(".db")
     store = loaded.open_store(database, simulated)
     store.hold()
-    folder = _devices(database).parent
-    folder.mkdir(mode=0o700, exist_ok=True)
+    folder = private_folder(_devices(database).parent)
     server = StudyServer(store, loaded, Admitted(_devices(database)), markers)
     server.say = say
 
