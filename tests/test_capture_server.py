@@ -191,11 +191,43 @@ def test_a_capture_says_how_many_events_came_late_and_is_refused_where_these_are
     ):
         with_late_events(1000, 11).write(tmp_path)
     capture = with_late_events(100, 0)
-    with pytest.raises(RefusedError, match="longer than 300 s"):
+    with pytest.raises(RefusedError, match="has 300 s"):
         capture.add_sound(np.zeros(300 * 48000, dtype=np.float32))
     capture.add_events(np.array([[0, 0, 0.5, 0.4]]))
     with pytest.raises(RefusedError, match="one is 105 ms back, expected 100 at most"):
         capture.add_events(np.array([[0, 0, 0.5, 0.39]]))
+
+
+@pytest.mark.parametrize(
+    ("bound", "value", "why"),
+    [
+        ("MAX_CAPTURE_BYTES", 4 * 3 * PIECE + 32, "the capture has 0.0108 MB, which is the most"),
+        ("MAX_ALL_CAPTURES_BYTES", 4 * 4 * PIECE + 64, "the captures of all pages have 0.0144 MB, which is the most"),
+        ("MAX_CAPTURE_S", 3 * PIECE / 48000, "the capture has 0.056 s, which is the most"),
+    ],
+)
+def test_a_capture_that_is_full_says_so_once_and_loses_nothing(
+    client: TestClient, studio: Studio, monkeypatch: Any, bound: str, value: float, why: str
+) -> None:
+    """Without a bound of their bytes eight pages held 1.9 GB, at 192 kHz."""
+    monkeypatch.setattr(studio.trainings, "start", lambda folder, say: None)
+    monkeypatch.setattr(capture_server, bound, value)
+    with client.websocket_connect(WS) as other, client.websocket_connect(WS) as socket:
+        for page, n_pieces in ((other, 1), (socket, 10)):
+            page.send_text(json.dumps(BEGIN))
+            assert answered(page, "ready") == {"ready": True}
+            page.send_bytes(events((1, 2, 0.5, 0.01)))
+            for k in range(n_pieces):
+                page.send_bytes(sound(np.full(PIECE, 0.1 * k)))
+            while page is other and sum(one.n_bytes for one in studio.capture_pages) < 32 + 4 * PIECE:
+                time.sleep(0.01)
+        socket.send_text('{"do": "train"}')
+        assert answered(socket, "saved") == {"refused": f"{why}: train from what came before, or save it"}
+        folder = studio.trainings.captures / answered(socket, "saved")["saved"]
+        samples = scipy.io.wavfile.read(folder / "sound.wav")[1]
+        np.testing.assert_allclose(samples, np.repeat([0.0, 0.1, 0.2], PIECE), atol=1e-7)
+        other.send_text('{"do": "train"}')
+        assert answered(other, "saved")["seconds"] == PIECE / 48000
 
 
 def test_only_so_many_pages_capture_at_once_and_one_that_left_makes_room(

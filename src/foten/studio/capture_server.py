@@ -7,7 +7,7 @@ import contextlib
 import importlib.util
 import json
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
@@ -26,6 +26,8 @@ from foten.untrusted import LONGEST_TEXT, brief, check_numbers, parse_json, prin
 MAX_CAPTURES = 200  # of one start of the server
 MAX_CAPTURE_S = 300.0
 MAX_PEN_EVENTS = 2000 * int(MAX_CAPTURE_S)
+MAX_CAPTURE_BYTES = 100_000_000  # four minutes at 96 kHz, and the pen's events
+MAX_ALL_CAPTURES_BYTES = 4 * MAX_CAPTURE_BYTES  # of all pages
 MAX_BACK_S, MAX_LATE_SHARE = 0.1, 0.01  # of an event, in time; of all events: with more the pen has no clock
 MAX_LINE_BYTES = 1 << 16  # of what a training prints
 MAX_CAPTURE_MESSAGES_PER_S = 12_000.0  # after a pause of a page that goes on recording
@@ -110,13 +112,27 @@ class TrainingQueue:
                 await process.wait()
 
 
-class CapturePage(PageSocket):
-    """A page that captures; a message that is refused ends its capture, for something of it would be missing."""
+class FullError(RefusedError):
+    """More than a capture may hold; what it holds stays."""
 
-    def __init__(self, socket: WebSocket, trainings: TrainingQueue) -> None:
+
+class CapturePage(PageSocket):
+    """A page that captures; a message that is refused ends its capture, for something of it would be missing.
+
+    Args:
+        pages: all that capture, this one among them.
+    """
+
+    def __init__(self, socket: WebSocket, trainings: TrainingQueue, pages: Iterable[CapturePage]) -> None:
         super().__init__(socket, CAPTURE, max_messages_per_s=MAX_CAPTURE_MESSAGES_PER_S)
-        self._trainings = trainings
+        self._trainings, self._pages = trainings, pages
         self._capture: CaptureSession | None = None
+        self._is_full = False
+
+    @property
+    def n_bytes(self) -> int:
+        """Bytes that its capture holds."""
+        return 0 if self._capture is None else len(self._capture.sound) + len(self._capture.events)
 
     def refuse(self, why: str) -> None:
         """End the capture, and say why."""
@@ -126,10 +142,22 @@ class CapturePage(PageSocket):
     async def take_bytes(self, data: bytes) -> None:
         kind, values = parse_capture_bytes(data)
         capture = self._current("sound or events")
-        if kind == "sound":
-            capture.add_sound(values)
-        else:
-            capture.add_events(values)
+        if self._is_full:
+            return  # as the page was told
+        try:
+            for what, pages, max_bytes in (
+                ("capture has", [self], MAX_CAPTURE_BYTES),
+                ("captures of all pages have", self._pages, MAX_ALL_CAPTURES_BYTES),
+            ):
+                if sum(page.n_bytes for page in pages) + len(data) - 1 > max_bytes:
+                    raise FullError(f"the {what} {max_bytes / 1e6:.3g} MB")
+            if kind == "sound":
+                capture.add_sound(values)
+            else:
+                capture.add_events(values)
+        except FullError as full:
+            self._is_full = True
+            super().refuse(f"{full}, which is the most: train from what came before, or save it")
 
     async def do(self, message: Mapping[str, Any]) -> None:
         if message["do"] == "begin":
@@ -137,16 +165,17 @@ class CapturePage(PageSocket):
                 raise RefusedError(f"{MAX_CAPTURES} captures are kept already: start the server again")
             if missing := why_not():
                 raise RefusedError(missing)
-            self._capture = CaptureSession(About.of(message))
+            self._capture, self._is_full = CaptureSession(About.of(message)), False
             self.say({"ready": True})
         elif message["do"] == "discard":
             self._capture = None
         else:
-            capture, self._capture = self._current("train"), None
+            capture = self._current("train")
             try:
                 folder = await asyncio.to_thread(capture.write, self._trainings.captures)
             except OSError as error:
                 raise RefusedError(f"the capture cannot be kept: {reason(error)}") from error
+            self._capture = None
             self._trainings.n_saved += 1
             self.say({"saved": folder.name, "seconds": capture.seconds})
             self._trainings.start(folder, self.say)
@@ -163,7 +192,7 @@ class CaptureSession:
     def __init__(self, about: About) -> None:
         self.about = about
         # Bytes, since an array for each message of one sample takes 155 of them.
-        self._sound, self._events = bytearray(), bytearray()
+        self.sound, self.events = bytearray(), bytearray()
         self._n_samples = self._n_events = 0
         self._latest_s = -np.inf
 
@@ -173,20 +202,21 @@ class CaptureSession:
         return self._n_samples / self.about.rate_hz
 
     def add_sound(self, samples: NDArray[Any]) -> None:
-        """Take in the next samples, of which full scale is 1; RefusedError where the sound gets longer than `MAX_CAPTURE_S`."""
+        """Take in the next samples, of which full scale is 1; FullError where the sound gets longer than `MAX_CAPTURE_S`."""
         if self._n_samples + samples.size > MAX_CAPTURE_S * self.about.rate_hz:
-            raise RefusedError(f"the capture is longer than {MAX_CAPTURE_S:g} s")
-        self._sound += samples.astype("<f4").tobytes()
+            raise FullError(f"the capture has {MAX_CAPTURE_S:g} s")
+        self.sound += samples.astype("<f4").tobytes()
         self._n_samples += samples.size
 
     def add_events(self, events: NDArray[np.float64]) -> None:
         """Take in the next events: x, y [mm], pressure, t [s], shape (n, 4); for those that come late see `in_order`.
 
         Raises:
-            RefusedError: there are too many, or an event is more than `MAX_BACK_S` back in time.
+            FullError: there are too many.
+            RefusedError: an event is more than `MAX_BACK_S` back in time.
         """
         if self._n_events + len(events) > MAX_PEN_EVENTS:
-            raise RefusedError(f"the capture has more than {MAX_PEN_EVENTS} events")
+            raise FullError(f"the capture has {MAX_PEN_EVENTS} events")
         latest_s = np.maximum.accumulate(np.append(self._latest_s, events[:, 3]))
         back_s = float((latest_s[1:] - events[:, 3]).max())
         if back_s > MAX_BACK_S:
@@ -195,7 +225,7 @@ class CaptureSession:
                 f"expected {1000 * MAX_BACK_S:g} at most"
             )
         self._latest_s = float(latest_s[-1])
-        self._events += events.astype("<f8").tobytes()
+        self.events += events.astype("<f8").tobytes()
         self._n_events += len(events)
 
     def write(self, captures: Path) -> Path:
@@ -209,7 +239,7 @@ class CaptureSession:
 
         if not self._n_samples or not self._n_events:
             raise RefusedError("there is no sound yet" if self._n_events else "the pen has not touched yet")
-        events, n_late = in_order(np.frombuffer(self._events, "<f8").reshape(-1, 4))
+        events, n_late = in_order(np.frombuffer(self.events, "<f8").reshape(-1, 4))
         if n_late > MAX_LATE_SHARE * self._n_events:
             raise RefusedError(
                 f"the events are not in the order of their times: {n_late} of {self._n_events} came late, "
@@ -217,7 +247,7 @@ class CaptureSession:
             )
         folder = _new_folder(captures, self.about.name)
         with atomic_write(folder / SOUND) as part:
-            scipy.io.wavfile.write(part, round(self.about.rate_hz), np.frombuffer(self._sound, "<f4"))
+            scipy.io.wavfile.write(part, round(self.about.rate_hz), np.frombuffer(self.sound, "<f4"))
         with atomic_write(folder / PEN) as part:
             rows = events[:, [3, 0, 1, 2]]
             np.savetxt(part, rows, "%.6f", ",", header="t [s],x [mm],y [mm],pressure", comments="")

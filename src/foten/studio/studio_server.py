@@ -151,7 +151,8 @@ class Studio:
         await serve_page(socket, self.pages, MAX_PAGES, lambda socket: StrokePage(self, socket))
 
     async def _capture(self, socket: WebSocket) -> None:
-        await serve_page(socket, self.capture_pages, MAX_CAPTURING, lambda socket: CapturePage(socket, self.trainings))
+        pages = self.capture_pages
+        await serve_page(socket, pages, MAX_CAPTURING, lambda socket: CapturePage(socket, self.trainings, pages))
 
 
 class StrokePage(PageSocket):
