@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import json
 import re
 import signal
@@ -256,11 +257,13 @@ def test_a_shelf_says_what_is_missing(tmp_path: Path) -> None:
 
 
 @contextmanager
-def serving(*arguments: str, after: str = "pass") -> Iterator[tuple[subprocess.Popen[str], str]]:
+def serving(
+    *arguments: str, command: str = "serve", after: str = "pass"
+) -> Iterator[tuple[subprocess.Popen[str], str]]:
     """A server, begun after a statement, until it has ended cleanly, and the link that it printed."""
     code = f"{after}; from foten.cli import main; main()"
-    command = [sys.executable, "-c", code, "serve", "--no-open", "--port", "0"]
-    process = subprocess.Popen([*command, *arguments], stderr=subprocess.PIPE, text=True, start_new_session=True)
+    begin = [sys.executable, "-c", code, command, "--no-open", "--port", "0"]
+    process = subprocess.Popen([*begin, *arguments], stderr=subprocess.PIPE, text=True, start_new_session=True)
     assert process.stderr is not None
     try:
         yield process, process.stderr.readline().rsplit(" ", 1)[-1].strip()
@@ -378,6 +381,45 @@ def test_the_next_request_of_a_connection_has_a_deadline_too() -> None:
         used.sendall(b"GET /state HTTP/1.1\r\n")
         assert closed_after([used], 5.0) < 2.0
         connection.close()
+
+
+def test_a_body_has_the_deadline_of_its_head(tmp_path: Path) -> None:
+    """One at ten bytes a second is closed, and waits meanwhile as an idle connection does; one in pieces is taken."""
+    deadline = "import foten.studio.web_server as server; server.REQUEST_S = 1.0; server.MAX_WAITING = 4"
+    with serving("-o", str(tmp_path / "a.json"), command="adapt", after=deadline) as (_, link), ExitStack() as stack:
+        there = urlsplit(link).netloc
+        head = f"POST /answer HTTP/1.1\r\nHost: {there}\r\nOrigin: http://{there}\r\nContent-Length: 900\r\n\r\n"
+        slow = [stack.enter_context(socket.create_connection(there.split(":"), timeout=5)) for _ in range(5)]
+        for connection in slow:
+            connection.sendall(head.encode())
+        assert closed_after(slow[:1], 5.0) < 0.9  # there is no room for it
+        begin = time.monotonic()
+        with contextlib.suppress(ConnectionError):
+            while time.monotonic() < begin + 5:
+                slow[-1].sendall(b" ")
+                time.sleep(0.1)
+        assert time.monotonic() - begin < 3
+        page = HTTPConnection(there, timeout=5)
+        for body, status in (([b'{"n": 0,', b' "which": 0}'], 200), ([b" " * 500] * 100, 409)):
+            page.request("POST", "/answer", iter(body), {"Origin": f"http://{there}"}, encode_chunked=True)
+            answer = page.getresponse()
+            assert (answer.status, bool(answer.read())) == (status, True)
+        page.close()
+
+
+def test_malformed_requests_do_not_scroll_the_links_away() -> None:
+    with serving(str(EXAMPLE)) as (process, link):
+        for _ in range(150):
+            with socket.create_connection(urlsplit(link).netloc.split(":"), timeout=5) as connection:
+                connection.sendall(b"\0\r\n\r\n")
+                assert connection.recv(1000).startswith(b"HTTP/1.1 400 ")
+        process.terminate()
+        lines = process.communicate(timeout=30)[1].splitlines()
+    assert [line.partition("received")[2] for line in lines if "Invalid HTTP" in line] == [
+        ".",
+        ". (10 times)",
+        ". (100 times)",
+    ]
 
 
 def test_an_address_of_ipv6_is_in_brackets() -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import ipaddress
+import logging
 import socket
 import ssl
 import tempfile
@@ -14,14 +15,14 @@ from functools import partial
 from pathlib import Path
 
 import uvicorn
-from starlette.types import ASGIApp, Receive, Scope, Send
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from foten.studio.access import LOOPBACK, Access, access_to, certificate_for, private_folder
 from foten.studio.messages import MAX_BYTES
 
 SHUTDOWN_S = 3
-REQUEST_S = 5.0  # from a connection to the whole head of its first request, encryption included
-NEXT_REQUEST_S = 10.0  # from an answer to the whole head of the next request; uvicorn closes after 5 s without a byte
+REQUEST_S = 5.0  # from a connection to its whole first request, encryption included
+NEXT_REQUEST_S = 10.0  # from an answer to the whole next request; uvicorn closes after 5 s without a byte
 LINGER_S = 30.0  # that an answer on its way to a slow tablet may still take, once its connection is to be closed
 MAX_WAITING = 512  # connections without a request
 MAX_FILES = 4096  # that are asked for, of which a connection is one
@@ -104,6 +105,7 @@ def serve(
             timeout_graceful_shutdown=SHUTDOWN_S,
             **files,  # type: ignore[arg-type]
         )
+        logging.getLogger("uvicorn.error").addFilter(_Sparse())  # after the configuration, which begins anew
         _Server(config, connections, lambda: announce(access, shown, False)).run(sockets=[listener])
 
 
@@ -138,9 +140,9 @@ class _Connection:
 class Connections:
     """An application with the connections that ask it.
 
-    A connection waits while none of its requests is being answered: to be encrypted, for the head of a request, or for the
-    next one. It may wait for so long, and so many may wait: one more takes the place of the oldest, of the address that has
-    the most. An open WebSocket is a request that is being answered.
+    A connection waits while none of its requests is being answered: to be encrypted, for a whole request with its body, or
+    for the next one. It may wait for so long, and so many may wait: one more takes the place of the oldest, of the address
+    that has the most. An open WebSocket is a request that is being answered.
     """
 
     def __init__(self, app: ASGIApp, max_waiting: int) -> None:
@@ -152,6 +154,8 @@ class Connections:
         connection = self._by_peer.get(tuple(scope.get("client") or ()))
         if connection is None:
             await self._app(scope, receive, send)
+            return
+        if scope["type"] == "http" and (receive := await _whole(receive)) is None:
             return
         connection.n_requests += 1
         connection.was_asked = True
@@ -234,6 +238,37 @@ class Connections:
         oldest = next((connection for connection in self._waiting if counts[connection.peer[0]] == max_count), None)
         if oldest is not None:
             self._drop(oldest)
+
+
+async def _whole(receive: Receive) -> Receive | None:
+    """What gives a request's body at once, or its first `MAX_BYTES`, of which no answer needs more; None where it breaks off."""
+    body, goes_on = b"", True
+    while goes_on and len(body) <= MAX_BYTES:
+        message = await receive()
+        if message["type"] == "http.disconnect":
+            return None
+        body, goes_on = body + message.get("body", b""), message.get("more_body", False)
+    first = [{"type": "http.request", "body": body, "more_body": goes_on}]
+
+    async def receive_again() -> Message:
+        return first.pop() if first else await receive()
+
+    return receive_again
+
+
+class _Sparse(logging.Filter):
+    """Lets a line of uvicorn's through once, and then each time that it has come ten times as often."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._counts: Counter[tuple[str, object]] = Counter()
+
+    def filter(self, record: logging.LogRecord) -> bool:
+        kind = str(record.msg), record.exc_info and record.exc_info[0]
+        self._counts[kind] += 1
+        if (n := self._counts[kind]) > 1:
+            record.msg = f"{kind[0].rstrip()} ({n} times)"
+        return str(n).strip("0") == "1"
 
 
 class _Server(uvicorn.Server):
