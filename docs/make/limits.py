@@ -53,8 +53,8 @@ def noise_like(
     return np.fft.irfft(white * shape, 4 * n, axis=1)[:, :n]
 
 
-def judge(path: Path, rate_hz: float, seed: int) -> dict[str, float]:
-    """Distances of one texture and split [dB]."""
+def judge(path: Path, rate_hz: float, seed: int) -> tuple[tuple[int, ...], dict[str, float]]:
+    """Numbers of the test blocks of one texture and split, and distances [dB]."""
     trace = preprocess(load_recording(path), PreprocessConfig(rate_hz=rate_hz, trim_ms=0, block_ms=200))
     split = split_blocks(trace, "regrouped", seed)
     scaling = fit_scaling(trace, split.train)
@@ -88,7 +88,7 @@ def judge(path: Path, rate_hz: float, seed: int) -> dict[str, float]:
     terms = np.linalg.lstsq(conditions[of_known], np.log(known.std(axis=1)), rcond=None)[0]
     predicted = np.exp(conditions[list(split.test)] @ terms)[None, :, None]
     anchor = synthesize_linear(linear, trace, split.test, scaling, seed, N_RUNS)[:, :, part]
-    return {
+    return split.test, {
         ANCHOR: distance(anchor),
         "noise like all known blocks": distance(noise([known] * len(test))),
         "noise like all known, smoothed": distance(noise([known] * len(test), smoothed=True)),
@@ -111,9 +111,10 @@ def main() -> None:
     cells: list[list[str]] = []
     for texture in REAL:
         for seed in SEEDS:
-            distances = judge(arguments.recordings / f"{texture}.h5", arguments.rate, seed)
-            cells = cells or [["texture", "split", *distances]]
-            cells.append([texture, str(seed), *(f"{value:.4f}" for value in distances.values())])
+            test, distances = judge(arguments.recordings / f"{texture}.h5", arguments.rate, seed)
+            cells = cells or [["texture", "split", "test blocks", *distances]]
+            blocks = " ".join(map(str, test))
+            cells.append([texture, str(seed), blocks, *(f"{value:.4f}" for value in distances.values())])
     Table.of(cells[0], cells[1:]).write(CSV)
 
 

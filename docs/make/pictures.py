@@ -385,7 +385,7 @@ def rows_of(name: str) -> list[dict[str, str]]:
 def limits(arguments: argparse.Namespace) -> None:
     """How near the real four a signal can come at all."""
     rows = rows_of("limits")
-    anchor, *others = list(rows[0])[2:]
+    anchor, *others = list(rows[0])[3:]
     groups = {
         name: [np.array([float(r[name]) / float(r[anchor]) for r in rows if r["texture"] == t]) for t in REAL]
         for name in (anchor, *others)
