@@ -16,6 +16,11 @@ from pathlib import Path
 
 import pytest
 
+from foten.baselines.sizes import DstnSizes, FnnSizes, GanSizes, LdhtdSizes
+from foten.models.foten.sizes import FotenSizes
+from foten.models.foten_plus.sizes import FotenPlusSizes
+from foten.training.config import TrainConfig
+
 ROOT = Path(__file__).parents[1]
 PAGES = [
     *(ROOT / name for name in ("README.md", "CONTRIBUTING.md", ".github/SECURITY.md")),
@@ -178,6 +183,35 @@ def test_pages_of_results_have_their_figures_from_the_csv_files() -> None:
         assert set(re.findall(r"\d+\.\d\d+", prose)) <= others, name
         assert not re.search(r"\d ± ", prose), name
         assert name != "results" or not re.search(r"(?<!within) \d+ dB", prose), name
+
+
+def test_what_documents_say_of_sizes_is_what_the_systems_have() -> None:
+    """Of LDHTD beside its public code, and of the memory that systems have by themselves (*Compared systems*)."""
+    text = (ROOT / "docs" / "compared.md").read_text(encoding="utf-8")
+    ours = LdhtdSizes()
+    for sentence in (
+        f"one LSTM of 1 layer and {ours.recurrent} units",
+        f"a decoder layer of width {ours.d_model} that",
+        f"speed and force of the last {ours.window} samples",
+        f"| {ours.n_heads} heads, feed-forward {ours.d_feedforward} |\n",
+        f"up to {FotenPlusSizes(order=TrainConfig().max_order).history} samples and the state",
+        f"the others see {FotenSizes().window} to {FnnSizes().window} (the GAN {GanSizes().window})",
+    ):
+        assert sentence in text, sentence
+    windows = [sizes().window for sizes in (FotenSizes, LdhtdSizes, DstnSizes, FnnSizes)]
+    assert windows == sorted(windows)
+
+
+def test_a_spectral_encoder_cannot_tell_bins_apart() -> None:
+    """Without positions, as *Differences* says: bins in another order are encoded alike, in that order."""
+    torch = pytest.importorskip("torch")
+    from foten.models.foten.network import SpectralBranch
+
+    torch.manual_seed(0)
+    branch = SpectralBranch(FotenSizes()).double()
+    bins, order = torch.randn(3, 11, dtype=torch.float64), torch.randperm(11)
+    encoded, reordered = branch._encode("phase", bins), branch._encode("phase", bins[:, order])
+    torch.testing.assert_close(reordered, encoded[:, order], rtol=0, atol=1e-12)
 
 
 def test_the_repository_is_small() -> None:

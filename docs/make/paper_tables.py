@@ -11,6 +11,7 @@ from itertools import pairwise, product
 
 import numpy as np
 from scipy.stats import rankdata, spearmanr
+from scipy.stats import t as student_t
 
 from csv_records import (
     AR_LSD,
@@ -63,7 +64,8 @@ PAPER_GFC = {"ar": 86.28, "fnn": 87.83, "dstn": 90.33, "ldhtd": 91.02, "gan": 88
 """The paper's GFC [%], means over its twelve textures; Table I."""
 VARIANTS_GFC = {"ten": 86.77, "ten-mfcc": 90.28, "ten-wavelet": 86.18, "foten-d": 90.64}
 """The same of its variants; Table II."""
-SHORT_LINEAR = "AR(20)"
+SHORT_LINEAR, PIECEWISE = "AR(20)", "piecewise AR [12]"
+LINEAR_LEVEL = "free_run_ar.level_error_db"
 SILENCE = "references.zero.mae_scaled"
 FAILED = 0.98  # of silence's error, from which on a network has learned nothing
 PAPER_CELL = (20, "huber")  # window [samples] and loss, the paper's best, with δ = 1.6; Fig. 5
@@ -723,15 +725,24 @@ def grid_findings() -> str:
     return "\n".join(f"- {line}" for line in lines)
 
 
-def over_best(methods: Mapping[str, Mapping[Place, Record]], path: str) -> str:
-    """Mean of a figure of foten-plus over that of the other system beside which it is worst on the test blocks."""
+Methods = Mapping[str, Mapping[Place, Record]]
+
+
+def over_others(methods: Methods, path: str) -> dict[str, list[Record]]:
+    """A figure of foten-plus over that of each other system, as records of `texture` and `ratio`."""
     ours = next(of for name, of in methods.items() if name.startswith(OURS))
     ratios: dict[str, list[Record]] = {}
     for name, of in methods.items():
         if of is not ours:
             pairs = {place: (ours[place].get(path), of[place].get(path)) for place in ours if place in of}
             ratios[name] = [{"texture": place[0], "ratio": a / b} for place, (a, b) in pairs.items() if a and b]
-    textures = {texture for texture, _ in ours}
+    return ratios
+
+
+def over_best(methods: Methods, path: str) -> str:
+    """Mean of a figure of foten-plus over that of the other system beside which it is worst on the test blocks."""
+    ratios = over_others(methods, path)
+    textures = {texture for name, of in methods.items() if name.startswith(OURS) for texture, _ in of}
     of_all = [name for name, of in ratios.items() if {record["texture"] for record in of} == textures]
     worst = max(of_all, key=lambda name: mean_of(ratios[name], "ratio", "").value or 0.0, default="")
     return f"{over_textures(ratios[worst], 'ratio')} ({worst})" if worst else "–"
@@ -744,29 +755,89 @@ def over_textures(records: Records, over: str, under: str = "", digits: int = 3)
     return Number(float(means.mean()) if means.size else None, f".{digits}f", error)
 
 
+def interval(records: Records, over: str, under: str = "") -> str:
+    """Student's interval of 95 % of a mean over textures."""
+    ratio, n = over_textures(records, over, under), len(values(records, over, under))
+    reach = student_t.ppf(0.975, n - 1) * (np.nan if ratio.error is None else ratio.error)
+    return f"{(ratio.value or 0.0) - reach:.2f} to {(ratio.value or 0.0) + reach:.2f}"
+
+
+def levels() -> str:
+    """Sentences on silent free runs of the network, and on level errors of it, of linear predictors and of ours."""
+    papers, tuned = ([one for one in side if one["method"] == VARIANTS["foten"]] for side in of_sides(by_both()))
+    silent, by_papers = (sum(one["warm_start.stored.level_db"] < SILENT_DB for one in side) for side in (tuned, papers))
+    methods = {name: [*of.values()] for name, of in by_place(chosen(by_both())).items()}
+    errors = (
+        ("FoTEN, tuned,", tuned, "free_run_deterministic.level_error_db"),
+        ("AR(20), whose noise is constant,", tuned, LINEAR_LEVEL),
+        ("piecewise AR", methods[PIECEWISE], LEVEL),
+        ("FoTEN with our excitation", methods[f"FoTEN {EXCITED}"], LEVEL),
+        (OURS, methods[f"{OURS} (ours)"], LEVEL),
+        ("a second realisation", tuned, "ceiling.level_error_db"),
+    )
+    return (
+        f"FoTEN has no random part, and its free run is silent ({-SILENT_DB:.0f} dB or more below the recording) on {silent} of "
+        f"{len(tuned)} simulated textures by its tuned recipe, on {by_papers} by the paper's. Level errors there [dB]: "
+        f"{'; '.join(f'{name} {mean(path, digits=1)(runs)}' for name, runs, path in errors)}."
+    )
+
+
+def beside_dstn() -> list[str]:
+    """Sentences on our error of one step over DSTN's: an interval, and which textures carry the mean."""
+    both = [over_others(by_place(chosen(EQUAL[MAIN[name]]())), ONE_STEP) for name in (SIMULATED, CONTACT)]
+    simulated, contact = (of["DSTN [15]"] for of in both)
+    ordered = sorted(((one["ratio"], one["texture"]) for one in contact), reverse=True)
+    percents, names = np.array([100 * (ratio - 1) for ratio, _ in ordered]), [name for _, name in ordered[:3]]
+    return [
+        f"One step ÷ DSTN's on simulated textures: {interval(simulated, 'ratio')} (95 %, n = {len(simulated)}).",
+        f"On contact mechanics, the one-step error of {OURS} is {percents.mean():.0f} % above DSTN's, a mean of ratios whose "
+        f"median is {np.median(percents):.0f} %; {', '.join(names)} carry it: without them it is {percents[3:].mean():.0f} %.",
+    ]
+
+
+def seconds_of_test(name: str) -> str:
+    """Sentence on how many seconds of test blocks the figures of real recordings rest on."""
+    blocks: dict[str, set[object]] = {}
+    if name == REAL_TABLE_1:  # one block for each split; silence's error tells two apart
+        for record in records_of(name):
+            blocks.setdefault(record["texture"], set()).add(record[SILENCE])
+    for row in () if blocks else csv_rows("limits"):
+        blocks.setdefault(row["texture"], set()).update(row["test blocks"].split())
+    block_s = of_file(name)["preprocess"]["block_ms"] / 1000
+    low, *_, high = sorted(block_s * len(numbers) for numbers in blocks.values())
+    of_split = (
+        f"{block_s * records_of(name)[0]['n_blocks']:.1f} s in each of {len(of_file(name)['split_seeds'])} splits"
+    )
+    return f"The test blocks of a real recording hold {low:.1f} to {high:.1f} s in all, {of_split}, which share them."
+
+
+def real_intervals() -> str:
+    """Sentence on ours beside linear predictors on real recordings."""
+    ours = [record for record in chosen(tuned_on(REAL_TABLE_1)) if record["model"] == OURS]
+    return (
+        f"{OURS} beside linear predictors (95 %, n = {len(textures_of(ours))}): one step ÷ best AR "
+        f"{interval(ours, ONE_STEP, BEST_AR)}, LSD ÷ AR(20) {interval(ours, LSD, AR_LSD)}, level error ÷ AR(20) "
+        f"{interval(ours, LEVEL, LINEAR_LEVEL)}."
+    )
+
+
 def equal_tuning() -> Table:
-    """foten-plus over the other systems at equally many recipes, and over linear predictors: means over textures."""
+    """foten-plus over the other systems at equally many recipes, over the best AR and over piecewise AR: means over textures."""
     rows = []
     for title, records in EQUAL.items():
         methods = by_place(chosen(records()))
         ours = [record for name, of in methods.items() if name.startswith(OURS) for record in of.values()]
         if ours:
             textures = str(len({record["texture"] for record in ours}))
-            pairs = ((over_best(methods, path), over_textures(ours, path, linear)) for path, linear in EQUALLY_TUNED)
-            rows.append((title, textures, *(cell for pair in pairs for cell in pair)))
-    heads = (
-        "one step ÷ best system",
-        "÷ best AR",
-        "LSD ÷ best system",
-        "÷ AR(20)",
-        "level error ÷ best system",
-        "÷ AR(20) ",
-    )
-    return Table.of(("", "textures", *heads), rows)
+            cells: list[Cell] = [over_best(methods, ONE_STEP), over_textures(ours, ONE_STEP, BEST_AR)]
+            for path in (LSD, LEVEL):
+                piecewise = over_others(methods, path).get(PIECEWISE, [])
+                cells += [over_best(methods, path), over_textures(piecewise, "ratio")]
+            rows.append((title, textures, *cells))
+    heads = ("one step ÷ best system", "÷ best AR", "LSD ÷ best system", "÷ piecewise AR")
+    return Table.of(("", "textures", *heads, "level error ÷ best system", "÷ piecewise AR "), rows)
 
 
-EQUALLY_TUNED = ((ONE_STEP, BEST_AR), (LSD, AR_LSD), (LEVEL, "free_run_ar.level_error_db"))
-"""Figures that systems are compared by at equally many recipes, and those of the linear predictor."""
 EQUAL: Mapping[str, Callable[[], Records]] = {
     MAIN[SIMULATED]: by_both,
     **{title: partial(tuned_on, name) for title, name in OTHER_DATA.items()},
@@ -818,6 +889,10 @@ TABLES: dict[str, Callable[[], Table | str]] = {
     "changed": changed,
     "difference-explained": difference_explained,
     "convergence": convergence,
+    "levels": levels,
+    "beside-dstn": lambda: " ".join(beside_dstn()),
+    "seconds": partial(seconds_of_test, REAL_TABLE_1),
+    "real-intervals": real_intervals,
     "warm-start": lambda: warm_start(chosen(table_1())) if table_1() else Table((), ()),
     "equal-tuning": equal_tuning,
     "table-2": table_2,

@@ -13,7 +13,7 @@ class Dstn(nn.Module):
     """Two convolutions, attention over channels and over time, a recurrent encoder both ways, and a decoder of one step.
 
     Source: Joolee and Jeon, IEEE Trans. Haptics 15 (2022), as far as its abstract and the paper tell ("attention-aware 1D CNN",
-    "attention-aware encoder–decoder"); no sizes are published: our re-implementation. Layers are normalised by themselves,
+    "attention-aware encoder–decoder"); neither states sizes: our re-implementation. Layers are normalised by themselves,
     where batch statistics would differ between training and rendering.
     """
 

@@ -30,7 +30,7 @@ class Gan(nn.Module):
 
     Latents of a frame are its noise under a Hann window and its first two cosines and sines.
 
-    Source: Ujitoko & Ban (EuroHaptics 2018), our re-implementation; the paper names [34] without a list of references. Differs
+    Source: Ujitoko & Ban (EuroHaptics 2018), our re-implementation; we lack the list of references that names [34]. Differs
     from it: causal, where theirs makes half a second at once, and without a search for phases (`NoiseFilter`).
     """
 

@@ -15,7 +15,7 @@ class Ldhtd(nn.Module):
     """LSTM over speed and force, to which tokens of the acceleration attend; the last gives the next sample.
 
     Source: the paper's account of [20], "LSTM-based encoder for action inputs" and "lightweight Transformer-based decoder";
-    sizes are our choice: our re-implementation. The code that its authors published is another system.
+    sizes are our choice: our re-implementation. Public code that fits the abstract of [20] is another system.
     """
 
     def __init__(self, sizes: LdhtdSizes) -> None:
