@@ -8,7 +8,7 @@ THREADS := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MKL_NUM_THREADS=1
 # A file's tests stay together, for what they share; in the order of names, since files of few tests can be the longest.
 PYTEST := $(THREADS) $(BIN)/python -m pytest -q --numprocesses auto --maxprocesses 4 --dist loadfile --no-loadscope-reorder
 
-.PHONY: demo test lint check slow browser docs paper-small wasm wasm-check wheels wheels-check clean
+.PHONY: demo test lint check slow random-mutants browser docs paper-small wasm wasm-check wheels wheels-check clean
 
 # An editable install takes Python from here, and the kernel from when it was built.
 $(VENV)/.installed: pyproject.toml constraints.txt CMakeLists.txt $(wildcard native/src/* native/training/* native/include/* native/wasm/foten.*)
@@ -25,6 +25,10 @@ test: $(VENV)/.installed
 # Every night in .github/workflows/nightly.yml; TESTS chooses some. Status 5 of pytest: nothing was selected.
 slow: $(VENV)/.installed
 	$(PYTEST) -m 'slow and not gpu' $(TESTS) || { test $$? -eq 5 && echo 'no test is marked slow'; }
+
+# Mutants that nobody chose, 25 of each package by SEED, and the share of them that the tests kill: build/mutants. It goes on where it stopped.
+random-mutants: $(VENV)/.installed
+	$(THREADS) $(BIN)/python tests/random_mutants.py --seed $(or $(SEED),$(shell git rev-parse HEAD)) $(PACKAGES)
 
 $(VENV)/.docs: $(VENV)/.installed
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt zensical 'mkdocstrings[python]' # of the extra docs, as above

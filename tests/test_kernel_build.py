@@ -23,13 +23,12 @@ from foten.models.texture_file import Texture, read_texture
 from foten.runtime.binding import ABI, NativeActuator
 from foten.runtime.native import NativeState, NativeTexture
 from foten.runtime.renderer import Renderer
+from source_copy import CMAKE
 from test_rendering import with_card
 
 ROOT = Path(__file__).parents[1]
 WASM = ROOT / "native" / "wasm"
 
-# That of the extra `dev` lies beside this Python, which need not be in the path.
-CMAKE = shutil.which("cmake", path=os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]]))
 needs_cmake = pytest.mark.skipif(CMAKE is None or shutil.which("cc") is None, reason="needs CMake and a C compiler")
 needs_node = pytest.mark.skipif(shutil.which("node") is None, reason="needs Node")
 

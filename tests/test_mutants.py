@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import ast
-import shutil
 import subprocess
 import sys
 from functools import cache
+from operator import itemgetter
 from pathlib import Path
 
 import pytest
 
 from mutants import MUTANTS, Mutant
-from test_kernel_build import CMAKE
+from random_mutants import Change, _digest, c_changes, drawn, judges, python_changes
+from source_copy import build, copy_tree
 
 ROOT = Path(__file__).parent.parent
 # The copy's package and not the one that is installed, whose finder comes first.
@@ -26,35 +27,9 @@ RUN = (
 def copy(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A copy of the sources and tests, and of all that these read, its kernel built."""
     folder = tmp_path_factory.mktemp("mutants") / "copy"
-    listed = subprocess.run(
-        ["git", "ls-files", "--cached", "--others", "--exclude-standard"],
-        cwd=ROOT,
-        check=True,
-        capture_output=True,
-        text=True,
-    ).stdout
-    for name in listed.splitlines():
-        if (ROOT / name).is_file():  # and not removed since
-            (folder / name).parent.mkdir(parents=True, exist_ok=True)
-            shutil.copy(ROOT / name, folder / name)
-    assert CMAKE is not None
-    subprocess.run(
-        [CMAKE, "-S", folder, "-B", folder / "build", "-D", "FOTEN_TRAINING=ON"], check=True, capture_output=True
-    )
+    copy_tree(folder)
     build(folder)
     return folder
-
-
-def build(folder: Path) -> None:
-    """Build a copy's kernel beside its package."""
-    assert CMAKE is not None
-    subprocess.run([CMAKE, "--build", folder / "build", "--parallel", "2"], check=True, capture_output=True)
-    kernel = folder / "src/foten/runtime/kernel"
-    kernel.mkdir(exist_ok=True)
-    for name in ("libfoten", "libfoten_training"):
-        shutil.copy(next((folder / "build").glob(f"{name}.*")).resolve(), kernel / f"{name}.so")
-    for path in ("include/foten.h", "wasm/foten.mjs", "wasm/foten.wasm"):
-        shutil.copy(folder / "native" / path, kernel)
 
 
 def run_tests(folder: Path, tests: tuple[str, ...]) -> subprocess.CompletedProcess[str]:
@@ -107,3 +82,84 @@ def test_a_set_of_tests_that_fails_without_a_mutant_is_no_judge(tmp_path: Path) 
     (tmp_path / "copy" / "test_fails.py").write_text("def test_fails() -> None:\n    assert False\n")
     with pytest.raises(AssertionError, match="they fail without a mutant"):
         check_baseline(tmp_path / "copy", ("test_fails.py",))
+
+
+PYTHON = """
+LIMIT_S = 20.0
+def fades(level: float, n: int = 3) -> float:
+    '''Nothing here changes: 3 + 4.'''
+    if level < LIMIT_S:
+        report(level, n)
+    return max(level, n) - numbers[1] + f"{n}"
+"""
+PYTHON_CHANGES = [
+    ("", "constant", "20.0 → 40.0"),
+    ("fades", "off by one", "3 → 4"),
+    ("fades", "comparison", "level < LIMIT_S → level <= LIMIT_S"),
+    ("fades", "dropped call", "report(level, n) → pass"),
+    ("fades", "swapped arguments", "report(level, n) → report(n, level)"),
+    ("fades", "plus or minus", "max(level, n) - numbers[1] → max(level, n) + numbers[1]"),
+    ("fades", "off by one", "1 → 2"),
+]
+C_TEXT = """
+#define NOT_HERE (1 + 2)
+/* nor here: a < b */
+static double fades(const double *level, int n) {
+  if (n <= 0) report(level[n - 1], 2.5f, "a, b");
+  return fmax(level[0], -n) + scale(level, (n));
+}
+"""
+C_CHANGES = [
+    ("comparison", "if (n < 0)"),
+    ("off by one", "(n <= 1)"),
+    ("swapped arguments", 'report(2.5f, level[n - 1], "a, b")'),
+    ("dropped call", "if (n <= 0) (void)0;"),
+    ("plus or minus", "level[n + 1]"),
+    ("off by one", "level[n - 2]"),
+    ("off by one", "level[1]"),
+    ("plus or minus", "-n) - scale"),
+    ("swapped arguments", "scale((n), level)"),
+]
+
+
+def test_operators_change_what_runs_and_nothing_else() -> None:
+    """Not a text, a docstring or an annotation; nor what gives the same, as the arguments of a maximum."""
+    assert [(scope, operator, what) for scope, _, operator, what, _ in python_changes(PYTHON)] == PYTHON_CHANGES
+    unchanged = ast.unparse(ast.parse(PYTHON))
+    for *_, what, apply in python_changes(PYTHON):
+        before, after = what.split(" → ")
+        assert apply().replace(after, before) == unchanged.replace(after, before) != apply()
+    made = list(c_changes(C_TEXT))
+    assert len(made) == len(C_CHANGES)
+    for (scope, line, operator, _, apply), (expected, part) in zip(made, C_CHANGES, strict=True):
+        assert (scope, operator) == ("fades", expected)
+        assert part in apply().splitlines()[line - 1]
+        assert part not in C_TEXT
+
+
+def test_a_draw_stays_what_it_was_while_other_code_is_written() -> None:
+    """Those of an operator keep their order; a new change takes its place among them."""
+
+    def draw(source: str, seed: str) -> list[tuple[str, str]]:
+        made = python_changes(source)
+        changes = [Change("a.py", scope, line, kind, what, 0, apply) for scope, line, kind, what, apply in made]
+        return [(change.operator, change.key) for change in drawn(changes, seed)]
+
+    first = draw(PYTHON, "seed")
+    assert len({tuple(draw(PYTHON, str(seed))) for seed in range(20)}) == 2  # of two changes of one operator
+    more = draw(PYTHON + "\n\ndef other(a: int) -> int:\n    return a + 7\n", "seed")
+    assert len(more) == len(first) + 2
+    assert sorted(first, key=itemgetter(0)) == sorted((one for one in more if one in first), key=itemgetter(0))
+
+
+def test_a_mutant_is_judged_by_tests_that_pass_without_it_and_execute_its_line() -> None:
+    change = Change("src/foten/dsp/level.py", "rms", 12, "constant", "2.0 → 4.0", 0, str)
+    digest = _digest((ROOT / change.path).read_bytes())
+    lines = {"12": ["slow", "quick", "fails"], "14": ["other"]}
+    seconds = {"slow": 3.0, "quick": 0.5, "fails": 0.1, "other": 0.2}
+    record = {"seconds": seconds, "failed": ["fails"], "lines": {change.path: lines}, "sources": {change.path: digest}}
+    (first, *files) = judges(change, {"tests/test_spectrum.py": record})
+    assert first == (["quick", "slow"], 3.5)
+    assert files == []  # since that file imports another module
+    record["sources"] = {}  # the module was written anew: its lines are others
+    assert judges(change, {"tests/test_spectrum.py": record})[0][0] == ["other", "quick", "slow"]

@@ -29,7 +29,8 @@ from foten.models.texture_file import CLOSED_LOOP_TOLERANCE, read_texture
 from foten.runtime.binding import ABI, library
 from foten.runtime.renderer import EXAMPLE
 from foten.training.training_kernel import training_library
-from test_kernel_build import CMAKE, WASM, accelerations, needs_node, ran, stroke_of
+from source_copy import CMAKE
+from test_kernel_build import WASM, accelerations, needs_node, ran, stroke_of
 
 ROOT = Path(__file__).parents[1]
 NATIVE = ROOT / "native"

@@ -1,0 +1,556 @@
+"""Mutants that nobody chose: operators on syntax, drawn by a seed over all Python and C; the share that dies, by package.
+
+    python tests/random_mutants.py --seed HASH [--n 25] [--jobs 2] [PACKAGE ...]
+
+Changes are ordered by a hash of the seed and the change, so that a draw stays what it was while other code is written; the
+operators take turns. A mutant runs the tests that execute its line (of C: that load the kernel) and pass without it. Results go
+to build/mutants/results.csv; one that died there is not tried again. `equivalent_mutants.toml` lists those that change nothing
+that a test could see, each with its reason.
+"""
+
+from __future__ import annotations
+
+import argparse
+import ast
+import copy
+import csv
+import hashlib
+import importlib
+import itertools
+import json
+import multiprocessing
+import os
+import re
+import resource
+import shutil
+import signal
+import subprocess
+import sys
+import time
+import tomllib
+import traceback
+from collections.abc import Callable, Iterator
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, cast
+
+from source_copy import ROOT, build, copy_tree
+
+WORK = ROOT / "build" / "mutants"
+SOURCES = ROOT / "src" / "foten"
+EQUIVALENT = tomllib.loads((ROOT / "tests" / "equivalent_mutants.toml").read_text())
+C, TOP = "native", "foten"  # packages of the kernel, and of the modules that are in none
+OPERATORS = ("comparison", "plus or minus", "constant", "off by one", "swapped arguments", "dropped call")
+OTHER = {"<": "<=", "<=": "<", ">": ">=", ">=": ">", "==": "!=", "!=": "==", "+": "-", "-": "+", "+=": "-=", "-=": "+="}
+COMPARISONS = {
+    **{ast.Lt: ast.LtE, ast.LtE: ast.Lt, ast.Gt: ast.GtE, ast.GtE: ast.Gt, ast.Eq: ast.NotEq, ast.NotEq: ast.Eq},
+    **{ast.Is: ast.IsNot, ast.IsNot: ast.Is, ast.In: ast.NotIn, ast.NotIn: ast.In},
+}
+# Calls whose first two arguments may change places.
+COMMUTATIVE = re.compile(r"f?(max|min)f?|maximum|minimum|hypot|isclose|allclose|array_equal|gcd|logaddexp|fabs")
+LARGEST_INDEX = 10  # above it, a whole number is a constant and no count of places
+MAX_TEST_S = 240.0  # of one mutant's tests; one that is alive then survives
+PRELOADED = "torch scipy.signal scipy.io h5py pandas matplotlib.pyplot openpyxl starlette pytest coverage"
+
+
+@dataclass(frozen=True)
+class Change:
+    """One change of a file's text."""
+
+    path: str  # from the root of the repository
+    scope: str  # names of classes and functions around it
+    line: int
+    operator: str
+    what: str  # before → after
+    number: int  # among the equal ones of its scope
+    apply: Callable[[], str]
+
+    @property
+    def key(self) -> str:
+        """Hash of what stays while other lines are written."""
+        text = "\0".join((self.path, self.scope, self.operator, self.what, str(self.number)))
+        return hashlib.sha256(text.encode()).hexdigest()[:10]
+
+    def row(self) -> list[str]:
+        return [self.key, self.path, str(self.line), self.scope, self.operator, self.what]
+
+    def rank(self, seed: str) -> str:
+        """Place in a seed's order."""
+        return hashlib.sha256(f"{seed}{self.key}".encode()).hexdigest()
+
+
+def package_of(path: Path) -> str:
+    """The folder in `src/foten` that a file is in; `native` of C, `foten` of the modules above."""
+    if path.suffix in (".c", ".h"):
+        return C
+    parts = path.relative_to(SOURCES).parts
+    return parts[0] if len(parts) > 1 else TOP
+
+
+def sources() -> list[Path]:
+    """All Python of the package and all C of the kernel, without the table that a script writes."""
+    c = [path for folder in ("src", "training") for path in (ROOT / "native" / folder).glob("*.[ch]")]
+    return sorted([*SOURCES.rglob("*.py"), *(path for path in c if path.name != "resample_table.h")])
+
+
+def changes(path: Path) -> list[Change]:
+    """Every change of a file."""
+    source, counts, result = path.read_text(), {}, []
+    for scope, line, operator, what, apply in (c_changes if path.suffix in (".c", ".h") else python_changes)(source):
+        number = counts[scope, operator, what] = counts.get((scope, operator, what), -1) + 1
+        result.append(Change(str(path.relative_to(ROOT)), scope, line, operator, what, number, apply))
+    return result
+
+
+def drawn(all_changes: list[Change], seed: str) -> Iterator[Change]:
+    """A package's changes in the order of a seed, the operators in turn."""
+    ordered = sorted(all_changes, key=lambda change: change.rank(seed))
+    by_operator = [[change for change in ordered if change.operator == operator] for operator in OPERATORS]
+    for row in itertools.zip_longest(*by_operator):
+        yield from filter(None, row)
+
+
+Found = tuple[str, int, str, str, Callable[[], str]]
+
+
+def python_changes(source: str) -> Iterator[Found]:
+    """Changes of nodes of the syntax tree; annotations, and what runs for a type checker alone, are left out."""
+    for index, (scope, node) in enumerate(_nodes(ast.parse(source), "")):
+        for operator, change in PYTHON.items():
+            if not isinstance(node, CHANGED) or (changed := change(copy.deepcopy(node))) is None:
+                continue
+
+            def apply(index: int = index, change: Callable[[Any], Any] = change) -> str:
+                tree = ast.parse(source)
+                (node,) = (node for _, node in itertools.islice(_nodes(tree, ""), index, index + 1))
+                place = copy.copy(node)
+                return ast.unparse(_Swap(node, change(place)).visit(tree))
+
+            yield scope, node.lineno, operator, f"{ast.unparse(node)} → {ast.unparse(changed)}", apply
+
+
+class _Swap(ast.NodeTransformer):
+    def __init__(self, node: ast.AST, other: ast.AST) -> None:
+        self._node, self._other = node, other
+
+    def visit(self, node: ast.AST) -> Any:
+        return self._other if node is self._node else self.generic_visit(node)
+
+
+def _nodes(node: Any, scope: str) -> Iterator[tuple[str, Any]]:
+    """Nodes with the names of the classes and functions around them, in the order of the source."""
+    if isinstance(node, ast.If) and ast.unparse(node.test) in ("TYPE_CHECKING", "__name__ == '__main__'"):
+        return
+    yield scope, node
+    if isinstance(node, ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef):
+        scope = f"{scope}.{node.name}" if scope else node.name
+    for name, value in ast.iter_fields(node):
+        if name in ("annotation", "returns"):
+            continue
+        for child in value if isinstance(value, list) else [value]:
+            if isinstance(child, ast.AST):
+                yield from _nodes(child, scope)
+
+
+def _comparison(node: Any) -> Any:
+    if isinstance(node, ast.Compare) and type(node.ops[0]) in COMPARISONS:
+        node.ops = [COMPARISONS[type(node.ops[0])](), *node.ops[1:]]
+        return node
+    return None
+
+
+def _sign(node: Any) -> Any:
+    texts = [getattr(node, side, None) for side in ("left", "right", "value")]
+    if isinstance(getattr(node, "op", None), ast.Add | ast.Sub) and not any(map(_is_text, texts)):
+        node.op = ast.Sub() if isinstance(node.op, ast.Add) else ast.Add()
+        return node
+    return None
+
+
+def _constant(node: Any) -> Any:
+    value = getattr(node, "value", None)
+    if isinstance(value, bool) or (isinstance(value, int | float) and value != 0 and not _counts(value)):
+        node.value = not value if isinstance(value, bool) else 2 * value
+        return node
+    return None
+
+
+def _off_by_one(node: Any) -> Any:
+    if _counts(getattr(node, "value", None)):
+        node.value += 1
+        return node
+    return None
+
+
+def _counts(value: Any) -> bool:
+    return type(value) is int and value <= LARGEST_INDEX
+
+
+def _swapped(node: Any) -> Any:
+    if (
+        not isinstance(node, ast.Call)
+        or len(node.args) < 2
+        or COMMUTATIVE.fullmatch(ast.unparse(node.func).split(".")[-1])
+    ):
+        return None
+    first, second, *others = node.args
+    if isinstance(first, ast.Starred) or isinstance(second, ast.Starred) or ast.dump(first) == ast.dump(second):
+        return None
+    node.args = [second, first, *others]
+    return node
+
+
+def _dropped(node: Any) -> Any:
+    call = node.value if isinstance(node, ast.Expr) else None
+    return ast.Pass() if isinstance(call.value if isinstance(call, ast.Await) else call, ast.Call) else None
+
+
+PYTHON = dict(zip(OPERATORS, (_comparison, _sign, _constant, _off_by_one, _swapped, _dropped), strict=True))
+CHANGED = ast.Compare | ast.BinOp | ast.AugAssign | ast.Constant | ast.Call | ast.Expr
+
+
+def _is_text(node: Any) -> bool:
+    return isinstance(node, ast.JoinedStr) or (isinstance(node, ast.Constant) and isinstance(node.value, str | bytes))
+
+
+TOKEN = re.compile(
+    r"""(?P<skip>//[^\n]*|/\*.*?\*/|^[ \t]*\#(?:\\\n|[^\n])*|\s+)|(?P<text>"(?:\\.|[^"\\])*"|'(?:\\.|[^'\\])*')"""
+    r"""|(?P<number>(?:\d[\w.]*|\.\d+)(?:(?<=[eE])[+-]\d+\w*)?)|(?P<name>\w+)"""
+    r"""|(?P<sign><<=|>>=|->|\+\+|--|<<|>>|[-+*/%<>=!&|^]=|&&|\|\||.)""",
+    re.DOTALL | re.MULTILINE | re.VERBOSE,
+)
+KEYWORDS = {"if", "for", "while", "switch", "return", "sizeof", "do", "else", "case", "static_assert", "_Static_assert"}
+
+
+def c_changes(source: str) -> Iterator[Found]:
+    """Changes of tokens inside of functions."""
+    tokens = [match for match in TOKEN.finditer(source) if match.lastgroup != "skip"]
+    texts = [match[0] for match in tokens]
+    scope, depth = "", 0
+    for i, (token, text) in enumerate(zip(tokens, texts, strict=True)):
+        if depth == 0 and token.lastgroup == "name" and texts[i + 1 : i + 2] == ["("]:
+            scope = text
+        depth += {"{": 1, "}": -1}.get(text, 0)
+        if depth == 0:
+            continue
+        for operator, start, end, after in _token_changes(tokens, texts, i):
+            before = " ".join(source[start:end].split())
+            line = source.count("\n", 0, start) + 1
+
+            def apply(start: int = start, end: int = end, after: str = after) -> str:
+                return source[:start] + after + source[end:]
+
+            yield scope, line, operator, f"{before} → {after} after {''.join(texts[max(i - 3, 0) : i])}", apply
+
+
+def _token_changes(tokens: list[re.Match[str]], texts: list[str], i: int) -> Iterator[tuple[str, int, int, str]]:
+    """Operators that fit a token, each with the start and end of what it replaces, and by what."""
+    token, text = tokens[i], texts[i]
+    operand = (
+        i > 0
+        and (tokens[i - 1].lastgroup in ("name", "number") or texts[i - 1] in ")]")
+        and texts[i - 1] not in KEYWORDS
+    )
+    if text in OTHER and operand:
+        yield ("comparison" if text[0] in "<>=!" else "plus or minus"), token.start(), token.end(), OTHER[text]
+    if token.lastgroup == "number" and text.isdigit() and int(text) <= LARGEST_INDEX:
+        yield "off by one", token.start(), token.end(), str(int(text) + 1)
+    elif token.lastgroup == "number" and re.fullmatch(r"[\d.]+(e[+-]?\d+)?", text) and float(text) != 0:
+        yield "constant", token.start(), token.end(), str(2 * int(text)) if text.isdigit() else f"{2 * float(text)!r}"
+    if token.lastgroup == "name" and text not in KEYWORDS and texts[i + 1 : i + 2] == ["("]:
+        ends = _argument_ends(texts, i + 1)
+        if len(ends) > 1 and not COMMUTATIVE.fullmatch(text):
+            first, second = tokens[i + 2].start(), tokens[ends[0] + 1].start()
+            source = token.string
+            one, other = source[first : tokens[ends[0] - 1].end()], source[second : tokens[ends[1] - 1].end()]
+            if one != other:
+                yield "swapped arguments", first, tokens[ends[1] - 1].end(), f"{other}, {one}"
+        if ends and _begins_statement(texts, i) and texts[ends[-1] + 1 : ends[-1] + 2] == [";"]:
+            yield "dropped call", token.start(), tokens[ends[-1]].end(), "(void)0"
+
+
+def _begins_statement(texts: list[str], i: int) -> bool:
+    """Whether a statement begins at a token: after another, a brace, `else`, or the condition of `if`, `for` or `while`."""
+    depth = 0
+    for k in range(i - 1, -1, -1) if texts[i - 1] == ")" else ():
+        depth += (texts[k] == ")") - (texts[k] == "(")
+        if depth == 0:
+            return texts[k - 1] in ("if", "for", "while")
+    return texts[i - 1] in (";", "{", "}", "else")
+
+
+def _argument_ends(texts: list[str], opening: int) -> list[int]:
+    """Places of the commas between a call's arguments, and of the bracket that closes it."""
+    depth, ends = 0, []
+    for i in range(opening, len(texts)):
+        depth += (texts[i] in "([{") - (texts[i] in ")]}")
+        if (texts[i] == "," and depth == 1) or depth == 0:
+            ends.append(i)
+        if depth == 0:
+            return ends if i > opening + 1 else []
+    return []
+
+
+class LineRecorder:
+    """Plugin of pytest: which test executes which line, how long each takes, and which fail."""
+
+    def __init__(self, folder: Path) -> None:
+        import coverage
+
+        self._coverage = coverage.Coverage(data_file=None, include=[f"{folder}/src/foten/*"], config_file=False)
+        self._folder = folder
+        self.result: dict[str, Any] = {"seconds": {}, "failed": [], "lines": {}}
+
+    def pytest_configure(self) -> None:
+        self._coverage.start()
+
+    def pytest_runtest_logstart(self, nodeid: str) -> None:
+        self._coverage.switch_context(nodeid)
+
+    def pytest_runtest_logreport(self, report: Any) -> None:
+        seconds = self.result["seconds"]
+        seconds[report.nodeid] = seconds.get(report.nodeid, 0.0) + report.duration
+        if report.failed or report.skipped:
+            self.result["failed"].append(report.nodeid)
+
+    def pytest_unconfigure(self) -> None:
+        self._coverage.stop()
+        data = self._coverage.get_data()
+        for path in data.measured_files():
+            lines = {str(line): tests for line, tests in data.contexts_by_lineno(path).items() if any(tests)}
+            self.result["lines"][str(Path(path).relative_to(self._folder))] = lines
+
+
+def run_pytest(folder: Path, arguments: list[str], limit_s: float, plugin: Callable[[], Any] | None = None) -> str:
+    """Run tests of a copy in a fork of this process, which has what they import: `passed`, `failed`, or `late`.
+
+    Args:
+        folder: the copy.
+        arguments: tests, and options of pytest.
+        limit_s: after which they are ended, with all processes that they started [s].
+        plugin: makes a plugin whose `result` is written to `record.json`.
+    """
+    child = os.fork()
+    if child == 0:
+        status = 3
+        try:
+            os.setsid()
+            os.chdir(folder)
+            resource.setrlimit(resource.RLIMIT_DATA, (8 << 30, 8 << 30))
+            log = os.open(folder / "log.txt", os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
+            os.dup2(log, 1)
+            os.dup2(log, 2)
+            sys.meta_path[:] = [finder for finder in sys.meta_path if "ScikitBuild" not in type(finder).__name__]
+            sys.path[:0] = [str(folder / "src"), str(folder / "tests")]
+            os.environ["PYTHONPATH"] = os.pathsep.join([str(folder / "src"), str(folder / "shadow")])
+            import pytest
+
+            plugins = [plugin()] if plugin else []
+            options = ["-q", "-x"] if not plugin else ["-q"]
+            status = int(pytest.main([*options, "-p", "no:xdist", "-p", "no:cacheprovider", *arguments], plugins))
+            if plugin:
+                (folder / "record.json").write_text(json.dumps(plugins[0].result))
+        except BaseException:
+            traceback.print_exc()
+        finally:
+            sys.stdout.flush()
+            os._exit(status)
+    deadline = time.monotonic() + limit_s
+    while time.monotonic() < deadline:
+        pid, status = os.waitpid(child, os.WNOHANG)
+        if pid:
+            _end_group(child)
+            return "passed" if os.waitstatus_to_exitcode(status) in (0, 5) else "failed"
+        time.sleep(0.05)
+    _end_group(child)
+    os.waitpid(child, 0)
+    return "late"
+
+
+def _end_group(child: int) -> None:
+    """End what tests started and left behind, by the group that is theirs alone."""
+    with suppress(ProcessLookupError):
+        os.killpg(child, signal.SIGKILL)
+
+
+def fresh_copy(number: int) -> Path:
+    """A copy of the sources and tests in `build/mutants`, its kernel built."""
+    folder = WORK / f"copy-{number}"
+    for name in ("src", "tests", "native", "docs"):
+        shutil.rmtree(folder / name, ignore_errors=True)
+    copy_tree(folder)
+    (folder / "shadow").mkdir(exist_ok=True)
+    (folder / "shadow" / "_editable_skbc_foten.py").touch()  # in place of the finder of the installed package
+    build(folder)
+    return folder
+
+
+def record(folder: Path, test: str) -> dict[str, Any]:
+    """What a file of tests executes, recorded once for its text, with the digests of the sources at that time."""
+    text = (ROOT / "tests" / "conftest.py").read_bytes() + (ROOT / test).read_bytes()
+    stored = WORK / "lines" / f"{Path(test).stem}-{_digest(text)}.json"
+    if not stored.exists():
+        selected = ["-m", "not slow and not gpu and not browser", test]
+        digests = {str(path.relative_to(ROOT)): _digest(path.read_bytes()) for path in sources()}
+        run_pytest(folder, selected, 1200, lambda: LineRecorder(folder))
+        result = json.loads((folder / "record.json").read_text())
+        (folder / "record.json").unlink()
+        stored.parent.mkdir(parents=True, exist_ok=True)
+        stored.write_text(json.dumps(result | {"sources": digests}))
+    result = json.loads(stored.read_text())
+    return cast(dict[str, Any], result)
+
+
+def _digest(content: bytes) -> str:
+    return hashlib.sha256(content).hexdigest()[:12]
+
+
+Judges = list[tuple[list[str], float]]
+"""Arguments of pytest in the order in which they are tried, and the seconds that each took without a mutant."""
+
+
+def judges(change: Change, records: dict[str, dict[str, Any]]) -> Judges:
+    """Tests that execute a change's line and pass without it, the quick ones first, then the files that import its module.
+
+    Where no test executes it, as at import: those that execute the module. Of C: those that call the kernel.
+    """
+    path, in_c = change.path, change.path.startswith("native")
+    if in_c:
+        path = f"src/foten/{'training/training_kernel' if '/training/' in path else 'runtime/native'}.py"
+    imported = re.compile(rf"\b{re.escape(path[4:-3].replace('/', '.'))}\b")
+    on_line: dict[str, float] = {}
+    in_module: dict[str, float] = {}
+    files: list[tuple[float, list[str]]] = []
+    for test, result in records.items():
+        passed = {name: s for name, s in result["seconds"].items() if name not in result["failed"]}
+        lines, text = result["lines"].get(path, {}), (ROOT / test).read_text()
+        in_module |= {name: passed[name] for names in lines.values() for name in names if name in passed}
+        if result["sources"].get(path) == _digest((ROOT / path).read_bytes()):  # else lines have moved
+            on_line |= {name: passed[name] for name in lines.get(str(change.line), []) if name in passed}
+        if Path(change.path).stem in test or "test_kernel_build" in test if in_c else imported.search(text):
+            without = [option for name in result["failed"] for option in ("--deselect", name)]
+            files.append((sum(passed.values()), [test, *without]))
+    executing = in_module if in_c or not on_line else on_line
+    quick = (sorted(executing, key=executing.__getitem__), sum(executing.values()))
+    whole = [(arguments, seconds) for seconds, arguments in sorted(files)]
+    return [*whole[:1], quick, *whole[1:]] if in_c else [quick, *whole]
+
+
+def fate(folder: Path, change: Change, tests: Judges) -> str:
+    """`dies`, `survives` or `does not compile`, after a change was made in a copy and tested."""
+    path = folder / change.path
+    original, stat = path.read_text(), path.stat()
+    in_c = change.path.startswith("native")
+    try:
+        path.write_text(change.apply())
+        if not in_c:
+            os.utime(path, (time.time(), next(MOMENTS)))  # so that no compiled file of another mutant counts as its own
+        elif not _builds(folder):
+            return "does not compile"
+        end = time.monotonic() + MAX_TEST_S
+        for group, expected_s in tests:
+            limit_s = min(60 + 5 * expected_s, end - time.monotonic())
+            outcome = run_pytest(folder, group, limit_s) if group and limit_s > 0 else "passed"
+            if outcome == "failed" or (outcome == "late" and time.monotonic() < end):  # or without an end
+                return "dies"
+        return "survives"
+    finally:
+        path.write_text(original)
+        if in_c:
+            build(folder)
+        else:
+            os.utime(path, (stat.st_atime, stat.st_mtime))
+
+
+def _builds(folder: Path) -> bool:
+    try:
+        build(folder)
+    except subprocess.CalledProcessError:
+        return False
+    return True
+
+
+MOMENTS = itertools.count(int(time.time()) - 10**8)
+
+
+def _start(numbers: Any) -> None:
+    """Import what tests import, once, and take a copy for this process alone."""
+    global folder
+    for name in PRELOADED.split():
+        importlib.import_module(name)
+    folder = fresh_copy(numbers.get())
+
+
+def _record(test: str) -> tuple[str, dict[str, Any]]:
+    return test, record(folder, test)
+
+
+def _fate(key: str, path: str, tests: Judges) -> str:
+    (change,) = (change for change in changes(ROOT / path) if change.key == key)
+    return fate(folder, change, tests)
+
+
+def read_results() -> dict[str, list[str]]:
+    """Rows of the results by the key of their mutant."""
+    path = WORK / "results.csv"
+    return {row[1]: row for row in csv.reader(path.open())} if path.exists() else {}
+
+
+def write_results(rows: dict[str, list[str]]) -> None:
+    """Write the results anew under a name of their own, and rename."""
+    partial = WORK / "results.part"
+    with partial.open("w", newline="") as file:
+        csv.writer(file).writerows(rows.values())
+    partial.replace(WORK / "results.csv")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--seed", required=True, help="any text; a commit's hash, say")
+    parser.add_argument("--n", type=int, default=25, help="mutants of each package (default: 25)")
+    parser.add_argument("--jobs", type=int, default=2, help="copies that are tested at once (default: 2)")
+    parser.add_argument("packages", nargs="*", help="packages of src/foten, or native (default: all)")
+    options = parser.parse_args()
+    by_package: dict[str, list[Change]] = {}
+    for path in sources():
+        by_package.setdefault(package_of(path), []).extend(changes(path))
+    draws = {name: list(drawn(by_package[name], options.seed)) for name in options.packages or sorted(by_package)}
+    WORK.mkdir(parents=True, exist_ok=True)
+    rows, tried, numbers = read_results(), set[str](), multiprocessing.Queue()
+    for number in range(options.jobs):
+        numbers.put(number)
+    with ProcessPoolExecutor(options.jobs, initializer=_start, initargs=(numbers,)) as pool:
+        names = sorted(path.name for path in (ROOT / "tests").glob("test_*.py") if path.stem != "test_mutants")
+        records = dict(pool.map(_record, [f"tests/{name}" for name in names]))
+        for test, result in records.items():
+            if result["failed"]:
+                print(f"{test}: {len(result['failed'])} of {len(result['seconds'])} tests do not pass", file=sys.stderr)
+        while futures := {
+            pool.submit(_fate, change.key, change.path, judges(change, records)): (name, change)
+            for name, draw in draws.items()
+            for change in counted(draw, rows, options.n)
+            if change.key not in rows or (rows[change.key][-1] == "survives" and change.key not in tried)
+        }:
+            for done in as_completed(futures):
+                name, change = futures[done]
+                tried.add(change.key)
+                rows[change.key] = [name, *change.row(), done.result()]
+                write_results(rows)
+                print(*rows[change.key], sep="  ", file=sys.stderr)
+    for name, draw in draws.items():
+        n_equivalent = sum(change.key in EQUIVALENT for change in draw[: options.n])
+        fates = [rows[change.key][-1] for change in counted(draw, rows, options.n)]
+        died = fates.count("dies")
+        print(f"{name}: {died} of {len(fates)} die ({died / len(fates):.0%}); {n_equivalent} are equivalent")
+
+
+def counted(draw: list[Change], rows: dict[str, list[str]], n: int) -> list[Change]:
+    """The first n that compile, without those that are equivalent."""
+    compiled = [change for change in draw if rows.get(change.key, [""])[-1] != "does not compile"]
+    return [change for change in compiled[:n] if change.key not in EQUIVALENT]
+
+
+if __name__ == "__main__":
+    main()
