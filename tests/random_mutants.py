@@ -4,8 +4,7 @@
 
 Changes are ordered by a hash of the seed and the change, so that a draw stays what it was while other code is written; the
 operators take turns. A mutant runs the tests that execute its line (of C: that load the kernel) and pass without it. Results go
-to build/mutants/results.csv; one that died there is not tried again. `equivalent_mutants.toml` lists those that change nothing
-that a test could see, each with its reason.
+to build/mutants/results.csv; one that died there is not tried again. `EQUIVALENT` lists those that no test could see.
 """
 
 from __future__ import annotations
@@ -27,7 +26,6 @@ import signal
 import subprocess
 import sys
 import time
-import tomllib
 import traceback
 from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor, as_completed
@@ -36,11 +34,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, cast
 
-from source_copy import ROOT, build, copy_tree
-
+ROOT = Path(__file__).parents[1]
 WORK = ROOT / "build" / "mutants"
 SOURCES = ROOT / "src" / "foten"
-EQUIVALENT = tomllib.loads((ROOT / "tests" / "equivalent_mutants.toml").read_text())
+# That of the extra `dev` lies beside this Python, which need not be in the path.
+CMAKE = shutil.which("cmake", path=os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]]))
 C, TOP = "native", "foten"  # packages of the kernel, and of the modules that are in none
 OPERATORS = ("comparison", "plus or minus", "constant", "off by one", "swapped arguments", "dropped call")
 OTHER = {"<": "<=", "<=": "<", ">": ">=", ">=": ">", "==": "!=", "!=": "==", "+": "-", "-": "+", "+=": "-=", "-=": "+="}
@@ -53,6 +51,10 @@ COMMUTATIVE = re.compile(r"f?(max|min)f?|maximum|minimum|hypot|isclose|allclose|
 LARGEST_INDEX = 10  # above it, a whole number is a constant and no count of places
 MAX_TEST_S = 240.0  # of one mutant's tests; one that is alive then survives
 PRELOADED = "torch scipy.signal scipy.io h5py pandas matplotlib.pyplot openpyxl starlette pytest coverage"
+
+
+EQUIVALENT: dict[str, str] = {}
+"""Mutants that change nothing that a test could see, by their key, and why."""
 
 
 @dataclass(frozen=True)
@@ -373,6 +375,37 @@ def _end_group(child: int) -> None:
     """End what tests started and left behind, by the group that is theirs alone."""
     with suppress(ProcessLookupError):
         os.killpg(child, signal.SIGKILL)
+
+
+def copy_tree(folder: Path) -> None:
+    """Copy what the repository holds, and prepare the build of its kernel."""
+    listed = subprocess.run(
+        ["git", "ls-files", "--cached", "--others", "--exclude-standard"],
+        cwd=ROOT,
+        check=True,
+        capture_output=True,
+        text=True,
+    ).stdout
+    for name in listed.splitlines():
+        if (ROOT / name).is_file():  # and not removed since
+            (folder / name).parent.mkdir(parents=True, exist_ok=True)
+            shutil.copy2(ROOT / name, folder / name)
+    assert CMAKE is not None
+    subprocess.run(
+        [CMAKE, "-S", folder, "-B", folder / "build", "-D", "FOTEN_TRAINING=ON"], check=True, capture_output=True
+    )
+
+
+def build(folder: Path) -> None:
+    """Build a copy's kernel beside its package."""
+    assert CMAKE is not None
+    subprocess.run([CMAKE, "--build", folder / "build", "--parallel", "2"], check=True, capture_output=True)
+    kernel = folder / "src/foten/runtime/kernel"
+    kernel.mkdir(exist_ok=True)
+    for name in ("libfoten", "libfoten_training"):
+        shutil.copy(next((folder / "build").glob(f"{name}.*")).resolve(), kernel / f"{name}.so")
+    for path in ("include/foten.h", "wasm/foten.mjs", "wasm/foten.wasm"):
+        shutil.copy(folder / "native" / path, kernel)
 
 
 def fresh_copy(number: int) -> Path:

@@ -23,7 +23,7 @@ from foten.models.texture_file import Texture, read_texture
 from foten.runtime.binding import ABI, NativeActuator
 from foten.runtime.native import NativeState, NativeTexture
 from foten.runtime.renderer import Renderer
-from source_copy import CMAKE
+from random_mutants import CMAKE
 from test_rendering import with_card
 
 ROOT = Path(__file__).parents[1]

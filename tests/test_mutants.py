@@ -12,8 +12,7 @@ from pathlib import Path
 import pytest
 
 from mutants import MUTANTS, Mutant
-from random_mutants import Change, _digest, c_changes, drawn, judges, python_changes
-from source_copy import build, copy_tree
+from random_mutants import Change, _digest, build, c_changes, copy_tree, drawn, judges, python_changes
 
 ROOT = Path(__file__).parent.parent
 # The copy's package and not the one that is installed, whose finder comes first.

@@ -29,7 +29,7 @@ from foten.models.texture_file import CLOSED_LOOP_TOLERANCE, read_texture
 from foten.runtime.binding import ABI, library
 from foten.runtime.renderer import EXAMPLE
 from foten.training.training_kernel import training_library
-from source_copy import CMAKE
+from random_mutants import CMAKE
 from test_kernel_build import WASM, accelerations, needs_node, ran, stroke_of
 
 ROOT = Path(__file__).parents[1]
@@ -335,7 +335,7 @@ def test_workflows_name_actions_by_one_commit_each() -> None:
 
 
 def test_the_release_job_installs_by_hash_what_the_constraints_name() -> None:
-    text = (NATIVE / "release-requirements.txt").read_text()
+    text = (ROOT / ".github/release-requirements.txt").read_text()
     pins = re.findall(r"^([\w-]+==\S+) --hash=sha256:[0-9a-f]{64}$", text, flags=re.MULTILINE)
     assert len(pins) == sum(not line.startswith("#") for line in text.splitlines())
     constraints = (ROOT / "constraints.txt").read_text().split()
