@@ -26,10 +26,10 @@ def parse_json(text: str | bytes) -> Any:
     """The value that JSON text holds.
 
     Raises:
-        ValueError: it is no JSON, is nested more than `DEEPEST`, or holds an integer of too many digits.
+        ValueError: it is no JSON, is nested more than `DEEPEST`, or holds a name twice or an integer of too many digits.
     """
     try:
-        value = json.loads(text)
+        value = json.loads(text, object_pairs_hook=_unique)
         level = [value]
         # Writing and showing a value needs more of the stack than reading it does.
         for _ in range(DEEPEST):
@@ -38,6 +38,12 @@ def parse_json(text: str | bytes) -> Any:
             raise RecursionError
     except RecursionError:
         raise ValueError(f"it is nested more than {DEEPEST} deep") from None
+    return value
+
+
+def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    if len(value := dict(pairs)) < len(pairs):
+        raise ValueError("a name is in it twice")  # readers differ in which of the two counts
     return value
 
 
@@ -87,5 +93,4 @@ def shown(line: str, longest: int = MAX_LINE) -> str:
 
 def brief(error: Exception) -> str:
     """Message of a library's error on one short line; some hold the file that they could not read."""
-    text = " ".join(printable(str(error).replace("\n", " ")).split()) or type(error).__name__
-    return shown(text, LONGEST_TEXT)
+    return shown(" ".join(printable(str(error).replace("\n", " ")).split()) or type(error).__name__, LONGEST_TEXT)
