@@ -81,7 +81,8 @@ def _node_replaced(scope: str, selector: str, becomes: str, source: str) -> str:
         raise ValueError(f"there is no {unknown}")  # the mutant would die of that
     place = tree
     for name in scope.split("."):
-        places = [node for node in ast.walk(place) if name in _names(node)]
+        inside = [node for node in getattr(place, "body", []) if name in _names(node)]
+        places = inside or [node for node in ast.walk(place) if name in _names(node)]
         if len(places) != 1:
             raise ValueError(f"{scope} is there {len(places)} times, expected once")
         (place,) = places
@@ -206,6 +207,7 @@ MUTANTS = (
         ("a slower device is louder", "return sum / r->stretch;", "return sum;"),
         ("the resampler skips a carry", "r->integer + (r->fraction < before)", "r->integer"),
         ("a rate's step has 32 bits", "(double)r->integer, 64)", "(double)r->integer, 32) << 32", "native"),
+        ("a reset keeps the place between samples", "r->ahead = 1; r->fraction = 0;", "r->ahead = 1;", "native"),
     ),
     *of_c(
         "src/piecewise_ar_loop.c",
@@ -262,6 +264,7 @@ MUTANTS = (
         ("events that came at once shorten the usual step", "step > MIN_STEP_S && step <", "step <"),
         ("late events in any order are a new clock", "s->late_in_succession && e->t > s->late_t ?", "1 ?"),
         ("a jump does not let go", "if (jumped) s->held[0] = s->held[1] = 0;", ""),
+        ("a pen goes on from how it moved before it stood", "= s->velocity[0] = s->velocity[1] = 0;", "= 0;"),
         tests="stylus",
     ),
     *of_c(
@@ -273,6 +276,26 @@ MUTANTS = (
         "src/card.c",
         ("the kernel takes a speed in m/s as mm/s", "if (!check_units(file)) return 0;", ""),
         tests="native",
+    ),
+    *of_c(
+        "src/file.c",
+        (
+            "of a name twice the first counts",
+            "size_t i = file->n_entries; i > 0; i--",
+            "size_t i = 1; i <= file->n_entries; i++",
+        ),
+        ("a tensor may be there twice", "n == file->n_taken ||", "n >= file->n_taken ||"),
+        tests="texture_file",
+    ),
+    *of_c(
+        "src/equaliser.h",
+        ("a band-pass may grow at 0 Hz or at half the rate", "&& fabs(filter[1]) < 1 + filter[2]", ""),
+        tests="equaliser",
+    ),
+    *of_python(
+        "untrusted.py",
+        ("JSON may hold a name twice", "_unique", "Compare Lt", "it.left and False"),
+        tests="texture_file",
     ),
     *of_python(
         "runtime/stylus.py",
@@ -416,7 +439,7 @@ MUTANTS = (
             "Call fit_linear 0",
             "it.func(it.args[0], (*it.args[1], *split.test), it.args[2], it.args[3])",
         ),
-        tests="references report evaluate",
+        tests="one_step report evaluate",
     ),
     *of_python(
         "evaluate/one_step.py",
@@ -433,6 +456,7 @@ MUTANTS = (
         "evaluate/free_run.py",
         ("the first fifth of a block is scored", "SETTLING", "Constant", "0.0"),
         ("a linear predictor's free run forgets its constant", "synthesize_linear", "BinOp Add 0", "it.right"),
+        ("the nearest block is that of unscaled speed and force", "nearest_training_blocks", "BinOp Div", "it.left"),
     ),
     *of_python(
         "runtime/loops.py",
@@ -448,6 +472,55 @@ MUTANTS = (
         "dsp/equaliser.py",
         ("the equaliser does not know how speed changes", "terms", "BinOp Sub 0", "0 * it"),
         ("gains of the equaliser are not held", "MAX_LOG_GAIN", "Constant", "9.0"),
+    ),
+    *of_python(
+        "dsp/adaptive.py",
+        ("particles that are drawn anew spread too little", "PreferenceSearch._draw_anew", "Call sqrt", "1 - SHRINK"),
+    ),
+    *of_python(
+        "datasets/clock_times.py",
+        ("every step back is midnight", "clock_seconds", "UnaryOp USub 0", "0"),
+        tests="importing",
+    ),
+    *of_python(
+        "datasets/timing.py",
+        ("coarse stamps excuse any jitter", "irregular", "Call min", "it.args[0]"),
+        tests="importing",
+    ),
+    *of_python(
+        "models/foten_plus/tones_fit.py",
+        ("the jitter's variance is not over the distance", "_period_jitter", "BinOp Sub 3", "it.left"),
+        tests="tones",
+    ),
+    *of_python(
+        "study/store.py",
+        (
+            "practice answers lead the level search",
+            "Store.levels",
+            "Constant 1",
+            "it.replace('r.trial > 0', 'r.trial >= 0')",
+        ),
+        tests="study_store",
+    ),
+    *of_python(
+        "study/session.py",
+        ("time between strokes is contact", "contact_s", "Compare Gt 0", "True"),
+        ("strokes on two surfaces are one", "TrialLog.contact_s", "Call groupby", "[(interval, self.events)]"),
+        tests="study_store",
+    ),
+    *of_python(
+        "studio/levels.py",
+        ("gains are over the widest range", "_conditions", "Call max", "it.func.value.min(0)"),
+        ("gains are up to the highest range", "_conditions", "Call min", "it.func.value.max(0)"),
+        tests="live_contact",
+    ),
+    *of_python(
+        "export/clip.py",
+        ("the level is held from the first sample on", "_followed", "Name HOLD_S", "held if i else HOLD_S"),
+        tests="clips",
+    ),
+    *of_python(
+        "export/hjif.py", ("an RMS is written as an amplitude", "_chirp", "BinOp Mult 1", "it.right"), tests="clips"
     ),
     *of_python(
         "experiments/simulator_reference.py",

@@ -23,7 +23,7 @@ from foten.dsp.resample import interpolate
 from foten.export.ahap import write_ahap
 from foten.export.android import write_android
 from foten.export.c_header import identifier, write_c_header
-from foten.export.clip import RATE_HZ, Clip, _reduced, clip_of, envelopes_of
+from foten.export.clip import RATE_HZ, Clip, _followed, _reduced, clip_of, envelopes_of
 from foten.export.haptic import write_haptic
 from foten.export.hjif import write_hjif
 from foten.export.samples import write_wav
@@ -77,6 +77,16 @@ def test_the_level_rises_at_once_holds_and_falls_within_the_release() -> None:
     falling = np.array([0.0, 0.02, 0.05, 0.1])
     # The points that are left describe the curve to 1 %, and steps of 1 ms another.
     np.testing.assert_allclose(np.interp(1.002 + falling, *amplitude.T), 0.7 * np.exp(-falling / 0.1), rtol=0.02)
+
+
+def test_each_burst_is_held_anew() -> None:
+    """1.5 ms are two steps; then it falls by e in 0.1 s, from what the attack of 0.1 ms reached, within e^−10."""
+    n = np.arange(1600)
+    burst = np.sign(np.sin(2 * np.pi * 500 / RATE_HZ * n + 0.1)) * (n % 800 < 400)
+    _, level = _followed(Clip(burst, RATE_HZ, 1.0, ABOUT))
+    falling = np.exp(-np.maximum(0, np.arange(50) - 1) / 100)
+    expected = np.concatenate([np.ones(50), falling])
+    np.testing.assert_allclose(level[:200], np.tile(expected, 2), atol=1e-4)
 
 
 def test_the_frequency_is_that_of_what_skin_feels() -> None:
@@ -238,12 +248,14 @@ def test_hjif_of_one_sample_has_the_keyframes_that_a_curve_needs(tmp_path: Path)
     assert synthesized(json.loads((tmp_path / "a.hjif").read_text())).tolist() == [0.5, -0.5]
 
 
-def test_parametric_hjif_is_a_tone_of_the_level_and_the_frequency(tmp_path: Path) -> None:
-    clip = tone(200.0, size=0.5)
+@pytest.mark.parametrize(("hertz", "error"), [(200.0, 0.3), (500.0, 0.01)])
+def test_parametric_hjif_is_a_tone_of_the_level_and_the_frequency(tmp_path: Path, hertz: float, error: float) -> None:
+    """An RMS over 1 ms, half a period of 500 Hz, is a tone's own; of a slower one it follows the halves up to the peak."""
+    clip = tone(hertz, size=0.5)
     write_hjif(clip, tmp_path / "a.hjif", parametric=True)
     rendered = synthesized(json.loads((tmp_path / "a.hjif").read_text()))[4000:12000]
-    assert np.abs(np.fft.rfft(rendered)).argmax() == pytest.approx(200.0, abs=8)  # bins of 1 Hz
-    assert np.sqrt(np.square(rendered).mean()) == pytest.approx(0.5 / 2**0.5, rel=0.3)
+    assert np.abs(np.fft.rfft(rendered)).argmax() == pytest.approx(hertz, abs=8)  # bins of 1 Hz
+    assert np.sqrt(np.square(rendered).mean()) == pytest.approx(0.5 / 2**0.5, rel=error)
 
 
 @pytest.mark.parametrize("seconds", [0.005, 0.02, 0.0399, 0.05, 1.2345])

@@ -78,11 +78,13 @@ def test_its_bound_holds_for_the_worst_signal() -> None:
     assert 3 < largest <= equaliser.bound()
 
 
-def test_an_unstable_band_pass_is_refused() -> None:
+@pytest.mark.parametrize("poles", [(0.0, 1.01), (1.6, 0.5), (-1.6, 0.5)])
+def test_an_unstable_band_pass_is_refused(poles: tuple[float, float]) -> None:
+    """Coefficients beyond each side of the triangle |a₂| < 1, |a₁| < 1 + a₂, within which both poles have a modulus below 1."""
     texture = exported("foten-plus", FotenPlusSizes(**PLUS, equalised=True))
     tensors = dict(texture.tensors)
     tensors["equaliser.filters"] = tensors["equaliser.filters"].copy()
-    tensors["equaliser.filters"][2, 2] = 1.01
+    tensors["equaliser.filters"][2, 1:] = poles
     with pytest.raises(ValueError, match="band-pass of the equaliser is unstable"):
         Equaliser.of(tensors)
     with pytest.raises(ValueError, match="band-pass of the equaliser is unstable"):

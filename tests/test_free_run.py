@@ -177,9 +177,9 @@ def test_a_linear_predictor_without_noise_settles_on_its_mean() -> None:
 
 def test_the_nearest_training_block_is_nearest_in_speed_and_force() -> None:
     block = 50
-    speed, force = (np.repeat([10.0, 100.0, 100.0, 98.0, 15.0], block), np.repeat([1.0, 1.0, 2.0, 1.9, 1.1], block))
+    speed, force = (np.repeat([10.0, 100.0, 100.0, 52.0, 15.0], block), np.repeat([1.0, 1.0, 2.0, 1.9, 1.1], block))
     recorded = Trace(np.repeat(np.arange(5.0), block), speed, force, RATE_HZ, block)
-    found = nearest_training_blocks(recorded, (3, 4), (0, 1, 2))
+    found = nearest_training_blocks(recorded, (3, 4), (0, 1, 2))  # 52 mm/s is nearer to 10, by less than 1.9 N is to 2
     assert found.shape == (1, 2, block)
     np.testing.assert_array_equal(found[0, :, 0], [2, 0])
     still = Trace(recorded.acceleration, np.full(250, 80.0), force, RATE_HZ, block)

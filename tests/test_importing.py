@@ -14,9 +14,11 @@ from scipy.io import savemat, wavfile
 
 from foten.cli.command_line import _status
 from foten.datasets.binary import read_tdms, read_wav
+from foten.datasets.clock_times import clock_seconds
 from foten.datasets.hdf5 import load_recording
 from foten.datasets.importing import DATASETS, import_recording, read_columns, read_stroke
 from foten.datasets.options import ImportOptions, parse_pairs, parse_rates
+from foten.datasets.timing import irregular
 from foten.datasets.units import FULL_SCALE
 
 N = 2000
@@ -262,6 +264,24 @@ def test_times_of_a_clock_are_seconds_from_the_first(tmp_path, day):
     recording = _import(tmp_path / "a.csv")
     assert recording["acceleration"].rate_hz == 1000
     np.testing.assert_array_equal(recording["acceleration"].samples, ACC)
+
+
+@pytest.mark.parametrize(
+    ("clock", "seconds"),
+    [
+        (["23:59:59.5", "00:00:00.5", "00:00:01"], [0, 1, 1.5]),
+        (["12:00:00", "11:59:59.75", "12:00:01"], [0, -0.25, 1]),  # no midnight: a row out of order, which is refused
+        (["2026-05-01T23:59:59", "2026-05-02T00:00:01"], [0, 2]),
+    ],
+)
+def test_a_clock_without_a_date_passes_midnight_by_half_a_day_back_alone(clock, seconds):
+    np.testing.assert_array_equal(clock_seconds(clock), seconds)
+
+
+def test_times_in_whole_periods_hide_no_lost_row():
+    """Stamps of 10 ms may hide half a period; row 700 of 1000 lost puts that before it 10 ms · 700/999 from an even grid."""
+    assert irregular(np.arange(1001) / 100, 100.0) == ""
+    assert irregular(np.delete(np.arange(1001), 700) / 100, 100.0).startswith("samples lie up to 6.997 ms")
 
 
 @pytest.mark.parametrize("digits", [3, 4, 9, None, "single precision"])

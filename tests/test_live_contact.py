@@ -12,11 +12,14 @@ import pytest
 pytest.importorskip("starlette")
 from numpy.typing import NDArray
 
+from conftest import PLUS, exported
+from foten.models.foten_plus.sizes import FotenPlusSizes
 from foten.runtime.actuator import ActuatorProfile
 from foten.runtime.live.live import LiveStatistics
 from foten.runtime.renderer import EXAMPLE, Renderer
 from foten.runtime.stylus import PressureCalibration, Stylus
 from foten.studio import players
+from foten.studio.levels import _conditions
 from foten.studio.live_contact import Contact, limit
 from foten.studio.players import OutputDevice, RoundRobinRenderer, white_noise
 from test_studio_server import COIL
@@ -179,6 +182,14 @@ def test_turns_that_were_left_out_are_missed() -> None:
     assert after.wait(5.0)
     player.stop()
     assert player.statistics.n_missed >= 0.9 * 0.5 / turns.block_s
+
+
+def test_levels_are_compared_where_all_textures_were_recorded() -> None:
+    """At a quarter, a half and three quarters of what 10 to 90 and 50 to 130 mm/s have in common, and of 1 to 2 N."""
+    ranges = [{"speed": [10.0, 90.0], "force": [0.0, 2.0]}, {"speed": [50.0, 130.0], "force": [1.0, 4.0]}]
+    renderers = [Renderer(exported("foten-plus", FotenPlusSizes(**PLUS), trained_range=one)) for one in ranges]
+    expected = [(speed, force) for speed in (60.0, 70.0, 80.0) for force in (1.25, 1.5, 1.75)]
+    np.testing.assert_allclose(_conditions(renderers), expected)
 
 
 def test_white_noise_has_its_level_and_is_white(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -150,6 +150,21 @@ def test_a_pen_that_rests_is_still_and_pressed(texture: Texture) -> None:
     np.testing.assert_allclose(found[-300:, 1], CURVE.force(np.array([0.5]))[0], rtol=1e-6)
 
 
+def test_what_a_pen_did_before_it_stood_still_adds_nothing_to_its_next_movement(texture: Texture) -> None:
+    """Still for 180 ms, less than ten usual steps of 20 ms: the same stroke goes on, from a velocity of 0."""
+    at = np.arange(0.0, 1.0, 0.02)
+    after = []
+    for speed in (0.0, 100.0, -100.0):
+        before = stroke_at(at, speed)
+        next_steps = before[-1] + stroke_at(0.18 + 0.02 * np.arange(4), 50.0) * [1, 1, 0, 1]
+        stylus = Stylus(Renderer(texture))
+        after.append(hands(stylus, np.concatenate([before, next_steps]), 1200)[-70:, 0])
+        assert stylus.stats.n_jumps == 0
+    # It counts as still after three steps: the low-pass has 90 ms to forget 100 mm/s, by √2 e^(−2π·20 Hz/√2·t).
+    np.testing.assert_allclose(after[1:], [after[0]] * 2, atol=0.05)
+    assert after[0].max() > 10
+
+
 def test_what_is_wrong_is_counted_and_does_no_harm(texture: Texture) -> None:
     events = stroke_at(np.arange(0.0, 2.0, 0.008))
     clean = hands(Stylus(Renderer(texture)), events, 1900)
