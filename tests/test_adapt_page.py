@@ -83,7 +83,6 @@ def test_all_is_asked_and_each_answer_is_kept(server: AdaptServer, client: TestC
         (b'{"n": 7, "which": 0}', "answer to question 7, expected one to 0"),
         (b'{"n": 0, "which": 9}', "choice 9, expected 0 to 2"),
         (b'{"stop": true}', "2 choices are the fewest"),
-        (b" " * 2000, "more than 1000 bytes"),
     ],
 )
 def test_a_bad_answer_is_refused_and_nothing_kept(

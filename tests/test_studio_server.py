@@ -387,9 +387,9 @@ def test_a_body_has_the_deadline_of_its_head(tmp_path: Path) -> None:
     """One at ten bytes a second is closed, and waits meanwhile as an idle connection does; one in pieces is taken."""
     deadline = "import foten.studio.web_server as server; server.REQUEST_S = 1.0; server.MAX_WAITING = 4"
     with serving("-o", str(tmp_path / "a.json"), command="adapt", after=deadline) as (_, link), ExitStack() as stack:
-        there = urlsplit(link).netloc
+        there, port = urlsplit(link).netloc, urlsplit(link).port or 0
         head = f"POST /answer HTTP/1.1\r\nHost: {there}\r\nOrigin: http://{there}\r\nContent-Length: 900\r\n\r\n"
-        slow = [stack.enter_context(socket.create_connection(there.split(":"), timeout=5)) for _ in range(5)]
+        slow = [stack.enter_context(socket.create_connection(("127.0.0.1", port), timeout=5)) for _ in range(5)]
         for connection in slow:
             connection.sendall(head.encode())
         assert closed_after(slow[:1], 5.0) < 0.9  # there is no room for it
@@ -400,17 +400,34 @@ def test_a_body_has_the_deadline_of_its_head(tmp_path: Path) -> None:
                 time.sleep(0.1)
         assert time.monotonic() - begin < 3
         page = HTTPConnection(there, timeout=5)
-        for body, status in (([b'{"n": 0,', b' "which": 0}'], 200), ([b" " * 500] * 100, 409)):
+        for body, status in (([b'{"n": 0,', b' "which": 0}'], 200), ([b" " * 500] * 8, 409), ([b" " * 500] * 9, 413)):
             page.request("POST", "/answer", iter(body), {"Origin": f"http://{there}"}, encode_chunked=True)
             answer = page.getresponse()
             assert (answer.status, bool(answer.read())) == (status, True)
         page.close()
 
 
+@pytest.mark.parametrize(
+    "frame", [b"\x89\x80\0\0\0\0", b"\x8a\x80\0\0\0\0", b"\0\x80\0\0\0\0"], ids=["ping", "pong", "piece"]
+)
+def test_a_socket_that_floods_what_no_page_counts_is_cut(frame: bytes) -> None:
+    """The rest of what it sent is not read, which took seconds of everybody's time."""
+    with serving(str(EXAMPLE)) as (_, link):
+        here = link.rstrip("/")
+        with connect_page(f"{here.replace('http', 'ws')}/stroke", proxy=None, origin=Origin(here)) as page:
+            flood = page.socket
+            for _ in range(100):
+                flood.sendall(b"\x89\x80\0\0\0\0")  # a client may ping
+            page.send("{}")
+            assert "no object with 'do'" in str(page.recv(timeout=5))
+            with pytest.raises(ConnectionError):
+                flood.sendall((b"\1\x80\0\0\0\0" if frame[0] == 0 else b"") + 2_000_000 * frame)
+
+
 def test_malformed_requests_do_not_scroll_the_links_away() -> None:
     with serving(str(EXAMPLE)) as (process, link):
         for _ in range(150):
-            with socket.create_connection(urlsplit(link).netloc.split(":"), timeout=5) as connection:
+            with socket.create_connection(("127.0.0.1", urlsplit(link).port or 0), timeout=5) as connection:
                 connection.sendall(b"\0\r\n\r\n")
                 assert connection.recv(1000).startswith(b"HTTP/1.1 400 ")
         process.terminate()

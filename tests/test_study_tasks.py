@@ -300,7 +300,7 @@ def test_who_is_forgotten_is_so_with_the_devices_too(tmp_path: Path) -> None:
         for code in ("ALONE", "OTHER"):
             store.join(code)
     devices = database.with_suffix(".access") / "devices.json"
-    devices.parent.mkdir()
+    devices.parent.mkdir(mode=0o700)
     admitted = Admitted(devices)
     for code in ("ALONE", "OTHER"):
         admitted.put(f"{code} stroke", "secret")

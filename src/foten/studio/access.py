@@ -10,7 +10,6 @@ import datetime
 import hashlib
 import hmac
 import ipaddress
-import json
 import os
 import secrets
 import stat
@@ -24,7 +23,7 @@ from starlette.requests import HTTPConnection
 from starlette.responses import PlainTextResponse, RedirectResponse
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from foten.atomic_write import atomic_write
+from foten.atomic_write import write_json
 from foten.untrusted import check_regular, parse_json
 
 COOKIE = "foten"
@@ -100,14 +99,14 @@ class Admitted:
         path: of the file, in a folder for its owner alone; None for as long as this server runs.
 
     Raises:
-        ValueError: the file is none of hashes, or others may have written it, as `check_private` says.
+        ValueError: the file is none of hashes, or others may have put it there.
     """
 
     def __init__(self, path: Path | None = None) -> None:
         self._path = path
         self._hashes: dict[str, list[str]] = {}
         if path is not None and path.exists():
-            check_private(path, 0o077)
+            private_folder(path.parent)
             check_regular(path)
             try:
                 stored = parse_json(path.read_bytes())
@@ -140,10 +139,9 @@ class Admitted:
 
     def _write(self) -> None:
         if self._path is not None:
-            # They are known to this server, and to the next once the disk has room.
-            with contextlib.suppress(OSError), atomic_write(self._path) as part:
-                part.touch(mode=0o600)
-                part.write_text(json.dumps(self._hashes, indent=1) + "\n", encoding="utf-8")
+            with contextlib.suppress(OSError):  # they are known to this server, and to the next once the disk has room
+                write_json(self._path, self._hashes)
+                self._path.chmod(0o600)
 
     def knows(self, secret: str | None, kind: str = "device") -> bool:
         """Whether a secret was given to one of a kind, in a time that says nothing of it."""
@@ -220,10 +218,9 @@ class Guarded:
         asks = scope["type"] == "http" and scope["method"] in ("GET", "HEAD")
         if not asks and str(origin).lower() != expected.lower():
             return f"the origin is {str(origin)[:80]!r}, expected this server's own page"
-        site = headers.get("sec-fetch-site", "none")
         opened = (headers.get("sec-fetch-mode"), headers.get("sec-fetch-dest")) == ("navigate", "document")
-        if asks and site not in ("same-origin", "none") and not opened:
-            return f"a page of another origin asks for this ({site[:20]!r}), expected this server's own page"
+        if asks and headers.get("sec-fetch-site", "none") not in ("same-origin", "none") and not opened:
+            return "a page of another origin asks for this, expected this server's own page"
         tokens = [expected for expected in (self._access.token, self._access.other_token) if expected is not None]
         if not known and tokens and not (asks and token and any([is_same(token, expected) for expected in tokens])):
             return self._for_strangers
@@ -254,34 +251,15 @@ async def _refuse(scope: Scope, receive: Receive, send: Send, why: str, status: 
 
 
 def private_folder(folder: Path) -> Path:
-    """A folder for its owner alone, made where there is none.
-
-    Raises:
-        ValueError: it was there, and others may read it, or may have put what it holds.
-    """
+    """A folder for its owner alone, made where there is none; ValueError where others may read it, or have put what it holds."""
     folder.mkdir(mode=0o700, exist_ok=True)
-    check_private(folder, 0o077)
-    for path in folder.iterdir():
-        check_private(path, 0o022)  # nobody else can read it, inside such a folder
+    for path in (folder, *folder.iterdir()) if os.name == "posix" else ():
+        status = path.lstat()
+        is_open = status.st_mode & (0o077 if path == folder else 0o022)  # others cannot read what such a folder holds
+        if stat.S_ISLNK(status.st_mode) or status.st_uid != os.geteuid() or is_open:
+            what = f"{path} is {stat.filemode(status.st_mode)} of the user {status.st_uid}"
+            raise ValueError(f"{what}, expected no link, and yours alone: remove {folder}, and devices ask anew")
     return folder
-
-
-def check_private(path: Path, forbidden: int) -> None:
-    """Refuse (ValueError) a path that is a link, belongs to another user, or whose mode has a forbidden bit."""
-    if os.name != "posix":
-        return
-    status, why = path.lstat(), ""
-    if stat.S_ISLNK(status.st_mode):
-        why = "is a link"
-    elif status.st_uid != os.geteuid():
-        why = "belongs to another user"
-    elif status.st_mode & forbidden:
-        why = f"is open to others (its mode is {stat.S_IMODE(status.st_mode):o})"
-    if why:
-        folder = path if path.is_dir() else path.parent
-        raise ValueError(
-            f"{path} {why}: it is to be yours alone, as it says who is let in; remove {folder}, and devices ask anew"
-        )
 
 
 def certificate_for(folder: Path, hosts: Iterable[str]) -> tuple[Path, Path]:

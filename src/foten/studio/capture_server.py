@@ -112,16 +112,8 @@ class TrainingQueue:
                 await process.wait()
 
 
-class FullError(RefusedError):
-    """More than a capture may hold; what it holds stays."""
-
-
 class CapturePage(PageSocket):
-    """A page that captures; a message that is refused ends its capture, for something of it would be missing.
-
-    Args:
-        pages: all that capture, this one among them.
-    """
+    """A page that captures, one of `pages`; a message that is refused ends its capture, for something of it would be missing."""
 
     def __init__(self, socket: WebSocket, trainings: TrainingQueue, pages: Iterable[CapturePage]) -> None:
         super().__init__(socket, CAPTURE, max_messages_per_s=MAX_CAPTURE_MESSAGES_PER_S)
@@ -144,20 +136,15 @@ class CapturePage(PageSocket):
         capture = self._current("sound or events")
         if self._is_full:
             return  # as the page was told
-        try:
-            for what, pages, max_bytes in (
-                ("capture has", [self], MAX_CAPTURE_BYTES),
-                ("captures of all pages have", self._pages, MAX_ALL_CAPTURES_BYTES),
-            ):
-                if sum(page.n_bytes for page in pages) + len(data) - 1 > max_bytes:
-                    raise FullError(f"the {what} {max_bytes / 1e6:.3g} MB")
-            if kind == "sound":
-                capture.add_sound(values)
-            else:
-                capture.add_events(values)
-        except FullError as full:
-            self._is_full = True
-            super().refuse(f"{full}, which is the most: train from what came before, or save it")
+        n_all = sum(page.n_bytes for page in self._pages)
+        self._is_full = self.n_bytes + len(data) > MAX_CAPTURE_BYTES or n_all + len(data) > MAX_ALL_CAPTURES_BYTES
+        if self._is_full:
+            sizes = f"it may have {MAX_CAPTURE_BYTES / 1e6:.3g} MB, and those of all pages {MAX_ALL_CAPTURES_BYTES / 1e6:.3g} MB"
+            super().refuse(f"the capture is full, as {sizes}: train from what came before, or save it")
+        elif kind == "sound":
+            capture.add_sound(values)
+        else:
+            capture.add_events(values)
 
     async def do(self, message: Mapping[str, Any]) -> None:
         if message["do"] == "begin":
@@ -202,9 +189,9 @@ class CaptureSession:
         return self._n_samples / self.about.rate_hz
 
     def add_sound(self, samples: NDArray[Any]) -> None:
-        """Take in the next samples, of which full scale is 1; FullError where the sound gets longer than `MAX_CAPTURE_S`."""
+        """Take in the next samples, of which full scale is 1; RefusedError where the sound gets longer than `MAX_CAPTURE_S`."""
         if self._n_samples + samples.size > MAX_CAPTURE_S * self.about.rate_hz:
-            raise FullError(f"the capture has {MAX_CAPTURE_S:g} s")
+            raise RefusedError(f"the capture is longer than {MAX_CAPTURE_S:g} s")
         self.sound += samples.astype("<f4").tobytes()
         self._n_samples += samples.size
 
@@ -212,11 +199,10 @@ class CaptureSession:
         """Take in the next events: x, y [mm], pressure, t [s], shape (n, 4); for those that come late see `in_order`.
 
         Raises:
-            FullError: there are too many.
-            RefusedError: an event is more than `MAX_BACK_S` back in time.
+            RefusedError: there are too many, or an event is more than `MAX_BACK_S` back in time.
         """
         if self._n_events + len(events) > MAX_PEN_EVENTS:
-            raise FullError(f"the capture has {MAX_PEN_EVENTS} events")
+            raise RefusedError(f"the capture has more than {MAX_PEN_EVENTS} events")
         latest_s = np.maximum.accumulate(np.append(self._latest_s, events[:, 3]))
         back_s = float((latest_s[1:] - events[:, 3]).max())
         if back_s > MAX_BACK_S:

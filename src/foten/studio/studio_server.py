@@ -72,8 +72,7 @@ class Studio:
             Route("/textures/{key}", self._texture),
             Route("/pictures/{name}", self._picture),
             Route("/gains", self._gains),  # ?texture=A&texture=B
-            # ?texture=A&brighter=0.5&other=B&at=0.3&exact=1; a POST, as its origin is checked whatever the browser
-            Route("/tuned", self._tuned, methods=["POST"]),
+            Route("/tuned", self._tuned, methods=["POST"]),  # ?texture=A&brighter=0.5&other=B&at=0.3&exact=1
             Route("/state", self._state),
             WebSocketRoute("/stroke", self._stroke),
             WebSocketRoute("/capture", self._capture),
@@ -124,20 +123,16 @@ class Studio:
             return missing("there is no such texture here")
         from foten.studio import tuning
 
-        path = None if other is None else other.path
         try:
             moves = tuning.moves_of(query)
-            await asyncio.wait_for(self._tuning.acquire(), MAX_TUNING_WAIT_S)
+            async with asyncio.timeout(MAX_TUNING_WAIT_S) as waiting, self._tuning:
+                waiting.reschedule(None)
+                path = None if other is None else other.path
+                data = await asyncio.to_thread(tuning.tuned, entry.path, path, moves, query.get("exact") == "1")
         except TimeoutError:
             return PlainTextResponse("another texture is being moved: try again in some seconds\n", status_code=503)
-        except ValueError as error:
-            return missing(f"{entry.name} cannot be moved so: {error}")
-        try:
-            data = await asyncio.to_thread(tuning.tuned, entry.path, path, moves, query.get("exact") == "1")
         except (OSError, ValueError) as error:
             return missing(f"{entry.name} cannot be moved so: {error}")
-        finally:
-            self._tuning.release()
         return Response(data, media_type="application/octet-stream")
 
     async def _state(self, _request: Request) -> Response:

@@ -15,10 +15,14 @@ from functools import partial
 from pathlib import Path
 
 import uvicorn
+from starlette.responses import PlainTextResponse
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
+from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
+from websockets.frames import Frame, Opcode
 
 from foten.studio.access import LOOPBACK, Access, access_to, certificate_for, private_folder
-from foten.studio.messages import MAX_BYTES
+from foten.studio.messages import MAX_BYTES, Allowance
+from foten.studio.websocket import MAX_MESSAGES_PER_S
 
 SHUTDOWN_S = 3
 REQUEST_S = 5.0  # from a connection to its whole first request, encryption included
@@ -99,13 +103,13 @@ def serve(
             log_level="warning",
             access_log=False,
             server_header=False,
-            ws="websockets-sansio",
+            ws=_WebSocket,
             ws_max_size=2 * MAX_BYTES,
             ws_per_message_deflate=False,
             timeout_graceful_shutdown=SHUTDOWN_S,
             **files,  # type: ignore[arg-type]
         )
-        logging.getLogger("uvicorn.error").addFilter(_Sparse())  # after the configuration, which begins anew
+        logging.getLogger("uvicorn.error").addFilter(partial(_is_rare, Counter()))  # once it was configured
         _Server(config, connections, lambda: announce(access, shown, False)).run(sockets=[listener])
 
 
@@ -155,8 +159,13 @@ class Connections:
         if connection is None:
             await self._app(scope, receive, send)
             return
-        if scope["type"] == "http" and (receive := await _whole(receive)) is None:
-            return
+        if scope["type"] == "http":
+            whole = await _whole(receive)
+            if whole is None:
+                why, headers = f"expected a body of {MAX_BYTES} bytes at most\n", {"connection": "close"}
+                await PlainTextResponse(why, 413, headers)(scope, receive, send)
+                return
+            receive = whole
         connection.n_requests += 1
         connection.was_asked = True
         self._stop_waiting(connection)
@@ -241,34 +250,40 @@ class Connections:
 
 
 async def _whole(receive: Receive) -> Receive | None:
-    """What gives a request's body at once, or its first `MAX_BYTES`, of which no answer needs more; None where it breaks off."""
+    """What gives the body of a request at once; None where it breaks off, or has more than `MAX_BYTES`, which no answer needs."""
     body, goes_on = b"", True
-    while goes_on and len(body) <= MAX_BYTES:
+    while goes_on:
         message = await receive()
-        if message["type"] == "http.disconnect":
-            return None
         body, goes_on = body + message.get("body", b""), message.get("more_body", False)
-    first = [{"type": "http.request", "body": body, "more_body": goes_on}]
+        if message["type"] == "http.disconnect" or len(body) > MAX_BYTES:
+            return None
+    whole: asyncio.Queue[Message] = asyncio.Queue()
+    whole.put_nowait({"type": "http.request", "body": body})
+    return whole.get
 
-    async def receive_again() -> Message:
-        return first.pop() if first else await receive()
 
-    return receive_again
+def _is_rare(counts: Counter[object], record: logging.LogRecord) -> bool:
+    """Whether a line of uvicorn's comes for the first time, or ten times as often as when it was shown last."""
+    kind = str(record.msg), record.exc_info and record.exc_info[0]
+    counts[kind] += 1
+    if (n := counts[kind]) > 1:
+        record.msg, record.exc_info = f"{kind[0].rstrip()} ({n} times)", None
+    return str(n).strip("0") == "1"
 
 
-class _Sparse(logging.Filter):
-    """Lets a line of uvicorn's through once, and then each time that it has come ten times as often."""
+class _WebSocket(WebSocketsSansIOProtocol):
+    """A WebSocket that is cut where many frames come that no page counts: pings, pieces of messages, and all after its end."""
 
-    def __init__(self) -> None:
-        super().__init__()
-        self._counts: Counter[tuple[str, object]] = Counter()
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        super().connection_made(transport)
+        self._uncounted = Allowance(MAX_MESSAGES_PER_S)
 
-    def filter(self, record: logging.LogRecord) -> bool:
-        kind = str(record.msg), record.exc_info and record.exc_info[0]
-        self._counts[kind] += 1
-        if (n := self._counts[kind]) > 1:
-            record.msg = f"{kind[0].rstrip()} ({n} times)"
-        return str(n).strip("0") == "1"
+    def handle_events(self) -> None:
+        opcodes = [event.opcode for event in self.conn.events if isinstance(event, Frame)]
+        if self._uncounted.take(sum(self.close_sent or code not in (Opcode.TEXT, Opcode.BINARY) for code in opcodes)):
+            super().handle_events()
+        else:
+            self.transport.abort()
 
 
 class _Server(uvicorn.Server):

@@ -94,7 +94,7 @@ export class Tune {
       this.played(await texture.bytes);
       return;
     }
-    const answer = await fetch(`tuned?${query}`, { method: "POST" });
+    const answer = await fetch(`tuned?${query}`, { method: "POST" }); // whose origin the server checks
     if (!answer.ok) throw new Error((await answer.text()).trim());
     const bytes = await answer.arrayBuffer();
     if (!this.shown || this.one() !== texture) return; // another texture was chosen meanwhile
