@@ -24,6 +24,8 @@ from csv_records import (
     MAIN,
     ONE_STEP,
     OURS,
+    REAL_2_5,
+    REAL_10,
     REAL_TABLE_1,
     RESULTS,
     SIMULATED,
@@ -52,6 +54,7 @@ from foten.experiments.method_tables import (
     warm_start,
 )
 from foten.experiments.results import BEST_LINEAR, VALIDATION, WITHOUT, Record, Records, by_recipe, chosen
+from foten.recording.windows import first_scored
 from foten.reporting.table import Cell, Number, Table
 
 OTHER_DATA = {MAIN[CONTACT]: CONTACT, "real recordings": REAL_TABLE_1}
@@ -808,7 +811,11 @@ def seconds_of_test(name: str) -> str:
     of_split = (
         f"{block_s * records_of(name)[0]['n_blocks']:.1f} s in each of {len(of_file(name)['split_seeds'])} splits"
     )
-    return f"The test blocks of a real recording hold {low:.1f} to {high:.1f} s in all, {of_split}, which share them."
+    rates = [of_file(one)["preprocess"]["rate_hz"] for one in ((REAL_10, REAL_2_5) if name == REAL_10 else (name,))]
+    scored = (1 - first_scored(round(block_s * rate)) / (block_s * rate) for rate in rates)
+    shares = (f"{100 * share:.0f} % at {rate / 1000:g} kHz" for share, rate in zip(scored, rates, strict=True))
+    in_all = f"The test blocks of a real recording hold {low:.1f} to {high:.1f} s in all, {of_split}, which share them."
+    return f"{in_all} One step is scored on part of each: {', '.join(shares)}."
 
 
 def real_intervals() -> str:
