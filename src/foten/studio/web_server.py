@@ -307,4 +307,6 @@ class _Server(uvicorn.Server):
     async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
         self._accepting.cancel()
         await asyncio.wait({self._accepting})
+        for connection in list(self._connections._waiting):  # no answer is cut off
+            self._connections._expire(connection)
         await super().shutdown(sockets=sockets)
