@@ -326,6 +326,36 @@ def test_the_operator_reads_that_the_noise_has_ended_and_goes_on(browser: Any, t
         page.close()
 
 
+def test_a_page_whose_place_is_returned_begins_anew(browser: Any, tmp_path: Path) -> None:
+    """Until something is answered; an age that nobody has is no answer."""
+    with running(study_file(tmp_path)) as (operator_link, link):
+        operator, page = browser.new_page(), browser.new_page()
+        asked: list[str] = []
+        operator.on("dialog", lambda dialog: (asked.append(dialog.message), dialog.accept()))
+        operator.goto(operator_link)
+        begin(page, link)
+        code = page.evaluate("window.study.code")
+        operator.click("[data-what='Return place']:visible")
+        until(page, "window.study?.code === null && document.querySelector('#code') !== null")
+        assert page.evaluate("location.search") == ""
+        until(operator, "document.querySelectorAll('#people li').length === 0")
+        assert asked == [f"Return the place of participant 1, {code}? The next participant gets its order of trials."]
+        page.click("button.big")
+        until(page, f"window.study.code !== null && window.study.code !== '{code}'")
+        operator.wait_for_selector("[data-what='Return place']:visible")
+        page.click("button.big")
+        operator.wait_for_selector("[data-what='Return place']", state="hidden")
+        page.fill("input[name=age]", "-5")
+        page.click("button.big")
+        told = page.eval_on_selector("input[name=age]", "(input) => input.validationMessage")
+        assert told == "Please enter a number: How old are you? (0–120)"
+        page.fill("input[name=age]", "33")
+        page.click("button.big")
+        until(page, "window.study.step.kind === 'instructions'")
+        operator.close()
+        page.close()
+
+
 def test_a_second_device_waits_for_the_operator_to_let_it_go_on(browser: Any, tmp_path: Path) -> None:
     options = ("--port", "0", "--host", "0.0.0.0")
     process, operator_link, link = started_study(study_file(tmp_path, practice="0"), *options)

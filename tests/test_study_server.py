@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import contextlib
 import json
+import math
+import os
 import re
 import socket
 import sqlite3
@@ -31,11 +33,12 @@ from websockets.typing import Origin
 from foten.models.texture_file import read_texture, write_texture
 from foten.runtime.renderer import EXAMPLE, Renderer
 from foten.runtime.stylus import PressureCalibration
-from foten.studio import live_contact
+from foten.studio import live_contact, websocket
 from foten.studio.access import LOOPBACK, Access, Admitted, access_to
 from foten.studio.levels import gains_db
-from foten.studio.messages import MAX_EVENTS
+from foten.studio.messages import MAX_EVENTS, RefusedError
 from foten.studio.websocket import MAX_WAITING_BLOCKS, MAX_WAITING_TEXTS
+from foten.study import page_sockets, study_server
 from foten.study import session as session_module
 from foten.study import store as store_module
 from foten.study.analysis import of_trials, read_ratings
@@ -43,7 +46,7 @@ from foten.study.design import study_text, titled
 from foten.study.languages import read_language
 from foten.study.loading import load_study
 from foten.study.page_sockets import BEFORE_MISSED, ELSEWHERE, JOIN_AGAIN, MISSED, NOT_ALLOWED
-from foten.study.session import Session, conditions_of
+from foten.study.session import RETURNED, Session, conditions_of
 from foten.study.store import FullError, Store
 from foten.study.study_server import OPERATOR, OPERATOR_COOKIE, StudyServer, study_files
 from test_studio_server import HERE, LOCAL, WS
@@ -335,22 +338,30 @@ def test_a_trial_that_was_not_stroked_is_not_rated(tmp_path: Path) -> None:
 
 
 def test_another_program_that_holds_the_file_costs_no_answer(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(store_module, "BUSY_S", 0.2)
+    """Nor a page that strokes its connection: it is answered before it could seem lost."""
+    assert store_module.BUSY_S <= 3.0
+    monkeypatch.setattr(store_module, "BUSY_S", 0.4)
     server = server_of(study_file(tmp_path, practice="0"))
     with joined(server, rate_hz=8000) as page:
         page.to_trial()
         other = sqlite3.connect(tmp_path / "study.db", isolation_level=None)
-        other.execute("BEGIN IMMEDIATE")
+        other.execute("BEGIN EXCLUSIVE")
         refused = page.answer(33.0)
         assert "Your answer is kept here and sent again" in refused["refused"]
         assert refused["again"]
         assert "another program holds the file" in server.sessions[1].for_operator()["trouble"]
+        page.stroke_until_it_sounds()  # and what is tried again waits no second time, however many pages there are
+        begin = time.monotonic()
+        assert page.answer(33.0)["again"]
+        assert time.monotonic() - begin < 0.3
         other.execute("ROLLBACK")
         other.close()
         page.answer(33.0)
         assert page.step["id"] == "trial:2"
+        assert server.store._execute("PRAGMA busy_timeout").fetchone()[0] == 400
         assert "trouble" not in server.sessions[1].for_operator()
     assert [row["rating"] for row in server.store.ratings()] == [33.0]
+    assert server.store.strokes(1, 1).shape == (10, 4)
 
 
 def test_what_no_page_sends_is_refused_in_a_line(tmp_path: Path) -> None:
@@ -370,6 +381,197 @@ def test_what_no_page_sends_is_refused_in_a_line(tmp_path: Path) -> None:
                 page.answer()
             answers = {q["key"]: "\udc80" for q in page.step["questions"]}
             assert "characters of text" in page.done(answers=answers)["refused"]
+            for age in ("-5", "121", "1e999", "nan"):
+                refused = page.done(answers={"age": age})["refused"]
+                assert refused.startswith("Please enter a number: How old are you?")
+                assert refused.endswith("(0–120)") == (age in ("-5", "121"))
+            assert "refused" not in page.done(answers={"age": "0"})
+
+
+@pytest.mark.parametrize(
+    ("begins", "kind"),
+    [
+        (b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR", "png"),
+        (b"\xff\xd8\xff\xe0", "jpeg"),
+        (b"RIFF\x04\0\0\0WEBPVP8 ", "webp"),
+        (b"GIF89a", "gif"),
+    ],
+)
+def test_a_picture_is_served_as_it_was_when_the_study_was_loaded(tmp_path: Path, begins: bytes, kind: str) -> None:
+    """By its content's type, whatever its name says, and whatever its place leads to by then."""
+    picture, data = tmp_path / "photo.html", begins + b"<script>alert(1)</script>"
+    picture.write_bytes(data)
+    (tmp_path / "link").symlink_to(picture)
+    server = server_of(study_file(tmp_path, name='"Grass"\npicture = "link"'))
+    for path in (picture, tmp_path / "link"):
+        path.unlink()
+        path.symlink_to("/etc/passwd")
+    with served(server) as client:
+        answer = client.get("/pictures/0")
+        assert (answer.content, answer.headers["content-type"]) == (data, f"image/{kind}")
+        assert answer.headers["x-content-type-options"] == "nosniff"
+        assert client.get("/pictures/1").status_code == 404
+
+
+@pytest.mark.parametrize(
+    ("name", "why"),
+    [
+        (
+            "/etc/passwd",
+            "/etc/passwd lies outside of the study file's folder, expected a picture inside: copy it there",
+        ),
+        ("../photo.png", r"/photo.png lies outside of"),
+        ("link", "/photo.png lies outside of"),
+        ("folder/x", "no such file: .*/study/folder/x"),
+        ("loop", "loop"),
+        ("pipe", "pipe is a pipe or a device, expected a file"),
+        ("/dev/zero", "/dev/zero is a pipe or a device"),
+        (".", "is a folder, expected a file"),
+        ("page.svg", "page.svg: expected a picture, PNG, JPEG, WebP or GIF, of at most 134217 kB"),
+        ("study.toml", "study.toml: expected a picture"),
+        ("large.png", "large.png: expected a picture"),
+        ("x" * 5000, "too long"),
+    ],
+)
+def test_what_is_no_picture_of_the_studys_folder_is_refused(tmp_path: Path, name: str, why: str) -> None:
+    folder = tmp_path / "study"
+    folder.mkdir()
+    png = b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR"
+    (tmp_path / "photo.png").write_bytes(png)
+    (folder / "link").symlink_to(tmp_path / "photo.png")
+    (folder / "loop").symlink_to("loop")
+    os.mkfifo(folder / "pipe")
+    (folder / "page.svg").write_text("<svg xmlns='http://www.w3.org/2000/svg'><script/></svg>")
+    with (folder / "large.png").open("wb") as large:
+        large.write(png)
+        large.truncate(2**27 + 1)
+    path = study_file(folder, name=f'"Grass"\npicture = "{name}"')
+    with pytest.raises(ValueError, match=why) as refused:
+        load_study(path)
+    assert str(refused.value).startswith("study.toml: ")
+    assert "\n" not in str(refused.value)
+
+
+def test_every_file_of_a_study_that_is_not_what_it_should_be_is_named(tmp_path: Path) -> None:
+    coil = '"sound"\nactuator = "coil.json"'
+    path = study_file(tmp_path, name='"Grass"\npicture = "/etc/passwd"', to=coil)
+    (tmp_path / "coil.json").write_text("{}")
+    (tmp_path / "artificial-grass-ar.foten").unlink()
+    (tmp_path / "steel-mesh-1-ar.foten").write_bytes(b"no texture at all")
+    with pytest.raises(ValueError, match="no such file") as refused:
+        load_study(path)
+    for name in (
+        "coil.json is not",
+        "artificial-grass-ar.foten",
+        "steel-mesh-1-ar.foten: ",
+        "/etc/passwd lies outside",
+    ):
+        assert name in str(refused.value)
+
+
+def test_places_of_those_who_answer_nothing_are_returned_with_their_orders(tmp_path: Path) -> None:
+    """One page begins one participant; ten minutes after its last message its place, and its order, are another's."""
+    path = study_file(tmp_path, participants=1)  # and two for those who leave
+    server = server_of(path)
+
+    def asked(client: TestClient, fresh: str) -> dict[str, Any]:
+        with client.websocket_connect(f"{WS}/session") as socket:
+            socket.send_text(json.dumps({"do": "join", "fresh": fresh}))
+            said: dict[str, Any] = json.loads(socket.receive_text())
+            return said
+
+    all_begun = {"refused": read_language("en").words["all_begun"]}
+    with served(server) as client, contextlib.ExitStack() as stack:
+        a, b, c = (stack.enter_context(client.websocket_connect(f"{WS}/session")) for _ in range(3))
+        page = Page(a, fresh="AAAAA")
+        for joining in ({"fresh": "BBBBB"}, {}):
+            page.say(do="join", **joining)
+            assert "a new participant has begun on this connection" in page.until("joined", "refused")["refused"]
+        for joining in ({"fresh": "AAAAA"}, {"code": "AAAAA"}):
+            page.say(do="join", **joining)
+            assert page.until("joined")["joined"] == "AAAAA"
+        Page(b, fresh="BBBBB").answer()
+        Page(c, fresh="CCCCC")
+        assert asked(client, "DDDDD") == all_begun
+        for session in server.sessions.values():
+            session.last_message_at -= 601
+        page.say(do="done", step="trial:1")  # a message, though nothing comes of it
+        assert "it is the turn of consent" in page.until("refused")["refused"]
+        assert asked(client, "DDDDD")["joined"] == "DDDDD"
+        assert closed_by(c) == RETURNED
+        assert server.store.codes() == {"AAAAA": 1, "BBBBB": 2, "DDDDD": 3}
+        steps = server.sessions[3].steps
+        assert [step["trial"] for step in steps if step["kind"] == "trial"] == server.store.trials(3)
+        assert asked(client, "CCCCC") == all_begun
+    server.store.close()
+    server = server_of(path)
+    with served(server) as client:
+        assert asked(client, "EEEEE") == all_begun  # when the last message came is not known
+        server.sessions[1].last_message_at -= 601
+        assert asked(client, "EEEEE")["joined"] == "EEEEE"
+    assert server.store.codes() == {"EEEEE": 1, "BBBBB": 2, "DDDDD": 3}
+
+
+def test_the_operator_returns_a_place_without_an_answer(tmp_path: Path) -> None:
+    """And by the code: its number may be another one's by then, who gets nothing of what was on its way."""
+    server = server_of(study_file(tmp_path, operator="true"))
+    with on_the_network(server) as devices, devices.operator() as operate:
+        operate(lambda said: "started" in said, do="begin")
+        old = server.sessions[1]
+        assert old.last_message_at == math.inf  # codes that were given out wait
+        with devices.page(devices.new(), code=old.code) as page:
+            operate(lambda said: True, do="return", code=old.code)
+            assert closed_by(page.socket) == RETURNED
+        assert (server.store.codes(), server.admitted.has(f"{old.code} answer")) == ({}, False)
+        operate(lambda said: said.get("started") == 1, do="begin")
+        with pytest.raises(RefusedError, match="There is no such code"):
+            devices.client.portal.call(old.finish, "consent", {})
+        assert server.store.done(1) == set()
+        operate(lambda said: "There is no such code" in said.get("refused", ""), do="return", code=old.code)
+        code = server.sessions[1].code
+        with devices.page(devices.new(), code=code) as page:
+            page.answer()
+        operate(lambda said: "participant 1 has answered" in said.get("refused", ""), do="return", code=code)
+    assert server.store.codes() == {code: 1}
+
+
+def test_pages_that_do_not_join_keep_nobody_out(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """They go after a deadline, and before it where another page needs the room: before those that ask, and those that joined."""
+    monkeypatch.setattr(websocket, "GOODBYE_S", 0.1)
+    monkeypatch.setattr(study_server, "MAX_PAGES", 3)
+    monkeypatch.setattr(study_server, "MAX_OPERATOR_PAGES", 1)
+    server = server_of(study_file(tmp_path))
+    with on_the_network(server) as devices, contextlib.ExitStack() as stack:
+
+        def idle() -> Any:
+            return stack.enter_context(devices.connect("session", foten=devices.new()))
+
+        def page(**joining: Any) -> Page:
+            return stack.enter_context(devices.page(devices.new(), **joining))
+
+        first = page(fresh="AAAAA")
+        asking, _ = stack.enter_context(devices.asking(devices.new(), code="AAAAA"))
+        idle_ones = [idle(), idle()]
+        assert closed_by(idle_ones[0]) == 1013
+        second = page(fresh="BBBBB")
+        assert closed_by(idle_ones[1]) == 1013
+        third = page(fresh="CCCCC")
+        assert closed_by(asking) == 1013
+        assert closed_by(idle()) == 1013
+        with devices.operator():
+            with pytest.raises(WebSocketDisconnect), devices.operator() as operate:
+                operate(lambda said: True)
+            third.answer()
+        monkeypatch.setattr(page_sockets, "JOIN_S", 0.1)
+        monkeypatch.setattr(study_server, "MAX_PAGES", 5)
+        asking, _ = stack.enter_context(devices.asking(devices.new(), code="AAAAA"))
+        assert closed_by(idle()) == 1008
+        for one in (first, second):
+            one.answer()
+        deadline = time.monotonic() + 10
+        while len(server.pages) > 4:  # whether it takes that it is sent away or not
+            assert time.monotonic() < deadline
+            time.sleep(0.01)
 
 
 def test_contact_before_a_restart_counts_too(tmp_path: Path) -> None:
@@ -891,10 +1093,11 @@ class Devices:
 
             def operate(wanted: Callable[[dict[str, Any]], bool], **message: Any) -> None:
                 if message:
-                    socket.send_text(json.dumps({"number": 1, **message}))
+                    number = {"number": 1} if "request" in message else {}
+                    socket.send_text(json.dumps({**number, **message}))
                 while True:
                     said = json.loads(socket.receive_text())
-                    if any(map(wanted, said.get("sessions", [said]))):
+                    if any(map(wanted, said.get("sessions") or [said])):
                         return
 
             yield operate

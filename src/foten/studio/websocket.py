@@ -6,6 +6,7 @@ import asyncio
 import contextlib
 import json
 import struct
+import time
 from collections.abc import Callable, Coroutine, Mapping
 from typing import Any, TypeVar
 
@@ -30,6 +31,7 @@ MAX_MESSAGES_PER_S = 1200.0  # a pen has at most a thousand events a second
 MAX_WAITING_BLOCKS = 64  # for a page that does not take them; the oldest go
 MAX_WAITING_TEXTS = 200  # and messages, of which none may be left out: the page is sent away, and may come back
 GOODBYE_S = 2.0  # for a page that is sent away to take what it was told before
+STAYS = 2  # rank of a page that does not go where another has no room; of lower ranks the lowest goes, the oldest first
 CONDITION_BYTES = 8  # speed [mm/s] and force [N] before the samples of a block
 Sender = Callable[[], Coroutine[Any, Any, None]]
 
@@ -47,10 +49,11 @@ class PageSocket:
     def __init__(
         self, socket: WebSocket, protocol: Protocol, *senders: Sender, max_messages_per_s: float = MAX_MESSAGES_PER_S
     ) -> None:
-        self.socket, self.n_refused = socket, 0
-        self._protocol, self._senders = protocol, senders
+        self.socket, self.n_refused, self.opened_at = socket, 0, time.monotonic()
+        self._protocol, self._senders, self.rank = protocol, senders, STAYS
         self._waiting: asyncio.Queue[str | tuple[int, str]] = asyncio.Queue()
         self._ended = False
+        self._receiving = asyncio.timeout(None)
         self._messages, self._events = Allowance(max_messages_per_s), Allowance(MAX_EVENTS_PER_S)
 
     async def leave(self) -> None:
@@ -92,6 +95,8 @@ class PageSocket:
         if not self._ended:
             self._ended = True
             self._waiting.put_nowait((code, why))
+            with contextlib.suppress(RuntimeError):  # no message is waited for
+                self._receiving.reschedule(asyncio.get_running_loop().time() + GOODBYE_S)
 
     async def _send(self) -> None:
         with contextlib.suppress(RuntimeError, WebSocketDisconnect):  # the page is gone
@@ -104,19 +109,19 @@ class PageSocket:
                     return
 
     async def run(self) -> None:
-        """Take messages until the page goes, or until `MAX_REFUSED` were refused."""
+        """Take messages until the page goes, is sent away, or until `MAX_REFUSED` were refused."""
         tasks = [asyncio.create_task(sender()) for sender in (self._send, *self._senders)]
         try:
-            while True:
-                received = await self.socket.receive()
+            while not self._ended:
+                async with asyncio.timeout(None) as self._receiving:
+                    received = await self.socket.receive()
                 if received["type"] == "websocket.disconnect":
                     return
                 await self._take(received)
                 if self.n_refused > MAX_REFUSED:
                     self.end(1008, f"{MAX_REFUSED} messages were refused")
-                    await asyncio.wait(tasks[:1], timeout=GOODBYE_S)
-                    return
-        except WebSocketDisconnect:
+            await asyncio.wait(tasks[:1], timeout=GOODBYE_S)
+        except (WebSocketDisconnect, TimeoutError):  # it is gone, or does not take that it is sent away
             pass
         finally:
             for task in tasks:
@@ -148,8 +153,12 @@ async def serve_page(socket: WebSocket, pages: set[P], max_pages: int, page_of: 
     """Serve a page beside others until it goes; with too many there, it is sent away."""
     await socket.accept()
     if len(pages) >= max_pages:
-        await socket.close(1013, f"{max_pages} pages are open already: close one")
-        return
+        first = min(pages, key=lambda page: (page.rank, page.opened_at))
+        if first.rank == STAYS:
+            await socket.close(1013, f"{max_pages} pages are open already: close one")
+            return
+        pages.discard(first)
+        first.end(1013, "another page needs the place")
     page = page_of(socket)
     pages.add(page)
     try:

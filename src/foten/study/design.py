@@ -43,6 +43,7 @@ QUESTIONS = {  # keys of words
 }
 MAX_PARTICIPANTS, MAX_TRIALS = 1000, 2000
 MAX_TEXT_LENGTH = 8000  # characters
+MAX_NUMBER = 1e15  # of an answer
 MINUTES_PER_RATING = 90 / 48  # Sec. VII: 90 minutes for 48 comparisons
 MINUTES_PER_CHOICE = 1 / 3  # of one of two or three surfaces; assumed
 TRIALS_OF_NEW = 24  # of a new study of choices, about
@@ -124,6 +125,8 @@ class Question:
     text: str
     kind: str = "text"
     options: tuple[str, ...] = ()
+    low: float = -MAX_NUMBER  # that a number may be
+    high: float = MAX_NUMBER
     at: str | int = "end"  # "start", "end", or after so many trials
     private: bool = False  # stored apart from the ratings, as age and gender are
     required: bool = True
@@ -197,7 +200,7 @@ def read_design(path: Path) -> tuple[Design, str]:
     """Study in a TOML file, and the file's text.
 
     Raises:
-        FileNotFoundError: it, or a file that it names, is missing.
+        FileNotFoundError: there is none.
         ValueError: it is no TOML, a field is missing, unknown or out of range, or the textures cannot be compared.
     """
     check_regular(path)
@@ -380,10 +383,6 @@ def _check(design: Design) -> None:
             raise ValueError(f"{name} is {text!r:.40}, expected {', '.join(choices[:-1])} or {choices[-1]}")
     for question in design.questions:
         _check_question(question, design.n_trials)
-    files = [file for texture in design.textures for file in texture.files.values()]
-    for path in (*files, *(texture.picture for texture in design.textures), design.output.actuator):
-        if path is not None:
-            check_regular(path)
 
 
 def _check_question(question: Question, n_trials: int) -> None:
@@ -392,6 +391,10 @@ def _check_question(question: Question, n_trials: int) -> None:
         raise ValueError(f"{where}: kind is {question.kind!r:.40}, expected one of {', '.join(KINDS)}")
     if (question.kind == "choice") != (len(question.options) >= 2):
         raise ValueError(f"{where}: a choice has two options or more, and nothing else has any")
+    low, high = question.low, question.high
+    is_bounded = (low, high) != (-MAX_NUMBER, MAX_NUMBER)
+    if not -MAX_NUMBER <= low < high <= MAX_NUMBER or (is_bounded and question.kind != "number"):
+        raise ValueError(f"{where}: low and high are {low:g} and {high:g}, expected bounds of a number in order")
     if question.at not in WHEN and not (isinstance(question.at, int) and 1 <= question.at < n_trials):
         raise ValueError(f"{where}: at is {question.at!r:.40}, expected start, end, or after how many trials")
 

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Mapping
+import re
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -20,8 +22,13 @@ from foten.study.design import Design, Output, read_design
 from foten.study.orders import Trial, planned
 from foten.study.schema import Stimulus, create
 from foten.study.store import Store
+from foten.untrusted import check_regular
 
 DOUBTFUL_GAIN_DB = 10.0
+MAX_PICTURES_BYTES = 2**28  # of all pictures of a study, which stay in memory
+PICTURE = re.compile(  # the beginning of a file, by media type
+    rb"(?P<png>\x89PNG\r\n\x1a\n.{4}IHDR)|(?P<jpeg>\xff\xd8\xff)|(?P<webp>RIFF.{4}WEBP)|(?P<gif>GIF8[79]a)", re.DOTALL
+)
 
 
 @dataclass(frozen=True)
@@ -33,26 +40,26 @@ class Stimuli:
     doubts: list[str]
 
 
-def load_stimuli(design: Design, calibrated: bool) -> Stimuli:
+def load_stimuli(design: Design, calibrated: bool, loaded: Sequence[Sequence[Renderer]]) -> Stimuli:
     """Texture files of a study, and the gains that make the methods of a texture equally loud.
 
     Equally loud is equal power over nine conditions (`gains_db`). Without matching, methods keep their recorded levels.
 
     Args:
         calibrated: the output takes m/s², and not shares of each file's own standard deviation.
+        loaded: its files, by texture and then by method.
 
     Raises:
-        ValueError: a file is no texture file, is damaged, or does not pass its proof here.
+        ValueError: methods of a texture are in different units, or are the same file.
     """
     listed: list[Stimulus] = []
     bytes_of: dict[tuple[int, int], bytes] = {}
     doubts: list[str] = []
-    for t, texture in enumerate(design.textures):
+    for t, (texture, renderers) in enumerate(zip(design.textures, loaded, strict=True)):
         units = {read_texture(path).unit for path in texture.files.values()}
         if len(units) > 1:
             raise ValueError(f"methods of {texture.key} are in different units: {', '.join(sorted(units))}")
         data = [path.read_bytes() for path in texture.files.values()]
-        renderers = [Renderer(path) for path in texture.files.values()]
         scales = [1.0 if calibrated else 1 / r.native_texture.info.acceleration_sd for r in renderers]
         gains = [20 * math.log10(scales[0] / scale) for scale in scales]
         if design.match_levels:
@@ -80,6 +87,7 @@ class Study:
     design: Design
     stimuli: Stimuli
     output: OutputDevice | None  # None where the pages play
+    pictures: Mapping[str, tuple[str, bytes]]  # media type and bytes, by the number of the texture
 
     @property
     def doubts(self) -> list[str]:
@@ -135,8 +143,7 @@ class Study:
         then = {key: stimulus.sha256 for key, stimulus in store.stimuli().items()}
         others = [s for s in self.stimuli.listed if then.get((s.texture, s.method)) != s.sha256]
         if others:
-            first = f"{others[0].method_key} of {others[0].texture_key}"
-            which = f"{first} is another file than when {database} was begun"
+            which = f"{others[0].method_key} of {others[0].texture_key} is another file than when {database} was begun"
             raise ValueError(f"{which}: bring it back, or begin another")
 
 
@@ -144,19 +151,45 @@ def load_study(path: Path) -> Study:
     """Study in a TOML file.
 
     Raises:
-        FileNotFoundError, ValueError: as `read_design` and `load_stimuli` do, or the output cannot be as it is described.
+        FileNotFoundError, ValueError: as `read_design` and `load_stimuli` do; all files that are not what they should be.
     """
     design, text = read_design(path)
-    output = _output_device(design.output, path)
-    return Study(path, text, design, load_stimuli(design, output is not None and output.calibrated), output)
+    faults: list[str] = []
+    output = _read(_output_device, design.output, faults)
+    loaded = [[_read(Renderer, file, faults) for file in texture.files.values()] for texture in design.textures]
+    picture = partial(_picture, path.parent.resolve(), MAX_PICTURES_BYTES // len(design.textures))
+    pictures = {str(t): _read(picture, one.picture, faults) for t, one in enumerate(design.textures) if one.picture}
+    if faults:
+        raise ValueError(f"{path.name}: {'; '.join(faults)}")
+    stimuli = load_stimuli(design, output is not None and output.calibrated, loaded)
+    return Study(path, text, design, stimuli, output, pictures)
 
 
-def _output_device(output: Output, path: Path) -> OutputDevice | None:
+def _read(read: Callable[[Any], Any], what: Any, faults: list[str]) -> Any:
+    """What is read; where it cannot be, a fault is added."""
+    try:
+        return read(what)
+    except (OSError, ValueError) as error:
+        faults.append(str(error) if not isinstance(what, Path) or what.name in str(error) else f"{what.name}: {error}")
+
+
+def _picture(folder: Path, max_bytes: int, path: Path) -> tuple[str, bytes]:
+    """Media type and bytes of a picture, which is read once: what lies there later is never served."""
+    check_regular(path)
+    path = path.resolve()
+    if not path.is_relative_to(folder):
+        raise ValueError(f"{path} lies outside of the study file's folder, expected a picture inside: copy it there")
+    with path.open("rb") as file:
+        data = file.read(max_bytes + 1)
+    if (begins := PICTURE.match(data)) is None or len(data) > max_bytes:
+        raise ValueError(f"{path.name}: expected a picture, PNG, JPEG, WebP or GIF, of at most {max_bytes // 1000} kB")
+    return f"image/{begins.lastgroup}", data
+
+
+def _output_device(output: Output) -> OutputDevice | None:
     if output.to != "page":
         profile = None if output.actuator is None else read_profile(output.actuator)
         return OutputDevice(output.to, profile, output.gain, output.device, output.channel)
     if any(value is not None for value in (output.actuator, output.gain, output.device, output.channel)):
-        raise ValueError(
-            f"{path.name}: [output] plays in the page, which has no device, gain or actuator of this machine"
-        )
+        raise ValueError("[output] plays in the page, which has no device, gain or actuator of this machine")
     return None

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import asyncio
 import struct
+import time
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
@@ -15,7 +16,7 @@ from starlette.websockets import WebSocket
 from foten.runtime.live.devices import SOUND_RATE_HZ
 from foten.runtime.stylus import PressureCalibration
 from foten.studio.messages import CALIBRATION, PLAYING_FIELDS, Protocol, RefusedError, parse_events
-from foten.studio.websocket import BlockQueue, PageSocket, pressure_calibration
+from foten.studio.websocket import STAYS, BlockQueue, PageSocket, pressure_calibration
 from foten.study.session import NotYetError, Session
 
 if TYPE_CHECKING:
@@ -28,6 +29,7 @@ BEFORE_MISSED = struct.Struct(
 )  # `MISSED`, surface, trial and number in the trial of the first event that follows
 ELSEWHERE, NOT_ALLOWED = 4001, 4002  # codes of a WebSocket's end, of those that are free for programs
 JOIN_AGAIN = 1012  # a page connects again by itself
+JOIN_S = 10.0  # from a connection to its page's joining
 SIDES = ("virtual", "real")
 LETTERS = "ABCDEFGHJKMNPQRSTUVWXYZ"  # of a code, that are not taken for one another
 CODE_LENGTH = 5
@@ -60,8 +62,9 @@ OPERATOR = Protocol(
         "side": (("number", "side"), ()),
         "allow": (("number", "request"), ()),
         "refuse": (("number", "request"), ()),
+        "return": (("code",), ()),
     },
-    {"number": (1, 1e6), "side": SIDES, "request": (1, 1e9)},
+    {"code": None, "number": (1, 1e6), "side": SIDES, "request": (1, 1e9)},
 )
 
 
@@ -70,10 +73,12 @@ class ParticipantPage(PageSocket):
 
     def __init__(self, server: StudyServer, socket: WebSocket) -> None:
         self._server, self.blocks = server, BlockQueue(socket)
-        super().__init__(socket, PARTICIPANT, self.blocks.send)
+        super().__init__(socket, PARTICIPANT, self.blocks.send, self._expect_join)
         self._session: Session | None = None
+        self._fresh: str | None = None  # code of the new participant who began here
         self._asks: Session | None = None  # where another device was
         self._request = 0  # its number, also of one that was decided
+        self.rank = 0
         self.n_again = 0  # events that it still has to send again
         self.device = server.device_of(socket)
         self.role, self.rate_hz, self.volume_db = "all", SOUND_RATE_HZ, 0.0
@@ -84,10 +89,15 @@ class ParticipantPage(PageSocket):
         """Whether it is stroked on."""
         return self.role != "answer"
 
+    async def _expect_join(self) -> None:
+        await asyncio.sleep(JOIN_S)
+        if not self.rank:
+            self.end(1008, f"no code was given within {JOIN_S:g} s")
+
     async def leave(self) -> None:
         if self._asks is not None:
             self._asks.asking.pop(self._request, None)
-        session, self._session = self._session, None
+        session, self._session, self.rank = self._session, None, 0
         if session is not None:
             await session.leave(self)
 
@@ -113,6 +123,8 @@ class ParticipantPage(PageSocket):
 
     async def do(self, message: Mapping[str, Any]) -> None:
         kind, session = message["do"], self._session
+        if session is not None:
+            session.last_message_at = time.monotonic()
         if kind == "join":
             await self._join(message)
         elif session is None:
@@ -157,7 +169,7 @@ class ParticipantPage(PageSocket):
             if other.strokes == self.strokes or "all" in (other.role, self.role):
                 await other.leave()
                 other.end(ELSEWHERE, "open on another page")
-        self._session = session
+        self._session, self.rank, session.last_message_at = session, STAYS, time.monotonic()
         session.pages.add(self)
         self.say({"joined": session.code, "plays": self._server.output is None})
         await self.show()
@@ -165,7 +177,7 @@ class ParticipantPage(PageSocket):
     def _ask(self, session: Session) -> None:
         """Wait for the operator, who allows what a code alone does not: to go on where another device was."""
         server, asks_again = self._server, self._request > 0
-        self._asks, self._request = session, next(server.requests)
+        self._asks, self._request, self.rank = session, next(server.requests), 1
         session.asking[self._request] = self
         self.say({"asks": self._request})
         if not server.operators and not asks_again:
@@ -179,6 +191,9 @@ class ParticipantPage(PageSocket):
             raise RefusedError(design.language.say("ask_for_code"))
         if fresh is not None and (len(fresh) != CODE_LENGTH or not set(fresh) <= set(LETTERS)):
             raise RefusedError(f"join: fresh is {fresh[:40]!r}, expected {CODE_LENGTH} letters")
+        if self._fresh not in (None, fresh):
+            raise RefusedError("join: a new participant has begun on this connection; open another")
+        self._fresh = fresh or ""
         try:
             return await self._server.begin(fresh)
         except ValueError as error:
@@ -209,8 +224,11 @@ class OperatorPage(PageSocket):
 
     async def do(self, message: Mapping[str, Any]) -> None:
         server, kind = self._server, message["do"]
-        if kind == "begin":
+        if kind in ("begin", "return"):
             try:
+                if kind == "return":  # by its code: the number may be another one's by now
+                    await server.by_code(str(message["code"])).return_place()
+                    return
                 new = await server.begin()
             except (ValueError, OSError) as error:
                 raise RefusedError(str(error)) from error

@@ -39,6 +39,7 @@ SAVE_STROKES_S = 1.0  # between two writings of a stroke
 CLOCK_TOLERANCE_S = 0.25  # by which a page's clock may be ahead of the server's
 MAX_MISSED = 20 * 60 * 1000  # events of a trial that are sent again: 20 minutes of the fastest pen
 COME_BACK_S = 5.0  # for the tablet of two screens, before an answer is taken without it
+RETURNED = 4003  # code of the end of a WebSocket whose place was returned
 MAX_APART_S = 0.25  # of two events of one contact: a pen at rest sends few
 INTERVALS = {"rating": (), "paired": ("A", "B"), "abx": ("A", "B", "X"), "oddity": ("1", "2", "3")}
 INTERVALS["threshold"] = INTERVALS["oddity"]
@@ -78,6 +79,8 @@ class Session:
         self._saved_at = 0.0
         self.trouble = ""  # for the operator: why the last answer was not stored, or nothing plays
         self._changing = asyncio.Lock()
+        # Where an operator gives out the codes, a place waits for its first page.
+        self.last_message_at = math.inf if server.design.setup.operator else time.monotonic()
         self._log = TrialLog()
         self._arrive()
         step = self.step
@@ -96,6 +99,17 @@ class Session:
     def step(self) -> Step:
         """First step that is not completed."""
         return next((step for step in self.steps if step["id"] not in self.done), self.steps[-1])
+
+    async def return_place(self) -> None:
+        """Let the next one have the number and its order; RefusedError where a step was completed, OSError of the disk."""
+        async with self._changing:  # not between an answer and its being stored
+            if self.done or self.server.sessions.get(self.number) is not self:
+                raise RefusedError(f"participant {self.number} has answered, or is gone: nothing is returned")
+            await self.server.on_disk(partial(self.server.store.return_place, self.number))
+            del self.server.sessions[self.number]
+        self.server.admitted.drop(f"{self.code} ")
+        for page in [*self.pages, *self.asking.values()]:
+            page.end(RETURNED, "the place was returned")
 
     def _arrive(self) -> None:
         """Begin a step: with an operator, a trial waits until the real sample lies there."""
@@ -128,7 +142,7 @@ class Session:
         shown |= {"simulated": self.server.store.simulated, "held": self.held}
         if step["kind"] == "questions":
             shown["questions"] = [
-                {"key": q.key, "text": q.text, "kind": q.kind, "options": list(q.options), "required": q.required}
+                {name: getattr(q, name) for name in ("key", "text", "kind", "options", "required", "low", "high")}
                 for q in step["questions"]
             ]
         if step["kind"] == "trial":
@@ -197,6 +211,8 @@ class Session:
         async with self._changing:
             if step_id in self.done:
                 return None  # sent again by a page that did not learn that it was taken
+            if self.server.sessions.get(self.number) is not self:  # its place was returned
+                raise RefusedError(self.server.design.language.say("no_such_code"))
             step = self.step
             if step_id != step["id"]:
                 raise RefusedError(f"it is the turn of {step['id']}, not of {step_id[:40]!r}")
@@ -532,7 +548,7 @@ class Session:
         step = self.step
         done = [s["id"] in self.done for s in self.steps if s["kind"] == "trial" and s["n"] > 0]
         shown: dict[str, Any] = {"number": self.number, "code": self.code, "step": step["id"], "kind": step["kind"]}
-        shown |= {"n": sum(done), "of": len(done), "held": self.held}
+        shown |= {"n": sum(done), "of": len(done), "held": self.held, "answered": bool(self.done)}
         shown |= {
             "pages": sorted(page.role for page in self.pages),
             "side": self.side,
@@ -706,8 +722,12 @@ def checked_answers(
             if question.required:
                 raise RefusedError(language.say("answer_missing", question=question.text))
             continue
-        if question.kind in ("number", "slider") and not _is_number(answer):
-            raise RefusedError(language.say("not_a_number", question=question.text))
+        if question.kind in ("number", "slider"):
+            if not _is_number(answer):
+                raise RefusedError(language.say("not_a_number", question=question.text))
+            low, high = (0, 100) if question.kind == "slider" else (question.low, question.high)
+            if not low <= float(answer) <= high:
+                raise RefusedError(language.say("not_a_number", question=f"{question.text} ({low:g}–{high:g})"))
         if question.kind == "choice" and answer not in question.options:
             raise RefusedError(f"{question.text}: {answer[:40]!r} is none of the choices")
         (private if question.private else public)[question.key] = answer

@@ -23,7 +23,7 @@ from foten.study.orders import Trial
 from foten.study.schema import Stimulus, faults_of, now
 from foten.untrusted import check_regular
 
-BUSY_S = 10.0  # to wait for another writer
+BUSY_S = 2.0  # to wait for another writer
 FULL = ("SQLITE_FULL", "SQLITE_IOERR", "SQLITE_READONLY", "SQLITE_CANTOPEN")  # how errors of a disk are called
 HELD = ("SQLITE_BUSY", "SQLITE_LOCKED")  # and of another program that holds the file
 
@@ -134,6 +134,7 @@ class Store(contextlib.AbstractContextManager["Store"]):
             self._execute("BEGIN IMMEDIATE")
             yield
             self._execute("COMMIT")
+            self._execute(f"PRAGMA busy_timeout = {1000 * BUSY_S:.0f}")
         except BaseException as error:
             with contextlib.suppress(sqlite3.Error):
                 self._execute("ROLLBACK")
@@ -141,6 +142,7 @@ class Store(contextlib.AbstractContextManager["Store"]):
                 why = "the disk is full or cannot be written; what was there is there"
                 raise FullError(f"{self.path.name}: {why}") from error
             if isinstance(error, sqlite3.OperationalError) and error.sqlite_errorname.startswith(HELD):
+                self._execute("PRAGMA busy_timeout = 0")  # until a change succeeds: many pages wait for this thread
                 raise OSError(f"{self.path.name}: another program holds the file; what was there is there") from error
             raise
 
@@ -159,6 +161,12 @@ class Store(contextlib.AbstractContextManager["Store"]):
                 raise ValueError(f"all {len(taken)} participants of the design have begun; a larger study is a new one")
             self._execute("INSERT INTO participants VALUES (?, ?, ?, ?)", number, code, now(), int(self.simulated))
         return number
+
+    def return_place(self, participant: int) -> None:
+        """Let the next one to join have the number of a participant without any data; with some, sqlite3.IntegrityError."""
+        with self._writing():
+            self._execute("DELETE FROM participants WHERE number = ?", participant)
+            self._log(f"the place of participant {participant} was returned, without an answer")
 
     def ordered(self) -> list[int]:
         """Numbers for which an order of trials is stored."""

@@ -9,6 +9,7 @@ import io
 import itertools
 import json
 import secrets
+import time
 from collections.abc import AsyncIterator, Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
@@ -39,7 +40,8 @@ from foten.study.store import Store
 
 OPERATOR_COOKIE = "foten-operator"
 OPERATOR = "operator"  # a kind of those who were let in
-MAX_PAGES = 64
+KEEP_PLACE_S = 600.0  # from the last message of its page, where no step was completed
+MAX_PAGES, MAX_OPERATOR_PAGES = 64, 16
 SAVE_AGAIN_S = 5.0  # between two tries to write strokes that the disk had no room for
 PAGES = Path(__file__).with_name("pages")
 PAGE, OPERATOR_PAGE = "study.html", "operator.html"
@@ -60,6 +62,7 @@ class StudyServer:
         self.markers = markers
         self.admitted = admitted or Admitted()
         self.store, self.design, self.stimuli, self.output = store, study.design, study.stimuli, study.output
+        self._pictures = study.pictures
         self.operator_key = secrets.token_urlsafe(16)
         self.gains = {key: stimulus.gain_db for key, stimulus in store.stimuli().items()}
         self.player: Callable[[float], Player] = (study.output or RoundRobinRenderer()).player
@@ -96,7 +99,13 @@ class StudyServer:
         code = code or "".join(secrets.choice(LETTERS) for _ in range(CODE_LENGTH))
         async with self._beginning:  # two pages may ask with one code
             known = next((session for session in list(self.sessions.values()) if session.code == code), None)
-            return known or await self.on_disk(lambda: self._session(self.store.join(code), code))
+            if known is not None:
+                return known
+            for session in list(self.sessions.values()):
+                if not session.done and time.monotonic() - session.last_message_at > KEEP_PLACE_S:
+                    with contextlib.suppress(RefusedError):  # it has answered by now
+                        await session.return_place()
+            return await self.on_disk(lambda: self._session(self.store.join(code), code))
 
     def by_code(self, code: str) -> Session:
         """Session that a code names, or raise RefusedError."""
@@ -152,11 +161,10 @@ class StudyServer:
         return Template((PAGES / PAGE).read_text(encoding="utf-8")).substitute(escaped, words=words)
 
     async def _picture(self, request: Request) -> Response:
-        textures, number = self.design.textures, request.path_params["number"]
-        known = dict(zip(map(str, range(len(textures))), textures, strict=True))
-        path = known[number].picture if number in known else None
-        shown = path is not None and self.design.setup.show_names
-        return FileResponse(path) if path is not None and shown else missing("there is no such picture here")
+        picture = self._pictures.get(request.path_params["number"]) if self.design.setup.show_names else None
+        return (
+            missing("there is no such picture here") if picture is None else Response(picture[1], media_type=picture[0])
+        )
 
     async def _operator(self, request: Request) -> Response:
         key = request.query_params.get("key")
@@ -222,7 +230,7 @@ class StudyServer:
 
     async def _serve_operator(self, socket: WebSocket) -> None:
         if self._is_operator(socket):
-            await serve_page(socket, self.operators, MAX_PAGES, lambda socket: OperatorPage(self, socket))
+            await serve_page(socket, self.operators, MAX_OPERATOR_PAGES, lambda socket: OperatorPage(self, socket))
         else:
             await socket.close(1008, "this is the operator's")
 

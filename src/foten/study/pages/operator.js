@@ -50,9 +50,10 @@ function show({ title, planned, simulated, operator, screens, real_checked: real
   $("unchecked").hidden = realChecked || !sessions.some((one) => one.real_side !== "none");
   // Those at work first; who has finished stays below.
   const order = [...sessions].sort((a, b) => (a.kind === "end") - (b.kind === "end") || b.number - a.number);
-  const known = new Map([...$("people").children].map((row) => [Number(row.dataset.number), row]));
+  const known = new Map([...$("people").children].map((row) => [row.dataset.code, row])); // a number may be given twice
+  for (const [code, row] of known) if (!sessions.some((one) => one.code === code)) row.remove();
   order.forEach((one, i) => {
-    const row = known.get(one.number) ?? newRow(one, screens), there = $("people").children[i];
+    const row = known.get(one.code) ?? newRow(one, screens), there = $("people").children[i];
     fill(row, one);
     if (there !== row) $("people").insertBefore(row, there ?? null); // a row that is moved loses the focus and a press on it
   });
@@ -60,7 +61,7 @@ function show({ title, planned, simulated, operator, screens, real_checked: real
 
 function newRow(one, screens) {
   const row = document.createElement("li");
-  row.dataset.number = one.number;
+  row.dataset.code = one.code;
   row.innerHTML = `<div class="who"></div><div class="now"><strong></strong><span></span></div><div class="do"></div><progress max="1"></progress>`;
   const button = (name, what) => {
     const element = Object.assign(document.createElement("button"), { className: "plain", type: "button", textContent: name });
@@ -75,6 +76,8 @@ function newRow(one, screens) {
   button("Real", () => ask({ do: "side", number: one.number, side: "real" }));
   button("Virtual", () => ask({ do: "side", number: one.number, side: "virtual" }));
   button("Code", () => invite({ started: one.number, code: one.code, screens }));
+  const asked = `Return the place of participant ${one.number}, ${one.code}? The next participant gets its order of trials.`;
+  button("Return place", () => confirm(asked) && ask({ do: "return", code: one.code }));
   return row;
 }
 
@@ -97,6 +100,7 @@ function fill(row, one) {
   for (const button of row.querySelectorAll("[data-what]")) {
     const { what } = button.dataset;
     if (["Allow", "Refuse"].includes(what)) button.hidden = !one.asks;
+    else if (what === "Return place") button.hidden = one.answered;
     else button.hidden = one.kind === "end" || (what !== "Code" && !trial) || (what === "Go" && !one.held) || (what === "Hold" && one.held) || (["Real", "Virtual"].includes(what) && (one.held || one.real_side === "none" || what.toLowerCase() === one.side));
   }
 }

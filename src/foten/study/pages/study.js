@@ -5,6 +5,7 @@ import { filled, Settings, written } from "./settings.js";
 const RETRY_MS = [200, 400, 800, 1000];
 const ELSEWHERE = 4001; // as the server closes a page that another one takes the place of
 const NOT_ALLOWED = 4002; // and one that the operator does not let go on where another device was
+const RETURNED = 4003; // and one whose place was returned
 const TOO_MANY = 1013; // and one that would be too many
 const AGAIN_MS = 1500;
 const APART_S = 0.25; // of two events of one contact
@@ -118,6 +119,7 @@ class Study {
       if (socket !== this.socket) return;
       if (code === ELSEWHERE) return this.put(el("div", { className: "page" }, el("h2", {}, words.moved_heading), el("p", {}, words.moved)));
       if (code === NOT_ALLOWED) return this.put(el("div", { className: "page" }, el("h2", {}, words.not_allowed_heading), el("p", {}, words.not_allowed)));
+      if (code === RETURNED) return location.replace(this.role === "all" ? "?" : `?role=${this.role}`); // to begin anew
       this.show(code === TOO_MANY ? words.too_many_pages : this.code ? words.no_connection : words.no_server, true);
       setTimeout(() => this.connect(), RETRY_MS[Math.min(this.tries++, RETRY_MS.length - 1)]);
     };
@@ -309,11 +311,14 @@ class Study {
     this.put(form);
   }
 
-  question({ key, text, kind, options, required }) {
+  question({ key, text, kind, options, required, low, high }) {
     const label = required ? text : worded("if_you_like", { question: text });
     // In the study's language, which need not be the browser's; what is wrong is wrong until someone changes it.
     const checks = {
-      oninvalid: ({ target }) => target.setCustomValidity(worded(target.validity.badInput ? "not_a_number" : "answer_missing", { question: text })),
+      oninvalid: ({ target, target: { validity: { badInput, rangeUnderflow, rangeOverflow } } }) => {
+        const bounds = rangeUnderflow || rangeOverflow ? ` (${low}–${high})` : "";
+        target.setCustomValidity(worded(badInput || bounds ? "not_a_number" : "answer_missing", { question: text + bounds }));
+      },
       oninput: ({ target }) => document.getElementsByName(target.name).forEach((input) => input.setCustomValidity("")),
     };
     if (kind === "choice") {
@@ -327,7 +332,7 @@ class Study {
       const scale = this.scale(written(0), written(100), label);
       return { element: el("div", {}, el("p", {}, label), scale.element), value: () => (scale.input.dataset.set ? scale.input.value : "") };
     }
-    const input = kind === "number" ? el("input", { type: "number", step: "any", required, name: key, ...checks }) : el("textarea", { rows: 2, maxLength: 2000, required, name: key, ...checks });
+    const input = kind === "number" ? el("input", { type: "number", step: "any", min: low, max: high, required, name: key, ...checks }) : el("textarea", { rows: 2, maxLength: 2000, required, name: key, ...checks });
     return { element: el("label", {}, label, input), value: () => input.value };
   }
 
