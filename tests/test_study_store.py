@@ -71,6 +71,14 @@ def test_codes_and_numbers_are_given_once(store: Store) -> None:
     assert [store.join(code) for code in "DE"] == [4, 5]
     with pytest.raises(ValueError, match="all 5 participants of the design have begun"):
         store.join("F")
+    store.take_step(1, "consent", consent="I agree")
+    with pytest.raises(sqlite3.IntegrityError):  # nothing that was answered goes
+        store.return_place(1)
+    store.return_place(3)
+    assert store.join("F") == 3
+    assert store.codes() == {"A": 1, "B": 2, "F": 3, "D": 4, "E": 5}
+    assert [what for _, what in store.log()][1:] == ["the place of participant 3 was returned, without an answer"]
+    assert store.check() == []
 
 
 def test_ratings_are_only_added_and_corrected_by_new_rows(store: Store) -> None:
