@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import json
+import os
+import re
 import signal
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -270,3 +274,94 @@ def standardised(mixture: Mixture, values: np.ndarray) -> np.ndarray:
         for sign in (1, -1)
     )
     return np.where(below < above, 1, -1) * ndtri_exp(np.minimum(below, above))
+
+
+NUMBER = re.compile(r"-?\d+\.?\d*(?:e[-+]\d+)?")
+LOOKS = """visible alpha zorder label text color facecolor edgecolor linewidth linestyle _unscaled_dash_pattern _solidcapstyle
+marker markersize markerfacecolor sizes fontsize rotation ha va clim cmap norm name interpolation origin array bbox_patch boxstyle
+pad xy xycoords xyann anncoords _loc _outside_loc _ncols columnspacing borderaxespad frame_on texts legend_handles"""
+PLAIN = re.compile(r"|None|T|0|solid|\(\)|\(0 None\)|_child\d+|_nolegend_|DejaVu Sans|CapStyle.projecting|Normalize")
+
+
+def check_figures(drawn: Mapping[str, Any]) -> None:
+    """Hold figures to what `figures.json` says that they show: words exactly, numbers to 0.2 % or 0.002.
+
+    Places are fractions of the axes, of which 0.002 is about a pixel. Another instruction set adds in another order, which
+    changes numbers in their last digits, far below that. FOTEN_FIGURES=write writes the file anew, and each figure to
+    build/figures: look at these before you commit it.
+    """
+    path, folder = Path(__file__).with_name("figures.json"), Path(__file__).parents[1] / "build" / "figures"
+    lines, stored = {name: list(shown(figure)) for name, figure in drawn.items()}, json.loads(path.read_text("utf-8"))
+    if os.environ.get("FOTEN_FIGURES") == "write":
+        stored |= lines
+        path.write_text(json.dumps(stored, indent=0, ensure_ascii=False, sort_keys=True) + "\n", "utf-8")
+        folder.mkdir(parents=True, exist_ok=True)
+        for name, figure in drawn.items():
+            figure.savefig(folder / f"{name}.png", dpi=70)
+    for name in drawn:
+        words, expected = ([NUMBER.sub("#", line) for line in of[name]] for of in (lines, stored))
+        assert words == expected, name
+        for line, wanted in zip(lines[name], stored[name], strict=True):
+            numbers = (np.array(NUMBER.findall(text), dtype=float) for text in (line, wanted))
+            np.testing.assert_allclose(*numbers, rtol=2e-3, atol=2e-3, err_msg=f"{name}: {line}, expected {wanted}")
+
+
+def shown(figure: Any) -> Iterator[str]:
+    """What a figure shows, in lines: its size, each of its axes, and each artist's look and place."""
+    yield _text([*figure.get_size_inches(), len(list(figure._align_label_groups["y"]))])
+    for axes in figure.axes:
+        if not axes.get_visible():
+            continue
+        spines = [name for name, spine in axes.spines.items() if spine.get_visible()]
+        yield _text([axes.get_position().bounds, axes.get_box_aspect(), axes.get_facecolor(), spines])
+        for i, axis in enumerate((axes.xaxis, axes.yaxis)):
+            limits = axis.get_transform().transform(np.array(axis.get_view_interval()))
+            ticks = [(tick.get_position()[i], tick.get_text()) for tick in axis.get_ticklabels()]
+            params = [sorted(axis.get_tick_params(which).items()) for which in ("major", "minor")]
+            looks = [[value for _, value in one] for one in params]
+            yield _text([axis.get_scale(), limits, ticks, looks, axis.label])
+        for artist in axes.get_children():
+            words = getattr(artist, "get_text", lambda: None)()
+            if words != "" and artist is not axes.patch and not type(artist).__name__.endswith(("Axis", "Spine")):
+                yield f"{_text(artist)} {_text(_points(artist, axes))}"
+    yield from map(_text, [*figure.texts, *figure.legends])
+
+
+def _points(artist: Any, axes: Any) -> list[float]:
+    """Number of an artist's points, and the first, last, mean and standard deviation, in fractions of the axes."""
+    transform = artist.get_transform()
+    if hasattr(artist, "get_xydata"):
+        points = artist.get_xydata()
+    elif hasattr(artist, "get_extent"):
+        points, transform = np.reshape(artist.get_extent(), (2, 2)).T, axes.transData
+    elif hasattr(artist, "get_paths"):
+        scattered = len(artist.get_offsets()) > 1
+        points = artist.get_offsets() if scattered else [xy for path in artist.get_paths() for xy in path.vertices]
+        transform = artist.get_offset_transform() if scattered else transform
+    elif hasattr(artist, "get_path"):
+        points = artist.get_path().vertices
+    else:
+        legend = hasattr(artist, "get_bbox_to_anchor")
+        points = artist.get_bbox_to_anchor().get_points() if legend else [artist.get_position()]
+    placed = axes.transAxes.inverted().transform(transform.transform(np.reshape(points, (-1, 2)).astype(float)))
+    placed = placed[np.isfinite(placed).all(axis=1)].clip(-0.1, 1.1)  # how far beyond the axes nobody sees
+    ends = [placed[0], placed[-1], placed.mean(axis=0), placed.std(axis=0)] if len(placed) else []
+    return [len(placed), *np.ravel(ends)]
+
+
+def _text(value: Any) -> str:
+    """A value in words and numbers; of many numbers, how many, mean, standard deviation and range."""
+    if value is None or isinstance(value, str | bool | np.bool_):
+        return str(value)[0] if isinstance(value, bool | np.bool_) else str(value)
+    if isinstance(value, float | int | np.number):
+        return f"{round(float(value), 6) + 0.0:.4g}"
+    if isinstance(value, np.ndarray) and value.size > 8:
+        value = np.ma.masked_invalid(value).compressed()
+        value = [value.size, value.mean(), value.std(), value.min(), value.max()]
+    if isinstance(value, list | tuple | np.ndarray):
+        return f"({' '.join(map(_text, value))})"
+    words = [type(value).__name__]
+    for name in LOOKS.split():
+        look = _text(getattr(value, f"get_{name}")() if hasattr(value, f"get_{name}") else getattr(value, name, None))
+        words += [f"{name} {look}"] * (not PLAIN.fullmatch(look))
+    return " ".join(words)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import dataclasses
 import tomllib
 from pathlib import Path
@@ -9,11 +10,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from conftest import TINY, experiment, exported
+from conftest import TINY, check_figures, experiment, exported
 from foten.cli.command_line import _status
 from foten.datasets.hdf5 import write_recording
 from foten.evaluate.evaluate import Judgement
-from foten.experiments.experiment import Experiment, Method, experiment_path, read_experiment, recording_of
+from foten.experiments.experiment import Experiment, Method, Run, experiment_path, read_experiment, recording_of
+from foten.experiments.figures import convergence, spectra, split, thresholds, waveforms, windows_and_losses
 from foten.experiments.onset import onset
 from foten.experiments.results import by_recipe, read_records
 from foten.experiments.run import _result
@@ -324,3 +326,35 @@ def test_what_a_file_names_is_measured(
     measured = _result(run, recording, texture, 0.0)["measures"]
     assert {name.split(".")[1] for name in measured.values()} == set(measured) == {*measures} - {"listener"}
     assert called == (["listener", "True"] if measures else ["False"])
+
+
+def test_the_papers_figures_are_as_they_were_looked_at(tmp_path: Path) -> None:
+    """Of made-up results of two methods on four textures; on the first, of 100 ms, one falls silent after half."""
+    text = TINY.replace('"linear-twin"', '"linear-twin", "linear-hum", "towel"')
+    results = []
+    for k, run in enumerate(read_experiment(experiment(tmp_path, text)).runs()):
+        times = np.arange(400 if k > 1 else 100)
+        wave, decay, gain = (
+            np.sin(times / (5 + k)),
+            np.exp(-times[:40] / 10),
+            np.where((times < 50) | (k > 0), 1.0, 1e-3),
+        )
+        signals = {"recorded": wave, "free_run": gain * wave[::-1], "frequencies_hz": 10.0 * times[:40]}
+        signals |= {"error_to_silence": 1 + k / 10 - decay, "level_db": -k * (1 - decay)}
+        signals |= {"density": {"recorded": decay, "free_run": gain[-1] ** 2 * (1 + k) * decay[::-1]}}
+        warm = {"ceiling": {"mae_scaled": 1.4}, "silence_mae_scaled": 1.0}
+        evaluation = {"rate_hz": 1000.0, "free_run": {"lsd_db": 1.0}, "warm_start": warm}
+        evaluation |= {"one_step": {"mae_scaled": 0.3 + 0.1 * k}}
+        result = {"run": dataclasses.asdict(run), "evaluation": evaluation, "signals": signals}
+        results.append(result | {"validation_mae_scaled": 0.4 + 0.05 * k})
+    of_delta = copy.deepcopy(results)
+    for result in of_delta:
+        result["run"]["train"]["delta"] = 0.4
+        result["evaluation"]["one_step"]["mae_scaled"] **= 2
+    losses = {"huber": np.array([1.0, 1.1]), "mae": np.array([0.8, 1.2])}
+    errors = {(name, loss, m): losses[loss] / m for name in "abcd" for loss in losses for m in (10, 20)}
+    recorded = {"recording_sha256": recording_of(Run(**results[0]["run"])).sha256()}
+    figures = {"split": split(results[0] | recorded), "thresholds": thresholds([*results, *of_delta])}
+    figures |= {"windows": windows_and_losses(errors, {("b", 20): [0.03, 0.05]})}
+    figures |= {draw.__name__: draw(results) for draw in (waveforms, convergence, spectra)}
+    check_figures({f"experiment-{name}": figure for name, figure in figures.items()})

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from conftest import check_figures
 from foten.cli.command_line import _status
 from foten.datasets.hdf5 import write_recording
 from foten.datasets.importing import import_recording
@@ -467,6 +468,19 @@ def test_one_panel_a_channel_with_its_unit_and_its_marks():
     assert marks.get_xdata() == pytest.approx([5.0])
     assert panel.get_ylim()[1] < 10  # the spike does not hide the signal, and the picture says so
     assert any("to 800 N" in text.get_text() for text in panel.texts)
+
+
+def test_the_pictures_are_as_they_were_looked_at():
+    """Of twenty and of eight seconds an envelope, of five the samples; marks of problems and of notes."""
+    force = np.maximum(_recording()["force"].samples, 0.9)
+    force[LIFTED], force[5000] = SENSOR, 800
+    vibration = _put(slice(6000, 6300), 0.5)(np.clip(_recording()["acceleration_x"].samples, -3, 3))
+    long = _recording(acceleration_x=vibration, force=force)
+    n_samples = {"acceleration_x": 8000, "acceleration_z": 5000, "speed": 5000, "force": 5000}
+    short = Recording({name: Channel(_recording()[name].samples[:n], RATE) for name, n in n_samples.items()})
+    drawn = {draw.__name__: draw(long, inspect_recording(long)) for draw in (overview, coverage, density)}
+    drawn |= {"overview-short": overview(short, inspect_recording(short))}
+    check_figures({f"recording-{name}": figure for name, figure in drawn.items()})
 
 
 def test_an_envelope_loses_no_extreme():

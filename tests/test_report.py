@@ -10,7 +10,7 @@ from html.parser import HTMLParser
 import numpy as np
 import pytest
 
-from conftest import SMALL, exported
+from conftest import SMALL, check_figures, exported
 from foten.evaluate.evaluate import FREE_RUN_KEYS, SimulatorReference, evaluate
 from foten.evaluate.free_run import scored
 from foten.evaluate.one_step import one_step
@@ -274,6 +274,17 @@ def test_the_figures_draw_what_was_scored(judged):
     (line, _), *_ = (axes.lines for axes in plots.waveform(judged).axes)
     block = judged.blocks[signals.typical_block(judged)]
     np.testing.assert_array_equal(line.get_ydata(), judged.trace.acceleration[2000 * block + 400 :][:400])
+
+
+def test_the_figures_are_as_they_were_looked_at(judged, texture):
+    """At rest, where no frame says which force and speed are usual; and of bands without a bin."""
+    errors = [None, *judged.document["free_run"]["band_errors_db"][1:]]
+    few = _without(judged, "ceiling", free_run=judged.document["free_run"] | {"band_errors_db": errors})
+    at_rest = replace(judged, trace=replace(judged.trace, speed=np.zeros_like(judged.trace.speed)))
+    drawn = {draw.__name__: draw(judged) for draw in (plots.waveform, plots.spectrum, plots.bands, plots.over_time)}
+    drawn |= {"bands-few": plots.bands(few), "conditions": plots.conditions(judged, _texture())}
+    drawn |= {"reach": plots.reach(judged, texture), "reach-at-rest": plots.reach(at_rest, texture)}
+    check_figures({f"report-{name}": figure for name, figure in drawn.items()})
 
 
 def test_figures_of_a_fast_texture_reach_half_its_rate():

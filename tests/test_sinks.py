@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from scipy.io import wavfile
 
+from conftest import check_figures
 from foten.runtime.live.sinks import AUDIBLE_PEAK, picture, write_audible, write_rendered
 
 ABOUT = {"texture": "dënim", "seed": 3}
@@ -37,6 +38,7 @@ def test_formats_agree_and_keep_units(tmp_path: Path) -> None:
     with np.load(tmp_path / "a.npz", allow_pickle=False) as stored:
         np.testing.assert_array_equal([stored[name] for name in ("acceleration", "speed", "force")], [a, speed, force])
     assert (tmp_path / "a.png").read_bytes()[:4] == b"\x89PNG"
+    check_figures({"rendered": picture(a, speed, force, 1000.0, ABOUT)})
 
 
 def test_audible_sound_keeps_the_tone(tmp_path: Path) -> None:

@@ -19,6 +19,7 @@ pytest.importorskip("starlette")
 pytest.importorskip("statsmodels")
 from scipy import stats
 
+from conftest import check_figures
 from foten.studio.access import Admitted
 from foten.study import raters
 from foten.study.analysis import TooFewError, analyse, read_ratings
@@ -28,6 +29,7 @@ from foten.study.loading import load_study
 from foten.study.markers import NAME, Markers
 from foten.study.orders import N_TARGETS, balance, orders
 from foten.study.raters import raters_for
+from foten.study.rating_figures import figures_of
 from foten.study.record import _contacts, bids, events_of, psych_ds
 from foten.study.report import write_data, write_report
 from foten.study.statistics import ALPHA, anova
@@ -380,6 +382,7 @@ def test_a_report_says_what_simulated_people_were_given(tmp_path: Path, kind: st
     with simulated(tmp_path, kind, lines, effects.get(kind, 0.0), n_methods=2 + (kind == "paired")) as store:
         (result,) = analyse(store)
         every = read_ratings(store)
+    check_figures({f"study-{kind}-{name}": figure for name, (figure, _) in figures_of(result).items() if kind != "abx"})
     write_report([result], tmp_path / "r")
     page = (tmp_path / "r" / "report.html").read_text(encoding="utf-8")
     assert page.count("<svg") == 2
