@@ -279,11 +279,7 @@ MUTANTS = (
     ),
     *of_c(
         "src/file.c",
-        (
-            "of a name twice the first counts",
-            "size_t i = file->n_entries; i > 0; i--",
-            "size_t i = 1; i <= file->n_entries; i++",
-        ),
+        ("of a name twice the first counts", "i = file->n_entries; i > 0; i--", "i = 1; i <= file->n_entries; i++"),
         ("a tensor may be there twice", "n == file->n_taken ||", "n >= file->n_taken ||"),
         tests="texture_file",
     ),
@@ -459,6 +455,21 @@ MUTANTS = (
         ("the nearest block is that of unscaled speed and force", "nearest_training_blocks", "BinOp Div", "it.left"),
     ),
     *of_python(
+        "evaluate/warm_start.py", ("the level is by unscaled speed", "synthesised_window", "BinOp Div 0", "it.left")
+    ),
+    *of_python(
+        "simulation/contact_mechanics.py",
+        ("pieces fade the wrong way", "joined_pieces", "BinOp Div", "1 - it"),
+        ("a loop has a seam", "under_ball", "Constant 5", "'reflect'"),
+    ),
+    *of_python("editing/edit.py", ("a residual keeps its exponents", "with_exponents", "IfExp", "[]"), tests="editing"),
+    *of_python(
+        "editing/blend.py",
+        ("a blend's tones are out of step", "_blended_tones", "Call in_step", "it.args[0]"),
+        tests="editing",
+    ),
+    *of_python("simulation/simulate.py", ("a tool that leans is heavier", "sensor_channels", "Call sqrt 0", "1.0")),
+    *of_python(
         "runtime/loops.py",
         (
             "the free run starts from another block",
@@ -494,18 +505,12 @@ MUTANTS = (
     ),
     *of_python(
         "study/store.py",
-        (
-            "practice answers lead the level search",
-            "Store.levels",
-            "Constant 1",
-            "it.replace('r.trial > 0', 'r.trial >= 0')",
-        ),
+        ("practice answers lead the level search", "Store.levels", "Constant 1", "it.replace('> 0', '>= 0')"),
         tests="study_store",
     ),
     *of_python(
         "study/session.py",
         ("time between strokes is contact", "contact_s", "Compare Gt 0", "True"),
-        ("strokes on two surfaces are one", "TrialLog.contact_s", "Call groupby", "[(interval, self.events)]"),
         tests="study_store",
     ),
     *of_python(

@@ -236,6 +236,22 @@ def test_pieces_side_by_side_are_one_long_integration() -> None:
         assert apart.max() < 0.02 * expected[0].std()
 
 
+def test_a_piece_takes_over_evenly_from_the_one_before() -> None:
+    """Each piece gives its number: over 10 ms, of 100 samples, that rises from the one to the next."""
+
+    def numbered(places: np.ndarray, *_: np.ndarray) -> np.ndarray:
+        return np.broadcast_to(np.floor(places[:, 1500:1501]), places.shape)[None]  # after 0.15 s of settling
+
+    (joined,) = contact_mechanics.joined_pieces(numbered, np.arange(7500)[None] / 2500, steady(80.0, 1.0, 0.75))
+    np.testing.assert_allclose(joined[0, [2499, 2500, 2550, 2599, 2600]], [0, 0.005, 0.505, 0.995, 1], atol=1e-12)
+
+
+def test_a_ball_meets_no_seam_in_a_loop() -> None:
+    height = np.random.default_rng(0).normal(0, 0.01, 400)
+    turned = contact_mechanics.under_ball(np.roll(height, 100), 0.5)
+    np.testing.assert_array_equal(turned, np.roll(contact_mechanics.under_ball(height, 0.5), 100))
+
+
 def test_more_force_keeps_the_tip_down_and_more_speed_throws_it_off() -> None:
     p, key = CONTACT["sandpaper-coarse"], "sandpaper-coarse"
 

@@ -80,6 +80,7 @@ def test_a_louder_texture_is_the_same_samples_multiplied(name: str) -> None:
         (WITH_TONES, Edit(brighter=0.5)),
         pytest.param("textured-rubber", Edit(brighter=1.0), marks=pytest.mark.slow),
         (WITHOUT_TONES, Edit(speed_exponent=0.5, force_exponent=0.8)),
+        (WITH_TONES, Edit(speed_exponent=0.5, force_exponent=0.8)),  # of the tones and of what they leave
     ],
 )
 def test_an_edit_reaches_what_it_asks_for(
@@ -192,6 +193,15 @@ def test_tones_begin_in_step() -> None:
     turned = (pairs[..., 0] - 1j * pairs[..., 1]) * np.exp(1j * phase * np.arange(1, 4))
     moved = replace(table, values=np.stack([turned.real, -turned.imag], axis=2).reshape(1, 6))
     np.testing.assert_allclose(blending.in_step(moved, table).values, table.values, atol=0.03)  # steps of half a degree
+
+
+def test_a_texture_and_itself_begun_elsewhere_on_the_path_blend_into_it(textures: dict[str, Texture]) -> None:
+    """Half a period on its odd multiples are negative, and cancelled."""
+    texture, values = textures[WITH_TONES], textures[WITH_TONES].tensors["tones.values"]
+    sign = np.repeat((-1.0) ** np.arange(1, values.shape[1] // 2 + 1), 2).astype(np.float32)
+    moved = replace(texture, tensors={**texture.tensors, "tones.values": sign * values})
+    blended = blending._blended(texture, moved, 0.5).tensors["tones.values"]
+    np.testing.assert_allclose(blended, values, atol=1e-6 * np.abs(values).max())  # float32
 
 
 @pytest.mark.parametrize(("first", "second"), [(WITHOUT_TONES, WITH_TONES)])

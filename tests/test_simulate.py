@@ -19,6 +19,7 @@ from foten.simulation.simulate import (
     TWO_MASS,
     _roughness,
     second_realisation,
+    sensor_channels,
     simulate,
     vibration,
 )
@@ -52,6 +53,13 @@ def test_a_seed_is_a_recording(key: str) -> None:
     assert first.sha256() == again.sha256() != other.sha256()
     assert json.loads(json.dumps(dict(first.simulation or {}))) == first.simulation
     assert first.duration_s == pytest.approx(2, abs=0.01)
+
+
+def test_a_tool_that_leans_at_rest_reads_all_of_gravity() -> None:
+    stroke = dataclasses.replace(steady(0.0, 1.0, 1.0), tilt=np.full((10_000, 2), 0.3))
+    read = sensor_channels(np.zeros((10_000, 3)), stroke.force, 0.3, stroke, 1, np.random.default_rng(0))
+    mean = [read[f"acceleration_{axis}"].samples.mean() for axis in AXES]  # of noise of 0.14 m/s²
+    assert np.linalg.norm(mean) == pytest.approx(GRAVITY, abs=0.01)
 
 
 @pytest.mark.parametrize("key", TEXTURES)

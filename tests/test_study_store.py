@@ -18,6 +18,7 @@ import pytest
 from foten import __version__
 from foten.study.orders import orders
 from foten.study.schema import VERSION, Stimulus, create, now
+from foten.study.session import contact_s
 from foten.study.store import FullError, Rated, Store, Stroked
 
 TEXTURES, METHODS = 3, 2
@@ -134,6 +135,24 @@ def test_strokes_come_back_as_they_went_in(store: Store) -> None:
     store.add_strokes(number, 1, [Stroked(0, events[200:])])
     np.testing.assert_array_equal(store.strokes(number, 1), events)
     assert store.strokes(number, 2).shape == (0, 4)
+
+
+def test_a_pen_is_in_contact_while_it_presses() -> None:
+    """Two strokes of 0.1 s, and 0.1 s between them in the air, of events 10 ms apart."""
+    t = np.arange(31) / 100
+    pressure = np.where((t < 0.095) | (t > 0.195), 0.5, 0.0)
+    assert contact_s(np.stack([t, t, pressure, t], axis=1)) == pytest.approx(0.2)
+
+
+def test_the_next_level_follows_the_answers_that_count(store: Store) -> None:
+    """Those of practice teach the task: neither a level of it nor a mistake moves the search."""
+    trials = store.trials(store.join("A"))
+    key = trials[0].texture, trials[0].method
+    asked = [trial.number for trial in trials if (trial.texture, trial.method) == key]
+    assert asked[0] == 0 < asked[1]
+    for n in asked:
+        store.take_step(1, f"trial:{n}", (n, Rated({"choice": 1.0}, log={"level_db": -20.0 - n})))
+    assert [level for level, _ in store.levels(1, *key)] == [-20.0 - asked[1]]
 
 
 def filled(store: Store) -> list[int]:

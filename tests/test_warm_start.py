@@ -90,6 +90,9 @@ def test_a_synthesised_window_has_the_level_of_slow_light_strokes(texture: Textu
     )  # the samples near 45 mm/s vary by some mm/s
     loud = dataclasses.replace(trace, acceleration=2 * trace.acceleration)
     assert np.allclose(synthesised_window(linear, loud, train, texture)[0], 2 * window[0])
+    by_force = dataclasses.replace(trace, acceleration=trace.force * trace.acceleration)
+    light = synthesised_window(linear, by_force, train, texture)[0]
+    assert light[-1] / window[0][-1] == pytest.approx(0.8, rel=0.05)  # of the same samples, whose forces vary by 0.05 N
 
 
 def test_a_synthesised_window_rings_as_the_filter_does(texture: Texture, trace: Trace) -> None:
