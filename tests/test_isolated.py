@@ -1,14 +1,18 @@
 """Files that crash, outgrow or lead out of their library: refused in a sentence."""
 
 import os
+import re
 import sys
 import threading
+import zipfile
 from pathlib import Path
 
 import h5py
 import numpy as np
+import openpyxl
 import pytest
 from PIL import Image
+from scipy.io import savemat
 
 from foten.cli.command_line import _status
 from foten.console import preload
@@ -38,7 +42,7 @@ def _crashing_files(folder: Path) -> dict[str, str]:
         "import os, signal, time\n"
         "def crashes(path): os.kill(os.getpid(), signal.SIGSEGV)\n"
         "def loops(path):\n    while True: pass\n"
-        "def grows(path): return None, [bytearray(1 << 40)]\n"
+        "def grows(path): return None, [bytearray(1 << 30)]\n"
         "def raises(path): raise RuntimeError('Unspecified error\\nin ' + 9999 * 'x')\n"
     )
     return {name: f"dying.{name}" for name in ("crashes", "loops", "grows", "raises")}
@@ -49,18 +53,91 @@ def test_a_library_that_dies_is_a_sentence(tmp_path: Path, recording: Path, monk
     monkeypatch.syspath_prepend(tmp_path)
     start = (
         f"import sys; sys.path[:] = {sys.path!r}; from foten.datasets import isolated; "
-        f"isolated.READERS.update({readers!r}); isolated.MAX_CPU_S = 1; isolated.answer(*sys.argv[1:])"
+        f"isolated.READERS.update({readers!r}); isolated.answer(*sys.argv[1:])"
     )
     monkeypatch.setattr(isolated, "_START", start.replace("{", "{{").replace("}", "}}"))
+    monkeypatch.setattr(isolated, "MAX_CPU_S", 1)
     for kind, message in {
-        "crashes": r"a.h5 is truncated, damaged or no crashes file \(its library crashes on it, or does not end",
-        "loops": "or does not end",
-        "grows": "more than the memory",
+        "crashes": r"a.h5 is truncated, damaged or no crashes file \(its library crashes on it\)",
+        "loops": "more than 1 s of processor time; FOTEN_MAX_MB=10000 gives it longer",
+        "grows": "more than its size is worth; FOTEN_MAX_MB=6[0-9]{2} gives it more memory",
         "raises": r"Unspecified error in x{100}",
     }.items():
         with pytest.raises(ValueError, match=message) as refusal:
             read_isolated(kind, recording)
         assert len(str(refusal.value)) < 320
+
+
+N_BOMB = 9_000_000  # samples: 72 MB, of next to nothing
+
+
+def _hdf5_bomb(path: Path, places: str = "acceleration speed force", **attributes: object) -> None:
+    """Datasets that were never written."""
+    with h5py.File(path, "w", userblock_size=512 if path.suffix == ".mat" else 0) as file:
+        for place in places.split():
+            dataset = file.create_dataset(place, shape=(N_BOMB,), dtype="i1", chunks=(100_000,))
+            dataset.attrs.update({"rate_hz": 1e4, "unit": "N", "MATLAB_class": np.bytes_("int8")})
+        file.attrs.update(attributes)
+    if path.suffix == ".mat":
+        with path.open("r+b") as raw:
+            raw.write(b"MATLAB 7.3 MAT-file".ljust(124) + b"\x00\x02IM")
+
+
+def _deep_hdf5(path: Path) -> None:
+    with h5py.File(path, "w") as file:
+        file["/".join(["g"] * 1500) + "/force"] = FORCE
+
+
+def _workbook(path: Path, before: bytes, after: bytes, n_spaces: int) -> None:
+    """A workbook whose sheet is padded with spaces."""
+    openpyxl.Workbook().save(path)
+    with zipfile.ZipFile(path) as archive:
+        parts = {name: archive.read(name) for name in archive.namelist()}
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, data in parts.items():
+            is_sheet = name == "xl/worksheets/sheet1.xml"
+            padded = data.replace(b"<sheetData", before + b" " * n_spaces + after + b"<sheetData", 1)
+            archive.writestr(name, padded if is_sheet else data)
+
+
+BOMBS = {
+    "ours.h5": lambda path: _hdf5_bomb(path, "channels/force", format="foten-recording", version=1),
+    "foreign.h5": _hdf5_bomb,
+    "deep.h5": _deep_hdf5,
+    "v7.mat": _hdf5_bomb,
+    "v5.mat": lambda path: savemat(path, {"force": np.zeros(N_BOMB, np.int8)}, do_compression=True),
+    "zeros.npz": lambda path: np.savez_compressed(path, force=np.zeros(N_BOMB, np.int8)),
+    "words.npz": lambda path: np.savez_compressed(path, force=np.zeros(N_BOMB // 50, "U100")),
+    "spaces.xlsx": lambda path: _workbook(path, b"", b"", 80_000_000),
+    "tag.xlsx": lambda path: _workbook(path, b"<sheetPr", b"/>", 60_000_000),  # whose parser reads it again and again
+    "blank.csv": lambda path: path.write_text("a,b\n1,2\n" + 1_100_000 * "\n" + "1,2\n"),
+    "sparse.wav": lambda path: os.truncate(path, 2_000_000_000) if path.touch() is None else None,
+    "grey.png": lambda path: Image.new("L", (9000, 9000)).save(path),
+}
+
+
+@pytest.mark.parametrize("name", BOMBS)
+def test_what_fills_memory_or_time_is_refused_before_the_work(
+    tmp_path: Path, name: str, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    BOMBS[name](path := tmp_path / name)
+    arguments = ["inspect", str(path)] if name == "ours.h5" else ["import", str(path), "-o", str(tmp_path / "out.h5")]
+    arguments = ["imagine", str(path), "--scale", "0.05", "--photo"] if name == "grey.png" else arguments
+    monkeypatch.setattr(isolated, "MAX_CPU_S", 2)
+    before = sum(os.times()[:4])  # seconds of this process and of those that it waited for
+    assert _status(arguments) == 2
+    assert sum(os.times()[:4]) - before < 10
+    line = capfd.readouterr().err
+    assert line.startswith(f"foten: {name}")
+    assert line.count("\n") == 1
+    assert re.search("FOTEN_MAX_MB=|32 groups in one another|take the blank ones out", line), line
+
+
+@pytest.mark.parametrize("name", ["foreign.h5", "v7.mat", "zeros.npz"])
+def test_a_bound_of_content_can_be_raised(tmp_path: Path, name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    BOMBS[name](tmp_path / name)
+    monkeypatch.setenv("FOTEN_MAX_MB", "250")
+    assert {column.samples.size for column in read_columns(tmp_path / name)} == {N_BOMB}
 
 
 @pytest.mark.parametrize(

@@ -3,11 +3,17 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable
+import os
+import tomllib
+from collections.abc import Callable, Iterable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
-DEEPEST = 64  # of JSON; a card has 5
+DEEPEST = 64  # of JSON and TOML; a card has 5
+MAX_INFLATION = 32  # bytes of content for one in the file; recordings of noise have 2 to 8
+MIN_CONTENT, MAX_CONTENT = 64 << 20, 1_600_000_000  # bytes of content that a file of any size may have; that none may
+RAISED_BY = "FOTEN_MAX_MB"  # environment variable: MB of content that any file may have all the same
 LONGEST_TEXT = 200  # of what a library says
 MAX_LINE = 2000  # characters that a terminal is given at most: 25 rows of 80
 
@@ -22,15 +28,44 @@ def check_regular(path: Path) -> None:
         raise ValueError(f"{path} is a pipe or a device, expected a file")
 
 
+def max_content(path: Path) -> int:
+    """Bytes of content that are read of a file, 8 for a number: in proportion to its size, or as `FOTEN_MAX_MB` says."""
+    raised = 1e6 * min(float(os.environ.get(RAISED_BY) or 0), 1e9)
+    return max(int(raised), min(MIN_CONTENT + MAX_INFLATION * path.stat().st_size, MAX_CONTENT))
+
+
+def too_much(n_bytes: int, limit: int) -> str:
+    """Why so much content is not read, and how to raise the bound."""
+    holds = f"holds {n_bytes / 1e6:,.0f} MB or more, expected {limit / 1e6:,.0f} at most by its file's size"
+    return f"{holds}; is it damaged? {RAISED_BY}={n_bytes // 1_000_000 + 1} reads it all the same"
+
+
+def check_content(path: Path, n_bytes: int) -> None:
+    """Refuse a file with more content than `max_content`, before it is read."""
+    if n_bytes > (limit := max_content(path)):
+        raise ValueError(f"{path.name} {too_much(n_bytes, limit)}")
+
+
 def parse_json(text: str | bytes) -> Any:
     """The value that JSON text holds.
 
     Raises:
         ValueError: it is no JSON, is nested more than `DEEPEST`, or holds a name twice or an integer of too many digits.
     """
+    return _shallow(partial(json.loads, object_pairs_hook=_unique), text)
+
+
+def parse_toml(text: str | bytes) -> dict[str, Any]:
+    """The tables that TOML text holds; ValueError where it is none, or is nested more than `DEEPEST`."""
     try:
-        value = json.loads(text, object_pairs_hook=_unique)
-        level = [value]
+        return dict(_shallow(tomllib.loads, text if isinstance(text, str) else text.decode()))
+    except ValueError as error:
+        raise ValueError(f"this is not TOML ({error})") from error
+
+
+def _shallow(parse: Callable[[Any], Any], text: str | bytes) -> Any:
+    try:
+        level = [value := parse(text)]
         # Writing and showing a value needs more of the stack than reading it does.
         for _ in range(DEEPEST):
             level = [inner for outer in level for inner in _inside(outer)]
@@ -66,6 +101,7 @@ def read_profile_json(path: Path, kind: str, version: int, what: str) -> dict[st
         raise ValueError(f"{path.name} is not {what}, expected 'format': {kind!r}")
     if (found := content.pop("version", None)) != version:
         raise ValueError(f"{path.name} has version {found}, expected {version}; update foten?")
+    check_numbers(content, path.name)
     return content
 
 
@@ -93,4 +129,6 @@ def shown(line: str, longest: int = MAX_LINE) -> str:
 
 def brief(error: Exception) -> str:
     """Message of a library's error on one short line; some hold the file that they could not read."""
+    if isinstance(error, ArithmeticError | AttributeError | IndexError | NameError | RecursionError | TypeError):
+        return "its parts do not fit together"  # what such errors say is of the library's code
     return shown(" ".join(printable(str(error).replace("\n", " ")).split()) or type(error).__name__, LONGEST_TEXT)

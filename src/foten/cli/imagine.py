@@ -146,9 +146,10 @@ def _from_picture(
 
 
 def _propose(picture: Path, scale: float, as_json: bool) -> None:
-    from foten.editing.height_map import MIN_PERIOD_PROMINENCE_DB, proposed_period, read_picture
+    from foten.datasets.isolated import read_isolated
+    from foten.editing.height_map import MIN_PERIOD_PROMINENCE_DB, proposed_period
 
-    period = proposed_period(read_picture(picture), scale)
+    period = proposed_period(read_isolated("picture", picture)[1][0], scale)
     if period is None:
         text = f"no period: no peak of the picture's spectrum stands out by {MIN_PERIOD_PROMINENCE_DB:g} dB"
     else:
@@ -170,16 +171,21 @@ def _imagine(
     from dataclasses import replace
 
     from foten.baselines.sizes import trainable_sizes
+    from foten.datasets.isolated import read_isolated
     from foten.editing.describe import describe
     from foten.editing.edit import UNMEASURED
-    from foten.editing.height_map import heights_of, imagined, read_picture, tool_of
+    from foten.editing.height_map import heights_of, imagined, tool_of
     from foten.models.texture_file import Texture, write_texture
     from foten.training.config import recipe_of
     from foten.training.job import TrainingJob
     from foten.training.loop import Monitor
     from foten.training.pipeline import train
 
-    heights = heights_of(read_picture(picture), scale, depth)
+    pixels = read_isolated("picture", picture)[1][0]
+    try:
+        heights = heights_of(pixels, scale, depth)
+    except ValueError as error:
+        raise ValueError(f"{picture.name}: {error}") from error
     say(
         f"stroking {picture.name}, {heights.shape[1] * scale:.3g} × {heights.shape[0] * scale:.3g} mm, for {seconds:g} s …"
     )

@@ -13,10 +13,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from foten.datasets.columns import MAX_SAMPLES, Column, RefusedError, check_width, columns_of_array, reading, with_units
+from foten.datasets.columns import Column, check_width, columns_of_array, reading, with_units
 from foten.datasets.hdf5 import FORMAT
-from foten.datasets.isolated import read_isolated
+from foten.datasets.isolated import Contents, contents_of, isolated_columns, read_isolated
 from foten.datasets.units import FULL_SCALE
+from foten.untrusted import check_content
 
 _PICKLE = "holds pickled objects, which can run code when opened; save plain arrays of numbers instead"
 _UNITS = ("unit_string", "NI_UnitDescription", "NI_Unit", "unit", "units", "Unit", "Units")
@@ -27,19 +28,19 @@ def read_numpy(path: Path) -> list[Column]:
     """Arrays of an .npz, or the columns of an .npy."""
     columns: list[Column] = []
     texts: dict[str, Any] = {}
-    left = MAX_SAMPLES
+    content = 0  # bytes
     with reading(path, "NumPy file"), path.open("rb") as file:
         if not zipfile.is_zipfile(file):
             file.seek(0)
-            array = _array(file, path.stat().st_size, left, path.name)
+            array = _array(file, path.stat().st_size, content, path)
             columns = columns_of_array("" if array.ndim == 2 else "0", array)
             return [replace(column, name=column.name.lstrip(".")) for column in columns]
         with zipfile.ZipFile(file) as archive:
             check_width(path.name, len(archive.infolist()))
             for entry in archive.infolist():
                 with archive.open(entry) as inner:
-                    array = _array(inner, entry.file_size, left, path.name)
-                left -= array.size
+                    array = _array(inner, entry.file_size, content, path)
+                content += array.size * max(8, array.itemsize)
                 name = entry.filename.removesuffix(".npy")
                 if array.dtype.kind == "U" and array.size <= 64:
                     texts[name] = array.ravel().tolist() if array.size > 1 else "".join(array.ravel())
@@ -47,18 +48,17 @@ def read_numpy(path: Path) -> list[Column]:
     return with_units(columns, texts)
 
 
-def _array(file: Any, size: int, left: int, name: str) -> NDArray[Any]:
-    """Array in an .npy file of `size` bytes, if these are as many as its header says: NumPy allocates before it reads."""
+def _array(file: Any, size: int, content: int, path: Path) -> NDArray[Any]:
+    """Array in an .npy file of `size` bytes, after `content` of others, if its header says so: NumPy allocates, then reads."""
     version = np.lib.format.read_magic(file)
     header = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
     shape, by_columns, dtype = header[min(version, (2, 0))](file)
     if dtype.hasobject:
-        raise RefusedError(f"{name} {_PICKLE}")
+        raise ValueError(f"{path.name} {_PICKLE}")
     count = math.prod(shape)
     if count * dtype.itemsize != size - file.tell():
         raise ValueError(f"its header says {count:,} numbers, and it has {size - file.tell():,} bytes")
-    if count > left:
-        raise ValueError(f"it holds {count:,} numbers, expected {left:,} at most")
+    check_content(path, content + count * max(8, dtype.itemsize))
     array = np.frombuffer(file.read(count * dtype.itemsize), dtype=dtype)
     return array.reshape(shape[::-1]).T if by_columns else array.reshape(shape)
 
@@ -95,6 +95,11 @@ def read_tdms(path: Path) -> list[Column]:
 
     The rate is the waveform's (`wf_increment`), the unit the channel's (`unit_string` or the like).
     """
+    return isolated_columns("TDMS", path)
+
+
+def tdms_contents(path: Path) -> Contents:
+    """Channels of a TDMS file, as `contents_of` columns."""
     from nptdms import TdmsFile
     from nptdms.log import log_manager
 
@@ -106,6 +111,7 @@ def read_tdms(path: Path) -> list[Column]:
     if status.incomplete_final_segment or any(status.read_length < status.expected_length for status in lengths):
         raise ValueError(f"{path.name} is truncated: its last segment is incomplete")
     channels = [channel for group in file.groups() for channel in group.channels()]
+    check_width(path.name, len(channels))
     names = [channel.name for channel in channels]
     columns = []
     for channel in channels:
@@ -116,7 +122,7 @@ def read_tdms(path: Path) -> list[Column]:
             columns.append(Column(name, samples.astype(np.float64), _rate(stated.get("wf_increment")), unit))
         else:
             columns.append(Column(name, fault="holds text or times, expected numbers"))
-    return columns
+    return contents_of(columns)
 
 
 def _rate(increment_s: Any) -> float | None:
@@ -132,10 +138,12 @@ def read_wav(path: Path) -> list[Column]:
     """Tracks of a WAV file, named by number, with its rate; integers become fractions of full scale."""
     from scipy.io import wavfile
 
+    check_content(path, path.stat().st_size)
     with reading(path, "WAV file"), warnings.catch_warnings():
         warnings.filterwarnings("ignore", message="Chunk .*not understood", category=wavfile.WavFileWarning)
         warnings.filterwarnings("error", message=".*EOF", category=wavfile.WavFileWarning)
         rate, samples = wavfile.read(path)
+        check_content(path, 8 * samples.size)
     unit = FULL_SCALE if samples.dtype.kind in "iu" else ""
     if samples.dtype.kind == "u":
         samples = (samples.astype(np.float64) - 128) / 128

@@ -21,7 +21,7 @@ import numpy as np
 
 from foten.datasets.bounds import check_overlap
 from foten.datasets.columns import Column
-from foten.datasets.tabular import read_delimited
+from foten.datasets.importing import read_columns
 from foten.datasets.units import G
 from foten.dsp import Array
 from foten.recording.inspection.values import counted
@@ -105,7 +105,7 @@ def _take(place: Path, name: str) -> Recording:
 def _columns(path: Path) -> list[Column]:
     """Columns of a clip's table, time first."""
     try:
-        columns = read_delimited(path)
+        columns = read_columns(path)
     except ValueError as error:
         raise ValueError(f"{path.parent.name}/{error}") from error
     for column in columns:

@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 
 from foten.untrusted import brief, printable
 
-MAX_SAMPLES = 200_000_000  # of a file: half an hour of ten channels at 10 kHz
 MAX_COLUMNS = 4096  # of a file
 MAX_NAME_CHARACTERS = 200  # of what a message repeats
 MAX_PREAMBLE_CHARACTERS = 2000  # of the lines above a table
@@ -50,28 +49,24 @@ class Column:
         return f" (row {self.row_numbers[sample]})" if sample < len(self.row_numbers) else ""
 
 
-class RefusedError(ValueError):
-    """A reader's own sentence on a file, with the file's name."""
-
-
 @contextmanager
 def reading(path: Path, what: str) -> Iterator[None]:
     """Refuse in a line what a library raises on a damaged file: any kind, zlib.error and TypeError among them."""
     try:
         yield
-    except RefusedError:
-        raise
     except MemoryError:
         raise ValueError(f"{path.name} says that it holds more than the memory does") from None
     except Exception as error:
+        if isinstance(error, ValueError) and str(error).startswith(path.name):  # a sentence of ours
+            raise
         raise ValueError(f"{path.name} is truncated or is no {what} ({brief(error)})") from None
 
 
 def check_width(name: str, n_columns: int) -> None:
-    """Check that a file has at most `MAX_COLUMNS`; RefusedError where it has more."""
+    """Check that a file has at most `MAX_COLUMNS`."""
     if n_columns > MAX_COLUMNS:
         at_most = f"expected {MAX_COLUMNS:,} at most"
-        raise RefusedError(f"{name} has {n_columns:,} columns, {at_most}; do its samples lie along a row? Transpose it")
+        raise ValueError(f"{name} has {n_columns:,} columns, {at_most}; do its samples lie along a row? Transpose it")
 
 
 def columns_of_array(name: str, array: NDArray[Any]) -> list[Column]:
@@ -93,7 +88,7 @@ def columns_of_array(name: str, array: NDArray[Any]) -> list[Column]:
     if fault:
         return [Column(name, fault=fault)]
     if array.ndim == 1:
-        return [Column(name, array.astype(np.float64))]
+        return [Column(name, array.astype(np.float64, copy=False))]
     columns = array if array.shape[0] < array.shape[1] else array.T
     return [Column(f"{name}.{k}", column.astype(np.float64)) for k, column in enumerate(columns)]
 

@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 import contextlib
+import math
 from pathlib import Path
 from typing import Any
 
 import h5py
 import numpy as np
 
-from foten.datasets.columns import MAX_SAMPLES, Column, RefusedError, check_width, columns_of_array
+from foten.datasets.columns import Column, check_width, columns_of_array
 from foten.datasets.isolated import Contents
 from foten.dsp import Array
-from foten.untrusted import printable
+from foten.untrusted import check_content, max_content, printable, too_much
 
-MAX_OBJECTS = 10_000  # groups and datasets of a file
+MAX_OBJECTS, MAX_DEPTH = 10_000, 32  # groups and datasets of a file; groups in one another
 MAX_TEXTS = 64  # of an attribute or a dataset; those of units have one for each column
 
 
@@ -28,35 +29,40 @@ def hdf5_contents(path: Path) -> Contents:
         file = h5py.File(path, "r")
     except OSError as error:
         fault = "truncated: its end is missing" if "truncated" in str(error) else "not an HDF5 file, or is damaged"
-        raise RefusedError(f"{path.name} is {fault}") from None
+        raise ValueError(f"{path.name} is {fault}") from None
     arrays: list[Array] = []
     objects: list[dict[str, Any]] = []
-    left = MAX_SAMPLES
+    content = 0  # bytes
     with file:
-        names: list[str] = []
-
-        def listed(name: str) -> bool | None:
-            names.append(name)
-            return True if len(names) > MAX_OBJECTS else None  # which ends the visit
-
-        file.visit(listed)  # each object once, whatever groups hold each other
-        if len(names) > MAX_OBJECTS:
-            raise RefusedError(f"{path.name} holds more than {MAX_OBJECTS} groups and datasets")
-        for name in names:
+        for name in _names(file, path):
             item = file[name]
             entry: dict[str, Any] = {"name": printable(name), "attributes": _attributes(item)}
             objects.append(entry)
             if isinstance(item, h5py.Dataset):
-                entry |= _unread(item, left)
+                entry |= _unread(item, content, max_content(path))
                 if not {"fault", "texts"} & entry.keys():
                     array = np.asarray(item[()], dtype=np.float64)
                     entry["array"] = len(arrays)
                     arrays.append(array)
-                    left -= array.size
+                    content += array.nbytes
         return {"attributes": _attributes(file), "objects": objects}, arrays
 
 
-def _unread(item: Any, left: int) -> dict[str, Any]:
+def _names(file: h5py.File, path: Path) -> list[str]:
+    """Names of the groups and datasets of a file, each once, whatever groups hold each other; ValueError beyond a bound."""
+    names: list[str] = []
+
+    def listed(name: str) -> bool | None:
+        names.append(name)
+        return True if len(names) > MAX_OBJECTS or name.count("/") > MAX_DEPTH else None  # which ends the visit
+
+    if file.visit(listed):
+        what = f"{MAX_OBJECTS} groups and datasets, or {MAX_DEPTH} groups in one another"
+        raise ValueError(f"{path.name} holds more than {what}; copy what you import into another file")
+    return names
+
+
+def _unread(item: Any, content: int, limit: int) -> dict[str, Any]:
     """Fault for which a dataset is not read, or its texts; nothing where it holds numbers."""
     if item.is_virtual or item.id.get_create_plist().get_external_count():
         return {"fault": "keeps its samples in another place, which is not opened"}
@@ -68,8 +74,8 @@ def _unread(item: Any, left: int) -> dict[str, Any]:
         return {"texts": [_plain(text) for text in np.atleast_1d(item[()]).ravel()]}
     if kind not in "biuf" or item.shape is None:
         return {"fault": "holds no plain numbers"}
-    if item.size > left:
-        return {"fault": f"says that it holds {item.size:,} samples, expected {left:,} at most"}
+    if content + 8 * item.size > limit:
+        return {"fault": too_much(content + 8 * item.size, limit)}
     return {}
 
 
@@ -104,10 +110,16 @@ def matlab_contents(path: Path) -> Contents:
     Arrays are the columns' samples, in their order; fields of structs are `struct.field`.
     """
     from pymatreader import read_mat
+    from scipy.io import whosmat
 
     columns: list[Column] = []
     texts: dict[str, Any] = {}
-    left = MAX_SAMPLES
+    if h5py.is_hdf5(path):
+        with h5py.File(path, "r") as file:
+            sizes = [file[name].size or 0 for name in _names(file, path) if isinstance(file[name], h5py.Dataset)]
+    else:
+        sizes = [math.prod(shape) for _, shape, _ in whosmat(path)]
+    check_content(path, 8 * sum(sizes))
     waiting: list[tuple[str, Any]] = [("", read_mat(str(path)))]
     while waiting:
         name, value = waiting.pop()
@@ -121,12 +133,9 @@ def matlab_contents(path: Path) -> Contents:
             texts[printable(name)] = _plain(np.array(value))
         if isinstance(value, list | str | bytes) or value is None:
             columns.append(Column(name, fault="holds text or cells, expected numbers"))
-        elif (array := np.asarray(value)).size > left:
-            fault = f"says that it holds {array.size:,} samples, expected {left:,} at most"
-            columns.append(Column(name, fault=fault))
         else:
-            left -= array.size
-            columns += columns_of_array(name, array)
+            columns += columns_of_array(name, np.asarray(value))
             check_width(path.name, len(columns))
+    check_content(path, sum(column.samples.nbytes for column in columns))  # of structs too, whose sizes are not listed
     faults = [{"name": column.name, "fault": column.fault} for column in columns]
     return {"columns": faults, "texts": texts}, [column.samples for column in columns]

@@ -71,6 +71,8 @@ def read_columns(path: Path) -> list[Column]:
     columns = DATASETS[suffix](path)
     if not columns:
         raise ValueError(f"{path.name} holds no column of numbers")
+    if all(column.fault for column in columns):
+        raise ValueError(f"{path.name}, column {columns[0].name}: {columns[0].fault}")
     check_width(path.name, len(columns))
     return [replace(column, file=path) for column in columns]
 

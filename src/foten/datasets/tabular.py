@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import contextlib
 import csv
-import itertools
 import re
+import zipfile
 from collections.abc import Collection, Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -15,9 +15,10 @@ import numpy as np
 
 from foten.datasets.clock_times import clock_seconds
 from foten.datasets.columns import MAX_COLUMNS, Column, check_width, reading
+from foten.datasets.isolated import Contents, contents_of, isolated_columns
 from foten.datasets.units import CLOCK, is_unit
 from foten.recording.inspection.values import counted
-from foten.untrusted import brief
+from foten.untrusted import brief, check_content
 
 COMMENTS = ("#", "%", "//")  # that a line of comment begins with
 _DECIMAL_COMMA = re.compile(r"[-+]?\d*,\d+([eE][-+]?\d+)?")
@@ -29,15 +30,19 @@ _FIELDS = {
     "tool": "tool werkzeug outil herramienta",
 }
 """Fields of a recording, and the words of a line above the table that state them."""
-MAX_CELLS = 50_000_000  # of a sheet
+MAX_CELLS = 20_000_000  # of a workbook, blank ones among them
 MAX_ROWS = 2_000_000  # of a sheet; a program of tables has 1,048,576
+MAX_BLANK_LINES = 1_000_000  # more than there are other lines
 
 
 def read_delimited(path: Path) -> list[Column]:
     """Columns of a text table with any separator, decimal commas, lines before it, comments, and a second header of units."""
     lines = _decode(path.read_bytes(), path.name).splitlines()
-    if not any(map(str.strip, lines)):
+    n_filled = sum(map(bool, map(str.strip, lines)))
+    if not n_filled:
         raise ValueError(f"{path.name} is empty")
+    if (n_blank := len(lines) - n_filled) > n_filled + MAX_BLANK_LINES:
+        raise ValueError(f"{path.name} has {n_blank:,} blank lines and {n_filled:,} others: take the blank ones out")
     comments = {i: line.lstrip("#%/ \t") for i, line in enumerate(lines) if line.lstrip().startswith(COMMENTS)}
     lines = ["" if i in comments else line for i, line in enumerate(lines)]
     filled = [line for line in lines if line.strip()] or [""]
@@ -81,19 +86,30 @@ def _has_decimal_commas(rows: list[list[str]], quoted: bool) -> bool:
 
 def read_excel(path: Path) -> list[Column]:
     """Columns of an .xlsx workbook; with several filled sheets each name begins with `SHEET.`."""
+    return isolated_columns(".xlsx", path)
+
+
+def excel_contents(path: Path) -> Contents:
+    """Columns of a workbook, as `contents_of` them."""
     import openpyxl
 
+    with reading(path, ".xlsx workbook"), zipfile.ZipFile(path) as archive:
+        check_content(path, sum(part.file_size for part in archive.infolist()))  # no more of a part is ever inflated
     sheets: list[tuple[str, list[list[Any]]]] = []
+    n_cells = 0
     with (
         reading(path, ".xlsx workbook"),
         contextlib.closing(openpyxl.load_workbook(path, read_only=True, data_only=True)) as book,
     ):
         for sheet in book.worksheets:
             sheet.reset_dimensions()  # some writers state a wrong extent; trusting it loses rows
-            rows = [list(row) for row in itertools.islice(sheet.iter_rows(values_only=True), MAX_ROWS + 1)]
-            cells = len(rows) * max(map(len, rows), default=0)
-            if len(rows) > MAX_ROWS or cells > MAX_CELLS:
-                raise ValueError(f"sheet {sheet.title} says that it has {len(rows):,} rows or more, {cells:,} cells")
+            rows: list[list[Any]] = []
+            for row in sheet.iter_rows(values_only=True):
+                rows.append(list(row))
+                n_cells += len(row)
+                if len(rows) > MAX_ROWS or n_cells > MAX_CELLS:
+                    beyond = f"{MAX_ROWS:,} rows or {MAX_CELLS:,} cells; save it as .csv"
+                    raise ValueError(f"{path.name}, sheet {sheet.title} has more than {beyond}")
             if any(cell is not None for row in rows for cell in row):
                 sheets.append((sheet.title, rows))
     if not sheets:
@@ -105,7 +121,7 @@ def read_excel(path: Path) -> list[Column]:
         check_width(where, width)
         of_sheet = _table([[*row[:width], *[None] * (width - len(row))] for row in rows], where)
         columns += [replace(column, name=f"{prefix}{column.name}") for column in of_sheet]
-    return columns
+    return contents_of(columns)
 
 
 def _decode(raw: bytes, name: str) -> str:

@@ -28,6 +28,7 @@ from foten.simulation.contact_mechanics import (
 )
 from foten.simulation.simulate import sensor_channels
 from foten.simulation.stroking import Stroking, stroking
+from foten.untrusted import check_content
 
 SUFFIXES = (".png", ".tif", ".tiff", ".jpg", ".jpeg", ".bmp", ".exr")
 MAX_PIXELS = 100_000_000
@@ -37,6 +38,11 @@ MAX_DEPTH_MM = 10.0
 NORMAL_LENGTH = 0.08  # standard deviation of the length of a pixel's normal, of a normal map at most
 NORMAL_SHARE = 0.9  # of pixels whose normal points out of the surface
 MIN_PERIOD_PROMINENCE_DB = 14.0  # of a photo's spectral peak, that proposes a period (measured on 21 photos)
+
+
+def picture_contents(path: Path) -> tuple[None, list[Array]]:
+    """Values of a picture, for `datasets.isolated`: its libraries may crash, or write to the terminal."""
+    return None, [read_picture(path)]
 
 
 def read_picture(path: Path) -> Array:
@@ -74,6 +80,7 @@ def _read_image(path: Path) -> Array:
                 raise ValueError(
                     f"{path.name} has {image.width} × {image.height} pixels, expected {MAX_PIXELS / 1e6:g} million"
                 )
+            check_content(path, 2 * image.width * image.height * len(image.getbands()))  # a value has 16 bits at most
             if image.mode in ("P", "LA", "RGBA", "CMYK", "1"):
                 image = image.convert("RGB")
             pixels: NDArray[Any] = np.asarray(image)
