@@ -69,7 +69,7 @@ BAD = [
     ),
     ("low = 0\nhigh = 120", "low = nan", "question age: low and high are nan and 1e"),
     ('at = "end"', "low = 3", "question remarks: low and high are 3 and 1e.*, expected bounds of a number in order"),
-    ("title =", "title", "study.toml is no TOML"),
+    ("title =", "title", "study.toml: this is not TOML"),
     ('language = "en"', 'language = "tlh"', "language is 'tlh', expected one of en, de, fr, es, ja, ko, zh"),
     ('language = "en"', 'language = ["en"]', r"language is \['en'\], expected one of en"),
     ("[task]", '[words]\nnxt = "On"\n[task]', r"\[words\] has 'nxt', expected a key of .*: is 'next' meant\?"),

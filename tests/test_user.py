@@ -251,6 +251,7 @@ def test_a_profile_comes_back_from_its_file(tmp_path: Path) -> None:
         ({"answers": [["detect", [160], 0]]}, "which is none to any question"),
         ({"answers": [["match:a", [0.1, 0.2], 2]]}, "which is none to any question"),
         ({"max_db": []}, "max_db of the user has 0 figures, expected 5"),
+        ({"answers": [["detect", [160, -45, 0], 1e999]]}, "u.json holds a number that is not finite"),
         ({"volume_db": None}, "volume_db of the user is no finite number"),
         ({"name": 3}, "name, actuator, unit and texture of the user are text"),
     ],

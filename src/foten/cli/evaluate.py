@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 from typer import Argument, Option
 
 from foten.console import JsonOption, TextureFile, check_folder, preload, print_result, say
+from foten.untrusted import printable
 
 if TYPE_CHECKING:
     from foten.models.texture_file import Texture
@@ -70,7 +71,7 @@ def info(texture_file: TextureFile, as_json: JsonOption = False) -> None:
     from foten.runtime.native import NativeTexture
 
     texture = read_texture(texture_file)
-    NativeTexture(texture.to_bytes())  # which replays the golden windows
+    NativeTexture(texture)  # which replays the golden windows
     card = texture.card
     parts = {name: t for name, t in texture.tensors.items() if not name.startswith(("golden.", "warm_start"))}
     cost = texture.sizes.multiply_adds() or card["metrics"]["multiply_adds"]
@@ -99,7 +100,7 @@ def info(texture_file: TextureFile, as_json: JsonOption = False) -> None:
         "sha256": texture.sha256(),
         "proof": "golden windows (stored predictions) reproduced",
     }
-    text = "\n".join(f"{name:14s}{value}" for name, value in rows.items())
+    text = "\n".join(f"{name:14s}{printable(value)}" for name, value in rows.items())
     print_result({"sha256": texture.sha256(), **card}, text, as_json)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -182,7 +183,7 @@ def import_(
     from foten.recording.recording import joined_takes
 
     _check_recording(output)
-    if any(file.resolve() == output.resolve() for file in (*files, *([pen] if pen else []))):
+    if any(os.path.realpath(file) == os.path.realpath(output) for file in (*files, *([pen] if pen else []))):
         raise ValueError(f"-o {output} is a file to import, which it would replace: give another name")
     rate_hz, rates_hz = parse_rates(rate or [])
     pairs, units_of = parse_pairs(mapping or [], "--map"), dict(parse_pairs(units or [], "--unit"))
@@ -279,8 +280,8 @@ def _import_models(files: list[Path], output: Path, texture: str, notes: str, as
     if output.suffix != ".foten":
         raise ValueError(f"models are written as a texture file, .foten, got -o {output.name}")
     check_files([output])
-    digest = hashlib.sha256(files[0].read_bytes()).hexdigest()
-    imported, decisions = imported_texture(read_models(files[0]), digest, texture, notes=notes)
+    models, digest = read_models(files[0]), hashlib.sha256(files[0].read_bytes()).hexdigest()
+    imported, decisions = imported_texture(models, digest, texture, notes=notes)
     for decision in decisions:
         say(decision)
     write_texture(imported, output)

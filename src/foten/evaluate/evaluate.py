@@ -128,7 +128,7 @@ def evaluate(
             "ar_best": best_linear(samples, train, split.validation, block),
         }
     reference = simulated() if callable(simulated) else simulated or SimulatorReference()
-    case = _Case(texture, NativeTexture(texture.to_bytes()), trace, blocks, split, reference, seed)
+    case = _Case(texture, NativeTexture(texture), trace, blocks, split, reference, seed)
     one_step_scores = _one_step(case, samples, fitted)
     on_stage("free run")
     free, synthesized = _free_run(case, fitted.get("ar"))

@@ -7,7 +7,6 @@ import hashlib
 import itertools
 import json
 import re
-import tomllib
 import zlib
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields, replace
@@ -20,6 +19,7 @@ from foten.recording.preprocess import PreprocessConfig
 from foten.recording.recording import Recording
 from foten.simulation.simulate import CONTACT, LINEAR_FAMILY, OTHER_LINEAR, TEXTURES, TWO_MASS, check_seconds, simulate
 from foten.training.config import FILTERS, OWN_RECIPES, RECIPES, TrainConfig, check_recipe, check_used
+from foten.untrusted import check_regular, parse_toml
 
 RECORDED = (".h5", ".hdf5")
 OF_FIRST_SPLIT = ("stability", "onset")  # measures that are taken of no other split
@@ -213,7 +213,7 @@ def of_lines(runs: Iterable[Run], only: Sequence[str]) -> list[Run]:
 def experiments() -> dict[str, str]:
     """Titles of the experiments that come with foten, by name."""
     paths = sorted(Path(__file__).parent.glob("*.toml"), key=lambda path: path.stem)
-    return {path.stem: tomllib.loads(path.read_text(encoding="utf-8"))["title"] for path in paths}
+    return {path.stem: parse_toml(path.read_bytes())["title"] for path in paths}
 
 
 def experiment_path(name: str) -> Path:
@@ -238,12 +238,11 @@ def read_experiment(path: Path, recordings: Path | None = None) -> Experiment:
         OSError: there is none.
         ValueError: it is no TOML, or has an unknown key or a value that does not fit.
     """
+    check_regular(path)
     try:
-        experiment = _experiment(tomllib.loads(path.read_text(encoding="utf-8")), recordings or path.parent)
+        experiment = _experiment(parse_toml(path.read_bytes()), recordings or path.parent)
         experiment.runs()  # refuses settings that do not fit
         return experiment
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise ValueError(f"{path.name}: this is not TOML ({error})") from error
     except ValueError as error:
         raise ValueError(f"{path.name}: {error}") from error
 

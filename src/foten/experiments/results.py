@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import itertools
-import json
 import math
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
@@ -16,6 +15,7 @@ import numpy as np
 
 from foten.experiments.experiment import Run
 from foten.reporting.table import Table
+from foten.untrusted import check_regular, parse_json
 
 Results = Sequence[Mapping[str, Any]]  # result files of a sweep, with the signals that figures are drawn from
 Record = Mapping[str, Any]  # a run: names, settings, and figures by their paths; a row of `runs.csv`
@@ -59,7 +59,8 @@ _TEXTS = (
 def read_result(path: Path) -> dict[str, Any] | None:
     """Result in a file; None where no record can be made of it."""
     try:
-        result: dict[str, Any] = json.loads(path.read_bytes())
+        check_regular(path)
+        result: dict[str, Any] = parse_json(path.read_bytes())
         _record(result)
     except (ValueError, KeyError, TypeError, OSError):
         return None
@@ -233,6 +234,7 @@ def read_records(path: Path) -> list[dict[str, Any]]:
     """
     if path.suffix != ".csv":
         return records_of(read_results(path, mixed=True))
+    check_regular(path)
     try:
         with path.open(encoding="utf-8-sig", newline="") as file:  # a spreadsheet writes a mark before the first name
             rows = list(csv.DictReader(file))

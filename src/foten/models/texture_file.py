@@ -9,7 +9,7 @@ import hashlib
 import json
 import struct
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +25,7 @@ from foten.recording.recording import RELATIVE, UNITS, range_in_words
 from foten.recording.scaling import Scaling
 from foten.recording.split import Split
 from foten.recording.trace import CHANNELS
-from foten.untrusted import check_numbers, check_regular, parse_json
+from foten.untrusted import check_numbers, check_regular, parse_json, printable
 
 FORMAT_VERSION = 5
 ONE_STEP_TOLERANCE = 1e-5  # scaled; float32 arithmetic of the network
@@ -57,6 +57,7 @@ class Texture:
 
     card: Mapping[str, Any]  # as `_CARD` lists it; units m/s², mm/s, N
     tensors: Mapping[str, NDArray[Any]]  # float32 or float64
+    file: str = ""  # that it was read from, for messages
 
     @property
     def rate_hz(self) -> float:
@@ -179,7 +180,7 @@ def read_texture(path: Path | str) -> Texture:
     path = Path(path)
     check_regular(path)
     try:
-        return texture_from_bytes(path.read_bytes())
+        return replace(texture_from_bytes(path.read_bytes()), file=path.name)
     except ValueError as error:
         raise ValueError(f"{path.name}: {error}") from error
 
@@ -215,6 +216,8 @@ def texture_from_bytes(data: bytes) -> Texture:
         raise ValueError(f"the card is not JSON ({error})") from error
     check_card(card)
     check_numbers(card, "the card")
+    for key in card.keys() - {"sensors", "notes"}:  # which alone may have several lines
+        card[key] = printable(card[key]) if isinstance(card[key], str) else card[key]
     texture = Texture(card=card, tensors=tensors)
     _check_tensors(texture)
     return texture

@@ -13,6 +13,7 @@ from typing import Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
+from foten.models.texture_file import Texture
 from foten.runtime import binding
 from foten.runtime.binding import NativeActuator, NativeStatistics, library
 
@@ -37,9 +38,10 @@ class NativeInfo:
 
 
 class NativeTexture:
-    """Texture file loaded by the kernel, for any number of states; ValueError says what is wrong in it."""
+    """Texture file loaded by the kernel, for any number of states; ValueError says what is wrong in it, and in which file."""
 
-    def __init__(self, data: bytes) -> None:
+    def __init__(self, texture: bytes | Texture) -> None:
+        data, file = (texture, "") if isinstance(texture, bytes) else (texture.to_bytes(), texture.file)
         self.pointer, why = c_void_p(), ctypes.create_string_buffer(512)
         ends = byref(self.pointer), why, len(why)
         self._failed: list[BaseException] = []
@@ -49,7 +51,8 @@ class NativeTexture:
             status = library().foten_model_load_with(data, len(data), self._callback, None, *ends)
             self.raise_failed()
         if status != 0:
-            raise (MemoryError if status == binding.NO_MEMORY else ValueError)(why.value.decode(errors="replace"))
+            message = f"{file}: {why.value.decode(errors='replace')}".removeprefix(": ")
+            raise (MemoryError if status == binding.NO_MEMORY else ValueError)(message)
         info = library().foten_model_info(self.pointer)
         fields = {name: getattr(info, name) for name, *_ in binding.Info._fields_}
         fields |= {name: fields[name].decode(errors="replace") for name in ("model", "texture")}

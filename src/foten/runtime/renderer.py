@@ -132,10 +132,8 @@ def _check_uint64(name: str, value: int) -> None:
 def _native(texture: str | PathLike[str] | bytes | Texture | NativeTexture) -> NativeTexture:
     if isinstance(texture, NativeTexture):
         return texture
-    if isinstance(texture, bytes):
+    if isinstance(texture, bytes | Texture):
         return NativeTexture(texture)
-    if isinstance(texture, Texture):
-        return NativeTexture(texture.to_bytes())
     path = Path(texture)
     check_regular(path)
     try:

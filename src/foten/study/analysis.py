@@ -5,7 +5,6 @@ Ratings and thresholds are here; choices between surfaces are analysed in `choic
 
 from __future__ import annotations
 
-import tomllib
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -33,6 +32,7 @@ from foten.study.statistics import (
 )
 from foten.study.store import Store
 from foten.study.thresholds import is_reached, level_search, noticeable_db
+from foten.untrusted import parse_toml
 
 MIN_RELIABILITY = 0.2  # correlation with the others, below which a participant is named
 MIN_CORRELATED = 4  # conditions: of two a correlation is 1 or −1
@@ -161,7 +161,7 @@ def read_ratings(store: Store) -> list[Ratings]:
         return result
     complete = _who_ended(store, rows, numbers)
     if task.kind == "threshold":
-        plays_in_page = tomllib.loads(str(store.study["design"])).get("output", {}).get("to", "page") == "page"
+        plays_in_page = parse_toml(str(store.study["design"])).get("output", {}).get("to", "page") == "page"
         thresholds = _thresholds(task, rows, plays_in_page)
         values = np.full((len(numbers), len(methods), len(textures)), np.nan)
         for one in thresholds:

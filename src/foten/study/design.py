@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import os
 import re
-import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import MISSING, dataclass, field, fields, replace
 from pathlib import Path
@@ -15,7 +14,7 @@ from typing import Any
 from foten.models.texture_file import read_texture
 from foten.study.languages import ENGLISH, Language, filled, read_language
 from foten.study.orders import conditions
-from foten.untrusted import check_regular
+from foten.untrusted import check_regular, parse_toml
 
 WHEN = ("start", "end")
 KINDS = ("text", "number", "choice", "slider")
@@ -206,18 +205,14 @@ def read_design(path: Path) -> tuple[Design, str]:
     check_regular(path)
     try:
         text = path.read_text(encoding="utf-8")
-        document = tomllib.loads(text)
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise ValueError(f"{path.name} is no TOML: {error}") from error
-    try:
-        return _design(document, path.parent), text
+        return _design(parse_toml(text), path.parent), text
     except ValueError as error:
         raise ValueError(f"{path.name}: {error}") from error
 
 
 def task_of(text: str) -> tuple[Task, tuple[Scale, ...]]:
     """Task and scales of a study file's text, whatever became of the files that it names."""
-    document = tomllib.loads(text)
+    document = parse_toml(text)
     task = _worded(_filled(Task, document.get("task", {}), "[task]", Path()), _language(document))
     scales = tuple(
         _filled(Scale, table, f"scale {i + 1}", Path()) for i, table in enumerate(document.get("scales", []))

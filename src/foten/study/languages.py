@@ -5,7 +5,6 @@ from __future__ import annotations
 import difflib
 import json
 import re
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
@@ -13,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from foten.studio.page_files import PAGE
+from foten.untrusted import parse_toml
 
 TABLES = Path(__file__).with_name("languages.toml")
 ENGLISH = "en"
@@ -83,7 +83,7 @@ def _check(where: str, words: Mapping[str, str], expected: Mapping[str, str]) ->
 @cache
 def _tables() -> dict[str, Any]:
     """Tables by code; English with the words of the page that sets up a tablet, which are written there."""
-    tables = tomllib.loads(TABLES.read_text(encoding="utf-8"))
+    tables = parse_toml(TABLES.read_bytes())
     script = (PAGE / "settings.js").read_text(encoding="utf-8")
     match = re.search(r"^export const WORDS = (\{.*?^\});", script, re.DOTALL | re.MULTILINE)
     assert match is not None
