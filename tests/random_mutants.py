@@ -26,7 +26,6 @@ import signal
 import subprocess
 import sys
 import time
-import traceback
 from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from contextlib import suppress
@@ -42,10 +41,11 @@ CMAKE = shutil.which("cmake", path=os.pathsep.join([str(Path(sys.executable).par
 C, TOP = "native", "foten"  # packages of the kernel, and of the modules that are in none
 OPERATORS = ("comparison", "plus or minus", "constant", "off by one", "swapped arguments", "dropped call")
 OTHER = {"<": "<=", "<=": "<", ">": ">=", ">=": ">", "==": "!=", "!=": "==", "+": "-", "-": "+", "+=": "-=", "-=": "+="}
-COMPARISONS = {
+OTHER_NODE: dict[type, type] = {
     **{ast.Lt: ast.LtE, ast.LtE: ast.Lt, ast.Gt: ast.GtE, ast.GtE: ast.Gt, ast.Eq: ast.NotEq, ast.NotEq: ast.Eq},
-    **{ast.Is: ast.IsNot, ast.IsNot: ast.Is, ast.In: ast.NotIn, ast.NotIn: ast.In},
+    **{ast.Is: ast.IsNot, ast.IsNot: ast.Is, ast.In: ast.NotIn, ast.NotIn: ast.In, ast.Add: ast.Sub, ast.Sub: ast.Add},
 }
+CHANGED = ast.Compare | ast.BinOp | ast.AugAssign | ast.Constant | ast.Call | ast.Expr
 # Calls whose first two arguments may change places.
 COMMUTATIVE = re.compile(r"f?(max|min)f?|maximum|minimum|hypot|isclose|allclose|array_equal|gcd|logaddexp|fabs")
 LARGEST_INDEX = 10  # above it, a whole number is a constant and no count of places
@@ -120,15 +120,14 @@ Found = tuple[str, int, str, str, Callable[[], str]]
 def python_changes(source: str) -> Iterator[Found]:
     """Changes of nodes of the syntax tree; annotations, and what runs for a type checker alone, are left out."""
     for index, (scope, node) in enumerate(_nodes(ast.parse(source), "")):
-        for operator, change in PYTHON.items():
-            if not isinstance(node, CHANGED) or (changed := change(copy.deepcopy(node))) is None:
+        for operator in OPERATORS if isinstance(node, CHANGED) else ():
+            if (changed := _changed(copy.deepcopy(node), operator)) is None:
                 continue
 
-            def apply(index: int = index, change: Callable[[Any], Any] = change) -> str:
+            def apply(index: int = index, operator: str = operator) -> str:
                 tree = ast.parse(source)
                 (node,) = (node for _, node in itertools.islice(_nodes(tree, ""), index, index + 1))
-                place = copy.copy(node)
-                return ast.unparse(_Swap(node, change(place)).visit(tree))
+                return ast.unparse(_Swap(node, _changed(copy.copy(node), operator)).visit(tree))
 
             yield scope, node.lineno, operator, f"{ast.unparse(node)} → {ast.unparse(changed)}", apply
 
@@ -156,65 +155,41 @@ def _nodes(node: Any, scope: str) -> Iterator[tuple[str, Any]]:
                 yield from _nodes(child, scope)
 
 
-def _comparison(node: Any) -> Any:
-    if isinstance(node, ast.Compare) and type(node.ops[0]) in COMPARISONS:
-        node.ops = [COMPARISONS[type(node.ops[0])](), *node.ops[1:]]
-        return node
-    return None
-
-
-def _sign(node: Any) -> Any:
-    texts = [getattr(node, side, None) for side in ("left", "right", "value")]
-    if isinstance(getattr(node, "op", None), ast.Add | ast.Sub) and not any(map(_is_text, texts)):
-        node.op = ast.Sub() if isinstance(node.op, ast.Add) else ast.Add()
-        return node
-    return None
-
-
-def _constant(node: Any) -> Any:
-    value = getattr(node, "value", None)
-    if isinstance(value, bool) or (isinstance(value, int | float) and value != 0 and not _counts(value)):
-        node.value = not value if isinstance(value, bool) else 2 * value
-        return node
-    return None
-
-
-def _off_by_one(node: Any) -> Any:
-    if _counts(getattr(node, "value", None)):
-        node.value += 1
-        return node
-    return None
-
-
-def _counts(value: Any) -> bool:
-    return type(value) is int and value <= LARGEST_INDEX
-
-
-def _swapped(node: Any) -> Any:
-    if (
-        not isinstance(node, ast.Call)
-        or len(node.args) < 2
-        or COMMUTATIVE.fullmatch(ast.unparse(node.func).split(".")[-1])
-    ):
-        return None
-    first, second, *others = node.args
-    if isinstance(first, ast.Starred) or isinstance(second, ast.Starred) or ast.dump(first) == ast.dump(second):
-        return None
-    node.args = [second, first, *others]
+def _changed(node: Any, operator: str) -> Any:
+    """A node, changed in place, or another for it; None where the operator does not fit."""
+    match operator, node:
+        case "comparison", ast.Compare(ops=[first, *others]) if type(first) in OTHER_NODE:
+            node.ops = [OTHER_NODE[type(first)](), *others]
+        case "plus or minus", ast.BinOp(left=one, right=other, op=ast.Add() | ast.Sub()) if not _is_text(one, other):
+            node.op = OTHER_NODE[type(node.op)]()
+        case "plus or minus", ast.AugAssign(value=value, op=ast.Add() | ast.Sub()) if not _is_text(value):
+            node.op = OTHER_NODE[type(node.op)]()
+        case "constant", ast.Constant(value=bool()):
+            node.value = not node.value
+        case "constant", ast.Constant(value=int() | float() as value) if value and not _is_count(value):
+            node.value = 2 * value
+        case "off by one", ast.Constant(value=int() as value) if _is_count(value):
+            node.value = value + 1
+        case "swapped arguments", ast.Call(args=[first, second, *others]) if not (
+            COMMUTATIVE.fullmatch(ast.unparse(node.func).split(".")[-1])
+            or isinstance(first, ast.Starred)
+            or isinstance(second, ast.Starred)
+            or ast.dump(first) == ast.dump(second)
+        ):
+            node.args = [second, first, *others]
+        case "dropped call", ast.Expr(value=ast.Call() | ast.Await(value=ast.Call())):
+            return ast.Pass()
+        case _:
+            return None
     return node
 
 
-def _dropped(node: Any) -> Any:
-    call = node.value if isinstance(node, ast.Expr) else None
-    return ast.Pass() if isinstance(call.value if isinstance(call, ast.Await) else call, ast.Call) else None
+def _is_count(value: Any) -> bool:
+    return type(value) is int and value <= LARGEST_INDEX
 
 
-PYTHON = dict(zip(OPERATORS, (_comparison, _sign, _constant, _off_by_one, _swapped, _dropped), strict=True))
-CHANGED = ast.Compare | ast.BinOp | ast.AugAssign | ast.Constant | ast.Call | ast.Expr
-
-
-def _is_text(node: Any) -> bool:
-    return isinstance(node, ast.JoinedStr) or (isinstance(node, ast.Constant) and isinstance(node.value, str | bytes))
+def _is_text(*nodes: Any) -> bool:
+    return any(isinstance(node, ast.JoinedStr) or isinstance(getattr(node, "value", 0), str | bytes) for node in nodes)
 
 
 TOKEN = re.compile(
@@ -299,9 +274,9 @@ class LineRecorder:
     """Plugin of pytest: which test executes which line, how long each takes, and which fail."""
 
     def __init__(self, folder: Path) -> None:
-        import coverage
-
-        self._coverage = coverage.Coverage(data_file=None, include=[f"{folder}/src/foten/*"], config_file=False)
+        self._coverage = importlib.import_module("coverage").Coverage(
+            data_file=None, include=[f"{folder}/src/foten/*"], config_file=False
+        )
         self._folder = folder
         self.result: dict[str, Any] = {"seconds": {}, "failed": [], "lines": {}}
 
@@ -325,56 +300,39 @@ class LineRecorder:
             self.result["lines"][str(Path(path).relative_to(self._folder))] = lines
 
 
-def run_pytest(folder: Path, arguments: list[str], limit_s: float, plugin: Callable[[], Any] | None = None) -> str:
+def run_pytest(folder: Path, arguments: list[str], limit_s: float, recorder: LineRecorder | None = None) -> str:
     """Run tests of a copy in a fork of this process, which has what they import: `passed`, `failed`, or `late`.
 
-    Args:
-        folder: the copy.
-        arguments: tests, and options of pytest.
-        limit_s: after which they are ended, with all processes that they started [s].
-        plugin: makes a plugin whose `result` is written to `record.json`.
+    What they started ends with them; what a recorder noted is in the copy's `record.json`.
     """
-    child = os.fork()
-    if child == 0:
-        status = 3
-        try:
-            os.setsid()
-            os.chdir(folder)
-            resource.setrlimit(resource.RLIMIT_DATA, (8 << 30, 8 << 30))
-            log = os.open(folder / "log.txt", os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
-            os.dup2(log, 1)
-            os.dup2(log, 2)
-            sys.meta_path[:] = [finder for finder in sys.meta_path if "ScikitBuild" not in type(finder).__name__]
-            sys.path[:0] = [str(folder / "src"), str(folder / "tests")]
-            os.environ["PYTHONPATH"] = os.pathsep.join([str(folder / "src"), str(folder / "shadow")])
-            import pytest
-
-            plugins = [plugin()] if plugin else []
-            options = ["-q", "-x"] if not plugin else ["-q"]
-            status = int(pytest.main([*options, "-p", "no:xdist", "-p", "no:cacheprovider", *arguments], plugins))
-            if plugin:
-                (folder / "record.json").write_text(json.dumps(plugins[0].result))
-        except BaseException:
-            traceback.print_exc()
-        finally:
-            sys.stdout.flush()
-            os._exit(status)
-    deadline = time.monotonic() + limit_s
-    while time.monotonic() < deadline:
-        pid, status = os.waitpid(child, os.WNOHANG)
-        if pid:
-            _end_group(child)
-            return "passed" if os.waitstatus_to_exitcode(status) in (0, 5) else "failed"
-        time.sleep(0.05)
-    _end_group(child)
-    os.waitpid(child, 0)
-    return "late"
-
-
-def _end_group(child: int) -> None:
-    """End what tests started and left behind, by the group that is theirs alone."""
+    child = multiprocessing.get_context("fork").Process(target=_pytest, args=(folder, arguments, recorder))
+    child.start()
+    child.join(limit_s)
+    outcome = {None: "late", 0: "passed", 5: "passed"}.get(child.exitcode, "failed")  # 5: nothing was selected
     with suppress(ProcessLookupError):
-        os.killpg(child, signal.SIGKILL)
+        os.killpg(child.pid or 0, signal.SIGKILL)  # a group that is theirs alone
+    child.join()
+    return outcome
+
+
+def _pytest(folder: Path, arguments: list[str], recorder: LineRecorder | None) -> None:
+    os.setsid()
+    os.chdir(folder)
+    resource.setrlimit(resource.RLIMIT_DATA, (8 << 30, 8 << 30))
+    log = os.open(folder / "log.txt", os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
+    os.dup2(log, 1)
+    os.dup2(log, 2)
+    sys.meta_path[:] = [finder for finder in sys.meta_path if "ScikitBuild" not in type(finder).__name__]
+    sys.path[:0] = [str(folder / "src"), str(folder / "tests")]
+    os.environ["PYTHONPATH"] = os.pathsep.join([str(folder / "src"), str(folder / "shadow")])
+    import pytest
+
+    options = ["-q", "-p", "no:xdist", "-p", "no:cacheprovider", *([] if recorder else ["-x"])]
+    status = pytest.main([*options, *arguments], [recorder] if recorder else [])
+    if recorder:
+        (folder / "record.json").write_text(json.dumps(recorder.result))
+    sys.stdout.flush()
+    os._exit(int(status))
 
 
 def copy_tree(folder: Path) -> None:
@@ -422,12 +380,12 @@ def fresh_copy(number: int) -> Path:
 
 def record(folder: Path, test: str) -> dict[str, Any]:
     """What a file of tests executes, recorded once for its text, with the digests of the sources at that time."""
-    text = (ROOT / "tests" / "conftest.py").read_bytes() + (ROOT / test).read_bytes()
-    stored = WORK / "lines" / f"{Path(test).stem}-{_digest(text)}.json"
+    stored = WORK / "lines" / f"{Path(test).stem}-{_digest((ROOT / test).read_bytes())}.json"
     if not stored.exists():
         selected = ["-m", "not slow and not gpu and not browser", test]
-        digests = {str(path.relative_to(ROOT)): _digest(path.read_bytes()) for path in sources()}
-        run_pytest(folder, selected, 1200, lambda: LineRecorder(folder))
+        paths = [path.relative_to(ROOT) for path in sources()]
+        digests = {str(path): _digest((folder / path).read_bytes()) for path in paths}
+        run_pytest(folder, selected, 1200, LineRecorder(folder))
         result = json.loads((folder / "record.json").read_text())
         (folder / "record.json").unlink()
         stored.parent.mkdir(parents=True, exist_ok=True)
