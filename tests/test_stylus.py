@@ -22,6 +22,11 @@ RATE = 1000.0
 CURVE = PressureCalibration()
 
 
+@pytest.fixture
+def stylus(texture: Texture) -> Stylus:
+    return Stylus(Renderer(texture))
+
+
 def lowpassed(signal: np.ndarray) -> np.ndarray:
     """A signal through the low-pass that recordings went through."""
     rows = [[b0, b1, b2, 1.0, a1, a2] for b0, b1, b2, a1, a2 in butterworth("lowpass", 20.0, RATE)]
@@ -51,7 +56,7 @@ def lag_of(found: np.ndarray, truth: np.ndarray) -> int:
 
 
 @pytest.mark.parametrize(("events_hz", "max_ms"), [(60.0, 8), (120.0, 6), (240.0, 5)])
-def test_it_finds_the_speed_and_force_of_a_hand(texture: Texture, events_hz: float, max_ms: int) -> None:
+def test_it_finds_the_speed_and_force_of_a_hand(stylus: Stylus, events_hz: float, max_ms: int) -> None:
     """Truth: the simulated hand's own velocity and force through the same low-pass. Irregular events, told up to 5 ms late."""
     seconds, rng = 12.0, np.random.default_rng(1)
     stroked = stroking(seconds, 3, RATE)
@@ -64,7 +69,7 @@ def test_it_finds_the_speed_and_force_of_a_hand(texture: Texture, events_hz: flo
         [*(np.interp(at, t, axis) for axis in stroked.position.T), np.clip(pressed, 1e-3, 1.0), at], axis=1
     )
     late = np.minimum(0.002 * np.abs(rng.standard_normal(at.size)), 0.005)
-    found = hands(Stylus(Renderer(texture)), events, n, late)[500:-500]
+    found = hands(stylus, events, n, late)[500:-500]
     speed = np.hypot(*(lowpassed(axis) for axis in stroked.velocity.T))[500:-500]
     lag = lag_of(found[:, 0], speed)
     assert lag <= max_ms
@@ -74,10 +79,9 @@ def test_it_finds_the_speed_and_force_of_a_hand(texture: Texture, events_hz: flo
     assert lag_of(found[:, 1], force) <= 1000 / events_hz + 5
 
 
-def test_a_steady_stroke_is_its_speed_and_force(texture: Texture) -> None:
+def test_a_steady_stroke_is_its_speed_and_force(stylus: Stylus) -> None:
     at = np.arange(0.0, 2.0, 1 / 133)
     events = np.stack([80 * at, 60 * at, np.full(at.size, 0.5), at + 1e6], axis=1)  # a device's clock begins anywhere
-    stylus = Stylus(Renderer(texture))
     found = hands(stylus, events - [0, 0, 0, 1e6], 1900)[-200:]
     np.testing.assert_allclose(found[:, 0], 100.0, rtol=1e-6)
     np.testing.assert_allclose(found[:, 1], CURVE.force(np.array([0.5]))[0], rtol=1e-6)
@@ -113,12 +117,11 @@ def test_a_force_may_be_the_same_at_any_pressure(texture: Texture) -> None:
     assert [stylus.next_condition()[1] for _ in range(1000)][-1] == pytest.approx(0.8, rel=1e-6)
 
 
-def test_lifting_is_quiet_and_landing_elsewhere_is_no_stroke(texture: Texture) -> None:
+def test_lifting_is_quiet_and_landing_elsewhere_is_no_stroke(stylus: Stylus) -> None:
     """Speed and force fall and rise as the low-pass does: never faster than it lets a step."""
     first = stroke_at(np.arange(0.0, 1.0, 0.01))
     lifted = np.array([[100.0, 0.0, 0.0, 1.0]])
     second = first + np.array([5000.0, 300.0, 0.0, 1.5])
-    stylus = Stylus(Renderer(texture))
     found = hands(stylus, np.concatenate([first, lifted, second]), 2600)
     assert found[1200:1500, 0].max() < 0.1
     assert found[1200:1500, 1].max() < 1e-3
@@ -131,21 +134,21 @@ def test_lifting_is_quiet_and_landing_elsewhere_is_no_stroke(texture: Texture) -
 
 @pytest.mark.parametrize("events_hz", [60.0, 120.0, 240.0])
 @pytest.mark.parametrize("angle", [0.0, 0.6])
-def test_a_pen_that_stops_does_not_turn_back(texture: Texture, events_hz: float, angle: float) -> None:
+def test_a_pen_that_stops_does_not_turn_back(stylus: Stylus, events_hz: float, angle: float) -> None:
     """The tablet goes on telling the same place. A second-order low-pass undershoots a step by 4.3 %, and nothing adds to it."""
     at = np.arange(0.0, 1.0, 1 / events_hz)
     path = 200 * np.minimum(at, 0.5)
     events = np.stack([np.cos(angle) * path, np.sin(angle) * path, np.full(at.size, 0.5), at], axis=1)
-    speed = hands(Stylus(Renderer(texture)), events, 990)[:, 0]
+    speed = hands(stylus, events, 990)[:, 0]
     falling = 500 + int(np.argmax(speed[500:] < 100))
     lowest = falling + int(np.argmax(np.diff(speed[falling:]) > 0))
     assert speed[lowest:].max() < 1.05 * 0.043 * 200
 
 
-def test_a_pen_that_rests_is_still_and_pressed(texture: Texture) -> None:
+def test_a_pen_that_rests_is_still_and_pressed(stylus: Stylus) -> None:
     """Browsers tell nothing of a pen that does not move."""
     events = stroke_at(np.arange(0.0, 0.5, 0.008))
-    found = hands(Stylus(Renderer(texture)), events, 1500)
+    found = hands(stylus, events, 1500)
     assert found[-300:, 0].max() < 1e-3
     np.testing.assert_allclose(found[-300:, 1], CURVE.force(np.array([0.5]))[0], rtol=1e-6)
 
@@ -165,7 +168,7 @@ def test_what_a_pen_did_before_it_stood_still_adds_nothing_to_its_next_movement(
     assert after[0].max() > 10
 
 
-def test_what_is_wrong_is_counted_and_does_no_harm(texture: Texture) -> None:
+def test_what_is_wrong_is_counted_and_does_no_harm(texture: Texture, stylus: Stylus) -> None:
     events = stroke_at(np.arange(0.0, 2.0, 0.008))
     clean = hands(Stylus(Renderer(texture)), events, 1900)
     rng = np.random.default_rng(0)
@@ -178,7 +181,6 @@ def test_what_is_wrong_is_counted_and_does_no_harm(texture: Texture) -> None:
             spoiled.append(np.where(rng.random(4) < 0.5, np.nan, event) * [1, 1, np.inf, 1])
         if rng.random() < 0.1:
             spoiled.append(event - [0, 0, 0, 0.5])  # late by half a second
-    stylus = Stylus(Renderer(texture))
     out, k = np.empty((1900, 2)), 0
     for i in range(1900):
         while k < len(spoiled) and (not np.isfinite(spoiled[k][3]) or spoiled[k][3] <= i / RATE):
@@ -191,17 +193,15 @@ def test_what_is_wrong_is_counted_and_does_no_harm(texture: Texture) -> None:
     assert stylus.stats.n == len(events[events[:, 3] <= 1.899])
 
 
-def test_a_clock_that_begins_anew_is_followed(texture: Texture) -> None:
+def test_a_clock_that_begins_anew_is_followed(stylus: Stylus) -> None:
     events = stroke_at(np.arange(0.0, 1.0, 0.008))
-    stylus = Stylus(Renderer(texture))
     hands(stylus, events, 1000)
     found = hands(stylus, events, 1000)  # a second earlier than the last
     np.testing.assert_allclose(found[-200:, 0], 100.0, rtol=1e-3)
     assert stylus.stats.n_late == 8  # those after which it is believed
 
 
-def test_more_than_can_wait_is_dropped_and_pressure_is_cut(texture: Texture) -> None:
-    stylus = Stylus(Renderer(texture))
+def test_more_than_can_wait_is_dropped_and_pressure_is_cut(stylus: Stylus) -> None:
     for i in range(300):
         stylus.push(i, 0.0, 1.5, 0.001 * i)
     assert stylus.stats.n_dropped == 300 - 256
@@ -209,12 +209,11 @@ def test_more_than_can_wait_is_dropped_and_pressure_is_cut(texture: Texture) -> 
     assert np.isfinite(stylus.next_condition()).all()
 
 
-def test_events_that_came_at_once_do_not_make_jumps_of_the_rest(texture: Texture) -> None:
+def test_events_that_came_at_once_do_not_make_jumps_of_the_rest(stylus: Stylus) -> None:
     """A tablet that kept 200 events back and told them within 2 ms: the usual step fell to nothing, and each event was a jump.
 
     Its own steps are longer than the 40 ms that a gap lasts at least, so that only the usual one tells them from a gap.
     """
-    stylus = Stylus(Renderer(texture))
     for k in range(200):
         stylus.push(1e-3 * k, 0.0, 0.5, 1e-5 * k)
     stylus.next_condition()
@@ -228,10 +227,9 @@ def test_events_that_came_at_once_do_not_make_jumps_of_the_rest(texture: Texture
     ("step_s", "gap_s", "n_jumps"), [(0.001, 0.035, 0), (0.001, 0.045, 1), (0.008, 0.075, 0), (0.008, 0.085, 1)]
 )
 def test_a_gap_of_ten_usual_steps_and_of_40_ms_is_a_pen_out_of_reach(
-    texture: Texture, step_s: float, gap_s: float, n_jumps: int
+    stylus: Stylus, step_s: float, gap_s: float, n_jumps: int
 ) -> None:
     """What was moved in the gap is no stroke then: the velocity of the first event after it is unknown, and 0."""
-    stylus = Stylus(Renderer(texture))
     before = stroke_at(np.arange(0.0, 1.0, step_s))
     landed = before[-1] + np.array([100 * gap_s, 0.0, 0.0, gap_s])
     found = hands(stylus, np.concatenate([before, [landed]]), int(1000 * landed[3]) + 22)
@@ -240,19 +238,17 @@ def test_a_gap_of_ten_usual_steps_and_of_40_ms_is_a_pen_out_of_reach(
 
 
 @pytest.mark.parametrize(("speed", "is_jump"), [(4900.0, False), (5100.0, True)])
-def test_what_moves_faster_than_5_m_per_second_is_a_jump(texture: Texture, speed: float, is_jump: bool) -> None:
-    stylus = Stylus(Renderer(texture))
+def test_what_moves_faster_than_5_m_per_second_is_a_jump(stylus: Stylus, speed: float, is_jump: bool) -> None:
     events = stroke_at(np.arange(0.0, 0.5, 0.008), speed)
     found = hands(stylus, events, 500)
     assert stylus.stats.n_jumps == is_jump * (len(events) - 1)
     assert found[-1, 0] == pytest.approx(0.0 if is_jump else speed, rel=1e-3)
 
 
-def test_a_jump_lets_go_at_once(texture: Texture) -> None:
+def test_a_jump_lets_go_at_once(stylus: Stylus) -> None:
     """Oracle: the low-pass of the velocity that is held, up to the jump and not until the pen counts as still, 25 ms later."""
     events = stroke_at(np.arange(0.0, 0.5, 0.008))
     jump = events[-1] + np.array([1000.0, 0.0, 0.0, 0.008])
-    stylus = Stylus(Renderer(texture))
     found = hands(stylus, np.concatenate([events, [jump]]), 600)
     first, landed = (int(np.ceil(1000 * time)) for time in (events[1, 3], jump[3]))
     held = np.zeros(600)
@@ -262,14 +258,12 @@ def test_a_jump_lets_go_at_once(texture: Texture) -> None:
     assert found[-1, 1] == pytest.approx(CURVE.force(np.array([0.5]))[0], rel=1e-6)  # it presses where it landed
 
 
-def test_late_events_out_of_order_are_no_new_clock(texture: Texture) -> None:
+def test_late_events_out_of_order_are_no_new_clock(texture: Texture, stylus: Stylus) -> None:
     """A device that sends what it had kept, the newest first: a clock that began anew would run forwards."""
     events = stroke_at(np.arange(0.0, 1.0, 0.008))
     clean = hands(Stylus(Renderer(texture)), events, 990)
-    stylus = Stylus(Renderer(texture))
     resent = events[39:19:-1]
-    mixed = np.concatenate([events[:60], resent, events[60:]])
-    found = hands(stylus, mixed, 990)
+    found = hands(stylus, np.concatenate([events[:60], resent, events[60:]]), 990)
     np.testing.assert_allclose(found, clean, rtol=1e-9, atol=1e-9)
     assert stylus.stats.n_late == len(resent)
 
