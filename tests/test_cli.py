@@ -6,7 +6,8 @@ import dataclasses
 import errno
 import json
 import pickle
-from contextlib import AbstractContextManager
+from contextlib import AbstractContextManager, redirect_stderr, redirect_stdout
+from io import StringIO
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +28,14 @@ FAST = ["--trim", "0", "--block", "500", "--epochs", "1", "--threads", "1", "--w
 TINY = [f"--set={size}" for size in ("n_hidden=6", "head_width=5", "n_components=2")]
 
 
+def foten(*arguments: object, status: int = 0) -> tuple[str, str]:
+    """What a command writes to stdout and to stderr."""
+    with redirect_stdout(StringIO()) as out, redirect_stderr(StringIO()) as err:
+        result = _status([str(argument) for argument in arguments])
+    assert result == status, err.getvalue()
+    return out.getvalue(), err.getvalue()
+
+
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return tmp_path_factory.mktemp("cli")
@@ -35,23 +44,23 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def recording(folder: Path) -> Path:
     path = folder / "rec.h5"
-    assert _status(["simulate", "linear-twin", "--seconds", "8", "-o", str(path)]) == 0
+    foten("simulate", "linear-twin", "--seconds", "8", "-o", path)
     return path
 
 
 @pytest.fixture(scope="module")
 def texture(folder: Path, recording: Path) -> Path:
     path = folder / "t.foten"
-    assert _status(["train", str(recording), "-o", str(path), *FAST, *TINY]) == 0
+    foten("train", recording, "-o", path, *FAST, *TINY)
     return path
 
 
-def only_line(capsys: pytest.CaptureFixture[str]) -> str:
-    out, err = capsys.readouterr()
+def refusal(*arguments: object) -> str:
+    """The one line by which a command refuses; before it, nothing goes to stdout."""
+    out, err = foten(*arguments, status=2)
     assert out == ""
-    lines = [line for line in err.splitlines() if line.startswith("foten: ")]
-    assert len(lines) == 1
-    return lines[0]
+    (line,) = (line for line in err.splitlines() if line.startswith("foten: "))
+    return line
 
 
 def test_train_writes_a_texture_and_a_run_folder(folder: Path, texture: Path) -> None:
@@ -64,12 +73,8 @@ def test_train_writes_a_texture_and_a_run_folder(folder: Path, texture: Path) ->
     assert split["sha256"] == read_texture(texture).card["split_sha256"]
 
 
-def test_evaluate_prints_the_contracts_keys(
-    texture: Path, recording: Path, capsys: pytest.CaptureFixture[str], tmp_path: Path
-) -> None:
-    capsys.readouterr()
-    assert _status(["evaluate", str(texture), str(recording), "--json", "--report", str(tmp_path / "r")]) == 0
-    document = json.loads(capsys.readouterr().out)
+def test_evaluate_prints_the_contracts_keys(texture: Path, recording: Path, tmp_path: Path) -> None:
+    document = json.loads(foten("evaluate", texture, recording, "--json", "--report", tmp_path / "r")[0])
     assert (tmp_path / "r" / "report.html").exists()
     assert {"zero", "ar_best", "lattice", "bound", "bound_window"} <= set(document["references"])
     assert document["split"] == "regrouped"
@@ -81,43 +86,35 @@ def test_evaluate_prints_the_contracts_keys(
 
 
 def test_listeners_are_asked_where_they_are_asked_for(
-    texture: Path, recording: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    texture: Path, recording: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Under a long stroke of a simulated truth, beside two true ones; here with next to no training and a short one."""
     monkeypatch.setattr("foten.evaluate.listener_network.N_STEPS", 2)
     monkeypatch.setattr("foten.experiments.simulator_reference.LONG_S", 46.0)
-    capsys.readouterr()
-    assert _status(["evaluate", str(texture), str(recording), "--json", "--listener"]) == 0
-    scores = json.loads(capsys.readouterr().out)["listener"]
+    scores = json.loads(foten("evaluate", texture, recording, "--json", "--listener")[0])["listener"]
     for key in ("listener_auc", "listener_auc_waveform", "listener_auc_person"):
         assert 0 <= scores[key] <= 1
         assert 0 <= scores[f"{key}_control"] <= 1
     assert scores["listener_control_of"] == "other realisations of the same stroke"
     assert 40 < scores["listener_s"] < 46
-    assert _status(["evaluate", str(texture), str(recording)]) == 0
-    assert "Listener" not in capsys.readouterr().out
+    assert "Listener" not in foten("evaluate", texture, recording)[0]
 
 
-def test_a_foreign_recording_is_scored_on_all_of_its_blocks(
-    texture: Path, folder: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_foreign_recording_is_scored_on_all_of_its_blocks(texture: Path, folder: Path) -> None:
     other = folder / "other.h5"
-    assert _status(["simulate", "linear-twin", "--seconds", "4", "--seed", "5", "-o", str(other)]) == 0
-    capsys.readouterr()
-    assert _status(["evaluate", str(texture), str(other), "--json"]) == 0
-    document = json.loads(capsys.readouterr().out)
+    foten("simulate", "linear-twin", "--seconds", "4", "--seed", "5", "-o", other)
+    document = json.loads(foten("evaluate", texture, other, "--json")[0])
     assert document["split"] == "foreign"
     assert document["split_sha256"] is None
     assert document["n_blocks"] == 7  # 4 s less the low-pass's delay, in blocks of 0.5 s
     assert document["references"]["ar"]["mae_scaled"] is None
     assert "references.ar" in document["reasons"]
-    assert _status(["evaluate", str(texture), str(other), "--json", "--trim", "0", "--block", "600"]) == 0
-    document = json.loads(capsys.readouterr().out)
+    document = json.loads(foten("evaluate", texture, other, "--json", "--trim", "0", "--block", "600")[0])
     assert (document["n_blocks"], document["block"]) == (6, 600)
 
 
 def test_ctrl_c_after_the_last_epoch_is_one_too_and_says_how_to_go_on(
-    recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """While the network is trained in its closed loop, here in name only: the blocks are too short for it."""
     from foten.models.foten_plus import fit
@@ -129,15 +126,13 @@ def test_ctrl_c_after_the_last_epoch_is_one_too_and_says_how_to_go_on(
     monkeypatch.setattr(fit, "_train_in_closed_loop", interrupted)
     out = tmp_path / "o.foten"
     command = ["train", str(recording), "-o", str(out), *FAST, *TINY]
-    assert _status(command) == 130
-    assert "next: the same command with --resume" in capsys.readouterr().out
+    assert "next: the same command with --resume" in foten(*command, status=130)[0]
     monkeypatch.setattr(fit, "_train_in_closed_loop", lambda *_: None)
-    assert _status([*command, "--resume"]) == 0
-    assert "next: foten evaluate" in capsys.readouterr().out
+    assert "next: foten evaluate" in foten(*command, "--resume")[0]
 
 
 def test_ctrl_c_in_a_teacher_says_how_to_go_on(
-    recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """There is no texture before there is a student."""
     from foten.training.loop import Checkpoint
@@ -151,64 +146,52 @@ def test_ctrl_c_in_a_teacher_says_how_to_go_on(
     command = ["train", str(recording), "-o", str(out), "--model", "ldhtd", "--epochs", "1", "--threads", "1"]
     with monkeypatch.context() as patch:
         patch.setattr(Checkpoint, "save", stopping)
-        assert _status(command) == 130
-    assert "next: the same command with --resume" in capsys.readouterr().err
+        assert "next: the same command with --resume" in foten(*command, status=130)[1]
     assert not out.exists()
-    assert _status([*command, "--resume"]) == 0
-    assert "next: foten evaluate" in capsys.readouterr().out
+    assert "next: foten evaluate" in foten(*command, "--resume")[0]
 
 
 def test_ctrl_c_in_the_first_epoch_leaves_the_playable_file(
-    recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """While the network is validated for the first time: there is no best epoch to keep, and no run folder yet."""
-    import foten.models.foten_plus.fit  # noqa: F401  (which takes the function's name: loaded later, it would keep what stands in for it)
+    from foten.models.foten_plus import fit  # noqa: F401  (it takes the name: loaded later, it would keep the stand-in)
 
     def interrupted(*_: object) -> tuple[float, float]:
         raise KeyboardInterrupt
 
     monkeypatch.setattr("foten.models.foten_plus.network.scored", interrupted)
     out = tmp_path / "p.foten"
-    capsys.readouterr()
-    assert _status(["train", str(recording), "-o", str(out), *FAST, *TINY]) == 130
-    shown = capsys.readouterr().err.splitlines()
+    shown = foten("train", recording, "-o", out, *FAST, *TINY, status=130)[1].splitlines()
     assert f"wrote {out}: playable, but still without its network; training will replace it" in shown
     assert shown[-1] == "foten: interrupted"
     assert [path.name for path in tmp_path.iterdir()] == ["p.foten"]
-    sound = tmp_path / "s.wav"
-    stroke = ["--speed", "100", "--force", "1", "--seconds", "0.2"]
-    assert _status(["render", str(out), *stroke, "-o", str(sound)]) == 0
-    capsys.readouterr()
+    foten("render", out, "--speed", "100", "--force", "1", "--seconds", "0.2", "-o", tmp_path / "s.wav")
     early = "its training has not ended: this is the early texture, without its network"
-    assert _status(["info", str(out)]) == 0
-    assert f"unfinished    {early}\n" in capsys.readouterr().out
-    assert _status(["evaluate", str(out), str(recording), "--report", str(tmp_path / "r")]) == 0
-    shown = capsys.readouterr()
-    assert f"p.foten: {early}" in shown.err.splitlines()
-    assert shown.out.startswith("Its training has not ended: ")
+    assert f"unfinished    {early}\n" in foten("info", out)[0]
+    printed, shown = foten("evaluate", out, recording, "--report", tmp_path / "r")
+    assert f"p.foten: {early}" in shown.splitlines()
+    assert printed.startswith("Its training has not ended: ")
     assert "<p class=headline>Its training has not ended: " in (tmp_path / "r" / "report.html").read_text()
 
 
 def test_a_finished_texture_says_nothing_of_its_training_and_one_trained_range(
-    texture: Path, recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    texture: Path, recording: Path, tmp_path: Path
 ) -> None:
     """One texture was for 0.07 to 330.4, 0–330 and 5 to 329 mm/s."""
-    capsys.readouterr()
-    assert _status(["info", str(texture)]) == 0
-    said = capsys.readouterr().out
+    said = foten("info", texture)[0]
     low, high = read_texture(texture).trained_range("speed")
     words = f"{float(f'{round(low):.2g}'):g} to {float(f'{round(high):.2g}'):g} mm/s and "
     assert f"trained range {words}" in said
     assert "unfinished" not in said
-    assert _status(["evaluate", str(texture), str(recording), "--report", str(tmp_path)]) == 0
-    assert "not ended" not in "".join(capsys.readouterr())
+    assert "not ended" not in "".join(foten("evaluate", texture, recording, "--report", tmp_path))
     assert f"<dt>trained range</dt><dd>{words}" in (tmp_path / "report.html").read_text()
-    assert _status(["export", str(texture), "-o", str(tmp_path / "t.h")]) == 0
+    foten("export", texture, "-o", tmp_path / "t.h")
     assert f"Hz, for {words}" in (tmp_path / "t.h").read_text()
 
 
 def test_a_disk_that_fills_up_while_training_costs_no_more_than_the_run_folder(
-    recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """From the first checkpoint on nothing can be written into the run folder: a line each for checkpoint, log and the rest."""
     from foten.training import loop
@@ -225,9 +208,8 @@ def test_a_disk_that_fills_up_while_training_costs_no_more_than_the_run_folder(
 
     monkeypatch.setattr(loop, "atomic_write", write)
     out, folder = tmp_path / "d.foten", tmp_path / "d.run"
-    capsys.readouterr()
-    assert _status(["train", str(recording), "-o", str(out), *FAST, *TINY, "--epochs", "3"]) == 0
-    shown = [line for line in capsys.readouterr().err.splitlines() if "no space left" in line]
+    said = foten("train", recording, "-o", out, *FAST, *TINY, "--epochs", "3")[1]
+    shown = [line for line in said.splitlines() if "no space left" in line]
     why = "no space left on device; the training"
     assert shown == [
         f"{folder / 'log.csv'}: {why} continues without its log",
@@ -241,7 +223,7 @@ def test_settings_change_the_network(recording: Path, texture: Path, tmp_path: P
     out = tmp_path / "p.foten"
     settings = ["d_model=8", "n_layers=1", "head=[16,8]", "bins=half"]
     its = ["--model", "foten", *(f"--set={setting}" for setting in settings)]
-    assert _status(["train", str(recording), "-o", str(out), *FAST, *its]) == 0
+    foten("train", recording, "-o", out, *FAST, *its)
     sizes = read_texture(out).card["sizes"]
     assert (sizes["d_model"], sizes["head"], sizes["bins"]) == (8, [16, 8], "half")
     sizes = read_texture(texture).card["sizes"]
@@ -251,7 +233,7 @@ def test_settings_change_the_network(recording: Path, texture: Path, tmp_path: P
 def test_render_writes_each_output(texture: Path, tmp_path: Path) -> None:
     outputs = [tmp_path / f"o.{suffix}" for suffix in ("wav", "csv", "npz", "png")]
     constants = ["--speed", "100", "--force", "1", "--seconds", "0.5", "--audible", str(tmp_path / "a.wav")]
-    assert _status(["render", str(texture), *constants, *(word for path in outputs for word in ("-o", str(path)))]) == 0
+    foten("render", texture, *constants, *(word for path in outputs for word in ("-o", path)))
     assert {*tmp_path.iterdir()} == {*outputs, tmp_path / "a.wav"}
 
 
@@ -280,33 +262,26 @@ def test_what_the_network_is_for_is_said_plainly(
     assert network_summary({**card, "sizes": sizes, "metrics": metrics}).startswith(words)
 
 
-def test_nothing_is_learned_from_a_recording_without_a_stroke_but_with_anyway(
-    recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_nothing_is_learned_from_a_recording_without_a_stroke_but_with_anyway(recording: Path, tmp_path: Path) -> None:
     """It was trained on with exit status 0, and without a word."""
     raw = load_recording(recording)
     slow = dataclasses.replace(raw["speed"], samples=raw["speed"].samples * 1e-3)
     path, table = tmp_path / "slow.h5", tmp_path / "slow.csv"
     write_recording(dataclasses.replace(raw, channels={**raw.channels, "speed": slow}), path)
-    assert _status(["train", str(path), "-o", str(tmp_path / "t.foten"), *FAST]) == 2
-    assert "nothing sensible can be learned: speed never exceeds" in only_line(capsys)
+    said = refusal("train", path, "-o", tmp_path / "t.foten", *FAST)
+    assert "nothing sensible can be learned: speed never exceeds" in said
     assert not (tmp_path / "t.foten").exists()
-    assert _status(["inspect", str(path)]) == 1
-    assert "record again: speed never exceeds" in capsys.readouterr().out
+    assert "record again: speed never exceeds" in foten("inspect", path, status=1)[0]
     table.write_text("t,acceleration,speed,force\n" + "".join(f"{i / 1000},{i % 7},80,0\n" for i in range(2000)))
-    assert _status(["import", str(table), "-o", str(tmp_path / "a.h5")]) == 2
-    assert "force never exceeds 0 N" in capsys.readouterr().err
+    assert "force never exceeds 0 N" in foten("import", table, "-o", tmp_path / "a.h5", status=2)[1]
     assert not (tmp_path / "a.h5").exists()
-    assert _status(["import", str(table), "-o", str(tmp_path / "a.h5"), "--anyway"]) == 0
+    foten("import", table, "-o", tmp_path / "a.h5", "--anyway")
     table.write_text("t,acceleration,speed,force\n" + "".join(f"{i / 1000},{i % 7},-80,1\n" for i in range(2000)))
-    assert _status(["import", str(table), "-o", str(tmp_path / "b.h5")]) == 2
-    assert "speed" in capsys.readouterr().err
+    assert "speed" in foten("import", table, "-o", tmp_path / "b.h5", status=2)[1]
     assert not (tmp_path / "b.h5").exists()
 
 
-def test_every_training_says_the_problems_of_its_recording(
-    recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_every_training_says_the_problems_of_its_recording(recording: Path, tmp_path: Path) -> None:
     raw = load_recording(recording)
     grams = dataclasses.replace(raw["force"], samples=raw["force"].samples / 9.80665e-3)
     path = tmp_path / "grams.h5"
@@ -314,8 +289,7 @@ def test_every_training_says_the_problems_of_its_recording(
     for model in ("ar", "foten-plus"):
         options = ["--epochs", "0"] * (model != "ar")
         cut = ["--trim", "0", "--block", "500", "--force-units", "--anyway"]
-        assert _status(["train", str(path), "-o", str(tmp_path / "t.foten"), "--model", model, *cut, *options]) == 0
-        assert "problem: force" in capsys.readouterr().err
+        assert "problem: force" in foten("train", path, "-o", tmp_path / "t.foten", "--model", model, *cut, *options)[1]
 
 
 def test_the_windows_in_the_help_are_those_of_the_models() -> None:
@@ -326,48 +300,38 @@ def test_the_windows_in_the_help_are_those_of_the_models() -> None:
     assert said == {key: sizes().window for key, sizes in TRAINABLE.items() if key != "ar"}
 
 
-def test_initial_weights_are_those_that_are_asked_for(
-    recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_initial_weights_are_those_that_are_asked_for(recording: Path, tmp_path: Path) -> None:
     train = ["train", str(recording), "-o", str(tmp_path / "t.foten"), "--model", "foten", *FAST, "--epochs", "0"]
     weights = {}
     for given in ([], ["--initial-weights", "glorot"]):
-        assert _status([*train, *given]) == 0
+        foten(*train, *given)
         texture = read_texture(tmp_path / "t.foten")
         assert texture.card["training"]["initial_weights"] == (given or ["", "uniform"])[1]
         weights[len(given)] = texture.tensors
     assert any((weights[0][name] != other).any() for name, other in weights[2].items() if name.endswith("weight"))
-    capsys.readouterr()
-    assert _status([*train, "--initial-weights", "he"]) == 2
-    assert "'he', expected one of" in capsys.readouterr().err
+    assert "'he', expected one of" in foten(*train, "--initial-weights", "he", status=2)[1]
 
 
-def test_credit_goes_from_the_command_to_every_conversion(
-    recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_credit_goes_from_the_command_to_every_conversion(recording: Path, tmp_path: Path) -> None:
     path, site = str(tmp_path / "t.foten"), tmp_path / "site"
     named = ["--author", "A. Maker", "--source", "Attic tapes", "--doi", "10.5555/12345", "--photo", "B. Lens */"]
     named += ["--licence", "CC-BY-4.0"]
-    assert _status(["train", str(recording), "-o", path, *FAST, "--epochs", "0", *named]) == 0
+    foten("train", recording, "-o", path, *FAST, "--epochs", "0", *named)
     line = "A. Maker, Attic tapes, doi 10.5555/12345, photo: B. Lens */, CC-BY-4.0"
-    capsys.readouterr()
-    assert _status(["info", path]) == 0
-    assert f"credit        {line}" in capsys.readouterr().out
+    assert f"credit        {line}" in foten("info", path)[0]
     constants = ["--speed", "80", "--force", "1", "--seconds", "0.3"]
     for name in ("clip.wav", "clip.ahap", "clip.haptic", "clip.hjif", "clip.json", "texture.h"):
-        assert _status(["export", path, *(() if name.endswith(".h") else constants), "-o", str(tmp_path / name)]) == 0
+        foten("export", path, *(() if name.endswith(".h") else constants), "-o", tmp_path / name)
         assert "A. Maker" in (tmp_path / name).read_bytes().decode("latin-1"), name
     assert (tmp_path / "texture.h").read_text().split("#ifndef")[0].count("*/") == 1  # that a name cannot end
-    assert _status(["export", path, "--to", "web", "-o", str(site)]) == 0
+    foten("export", path, "--to", "web", "-o", site)
     assert read_texture(site / "textures" / "t.foten").credit == line
     texture = read_texture(Path(path))
     with pytest.raises(ValueError, match="'authors' in the card is"):
         write_texture(dataclasses.replace(texture, card={**texture.card, "authors": ["A"]}), tmp_path / "bad.foten")
 
 
-def test_render_says_what_became_of_samples_outside_the_range(
-    texture: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_render_says_what_became_of_samples_outside_the_range(texture: Path, tmp_path: Path) -> None:
     """A range that begins at almost nothing fades below 2 mm/s all the same; what follows a law fades only near rest."""
     texture_ = read_texture(texture)
     held, path = tmp_path / "held.foten", str(tmp_path / "o.csv")
@@ -381,16 +345,13 @@ def test_render_says_what_became_of_samples_outside_the_range(
         ),
         ("200", "speed was above the trained 150 mm/s for 100.0 % of the time; the level was held there"),
     ):
-        capsys.readouterr()
         constants = ["--speed", speed, "--force", "1", "--seconds", "0.2"]
-        assert _status(["render", str(held), *constants, "-o", path]) == 0
-        assert capsys.readouterr().out.splitlines()[2:] == [messages]
-    assert _status(["info", str(held)]) == 0
-    assert "renderings fade below 2 mm/s or 0.3 N" in capsys.readouterr().out
+        assert foten("render", held, *constants, "-o", path)[0].splitlines()[2:] == [messages]
+    assert "renderings fade below 2 mm/s or 0.3 N" in foten("info", held)[0]
     card = {**texture_.card, **entries, "extrapolation_exponents": {"speed": 0.0, "force": 0.5}}
     write_texture(dataclasses.replace(texture_, card=card), held)
-    assert _status(["render", str(held), "--speed", "100", "--force", "0.2", "--seconds", "0.2", "-o", path]) == 0
-    assert capsys.readouterr().out.splitlines()[2:] == [
+    said = foten("render", held, "--speed", "100", "--force", "0.2", "--seconds", "0.2", "-o", path)[0]
+    assert said.splitlines()[2:] == [
         "speed was below 2 mm/s or force below 0.3 N for 100.0 % of the time; the level falls there, and fades "
         "below 2 mm/s or 0.1 N, to silence at rest"
     ]
@@ -465,7 +426,7 @@ RENDER = ("render", "{tex}", "-o", "{out}.wav", "--speed", "1", "--force", "1")
     ],
 )
 def test_bad_input_is_one_line_and_writes_nothing(
-    arguments: list[str], match: str, texture: Path, recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    arguments: list[str], match: str, texture: Path, recording: Path, tmp_path: Path
 ) -> None:
     (tmp_path / "p.foten").write_bytes(pickle.dumps({"a": 1}))
     (tmp_path / "s.csv").write_text("t,speed,force\n0,1,1\n1,-3,1\n")
@@ -478,15 +439,11 @@ def test_bad_input_is_one_line_and_writes_nothing(
         "pickle": tmp_path / "p.foten",
         "stroke": tmp_path / "s.csv",
     }
-    capsys.readouterr()
-    assert _status([word.format(**names) for word in arguments]) == 2
-    assert match in only_line(capsys)
+    assert match in refusal(*(word.format(**names) for word in arguments))
     assert set(tmp_path.iterdir()) == before
 
 
-def test_a_stroke_of_any_table_is_rendered_and_doubts_are_said(
-    texture: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_stroke_of_any_table_is_rendered_and_doubts_are_said(texture: Path, tmp_path: Path) -> None:
     """Semicolons, decimal commas and units give the bytes of the plain table; a size of another unit is said, once."""
     tables = {
         "a": "t,speed,force\n0,50,1\n0.5,80.5,1\n",
@@ -496,37 +453,33 @@ def test_a_stroke_of_any_table_is_rendered_and_doubts_are_said(
     messages = {}
     for name, text in tables.items():
         (tmp_path / f"{name}.txt").write_text(text)
-        capsys.readouterr()
         arguments = ["render", str(texture), "--stroke", str(tmp_path / f"{name}.txt")]
-        assert _status([*arguments, "-o", str(tmp_path / f"{name}.csv")]) == 0
-        messages[name] = capsys.readouterr().err
+        messages[name] = foten(*arguments, "-o", tmp_path / f"{name}.csv")[1]
     doubt = "speed peaks at 0.0805, expected mm/s up to about 350; was it given in m/s? It is taken as mm/s\n"
     assert messages == {"a": "", "b": "", "c": doubt}
     outputs = [argument for suffix in ("csv", "npz") for argument in ("-o", str(tmp_path / f"c.{suffix}"))]
-    assert _status([*arguments, "--unit", "speed=m/s", *outputs]) == 0
+    foten(*arguments, "--unit", "speed=m/s", *outputs)
     assert json.loads(str(np.load(tmp_path / "c.npz")["about"]))["stroke"] == "c.txt, unit speed=m/s"
     a, b, c = (np.loadtxt(tmp_path / f"{name}.csv", delimiter=",", skiprows=1) for name in "abc")
     np.testing.assert_allclose(b, a, rtol=1e-4)  # m/s times 1000 is mm/s but for rounding, which the loop carries on
     np.testing.assert_allclose(c, a, rtol=1e-4)
-    assert _status(["render", str(texture), "--speed", "80", "--unit", "speed=m/s", "-o", str(tmp_path / "d.csv")]) == 2
+    foten("render", texture, "--speed", "80", "--unit", "speed=m/s", "-o", tmp_path / "d.csv", status=2)
     for command, output in (("render", "-o"), ("play", "--to")):
-        capsys.readouterr()
         constants = ["--speed", "0.08", "--force", "1", "--seconds", "0.2"]
-        assert _status([command, str(texture), *constants, output, str(tmp_path / "e.wav")]) == 0
-        assert capsys.readouterr().err.startswith("speed peaks at 0.08, expected mm/s")
+        said = foten(command, texture, *constants, output, tmp_path / "e.wav")[1]
+        assert said.startswith("speed peaks at 0.08, expected mm/s")
 
 
 def test_a_rendering_says_how_far_it_is_and_ends_with_ctrl_c(
-    texture: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    texture: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     from foten.runtime.renderer import Renderer
 
     arguments = ["render", str(texture), "--speed", "80", "--force", "1", "--seconds", "2.5"]
-    assert _status([*arguments, "-o", str(tmp_path / "a.wav")]) == 0
+    foten(*arguments, "-o", tmp_path / "a.wav")
     monkeypatch.setattr("foten.cli.render.SAY_EVERY_S", 0.0)
-    capsys.readouterr()
-    assert _status([*arguments, "-o", str(tmp_path / "b.wav")]) == 0
-    assert capsys.readouterr().err.splitlines() == [f"rendered {second} of 2 s" for second in range(3)]
+    said = foten(*arguments, "-o", tmp_path / "b.wav")[1].splitlines()
+    assert said == [f"rendered {second} of 2 s" for second in range(3)]
     assert (tmp_path / "a.wav").read_bytes() == (tmp_path / "b.wav").read_bytes()
     render = Renderer.render
 
@@ -536,20 +489,14 @@ def test_a_rendering_says_how_far_it_is_and_ends_with_ctrl_c(
         return render(renderer, speed, force)
 
     monkeypatch.setattr(Renderer, "render", interrupted)
-    assert _status([*arguments, "-o", str(tmp_path / "c.wav"), "-o", str(tmp_path / "c.csv")]) == 130
+    foten(*arguments, "-o", tmp_path / "c.wav", "-o", tmp_path / "c.csv", status=130)
     assert {path.name for path in tmp_path.iterdir()} == {"a.wav", "b.wav"}
 
 
-def test_a_rendered_table_is_imported_with_its_units(
-    texture: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    from foten.datasets.hdf5 import load_recording
-
+def test_a_rendered_table_is_imported_with_its_units(texture: Path, tmp_path: Path) -> None:
     table, back = tmp_path / "s.csv", tmp_path / "s.h5"
-    assert _status(["render", str(texture), "--speed", "80", "--force", "1", "--seconds", "1", "-o", str(table)]) == 0
-    capsys.readouterr()
-    assert _status(["import", str(table), "-o", str(back)]) == 0
-    assert "no unit" not in capsys.readouterr().err
+    foten("render", texture, "--speed", "80", "--force", "1", "--seconds", "1", "-o", table)
+    assert "no unit" not in foten("import", table, "-o", back)[1]
     recording = load_recording(back)
     assert {name: channel.rate_hz for name, channel in recording.channels.items()} == {
         name: 1000 for name in ("acceleration", "speed", "force")
@@ -558,8 +505,8 @@ def test_a_rendered_table_is_imported_with_its_units(
     np.testing.assert_array_equal(recording["acceleration"].samples, written[:, 1])
     before = back.read_bytes()
     (tmp_path / "same.h5").symlink_to(back)
-    assert _status(["import", str(back), "-o", str(tmp_path / "same.h5")]) == 2
-    assert "same.h5 is a file to import, which it would replace: give another name" in capsys.readouterr().err
+    said = refusal("import", back, "-o", tmp_path / "same.h5")
+    assert "same.h5 is a file to import, which it would replace: give another name" in said
     assert back.read_bytes() == before
     np.testing.assert_allclose(recording["speed"].samples, 80, rtol=1e-6)
     np.testing.assert_allclose(recording["force"].samples, 1, rtol=1e-6)
@@ -570,13 +517,12 @@ def test_help_is_printed_as_it_is_written() -> None:
     for name, command in get_command(app).commands.items():  # type: ignore[attr-defined]
         for text in (command.help, *(parameter.help for parameter in command.params)):
             assert Text.from_markup(text).plain == text, name
-        assert _status([name, "--help"]) == 0
+        foten(name, "--help")
 
 
-def test_the_demo_makes_everything_it_names(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_demo_makes_everything_it_names(tmp_path: Path) -> None:
     folder = tmp_path / "demo"
-    assert _status(["demo", "-o", str(folder), "--seconds", "16", "--epochs", "1", "--json"]) == 0
-    paths = json.loads(capsys.readouterr().out)
+    paths = json.loads(foten("demo", "-o", folder, "--seconds", "16", "--epochs", "1", "--json")[0])
     assert set(paths) == {"recording", "texture", "report", "vibration", "picture", "sound", "pictures"}
     for path in paths.values():
         assert Path(path).exists()
