@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gzip
 import json
 import os
 import re
@@ -284,17 +285,18 @@ PLAIN = re.compile(r"|None|T|0|solid|\(\)|\(0 None\)|_child\d+|_nolegend_|DejaVu
 
 
 def check_figures(drawn: Mapping[str, Any]) -> None:
-    """Hold figures to what `figures.json` says that they show: words exactly, numbers to 0.2 % or 0.002.
+    """Hold figures to what `figures.json.gz` says that they show: words exactly, numbers to 0.2 % or 0.002.
 
     Places are fractions of the axes, of which 0.002 is about a pixel. Another instruction set adds in another order, which
     changes numbers in their last digits, far below that. FOTEN_FIGURES=write writes the file anew, and each figure to
     build/figures: look at these before you commit it.
     """
-    path, folder = Path(__file__).with_name("figures.json"), Path(__file__).parents[1] / "build" / "figures"
-    lines, stored = {name: list(shown(figure)) for name, figure in drawn.items()}, json.loads(path.read_text("utf-8"))
+    path, folder = Path(__file__).with_name("figures.json.gz"), Path(__file__).parents[1] / "build" / "figures"
+    lines = {name: list(shown(figure)) for name, figure in drawn.items()}
+    stored = json.loads(gzip.decompress(path.read_bytes()))
     if os.environ.get("FOTEN_FIGURES") == "write":
         stored |= lines
-        path.write_text(json.dumps(stored, indent=0, ensure_ascii=False, sort_keys=True) + "\n", "utf-8")
+        path.write_bytes(gzip.compress(json.dumps(stored, indent=0, sort_keys=True).encode(), mtime=0))
         folder.mkdir(parents=True, exist_ok=True)
         for name, figure in drawn.items():
             figure.savefig(folder / f"{name}.png", dpi=70)

@@ -215,7 +215,7 @@ def test_a_spectral_encoder_cannot_tell_bins_apart() -> None:
 
 
 def test_the_repository_is_small() -> None:
-    """7.8 MB, of which 1.1 are word vectors and 0.8 textures; 610 files (sources, tests and pages: no results beyond the CSV, nor
+    """7.9 MB, of which 1.1 are word vectors and 0.8 textures; 610 files (sources, tests and pages: no results beyond the CSV, nor
     settings, which begin with a dot); and 200 kB of each experiment.
     """
     listed = subprocess.run(["git", "ls-files", "-z"], cwd=ROOT, capture_output=True, check=False)
@@ -224,7 +224,7 @@ def test_the_repository_is_small() -> None:
     paths = [ROOT / name for name in listed.stdout.decode().split("\0") if name]
     sizes = [path.stat().st_size for path in paths if path.exists()]
     assert len([path for path in paths if not path.relative_to(ROOT).parts[0].startswith(".")]) < 610
-    assert sum(sizes) < 7_800_000
+    assert sum(sizes) < 7_900_000
     assert all(path.stat().st_size <= 200_000 for path in (ROOT / "docs" / "results").glob("*.csv"))
 
 
