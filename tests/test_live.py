@@ -10,6 +10,7 @@ import sys
 import threading
 import time
 import warnings
+from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -126,9 +127,10 @@ class Pulled:
         pass
 
 
-def settled(live: Live, level: int) -> None:
+def wait_until(holds: Callable[[], bool]) -> None:
+    """Wait until something holds, ten seconds at most."""
     end = time.monotonic() + 10
-    while live._ring.level < level and time.monotonic() < end:
+    while not holds() and time.monotonic() < end:
         time.sleep(0.001)
 
 
@@ -140,7 +142,7 @@ def test_what_is_played_is_what_is_rendered_in_order(texture: Texture) -> None:
     live.start()
     played = []
     for _ in range(60):
-        settled(live, 7)
+        wait_until(lambda: live._ring.level >= 7)
         sink.read(out)
         played.append(out.copy())
     live.stop()
@@ -186,9 +188,7 @@ def test_what_the_sink_dies_of_is_raised() -> None:
 
     live = Live(lambda out: None, Dying(1000.0))
     live.start()
-    settled_by = time.monotonic() + 10
-    while live.running and time.monotonic() < settled_by:
-        time.sleep(0.001)
+    wait_until(lambda: not live.running)
     with pytest.raises(OSError, match="unplugged"):
         live.stop()
 
@@ -204,11 +204,7 @@ def test_a_sink_that_refuses_leaves_nothing_behind() -> None:
         live.start()
     assert not live._thread.is_alive()
     assert sys.getswitchinterval() == usual
-
-
-def test_turns_are_short_while_one_plays() -> None:
-    usual = sys.getswitchinterval()
-    with Live(lambda out: None, Pulled()):
+    with Live(lambda out: None, Pulled()):  # while one plays turns are short
         assert sys.getswitchinterval() < 0.2 * usual
     assert sys.getswitchinterval() == usual
 
@@ -270,30 +266,28 @@ def test_a_wav_is_what_was_played_up_to_ctrl_c(texture: Texture, tmp_path: Path)
         write_wav(Renderer(texture, 48_000), interrupted, 86_400.0, tmp_path / "x.wav", {})
 
 
-def received(sink: Any, listening: socket.socket, n: int) -> list[bytes]:
+def received(kind: type[UdpSink | OscSink], n: int) -> list[bytes]:
+    """The first n packets of a sink at 1 kHz, each of whose blocks counts from 0."""
+
     def read(out: np.ndarray) -> None:
         out[:] = np.arange(out.size)
 
-    sink.start(read)
-    packets = [listening.recv(65_536) for _ in range(n)]
-    sink.stop()
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as listening:
+        listening.bind(("127.0.0.1", 0))
+        listening.settimeout(10)
+        sink = kind("127.0.0.1", listening.getsockname()[1], 1000.0)
+        sink.start(read)
+        packets = [listening.recv(65_536) for _ in range(n)]
+        sink.stop()
     return packets
 
 
 def test_packets_and_messages_hold_the_samples() -> None:
     """OSC oracle: the specification's layout, taken apart by hand."""
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as listening:
-        listening.bind(("127.0.0.1", 0))
-        listening.settimeout(10)
-        port = listening.getsockname()[1]
-        packets = received(UdpSink("127.0.0.1", port, 1000.0), listening, 3)
-        for count, packet in enumerate(packets):
-            assert struct.unpack("<4sIfI", packet[:16]) == (b"FOT1", count, 1000.0, 4)
-            np.testing.assert_array_equal(np.frombuffer(packet[16:], "<f4"), np.arange(4))
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as listening:
-        listening.bind(("127.0.0.1", 0))
-        listening.settimeout(10)
-        message = received(OscSink("127.0.0.1", listening.getsockname()[1], 1000.0), listening, 1)[0]
+    for count, packet in enumerate(received(UdpSink, 3)):
+        assert struct.unpack("<4sIfI", packet[:16]) == (b"FOT1", count, 1000.0, 4)
+        np.testing.assert_array_equal(np.frombuffer(packet[16:], "<f4"), np.arange(4))
+    (message,) = received(OscSink, 1)
     assert len(message) % 4 == 0
     assert message[:8] == b"/foten\0\0"
     assert message[8:16] == b",ifb\0\0\0\0"
@@ -458,11 +452,10 @@ class FakeDaq:
     def __enter__(self) -> FakeDaq:
         return self
 
-    def __exit__(self, *exc: object) -> None:
+    def close(self, *_: object) -> None:
         self.log.append("close")
 
-    def close(self) -> None:
-        self.log.append("close")
+    __exit__ = close
 
 
 def test_a_daq_is_filled_before_it_starts_and_again_as_it_empties() -> None:
@@ -489,13 +482,9 @@ def test_a_daq_is_filled_before_it_starts_and_again_as_it_empties() -> None:
     assert daq.log[-2] == ("volts", 0.0)
     volts = np.concatenate(daq.written)
     np.testing.assert_allclose(volts[:500], np.minimum(0.05 * np.arange(500), 10.0), rtol=1e-6)
-    faded = int(np.flatnonzero(volts)[-1]) // 100
-    np.testing.assert_allclose(
-        volts[100 * faded : 100 * faded + 100],
-        np.linspace(1, 0, 100) * np.minimum(0.05 * np.arange(100 * faded, 100 * faded + 100), 10.0),
-        rtol=1e-5,
-        atol=1e-6,
-    )
+    faded = int(np.flatnonzero(volts)[-1]) // 100 * 100 + np.arange(100)
+    expected = np.linspace(1, 0, 100) * np.minimum(0.05 * faded, 10.0)
+    np.testing.assert_allclose(volts[faded], expected, rtol=1e-5, atol=1e-6)
     assert sink.n_cut == (0.05 * np.arange(n, dtype=np.float32) > 10).sum()
 
 

@@ -23,6 +23,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from safetensors.numpy import save
 from scipy.signal import butter, lfilter, lfilter_zi
 
 import foten
@@ -66,9 +67,8 @@ def test_it_renders_what_the_reference_renders(key: str, variant: str) -> None:
     double = in_float64_alone(texture.sizes)
     for excitation in (True, False):
         expected = reference.render(texture, speed.astype(float), force.astype(float), 3, 2, excitation, model)
-        rendered = [
-            NativeState(native, seed=3, stream=k, excitation=excitation).render_stroke(speed, force) for k in range(2)
-        ]
+        states = [NativeState(native, seed=3, stream=k, excitation=excitation) for k in range(2)]
+        rendered = [state.render_stroke(speed, force) for state in states]
         size = SCALING.sd[0] * np.maximum(1, np.abs(expected) / SCALING.sd[0])
         error = np.abs(rendered - expected) / size
         # What comes out is in float32. A network is as well, and what it rounds is fed back: for longer a loop of a network
@@ -103,7 +103,17 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
     return sorted(folder.iterdir())
 
 
-@pytest.mark.parametrize("name", ["avx512", "avx2", "neon", "portable"])
+ISAS = ("avx512", "avx2", "neon", "portable")
+
+
+def printed_with(isa: str, program: str, paths: list[Path]) -> list[str]:
+    """What a program prints in a process that is asked to use an instruction set."""
+    command = [sys.executable, "-c", program, *map(str, paths)]
+    env = {**os.environ, "FOTEN_ISA": isa}
+    return subprocess.run(command, env=env, capture_output=True, text=True, check=True).stdout.split()
+
+
+@pytest.mark.parametrize("name", ISAS)
 def test_every_instruction_set_passes_the_proof(name: str, files: list[Path]) -> None:
     """All families; loading is the proof: golden windows within 1e-5, 64 closed-loop steps within 1e-4."""
     program = (
@@ -111,14 +121,7 @@ def test_every_instruction_set_passes_the_proof(name: str, files: list[Path]) ->
         "[NativeTexture(open(path, 'rb').read()) for path in sys.argv[1:]]; noise = numpy.empty(100); "
         "library().foten_noise(1, 2, 3, 100, noise.ctypes); print(isa(), noise.tobytes().hex())"
     )
-    done = subprocess.run(
-        [sys.executable, "-c", program, *map(str, files)],
-        env={**os.environ, "FOTEN_ISA": name},
-        capture_output=True,
-        text=True,
-        check=True,
-    )
-    used, numbers = done.stdout.split()
+    used, numbers = printed_with(name, program, files)
     assert numbers == gaussian(1, 2, 3, 100).tobytes().hex()
     if used != name:
         pytest.skip(f"this processor has {used}, not {name}")
@@ -134,12 +137,8 @@ def test_every_instruction_set_renders_the_same_bytes_of_foten_plus(tmp_path: Pa
         "print(isa(), *(foten.Renderer(path, seed=3).render(80.0, 1.0, 3000).tobytes().hex() for path in sys.argv[1:]))"
     )
     rendered = {}
-    for name in ("avx512", "avx2", "neon", "portable"):
-        env = {**os.environ, "FOTEN_ISA": name}
-        done = subprocess.run(
-            [sys.executable, "-c", program, *map(str, paths)], env=env, capture_output=True, text=True, check=True
-        )
-        used, *samples = done.stdout.split()
+    for name in ISAS:
+        used, *samples = printed_with(name, program, paths)
         rendered[used] = samples
     assert "portable" in rendered
     assert all(samples == rendered["portable"] for samples in rendered.values())
@@ -287,17 +286,14 @@ def test_every_sample_that_fades_is_counted_as_below(texture: Texture) -> None:
     """A range that begins below 2 mm/s and 0.1 N ends where it fades: it was not counted there."""
     slow = with_card(texture, trained_range={"speed": [0.0026, 220.0], "force": [0.02, 2.5]})
     native = NativeTexture(slow.to_bytes())
-    for speed, force, below in (
-        (1.0, 1.0, 50),
-        (1.999, 1.0, 50),
-        (2.0, 1.0, 0),
-        (80.0, 0.05, 50),
-        (80.0, 0.1001, 0),
-        (1.0, 0.05, 50),  # once a sample, though both fade
+    for fades, conditions in (
+        (True, ((1.0, 1.0), (1.999, 1.0), (80.0, 0.05), (1.0, 0.05))),  # once a sample, though both fade at the last
+        (False, ((2.0, 1.0), (80.0, 0.1001))),
     ):
-        state = NativeState(native)
-        held(state, 50, speed, force)
-        assert state.statistics.n_below == below, (speed, force)
+        for speed, force in conditions:
+            state = NativeState(native)
+            held(state, 50, speed, force)
+            assert state.statistics.n_below == 50 * fades, (speed, force)
 
 
 def test_a_refused_condition_leaves_the_last_one(native: NativeTexture) -> None:
@@ -335,6 +331,14 @@ def test_the_condition_may_come_from_any_thread(native: NativeTexture) -> None:
     assert 0 < state.statistics.n_speed_beyond < state.statistics.n
 
 
+def power(signal: np.ndarray, rate: float, low: float, high: float = np.inf) -> float:
+    """The power of a signal at that rate between two frequencies [Hz], per sample."""
+    window = np.hanning(signal.size)
+    hertz = np.fft.rfftfreq(signal.size, 1 / rate)
+    spectrum = np.square(np.abs(np.fft.rfft(signal * window)))
+    return float(spectrum[(hertz > low) & (hertz < high)].sum() / np.square(window).sum())
+
+
 @pytest.mark.parametrize("rate", [2000.0, 8000.0, 48_000.0, 44_100.0])
 def test_another_rate_keeps_the_band_and_adds_nothing_above(
     texture: Texture, native: NativeTexture, rate: float
@@ -344,24 +348,17 @@ def test_another_rate_keeps_the_band_and_adds_nothing_above(
     base, state = held(NativeState(native, seed=6), n, 100.0), NativeState(native, rate, seed=6)
     out = held(state, round(n * rate / 1000), 100.0)
     assert state.delay_s == pytest.approx(1.53e-3, abs=0.05e-3)
-    window = np.hanning(out.size)
-    spectrum = np.square(np.abs(np.fft.rfft(out * window))) / np.square(window).sum()
-    hertz = np.fft.rfftfreq(out.size, 1 / rate)
-    in_band = spectrum[(hertz > 20) & (hertz < 450)].sum()
-    assert spectrum[hertz > 550].sum() < 1e-5 * in_band
-    window = np.hanning(n)
-    spectrum_before = np.square(np.abs(np.fft.rfft(base * window))) / np.square(window).sum()
-    hertz_before = np.fft.rfftfreq(n, 1e-3)
-    share = in_band * (1000 / rate) / spectrum_before[(hertz_before > 20) & (hertz_before < 450)].sum()
-    assert share == pytest.approx(1.0, rel=0.01)
+    in_band = power(out, rate, 20, 450)
+    assert power(out, rate, 550) < 1e-5 * in_band
+    assert in_band * (1000 / rate) / power(base, 1000.0, 20, 450) == pytest.approx(1.0, rel=0.01)
     # A slow part, as it would be at the output's rate, against the delayed one.
     slow = np.fft.rfft(base)
-    slow[hertz_before > 100] = 0
+    slow[np.fft.rfftfreq(n, 1e-3) > 100] = 0
     padded = np.zeros(out.size // 2 + 1, dtype=complex)
     padded[: slow.size] = slow[: padded.size]
     wanted = np.fft.irfft(padded, out.size) * rate / 1000
     part = np.fft.rfft(out)
-    part[hertz > 100] = 0
+    part[np.fft.rfftfreq(out.size, 1 / rate) > 100] = 0
     lags = np.arange(0, round(0.004 * rate))
     result = np.fft.irfft(part, out.size)
     match = [float(result[lag : lag + out.size // 2] @ wanted[: out.size // 2]) for lag in lags]
@@ -376,10 +373,7 @@ def test_a_slower_device_keeps_its_band_and_gets_no_more(native: NativeTexture, 
     for of, base in ((None, 1000.0), (rate, rate)):
         state = NativeState(native, of, seed=6)
         signal = held(state, round(n * base / 1000), 100.0)
-        window = np.hanning(signal.size)
-        spectrum = np.square(np.abs(np.fft.rfft((signal - signal.mean()) * window)))
-        hertz = np.fft.rfftfreq(signal.size, 1 / base)
-        powers.append(spectrum[(hertz > 2) & (hertz < 0.4 * rate)].sum() / np.square(window).sum() / base)
+        powers.append(power(signal - signal.mean(), base, 2, 0.4 * rate) / base)
         signals.append(signal.astype(float))
     # The same realisation: what differs is the first and the last samples of a window, and a ripple of the passband.
     assert powers[1] == pytest.approx(powers[0], rel=0.02)
@@ -399,8 +393,11 @@ def test_a_constant_stays_itself_at_any_rate(rate: float) -> None:
     assert out[out.size * 3 // 4 :].mean() == pytest.approx(0.7, rel=1e-3)
 
 
+NATIVE = Path(__file__).parents[1] / "native"
+
+
 def test_a_change_of_rate_stops_what_its_header_says() -> None:
-    table = runpy.run_path(str(Path(__file__).parents[1] / "native" / "tools" / "resample_table.py"))
+    table = runpy.run_path(str(NATIVE / "tools" / "resample_table.py"))
     kernel = table["kernel"]()
     spectrum = np.abs(np.fft.rfft(kernel, 1 << 18))
     rates = np.fft.rfftfreq(1 << 18, 1 / table["STEPS"])
@@ -412,7 +409,7 @@ def test_a_change_of_rate_does_not_drift(native: NativeTexture) -> None:
     """Oracle: the table at places that are counted in fractions, after 10 s. A step of 32 bits would be 10⁻⁵ of a sample off."""
     rate, n, last = 44_100, 441_000, 50
     base, out = held(NativeState(native, seed=3), 10_000), held(NativeState(native, float(rate), seed=3), n)
-    table = runpy.run_path(str(Path(__file__).parents[1] / "native" / "tools" / "resample_table.py"))
+    table = runpy.run_path(str(NATIVE / "tools" / "resample_table.py"))
     kernel, steps = np.append(table["kernel"](), 0.0), table["STEPS"]
     expected = []
     for place in (Fraction(1000 * k, rate) for k in range(n - last, n)):
@@ -529,9 +526,8 @@ def test_a_file_whose_tensors_were_cut_off_is_called_truncated(texture: Texture)
     data = texture.to_bytes()
     header = 8 + int.from_bytes(data[:8], "little")
     for n in (header, header + 1, (header + len(data)) // 2, len(data) - 1):
-        with pytest.raises(
-            ValueError, match=f"{n - header} bytes of tensors, expected {len(data) - header}: is it truncated"
-        ):
+        message = f"{n - header} bytes of tensors, expected {len(data) - header}: is it truncated"
+        with pytest.raises(ValueError, match=message):
             NativeTexture(data[:n])
 
 
@@ -551,8 +547,6 @@ def test_the_proof_finds_damage_that_is_large(texture: Texture) -> None:
 
 def test_what_is_wrong_in_a_file_is_named(texture: Texture) -> None:
     def bytes_of(card: dict[str, Any] | None = None, **tensors: np.ndarray) -> bytes:
-        from safetensors.numpy import save
-
         tensors_ = {name: np.ascontiguousarray(t) for name, t in {**texture.tensors, **tensors}.items()}
         return bytes(save(tensors_, metadata={"foten": json.dumps({**texture.card, **(card or {})})}))
 
@@ -596,8 +590,6 @@ def test_what_is_wrong_in_a_file_is_named(texture: Texture) -> None:
 
 def test_a_window_without_a_prediction_hides_no_other(texture: Texture) -> None:
     """One so large that the network overflows came after those that were wrong, and the file was let through."""
-    from safetensors.numpy import save
-
     tensors = {name: tensor.copy() for name, tensor in texture.tensors.items()}
     tensors["golden.one_step"][:6] += 1
     tensors["golden.windows"] = tensors["golden.windows"].astype(np.float64)
@@ -627,9 +619,8 @@ def test_the_public_renderer(texture: Texture, tmp_path: Path) -> None:
     np.testing.assert_array_equal(blocks[0], blocks[2])
     by_path.reset()
     np.testing.assert_array_equal([by_path.step(80.0, 0.8) for _ in range(20)], blocks[0][:20])
-    assert repr(by_path.stats).startswith(
-        "Statistics(n=3, n_speed_beyond=0,"
-    )  # 20 samples at 8 kHz begin at 0 and end after 2.4 of the texture's own
+    # 20 samples at 8 kHz begin at 0 and end after 2.4 of the texture's own.
+    assert repr(by_path.stats).startswith("Statistics(n=3, n_speed_beyond=0,")
     stroke_ = foten.Renderer(texture, seed=7).render(np.full(50, 80.0), 0.8)
     np.testing.assert_array_equal(stroke_, foten.Renderer(texture, seed=7).render(80.0, 0.8, 50))
     with pytest.raises(FileNotFoundError, match="no such file"):
@@ -663,8 +654,8 @@ def test_a_large_order_runs() -> None:
     assert np.isfinite(Renderer(texture).render(80.0, 1.0, 1000)).all()
 
 
-HEADER = Path(__file__).parents[1] / "native" / "src" / "constants.h"
-DEFINED = re.findall(r"^#define (FOTEN_\w+) (.+)$", HEADER.read_text(), re.MULTILINE)
+HEADER = (NATIVE / "src" / "constants.h").read_text()
+DEFINED = re.findall(r"^#define (FOTEN_\w+) (.+)$", HEADER, re.MULTILINE)
 SHARED = re.compile(r"(\S+) +/\* (foten[\w.]+)(?:\[(\d+)\])? \*/")
 
 
