@@ -13,6 +13,7 @@ import pytest
 from scipy.signal import lfilter
 from scipy.stats import norm
 
+import foten.training.calibration as calibration
 from conftest import CARD, PLUS, SCALING, scale, untrained, untrained_tensors
 from foten.dsp.lattice import polynomial
 from foten.dsp.noise import gaussian
@@ -27,21 +28,7 @@ from foten.recording.trace import Trace
 from foten.runtime.loops import render_streams
 from foten.runtime.native import NativeTexture
 from foten.runtime.proof import Tensors, proved
-from foten.training import calibration
-from foten.training.calibration import (
-    Calibrated,
-    ClosedLoop,
-    Residuals,
-    _beyond_chance,
-    _binned,
-    _filtered,
-    _jackknifed,
-    calibrate_excitation,
-    calibrate_level,
-    calibrate_network_gain,
-    constant_scale,
-    fit_scale,
-)
+from foten.training.calibration import Calibrated, ClosedLoop, Residuals, constant_scale, fit_scale
 from foten.training.job import ScaledBlocks
 
 BLOCK, N_BLOCKS = 1000, 24
@@ -121,9 +108,9 @@ def test_a_level_is_calibrated_in_the_closed_loop(before: bool) -> None:
     σ stays within its range over the training blocks.
     """
     loop, true = loop_of(before)
-    chance = calibrate_level(loop, true, 0)[1][0]
+    chance = calibration.calibrate_level(loop, true, 0)[1][0]
     louder = changed(true, out_bias=true.sigma.out_bias + math.log(2))
-    excitation, errors = calibrate_level(loop, louder, 0)
+    excitation, errors = calibration.calibrate_level(loop, louder, 0)
     assert errors[0] - chance == pytest.approx(6.02, abs=0.05)
     # What is left is less than twenty seconds tell: half a dB.
     assert abs(errors[-1]) < 0.5
@@ -137,7 +124,7 @@ def test_a_slope_over_speed_is_calibrated_too() -> None:
     """σ that does not follow speed where the recording's does: most of the slope comes back, and the level is right."""
     loop, true = loop_of()
     level = changed(true, exponents=true.sigma.exponents * [0, 1, 1, 1, 1])
-    excitation = calibrate_level(loop, level, 0)[0]
+    excitation = calibration.calibrate_level(loop, level, 0)[0]
     assert excitation.sigma.exponents[0] == pytest.approx(true.sigma.exponents[0], abs=0.25)
     assert loop.free_run_errors(excitation, 0)[1] < loop.free_run_errors(level, 0)[1] - 0.5
 
@@ -146,7 +133,7 @@ def test_a_slope_over_speed_is_calibrated_too() -> None:
 def test_a_networks_innovations_are_bounded_by_no_more_than_they_need(level: bool) -> None:
     """σ begins at 1, and stays there for a network that has learned its level in the closed loop."""
     loop, _ = loop_of()
-    calibrated = calibrate_network_gain(16, (5.0, 3.0), loop, 0, None, level)
+    calibrated = calibration.calibrate_network_gain(16, (5.0, 3.0), loop, 0, None, level)
     sigma = calibrated.excitation.sigma(under(loop))
     assert calibrated.excitation.innovation_limit == (5.0, 3.0)
     assert calibrated.excitation.sigma.sigma_max < 1.5 * sigma.max()
@@ -177,7 +164,7 @@ def halved() -> tuple[ClosedLoop, Residuals, Calibrated]:
     """An excitation fitted to innovations half as large as those of the recording."""
     loop, excitation = loop_of()
     residuals = residuals_of(loop, excitation, 0.5)
-    return loop, residuals, calibrate_excitation(16, residuals, loop, 0)
+    return loop, residuals, calibration.calibrate_excitation(16, residuals, loop, 0)
 
 
 def test_the_closed_loop_has_the_last_word_on_the_level(halved: tuple[ClosedLoop, Residuals, Calibrated]) -> None:
@@ -222,7 +209,7 @@ def test_the_nll_is_that_of_the_validation_samples_where_the_hand_moves(
     before = fit_scale(16, residuals.condition, residuals.innovation, residuals.n_train, loop.blocks.scaling, 0)
     expected = -norm.logpdf(e, scale=before(condition)).mean()
     assert calibrated.innovation_nll == pytest.approx(expected, rel=1e-6)
-    rested = calibrate_excitation(16, replace(residuals, moving=np.zeros_like(residuals.moving)), loop, 0)
+    rested = calibration.calibrate_excitation(16, replace(residuals, moving=np.zeros_like(residuals.moving)), loop, 0)
     assert rested.acceleration_nll is None
     for name, tensor in calibrated.excitation.tensors().items():  # and the same seed gives the same excitation
         np.testing.assert_array_equal(rested.excitation.tensors()[name], tensor, name)
@@ -230,10 +217,10 @@ def test_the_nll_is_that_of_the_validation_samples_where_the_hand_moves(
 
 def test_the_jackknife_of_a_mean_is_its_standard_error_and_chance_is_taken_off() -> None:
     values = np.random.default_rng(0).standard_normal(30)
-    result = _jackknifed(np.stack([values, np.ones(30)]), np.divide)
+    result = calibration._jackknifed(np.stack([values, np.ones(30)]), np.divide)
     assert result == pytest.approx((values.mean(), values.std(ddof=1) / math.sqrt(30)), rel=1e-9)
     # Known to within 0.2, an error of 0.4 counts three quarters: 1 − (0.2/0.4)².
-    taken = [_beyond_chance(value, 0.2) for value in (0.4, -0.4, 0.15, 0.0)]
+    taken = [calibration._beyond_chance(value, 0.2) for value in (0.4, -0.4, 0.15, 0.0)]
     assert taken == pytest.approx([0.3, -0.3, 0.0, 0.0])
 
 
@@ -256,7 +243,7 @@ def test_power_that_enters_a_lattice_rings_on(before: bool) -> None:
     sizes = FotenPlusSizes(**PLUS, order=2, gain_before_filter=before)
     response = LinearModel(sizes, {"lattice.reflections": k[None]}).response(200)
     power = np.concatenate([np.full(100, 4.0), np.full(100, 0.01)])
-    leaving = _filtered(power[None, :, None], response)[0, :, 0]
+    leaving = calibration._filtered(power[None, :, None], response)[0, :, 0]
     if not before:
         np.testing.assert_array_equal(leaving, power)
         return
@@ -299,7 +286,7 @@ def test_bins_of_condition_say_what_their_samples_do(monkeypatch: pytest.MonkeyP
     condition, scaling = scaled_by_itself(speed, force)
     residual = np.exp(np.sin(speed / 40)) * force**0.4 * rng.standard_normal(n)
     start = constant_scale(16, scaling)
-    means, squared, share = _binned(start, condition, residual**2)
+    means, squared, share = calibration._binned(start, condition, residual**2)
     assert len(share) < 0.3 * n
     assert share.sum() == pytest.approx(1.0)
     assert share @ squared == pytest.approx(np.square(residual).mean())
@@ -307,7 +294,7 @@ def test_bins_of_condition_say_what_their_samples_do(monkeypatch: pytest.MonkeyP
     assert np.ptp(start.logarithms(means[[0, -1]]), axis=0).min() > 2  # in order of speed, then of force
 
     binned = fit_scale(16, condition, residual, n - 2000, scaling, seed=0)(condition)
-    alone = _binned(start, condition[:1], residual[:1])
+    alone = calibration._binned(start, condition[:1], residual[:1])
     assert [part.shape for part in alone] == [(1, 2), (1,), (1,)]
     monkeypatch.setattr(calibration, "_binned", lambda scale, c, q: (c, q, np.full(len(q), 1 / len(q))))
     exact = fit_scale(16, condition, residual, n - 2000, scaling, seed=0)(condition)

@@ -10,24 +10,10 @@ import numpy as np
 import pytest
 import torch
 
+import foten.models.foten_plus.fit as foten_plus
 from conftest import PLUS, SMALL, perturbed, sizes_with
 from foten.models.excitation import Excitation
-from foten.models.foten_plus import fit as foten_plus
-from foten.models.foten_plus.fit import (
-    LAW,
-    Candidate,
-    FitContext,
-    FittedNetwork,
-    best_candidate,
-    best_linear_model,
-    calibrated_network,
-    extrapolation_exponents,
-    fit_network,
-    fit_rendering_network,
-    posterior_slopes,
-    texture_builder,
-    texture_of,
-)
+from foten.models.foten_plus.fit import LAW, Candidate, FitContext, FittedNetwork, best_candidate
 from foten.models.foten_plus.linear_model import LinearModel, fit_level, fit_linear_models
 from foten.models.foten_plus.network import InnovationNetwork
 from foten.models.foten_plus.sizes import FotenPlusSizes
@@ -38,7 +24,7 @@ from foten.recording.recording import Recording
 from foten.recording.split import Split
 from foten.recording.trace import Trace
 from foten.runtime.loops import predict_blocks
-from foten.runtime.native import NativeTexture
+from foten.runtime.native import NativeTexture, PredictionPart
 from foten.runtime.renderer import Renderer
 from foten.simulation.simulate import simulate
 from foten.training.calibration import Calibrated, FreeRunErrors, constant_scale
@@ -49,6 +35,7 @@ from foten.training.pipeline import train
 
 QUICK = TrainConfig(epochs=0, batch=32, threads=1, max_order=20, table=False, tones=False, closed_loop_training=False)
 SHORT = PreprocessConfig(trim_ms=0, block_ms=500)
+PARTS: tuple[PredictionPart, ...] = ("linear", "model", "rendering")
 
 
 @pytest.fixture(scope="module")
@@ -70,9 +57,9 @@ class Fitted:
         run = replace(self.run, config=config, monitor=monitor or Monitor())
         part = replace(self.excited.random_part, innovation_nll=self.network.innovation_nll + likelier)
         excited = replace(self.excited, random_part=part)
-        in_loop = calibrated_network(self.network, excited, self.network.network, run)
+        in_loop = foten_plus.calibrated_network(self.network, excited, self.network.network, run)
         candidates = [excited, *([] if in_loop is None else [in_loop])]
-        return texture_of(candidates, self.network.predictor, self.network, self.report, run)
+        return foten_plus.texture_of(candidates, self.network.predictor, self.network, self.report, run)
 
 
 @pytest.fixture(scope="module")
@@ -80,14 +67,14 @@ def fitted(recording: Recording) -> Fitted:
     sizes = FotenPlusSizes(**PLUS)
     job = TrainingJob(recording, "foten-plus", sizes, QUICK, SHORT)
     blocks = job.blocks()
-    run = FitContext(texture_builder(job, blocks), QUICK, Monitor())
+    run = FitContext(foten_plus.texture_builder(job, blocks), QUICK, Monitor())
     linear = fit_linear_models(*fit_level(blocks.flat[:, 0], sizes, blocks, QUICK), sizes, QUICK)[0]
     torch.manual_seed(0)
     initial = perturbed(InnovationNetwork(sizes))
-    excited, report = best_linear_model([linear], lambda: None, initial, run)
+    excited, report = foten_plus.best_linear_model([linear], lambda: None, initial, run)
     with pytest.MonkeyPatch.context() as patch:  # all that it says is used, whatever
         patch.setattr(foten_plus, "mean_share", lambda *_: 1.0)
-        network = fit_network(initial, excited, run)
+        network = foten_plus.fit_network(initial, excited, run)
     (line,) = network.progress.epochs
     progress = Progress([replace(line, validation_loss=9.0), replace(line, epoch=1)], line.validation_loss)
     return Fitted(run, excited, report, replace(network, progress=progress))
@@ -97,9 +84,8 @@ def test_a_block_too_short_to_calibrate_its_level_is_refused_before_anything_is_
     """And the block that the refusal asks for is long enough."""
     stages: list[str] = []
     sizes = FotenPlusSizes(**{**PLUS, "window": 8})
-    jobs = [
-        TrainingJob(recording, "foten-plus", sizes, QUICK, PreprocessConfig(trim_ms=0, block_ms=ms)) for ms in (40, 56)
-    ]
+    blocks = [PreprocessConfig(trim_ms=0, block_ms=ms) for ms in (40, 56)]
+    jobs = [TrainingJob(recording, "foten-plus", sizes, QUICK, config) for config in blocks]
     with pytest.raises(ValueError, match=r"a block of 40 ms holds no frame of 40 ms .* --block of 56 ms or more"):
         train(jobs[0], Monitor(on_stage=stages.append))
     assert not stages
@@ -122,10 +108,7 @@ def test_the_network_is_in_the_loop_where_its_innovations_are_likelier(
     # Whatever a rendering uses, the next sample is predicted with the network.
     validation = list(fitted.run.blocks.split.validation)
     recorded, kernel = fitted.run.blocks.samples[validation], NativeTexture(texture.to_bytes())
-    linear, with_network, rendering = (
-        predict_blocks(kernel, recorded, part)
-        for part in ("linear", "model", "rendering")  # type: ignore[arg-type]
-    )
+    linear, with_network, rendering = (predict_blocks(kernel, recorded, part) for part in PARTS)
     if in_loop:  # the card's likelihood is the judge's, of one sample less in each block
         moving = fitted.run.blocks.moving()[validation, texture.window + 1 :]
         assert metrics["validation_nll"] == pytest.approx(rendering.nll[:, 1:][moving].mean(), rel=1e-4)  # float32
@@ -141,16 +124,14 @@ def test_a_prediction_takes_a_share_of_the_networks_mean_and_a_rendering_all(
     """What a perturbed network says is borne out by nothing: its share is 0, and the prediction exactly the linear model's."""
     if share is not None:
         monkeypatch.setattr(foten_plus, "mean_share", lambda *_: share)
-    network = fit_network(fitted.network.network, fitted.excited, fitted.run)
-    shrunk, full = (
-        replace(fitted, network=replace(network, progress=fitted.network.progress)).finish(1.0),
-        fitted.finish(1.0),
-    )
+    network = foten_plus.fit_network(fitted.network.network, fitted.excited, fitted.run)
+    network = replace(network, progress=fitted.network.progress)
+    shrunk, full = replace(fitted, network=network).finish(1.0), fitted.finish(1.0)
     metrics = shrunk.card["metrics"]
     assert metrics["mean_share"] == (share or 0.0)
     validation = list(fitted.run.blocks.split.validation)
     recorded, kernel = fitted.run.blocks.samples[validation], NativeTexture(shrunk.to_bytes())
-    linear, model, rendering = (predict_blocks(kernel, recorded, part) for part in ("linear", "model", "rendering"))  # type: ignore[arg-type]
+    linear, model, rendering = (predict_blocks(kernel, recorded, part) for part in PARTS)
     correction = predict_blocks(NativeTexture(full.to_bytes()), recorded, "model").sample - linear.sample
     assert np.abs(correction).max() > 1e-4
     np.testing.assert_allclose(model.sample - linear.sample, (share or 0.0) * correction, rtol=1e-5, atol=1e-7)
@@ -214,12 +195,12 @@ def test_a_rendering_draws_from_the_network_that_knows_the_phase_where_that_is_l
     knowing = replace(network, innovation_nll=network.innovation_nll - likelier, progress=progress)
     monkeypatch.setattr(foten_plus, "_fitted", lambda *_: knowing)
     excited = replace(fitted.excited, model=tonal if with_tones else linear)
-    rendering_network = fit_rendering_network(network, excited, linear, tonal, fitted.run)
+    rendering_network = foten_plus.fit_rendering_network(network, excited, linear, tonal, fitted.run)
     assert (rendering_network is knowing) == (with_tones or likelier > 0.005)
     assert network.progress.interrupted == interrupted
     if interrupted:  # then the other is not begun
         monkeypatch.delattr(foten_plus, "_fitted")
-        assert fit_rendering_network(network, excited, linear, tonal, fitted.run) is network
+        assert foten_plus.fit_rendering_network(network, excited, linear, tonal, fitted.run) is network
 
 
 def candidate(
@@ -288,7 +269,9 @@ def test_growth_beyond_the_range_is_that_of_the_texture_however_quiet_it_is() ->
     """At 1 m/s² and at 5 mm/s²."""
     trace = white(60, 1000, root=0.5)
     soft = replace(trace, acceleration=0.005 * trace.acceleration)
-    exponents, of_soft = (extrapolation_exponents(scaled_blocks(x, split_of(60, 1000))) for x in (trace, soft))
+    exponents, of_soft = (
+        foten_plus.extrapolation_exponents(scaled_blocks(x, split_of(60, 1000))) for x in (trace, soft)
+    )
     # Four seeds came within 0.041; a reference of 1 m/s² gave 0.26 and 0.04 to a texture of 20 mm/s².
     assert exponents == pytest.approx({"speed": 1.0, "force": 0.5}, abs=0.1)
     assert of_soft == pytest.approx(exponents, rel=1e-9)
@@ -308,7 +291,7 @@ def test_a_recordings_own_exponent_takes_over_from_the_law(
 ) -> None:
     """As docs/concepts.md says."""
     blocks = scaled_blocks(white(n_blocks, block, swing, power), split_of(n_blocks, block))
-    assert extrapolation_exponents(blocks)["speed"] == pytest.approx(expected, abs=0.1)
+    assert foten_plus.extrapolation_exponents(blocks)["speed"] == pytest.approx(expected, abs=0.1)
 
 
 def test_a_law_and_a_recording_are_weighed_by_how_well_they_are_known() -> None:
@@ -319,7 +302,8 @@ def test_a_law_and_a_recording_are_weighed_by_how_well_they_are_known() -> None:
     precision = np.square(logs - logs.mean()).sum() / 0.25
     own = float(np.linalg.lstsq(logs - logs.mean(), levels - levels.mean(), rcond=None)[0][0])
     expected = (precision * own + 0.95 / 0.28**2) / (precision + 1 / 0.28**2)
-    assert posterior_slopes(logs, levels, prior)[0] == pytest.approx(expected, abs=0.06)  # the noise is estimated
+    slope = foten_plus.posterior_slopes(logs, levels, prior)[0]
+    assert slope == pytest.approx(expected, abs=0.06)  # the noise is estimated
     assert abs(own - expected) > 0.1
 
 
@@ -327,7 +311,7 @@ def test_the_growth_of_foten_plus_is_in_its_card_and_the_papers_network_clamps(
     recording: Recording, fitted: Fitted
 ) -> None:
     exponents = fitted.finish(0.0).card["extrapolation_exponents"]
-    assert exponents == extrapolation_exponents(fitted.run.blocks)
+    assert exponents == foten_plus.extrapolation_exponents(fitted.run.blocks)
     assert exponents != {"speed": 0.0, "force": 0.0}
     job = TrainingJob(recording, "foten", sizes_with("foten", SMALL), QUICK, SHORT)
     assert train(job).texture.card["extrapolation_exponents"] == {"speed": 0.0, "force": 0.0}

@@ -12,19 +12,23 @@ from foten.recording.recording import Channel, Recording
 SHORT = PreprocessConfig(trim_ms=500.0, block_ms=500.0)
 
 
+def tone(hz: float, seconds: float = 6.0, rate_hz: float = 1000.0) -> np.ndarray:
+    return np.sin(2 * np.pi * hz * np.arange(round(seconds * rate_hz)) / rate_hz)
+
+
+TONE = tone(100.0)
+
+
 def recording(
-    acceleration: Mapping[str, np.ndarray], seconds: float = 6.0, rate_hz: float = 1000.0, **channels: Channel
+    acceleration: np.ndarray | Mapping[str, np.ndarray] = TONE, rate_hz: float = 1000.0, **channels: Channel
 ) -> Recording:
-    """Acceleration at `rate_hz` with a steady hand unless channels say otherwise."""
-    n = round(seconds * rate_hz)
+    """Acceleration at `rate_hz`, of one axis or more, with a steady hand unless channels say otherwise."""
+    axes = acceleration if isinstance(acceleration, Mapping) else {"acceleration": acceleration}
+    n = len(next(iter(axes.values())))
     steady = {"speed": Channel(np.full(n, 80.0), rate_hz), "force": Channel(np.full(n, 1.0), rate_hz)}
     if any(name.startswith("position") for name in channels):
         del steady["speed"]
-    return Recording({**{k: Channel(v, rate_hz) for k, v in acceleration.items()}, **steady, **channels})
-
-
-def tone(hz: float, seconds: float = 6.0, rate_hz: float = 1000.0) -> np.ndarray:
-    return np.sin(2 * np.pi * hz * np.arange(round(seconds * rate_hz)) / rate_hz)
+    return Recording({**{k: Channel(v, rate_hz) for k, v in axes.items()}, **steady, **channels})
 
 
 def amplitude(samples: np.ndarray) -> float:
@@ -37,7 +41,7 @@ def test_the_hand_and_gravity_go_and_the_vibration_stays(rate_hz: float, zero_ph
     config = dataclasses.replace(SHORT, zero_phase=zero_phase)
 
     def through(samples: np.ndarray) -> float:
-        return amplitude(preprocess(recording({"acceleration": samples}, rate_hz=rate_hz), config).acceleration)
+        return amplitude(preprocess(recording(samples, rate_hz=rate_hz), config).acceleration)
 
     # Second order: the square of the frequency's share of 20 Hz; forwards and backwards twice that.
     assert through(tone(5.0, rate_hz=rate_hz)) < (1.05 * (5 / 20) ** 2) ** (1 + zero_phase)
@@ -49,13 +53,13 @@ def test_the_hand_and_gravity_go_and_the_vibration_stays(rate_hz: float, zero_ph
 
 
 def test_what_lies_above_the_new_rate_does_not_come_back_as_an_alias() -> None:
-    trace = preprocess(recording({"acceleration": tone(930.0, rate_hz=10_000.0)}, rate_hz=10_000.0), SHORT)
+    trace = preprocess(recording(tone(930.0, rate_hz=10_000.0), rate_hz=10_000.0), SHORT)
     assert amplitude(trace.acceleration) < 1e-4  # 80 dB; unfiltered it would stand at 70 Hz with amplitude 1
 
 
 @pytest.mark.parametrize("rate_hz", [1000.0, 2500.0, 10_000.0])
 def test_any_rate_up_to_the_accelerometers_own(rate_hz: float) -> None:
-    recorded = recording({"acceleration": tone(100.0, rate_hz=10_000.0)}, rate_hz=10_000.0)
+    recorded = recording(tone(100.0, rate_hz=10_000.0), rate_hz=10_000.0)
     trace = preprocess(recorded, dataclasses.replace(SHORT, rate_hz=rate_hz))
     assert trace.block == 0.5 * rate_hz
     assert len(trace) == 5 * rate_hz - trace.n_dropped
@@ -83,7 +87,7 @@ def test_speed_force_and_the_vibration_they_cause_stay_side_by_side(zero_phase: 
         fine = np.cumsum(100 * bump(6.0, 12_000.0)) / 12_000.0  # the path, of which the tracker sees one in 100
         channels = {"position_x": Channel(0.6 * fine[::100], 120.0), "position_y": Channel(-0.8 * fine[::100], 120.0)}
     channels["force"] = Channel(bump(6.0, 10_000.0), 10_000.0)
-    recorded = recording({"acceleration": vibration}, rate_hz=10_000.0, **channels)
+    recorded = recording(vibration, rate_hz=10_000.0, **channels)
     trace = preprocess(recorded, PreprocessConfig(trim_ms=500.0, block_ms=5000.0, zero_phase=zero_phase))
     # A linear filter moves a centre of mass by its delay at 0 Hz exactly, here known to half a sample.
     assert centre_ms(trace.speed) == pytest.approx(2500.0, abs=1.0)
@@ -114,7 +118,7 @@ def test_the_axes_are_joined_after_they_are_filtered() -> None:
     rng = np.random.default_rng(0)
     axes = {f"acceleration_{axis}": rng.standard_normal(6000) for axis in "xyz"}
     joint = preprocess(recording(axes), SHORT)
-    alone = [preprocess(recording({"acceleration": samples}), SHORT) for samples in axes.values()]
+    alone = [preprocess(recording(samples), SHORT) for samples in axes.values()]
     stacked = np.stack([trace.blocks(trace.acceleration) for trace in alone], axis=1)
     np.testing.assert_allclose(joint.acceleration, dft321(stacked).ravel(), atol=1e-12)  # rounding
 
@@ -125,7 +129,7 @@ def test_pressing_counts_positive(name: str) -> None:
 
     def through(samples: np.ndarray) -> np.ndarray:
         channels: dict[str, Any] = {name: Channel(samples, 1000.0)}
-        recorded = recording({"acceleration": tone(100.0)}, **channels)
+        recorded = recording(**channels)
         if name != "force":
             recorded = Recording({k: v for k, v in recorded.channels.items() if k != "force"})
         return preprocess(recorded, SHORT).force
@@ -152,17 +156,16 @@ def test_the_sign_of_pressing_is_that_of_most_samples(sign: float) -> None:
 def test_a_magnitude_may_be_negative_by_its_noise_alone(name: str, noise: float, wrong: float, message: str) -> None:
     samples = np.ones(6000)
     samples[300] = noise
-    preprocess(recording({"acceleration": tone(100.0)}, **{name: Channel(samples, 1000.0)}), SHORT)
-    spoilt = samples.copy()
-    spoilt[300] = wrong
+    preprocess(recording(**{name: Channel(samples, 1000.0)}), SHORT)
+    samples[300] = wrong
     with pytest.raises(ValueError, match=message):
-        preprocess(recording({"acceleration": tone(100.0)}, **{name: Channel(spoilt, 1000.0)}), SHORT)
+        preprocess(recording(**{name: Channel(samples, 1000.0)}), SHORT)
 
 
 def test_speed_and_force_are_never_negative() -> None:
     step = np.where(np.arange(6000) < 3000, 200.0, 0.0)  # a second-order low-pass undershoots by 4 %
     speed, force = Channel(step, 1000.0), Channel(step / 100, 1000.0)
-    trace = preprocess(recording({"acceleration": tone(100.0)}, speed=speed, force=force), SHORT)
+    trace = preprocess(recording(speed=speed, force=force), SHORT)
     assert SHORT.delay_ms == pytest.approx(1000 * np.sqrt(2) / (2 * np.pi * 20), rel=2e-3)  # prewarping
     assert trace.speed.min() == 0.0
     assert trace.force.min() == 0.0
@@ -173,9 +176,7 @@ def test_rendering_conditions_a_stroke_as_training_does() -> None:
     rng = np.random.default_rng(0)
     speed = np.abs(100 + np.cumsum(rng.standard_normal(6000)))
     force = np.abs(1 + 0.01 * np.cumsum(rng.standard_normal(6000)))
-    trace = preprocess(
-        recording({"acceleration": tone(100.0)}, speed=Channel(speed, 1000.0), force=Channel(force, 1000.0)), SHORT
-    )
+    trace = preprocess(recording(speed=Channel(speed, 1000.0), force=Channel(force, 1000.0)), SHORT)
     rendered = condition(speed[None], force, 1000.0, SHORT.render_lowpass_hz)
     delay = round(SHORT.delay_ms)
     for found, expected in zip(rendered, (trace.speed, trace.force), strict=True):
@@ -184,13 +185,13 @@ def test_rendering_conditions_a_stroke_as_training_does() -> None:
 
 
 def test_whole_blocks_and_what_was_dropped() -> None:
-    trace = preprocess(recording({"acceleration": tone(100.0, 6.3)}, seconds=6.3), SHORT)
+    trace = preprocess(recording(tone(100.0, 6.3)), SHORT)
     # 6.3 s less twice 0.5 s is 5.3 s: ten blocks and 300 samples.
     assert (trace.n_blocks, trace.n_dropped) == (10, 300)
 
 
 def test_the_trace_says_where_it_came_from() -> None:
-    recorded = recording({"acceleration": tone(100.0)})
+    recorded = recording()
     trace = preprocess(recorded, SHORT)
     assert trace.recording_sha256 == recorded.sha256()
     assert PreprocessConfig(**trace.preprocess) == SHORT
@@ -198,14 +199,14 @@ def test_the_trace_says_where_it_came_from() -> None:
 
 def test_a_short_recording_names_the_options() -> None:
     """As a training may choose its rate, and as a texture that has one cannot."""
-    short = recording({"acceleration": tone(100.0, 5.0)}, seconds=5.0)
+    short = recording(tone(100.0, 5.0))
     message = r"^5 s are covered.*a trim of 2000 ms.*1 s, less than 5 blocks of 2000 ms; use --rate 1000 --trim 0 --block 500$"
     with pytest.raises(ValueError, match=message):
         preprocess(short, n_blocks=5)
     with pytest.raises(ValueError, match=r"leaves 1 s, less than a block of 2000 ms; use --trim 0 --block 500$"):
         preprocess(short)
     with pytest.raises(ValueError, match=r"leaves 0 s.*that is too short: record for longer"):
-        preprocess(recording({"acceleration": tone(100.0, 0.4)}, seconds=0.4))
+        preprocess(recording(tone(100.0, 0.4)))
 
 
 @pytest.mark.parametrize("captured_hz", [100.0, 800.0, 3000.0, 10_000.0, 51_200.0])
@@ -245,7 +246,7 @@ def test_what_not_every_channel_covers_is_left_out_and_counted() -> None:
     """Speed and force from 2 to 6 s beside 6 s of acceleration: nothing is invented for the first two."""
     times = 2.0 + np.arange(400) / 100
     speed, force = (Channel(values, 100.0, times) for values in (50 * times, 0 * times + 1))
-    recorded = recording({"acceleration": tone(100.0)}, speed=speed, force=force)
+    recorded = recording(speed=speed, force=force)
     trace = preprocess(recorded, PreprocessConfig(trim_ms=0, block_ms=500))
     assert trace.n_uncovered == 2000
     # The first sample of the trace is at 2 s, where the speed is 100 mm/s, to within the low-pass's settling.
@@ -254,9 +255,7 @@ def test_what_not_every_channel_covers_is_left_out_and_counted() -> None:
 
 def test_a_stroke_along_one_axis_has_a_speed_both_ways() -> None:
     position = 20 * np.sin(2 * np.pi * 1.0 * np.arange(720) / 120)
-    recorded = recording(
-        {"acceleration": tone(100.0)}, position_x=Channel(position, 120.0), force=Channel(np.ones(6000), 1000.0)
-    )
+    recorded = recording(position_x=Channel(position, 120.0), force=Channel(np.ones(6000), 1000.0))
     trace = preprocess(recorded, SHORT)
     # The mean of |cos| is 2/π.
     assert trace.speed.mean() == pytest.approx(20 * 2 * np.pi * 2 / np.pi, rel=0.05)
@@ -284,10 +283,8 @@ def test_what_no_hand_does_is_refused_unless_forced(name: str, peak: float, mess
 
 def _changed(**channels: Channel | None) -> Recording:
     """Usable recording with other channels, or without some."""
-    usable = recording({"acceleration": tone(100.0)})
-    return Recording(
-        {name: channel for name, channel in {**usable.channels, **channels}.items() if channel is not None}
-    )
+    changed = {**recording().channels, **channels}
+    return Recording({name: channel for name, channel in changed.items() if channel is not None})
 
 
 ROWS_S = np.delete(np.arange(600) / 100, slice(200, 300))
