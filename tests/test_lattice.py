@@ -10,23 +10,11 @@ import pytest
 from scipy.signal import lfilter
 from scipy.stats import multivariate_normal
 
+import foten.models.foten_plus.linear_model as linear_model
 from foten.dsp import lattice
 from foten.dsp.lattice import LEAK, analyse, check_reflections, delayed, polynomial, predict, push, rotate_back
 from foten.dsp.speed_force_table import FORCE_FLOOR, SpeedForceTable, spanning
-from foten.models.foten_plus.linear_model import (
-    MIN_INNOVATION,
-    N_FOLDS,
-    N_FOLDS_OF_MANY,
-    SCALES,
-    LatticeData,
-    Sections,
-    _covariances,
-    _folds,
-    _shrunk,
-    fit_reflections,
-    select_lattices,
-    validation_errors,
-)
+from foten.models.foten_plus.linear_model import LatticeData, _folds, fit_reflections, select_lattices
 from foten.training import training_kernel as kernel
 
 
@@ -37,6 +25,18 @@ def validation_error(table: SpeedForceTable, data: LatticeData, first: int) -> f
         e, gain, _ = analyse(data.x[block][None], table.at(data.speed[block], data.force[block])[None])
         errors.append(np.abs(e[0] * gain[0] * data.gain[block])[first:])
     return float(np.mean(errors))
+
+
+def steady(x: np.ndarray, gain: np.ndarray, n_train: int | None = None) -> LatticeData:
+    """Blocks under one hand: the first for training, the others for validation; all are for training by default."""
+    blocks, n_train = tuple(range(len(x))), len(x) if n_train is None else n_train
+    return LatticeData(x, gain, np.full(x.shape, 100.0), np.ones(x.shape), blocks[:n_train], blocks[n_train:])
+
+
+def resonance(rng: np.random.Generator, n_blocks: int) -> np.ndarray:
+    """White noise through one AR(2), of standard deviation 1."""
+    x = lfilter([0.3], [1, -1.5, 0.8], rng.standard_normal((n_blocks, 1000)))
+    return np.asarray(x / x.std())
 
 
 def synthesized(reflections: np.ndarray, e: np.ndarray, states: np.ndarray | None = None) -> np.ndarray:
@@ -57,8 +57,8 @@ def test_constant_reflections_are_an_all_pole_filter() -> None:
     rng = np.random.default_rng(0)
     k = rng.uniform(-0.9, 0.9, 7)
     e = rng.standard_normal((2, 300))
-    result = synthesized(np.broadcast_to(k, (2, 300, 7)), e)
     expected = lfilter([np.sqrt(1 - k**2).prod()], polynomial(k), e)
+    result = synthesized(np.broadcast_to(k, (2, 300, 7)), e)
     np.testing.assert_allclose(result, expected, rtol=1e-9, atol=1e-9)  # rounding
 
 
@@ -121,9 +121,8 @@ def test_the_states_energy_is_a_lyapunov_function_for_all_reflections() -> None:
 
 
 def test_a_schedule_is_bilinear_between_its_vertices_and_constant_outside() -> None:
-    schedule = SpeedForceTable(
-        np.array([10.0, 20.0]), np.log(np.array([0.55, 1.05])), np.array([[0.1], [0.3], [0.5], [0.9]])
-    )
+    values = np.array([[0.1], [0.3], [0.5], [0.9]])
+    schedule = SpeedForceTable(np.array([10.0, 20.0]), np.log([0.55, 1.05]), values)
     at = schedule.at(np.array([10.0, 20.0, 15.0, 0.0, 99.0]), np.array([0.5, 1.0, 0.5, 0.0, 9.0]))
     np.testing.assert_allclose(at[:, 0], [0.1, 0.9, 0.3, 0.1, 0.9], atol=1e-12)
     halfway = np.exp(np.log([0.55, 1.05]).mean()) - FORCE_FLOOR
@@ -192,7 +191,7 @@ def test_sections_in_c_are_those_of_the_definition(
     blocks = list(data.train)
     table = spanning(speed[blocks], force[blocks], n_speed, n_force)
     shares = table.weights(speed[blocks].ravel(), force[blocks].ravel())
-    sections = Sections(data, data.train, table)
+    sections = linear_model.Sections(data, data.train, table)
     f = b = x[blocks]
     gain = gain[blocks]
     for first in (1, 2, 7):
@@ -218,7 +217,7 @@ def test_sections_in_c_are_those_of_the_definition(
 def test_deviations_are_shrunk_by_the_prior_of_the_greatest_evidence() -> None:
     """Oracle: the density of the scores under each prior of the grid, and the posterior mean of a Gaussian."""
     rng = np.random.default_rng(2)
-    parts = _covariances(3, 2)
+    parts = linear_model._covariances(3, 2)
     root = rng.standard_normal((6, 40)) * 3
     information = root @ root.T
     true = 0.3 * np.linalg.cholesky(parts[0] + 1e-9 * np.eye(6)) @ rng.standard_normal(6)
@@ -228,13 +227,15 @@ def test_deviations_are_shrunk_by_the_prior_of_the_greatest_evidence() -> None:
         prior = sum(scale**2 * part for scale, part in zip(scales, parts, strict=True))
         return float(multivariate_normal(cov=information + information @ prior @ information).logpdf(score))
 
-    scales = max(itertools.product(SCALES, repeat=3), key=evidence)
+    scales = max(itertools.product(linear_model.SCALES, repeat=3), key=evidence)
     assert max(scales) > 0
     prior = sum(scale**2 * part for scale, part in zip(scales, parts, strict=True))
     noise = np.linalg.inv(information)
     expected = prior @ np.linalg.solve(prior + noise, noise @ score)
-    np.testing.assert_allclose(_shrunk(information, score, parts), expected, rtol=1e-6, atol=1e-9)
-    np.testing.assert_array_equal(_shrunk(information[:1, :1], score[:1], _covariances(1, 1)), [0.0])
+    np.testing.assert_allclose(linear_model._shrunk(information, score, parts), expected, rtol=1e-6, atol=1e-9)
+    np.testing.assert_array_equal(
+        linear_model._shrunk(information[:1, :1], score[:1], linear_model._covariances(1, 1)), [0.0]
+    )
 
 
 def test_errors_of_all_orders_at_once_are_those_of_each() -> None:
@@ -242,26 +243,21 @@ def test_errors_of_all_orders_at_once_are_those_of_each() -> None:
     data, _ = moving_tone(12, 2)
     table = fit_reflections(data, 9, 4, 2)
     orders = [1, 4, 9]
-    expected = []
-    for order in orders:
-        alone = dataclasses.replace(table, values=table.values[:, :order])
-        expected.append(validation_error(alone, data, 9))
-    np.testing.assert_allclose(validation_errors(table, data, orders), expected, rtol=1e-9)  # rounding
+    alone = [dataclasses.replace(table, values=table.values[:, :order]) for order in orders]
+    expected = [validation_error(one, data, 9) for one in alone]
+    np.testing.assert_allclose(linear_model.validation_errors(table, data, orders), expected, rtol=1e-9)  # rounding
 
 
 def test_a_process_that_does_not_move_costs_nothing() -> None:
     """White noise through one AR(2): whatever is tried stays near the best error, and no long lattice is taken."""
     rng = np.random.default_rng(3)
-    x = lfilter([0.3], [1, -1.5, 0.8], rng.standard_normal((20, 1000)))
-    x /= x.std()
+    x = resonance(rng, 20)
     speed, force = rng.uniform(5, 300, x.shape), rng.uniform(0.2, 4, x.shape)
     data = LatticeData(x, np.ones_like(x), speed, force, tuple(range(14)), tuple(range(14, 20)))
     fitted = select_lattices(data, 120)[0]
-    schedule = fitted.table
-    assert schedule.values.shape[1] <= 20
-    best = min(line["mae_scaled"] for line in fitted.tried)
-    worst = max(line["mae_scaled"] for line in fitted.tried)
-    assert worst < 1.01 * best
+    assert fitted.table.values.shape[1] <= 20
+    errors = [line["mae_scaled"] for line in fitted.tried]
+    assert max(errors) < 1.01 * min(errors)
 
 
 def test_vertices_that_no_stroke_came_near_are_like_the_others() -> None:
@@ -278,9 +274,7 @@ def test_vertices_that_no_stroke_came_near_are_like_the_others() -> None:
 def test_a_growing_signal_gives_a_lattice_that_is_stable() -> None:
     t = np.arange(3000)
     x = np.exp(0.001 * t) * np.sin(0.3 * t) + 1e-3 * np.random.default_rng(4).standard_normal(3000)
-    x = x.reshape(6, 500)
-    data = LatticeData(x, np.ones_like(x), 0 * x, 0 * x, (0, 1, 2, 3), (4, 5))
-    schedule = select_lattices(data, 20)[0].table
+    schedule = select_lattices(steady(x.reshape(6, 500), np.ones((6, 500)), 4), 20)[0].table
     assert np.abs(schedule.values).max() <= lattice.MAX_REFLECTION
 
 
@@ -292,17 +286,14 @@ def test_no_knot_leaves_less_to_the_innovation_than_a_sensor_resolves() -> None:
     speed = np.repeat([20.0, 200.0], 16)[:, None] + 0 * x
     data = LatticeData(x, np.ones_like(x), speed, np.ones_like(x), tuple(range(32)), ())
     slow, *_, fast = np.sqrt(1 - np.square(fit_reflections(data, 40, 3, 1).values)).prod(axis=1)
-    assert fast == pytest.approx(MIN_INNOVATION, rel=1e-6)
+    assert fast == pytest.approx(linear_model.MIN_INNOVATION, rel=1e-6)
     assert slow > 0.9
 
 
 def test_reflections_of_chance_are_not_kept() -> None:
     """Half a second of an AR(2) in five blocks: 80 sections beyond it are noise, and predict worse unless they are shrunk."""
-    rng = np.random.default_rng(5)
-    x = lfilter([0.3], [1, -1.5, 0.8], rng.standard_normal((25, 1000)))
-    x /= x.std()
-    still = np.full_like(x, 1.0)
-    data = LatticeData(x, still, still, still, tuple(range(5)), tuple(range(5, 25)))
+    x = resonance(np.random.default_rng(5), 25)
+    data = steady(x, np.ones_like(x), 5)
     long = fit_reflections(data, 80, 1, 1)
     assert np.abs(long.values[0, 12:]).mean() < 0.5 * np.sqrt(2 / np.pi / 5000)  # what 5000 samples leave unshrunk
     short = fit_reflections(data, 2, 1, 1)
@@ -317,9 +308,9 @@ def test_each_known_block_is_in_one_validation_set_and_test_blocks_in_none() -> 
     known = {*range(4, 27), 27, 29}
     assert sorted(block for fold in folds for block in fold.validation) == sorted(known)
     assert all(set(fold.train) == known - set(fold.validation) for fold in folds)
-    assert len(folds) == N_FOLDS_OF_MANY
+    assert len(folds) == linear_model.N_FOLDS_OF_MANY
     some = dataclasses.replace(data, train=tuple(range(10)), validation=(10, 11))
-    assert len(_folds(some)) == N_FOLDS
+    assert len(_folds(some)) == linear_model.N_FOLDS
     few = dataclasses.replace(data, train=(0, 1), validation=(2,))
     assert [(fold.train, fold.validation) for fold in _folds(few)] == [((1, 2), (0,)), ((0, 2), (1,)), ((0, 1), (2,))]
 
@@ -341,15 +332,14 @@ def test_two_validation_blocks_that_show_no_difference_do_not_choose() -> None:
 
 def test_the_error_of_a_kind_is_the_mean_over_all_folds_by_their_blocks() -> None:
     rng = np.random.default_rng(8)
-    block, n_blocks = 400, N_FOLDS + 2  # so that two folds have two blocks
+    block, n_blocks = 400, linear_model.N_FOLDS + 2  # so that two folds have two blocks
     moving = lfilter([1.0], [1.0, -0.9], rng.standard_normal(n_blocks * block)).reshape(n_blocks, block)
     moving[0] *= 5  # so that the first fold alone says something else
-    ones = np.ones((n_blocks, block))
-    data = LatticeData(moving, ones, 100 * ones, ones, tuple(range(N_FOLDS)), (N_FOLDS, N_FOLDS + 1))
+    data = steady(moving, np.ones((n_blocks, block)), linear_model.N_FOLDS)
     folds, order = _folds(data), 5
-    weights = [2, 2] + [1] * (N_FOLDS - 2)
+    weights = [2, 2] + [1] * (linear_model.N_FOLDS - 2)
     assert [len(fold.validation) for fold in folds] == weights
-    each = [validation_errors(fit_reflections(fold, order, 1, 1), fold, [order])[0] for fold in folds]
+    each = [linear_model.validation_errors(fit_reflections(fold, order, 1, 1), fold, [order])[0] for fold in folds]
     tried = select_lattices(data, order, table=False, both_gains=False)[0].tried
     assert tried[-1]["order"] == order
     assert tried[-1]["mae_scaled"] == pytest.approx(np.average(each, weights=weights), rel=1e-9)
@@ -401,11 +391,6 @@ def test_soft_blocks_count_as_much_as_loud_ones() -> None:
     result = fit_reflections(steady(x, level).with_gain_before_filter(), 1, 1, 1).values
     # The power of each block is known to √(2 (1 + k²)/(1 − k²)/n) = 7 %, that of either colour to half of it.
     assert result[0, 0] == pytest.approx(0.0, abs=4 * 0.9 * 0.035 / np.sqrt(2))
-
-
-def steady(x: np.ndarray, gain: np.ndarray) -> LatticeData:
-    """Blocks for training under one hand."""
-    return LatticeData(x, gain, np.full(x.shape, 100.0), np.ones(x.shape), tuple(range(len(x))), ())
 
 
 @pytest.mark.parametrize("speed", [123.4, 50.0, 0.0])

@@ -19,23 +19,9 @@ import pytest
 import torch
 from torch import Tensor, nn
 
+import foten.training.loop as training_loop
 from foten.training.config import RECIPES, TrainConfig
-from foten.training.loop import (
-    MIN_SIDE,
-    Checkpoint,
-    Epoch,
-    Loop,
-    Monitor,
-    Optimiser,
-    Progress,
-    epoch_seed,
-    gradient_step,
-    orthogonalised,
-    run_loop,
-    schedule,
-    shared_gradients,
-    should_continue,
-)
+from foten.training.loop import Checkpoint, Epoch, Loop, Monitor, Optimiser, Progress, run_loop
 
 CONFIG = replace(RECIPES["default"], epochs=6, trial_epochs=100)
 
@@ -78,7 +64,7 @@ def noisy(name: str, seed: int, averaging: float = 0.9) -> Loop:
 
     def gradients(epoch: int, number: int) -> tuple[Tensor, tuple[Tensor, ...]]:
         if number == 0:
-            generator.manual_seed(epoch_seed(0, epoch))
+            generator.manual_seed(training_loop.epoch_seed(0, epoch))
         loss = (network(torch.randn(8, 6, generator=generator)) - 1).square().mean()
         return loss.detach(), torch.autograd.grad(loss, list(network.parameters()))
 
@@ -87,7 +73,7 @@ def noisy(name: str, seed: int, averaging: float = 0.9) -> Loop:
             loss = float((of(torch.eye(6)) - 1).square().mean())
         return loss, loss
 
-    step = gradient_step(network, optimiser, gradients, 1.0, schedule(CONFIG, 3))
+    step = training_loop.gradient_step(network, optimiser, gradients, 1.0, training_loop.schedule(CONFIG, 3))
     return Loop(name, network, 3, step, validate, {"optimiser": optimiser}, averaging)
 
 
@@ -191,10 +177,8 @@ def test_a_training_goes_on_from_its_own_checkpoint_alone(tmp_path: Path) -> Non
     again = Checkpoint.going_on(path, CONFIG, about)
     assert again.elapsed_s() < 1.0  # nothing was taken over yet
     loop = noisy("loop", 8)
-    assert (
-        len(again.load("loop", {"network": loop.network, "averaged": noisy("loop", 8).network, **loop.parts}).epochs)
-        == 4
-    )
+    parts = {"network": loop.network, "averaged": noisy("loop", 8).network, **loop.parts}
+    assert len(again.load("loop", parts).epochs) == 4
     assert torch.equal(torch.rand(3), expected)
     others = [(CONFIG, {**about, "code": "2"}), (CONFIG, {}), (replace(CONFIG, batch=32), about)]
     for config, of in others:
@@ -291,7 +275,7 @@ def progress_of(errors: list[float]) -> Progress:
 )
 def test_trial_and_patience_end_a_training(errors: list[float], on: bool, noted: bool) -> None:
     progress = progress_of(errors)
-    assert should_continue(progress, replace(CONFIG, trial_epochs=3, min_gain=1e-3, patience=4)) == on
+    assert training_loop.should_continue(progress, replace(CONFIG, trial_epochs=3, min_gain=1e-3, patience=4)) == on
     note = "the network gains 0.05 % on the validation blocks in 3 epochs, less than 0.1 %: its training stops there"
     assert progress.notes == [note] * noted
 
@@ -315,7 +299,7 @@ def test_a_step_clips_all_gradients_at_once_and_follows_the_schedule() -> None:
             seen.append((float(network.weight.grad), float(network.bias.grad), rate))  # type: ignore[arg-type]
 
     for clip_norm in (2.0, 9.0, 0.0):
-        step = gradient_step(
+        step = training_loop.gradient_step(
             network,
             Recorded(),  # type: ignore[arg-type]
             lambda epoch, number: (torch.tensor(7.0), [torch.tensor([[3.0]]), torch.tensor([4.0])]),
@@ -339,18 +323,18 @@ def test_shares_are_added_in_their_order_whichever_thread_is_first() -> None:
         return factors[k] * network.weight.sum()
 
     with ThreadPoolExecutor(3) as pool:
-        loss, (gradient,) = shared_gradients(list(network.parameters()), pool, loss_of_share, 3)
+        loss, (gradient,) = training_loop.shared_gradients(list(network.parameters()), pool, loss_of_share, 3)
     assert float(gradient) == 0.0
     assert abs(float(loss)) < 10
 
 
 def test_the_rate_rises_over_a_tenth_and_falls_by_half_a_cosine() -> None:
     config = TrainConfig(epochs=5)
-    rate = schedule(config, 4)
+    rate = training_loop.schedule(config, 4)
     rates = [rate(epoch, number) for epoch in range(1, 6) for number in range(4)]
     fall = [0.5 * (1 + math.cos(math.pi * n / 18)) for n in range(18)]
     assert rates == pytest.approx([0.5, 1.0, *fall])
-    assert {schedule(replace(config, schedule="constant"), 4)(epoch, 0) for epoch in range(1, 6)} == {1.0}
+    assert {training_loop.schedule(replace(config, schedule="constant"), 4)(epoch, 0) for epoch in range(1, 6)} == {1.0}
 
 
 UNDECAYED = replace(RECIPES["default"], weight_decay=0.0)
@@ -358,7 +342,7 @@ UNDECAYED = replace(RECIPES["default"], weight_decay=0.0)
 
 def parameters(seed: int = 0) -> dict[str, nn.Parameter]:
     torch.manual_seed(seed)
-    shapes = {"square": (12, 12), "tall": (24, 8), "narrow": (16, MIN_SIDE), "bias": (12,)}
+    shapes = {"square": (12, 12), "tall": (24, 8), "narrow": (16, training_loop.MIN_SIDE), "bias": (12,)}
     return {name: nn.Parameter(torch.randn(*shape)) for name, shape in shapes.items()}
 
 
@@ -366,7 +350,7 @@ def parameters(seed: int = 0) -> dict[str, nn.Parameter]:
 def test_singular_values_come_near_one_and_directions_stay(shape: tuple[int, ...]) -> None:
     """Oracle: the orthogonal factor U Vᵀ of NumPy's singular value decomposition."""
     matrices = torch.from_numpy(np.random.default_rng(0).standard_normal(shape)).float()
-    found = orthogonalised([matrices, matrices.mT])[0].double().numpy()
+    found = training_loop.orthogonalised([matrices, matrices.mT])[0].double().numpy()
     u, _, vt = np.linalg.svd(matrices.double().numpy(), full_matrices=False)
     # The quintic ends between 0.68 and 1.14, whatever a singular value was, down to 1 % of their norm.
     assert np.linalg.svd(found, compute_uv=False) == pytest.approx(0.93, abs=0.27)

@@ -74,6 +74,14 @@ def recorded(n_streams: int, n: int, seed: int = 1) -> np.ndarray:
     return np.concatenate([samples, moving(n_streams, n, seed)[..., :2]], axis=2)
 
 
+def inputs(
+    texture: Texture, n_streams: int, n: int, seed: int
+) -> tuple[NativeTexture, np.ndarray, np.ndarray, np.ndarray]:
+    """A texture's kernel; recorded windows, conditions and noise of streams of n samples."""
+    noise = np.random.default_rng(seed).standard_normal((n_streams, n))
+    return NativeTexture(texture.to_bytes()), recorded(n_streams, texture.window), moving(n_streams, n), noise
+
+
 def rounding(sizes: ModelSizes) -> float:
     """What float64 rounds in sums of another order, as a share of a sample."""
     if isinstance(sizes, PiecewiseArSizes):
@@ -85,9 +93,7 @@ def rounding(sizes: ModelSizes) -> float:
 def test_the_kernels_loop_is_the_references(key: str, variant: str) -> None:
     """Seam: from recorded windows, with noise and without, cut and not."""
     texture, model = case(key, variant)
-    native = NativeTexture(texture.to_bytes())
-    windows, condition = recorded(2, texture.window), moving(2, 96)
-    drawn = np.random.default_rng(2).standard_normal((2, 96))
+    native, windows, condition, drawn = inputs(texture, 2, 96, seed=2)
     # A network is in float32, and what it rounds is fed back: for 64 steps the file's own tolerance, then ten times that.
     double = in_float64_alone(texture.sizes)
     first, later = (rounding(texture.sizes),) * 2 if double else (1e-4, 1e-3)
@@ -127,9 +133,8 @@ def followed(
             return samples, None, None, None
         missed = (blocks[:, m:, 0] - samples).T
         if not corrected:
-            scores = [
-                (p.scale, *innovation_likelihood(miss, p.scale)) for p, miss in zip(predictions, missed, strict=True)
-            ]
+            both = zip(predictions, missed, strict=True)
+            scores = [(p.scale, *innovation_likelihood(miss, p.scale)) for p, miss in both]
         else:
             scores = []
             for p, miss, unit in zip(predictions, missed, units, strict=True):
@@ -203,8 +208,7 @@ def test_a_networks_history_is_its_own_output_as_it_was_cut(key: str, variant: s
     weight = exported(key, sizes).tensors["head_3.weight"]
     # Untrained, its samples would hardly differ.
     texture = exported(key, sizes, {"head_3.weight": 40 * weight})
-    native = NativeTexture(texture.to_bytes())
-    windows, condition = recorded(2, texture.window), moving(2, 200)
+    native, windows, condition, _ = inputs(texture, 2, 200, seed=0)
     uncut = render_streams(native, windows, condition, None)
     for limit in (np.inf, 0.9 * float(np.median(np.abs(uncut)))):
         out = render_streams(native, windows, condition, None, limit)
@@ -219,10 +223,7 @@ def test_a_networks_history_is_its_own_output_as_it_was_cut(key: str, variant: s
 
 @pytest.mark.parametrize(("key", "variant"), [("foten-plus", "a-table"), ("foten-plus", "tones"), ("ar", "with-zeros")])
 def test_a_bounded_model_goes_on_from_what_was_not_cut(key: str, variant: str) -> None:
-    texture, _ = case(key, variant)
-    native = NativeTexture(texture.to_bytes())
-    windows, condition = recorded(2, texture.window), moving(2, 300)
-    noise = np.random.default_rng(5).standard_normal((2, 300))
+    native, windows, condition, noise = inputs(case(key, variant)[0], 2, 300, seed=5)
     uncut, cut = (render_streams(native, windows, condition, noise, limit) for limit in (np.inf, 0.2))
     assert (np.abs(uncut) > 0.2).mean() > 0.05
     np.testing.assert_array_equal(cut, np.clip(uncut, -0.2, 0.2))
@@ -234,10 +235,7 @@ def test_a_bounded_model_goes_on_from_what_was_not_cut(key: str, variant: str) -
 )
 def test_a_sample_goes_by_the_condition_before_it(key: str, variant: str) -> None:
     """Eq. 1: a change of speed and force at a sample changes the next one first."""
-    texture, _ = case(key, variant)
-    native = NativeTexture(texture.to_bytes())
-    windows, condition = recorded(1, texture.window), moving(1, 30)
-    noise = np.random.default_rng(6).standard_normal((1, 30))
+    native, windows, condition, noise = inputs(case(key, variant)[0], 1, 30, seed=6)
     changed = condition.copy()
     changed[0, 20] += [0.5, -0.5, 30.0]
     one, other = (render_streams(native, windows, some, noise) for some in (condition, changed))
@@ -245,14 +243,9 @@ def test_a_sample_goes_by_the_condition_before_it(key: str, variant: str) -> Non
     assert one[0, 21] != other[0, 21]
 
 
-def linear_texture(**tensors: np.ndarray) -> Texture:
-    """A lattice of constant reflections without network in the loop: a filter of white noise."""
-    return exported("foten-plus", FotenPlusSizes(**{**PLUS, "order": 6, "network_in_loop": False}), tensors)
-
-
 def test_under_a_constant_condition_the_lattice_is_an_all_pole_filter() -> None:
     """Oracle: scipy.signal.lfilter and the step-up recursion; white noise in, and a recorded window that rings out."""
-    texture = linear_texture()
+    texture = exported("foten-plus", FotenPlusSizes(**{**PLUS, "order": 6, "network_in_loop": False}))
     native, model = NativeTexture(texture.to_bytes()), model_of(texture.sizes, texture.tensors)
     assert isinstance(model, FotenPlus)
     condition = np.tile([[[0.3, -0.2, 118.0]]], (2, 500, 1))
@@ -275,9 +268,8 @@ def test_a_draw_is_the_mixtures_quantile(seed: int) -> None:
     outputs = [np.log(mixture.weight), mixture.mean, 6 * np.arctanh(np.log(mixture.scale) / 6)]
     silent = np.zeros(sizes.tensor_shapes()["rendering_network.out.weight"])
     bias = np.concatenate(outputs, axis=1)[0]
-    texture = exported(
-        "foten-plus", sizes, {"rendering_network.out.weight": silent, "rendering_network.out.bias": bias}
-    )
+    out = {"rendering_network.out.weight": silent, "rendering_network.out.bias": bias}
+    texture = exported("foten-plus", sizes, out)
     noise = np.linspace(-5.7, 5.7, 115)[:, None]
     windows, condition = np.zeros((len(noise), texture.window, 3)), np.zeros((len(noise), 1, 3))
     expected = run(model_of(sizes, texture.tensors).start(windows), condition, noise)
@@ -297,10 +289,9 @@ def test_no_excitation_is_larger_than_the_largest_innovation(variant: str, large
         shapes = sizes.tensor_shapes()
         bound |= {name: np.zeros(shapes[name]) for name in ("head_3.weight", "head_3.bias")}
     texture = exported(key, sizes, bound)
-    native, model = NativeTexture(texture.to_bytes()), model_of(sizes, texture.tensors)
-    windows, condition = recorded(2, texture.window), moving(2, 60)
-    noise = 2 * np.random.default_rng(8).standard_normal((2, 60)).clip(-2.5, 2.5)
-    expected = run(model.start(windows), condition, noise)
+    native, windows, condition, noise = inputs(texture, 2, 60, seed=8)
+    noise = 2 * noise.clip(-2.5, 2.5)
+    expected = run(model_of(sizes, texture.tensors).start(windows), condition, noise)
     out = render_streams(native, windows, condition, noise)
     tolerance = 1e-9 if in_float64_alone(sizes) or key == "foten" else CLOSED_LOOP_TOLERANCE
     np.testing.assert_allclose(out, expected, rtol=tolerance, atol=tolerance)
@@ -314,9 +305,7 @@ def test_no_excitation_is_larger_than_the_largest_innovation(variant: str, large
 
 def test_streams_do_not_depend_on_each_other() -> None:
     texture, _ = case("foten-plus", "a-table")
-    native = NativeTexture(texture.to_bytes())
-    windows, condition = recorded(5, texture.window), moving(5, 50)
-    noise = np.random.default_rng(7).standard_normal((5, 50))
+    native, windows, condition, noise = inputs(texture, 5, 50, seed=7)
     at_once = render_streams(native, windows, condition, noise)
     alone = [render_streams(native, windows[[k]], condition[[k]], noise[[k]])[0] for k in range(5)]
     np.testing.assert_array_equal(at_once, alone)
@@ -353,12 +342,8 @@ def test_nothing_makes_it_grow(tones: bool, in_loop: bool, gain_before: bool) ->
     """
     sizes = {**PLUS, "order": 6, "n_speed": 3, "n_force": 2}
     of_tones = {"n_tones": 3, "n_tone_speed": 4, "n_tone_force": 2, "residual_order": 4}
-    family = FotenPlusSizes(
-        **(sizes | of_tones if tones else sizes),
-        gain_before_filter=gain_before,
-        residual_gain_before_filter=gain_before,
-        network_in_loop=in_loop,
-    )
+    gains = {"gain_before_filter": gain_before, "residual_gain_before_filter": gain_before}
+    family = FotenPlusSizes(**(sizes | of_tones if tones else sizes), **gains, network_in_loop=in_loop)
     texture = exported("foten-plus", family, {"excitation.innovation_limit": np.array([9.0, 1e6])})
     model = model_of(family, texture.tensors)
     assert isinstance(model, FotenPlus)

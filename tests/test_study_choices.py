@@ -200,20 +200,25 @@ def coverage_of_strengths(sd: float, n: int, trials: int, studies: int) -> float
     return float(np.mean(covered))
 
 
-def coverage_of_d_prime(
-    draw: Callable[[np.random.Generator, Array], Sensitivity],
-    share_of: Callable[[Array], Array],
-    d_prime: float,
-    sd: float,
-    n: int,
-    studies: int,
-) -> float:
-    """Share of intervals that hold the d′ of the mean share of very many participants, whose own are |N(d′, sd)|."""
-    rng = np.random.default_rng(2)
-    everybody = np.abs(d_prime + sd * rng.standard_normal(200_000))
-    truth = float(d_prime_at(share_of(everybody).mean(), share_of))
-    found = [draw(rng, np.abs(d_prime + sd * rng.standard_normal(n))) for _ in range(studies)]
-    return float(np.mean([study.ci95_low <= truth <= study.ci95_high for study in found]))
+def coverage_of_d_prime(d_prime: float, sd: float, n: int, trials: int, leaning: float, studies: int) -> list[float]:
+    """Shares of intervals, by oddity and by ABX of people who lean to A by N(leaning, 0.5), that hold the d′ of the mean share of
+    very many participants, whose own are |N(d′, sd)|.
+    """
+
+    def by_oddity(rng: np.random.Generator, d: Array) -> Sensitivity:
+        return oddity(*odd_answers(rng, d, trials))
+
+    def by_abx(rng: np.random.Generator, d: Array) -> Sensitivity:
+        return abx(*abx_answers(rng, d, leaning + 0.5 * rng.standard_normal(len(d)), trials // 2))
+
+    shares = []
+    for draw, share_of in ((by_oddity, oddity_share), (by_abx, abx_share)):
+        rng = np.random.default_rng(2)
+        everybody = np.abs(d_prime + sd * rng.standard_normal(200_000))
+        truth = float(d_prime_at(share_of(everybody).mean(), share_of))
+        found = [draw(rng, np.abs(d_prime + sd * rng.standard_normal(n))) for _ in range(studies)]
+        shares.append(float(np.mean([study.ci95_low <= truth <= study.ci95_high for study in found])))
+    return shares
 
 
 @pytest.mark.parametrize("sd", [pytest.param(0.0, marks=SLOW), 1.0])
@@ -225,13 +230,7 @@ def test_intervals_of_strengths_hold_the_truth(sd: float) -> None:
     ("d_prime", "sd"), [pytest.param(1.0, 0.0, marks=SLOW), (2.0, 0.8), pytest.param(4.5, 0.8, marks=SLOW)]
 )
 def test_intervals_of_d_prime_hold_the_truth(d_prime: float, sd: float) -> None:
-    covered = coverage_of_d_prime(lambda rng, d: oddity(*odd_answers(rng, d, 12)), oddity_share, d_prime, sd, 12, 500)
-    assert covered >= COVERED
-    covered = coverage_of_d_prime(
-        lambda rng, d: abx(*abx_answers(rng, d, 0.3 + 0.5 * rng.standard_normal(len(d)), 6)),
-        *(abx_share, d_prime, sd, 12, 500),
-    )
-    assert covered >= COVERED
+    assert min(coverage_of_d_prime(d_prime, sd, 12, 12, 0.3, 500)) >= COVERED
 
 
 @SLOW
@@ -239,34 +238,27 @@ def test_intervals_hold_the_truth_in_other_studies() -> None:
     """Of few participants too; printed with -s."""
     for n, trials in ((3, 4), (5, 1), (8, 2), (21, 1), (21, 6)):
         for sd in (0.0, 1.0):
-            covered = coverage_of_strengths(sd, n, trials, 1000)
-            print("strengths", n, trials, sd, covered)
-            assert covered >= COVERED
+            share = coverage_of_strengths(sd, n, trials, 1000)
+            print("strengths", n, trials, sd, share)
+            assert share >= COVERED
     for n, trials in ((3, 12), (6, 6), (12, 24), (21, 12)):
         for d_prime, sd in ((0.0, 0.0), (1.0, 0.7), (2.5, 1.0), (4.5, 0.0)):
-            odd = coverage_of_d_prime(
-                lambda rng, d, m=trials: oddity(*odd_answers(rng, d, m)), oddity_share, d_prime, sd, n, 1000
-            )
-            by_abx = coverage_of_d_prime(
-                lambda rng, d, m=trials: abx(*abx_answers(rng, d, 0.5 * rng.standard_normal(len(d)), m // 2)),
-                *(abx_share, d_prime, sd, n, 1000),
-            )
-            print("oddity, ABX", n, trials, d_prime, sd, odd, by_abx)
-            assert min(odd, by_abx) >= COVERED
+            covered = coverage_of_d_prime(d_prime, sd, n, trials, 0.0, 1000)
+            print("oddity, ABX", n, trials, d_prime, sd, covered)
+            assert min(covered) >= COVERED
 
 
-def alarms(p: Callable[[np.random.Generator], float], studies: int = 1000) -> float:
-    """Share of null studies whose p is 0.05 or less; printed with -s."""
+def check_alarms(p: Callable[[np.random.Generator], float], studies: int = 1000) -> None:
+    """Check the share of null studies whose p is 0.05 or less; printed with -s."""
     rng = np.random.default_rng(3)
     rate = float(np.mean([p(rng) <= 0.05 for _ in range(studies)]))
     print("false alarms", rate)
-    return rate
+    assert ALARMS[0] <= rate <= ALARMS[1], rate
 
 
 @pytest.mark.parametrize("sd", [0.0, 2.0], ids=["by a coin", "private preferences"])
 def test_false_alarms_of_a_preference(sd: float) -> None:
-    rate = alarms(lambda rng: bradley_terry(choosers(rng, np.zeros(4), 12, 3, sd)).overall_p)
-    assert ALARMS[0] <= rate <= ALARMS[1], rate
+    check_alarms(lambda rng: bradley_terry(choosers(rng, np.zeros(4), 12, 3, sd)).overall_p)
 
 
 @pytest.mark.parametrize("leaning", [pytest.param(1 / 3, marks=SLOW), 0.6, pytest.param(0.9, marks=SLOW)])
@@ -278,23 +270,15 @@ def test_false_alarms_of_oddity(leaning: float) -> None:
         odd = rng.integers(0, 3, (21, 12))
         return oddity((odd == rng.choice(3, odd.shape, p=share)).sum(1), np.full(21, 12)).p
 
-    rate = alarms(p)
-    assert ALARMS[0] <= rate <= ALARMS[1], rate
+    check_alarms(p)
 
 
 @pytest.mark.parametrize(
-    ("leaning", "sd"),
-    [
-        pytest.param(0.0, 0.0, marks=SLOW),
-        pytest.param(1.0, 0.0, marks=SLOW),
-        (0.5, 1.0),
-        pytest.param(0.0, 2.0, marks=SLOW),
-    ],
+    ("leaning", "sd"), [(0.5, 1.0), *(pytest.param(*some, marks=SLOW) for some in ((0.0, 0.0), (1.0, 0.0), (0.0, 2.0)))]
 )
 def test_false_alarms_of_abx(leaning: float, sd: float) -> None:
     """Of answerers who lean to A, all of them, or each to A or to B."""
-    rate = alarms(lambda rng: abx(*abx_answers(rng, np.zeros(21), leaning + sd * rng.standard_normal(21), 6)).p)
-    assert ALARMS[0] <= rate <= ALARMS[1], rate
+    check_alarms(lambda rng: abx(*abx_answers(rng, np.zeros(21), leaning + sd * rng.standard_normal(21), 6)).p)
 
 
 @SLOW

@@ -19,18 +19,9 @@ import numpy as np
 import pytest
 from scipy import stats
 
+import foten.study.statistics as statistics
 from foten.study.raters import PAPER_PARTICIPANTS, Raters, needed, paper_raters, power, raters_for
-from foten.study.statistics import (
-    Array,
-    anova,
-    friedman,
-    holm,
-    mixed_model,
-    paired_tests,
-    pairs,
-    reliability,
-    wilcoxon_tests,
-)
+from foten.study.statistics import Array, anova, friedman, holm, paired_tests, wilcoxon_tests
 
 
 def data(n: int, a: int, b: int) -> Array:
@@ -129,7 +120,7 @@ def test_pairs_by_t_and_by_ranks_are_those_of_r() -> None:
     d = y[:, 0] - y[:, 2]
     assert paired.dz[1] == pytest.approx(d.mean() / d.std(ddof=1))
     assert signed.rank_biserial[1] == pytest.approx(-1.0)  # all of them lower
-    assert pairs(4, reference=3) == [(3, 0), (3, 1), (3, 2)]
+    assert statistics.pairs(4, reference=3) == [(3, 0), (3, 1), (3, 2)]
     against = paired_tests(y, reference=3)
     np.testing.assert_allclose(against.t, [-t[2], -t[4], -t[5]], rtol=1e-6)
     np.testing.assert_allclose(against.p_bonferroni, np.minimum(1, 3 * against.p))
@@ -164,12 +155,12 @@ def test_friedman_is_that_of_r() -> None:
 
 
 def test_reliability_is_that_of_pingouin() -> None:
-    test = reliability(data(8, 3, 1)[..., 0])
+    test = statistics.reliability(data(8, 3, 1)[..., 0])
     assert test.single == pytest.approx(0.201007, abs=1e-6)
     assert test.mean == pytest.approx(0.668061, abs=1e-6)
     opposite = np.tile(np.array([10.0, 40.0, 90.0, 20.0]), (6, 1))
     opposite[2] = 100 - opposite[2]
-    assert reliability(opposite).with_others[2] == pytest.approx(-1.0)
+    assert statistics.reliability(opposite).with_others[2] == pytest.approx(-1.0)
 
 
 def test_a_mixed_model_of_complete_ratings_is_the_analysis_of_variance() -> None:
@@ -179,7 +170,7 @@ def test_a_mixed_model_of_complete_ratings_is_the_analysis_of_variance() -> None
     )
     y = raters.draw(np.random.default_rng(3), 15)
     participant, method, texture = (index.ravel() for index in np.indices(y.shape))
-    model = mixed_model(participant, method, texture, y.ravel())
+    model = statistics.mixed_model(participant, method, texture, y.ravel())
     assert model.converged
     for term, effect in zip(model.terms, anova(y), strict=True):
         assert (term["name"], tuple(term["df"])) == (effect.name, effect.df)
@@ -191,7 +182,7 @@ def test_a_mixed_model_takes_ratings_that_are_not_complete() -> None:
     y = raters_for(3, 4, difference=15.0).draw(np.random.default_rng(4), 14)
     rated = np.random.default_rng(5).random(y.shape) < 0.8
     participant, method, texture = (axis[rated] for axis in np.indices(y.shape))
-    model = mixed_model(participant, method, texture, y[rated])
+    model = statistics.mixed_model(participant, method, texture, y[rated])
     assert model.terms[0]["name"] == "method"
     assert model.terms[0]["p"] < 1e-4 < 1e-3 < model.terms[1]["p"]
 
@@ -256,7 +247,7 @@ def test_error_rates_of_the_mixed_model() -> None:
     null = Raters(np.full((4, 12), 60.0))
     y = null.draw(np.random.default_rng(2), 21, 2000)
     index = [axis.ravel() for axis in np.indices(y.shape[1:])]
-    found = np.array([[term["p"] < 0.05 for term in mixed_model(*index, one.ravel()).terms] for one in y])
+    found = np.array([[term["p"] < 0.05 for term in statistics.mixed_model(*index, one.ravel()).terms] for one in y])
     rates = found.mean(0)
     print(dict(zip(("method", "texture", "method × texture"), rates, strict=True)))
     assert rates.max() <= 0.06

@@ -54,6 +54,11 @@ def task_file(
     return path
 
 
+def rows_of(path: Path) -> list[dict[str, str]]:
+    with path.open(newline="", encoding="utf-8") as file:
+        return list(csv.DictReader(file))
+
+
 def simulated(folder: Path, kind: str, lines: str = "", effect: float = 0.0, **options: Any) -> Store:
     study = load_study(task_file(folder, kind, lines, **options))
     store = study.open_store(folder / "s.db", simulated=True)
@@ -111,10 +116,8 @@ def test_thresholds_are_asked_in_rounds_that_each_hold_all() -> None:
     for trials in orders(3, 2, 3, 1, 0, "balanced", "threshold", repeats=12):
         rounds = np.array([(t.texture, t.method) for t in trials]).reshape(12, 6, 2)
         assert all(len(set(map(tuple, one))) == 6 for one in rounds.tolist())
-    assert balance(orders(6, 2, 3, 1, 0, "balanced", "threshold", repeats=9), 2, 3, "threshold")["method first"] == (
-        108,
-        108,
-    )
+    first = balance(orders(6, 2, 3, 1, 0, "balanced", "threshold", repeats=9), 2, 3, "threshold")["method first"]
+    assert first == (108, 108)
 
 
 @pytest.mark.parametrize(
@@ -208,9 +211,8 @@ def test_surfaces_of_one_trial_sound_as_their_methods_do(tmp_path: Path) -> None
             page.say(do="side", side="virtual", interval=interval)
             page.until("step")
             until = time.monotonic() + 10
-            while (
-                len(opened) < interval and time.monotonic() < until
-            ):  # the page is told before the surface is put under the pen
+            # The page is told before the surface is put under the pen.
+            while len(opened) < interval and time.monotonic() < until:
                 time.sleep(0.01)
         trial = server.store.trials(1)[0]
     expected = [server.stimuli.bytes_of[trial.texture, method] for method in trial.intervals("oddity")[1:]]
@@ -253,11 +255,9 @@ def test_the_level_follows_the_answers_also_after_a_restart(tmp_path: Path) -> N
         rows = server.store.ratings()
         levels = [row["measured"]["level_db"] for row in rows]
         server.store.close()
-    task = Task("threshold", answers=8)
-    expected: list[tuple[float, bool]] = []
-    for level in levels:
-        assert level == level_search(task, expected).stimulus()
-        expected.append((level, True))
+    for k, level in enumerate(levels):
+        answered = [(earlier, True) for earlier in levels[:k]]
+        assert level == level_search(Task("threshold", answers=8), answered).stimulus()
     assert len(levels) == 8
     assert levels[-1] < levels[0]  # who is always right is asked at lower levels
 
@@ -390,28 +390,21 @@ def test_a_report_says_what_simulated_people_were_given(tmp_path: Path, kind: st
     assert document["task"] == kind
     of_kind = document["results"][result.ratings.key]
     assert of_kind == result.document
-    with (tmp_path / "r" / "ratings.csv").open(newline="", encoding="utf-8") as file:
-        rows = list(csv.DictReader(file))
+    rows = rows_of(tmp_path / "r" / "ratings.csv")
     assert len(rows) == len(every[0].rows)
     names = list(rows[0])
-    with (tmp_path / "r" / "dictionary.csv").open(newline="", encoding="utf-8") as file:
-        known = [row["column"] for row in csv.DictReader(file)]
+    known = [row["column"] for row in rows_of(tmp_path / "r" / "dictionary.csv")]
     assert known[: len(names)] == names
     if kind == "threshold":
-        with (tmp_path / "r" / "thresholds.csv").open(newline="", encoding="utf-8") as file:
-            thresholds = list(csv.DictReader(file))
+        thresholds = rows_of(tmp_path / "r" / "thresholds.csv")
         assert len(thresholds) == 12 * 2 * 2
         assert thresholds[0].keys() <= {*known}
     if kind == "paired":
         best = max(of_kind["strengths"]["methods"], key=lambda row: row["log_odds"])
         assert best["method"] == result.ratings.methods[-1]
         assert of_kind["strengths"]["overall"]["p"] < ALPHA
-        shares = [
-            float(row["chosen"] == result.ratings.methods[-1])
-            for row in rows
-            if result.ratings.methods[-1] in (row["method"], row["other"])
-        ]
-        assert np.mean(shares) == pytest.approx(0.85, abs=0.1)
+        chosen = [row["chosen"] == best["method"] for row in rows if best["method"] in (row["method"], row["other"])]
+        assert np.mean(chosen) == pytest.approx(0.85, abs=0.1)
     elif kind in ("abx", "oddity"):
         (pair,) = of_kind["sensitivity"]
         assert pair["share"] == pytest.approx(np.mean([float(row["right"]) for row in rows]))
