@@ -159,15 +159,18 @@ def residuals_of(loop: ClosedLoop, excitation: Excitation, share: float) -> Resi
     return Residuals(condition, innovation, np.full(n.size, GAIN), n_train, np.arange(n.size) % 3 > 0)
 
 
+Halved = tuple[ClosedLoop, Residuals, Calibrated]
+
+
 @pytest.fixture(scope="module")
-def halved() -> tuple[ClosedLoop, Residuals, Calibrated]:
+def halved() -> Halved:
     """An excitation fitted to innovations half as large as those of the recording."""
     loop, excitation = loop_of()
     residuals = residuals_of(loop, excitation, 0.5)
     return loop, residuals, calibration.calibrate_excitation(16, residuals, loop, 0)
 
 
-def test_the_closed_loop_has_the_last_word_on_the_level(halved: tuple[ClosedLoop, Residuals, Calibrated]) -> None:
+def test_the_closed_loop_has_the_last_word_on_the_level(halved: Halved) -> None:
     """By likelihood alone it would be 6 dB too soft."""
     loop, _, calibrated = halved
     assert calibrated.level_errors_db[0] == pytest.approx(-6.02, abs=1.0)
@@ -178,9 +181,7 @@ def test_the_closed_loop_has_the_last_word_on_the_level(halved: tuple[ClosedLoop
     assert calibrated.free_run == pytest.approx(loop.free_run_errors(calibrated.excitation, 0), rel=1e-5)
 
 
-def test_no_excitation_is_larger_than_what_was_left_to_explain(
-    halved: tuple[ClosedLoop, Residuals, Calibrated],
-) -> None:
+def test_no_excitation_is_larger_than_what_was_left_to_explain(halved: Halved) -> None:
     """At the training samples, in σ and in acceleration, whichever is less; the definition draws none that is."""
     _, residuals, calibrated = halved
     in_sigma, in_acceleration = calibrated.excitation.innovation_limit
@@ -196,9 +197,7 @@ def test_no_excitation_is_larger_than_what_was_left_to_explain(
         np.testing.assert_allclose(shocks, [limit, limit], rtol=1e-9)
 
 
-def test_the_nll_is_that_of_the_validation_samples_where_the_hand_moves(
-    halved: tuple[ClosedLoop, Residuals, Calibrated],
-) -> None:
+def test_the_nll_is_that_of_the_validation_samples_where_the_hand_moves(halved: Halved) -> None:
     """Oracle: SciPy's normal density. That of innovations is of all, before the level was calibrated."""
     loop, residuals, calibrated = halved
     of = slice(residuals.n_train, None)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
@@ -121,12 +121,9 @@ def test_the_first_linear_model_is_playable_before_it_is_compared(
         happened.append("compared")
         return distance(*arguments)
 
-    def one(candidates: Sequence[Any]) -> Any:
-        return best([candidates[chosen]])
-
     monkeypatch.setattr(foten_plus, "fit_linear_models", two_alike)
     monkeypatch.setattr(foten_plus, "_distance", compared)
-    monkeypatch.setattr(foten_plus, "best_candidate", one)
+    monkeypatch.setattr(foten_plus, "best_candidate", lambda candidates: best([candidates[chosen]]))
     train(job_of(recording, epochs=0), Monitor(on_playable=lambda texture: happened.append("playable")))
     assert happened[0] == "playable"
     assert happened.count("playable") == n_written
@@ -144,21 +141,6 @@ def test_where_the_network_gains_nothing_the_texture_renders_as_the_playable_one
     assert set(texture.tensors) == set(playable[-1].tensors)
     for name, tensor in playable[-1].tensors.items():
         np.testing.assert_array_equal(texture.tensors[name], tensor, name)
-
-
-def test_a_training_interrupted_before_its_first_epoch_has_given_a_playable_texture(
-    recording: Recording, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Ctrl-C while the network is first validated: nothing was fitted, and the caller has a texture all the same."""
-
-    def interrupted(*_: object) -> tuple[float, float]:
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(innovation, "scored", interrupted)
-    playable: list[Texture] = []
-    with pytest.raises(KeyboardInterrupt):
-        train(job_of(recording), Monitor(on_playable=playable.append))
-    assert rendered(texture_from_bytes(playable[0].to_bytes())).std() > 0
 
 
 LOOPS = ("network", "phase-conditioned network", "closed loop")
@@ -306,15 +288,13 @@ def test_the_test_blocks_have_no_say(recording: Recording, monkeypatch: pytest.M
     def spoilt(job: TrainingJob) -> ScaledBlocks:
         blocks = blocks_of(job)
         samples, trace, rng = blocks.samples.copy(), blocks.trace, np.random.default_rng(0)
-        acceleration, speed, force = (
-            trace.blocks(channel).copy() for channel in (trace.acceleration, trace.speed, trace.force)
-        )
+        other = {name: trace.blocks(getattr(trace, name)).copy() for name in ("acceleration", "speed", "force")}
         for number in blocks.split.test:
             samples[number] = 100 * rng.standard_normal(samples[number].shape)
-            acceleration[number], speed[number], force[number] = 100.0, 300.0, 9.0
-        channels = {"acceleration": acceleration, "speed": speed, "force": force}
-        other = replace(trace, **{name: channel.ravel() for name, channel in channels.items()})
-        return replace(blocks, trace=other, samples=samples)
+            for name, value in {"acceleration": 100.0, "speed": 300.0, "force": 9.0}.items():
+                other[name][number] = value
+        trace = replace(trace, **{name: channel.ravel() for name, channel in other.items()})
+        return replace(blocks, trace=trace, samples=samples)
 
     monkeypatch.setattr(TrainingJob, "blocks", spoilt)
     assert train(job).texture.to_bytes() == expected.to_bytes()
