@@ -309,6 +309,9 @@ def run_pytest(folder: Path, arguments: list[str], limit_s: float, recorder: Lin
     child.start()
     child.join(limit_s)
     outcome = {None: "late", 0: "passed", 5: "passed"}.get(child.exitcode, "failed")  # 5: nothing was selected
+    if outcome == "late" and recorder and child.pid:
+        os.kill(child.pid, signal.SIGINT)  # which writes what was recorded
+        child.join(60)
     with suppress(ProcessLookupError):
         os.killpg(child.pid or 0, signal.SIGKILL)  # a group that is theirs alone
     child.join()
@@ -324,7 +327,7 @@ def _pytest(folder: Path, arguments: list[str], recorder: LineRecorder | None) -
     os.dup2(log, 2)
     sys.meta_path[:] = [finder for finder in sys.meta_path if "ScikitBuild" not in type(finder).__name__]
     sys.path[:0] = [str(folder / "src"), str(folder / "tests")]
-    os.environ["PYTHONPATH"] = os.pathsep.join([str(folder / "src"), str(folder / "shadow")])
+    os.environ["PYTHONPATH"] = python_path(folder)
     import pytest
 
     options = ["-q", "-p", "no:xdist", "-p", "no:cacheprovider", *([] if recorder else ["-x"])]
@@ -348,10 +351,17 @@ def copy_tree(folder: Path) -> None:
         if (ROOT / name).is_file():  # and not removed since
             (folder / name).parent.mkdir(parents=True, exist_ok=True)
             shutil.copy2(ROOT / name, folder / name)
+    (folder / "shadow").mkdir(exist_ok=True)
+    (folder / "shadow" / "_editable_skbc_foten.py").touch()  # in place of the finder of the installed package
     assert CMAKE is not None
     subprocess.run(
         [CMAKE, "-S", folder, "-B", folder / "build", "-D", "FOTEN_TRAINING=ON"], check=True, capture_output=True
     )
+
+
+def python_path(folder: Path) -> str:
+    """`PYTHONPATH` of a process, and of all that it starts, that is to import a copy's package and no installed one."""
+    return os.pathsep.join([str(folder / "src"), str(folder / "shadow")])
 
 
 def build(folder: Path) -> None:
@@ -372,8 +382,6 @@ def fresh_copy(number: int) -> Path:
     for name in ("src", "tests", "native", "docs"):
         shutil.rmtree(folder / name, ignore_errors=True)
     copy_tree(folder)
-    (folder / "shadow").mkdir(exist_ok=True)
-    (folder / "shadow" / "_editable_skbc_foten.py").touch()  # in place of the finder of the installed package
     build(folder)
     return folder
 
@@ -385,7 +393,7 @@ def record(folder: Path, test: str) -> dict[str, Any]:
         selected = ["-m", "not slow and not gpu and not browser", test]
         paths = [path.relative_to(ROOT) for path in sources()]
         digests = {str(path): _digest((folder / path).read_bytes()) for path in paths}
-        run_pytest(folder, selected, 1200, LineRecorder(folder))
+        run_pytest(folder, selected, 600, LineRecorder(folder))
         result = json.loads((folder / "record.json").read_text())
         (folder / "record.json").unlink()
         stored.parent.mkdir(parents=True, exist_ok=True)

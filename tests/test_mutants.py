@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import os
 import subprocess
 import sys
 from functools import cache
@@ -12,14 +13,10 @@ from pathlib import Path
 import pytest
 
 from mutants import MUTANTS, Mutant
-from random_mutants import Change, _digest, build, c_changes, copy_tree, drawn, judges, python_changes
+from random_mutants import Change, _digest, build, c_changes, copy_tree, drawn, judges, python_changes, python_path
 
 ROOT = Path(__file__).parent.parent
-# The copy's package and not the one that is installed, whose finder comes first.
-RUN = (
-    "import sys; sys.meta_path[:] = [one for one in sys.meta_path if 'ScikitBuild' not in type(one).__name__]; "
-    "sys.path.insert(0, 'src'); import foten, pytest; assert 'copy' in foten.__file__; sys.exit(pytest.main(sys.argv[1:]))"
-)
+RUN = "import foten, pytest, sys; assert 'copy' in foten.__file__; sys.exit(pytest.main(sys.argv[1:]))"
 
 
 @pytest.fixture(scope="module")
@@ -34,9 +31,9 @@ def copy(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def run_tests(folder: Path, tests: tuple[str, ...]) -> subprocess.CompletedProcess[str]:
     """Run files of a copy's tests up to the first that fails."""
     options = ["-q", "-x", "-p", "no:xdist", "-p", "no:cacheprovider"]
-    return subprocess.run(
-        [sys.executable, "-c", RUN, *options, *tests], cwd=folder, capture_output=True, text=True, check=False
-    )
+    command = [sys.executable, "-c", RUN, *options, *tests]
+    environment = os.environ | {"PYTHONPATH": python_path(folder)}
+    return subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, check=False)
 
 
 @cache
@@ -78,6 +75,8 @@ def test_a_set_of_tests_that_fails_without_a_mutant_is_no_judge(tmp_path: Path) 
     """A copy without `examples` failed `test_kernel_build.py`, and every mutant that named it seemed to die."""
     (tmp_path / "copy" / "src").mkdir(parents=True)
     (tmp_path / "copy" / "src" / "foten.py").touch()
+    (tmp_path / "copy" / "shadow").mkdir()
+    (tmp_path / "copy" / "shadow" / "_editable_skbc_foten.py").touch()
     (tmp_path / "copy" / "test_fails.py").write_text("def test_fails() -> None:\n    assert False\n")
     with pytest.raises(AssertionError, match="they fail without a mutant"):
         check_baseline(tmp_path / "copy", ("test_fails.py",))
