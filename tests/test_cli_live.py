@@ -22,6 +22,7 @@ from foten.runtime.live import play as playing
 from foten.runtime.live.live import LiveStatistics
 from foten.runtime.live.play import Played
 from foten.runtime.renderer import Renderer
+from test_cli import foten
 
 
 @pytest.fixture(scope="module")
@@ -31,24 +32,23 @@ def file(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def only_line(capsys: pytest.CaptureFixture[str]) -> str:
-    out, err = capsys.readouterr()
+def only_line(*arguments: object) -> str:
+    """The line of a command that is refused."""
+    out, err = foten(*arguments, status=2)
     assert out == ""
     (line,) = err.splitlines()
     assert line.startswith("foten: ")
     return line
 
 
-def test_play_counts_and_says_what_lies_between(file: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert _status(["play", str(file), "--to", "null", "--seconds", "0.3", "--lead-ms", "50", "--json"]) == 0
-    result = json.loads(capsys.readouterr().out)
+def test_play_counts_and_says_what_lies_between(file: Path) -> None:
+    result = json.loads(foten("play", file, "--to", "null", "--seconds", "0.3", "--lead-ms", "50", "--json")[0])
     assert result["n_samples"] >= 0.3 * 8000  # 8 kHz of a texture of 1 kHz
     assert result["n_refused"] == result["n_saturated"] == 0
     assert result["delays_ms"]["rendered ahead"] == 50
     assert 0 < result["block_p50_ms"] <= result["block_p99_ms"] <= result["block_largest_ms"]
     assert result["block_ms"] == 2
-    assert _status(["play", str(file), "--to", "null", "--seconds", "0.1"]) == 0
-    out, err = capsys.readouterr()
+    out, err = foten("play", file, "--to", "null", "--seconds", "0.1")
     assert "p50" in out
     assert "10.0 ms rendered ahead" in out
     assert "Ctrl-C" in err
@@ -67,8 +67,8 @@ def test_play_and_render_make_the_same_of_a_stroke(file: Path, tmp_path: Path) -
     stroke.write_text("t,speed,force\n" + "".join(f"{0.01 * k},{0 if k < 50 else 90},{0.8}\n" for k in range(100)))
     both = [str(file), "--stroke", str(stroke), "--seed", "5"]
     played, rendered = tmp_path / "played.wav", tmp_path / "rendered.wav"
-    assert _status(["play", *both, "--to", str(played), "--seconds", "0.99", "--rate", "1000"]) == 0
-    assert _status(["render", *both, "-o", str(rendered)]) == 0
+    foten("play", *both, "--to", played, "--seconds", "0.99", "--rate", "1000")
+    foten("render", *both, "-o", rendered)
     (one, about), (other, expected) = wav(played), wav(rendered)
     np.testing.assert_array_equal(one, other)
     assert about == expected
@@ -79,7 +79,7 @@ def test_a_file_says_what_its_numbers_are(file: Path, tmp_path: Path) -> None:
     path, coil = tmp_path / "drive.wav", tmp_path / "coil.json"
     profile = ActuatorProfile("coil", resonance_hz=70.0, gain=2.0, unit="A")
     write_profile(profile, coil)
-    assert _status(["play", str(file), "--to", str(path), "--seconds", "0.1", "--actuator", str(coil)]) == 0
+    foten("play", file, "--to", path, "--seconds", "0.1", "--actuator", coil)
     about = wav(path)[1]
     assert about["unit"] == "A"
     assert ActuatorProfile(**about["actuator"]) == profile
@@ -96,19 +96,13 @@ def test_a_file_says_what_its_numbers_are(file: Path, tmp_path: Path) -> None:
         (["--to", "none/a.wav"], "there is no folder none"),
     ],
 )
-def test_what_cannot_be_played_is_one_line(
-    file: Path, arguments: list[str], expected: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert _status(["play", str(file), "--seconds", "0.1", *arguments]) == 2
-    assert expected in only_line(capsys)
+def test_what_cannot_be_played_is_one_line(file: Path, arguments: list[str], expected: str) -> None:
+    assert expected in only_line("play", file, "--seconds", "0.1", *arguments)
 
 
-def test_without_the_package_it_names_the_extra(
-    file: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_without_the_package_it_names_the_extra(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "sounddevice", None)
-    assert _status(["play", str(file), "--seconds", "0.1"]) == 2
-    extra = re.search(r"foten\[(\w+)\]", only_line(capsys))
+    extra = re.search(r"foten\[(\w+)\]", only_line("play", file, "--seconds", "0.1"))
     project = tomllib.loads((Path(__file__).parents[1] / "pyproject.toml").read_text())["project"]
     assert extra is not None
     assert extra[1] in project["optional-dependencies"]
@@ -132,9 +126,7 @@ def test_ctrl_c_ends_it_and_prints_the_counts(file: Path) -> None:
     assert "under-runs" in out
 
 
-def test_what_went_wrong_is_printed_with_what_helps(
-    file: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_what_went_wrong_is_printed_with_what_helps(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     counted = Renderer(file).counted() | {"n": 800, "n_refused": 3, "n_lost": 4}
     statistics = LiveStatistics(n_underruns=5, n_lacking=60)
 
@@ -142,8 +134,7 @@ def test_what_went_wrong_is_printed_with_what_helps(
         return Played(statistics, {}, counted, n_cut=0, n_device_underruns=7, n_late=8, interrupted=False)
 
     monkeypatch.setattr(playing, "play", played)
-    assert _status(["play", str(file), "--to", "null", "--lead-ms", "20"]) == 0
-    out, err = capsys.readouterr()
+    out, err = foten("play", file, "--to", "null", "--lead-ms", "20")
     ring, card, late = out.splitlines()[-3:]
     assert "ran empty 5 times, 60 samples of silence; a longer --lead-ms than 20" in ring
     assert "too late 7 times" in card
@@ -153,13 +144,11 @@ def test_what_went_wrong_is_printed_with_what_helps(
     assert "in place of 4 samples" in err
 
 
-def test_bench_times_each_instruction_set(file: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert _status(["bench", str(file), "-n", "1000", "--json"]) == 0
-    result = json.loads(capsys.readouterr().out)
+def test_bench_times_each_instruction_set(file: Path) -> None:
+    result = json.loads(foten("bench", file, "-n", "1000", "--json")[0])
     assert result[-1]["isa"] == "portable"
     assert all(0 < one["p50_us"] <= one["p99_us"] <= one["largest_us"] for one in result)
-    assert _status(["bench", str(file), "-n", "1000"]) == 0
-    out = capsys.readouterr().out
+    out = foten("bench", file, "-n", "1000")[0]
     assert "contacts a core" in out
     assert "portable" in out
 
@@ -180,19 +169,15 @@ def test_bench_times_no_instruction_set_in_the_place_of_another(file: Path, monk
     assert sum(bool(done.stdout) for done in programs) == len(result)
 
 
-def test_a_program_that_ends_gives_one_line(
-    file: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_program_that_ends_gives_one_line(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     errors = {-signal.SIGSEGV: "", 3: "", 1: "Traceback\n  x\nValueError: no more"}
     ended = [subprocess.CompletedProcess("foten", status, "", error) for status, error in errors.items()]
     signalled, *others = map(bench.reason, ended)
     assert "Segmentation fault" in signalled
     assert others == ["ended with status 3", "no more"]
     monkeypatch.setattr(bench.subprocess, "run", lambda *_, **__: ended[-1])
-    assert _status(["bench", str(file)]) == 2
-    assert only_line(capsys).endswith(": no more")
-    assert _status(["doctor"]) == 1
-    assert "no more" in capsys.readouterr().out
+    assert only_line("bench", file).endswith(": no more")
+    assert "no more" in foten("doctor", status=1)[0]
 
 
 def test_doctor_says_what_is_here(capsys: pytest.CaptureFixture[str]) -> None:
@@ -204,7 +189,6 @@ def test_doctor_says_what_is_here(capsys: pytest.CaptureFixture[str]) -> None:
     assert {"first sample", "timer", "sound", "NI-DAQ", "training"} <= set(result)
 
 
-def test_an_example_is_there_to_be_played(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    assert _status(["play", "--to", str(tmp_path / "e.wav"), "--seconds", "0.2"]) == 0
+def test_an_example_is_there_to_be_played(tmp_path: Path) -> None:
+    assert "e.wav, 0.2 s at 8000 Hz" in foten("play", "--to", tmp_path / "e.wav", "--seconds", "0.2")[0]
     assert (tmp_path / "e.wav").stat().st_size > 1000
-    assert "e.wav, 0.2 s at 8000 Hz" in capsys.readouterr().out
