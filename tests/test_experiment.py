@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 
 from conftest import TINY, check_figures, experiment, exported
-from foten.cli.command_line import _status
 from foten.datasets.hdf5 import write_recording
 from foten.evaluate.evaluate import Judgement
 from foten.experiments.experiment import Experiment, Method, Run, experiment_path, read_experiment, recording_of
@@ -24,6 +23,7 @@ from foten.experiments.sweep import planned
 from foten.models.foten_plus.sizes import FotenPlusSizes
 from foten.models.texture_file import Texture
 from foten.simulation.simulate import simulate
+from test_cli import foten
 
 RESULTS = Path(__file__).parents[1] / "docs" / "results"
 
@@ -217,50 +217,39 @@ def test_recordings_are_where_it_is_said(tmp_path: Path) -> None:
         ("[train]", "[grid]\nloss = 'mse'\n[train]", "'loss' in the grid is 'mse', expected a list"),
     ],
 )
-def test_what_is_wrong_in_a_file_is_said_in_one_line(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], old: str, new: str, match: str
-) -> None:
+def test_what_is_wrong_in_a_file_is_said_in_one_line(tmp_path: Path, old: str, new: str, match: str) -> None:
     assert old in TINY
     path = experiment(tmp_path, TINY.replace(old, new, 1))
-    assert _status(["sweep", str(path), "-o", str(tmp_path / "results"), "--dry-run"]) == 2
-    message = capsys.readouterr().err.strip()
+    message = foten("sweep", path, "-o", tmp_path / "results", "--dry-run", status=2)[1].strip()
     assert message.startswith(f"foten: {path.name}: ")
     assert match in message
     assert "\n" not in message
     assert not (tmp_path / "results").exists()
 
 
-def test_runs_are_listed_without_running(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert _status(["sweep", str(experiment(tmp_path)), "-o", str(tmp_path / "results"), "--dry-run"]) == 0
-    assert capsys.readouterr().out.splitlines()[0] == "FNN [13], linear-cloth, split 1"
+def test_runs_are_listed_without_running(tmp_path: Path) -> None:
+    listed = foten("sweep", experiment(tmp_path), "-o", tmp_path / "results", "--dry-run")[0]
+    assert listed.splitlines()[0] == "FNN [13], linear-cloth, split 1"
     for name in ("no-such", "no/such"):
-        assert _status(["sweep", name, "-o", str(tmp_path / "results")]) == 2
-        assert "table-1-tuned" in capsys.readouterr().err
+        assert "table-1-tuned" in foten("sweep", name, "-o", tmp_path / "results", status=2)[1]
 
 
-def test_a_part_of_an_experiment_keeps_its_place_in_the_whole(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_part_of_an_experiment_keeps_its_place_in_the_whole(tmp_path: Path) -> None:
     path = experiment(tmp_path)
     part = ["sweep", str(path), "-o", str(tmp_path / "results"), "--dry-run", "--only"]
-    assert _status([*part, "linear-twin", "--only", "FNN [13]"]) == 0
-    lines = capsys.readouterr().out.splitlines()
+    lines = foten(*part, "linear-twin", "--only", "FNN [13]")[0].splitlines()
     assert lines == [
         f"{run}, split 1" for run in ("FNN [13], linear-cloth", "FNN [13], linear-twin", "excited, linear-twin")
     ]
     plan, recordings = planned(read_experiment(path), tmp_path, ["excited, linear-twin"])
     assert [item.about["index"] for item in plan] == [3]
     assert len(recordings) == 1
-    assert _status([*part, "towel"]) == 2
-    assert (
-        "--only 'towel' is in no line of --dry-run, such as 'FNN [13], linear-cloth, split 1'"
-        in capsys.readouterr().err
-    )
+    message = "--only 'towel' is in no line of --dry-run, such as 'FNN [13], linear-cloth, split 1'"
+    assert message in foten(*part, "towel", status=2)[1]
 
 
-def test_every_experiment_that_comes_with_foten_is_listed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert _status(["sweep", "--list"]) == 0
-    lines = dict(line.split(maxsplit=1) for line in capsys.readouterr().out.splitlines())
+def test_every_experiment_that_comes_with_foten_is_listed(tmp_path: Path) -> None:
+    lines = dict(line.split(maxsplit=1) for line in foten("sweep", "--list")[0].splitlines())
     files = {path.stem: path for path in experiment_path("table-1").parent.glob("*.toml")}
     assert set(lines) == set(files)
     for name, path in files.items():
@@ -269,8 +258,7 @@ def test_every_experiment_that_comes_with_foten_is_listed(tmp_path: Path, capsys
                 (tmp_path / recording).touch()
         assert read_experiment(path, tmp_path).title == lines[name]
     for lacking in (["sweep"], ["sweep", "table-2"]):
-        assert _status(lacking) == 2
-        assert "--list shows" in capsys.readouterr().err
+        assert "--list shows" in foten(*lacking, status=2)[1]
 
 
 @pytest.fixture(scope="module")

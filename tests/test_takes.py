@@ -11,7 +11,6 @@ import h5py
 import numpy as np
 import pytest
 
-from foten.cli.command_line import _status
 from foten.datasets.hdf5 import load_recording, load_takes, write_recording
 from foten.models.foten_plus.sizes import FotenPlusSizes
 from foten.models.piecewise_ar.fit import _pieces
@@ -22,6 +21,7 @@ from foten.recording.recording import Channel, Recording, joined_takes
 from foten.recording.split import Split
 from foten.simulation.simulate import simulate
 from foten.training.job import scaled_blocks, shortest_block
+from test_cli import foten
 
 CONFIG = PreprocessConfig(trim_ms=0.0, block_ms=500.0)
 
@@ -163,38 +163,32 @@ def test_blocks_fit_the_recording_and_its_takes(seconds: float, n: int, fits: tu
     assert fitting_cut(joined_takes([steady(1.0 + i) for i in range(n)])) == fits
 
 
-def test_the_commands_take_several_files_and_append(
-    tmp_path: Path, takes: Recording, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_commands_take_several_files_and_append(tmp_path: Path, takes: Recording) -> None:
     paths = [str(tmp_path / one.name.replace("csv", "h5")) for one in takes.takes]
     for one, path in zip(takes.takes, paths, strict=True):
         write_recording(one, Path(path))
     texture = str(tmp_path / "t.foten")
-    assert _status(["train", *paths, "-o", texture, "--epochs", "0", "--threads", "1"]) == 0
-    assert "3 takes, 9.8 s in 49 blocks of 200 ms, with nothing trimmed at the ends" in capsys.readouterr().out
+    train = ["train", *paths, "-o", texture, "--epochs", "0", "--threads", "1"]
+    assert "3 takes, 9.8 s in 49 blocks of 200 ms, with nothing trimmed at the ends" in foten(*train)[0]
     assert [one["name"] for one in read_texture(texture).card["takes"]] == ["a.csv", "b.csv", "c.csv"]
-    assert _status(["info", texture]) == 0
-    assert "takes         3 (a.csv, b.csv, c.csv), 10.3 s" in capsys.readouterr().out
-    assert _status(["evaluate", texture, *paths, "--json"]) == 0
-    assert json.loads(capsys.readouterr().out)["split"] == "regrouped"
-    assert _status(["train", *paths, "-o", texture, "--epochs", "0", "--threads", "1", "--block", "300"]) == 0
+    assert "takes         3 (a.csv, b.csv, c.csv), 10.3 s" in foten("info", texture)[0]
+    assert json.loads(foten("evaluate", texture, *paths, "--json")[0])["split"] == "regrouped"
+    foten(*train, "--block", "300")
     assert read_texture(texture).card["preprocess"]["trim_ms"] == 0  # as without --block
-    capsys.readouterr()
     for some in (paths[:2], paths[::-1], paths[1:2]):  # blocks that it learned from would count as unheard
-        assert _status(["evaluate", texture, *some]) == 2
-        assert "some of it was trained on and some not, or in another order" in capsys.readouterr().err
+        said = foten("evaluate", texture, *some, status=2)[1]
+        assert "some of it was trained on and some not, or in another order" in said
     table = tmp_path / "d.csv"
     rng = np.random.default_rng(0)
     rows = "".join(f"{i / 1000},{a:.6f},{80 + i / 100:.2f},1\n" for i, a in enumerate(rng.standard_normal(2000)))
     table.write_text(f"t,acceleration,speed,force\n{rows}")
     whole = str(tmp_path / "whole.h5")
-    assert _status(["import", str(table), "-o", whole]) == 0
-    assert _status(["import", str(table), "-o", whole, "--append"]) == 2
-    assert "take 2 (d.csv) has the same samples as take 1" in capsys.readouterr().err
-    assert _status(["import", str(table), "-o", whole, "--append", "--texture", "jeans"]) == 2
-    assert "--texture comes from the recording that is extended" in capsys.readouterr().err
+    foten("import", table, "-o", whole)
+    append = ["import", str(table), "-o", whole, "--append"]
+    assert "take 2 (d.csv) has the same samples as take 1" in foten(*append, status=2)[1]
+    assert "--texture comes from the recording that is extended" in foten(*append, "--texture", "jeans", status=2)[1]
     table.write_text(f"t,acceleration,speed,force\n{rows.replace(',1', ',2')}")
-    assert _status(["import", str(table), "-o", whole, "--append"]) == 0
+    foten(*append)
     assert [one.name for one in load_recording(Path(whole)).takes] == ["d.csv", "d.csv"]
-    assert _status(["render", texture, "--recording", whole, "-o", str(tmp_path / "o.csv")]) == 0
-    assert "the recording has 2 takes: the stroke of the first is used (d.csv)" in capsys.readouterr().err
+    said = foten("render", texture, "--recording", whole, "-o", tmp_path / "o.csv")[1]
+    assert "the recording has 2 takes: the stroke of the first is used (d.csv)" in said

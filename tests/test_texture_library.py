@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from foten.cli.command_line import _status
 from foten.dsp.distance import log_spectral_distance
 from foten.editing.describe import Description, describe, rendered, spectrum
 from foten.editing.from_spectrum import Spectrum, interpolated, texture_of_spectrum
@@ -18,6 +17,7 @@ from foten.editing.texture_library import BANDS_HZ, INDEX, Entry, Library, entry
 from foten.editing.words import SentenceEncoder, word_table
 from foten.models.texture_file import read_texture
 from foten.runtime.renderer import EXAMPLE
+from test_cli import foten
 
 FOLDER = EXAMPLE.parent
 SHAPE = Spectrum(BANDS_HZ[:15], 10 ** (-0.1 * np.abs(np.arange(15) - 6.0)), 100.0, 0.7, 0.9, 0.3)
@@ -61,37 +61,32 @@ def test_the_table_of_words_is_small_and_says_whose_it_is() -> None:
     assert "PDDL 1.0" in (FOLDER.parent / "editing" / "words.py").read_text(encoding="utf-8")
 
 
-def test_a_sentence_encoder_that_is_missing_says_how_to_get_it(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_sentence_encoder_that_is_missing_says_how_to_get_it(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "sentence_transformers", None)
     with pytest.raises(ModuleNotFoundError):
         SentenceEncoder()
-    assert _status(["imagine", "linen", "--encoder", "none", "-o", "never.foten"]) == 2
-    assert "pip install 'foten[words]'" in capsys.readouterr().err
+    assert (
+        "pip install 'foten[words]'" in foten("imagine", "linen", "--encoder", "none", "-o", "never.foten", status=2)[1]
+    )
 
 
-def test_a_library_notes_finds_and_keeps(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_library_notes_finds_and_keeps(tmp_path: Path) -> None:
     folder = str(tmp_path / "surfaces")
     files = [str(FOLDER / f"{name}.foten") for name in ("towel", "jeans", "steel-mesh-1")]
-    assert _status(["library", "add", *files[:2], "--library", folder, "--tag", "woven"]) == 0
-    assert _status(["library", "add", files[2], "--library", folder, "--name", "wire mesh", "--tag", "metal"]) == 0
-    capsys.readouterr()
-    assert _status(["library", "list", "--library", folder]) == 0
-    out = capsys.readouterr().out
+    foten("library", "add", *files[:2], "--library", folder, "--tag", "woven")
+    foten("library", "add", files[2], "--library", folder, "--name", "wire mesh", "--tag", "metal")
+    out = foten("library", "list", "--library", folder)[0]
     assert all(name in out for name in ("towel", "jeans", "wire mesh", "woven", "metal"))
-    assert _status(["library", "search", "coarse denim", "--library", folder, "--json"]) == 0
-    assert json.loads(capsys.readouterr().out)[0]["name"] == "jeans"
-    assert _status(["library", "nearest", files[0], "--library", folder, "--json"]) == 0
-    found = json.loads(capsys.readouterr().out)
+    found = json.loads(foten("library", "search", "coarse denim", "--library", folder, "--json")[0])
+    assert found[0]["name"] == "jeans"
+    found = json.loads(foten("library", "nearest", files[0], "--library", folder, "--json")[0])
     library = open_library(Path(folder))
     towel = next(one for one in library.entries if one.name == "towel")
     assert [one["name"] for one in found] == [one.name for _, one in library.nearest(towel)]
-    assert found[0]["distance [JND]"] == pytest.approx(
-        min(towel.distance(one) for one in library.entries if one != towel)
-    )
+    nearest = min(towel.distance(one) for one in library.entries if one != towel)
+    assert found[0]["distance [JND]"] == pytest.approx(nearest)
     assert towel.description == describe(read_texture(files[0]))
-    assert _status(["library", "add", files[0], "--library", folder]) == 0  # again: it replaces itself
+    foten("library", "add", files[0], "--library", folder)  # again: it replaces itself
     assert len(open_library(Path(folder)).entries) == 3
     assert (Path(folder) / "towel.foten").read_bytes() == Path(files[0]).read_bytes()
 
@@ -107,10 +102,9 @@ def test_a_folder_without_an_index_is_a_library(tmp_path: Path) -> None:
     "damage",
     ["{", '{"version": 2, "textures": []}', '{"version": 1}', '{"version": 1, "textures": [{"file": "x"}]}', "[]"],
 )
-def test_a_damaged_index_is_refused_in_a_line(tmp_path: Path, capsys: pytest.CaptureFixture[str], damage: str) -> None:
+def test_a_damaged_index_is_refused_in_a_line(tmp_path: Path, damage: str) -> None:
     (tmp_path / INDEX).write_text(damage)
-    assert _status(["library", "list", "--library", str(tmp_path)]) == 2
-    assert "this is no index of a library" in capsys.readouterr().err
+    assert "this is no index of a library" in foten("library", "list", "--library", tmp_path, status=2)[1]
 
 
 def test_an_entry_names_no_file_elsewhere(tmp_path: Path) -> None:
@@ -165,24 +159,21 @@ def test_words_over_a_library_make_a_texture(tmp_path: Path) -> None:
         fit([entry(f"muslin-{k}", -10.0) for k in range(16)], word_table())
 
 
-def test_few_textures_are_moved_and_that_is_called_a_guess(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_few_textures_are_moved_and_that_is_called_a_guess(tmp_path: Path) -> None:
     path = str(tmp_path / "linen.foten")
-    assert _status(["imagine", "rough woven linen", "-o", path]) == 0
-    said = capsys.readouterr()
-    assert "a guess: 0 textures are too few to learn from, expected 15" in said.err
+    said = foten("imagine", "rough woven linen", "-o", path)[1]
+    assert "a guess: 0 textures are too few to learn from, expected 15" in said
     texture = read_texture(path)
     assert texture.card["texture"] == "rough woven linen"
     assert texture.evidence.startswith('guessed from the words "rough woven linen": ')
+    towel, library = [read_texture(FOLDER / "towel.foten")], Library(tmp_path, [])
     rough, smooth = (
-        describe(
-            imagine(text, Library(tmp_path, []), word_table(), 1000.0, [read_texture(FOLDER / "towel.foten")]).texture
-        )
+        describe(imagine(text, library, word_table(), 1000.0, towel).texture)
         for text in ("rough gritty stone", "smooth silky satin")
     )
     assert rough.level_db > smooth.level_db + 1
-    capsys.readouterr()
-    assert _status(["imagine", "rough woven linen", "-o", str(tmp_path / "fast.foten"), "--rate", "2500"]) == 2
-    assert "is of 1000 Hz: leave out the rate of 2500 Hz" in capsys.readouterr().err
+    said = foten("imagine", "rough woven linen", "-o", tmp_path / "fast.foten", "--rate", "2500", status=2)[1]
+    assert "is of 1000 Hz: leave out the rate of 2500 Hz" in said
     assert not (tmp_path / "fast.foten").exists()
 
 
@@ -198,15 +189,10 @@ def test_few_textures_are_moved_and_that_is_called_a_guess(tmp_path: Path, capsy
     ],
 )
 def test_what_cannot_be_is_refused_in_a_line(
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-    monkeypatch: pytest.MonkeyPatch,
-    arguments: list[str],
-    message: str,
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, arguments: list[str], message: str
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    assert _status(["imagine", *arguments]) == 2
-    assert message in capsys.readouterr().err
+    assert message in foten("imagine", *arguments, status=2)[1]
     assert not list(tmp_path.iterdir())
 
 
