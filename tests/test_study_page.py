@@ -113,9 +113,25 @@ def to_trial(page: Any) -> None:
     until(page, "window.study.step?.kind === 'trial'")
 
 
+def stroke_by_key(page: Any, ms: int) -> None:
+    page.focus("#pad")
+    page.keyboard.down("ArrowRight")
+    page.wait_for_timeout(ms)
+    page.keyboard.up("ArrowRight")
+
+
 def local(link: str) -> str:
     """A link of a network, by the name that this machine has for itself."""
     return re.sub(r"//[^/]+:(\d+)", r"//127.0.0.1:\1", link)
+
+
+def next_link(n: int) -> str:
+    """The link that the study which was started last gives out once n devices have come."""
+    deadline, lines = time.monotonic() + 10, [*SAID.values()][-1]
+    while len(links := re.findall(r"for the next one: (\S+)", "".join(lines))) < n:
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
+    return str(links[-1])
 
 
 def whole_study(browser: Any, folder: Path, n_textures: int, participants: int, kills: int) -> list[float]:
@@ -128,14 +144,9 @@ def whole_study(browser: Any, folder: Path, n_textures: int, participants: int, 
     options = ("--simulated", "--port", str(free_port()), "--host", "0.0.0.0")
     process, _, link = started_study(study, *options)
     contexts = [browser.new_context(ignore_https_errors=True) for _ in range(3)]
-    for context in contexts:  # each comes in by a link of its own, once
+    for n, context in enumerate(contexts, start=1):  # each comes in by a link of its own, once
         context.new_page().goto(local(link))
-        deadline = time.monotonic() + 10
-        while not (found := [line for line in SAID[process.pid] if link not in line and "for the next one" in line]):
-            assert time.monotonic() < deadline
-            time.sleep(0.05)
-        link = re.search(r"for the next one: (\S+)", found[-1])[1]
-        SAID[process.pid].clear()
+        link = next_link(n)
     busy = {context.pages[0]: False for context in contexts}
     n_begun = n_finished = n_killed = 0
     rng, start, back = random.Random(3), time.monotonic(), []
@@ -216,10 +227,7 @@ def test_nothing_is_chosen_before_someone_chooses_and_an_answer_is_kept_while_th
         page.focus(".scale input")
         page.keyboard.press("ArrowRight")
         assert page.get_attribute(".scale input", "aria-valuetext") == "51"
-        page.focus("#pad")
-        page.keyboard.down("ArrowRight")
-        page.wait_for_timeout(700)
-        page.keyboard.up("ArrowRight")
+        stroke_by_key(page, 700)
     until(page, "document.querySelector('#message').textContent.startsWith('No connection')")
     made = page.evaluate(OUTAGE)
     page.fill(".scale input", "83")
@@ -286,10 +294,7 @@ def test_a_tablets_clock_that_is_set_back_holds_no_trial_up(browser: Any, tmp_pa
         begin(page, link)
         to_trial(page)
         page.evaluate("{ const clock = Date.now; Date.now = () => clock() - 3.6e6; }")
-        page.focus("#pad")
-        page.keyboard.down("ArrowRight")
-        page.wait_for_timeout(700)
-        page.keyboard.up("ArrowRight")
+        stroke_by_key(page, 700)
         page.fill(".scale input", "40")
         until(page, "!document.querySelector('button.big').disabled")
         page.click("button.big")
@@ -357,23 +362,14 @@ def test_a_page_whose_place_is_returned_begins_anew(browser: Any, tmp_path: Path
 
 
 def test_a_second_device_waits_for_the_operator_to_let_it_go_on(browser: Any, tmp_path: Path) -> None:
-    options = ("--port", "0", "--host", "0.0.0.0")
-    process, operator_link, link = started_study(study_file(tmp_path, practice="0"), *options)
-
     def device(to: str) -> Any:
         page = browser.new_context(ignore_https_errors=True).new_page()
         page.goto(local(to))
         page.wait_for_selector("html[data-ready]")
         return page
 
-    def next_link(n: int) -> str:
-        deadline = time.monotonic() + 10
-        while len(links := re.findall(r"for the next one: (\S+)", "".join(SAID[process.pid]))) < n:
-            assert time.monotonic() < deadline
-            time.sleep(0.05)
-        return str(links[-1])
-
-    try:
+    options = ("--port", "0", "--host", "0.0.0.0")
+    with running(study_file(tmp_path, practice="0"), *options) as (operator_link, link):
         operator, first = device(operator_link), device(link)
         second = device(next_link(2))
         first.click("button.big")
@@ -396,9 +392,6 @@ def test_a_second_device_waits_for_the_operator_to_let_it_go_on(browser: Any, tm
         assert second.evaluate("window.study.step.id") == "trial:1"
         second.reload()  # by the code in its address, as its own
         until(second, "window.study.step?.id === 'trial:1'")
-    finally:
-        process.send_signal(signal.SIGTERM)
-        process.wait(timeout=30)
 
 
 # Visible texts of a page; those that are cut; those under the message, or under the ring around what has the focus.
@@ -517,10 +510,7 @@ def test_a_participant_reads_one_language_and_all_of_each_text(browser: Any, tmp
         page.click("button.big")
         until(page, "window.study.step?.kind === 'trial'")
         lacks("stroke_first")
-        page.focus("#pad")
-        page.keyboard.down("ArrowRight")
-        page.wait_for_timeout(500)
-        page.keyboard.up("ArrowRight")
+        stroke_by_key(page, 500)
         lacks("touch_real", real=language.words["real_surface"])
         page.focus(".real")
         page.keyboard.press("Enter")
@@ -551,10 +541,7 @@ def test_a_participant_reads_one_language_and_all_of_each_text(browser: Any, tmp
         page.on("pageerror", lambda error: faults.append(str(error)))
         for kind in ("break", "questions"):
             until(page, "window.study.step?.kind === 'trial'")
-            page.focus("#pad")
-            page.keyboard.down("ArrowRight")
-            page.wait_for_timeout(500)
-            page.keyboard.up("ArrowRight")
+            stroke_by_key(page, 500)
             page.click(".real")
             page.fill(".scale input", "70")
             page.wait_for_timeout(2200)
@@ -610,23 +597,16 @@ def test_the_pages_are_accessible_and_look_as_the_screenshots_show(browser: Any,
     assert not violations
 
 
-STROKE = """(x) => {
+# A pen at x px that moves by 3 px at each of n events; how long it stays on, in ms.
+STROKE = """([x, n, ms]) => {
   const canvas = document.querySelector("#pad"), box = canvas.getBoundingClientRect();
   canvas.setPointerCapture = () => {};
   const say = (type, dx) => canvas.dispatchEvent(new PointerEvent(type, { pointerId: 7, pointerType: "pen", pressure: 0.5,
     clientX: box.left + x + dx, clientY: box.top + 150, bubbles: true, buttons: 1 }));
   say("pointerdown", 0);
-  for (let k = 1; k < 30; k++) say("pointerrawupdate", 3 * k);
-  const lift = (done) => { say("pointerrawupdate", 99); say("pointerup", 100); setTimeout(done, 60); };
-  return new Promise((done) => setTimeout(() => lift(done), 60));
-}"""
-REST = """() => {
-  const canvas = document.querySelector("#pad"), box = canvas.getBoundingClientRect();
-  canvas.setPointerCapture = () => {};
-  const say = (type) => canvas.dispatchEvent(new PointerEvent(type, { pointerId: 7, pointerType: "pen", pressure: 0.5,
-    clientX: box.left + 99, clientY: box.top + 150, bubbles: true, buttons: 1 }));
-  say("pointerdown");
-  return new Promise((done) => setTimeout(() => { say("pointerup"); setTimeout(done, 60); }, 400));
+  for (let k = 1; k <= n; k++) say("pointerrawupdate", 3 * k);
+  const lift = (done) => { if (n) say("pointerrawupdate", 3 * n); say("pointerup", 3 * n); setTimeout(done, 60); };
+  return new Promise((done) => setTimeout(() => lift(done), ms));
 }"""
 SCALES = "".join(
     f'[[scales]]\nkey = "{key}"\nquestion = "How {key} is it?"\nlowest = "not {key}"\nhighest = "very {key}"\n'
@@ -650,12 +630,10 @@ def test_a_trial_of_each_kind_is_stroked_and_answered(
     """Each surface is asked for, what is chosen is stored with its contact, and the page looks well."""
     language = read_language(code)
     study = study_file(tmp_path, 1, 2, language=code, practice="0", min_seconds="0.5")
-    text = study.read_text(encoding="utf-8").replace(
-        'kind = "rating"', f'kind = "{kind}"' + "\nrepeats = 4" * (kind in SWAPPED)
-    )
-    text = re.sub(
-        "^(question|lowest|highest) = .*\n", "", text, flags=re.M
-    )  # those of the task, in the study's language
+    task = f'kind = "{kind}"' + "\nrepeats = 4" * (kind in SWAPPED)
+    text = study.read_text(encoding="utf-8").replace('kind = "rating"', task)
+    # Questions are those of the task, in the study's language.
+    text = re.sub("^(question|lowest|highest) = .*\n", "", text, flags=re.M)
     study.write_text(text + SCALES * (kind == "rating"), encoding="utf-8")
     with running(study) as (operator, link):
         page = browser.new_context(viewport={"width": 1024, "height": 768}).new_page()
@@ -665,13 +643,13 @@ def test_a_trial_of_each_kind_is_stroked_and_answered(
         for following in ("questions", "instructions", "trial"):
             page.click("button.big")
             until(page, f"window.study.step?.kind === '{following}'")
-        page.evaluate(REST)
+        page.evaluate(STROKE, [99, 0, 400])
         assert not page.query_selector(".intervals .stroked")  # to the server that is no stroke either
         for i, name in enumerate(names or "1"):
             assert page.is_disabled("button.big")
             if names:
                 page.click(f".intervals button >> text={name}")
-            page.evaluate(STROKE, 200 + 120 * i)
+            page.evaluate(STROKE, [200 + 120 * i, 33, 60])
         if kind == "rating":
             for slider in page.query_selector_all(".scale input"):
                 assert page.is_disabled("button.big")
@@ -687,11 +665,8 @@ def test_a_trial_of_each_kind_is_stroked_and_answered(
             assert not other.is_visible("[data-what=Real]")  # there is none to touch
             assert not other.is_visible("#unchecked")
             other.close()
-        faults += [
-            fault
-            for fault in faults_in(page, f"{kind}-chosen", language)
-            if not (kind == "rating" and "of another language" in fault)  # its scales are the author's
-        ]
+        chosen = faults_in(page, f"{kind}-chosen", language)  # the scales of a rating are the author's
+        faults += [fault for fault in chosen if not (kind == "rating" and "of another language" in fault)]
         until(page, "!document.querySelector('button.big').disabled")
         page.click("button.big")
         until(page, "window.study.step?.id === 'trial:2'")
@@ -700,8 +675,7 @@ def test_a_trial_of_each_kind_is_stroked_and_answered(
         page.close()
     assert faults == []
     with Store(tmp_path / "study.db") as store:
-        rows = store.ratings()
-        parts = store.parts(1, 1)
+        rows, parts = store.ratings(), store.parts(1, 1)
     if kind == "rating":
         assert {row["scale"]: row["rating"] for row in rows} == {"rough": 30.0, "hard": 30.0, "sticky": 30.0}
         return
