@@ -138,9 +138,10 @@ def _tiff(path: Path) -> None:
     [
         *(
             (name, text.encode(), arguments, "it is nested more than 64 deep")
-            for name, text in (("deep.toml", "x = " + "[" * DEEP), ("dots.toml", "a" + ".a" * 1000 + " = 1"))
+            for name, text in (("deep.toml", "x = " + "[" * (DEEP - 4)), ("dots.toml", "a" + ".a" * 1000 + " = 1"))
             for arguments in (["sweep", "--dry-run"], ["study", "check"])
         ),
+        ("a.toml", b"a." * DEEP + b"a = 1", ["sweep", "--dry-run"], "(it has 200,005 characters, expected"),
         ("a.toml", os.mkfifo, ["sweep", "--dry-run"], "is a pipe or a device"),
         ("a.csv", os.mkfifo, ["tables"], "is a pipe or a device"),
         ("results", lambda path: (path.mkdir(), os.mkfifo(path / "a.json")), ["tables"], "a.json is no result"),

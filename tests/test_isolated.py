@@ -60,7 +60,7 @@ def test_a_library_that_dies_is_a_sentence(tmp_path: Path, recording: Path, monk
     for kind, message in {
         "crashes": r"a.h5 is truncated, damaged or no crashes file \(its library crashes on it\)",
         "loops": "more than 1 s of processor time; FOTEN_MAX_MB=10000 gives it longer",
-        "grows": "more than its size is worth; FOTEN_MAX_MB=6[0-9]{2} gives it more memory",
+        "grows": "more than its size is worth; FOTEN_MAX_MB=6[0-9]{2} raises it",
         "raises": r"Unspecified error in x{100}",
     }.items():
         with pytest.raises(ValueError, match=message) as refusal:

@@ -10,7 +10,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-DEEPEST = 64  # of JSON and TOML; a card has 5
+DEEPEST, MAX_TOML = 64, 100_000  # levels of JSON and TOML, of which a card has 5; characters of TOML
 MAX_INFLATION = 32  # bytes of content for one in the file; recordings of noise have 2 to 8
 MIN_CONTENT, MAX_CONTENT = 64 << 20, 1_600_000_000  # bytes of content that a file of any size may have; that none may
 RAISED_BY = "FOTEN_MAX_MB"  # environment variable: MB of content that any file may have all the same
@@ -58,6 +58,8 @@ def parse_json(text: str | bytes) -> Any:
 def parse_toml(text: str | bytes) -> dict[str, Any]:
     """The tables that TOML text holds; ValueError where it is none, or is nested more than `DEEPEST`."""
     try:
+        if len(text) > MAX_TOML:  # a name of so many parts takes seconds
+            raise ValueError(f"it has {len(text):,} characters, expected {MAX_TOML:,} at most")
         return dict(_shallow(tomllib.loads, text if isinstance(text, str) else text.decode()))
     except ValueError as error:
         raise ValueError(f"this is not TOML ({error})") from error

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import math
 from pathlib import Path
 from typing import Any
 
@@ -118,7 +117,7 @@ def matlab_contents(path: Path) -> Contents:
         with h5py.File(path, "r") as file:
             sizes = [file[name].size or 0 for name in _names(file, path) if isinstance(file[name], h5py.Dataset)]
     else:
-        sizes = [math.prod(shape) for _, shape, _ in whosmat(path)]
+        sizes = [np.prod(shape, dtype=object) for _, shape, _ in whosmat(path)]
     check_content(path, 8 * sum(sizes))
     waiting: list[tuple[str, Any]] = [("", read_mat(str(path)))]
     while waiting:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from foten.dsp import Array
 from foten.untrusted import check_regular
 
-MAX_FILE_BYTES = 20_000_000  # the toolkit's have 100,000
+MAX_FILE_BYTES = 2_000_000  # the toolkit's have 100,000
 MAX_MODELS = 1000
 UNITS = {"AccelUnits": "m/s^2", "SpeedUnits": "mm/s", "ForceUnits": "N"}
 

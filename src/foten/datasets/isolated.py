@@ -101,8 +101,7 @@ def answer(kind: str, name: str, max_cpu_s: str, max_memory: str) -> None:
     except ModuleNotFoundError as error:
         answer = {"missing": (error.name or "").split(".")[0]}
     except MemoryError:
-        more = f"{RAISED_BY}={int(max_memory) // 1_000_000} gives it more memory"
-        answer = {"damaged": f"it holds more than its size is worth; {more}"}
+        answer = {"damaged": f"it holds more than its size is worth; {RAISED_BY}={int(max_memory) >> 20} raises it"}
     except Exception as error:  # a damaged file raises a dozen kinds, RuntimeError, KeyError and TypeError among them
         is_ours = isinstance(error, ValueError) and str(error).startswith(path.name)
         answer = {"refused": str(error)} if is_ours else {"damaged": brief(error)}

@@ -34,7 +34,7 @@ MIN_GOLDEN = 8  # windows
 MAX_RATE_HZ = 1e6
 MAX_NUMBER = 1e9  # of a number in a tensor; squares of it are finite in float32
 MAX_CREDIT = 500  # characters
-_MAX_HEADER = 100_000_000  # bytes; the safetensors limit
+_MAX_HEADER = 10_000_000  # bytes; a card has 20,000, and reading takes a minute for the most that safetensors allows
 
 _CARD: Mapping[type | tuple[type, ...], str] = {
     int: "format_version window",
