@@ -14,6 +14,7 @@ import sys
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import asdict, replace
+from itertools import product
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -21,25 +22,13 @@ import numpy as np
 import pytest
 from scipy.stats import false_discovery_control
 
+import foten.experiments.method_tables as method_tables
 from conftest import TINY, experiment
-from foten.cli.command_line import _status
 from foten.datasets.hdf5 import write_recording
 from foten.experiments import sweep as sweeping
 from foten.experiments.experiment import Run, read_experiment, recording_of
 from foten.experiments.figures import figures, windows_and_losses
-from foten.experiments.method_tables import (
-    PAPER,
-    PAPERS,
-    Row,
-    compared,
-    findings,
-    holm,
-    ratios,
-    signed_rank,
-    summary,
-    table,
-    tables_of,
-)
+from foten.experiments.method_tables import PAPER, PAPERS, Row, findings, summary, table, tables_of
 from foten.experiments.provenance import platform_here, provenance_of
 from foten.experiments.results import by_recipe, chosen, read_records, read_results, records_of, runs_table, title_of
 from foten.experiments.sweep import _stoppable, lacking, planned, sweep
@@ -47,6 +36,7 @@ from foten.models.texture_file import read_texture
 from foten.reporting.table import Number
 from foten.simulation.simulate import simulate
 from foten.training.loop import Checkpoint, Progress
+from test_cli import foten
 
 
 @pytest.fixture(scope="module")
@@ -247,19 +237,11 @@ def test_findings_say_who_is_compared_and_what_a_linear_predictor_has(records: l
 def test_what_is_better_than_a_linear_predictor_on_the_mean_may_be_chance(records: list[dict]) -> None:
     """By signed ranks of eight textures: what is better on all differs, what is better on seven of them need not."""
     errors = {"FNN [13]": [0.4] * 8, "excited": [0.49] * 7 + [0.60], "alike": [0.49] * 7 + [0.60]}
-    many = [
-        {
-            **records[0],
-            "method": method,
-            "texture": f"t{k}",
-            "recording_sha256": f"{k}",
-            "one_step.mae_scaled": error + 0.001 * k,
-        }
-        for method, of_method in errors.items()
-        for k, error in enumerate(of_method)
-    ]
-    for one in many:
-        one["references.ar_best.mae_scaled"] = 0.5 + 0.002 * int(one["recording_sha256"])
+    many = []
+    for method, of_method in errors.items():
+        for k, error in enumerate(of_method):
+            scores = {"one_step.mae_scaled": error + 0.001 * k, "references.ar_best.mae_scaled": 0.5 + 0.002 * k}
+            many.append({**records[0], "method": method, "texture": f"t{k}", "recording_sha256": f"{k}", **scores})
     line = next(line for line in findings(many) if line.startswith("one-step MAE"))
     assert "on the mean of 2 trained methods" in line  # two of equal errors on each texture are counted once
     names = list(errors)
@@ -276,10 +258,10 @@ def test_methods_of_equal_figures_are_one_hypothesis() -> None:
         Row(name, "fnn", {t: np.array([level + 0.01 * k]) for k, t in enumerate(textures)})
         for name, level in (("first", 0.0), ("other", 0.5), ("copy", 0.5))
     )
-    alone = signed_rank(first, [other], textures)
+    alone = method_tables.signed_rank(first, [other], textures)
     assert alone == {"other": pytest.approx(2 / 2**8)}  # all eight of one sign, two-sided
-    assert signed_rank(first, [other, copy_], textures) == {**alone, "copy": alone["other"]}
-    assert signed_rank(first, [other], textures[:5]) == {}
+    assert method_tables.signed_rank(first, [other, copy_], textures) == {**alone, "copy": alone["other"]}
+    assert method_tables.signed_rank(first, [other], textures[:5]) == {}
 
 
 def test_note_and_platform_stand_once_in_the_csv_of_an_experiment(records: list[dict], tmp_path: Path) -> None:
@@ -302,22 +284,16 @@ def test_a_table_says_what_was_reduced_and_what_a_figure_is_blind_to(records: li
         assert ["blind to" in other for other in others] == [True] * (name in ("summary", "gfc", "warm-start"))
 
 
-def test_tables_are_written_in_three_forms(swept: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert _status(["tables", str(swept), "-o", str(tmp_path / "tables")]) == 0
-    assert "| excited |" in capsys.readouterr().out
-    assert {path.name for path in (tmp_path / "tables").iterdir()} == {
-        *(
-            f"{name}.{form}"
-            for name in ("summary", "warm-start", "mae", "gfc", "lsd", "level")
-            for form in ("md", "csv", "tex")
-        ),
-        *("findings.md", "runs.csv"),
-    }
+def test_tables_are_written_in_three_forms(swept: Path, tmp_path: Path) -> None:
+    assert "| excited |" in foten("tables", swept, "-o", tmp_path / "tables")[0]
+    names = product(("summary", "warm-start", "mae", "gfc", "lsd", "level"), ("md", "csv", "tex"))
+    written = {path.name for path in (tmp_path / "tables").iterdir()}
+    assert written == {"findings.md", "runs.csv", *(f"{name}.{form}" for name, form in names)}
     # What was written of the runs is what the same tables are made of; with fewer digits it is smaller, and whole numbers whole.
-    assert _status(["tables", str(tmp_path / "tables" / "runs.csv"), "-o", str(tmp_path / "again")]) == 0
+    foten("tables", tmp_path / "tables" / "runs.csv", "-o", tmp_path / "again")
     for path in (tmp_path / "tables").glob("*.md"):
         assert (tmp_path / "again" / path.name).read_text() == path.read_text()
-    assert _status(["tables", str(swept), "-o", str(tmp_path / "short"), "--digits", "3"]) == 0
+    foten("tables", swept, "-o", tmp_path / "short", "--digits", "3")
     exact, short = read_records(swept), read_records(tmp_path / "short" / "runs.csv")
     numbers = [(one.get(key), value) for one, other in zip(exact, short, strict=True) for key, value in other.items()]
     numbers = [(one, value) for one, value in numbers if type(one) is float and one]
@@ -344,19 +320,14 @@ def test_tables_are_written_in_three_forms(swept: Path, tmp_path: Path, capsys: 
     ],
 )
 def test_what_is_no_table_of_runs_is_refused_in_one_line(
-    swept: Path,
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-    changed: Callable[..., list[list[str]]],
-    message: str,
+    swept: Path, tmp_path: Path, changed: Callable[..., list[list[str]]], message: str
 ) -> None:
     runs_table(read_records(swept)).write(tmp_path / "runs.csv")
     with (tmp_path / "runs.csv").open(newline="") as file:
         rows = list(csv.reader(file))
     with (tmp_path / "other.csv").open("w", newline="", errors="surrogateescape") as file:
         csv.writer(file).writerows(changed(rows))
-    assert _status(["tables", str(tmp_path / "other.csv")]) == 2
-    said = capsys.readouterr().err.strip()
+    said = foten("tables", tmp_path / "other.csv", status=2)[1].strip()
     assert message in said
     assert "\n" not in said
 
@@ -407,7 +378,7 @@ def test_brief_runs_give_the_same_tables(records: list[dict], tmp_path: Path) ->
         one["references.bound.mae_m_s2"] = 0.5
     runs_table(records).write(tmp_path / "whole.csv")
     assert {one["stability.n_attack"] for one in read_records(tmp_path / "whole.csv")} == {1_000_008}  # whole it stays
-    assert _status(["tables", str(tmp_path / "whole.csv"), "-o", str(tmp_path / "out"), "--brief"]) == 0
+    foten("tables", tmp_path / "whole.csv", "-o", tmp_path / "out", "--brief")
     heading = (tmp_path / "out" / "runs.csv").read_text().splitlines()[0].split(",")
     assert "stability.n_attack" in heading  # of which there is a table
     assert "references.bound.mae_m_s2" in heading  # for the distance above the bound
@@ -418,7 +389,7 @@ def test_brief_runs_give_the_same_tables(records: list[dict], tmp_path: Path) ->
     without = [one for one in records if one["method"] != "excited"]  # a part of a sweep: no run has an excitation yet
     runs_table(without).write(tmp_path / "part.csv")
     assert [one["method"] for one in read_records(tmp_path / "part.csv")] == ["FNN [13]"] * 2
-    assert _status(["tables", str(tmp_path / "out" / "runs.csv"), "-o", str(tmp_path / "again")]) == 0
+    foten("tables", tmp_path / "out" / "runs.csv", "-o", tmp_path / "again")
 
 
 def test_ratios_are_of_the_same_texture_and_split(records: list[dict]) -> None:
@@ -428,7 +399,7 @@ def test_ratios_are_of_the_same_texture_and_split(records: list[dict]) -> None:
         records[k]["one_step.mae_scaled"] = factor * records[k - 1]["one_step.mae_scaled"]
     for k, one in enumerate(records):
         one["validation_listener.area"] = 0.9 - 0.1 * (k % 2) * (1 + k // 2)
-    heading, row = ratios(records).cells()
+    heading, row = method_tables.ratios(records).cells()
     line = dict(zip(heading, row, strict=True))
     assert (line[""], line["beside"], line["pairs"]) == ("excited", "FNN [13]", "2")
     assert line["test: one step"] == "3.000 ± 1.000"  # sd of 2 and 4 over √2
@@ -436,33 +407,28 @@ def test_ratios_are_of_the_same_texture_and_split(records: list[dict]) -> None:
     assert line["test: LSD"] == "–"  # one has no excitation
 
 
-def test_parts_of_a_sweep_are_one(
-    swept: Path, records: list[dict], tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert _status(["tables", str(swept), "-o", str(tmp_path / "whole")]) == 0
+def test_parts_of_a_sweep_are_one(swept: Path, records: list[dict], tmp_path: Path) -> None:
+    foten("tables", swept, "-o", tmp_path / "whole")
     other = [one | {"experiment": "Another"} for one in records]
     for name, some in (("first", records[:2]), ("second", records[1:]), ("other", other)):  # the second run is in both
         runs_table(some).write(tmp_path / f"{name}.csv")
     parts = [str(tmp_path / f"{name}.csv") for name in ("first", "second")]
-    assert _status(["tables", *parts, "-o", str(tmp_path / "joined")]) == 0
-    figures, joined = (  # columns stand in another order where a run has others
-        [
-            {key: value for key, value in one.items() if value is not None}
-            for one in read_records(tmp_path / name / "runs.csv")
-        ]
-        for name in ("whole", "joined")
-    )
-    assert joined == figures
+    foten("tables", *parts, "-o", tmp_path / "joined")
+
+    def known(name: str) -> list[dict]:  # columns stand in another order where a run has others
+        rows = read_records(tmp_path / name / "runs.csv")
+        return [{key: value for key, value in row.items() if value is not None} for row in rows]
+
+    assert known("joined") == known("whole")
     assert (tmp_path / "joined/summary.md").read_text() == (tmp_path / "whole/summary.md").read_text()
-    capsys.readouterr()
-    assert _status(["tables", parts[0], str(tmp_path / "other.csv")]) == 2
-    assert "'Another', expected those of one experiment" in capsys.readouterr().err
+    said = foten("tables", parts[0], tmp_path / "other.csv", status=2)[1]
+    assert "'Another', expected those of one experiment" in said
 
 
-def test_figures_are_drawn_from_the_results(swept: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert _status(["figures", str(swept), "-o", str(tmp_path / "figures")]) == 0
+def test_figures_are_drawn_from_the_results(swept: Path, tmp_path: Path) -> None:
+    printed = foten("figures", swept, "-o", tmp_path / "figures")[0]
     names = ["figure-4", "figure-6", "figure-6-convergence", "figure-7"]  # no grid, no Fig. 5
-    made = [Path(line) for line in capsys.readouterr().out.splitlines()]
+    made = [Path(line) for line in printed.splitlines()]
     assert [path.name for path in made] == [f"{name}.{form}" for name in names for form in ("png", "pdf")]
     assert all(path.stat().st_size > 5000 for path in made)
     signals = read_results(swept)[1]["signals"]
@@ -589,11 +555,9 @@ def test_the_papers_network_has_waveforms_of_its_own_among_others(results: list[
     drawn = dict(figures(results))
     alone, among = drawn["figure-6-foten"], drawn["figure-6"]
     assert alone.get_supxlabel() == "time [ms]; grey: recorded, in colour: FoTEN, without excitation"
-    lines = {
-        figure: [line for line in figure.axes[0].get_lines() if len(line.get_xdata()) > 2] for figure in drawn.values()
-    }
-    assert (len(lines[alone]), len(lines[among])) == (2, 4)  # a run over the recording, and of both methods
-    assert lines[alone][1].get_color() in {line.get_color() for line in lines[among][1::2]}
+    one, both = ([x for x in of.axes[0].get_lines() if len(x.get_xdata()) > 2] for of in (alone, among))
+    assert (len(one), len(both)) == (2, 4)  # a run over the recording, and of both methods
+    assert one[1].get_color() in {line.get_color() for line in both[1::2]}
 
 
 def test_an_error_over_time_is_that_of_silence_where_a_run_is_silent(results: list[dict]) -> None:
@@ -639,28 +603,22 @@ def test_the_same_run_under_two_names_is_refused(tmp_path: Path) -> None:
     recording = simulate("linear-cloth", 8, seed=1)
     for name in ("a.h5", "b.h5"):
         write_recording(recording, tmp_path / name)
-    textures = (
-        '"linear-cloth", "linear-twin"',
-        '"a.h5", "b.h5"',
-        r"'FNN \[13\]' on .*a\.h5 and 'FNN \[13\]' on .*b\.h5",
-    )
-    methods = (
-        '"FNN [13]"}',
-        '"FNN [13]"}, {model = "fnn", name = "again"}',
-        r"'FNN .*' on linear-cloth and 'again' on",
-    )
-    for old, new, match in (textures, methods):
+    names = r"'FNN \[13\]' on .*a\.h5 and 'FNN \[13\]' on .*b\.h5"
+    twice = '"FNN [13]"}, {model = "fnn", name = "again"}'
+    for old, new, match in (
+        ('"linear-cloth", "linear-twin"', '"a.h5", "b.h5"', names),
+        ('"FNN [13]"}', twice, r"'FNN .*' on linear-cloth and 'again' on"),
+    ):
         with pytest.raises(ValueError, match=f"{match}.* are the same run: leave one of them out"):
             planned(read_experiment(experiment(tmp_path, TINY.replace(old, new))), tmp_path / "results")
 
 
-def test_an_address_where_nobody_listens_is_said_at_once(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_address_where_nobody_listens_is_said_at_once(tmp_path: Path) -> None:
     with socket.socket() as taken:  # bound and not listening: refused
         taken.bind(("127.0.0.1", 0))
         address = f"127.0.0.1:{taken.getsockname()[1]}"
         command = ["sweep", str(experiment(tmp_path)), "-o", str(tmp_path / "results"), "--address", address]
-        assert _status(command) == 2
-    message = capsys.readouterr().err.strip().splitlines()[-1]
+        message = foten(*command, status=2)[1].strip().splitlines()[-1]
     assert f"no Ray cluster answers at {address}" in message
     assert "ray start --head" in message
 
@@ -710,21 +668,19 @@ def test_a_method_without_one_step_has_a_row_and_the_papers_figure(results: list
     assert not any("for want of" in line for line in lines)
 
 
-def test_a_folder_without_results_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert _status(["tables", str(tmp_path)]) == 2
-    assert "there is no result of foten sweep" in capsys.readouterr().err
+def test_a_folder_without_results_is_said(tmp_path: Path) -> None:
+    assert "there is no result of foten sweep" in foten("tables", tmp_path, status=2)[1]
     some = b'{"run":{"method":1},"evaluation":{"one_step":2}}'
     for content in (b"{}", b"[]", b"\xff\xfe", b"{", some):
         (tmp_path / "x.json").write_bytes(content)
-        assert _status(["tables", str(tmp_path)]) == 2
-        assert "x.json is no result" in capsys.readouterr().err
+        assert "x.json is no result" in foten("tables", tmp_path, status=2)[1]
 
 
 def test_holm_is_at_least_as_strict_as_the_false_discovery_rate_and_never_above_bonferroni() -> None:
     """By hand for three; beside SciPy's Benjamini–Hochberg, which is always more lenient."""
-    assert holm([0.01, 0.04, 0.03]) == pytest.approx([0.03, 0.06, 0.06])
+    assert method_tables.holm([0.01, 0.04, 0.03]) == pytest.approx([0.03, 0.06, 0.06])
     p = np.random.default_rng(0).uniform(size=9).tolist()
-    corrected = np.array(holm(p))
+    corrected = np.array(method_tables.holm(p))
     assert (corrected >= false_discovery_control(p) - 1e-12).all()
     assert (corrected <= np.minimum(1, 9 * np.array(p)) + 1e-12).all()
 
@@ -744,8 +700,8 @@ def test_what_is_never_better_differs_and_what_is_the_same_does_not() -> None:
     base = rng.uniform(0.2, 0.6, 12)
     values = {"best": base, "same": base + rng.normal(0, 0.01, 12) + 0.001, "worse": base + 0.1}
     rows = [Row(name, "m", dict(zip(textures, v[:, None], strict=True))) for name, v in values.items()]
-    best, p = compared(rows, textures, -1)
+    best, p = method_tables.compared(rows, textures, -1)
     assert best == "best"
     assert p["worse"] < 0.01
     assert p["same"] > 0.05
-    assert compared(rows, textures[:5], -1)[1] == {}
+    assert method_tables.compared(rows, textures[:5], -1)[1] == {}
