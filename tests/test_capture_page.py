@@ -86,11 +86,8 @@ def perform(page: Any, performance: SimulatedCapture) -> None:
     until(page, f"Boolean({knock})", 2 * BEGIN_S)
     began = 1000 * (page.evaluate(f"{knock}[0]") - BEGIN_S + CUE_S)
     page.click("#go")
-    plan = performance.plan[::2].round(4).tolist()
-    end = performance.strokes_s[1]
-    page.evaluate(
-        PERFORM, {"plan": plan, "end": end, "began": began, "delay": DELAY_S, "drift": DRIFT, "hz": EVENTS_HZ}
-    )
+    plan = {"plan": performance.plan[::2].round(4).tolist(), "end": performance.strokes_s[1], "began": began}
+    page.evaluate(PERFORM, {**plan, "delay": DELAY_S, "drift": DRIFT, "hz": EVENTS_HZ})
 
 
 def shot(page: Any, name: str) -> None:
@@ -137,9 +134,8 @@ def lag_s(recording: Recording, sound: Array, rate_hz: int, performance: Simulat
     inside = touches & np.roll(touches, 1) & np.roll(touches, -1) & (x.times > low + 0.1)
     true = np.gradient(plan[:, 1], plan[:, 0])
     lags = np.arange(-0.05, 0.05, 0.0002)
-    missed = [
-        np.abs(speed[inside] - np.interp(x.times[inside] + begins - lag, plan[:, 0], true)).mean() for lag in lags
-    ]
+    at = x.times[inside] + begins
+    missed = [np.abs(speed[inside] - np.interp(at - lag, plan[:, 0], true)).mean() for lag in lags]
     return float(lags[int(np.argmin(missed))])
 
 
@@ -181,13 +177,8 @@ def test_the_page_shows_what_to_do_and_what_a_mouse_lacks(quiet_browser: Any, st
         # The heading stays where it is whatever it says.
         tops = []
         for advice in ("Stroke", "Slower, lighter", "Faster, harder"):
-            page.evaluate(
-                """(advice) => {
-                  studio.capture.enter("stroke");
-                  document.querySelector("#step").textContent = advice;
-                }""",
-                advice,
-            )
+            page.evaluate(f"{CAPTURE}.enter('stroke')")
+            page.evaluate("(advice) => (document.querySelector('#step').textContent = advice)", advice)
             tops.append([page.locator(part).bounding_box()["y"] for part in ("#step", "#field")])
         assert tops[0] == tops[1] == tops[2]
         page.evaluate(f"{CAPTURE}.enter('set-up')")
@@ -304,11 +295,8 @@ def test_a_capture_that_still_learns_is_not_lost_to_the_next_one(quiet_browser: 
                 answer(page, 0, playable={"file": "first"})
                 answer(page, 0, share=0.9)
                 answer(page, 0, done={"file": "first"})
-                assert page.evaluate(f"[{is_open}, {CAPTURE}.step, document.querySelector('#learning').value]") == [
-                    True,
-                    "training",
-                    0.1,
-                ]
+                shown = page.evaluate(f"[{is_open}, {CAPTURE}.step, document.querySelector('#learning').value]")
+                assert shown == [True, "training", 0.1]
                 assert page.evaluate("window.said.splice(0)") == [["first", False], ["first", True]]
             assert "1 event of the pen came late" in page.inner_text("#notes")
             if name == "first":

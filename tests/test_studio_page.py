@@ -55,13 +55,9 @@ def shelf(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with two methods of a mesh, of which one is grass by its sound and not as loud, and a towel by name."""
     folder = tmp_path_factory.mktemp("shelf")
     mesh, grass = read_texture(EXAMPLE), read_texture(EXAMPLE.with_name("artificial-grass.foten"))
-    named = {
-        "mesh": (mesh, {}),
-        "mesh2": (grass, {"texture": mesh.card["texture"]}),
-        "towel": (mesh, {"texture": "towel"}),
-    }
-    for name, (texture, card) in named.items():
-        write_texture(type(texture)({**texture.card, **card}, texture.tensors), folder / f"{name}.foten")
+    for name, texture, called in (("mesh", mesh, mesh), ("mesh2", grass, mesh), ("towel", mesh, None)):
+        card = {**texture.card, "texture": called.card["texture"] if called else "towel"}
+        write_texture(type(texture)(card, texture.tensors), folder / f"{name}.foten")
     return folder
 
 
@@ -144,20 +140,9 @@ class Pen:
         self._left, self._top = box["x"], box["y"]
 
     def send(self, kind: str, x: float, y: float, pressure: float) -> None:
-        self._devtools.send(
-            "Input.dispatchMouseEvent",
-            {
-                "type": kind,
-                "x": self._left + x,
-                "y": self._top + y,
-                "button": "left",
-                "buttons": 0 if kind == "mouseReleased" else 1,
-                "clickCount": 0 if kind == "mouseMoved" else 1,
-                "pointerType": "pen",
-                "force": pressure,
-                "tiltX": 20,
-            },
-        )
+        button = {"button": "left", "buttons": int(kind != "mouseReleased"), "clickCount": int(kind != "mouseMoved")}
+        pen = {"pointerType": "pen", "x": self._left + x, "y": self._top + y, "force": pressure, "tiltX": 20}
+        self._devtools.send("Input.dispatchMouseEvent", {"type": kind, **button, **pen})
 
     def stroke(self, page: Any, n: int = 60) -> None:
         """Draw a wave of n events, firmer and firmer, and lift."""
@@ -313,9 +298,8 @@ def test_methods_are_compared_blind_and_equally_loud(browser: Any, link: str, sh
         renderers = {name: Renderer(shelf / name) for name in ("mesh.foten", "mesh2.foten")}
         scales = [1 / one.native_texture.info.acceleration_sd for one in renderers.values()]
         expected = dict(zip(renderers, gains_db(list(renderers.values()), scales), strict=True))
-        assert (
-            np.ptp(list(expected.values())) > 0.3
-        )  # dB, six times what they may differ by: else this would say nothing
+        # dB, six times what they may differ by: else this would say nothing.
+        assert np.ptp(list(expected.values())) > 0.3
         assert gains == pytest.approx(expected, abs=0.05)
         served = page.evaluate("fetch('gains?texture=mesh.foten&texture=mesh2.foten').then((answer) => answer.json())")
         assert served["gains_db"] == pytest.approx(list(expected.values()), abs=1e-9)
@@ -509,10 +493,8 @@ def test_a_stroke_may_begin_on_the_button(browser: Any, link: str) -> None:
         page.mouse.move(box["x"] + 60, box["y"] + 60)
         page.mouse.down()
         # Back and forth until sound has begun, which may take longer than a trail stays.
-        running, end = (
-            f"{STATE}.sound.running && {STATE}.pad.trail.length > 5 && {STATE}.monitor.latest?.rms > 0",
-            time.monotonic() + 15,
-        )
+        running = f"{STATE}.sound.running && {STATE}.pad.trail.length > 5 && {STATE}.monitor.latest?.rms > 0"
+        end = time.monotonic() + 15
         for i in itertools.count():
             page.mouse.move(box["x"] + 60 + 4 * (40 - abs(40 - i % 80)), box["y"] + 60)
             page.wait_for_timeout(10)
@@ -527,10 +509,7 @@ def test_a_stroke_may_begin_on_the_button(browser: Any, link: str) -> None:
 def test_the_server_may_render_from_the_first_stroke_on(browser: Any, link: str) -> None:
     """\"events before a texture was opened\", until another texture was chosen."""
     with opened(browser, link, tap=False) as page:
-        page.click("#settings")
-        page.select_option("#path", "stream")
-        until(page, f"{STATE}.sound.server !== null")
-        page.keyboard.press("Escape")
+        at_the_server(page)
         assert page.locator("#message").is_hidden()
         Pen(page).stroke(page)
         until(page, f"{STATE}.monitor.latest?.rms > 0")
@@ -583,6 +562,16 @@ def hosted(folder: Path) -> Iterator[str]:
         server.shutdown()
 
 
+@contextlib.contextmanager
+def visited(browser: Any, folder: Path, **options: Any) -> Iterator[Any]:
+    """The first page of a folder that is hosted."""
+    with hosted(folder) as link:
+        page = browser.new_page(**options)
+        page.goto(link)
+        yield page
+        page.close()
+
+
 def in_a_browser(folder: Path, number: int) -> None:
     """The page of the tutorial, with the package as npm has it and nothing else copied by hand."""
     script(WASM / "pack.py").write_package(folder / "foten")
@@ -597,9 +586,7 @@ def test_ten_lines_put_a_texture_on_a_canvas_of_ones_own(browser: Any, tmp_path:
     lines = text.partition('<script type="module">')[2].partition("</script>")[0].strip().splitlines()
     assert len(lines) == 10
     (tmp_path / "index.html").write_text(text.replace("const node =", "const node = window.node ="), encoding="utf-8")
-    with hosted(tmp_path) as link:
-        page = browser.new_page()
-        page.goto(link)
+    with visited(browser, tmp_path) as page:
         until(page, "window.node !== undefined")
         page.evaluate(
             """() => {
@@ -618,16 +605,13 @@ def test_ten_lines_put_a_texture_on_a_canvas_of_ones_own(browser: Any, tmp_path:
         drag(page, "canvas")
         until(page, "window.rms > 0.1 && window.peak > 0.01")
         assert page.evaluate("window.peak") < 0.5  # it was full scale, in headphones
-        page.close()
 
 
 def test_two_lines_put_a_texture_on_a_page_of_ones_own(browser: Any, tmp_path: Path) -> None:
     """The package as npm has it, with nothing copied by hand; a bad file is refused in a line."""
     (tmp_path / "bad.foten").write_bytes(b"x" * 99)
     in_a_browser(tmp_path, 0)
-    with hosted(tmp_path) as link:
-        page = browser.new_page()
-        page.goto(link)
+    with visited(browser, tmp_path) as page:
         until(page, "document.querySelector('foten-pad').texture?.src === 'mesh.foten'")
         page.evaluate(
             """() => {
@@ -642,12 +626,10 @@ def test_two_lines_put_a_texture_on_a_page_of_ones_own(browser: Any, tmp_path: P
         page.evaluate("document.querySelector('foten-pad').src = 'bad.foten'")
         until(page, "told.refused?.startsWith('this is not a texture file')")
         page.evaluate("document.querySelector('foten-pad').src = 'none.foten'")
-        until(
-            page, "document.querySelector('foten-pad').dataset.refused?.startsWith('none.foten could not be fetched')"
-        )
+        refused = "document.querySelector('foten-pad').dataset.refused"
+        until(page, f"{refused}?.startsWith('none.foten could not be fetched')")
         page.evaluate("document.querySelector('foten-pad').src = 'mesh.foten'")
-        until(page, "!document.querySelector('foten-pad').dataset.refused")
-        page.close()
+        until(page, f"!{refused}")
 
 
 def test_the_element_has_a_size_follows_its_source_and_rests_where_it_was_taken_away(
@@ -655,18 +637,14 @@ def test_the_element_has_a_size_follows_its_source_and_rests_where_it_was_taken_
 ) -> None:
     in_a_browser(tmp_path, 0)
     shutil.copy(shelf / "mesh2.foten", tmp_path / "other.foten")
-    with hosted(tmp_path) as link:
-        page = browser.new_page(device_scale_factor=3)
-        page.goto(link)
+    with visited(browser, tmp_path, device_scale_factor=3) as page:
         until(page, "document.querySelector('foten-pad').texture?.src === 'mesh.foten'")
-        assert (
-            page.locator("foten-pad").bounding_box()["height"] == 256
-        )  # 16rem, which a rule of the page's own changes
+        # 16rem, which a rule of the page's own changes.
+        assert page.locator("foten-pad").bounding_box()["height"] == 256
         page.add_style_tag(content="foten-pad { height: 9rem }")
         assert page.locator("foten-pad > canvas").bounding_box()["height"] == 144
-        page.evaluate(
-            "window.element = document.querySelector('foten-pad'); element.sound.route('', 1)"
-        )  # before it sounds
+        page.evaluate("window.element = document.querySelector('foten-pad')")
+        page.evaluate("element.sound.route('', 1)")  # before it sounds
         drag(page, "foten-pad")
         until(page, "element.sound.id === 'mesh.foten'")
         assert page.evaluate("element.sound.context.destination.channelInterpretation") == "discrete"
@@ -674,7 +652,6 @@ def test_the_element_has_a_size_follows_its_source_and_rests_where_it_was_taken_
         until(page, "element.sound.id === 'other.foten'")
         page.evaluate("element.remove()")
         until(page, "element.sound.context.state === 'suspended'")
-        page.close()
 
 
 def test_an_element_without_its_worker_says_so(browser: Any, tmp_path: Path) -> None:
@@ -693,9 +670,7 @@ SITE = Path(__file__).parents[1] / "build" / "site"
 
 @pytest.mark.skipif(not (SITE / "live").exists(), reason="needs the built site: make docs")
 def test_the_first_page_of_the_site_has_a_live_surface(browser: Any) -> None:
-    with hosted(SITE) as link:
-        page = browser.new_page()
-        page.goto(link)
+    with visited(browser, SITE) as page:
         until(page, "document.querySelector('foten-pad').texture?.src === 'live/textures/jeans.foten'")
         page.click("#live-gallery >> text=Towel")
         until(page, "document.querySelector('foten-pad').sound.id === 'live/textures/towel.foten'")
@@ -706,7 +681,6 @@ def test_the_first_page_of_the_site_has_a_live_surface(browser: Any) -> None:
         drag(page, "foten-pad")
         until(page, "window.rms > 0.1")
         assert page.inner_text("#live-said") == ""
-        page.close()
 
 
 def test_an_exported_page_offers_no_capture_that_it_can_only_refuse(browser: Any, tmp_path: Path) -> None:
