@@ -146,6 +146,7 @@ def _tiff(path: Path) -> None:
         ("a.csv", os.mkfifo, ["tables"], "is a pipe or a device"),
         ("results", lambda path: (path.mkdir(), os.mkfifo(path / "a.json")), ["tables"], "a.json is no result"),
         ("a.png", os.mkfifo, ["imagine", "--scale", "0.05", "--photo"], "is a pipe or a device"),
+        ("a.foten", os.mkfifo, ["bench"], "is a pipe or a device"),
         ("a.xml", os.mkfifo, ["import", "-o", "{}/o.foten"], "is a pipe or a device"),
         ("a.csv", lambda path: path.symlink_to(path), ["import", "-o", "{}/o.h5"], "no such file: "),
         ("a.wav", _wav(1, 36), ["import", "-o", "{}/o.h5"], "a.wav is truncated or is no WAV file (its parts"),

@@ -15,6 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
+from foten.models.texture_file import read_texture
 from foten.runtime.binding import isa, library
 from foten.runtime.native import NativeState, NativeTexture
 
@@ -73,7 +74,7 @@ def time_all(path: Path, n: int) -> list[StepTimes]:
         ValueError: the file is none that renders.
         OSError: one of the processes came to an end.
     """
-    if NativeTexture(path.read_bytes()).info.asks_predictor:
+    if NativeTexture(read_texture(path)).info.asks_predictor:
         # ONNX Runtime chooses its own instructions.
         return [replace(time_steps(path, n), isa="onnxruntime")]
     times = []
