@@ -341,7 +341,8 @@ def test_a_page_whose_place_is_returned_begins_anew(browser: Any, tmp_path: Path
         begin(page, link)
         code = page.evaluate("window.study.code")
         operator.click("[data-what='Return place']:visible")
-        until(page, "window.study?.code === null && document.querySelector('#code') !== null")
+        page.wait_for_selector("#code")  # which outlasts the page's loading anew
+        until(page, "window.study?.code === null")
         assert page.evaluate("location.search") == ""
         until(operator, "document.querySelectorAll('#people li').length === 0")
         assert asked == [f"Return the place of participant 1, {code}? The next participant gets its order of trials."]
