@@ -138,6 +138,9 @@ def test_a_bound_of_content_can_be_raised(tmp_path: Path, name: str, monkeypatch
     BOMBS[name](tmp_path / name)
     monkeypatch.setenv("FOTEN_MAX_MB", "250")
     assert {column.samples.size for column in read_columns(tmp_path / name)} == {N_BOMB}
+    monkeypatch.setenv("FOTEN_MAX_MB", "much")
+    with pytest.raises(ValueError, match=r"FOTEN_MAX_MB is 'much', expected a whole number of MB"):
+        read_columns(tmp_path / name)
 
 
 @pytest.mark.parametrize(

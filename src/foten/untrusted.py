@@ -30,8 +30,10 @@ def check_regular(path: Path) -> None:
 
 def max_content(path: Path) -> int:
     """Bytes of content that are read of a file, 8 for a number: in proportion to its size, or as `FOTEN_MAX_MB` says."""
-    raised = 1e6 * min(float(os.environ.get(RAISED_BY) or 0), 1e9)
-    return max(int(raised), min(MIN_CONTENT + MAX_INFLATION * path.stat().st_size, MAX_CONTENT))
+    raised = os.environ.get(RAISED_BY) or "0"
+    if not raised.isdecimal() or len(raised) > 9:
+        raise ValueError(f"{RAISED_BY} is {raised[:20]!r}, expected a whole number of MB, such as 500")
+    return max(10**6 * int(raised), min(MIN_CONTENT + MAX_INFLATION * path.stat().st_size, MAX_CONTENT))
 
 
 def too_much(n_bytes: int, limit: int) -> str:
