@@ -113,12 +113,13 @@ def _inside(value: Any) -> Iterable[Any]:
     return value.values() if isinstance(value, dict) else value if isinstance(value, list) else ()
 
 
-def check_numbers(value: Any, what: str) -> None:
-    """Refuse parsed JSON with a number that is not finite, or that neither a float64 nor an int64 holds."""
-    for inner in _inside(value):
-        check_numbers(inner, what)
+def check_numbers(value: Any, what: str, entry: str = "") -> None:
+    """Refuse parsed JSON with a number that is not finite, or that neither a float64 nor an int64 holds; name its entry."""
+    for name, inner in value.items() if isinstance(value, dict) else ((entry, inner) for inner in _inside(value)):
+        check_numbers(inner, what, name)
     if isinstance(value, int | float) and not abs(value) < 2**63:
-        raise ValueError(f"{what} holds a number that is not finite, or not below 2^63")
+        place = f", in {entry[:40]!r}" if entry else ""
+        raise ValueError(f"{what} holds a number that is not finite, or not below 2^63{place}")
 
 
 def printable(text: str) -> str:
