@@ -36,6 +36,7 @@ from typing import Any, cast
 ROOT = Path(__file__).parents[1]
 WORK = ROOT / "build" / "mutants"
 SOURCES = ROOT / "src" / "foten"
+CONSTANTS = ROOT / "native" / "src" / "constants.h"
 # That of the extra `dev` lies beside this Python, which need not be in the path.
 CMAKE = shutil.which("cmake", path=os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]]))
 C, TOP = "native", "foten"  # packages of the kernel, and of the modules that are in none
@@ -411,9 +412,10 @@ Judges = list[tuple[list[str], float]]
 
 
 def judges(change: Change, records: dict[str, dict[str, Any]]) -> Judges:
-    """Tests that execute a change's line and pass without it, the quick ones first, then the files that import its module.
+    """Tests that execute a change's line and pass without it, the quick ones first, then files that start processes.
 
-    Where no test executes it, as at import: those that execute the module. Of C: those that call the kernel.
+    Where no test executes it, as at import: those that execute the module, and all files that import it. Of C: those that call
+    the kernel.
     """
     path, in_c = change.path, change.path.startswith("native")
     if in_c:
@@ -421,19 +423,24 @@ def judges(change: Change, records: dict[str, dict[str, Any]]) -> Judges:
     imported = re.compile(rf"\b{re.escape(path[4:-3].replace('/', '.'))}\b")
     on_line: dict[str, float] = {}
     in_module: dict[str, float] = {}
-    files: list[tuple[float, list[str]]] = []
+    files: list[tuple[float, list[str], bool]] = []
     for test, result in records.items():
         passed = {name: s for name, s in result["seconds"].items() if name not in result["failed"]}
         lines, text = result["lines"].get(path, {}), (ROOT / test).read_text()
+        text += CONSTANTS.read_text() if CONSTANTS.name in text else ""  # it names constants of Python
         in_module |= {name: passed[name] for names in lines.values() for name in names if name in passed}
         if result["sources"].get(path) == _digest((ROOT / path).read_bytes()):  # else lines have moved
             on_line |= {name: passed[name] for name in lines.get(str(change.line), []) if name in passed}
-        if Path(change.path).stem in test or "test_kernel_build" in test if in_c else imported.search(text):
+        named = Path(change.path).stem in test if in_c else imported.search(text)
+        if named or ("test_kernel_build" if in_c else "test_imports") in test:  # of the latter one reads every module
             without = [option for name in result["failed"] for option in ("--deselect", name)]
-            files.append((sum(passed.values()), [test, *without]))
+            files.append((sum(passed.values()), [test, *without], "subprocess" in text))
     executing = in_module if in_c or not on_line else on_line
     quick = (sorted(executing, key=executing.__getitem__), sum(executing.values()))
-    whole = [(arguments, seconds) for seconds, arguments in sorted(files)]
+    # Lines that a process of a test executes are not recorded.
+    whole = [
+        (names, seconds) for seconds, names, has_processes in sorted(files) if has_processes or in_c or not on_line
+    ]
     return [*whole[:1], quick, *whole[1:]] if in_c else [quick, *whole]
 
 

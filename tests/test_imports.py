@@ -155,6 +155,15 @@ def test_importing_the_runtime_loads_no_scipy(module: str) -> None:
     assert "scipy" not in {name.split(".")[0] for name in imported_at_once(module)}
 
 
+def test_records_are_frozen() -> None:
+    """All dataclasses but those that count or collect while something runs."""
+    classes = [node for module in MODULES for node in ast.walk(source(module)) if isinstance(node, ast.ClassDef)]
+    decorators = {node.name: " ".join(map(ast.unparse, node.decorator_list)) for node in classes}
+    changing = {name for name, text in decorators.items() if "dataclass" in text and "frozen=True" not in text}
+    counting = {"Allowance", "LiveStatistics", "Progress", "Timing", "TrialLog", "WindowStream"}
+    assert changing == counting | {"Library", "_Stroked"}
+
+
 def test_the_reader_of_imports_sees_what_it_should() -> None:
     code = "import a.b\nfrom foten import runtime\ndef f():\n    from c import d\nif x:\n    import e\n"
     assert set(imported(ast.parse(code))) == {"a.b", "foten.runtime", "c", "e"}

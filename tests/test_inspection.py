@@ -178,6 +178,8 @@ def test_a_vibration_without_memory_and_with_a_fixed_pattern():
     inspection = _inspect(samples)
     assert "repeats exactly every 10 samples (100 Hz)" in _text(inspection, "pattern")
     assert {("pattern", "acceleration"), ("white", "acceleration")} <= _codes(inspection)
+    samples["acceleration"] = rng.standard_normal(N) + np.tile([1.0, -1.0], N // 2)
+    assert "repeats exactly every 2 samples (500 Hz)" in _text(_inspect(samples), "pattern")
 
 
 def test_a_coarse_slow_sensor_is_not_clipped():
@@ -293,6 +295,8 @@ def test_inspection_and_training_give_a_short_recording_the_same_options(seconds
     )
     assert (cut in inspection.to_text()) == (seconds == 20)
     if seconds < 14:
+        begun_late = {name: Channel(x, 10_000.0, 90 + np.arange(x.size) / 10_000) for name, x in samples.items()}
+        assert inspect_recording(Recording(begun_late)).options == options
         assert f"14 s: train with {options}" in _text(inspection, "short")
         with pytest.raises(ValueError, match=f"less than 5 blocks of 2000 ms; use {options}$"):
             preprocess(recording, n_blocks=5)

@@ -408,3 +408,4 @@ def test_vertices_span_where_the_hand_was() -> None:
     assert table.speed_knots[[0, -1]].tolist() == [10, 200]
     assert len(table.speed_knots) == 12
     assert len(table.force_knots) == 3
+    assert table.values.shape == (36, 0)
