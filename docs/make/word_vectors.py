@@ -39,14 +39,14 @@ weave wicker wiry woollen woolen woolly worsted woven wrinkled wrinkly
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("file", type=Path, help="glove.6B.50d.txt")
-    wanted, words, rows = set(SURFACES.split()), list[str](), list[list[float]]()
+    wanted, table = set(SURFACES.split()), dict[str, list[float]]()
     with parser.parse_args().file.open(encoding="utf-8") as lines:
         for line in lines:  # the most frequent first
             word, _, numbers = line.partition(" ")
-            if re.fullmatch("[a-z]+", word) and (len(words) < N_FREQUENT or word in wanted):
-                words.append(word)
-                rows.append([float(number) for number in numbers.split()])
-    vectors = np.array(rows)
+            if re.fullmatch("[a-z]+", word) and (len(table) < N_FREQUENT or word in wanted):
+                table[word] = [float(number) for number in numbers.split()]
+    words = sorted(table)  # which takes 15 kB less than by frequency
+    vectors = np.array([table[word] for word in words])
     scales = (np.abs(vectors).max(axis=1) / 127).astype(np.float16)
     rounded = np.round(vectors / scales[:, None].astype(np.float64)).clip(-127, 127).astype(np.int8)
     arrays = {"vectors": rounded, "scales": scales, "words": np.frombuffer("\n".join(words).encode(), dtype=np.uint8)}
