@@ -22,8 +22,13 @@ from foten.datasets.hatt import read_models
 from foten.datasets.hdf5 import load_recording, write_recording
 from foten.datasets.importing import DATASETS, read_columns
 from foten.datasets.isolated import read_isolated
+from foten.editing.texture_library import open_library
+from foten.experiments.experiment import read_experiment
 from foten.models.texture_file import Texture, read_texture, write_texture
 from foten.recording.recording import Channel, Recording
+from foten.runtime.actuator import read_profile
+from foten.runtime.renderer import Renderer
+from foten.study.design import read_design
 
 FORCE = np.linspace(0, 3, 400)
 
@@ -188,6 +193,16 @@ def test_a_pipe_is_no_file(tmp_path: Path) -> None:
         os.mkfifo(tmp_path / f"a{suffix}")
         with pytest.raises(ValueError, match="is a pipe or a device, expected a file"):
             reader(tmp_path / f"a{suffix}")
+
+
+@pytest.mark.parametrize(
+    "read", [read_texture, Renderer, read_models, read_experiment, read_design, open_library, read_profile]
+)
+def test_a_file_is_not_read_where_its_kind_is_never_as_large(tmp_path: Path, read) -> None:
+    (tmp_path / "library.json").touch()
+    os.truncate(tmp_path / "library.json", 20 << 30)
+    with pytest.raises(ValueError, match=r"library.json has 21,474.8 MB, expected [0-9.]+ at most"):
+        read(tmp_path if read is open_library else tmp_path / "library.json")
 
 
 def test_a_missing_library_is_named(recording: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys) -> None:

@@ -46,7 +46,7 @@ def test_a_new_study_file_reads_back(study: Path) -> None:
 
 
 BAD = [
-    ("participants = 12", "participants = 0", "participants is 0, expected 1 to 1000"),
+    ("participants = 12", "participants = 0", "participants is 0, expected 1 to 1,000"),
     ("participants = 12", 'participants = "12"', "participants is '12', expected an integer"),
     ("participants = 12", "participants = true", "participants is True, expected an integer"),
     ('order = "balanced"', "order = 1", "order is 1, expected text"),
@@ -54,7 +54,10 @@ BAD = [
     ('options = ["right", "left", "either"]', "options = [1]", r"options is \[1\], expected a list of texts"),
     ("seed = 3", "sed = 3", "the study has 'sed', expected some of title"),
     ('order = "balanced"', 'order = "latin"', "order is 'latin', expected balanced or random"),
-    ("min_seconds = 3", "min_seconds = nan", "min_seconds is nan, expected 0 to 600"),
+    ("min_seconds = 3", "min_seconds = nan", "holds a number that is not finite, .* in 'min_seconds'"),
+    ("participants = 12", f"participants = {10**400}", "not below 2.63, in 'participants'"),
+    ('kind = "rating"', f'kind = "abx"\nrepeats = {10**12}', "repeats is 1e.12, expected 1 to 100"),
+    ('kind = "rating"', f'kind = "abx"\nrepeats = {3 * 10**8}', "repeats is 300,000,000, expected 1 to 100"),
     ('foten = "mesh.foten"', 'foten = "mesh-ar.foten"', "two methods of mesh with one file"),
     ('foten = "mesh.foten"', 'Ar = "mesh.foten"', "one lacks"),
     ('foten = "mesh.foten"\n', "", "texture mesh has 1 method, expected two or more to compare"),
@@ -67,7 +70,7 @@ BAD = [
         "low = 120\nhigh = 0",
         "question age: low and high are 120 and 0, expected bounds of a number",
     ),
-    ("low = 0\nhigh = 120", "low = nan", "question age: low and high are nan and 1e"),
+    ("low = 0\nhigh = 120", "low = nan", "not finite, .* in 'low'"),
     ('at = "end"', "low = 3", "question remarks: low and high are 3 and 1e.*, expected bounds of a number in order"),
     ("title =", "title", "study.toml: this is not TOML"),
     ('language = "en"', 'language = "tlh"', "language is 'tlh', expected one of en, de, fr, es, ja, ko, zh"),

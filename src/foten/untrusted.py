@@ -13,6 +13,7 @@ from typing import Any
 DEEPEST, MAX_TOML = 64, 100_000  # levels of JSON and TOML, of which a card has 5; characters of TOML
 MAX_INFLATION = 32  # bytes of content for one in the file; recordings of noise have 2 to 8
 MIN_CONTENT, MAX_CONTENT = 64 << 20, 1_600_000_000  # bytes of content that a file of any size may have; that none may
+MAX_FILE, MAX_PROFILE = 1 << 28, 1 << 24  # bytes of a file that is read as a whole, such as a texture; of JSON
 RAISED_BY = "FOTEN_MAX_MB"  # environment variable: MB of content that any file may have all the same
 LONGEST_TEXT = 200  # of what a library says
 MAX_LINE = 2000  # characters that a terminal is given at most: 25 rows of 80
@@ -26,6 +27,14 @@ def check_regular(path: Path) -> None:
         raise ValueError(f"{path} is a folder, expected a file")
     if not path.is_file():
         raise ValueError(f"{path} is a pipe or a device, expected a file")
+
+
+def read_whole(path: Path, largest: int = MAX_FILE) -> bytes:
+    """Content of a file of a size [bytes] that is expected; otherwise ValueError, as where `check_regular` refuses it."""
+    check_regular(path)
+    if (size := path.stat().st_size) > largest:
+        raise ValueError(f"{path} has {size / 1e6:,.1f} MB, expected {largest / 1e6:,.1f} at most")
+    return path.read_bytes()
 
 
 def max_content(path: Path) -> int:
@@ -58,13 +67,15 @@ def parse_json(text: str | bytes) -> Any:
 
 
 def parse_toml(text: str | bytes) -> dict[str, Any]:
-    """The tables that TOML text holds; ValueError where it is none, or is nested more than `DEEPEST`."""
+    """The tables that TOML text holds; ValueError where it is none, nested more than `DEEPEST`, or as `check_numbers` says."""
     try:
         if len(text) > MAX_TOML:  # a name of so many parts takes seconds
             raise ValueError(f"it has {len(text):,} characters, expected {MAX_TOML:,} at most")
-        return dict(_shallow(tomllib.loads, text if isinstance(text, str) else text.decode()))
+        tables: dict[str, Any] = _shallow(tomllib.loads, text if isinstance(text, str) else text.decode())
     except ValueError as error:
         raise ValueError(f"this is not TOML ({error})") from error
+    check_numbers(tables, "it")
+    return tables
 
 
 def _shallow(parse: Callable[[Any], Any], text: str | bytes) -> Any:
@@ -96,9 +107,9 @@ def read_profile_json(path: Path, kind: str, version: int, what: str) -> dict[st
         FileNotFoundError: there is none.
         ValueError: it is none of that kind.
     """
-    check_regular(path)
+    data = read_whole(path, MAX_PROFILE)
     try:
-        content: Any = parse_json(path.read_bytes())
+        content: Any = parse_json(data)
     except ValueError as error:
         raise ValueError(f"{path.name} is not JSON ({error}), expected {what}") from error
     if not isinstance(content, dict) or content.pop("format", None) != kind:

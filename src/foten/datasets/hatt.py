@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from foten.dsp import Array
-from foten.untrusted import check_regular
+from foten.untrusted import read_whole
 
 MAX_FILE_BYTES = 2_000_000  # the toolkit's have 100,000
 MAX_MODELS = 1000
@@ -39,12 +39,9 @@ class HattModels:
 
 def read_models(path: Path) -> HattModels:
     """Models in a file; ValueError where it is not a model file, or its parts do not fit together."""
-    check_regular(path)
-    n_bytes = path.stat().st_size
-    if n_bytes > MAX_FILE_BYTES:
-        raise ValueError(f"{path.name} has {n_bytes} bytes, expected a model file of at most {MAX_FILE_BYTES}")
+    data = read_whole(path, MAX_FILE_BYTES)
     try:
-        return _models(Xml.fromstring(path.read_bytes()))
+        return _models(Xml.fromstring(data))
     except Xml.ParseError as error:
         raise ValueError(f"{path.name}: this is not XML, or it is truncated ({error})") from error
     except ValueError as error:

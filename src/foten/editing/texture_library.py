@@ -15,7 +15,7 @@ from foten.dsp import Array
 from foten.editing.describe import SECONDS, Description, describe, rendered, spectrum
 from foten.editing.words import Encoder
 from foten.models.texture_file import Texture, read_texture
-from foten.untrusted import check_regular, parse_json
+from foten.untrusted import MAX_PROFILE, parse_json, read_whole
 
 INDEX = "library.json"
 VERSION = 1
@@ -166,9 +166,9 @@ def open_library(folder: Path, make: bool = False) -> Library:
             )
         files = sorted(folder.glob(f"*{SUFFIX}")) if folder.is_dir() else []
         return Library(folder, [entry_of(read_texture(file), file.name) for file in files])
-    check_regular(path)
+    data = read_whole(path, MAX_PROFILE)
     try:
-        document = parse_json(path.read_bytes())
+        document = parse_json(data)
         if document["version"] != VERSION:
             raise ValueError(f"version {document['version']}, expected {VERSION}: add its textures again")
         entries = [_entry(row) for row in document["textures"]]

@@ -19,7 +19,7 @@ from foten.recording.preprocess import PreprocessConfig
 from foten.recording.recording import Recording
 from foten.simulation.simulate import CONTACT, LINEAR_FAMILY, OTHER_LINEAR, TEXTURES, TWO_MASS, check_seconds, simulate
 from foten.training.config import FILTERS, OWN_RECIPES, RECIPES, TrainConfig, check_recipe, check_used
-from foten.untrusted import check_regular, parse_toml
+from foten.untrusted import MAX_TOML, parse_toml, read_whole
 
 RECORDED = (".h5", ".hdf5")
 OF_FIRST_SPLIT = ("stability", "onset")  # measures that are taken of no other split
@@ -238,9 +238,9 @@ def read_experiment(path: Path, recordings: Path | None = None) -> Experiment:
         OSError: there is none.
         ValueError: it is no TOML, or has an unknown key or a value that does not fit.
     """
-    check_regular(path)
+    text = read_whole(path, 4 * MAX_TOML)
     try:
-        experiment = _experiment(parse_toml(path.read_bytes()), recordings or path.parent)
+        experiment = _experiment(parse_toml(text), recordings or path.parent)
         experiment.runs()  # refuses settings that do not fit
         return experiment
     except ValueError as error:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import io
 import itertools
 import math
 from collections import Counter
@@ -15,7 +16,7 @@ import numpy as np
 
 from foten.experiments.experiment import Run
 from foten.reporting.table import Table
-from foten.untrusted import check_regular, parse_json
+from foten.untrusted import MAX_PROFILE, parse_json, read_whole
 
 Results = Sequence[Mapping[str, Any]]  # result files of a sweep, with the signals that figures are drawn from
 Record = Mapping[str, Any]  # a run: names, settings, and figures by their paths; a row of `runs.csv`
@@ -59,8 +60,7 @@ _TEXTS = (
 def read_result(path: Path) -> dict[str, Any] | None:
     """Result in a file; None where no record can be made of it."""
     try:
-        check_regular(path)
-        result: dict[str, Any] = parse_json(path.read_bytes())
+        result: dict[str, Any] = parse_json(read_whole(path, MAX_PROFILE))
         _record(result)
     except (ValueError, KeyError, TypeError, OSError):
         return None
@@ -234,10 +234,9 @@ def read_records(path: Path) -> list[dict[str, Any]]:
     """
     if path.suffix != ".csv":
         return records_of(read_results(path, mixed=True))
-    check_regular(path)
-    try:
-        with path.open(encoding="utf-8-sig", newline="") as file:  # a spreadsheet writes a mark before the first name
-            rows = list(csv.DictReader(file))
+    data = read_whole(path)
+    try:  # a spreadsheet writes a mark before the first name
+        rows = list(csv.DictReader(io.StringIO(data.decode("utf-8-sig"), newline="")))
     except (UnicodeDecodeError, csv.Error) as error:
         raise ValueError(f"{path.name} is no CSV file in UTF-8 ({error})") from error
     # A figure that no run has is no column: before the first run with an excitation is done, for example.

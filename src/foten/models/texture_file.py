@@ -25,7 +25,7 @@ from foten.recording.recording import RELATIVE, UNITS, range_in_words
 from foten.recording.scaling import Scaling
 from foten.recording.split import Split
 from foten.recording.trace import CHANNELS
-from foten.untrusted import check_numbers, check_regular, parse_json, printable
+from foten.untrusted import check_numbers, parse_json, printable, read_whole
 
 FORMAT_VERSION = 5
 ONE_STEP_TOLERANCE = 1e-5  # scaled; float32 arithmetic of the network
@@ -178,9 +178,9 @@ def read_texture(path: Path | str) -> Texture:
         ValueError: it is not a texture file, is truncated, or its card or tensors do not fit.
     """
     path = Path(path)
-    check_regular(path)
+    data = read_whole(path)
     try:
-        return replace(texture_from_bytes(path.read_bytes()), file=path.name)
+        return replace(texture_from_bytes(data), file=path.name)
     except ValueError as error:
         raise ValueError(f"{path.name}: {error}") from error
 

@@ -12,7 +12,7 @@ from foten.models.texture_file import Texture
 from foten.runtime.actuator import ActuatorProfile
 from foten.runtime.binding import NativeStatistics
 from foten.runtime.native import NativeState, NativeTexture
-from foten.untrusted import check_regular
+from foten.untrusted import read_whole
 
 # Comes with the package: a woven steel mesh, learned with the default recipe from `foten simulate steel-mesh-1`.
 EXAMPLE = Path(__file__).parents[1] / "textures" / "steel-mesh-1.foten"
@@ -135,8 +135,8 @@ def _native(texture: str | PathLike[str] | bytes | Texture | NativeTexture) -> N
     if isinstance(texture, bytes | Texture):
         return NativeTexture(texture)
     path = Path(texture)
-    check_regular(path)
+    data = read_whole(path)
     try:
-        return NativeTexture(path.read_bytes())
+        return NativeTexture(data)
     except ValueError as error:
         raise ValueError(f"{path.name}: {error}") from error

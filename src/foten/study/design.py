@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 import re
 from collections.abc import Mapping, Sequence
@@ -13,8 +14,8 @@ from typing import Any
 
 from foten.models.texture_file import read_texture
 from foten.study.languages import ENGLISH, Language, filled, read_language
-from foten.study.orders import conditions
-from foten.untrusted import check_regular, parse_toml
+from foten.study.orders import SWAPPED, conditions
+from foten.untrusted import MAX_TOML, parse_toml, read_whole
 
 WHEN = ("start", "end")
 KINDS = ("text", "number", "choice", "slider")
@@ -40,7 +41,8 @@ QUESTIONS = {  # keys of words
     "detection": "which_felt",
     "difference": "which_stronger",
 }
-MAX_PARTICIPANTS, MAX_TRIALS = 1000, 2000
+MAX_PARTICIPANTS, MAX_TRIALS, MAX_ALL_TRIALS = 1000, 2000, 200_000
+MAX_FILES = 200  # of textures: each is loaded, and rendered to match levels
 MAX_TEXT_LENGTH = 8000  # characters
 MAX_NUMBER = 1e15  # of an answer
 MINUTES_PER_RATING = 90 / 48  # Sec. VII: 90 minutes for 48 comparisons
@@ -177,7 +179,8 @@ class Design:
     @property
     def n_trials(self) -> int:
         """Number of a participant's trials that count."""
-        return len(self.textures) * len(conditions(self.task.kind, len(self.methods), self.repeats))
+        n = len(self.methods)
+        return len(self.textures) * (math.comb(n, 2) if self.task.kind in SWAPPED else n) * self.repeats
 
     @property
     def asked(self) -> tuple[Scale, ...]:
@@ -202,9 +205,9 @@ def read_design(path: Path) -> tuple[Design, str]:
         FileNotFoundError: there is none.
         ValueError: it is no TOML, a field is missing, unknown or out of range, or the textures cannot be compared.
     """
-    check_regular(path)
+    data = read_whole(path, 4 * MAX_TOML)
     try:
-        text = path.read_text(encoding="utf-8")
+        text = data.decode()
         return _design(parse_toml(text), path.parent), text
     except ValueError as error:
         raise ValueError(f"{path.name}: {error}") from error
@@ -353,6 +356,8 @@ def _check(design: Design) -> None:
         "repeats": (task.repeats, 1, 100),
         "answers": (task.answers, 8, 200),
         "trials": (design.n_trials, 2, MAX_TRIALS),
+        "the trials of all participants": (design.n_trials * design.participants, 2, MAX_ALL_TRIALS),
+        "the number of texture files": (len(design.textures) * len(methods), 1, MAX_FILES),
         "seed": (design.seed, 0, 2**63 - 1),
         "practice": (design.practice, 0, design.n_trials),
         "break_every": (design.break_every, 0, MAX_TRIALS),
@@ -366,7 +371,7 @@ def _check(design: Design) -> None:
         bounds["level_db"] = (design.noise.level_db, -90, 0)
     for name, (value, low, high) in bounds.items():
         if not low <= value <= high:
-            raise ValueError(f"{name} is {value:g}, expected {low:g} to {high:g}")
+            raise ValueError(f"{name} is {value:,.10g}, expected {low:,g} to {high:,g}")
     chosen = {"order": (design.order, ORDERS), "real_side": (design.setup.real_side, SIDES)}
     chosen |= {
         "task: kind": (task.kind, TASKS),

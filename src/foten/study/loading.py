@@ -22,7 +22,7 @@ from foten.study.design import Design, Output, read_design
 from foten.study.orders import Trial, planned
 from foten.study.schema import Stimulus, create
 from foten.study.store import Store
-from foten.untrusted import check_regular
+from foten.untrusted import check_regular, read_whole
 
 DOUBTFUL_GAIN_DB = 10.0
 MAX_PICTURES_BYTES = 2**28  # of all pictures of a study, which stay in memory
@@ -59,7 +59,7 @@ def load_stimuli(design: Design, calibrated: bool, loaded: Sequence[Sequence[Ren
         units = {read_texture(path).unit for path in texture.files.values()}
         if len(units) > 1:
             raise ValueError(f"methods of {texture.key} are in different units: {', '.join(sorted(units))}")
-        data = [path.read_bytes() for path in texture.files.values()]
+        data = [read_whole(path) for path in texture.files.values()]
         scales = [1.0 if calibrated else 1 / r.native_texture.info.acceleration_sd for r in renderers]
         gains = [20 * math.log10(scales[0] / scale) for scale in scales]
         if design.match_levels:
