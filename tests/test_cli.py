@@ -405,7 +405,7 @@ RENDER = ("render", "{tex}", "-o", "{out}.wav", "--speed", "1", "--force", "1")
         ([*RENDER, "--seconds", "1", "--audible", "{out}.mp3"], "sound is written as .wav"),
         ([*RENDER, "--seconds", "1", "-o", "{out}/x.csv"], "there is no folder"),
         (["render", "{pickle}", *RENDER[2:], "--seconds", "1"], "pickle"),
-        (["info", "{rec}"], "this is HDF5, as a recording is, expected a texture file (.foten)"),
+        (["info", "{rec}"], "this is HDF5, as recordings are, expected a texture (.foten)"),
         (["info", "{missing}"], "no such file"),
         (["simulate", "towel", "-o", "{out}.csv"], "written as .h5"),
         (["simulate", "towel", "-o", "{out}/x.h5"], "there is no folder"),

@@ -500,7 +500,7 @@ def test_a_table_that_lies_on_its_side_is_refused_before_its_columns_are_made(tm
         with h5py.File(path, "w") as file:
             for k in range(width):
                 file[str(k)] = 1.0
-    message = rf"{name} has {width:,} columns, expected 4,096 at most; do its samples lie along"
+    message = rf"{name} has {width:,} columns, expected 1,000 at most; do its samples lie along"
     with pytest.raises(ValueError, match=message):
         read_columns(path)
 

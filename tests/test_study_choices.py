@@ -437,7 +437,7 @@ def test_a_participant_alone_and_a_trial_alone() -> None:
             lambda: oddity(np.ones((2, 2)), np.ones(2)),
             r"right answers are of shape \(2, 2\), expected \(participants,\)",
         ),
-        (lambda: oddity(np.ones(2), np.ones(3)), "right answers are of 2 participants and trials of 3"),
+        (lambda: oddity(np.ones(2), np.ones(3)), "there are 2 numbers of right answers and 3 of trials"),
         (lambda: oddity(np.array([1, 3]), np.array([2, 2])), "participant 1 has 3 right answers of 2 trials"),
         (lambda: oddity(np.array([-1.0]), np.ones(1)), "right answers hold a negative"),
         (lambda: oddity(np.zeros(2), np.zeros(2)), "there is no trial"),

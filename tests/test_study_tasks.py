@@ -126,9 +126,9 @@ def test_thresholds_are_asked_in_rounds_that_each_hold_all() -> None:
         (
             "rating",
             "repeats = 2",
-            r"\[task\] has 'repeats', which the kind rating does not know, expected some of question",
+            r"\[task\] has 'repeats', which rating does not know, expected some of question",
         ),
-        ("oddity", "answers = 9", r"\[task\] has 'answers', which the kind oddity does not know"),
+        ("oddity", "answers = 9", r"\[task\] has 'answers', which oddity does not know"),
         ("guess", "", "task: kind is 'guess', expected rating, paired, abx, oddity or threshold"),
         ("paired", "repeats = 101", "repeats is 101, expected 1 to 100"),
         ("threshold", "answers = 3", "answers is 3, expected 8 to 200"),

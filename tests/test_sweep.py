@@ -308,8 +308,8 @@ def test_tables_are_written_in_three_forms(swept: Path, tmp_path: Path) -> None:
     ("changed", "message"),
     [
         (lambda rows: [["a", "b"], ["1", "2"]], "other.csv is no runs.csv of foten tables"),
-        (lambda rows: [*rows[:-1], rows[-1][:5]], "other.csv, row 5: its cells are not as many as there are names"),
-        (lambda rows: [rows[0], [*rows[1], "1"], *rows[2:]], "other.csv, row 2: its cells are not as many"),
+        (lambda rows: [*rows[:-1], rows[-1][:5]], "other.csv, row 5: it has not as many cells as row 1 has names"),
+        (lambda rows: [rows[0], [*rows[1], "1"], *rows[2:]], "other.csv, row 2: it has not as many cells"),
         (lambda rows: with_cell(rows, "epochs", "0,5"), "other.csv, row 3: epochs is '0,5', expected a number"),
         (lambda rows: with_cell(rows, "split", ""), "on linear-cloth has no split: is this the whole runs.csv"),
         (

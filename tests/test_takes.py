@@ -86,7 +86,7 @@ def test_a_texture_is_named_as_all_its_takes_are(takes: Recording) -> None:
 
 def test_takes_that_do_not_belong_together_are_refused(takes: Recording) -> None:
     odd = Recording({"speed": Channel(np.ones(3000), 1000.0)}, name="d.csv")
-    with pytest.raises(ValueError, match=r"take 4 \(d.csv\) has the channels speed, expected those of the first: acc"):
+    with pytest.raises(ValueError, match=r"take 4 \(d.csv\) has the channels speed, expected as the first: acc"):
         joined_takes([takes, odd])
     with pytest.raises(ValueError, match=r"take 4 \(b.csv\) has the same samples as take 2"):
         joined_takes([takes, takes.takes[1]])

@@ -85,7 +85,7 @@ def test_the_server_moves_its_textures_alone(tmp_path: Path) -> None:
             ({"texture": "../towel.foten"}, "there is no such texture here"),
             ({"texture": "towel.foten", "other": "none"}, "there is no such texture here"),
             ({"texture": "towel.foten", "level": "x"}, "cannot be moved so: level is no number"),
-            ({"texture": "ar.foten", "brighter": "1"}, "only the level of a texture of ar can be edited"),
+            ({"texture": "ar.foten", "brighter": "1"}, "only the level of ar can be edited"),
         ):
             answer = client.post("/tuned", params=query)
             assert answer.status_code == 404

@@ -13,7 +13,7 @@ from typing import Any
 DEEPEST, MAX_TOML = 64, 100_000  # levels of JSON and TOML, of which a card has 5; characters of TOML
 MAX_INFLATION = 32  # bytes of content for one in the file; recordings of noise have 2 to 8
 MIN_CONTENT, MAX_CONTENT = 64 << 20, 1_600_000_000  # bytes of content that a file of any size may have; that none may
-MAX_FILE, MAX_PROFILE = 1 << 28, 1 << 24  # bytes of a file that is read as a whole, such as a texture; of JSON
+MAX_FILE, MAX_PROFILE = 1 << 27, 1 << 24  # bytes of a file that is read as a whole, such as a texture; of JSON
 RAISED_BY = "FOTEN_MAX_MB"  # environment variable: MB of content that any file may have all the same
 LONGEST_TEXT = 200  # of what a library says
 MAX_LINE = 2000  # characters that a terminal is given at most: 25 rows of 80
@@ -32,17 +32,23 @@ def check_regular(path: Path) -> None:
 def read_whole(path: Path, largest: int = MAX_FILE) -> bytes:
     """Content of a file of a size [bytes] that is expected; otherwise ValueError, as where `check_regular` refuses it."""
     check_regular(path)
-    if (size := path.stat().st_size) > largest:
-        raise ValueError(f"{path} has {size / 1e6:,.1f} MB, expected {largest / 1e6:,.1f} at most")
+    if (size := path.stat().st_size) > max(largest, _raised()):
+        sizes = f"{size / 1e6:,.1f} MB, expected {largest / 1e6:,.1f} at most"
+        raise ValueError(f"{path} has {sizes}; {RAISED_BY}={size // 1_000_000 + 1} reads it all the same")
     return path.read_bytes()
 
 
 def max_content(path: Path) -> int:
     """Bytes of content that are read of a file, 8 for a number: in proportion to its size, or as `FOTEN_MAX_MB` says."""
+    return max(_raised(), min(MIN_CONTENT + MAX_INFLATION * path.stat().st_size, MAX_CONTENT))
+
+
+def _raised() -> int:
+    """Bytes that `FOTEN_MAX_MB` allows; 0 where it is not set."""
     raised = os.environ.get(RAISED_BY) or "0"
     if not raised.isdecimal() or len(raised) > 9:
         raise ValueError(f"{RAISED_BY} is {raised[:20]!r}, expected a whole number of MB, such as 500")
-    return max(10**6 * int(raised), min(MIN_CONTENT + MAX_INFLATION * path.stat().st_size, MAX_CONTENT))
+    return 10**6 * int(raised)
 
 
 def too_much(n_bytes: int, limit: int) -> str:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from foten.untrusted import brief, printable
 
-MAX_COLUMNS = 4096  # of a file
+MAX_COLUMNS = 1000  # of a file
 MAX_NAME_CHARACTERS = 200  # of what a message repeats
 MAX_PREAMBLE_CHARACTERS = 2000  # of the lines above a table
 

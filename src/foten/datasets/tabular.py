@@ -18,7 +18,7 @@ from foten.datasets.columns import MAX_COLUMNS, Column, check_width, reading
 from foten.datasets.isolated import Contents, contents_of, isolated_columns
 from foten.datasets.units import CLOCK, is_unit
 from foten.recording.inspection.values import counted
-from foten.untrusted import brief, check_content
+from foten.untrusted import brief, check_content, read_whole
 
 COMMENTS = ("#", "%", "//")  # that a line of comment begins with
 _DECIMAL_COMMA = re.compile(r"[-+]?\d*,\d+([eE][-+]?\d+)?")
@@ -37,7 +37,7 @@ MAX_BLANK_LINES = 1_000_000  # more than there are other lines
 
 def read_delimited(path: Path) -> list[Column]:
     """Columns of a text table with any separator, decimal commas, lines before it, comments, and a second header of units."""
-    lines = _decode(path.read_bytes(), path.name).splitlines()
+    lines = _decode(read_whole(path), path.name).splitlines()
     n_filled = sum(map(bool, map(str.strip, lines)))
     if not n_filled:
         raise ValueError(f"{path.name} is empty")
@@ -136,7 +136,7 @@ def _decode(raw: bytes, name: str) -> str:
 
 
 def _width(row: Sequence[Any]) -> int:
-    return max((i + 1 for i, cell in enumerate(row) if not _is_blank(cell)), default=0)
+    return next((n for n in range(len(row), 0, -1) if not _is_blank(row[n - 1])), 0)
 
 
 def _is_blank(cell: Any) -> bool:
@@ -231,6 +231,8 @@ def _words(cell: Any) -> str:
 def _column(empty: Column, cells: Sequence[Any]) -> Column:
     """Column with the numbers in its cells, or with a fault."""
     n = _width(cells)
+    with contextlib.suppress(TypeError, ValueError, OverflowError):  # most columns have no blank cell
+        return replace(empty, samples=np.array(cells[:n], dtype=np.float64), n_blank=len(cells) - n)
     numbers = [float("nan") if _is_blank(cell) else cell for cell in cells[:n]]
     try:
         return replace(empty, samples=np.array(numbers, dtype=np.float64), n_blank=len(cells) - n)

@@ -98,7 +98,7 @@ def rises(column: Column) -> bool:
 
 def rate_of(times: Array) -> float:
     """Rate of regular times, whole where their rounding allows it; else 1 / median step."""
-    even = (times.size - 1) / (times[-1] - times[0])
+    even = min((times.size - 1) / (times[-1] - times[0]), np.finfo(float).max)  # of steps that hardly are any
     slack = 2 * _last_digit(times) / (times[-1] - times[0]) + 1e-9
     if irregular(times - times[0], even):
         even = 1 / float(np.median(np.diff(times)))

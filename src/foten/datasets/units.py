@@ -157,9 +157,7 @@ def factor_of(channel: str, header: str, stated: str = "", by_user: str | None =
     known = FACTORS[kind]
     if stated == CLOCK:
         if kind != "time" or by_user is not None:
-            raise ValueError(
-                f"{channel}: column {header!r} holds times of a clock, taken as seconds: it has no other unit"
-            )
+            raise ValueError(f"{channel}: column {header!r} holds times of a clock, which are seconds: no other unit")
         return 1.0, f"time was read as a clock's, in seconds from the first ({header})"
     in_header = split_header(header, kind)[1]
     if by_user is None and stated and in_header and canonical(stated) != canonical(in_header):

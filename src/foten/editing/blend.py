@@ -131,9 +131,7 @@ def check_blendable(first: Texture, second: Texture) -> None:
             f"the textures are of {first.rate_hz:g} and {second.rate_hz:g} Hz, expected one rate: train one again with --rate"
         )
     if first.unit != second.unit:
-        raise ValueError(
-            f"one texture is in {first.unit} and the other in {second.unit}: their levels cannot be compared"
-        )
+        raise ValueError(f"one texture is in {first.unit}, the other in {second.unit}: levels cannot be compared")
 
 
 def between(first: Description, second: Description, at: float) -> Description:

@@ -133,9 +133,7 @@ def check_editable(texture: Texture, edit: Edit, before: Description) -> None:
     """Refuse what a texture's model cannot do."""
     model = texture.card["model"]
     if model != "foten-plus" and edit != Edit(level_db=edit.level_db):
-        raise ValueError(
-            f"only the level of a texture of {model} can be edited, expected one of foten-plus for the rest"
-        )
+        raise ValueError(f"only the level of {model} can be edited, expected foten-plus for the rest")
     if edit.period_mm is not None:
         if before.period_mm is None:
             raise ValueError("the texture has no period to change: nothing in its recording repeated along the path")
@@ -146,9 +144,7 @@ def check_editable(texture: Texture, edit: Edit, before: Description) -> None:
                 f"{before.period_mm * MAX_PERIOD_RATIO:.3g} mm for a surface that repeats every {before.period_mm:.3g} mm"
             )
     if before.width_octaves + edit.wider <= 0.02:
-        raise ValueError(
-            f"wider is {edit.wider:g} octaves, and the width is {before.width_octaves:.2f}: nothing is left"
-        )
+        raise ValueError(f"wider is {edit.wider:g} octaves, the width is {before.width_octaves:.2f}: nothing is left")
 
 
 def with_level(texture: Texture, gain_db: float) -> Texture:

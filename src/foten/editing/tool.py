@@ -65,9 +65,7 @@ class Transfer:
         numbers = [*self.hz, *self.gain_db, *self.gain_sd_db, self.speed_mm_s, self.force_n]
         numbers += [self.speed_exponent, self.force_exponent]
         if len(sizes) != 1 or not 2 <= len(self.hz) <= MAX_BANDS:
-            raise ValueError(
-                f"the filter has {len(self.hz)} frequencies, expected 2 to {MAX_BANDS}, and a gain of each"
-            )
+            raise ValueError(f"the filter has {len(self.hz)} frequencies, expected 2 to {MAX_BANDS}, and a gain each")
         if not all(isinstance(x, int | float) and not isinstance(x, bool) and np.isfinite(x) for x in numbers):
             raise ValueError("a figure of the tool is no finite number")
         if not (np.diff(self.hz) > 0).all() or self.hz[0] <= 0:
@@ -98,9 +96,7 @@ def fitted_transfer(first: list[Trace], second: list[Trace], names: tuple[str, s
         )
     rates = {trace.rate_hz for trace in (*first, *second)}
     if len(rates) != 1:
-        raise ValueError(
-            f"the recordings are at {', '.join(f'{rate:g}' for rate in sorted(rates))} Hz, expected one rate"
-        )
+        raise ValueError(f"recordings are at {', '.join(f'{rate:g}' for rate in sorted(rates))} Hz, expected one rate")
     (rate,) = rates
     centres = MIN_SCORED_HZ * 2 ** np.arange(0, np.log2(max_scored_hz(rate) / MIN_SCORED_HZ), 1 / PER_OCTAVE)
     ratios, logs, counts = [], [], []
@@ -115,9 +111,7 @@ def fitted_transfer(first: list[Trace], second: list[Trace], names: tuple[str, s
             logs.append(0.5 * (log_a.mean(axis=0) + log_b.mean(axis=0)))
             counts.append(n)
     if not ratios:
-        raise ValueError(
-            "the two tools were never at one speed and force for a second: stroke both over the same range"
-        )
+        raise ValueError("the two tools were never at one speed and force for a second: stroke both over one range")
     ratio, weight, at = np.array(ratios), np.array(counts) / sum(counts), np.array(logs)
     centre = weight @ at
     exponents = _exponents(ratio.mean(axis=1), at - centre, np.array(counts))

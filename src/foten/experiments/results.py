@@ -250,9 +250,7 @@ def read_records(path: Path) -> list[dict[str, Any]]:
     records = []
     for n, row in enumerate(rows, 2):  # as a spreadsheet counts
         if None in row or None in row.values():
-            raise ValueError(
-                f"{path.name}, row {n}: its cells are not as many as there are names in row 1; is it cut off?"
-            )
+            raise ValueError(f"{path.name}, row {n}: it has not as many cells as row 1 has names; is it cut off?")
         for name in _ONCE:
             of = row.get("experiment", ""), name
             row[name] = above[of] = row.get(name) or above.get(of, "")

@@ -31,7 +31,7 @@ FORMAT_VERSION = 5
 ONE_STEP_TOLERANCE = 1e-5  # scaled; float32 arithmetic of the network
 CLOSED_LOOP_TOLERANCE = 1e-4  # scaled, of each of 64 steps
 MIN_GOLDEN = 8  # windows
-MAX_RATE_HZ = 1e6
+MAX_RATE_HZ = 1e5
 MAX_NUMBER = 1e9  # of a number in a tensor; squares of it are finite in float32
 MAX_CREDIT = 500  # characters
 _MAX_HEADER = 10_000_000  # bytes; a card has 20,000, and reading takes a minute for the most that safetensors allows
@@ -191,9 +191,7 @@ def texture_from_bytes(data: bytes) -> Texture:
     from safetensors.numpy import load
 
     if data[:8] == b"\x89HDF\r\n\x1a\n":
-        raise ValueError(
-            "this is HDF5, as a recording is, expected a texture file (.foten); are two arguments swapped?"
-        )
+        raise ValueError("this is HDF5, as recordings are, expected a texture (.foten); are two arguments swapped?")
     if len(data) < 9:
         raise ValueError(f"the file has {len(data)} bytes, expected a texture file; is it truncated?")
     # A header's length may begin as a pickle does; the brace after it tells them apart.

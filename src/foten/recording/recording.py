@@ -122,9 +122,7 @@ class Recording:
         for i, take in enumerate(self.later_takes, 2):
             if set(take.channels) != set(self.channels):
                 have, expected = (", ".join(sorted(of.channels)) for of in (take, self))
-                raise ValueError(
-                    f"take {i}{take.named} has the channels {have}, expected those of the first: {expected}"
-                )
+                raise ValueError(f"take {i}{take.named} has the channels {have}, expected as the first: {expected}")
             if take.calibrated != self.calibrated:
                 raise ValueError(
                     f"take {i}{take.named} and the first are in m/s² and relative units: takes need one unit"

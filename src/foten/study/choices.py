@@ -258,7 +258,7 @@ def oddity(right: Array, trials: Array) -> Sensitivity:
     right, trials = _counts("right answers", right, 1), _counts("trials", trials, 1)
     if right.shape != trials.shape:
         raise ValueError(
-            f"right answers are of {right.size} participants and trials of {trials.size}, expected as many"
+            f"there are {right.size} numbers of right answers and {trials.size} of trials, expected as many"
         )
     if (right > trials).any():
         i = int(np.argmax(right > trials))

@@ -251,9 +251,7 @@ def _design(document: Mapping[str, Any], folder: Path) -> Design:
     _check(design)
     if unused := sorted(document.get("task", {}).keys() - {"kind", "question", "min_seconds", *KEYS[task.kind]}):
         known = ", ".join(["question", "min_seconds", *KEYS[task.kind]])
-        raise ValueError(
-            f"[task] has {unused[0]!r}, which the kind {task.kind} does not know, expected some of {known}"
-        )
+        raise ValueError(f"[task] has {unused[0]!r}, which {task.kind} does not know, expected some of {known}")
     consent = filled(design.consent, minutes=design.minutes)
     key = "scales" if len(design.scales) > 1 else task.kind
     instructions = design.instructions or language.words.get(f"instructions_{key}", language.words["instructions"])
