@@ -50,7 +50,6 @@ CHANGED = ast.Compare | ast.BinOp | ast.AugAssign | ast.Constant | ast.Call | as
 # Calls whose first two arguments may change places.
 COMMUTATIVE = re.compile(r"f?(max|min)f?|maximum|minimum|hypot|isclose|allclose|array_equal|gcd|logaddexp|fabs")
 LARGEST_INDEX = 10  # above it, a whole number is a constant and no count of places
-MAX_TEST_S = 240.0  # of one mutant's tests; one that is alive then survives
 PRELOADED = "torch scipy.signal scipy.io h5py pandas matplotlib.pyplot openpyxl starlette pytest coverage"
 
 
@@ -98,12 +97,12 @@ def sources() -> list[Path]:
     return sorted([*SOURCES.rglob("*.py"), *(path for path in c if path.name != "resample_table.h")])
 
 
-def changes(path: Path) -> list[Change]:
+def changes(path: Path, root: Path = ROOT) -> list[Change]:
     """Every change of a file."""
     source, counts, result = path.read_text(), {}, []
     for scope, line, operator, what, apply in (c_changes if path.suffix in (".c", ".h") else python_changes)(source):
         number = counts[scope, operator, what] = counts.get((scope, operator, what), -1) + 1
-        result.append(Change(str(path.relative_to(ROOT)), scope, line, operator, what, number, apply))
+        result.append(Change(str(path.relative_to(root)), scope, line, operator, what, number, apply))
     return result
 
 
@@ -444,7 +443,7 @@ def judges(change: Change, records: dict[str, dict[str, Any]]) -> Judges:
     return [*whole[:1], quick, *whole[1:]] if in_c else [quick, *whole]
 
 
-def fate(folder: Path, change: Change, tests: Judges) -> str:
+def fate(folder: Path, change: Change, tests: Judges, limit_s: float) -> str:
     """`dies`, `survives` or `does not compile`, after a change was made in a copy and tested."""
     path = folder / change.path
     original, stat = path.read_text(), path.stat()
@@ -455,10 +454,10 @@ def fate(folder: Path, change: Change, tests: Judges) -> str:
             os.utime(path, (time.time(), next(MOMENTS)))  # so that no compiled file of another mutant counts as its own
         elif not _builds(folder):
             return "does not compile"
-        end = time.monotonic() + MAX_TEST_S
+        end = time.monotonic() + limit_s
         for group, expected_s in tests:
-            limit_s = min(60 + 5 * expected_s, end - time.monotonic())
-            outcome = run_pytest(folder, group, limit_s) if group and limit_s > 0 else "passed"
+            this_s = min(60 + 5 * expected_s, end - time.monotonic())
+            outcome = run_pytest(folder, group, this_s) if group and this_s > 0 else "passed"
             if outcome == "failed" or (outcome == "late" and time.monotonic() < end):  # or without an end
                 return "dies"
         return "survives"
@@ -493,9 +492,9 @@ def _record(test: str) -> tuple[str, dict[str, Any]]:
     return test, record(folder, test)
 
 
-def _fate(key: str, path: str, tests: Judges) -> str:
-    (change,) = (change for change in changes(ROOT / path) if change.key == key)
-    return fate(folder, change, tests)
+def _fate(key: str, path: str, tests: Judges, limit_s: float) -> str:
+    (change,) = (change for change in changes(folder / path, folder) if change.key == key)
+    return fate(folder, change, tests, limit_s)
 
 
 def read_results() -> dict[str, list[str]]:
@@ -517,6 +516,7 @@ def main() -> None:
     parser.add_argument("--seed", required=True, help="any text; a commit's hash, say")
     parser.add_argument("--n", type=int, default=25, help="mutants of each package (default: 25)")
     parser.add_argument("--jobs", type=int, default=2, help="copies that are tested at once (default: 2)")
+    parser.add_argument("--limit", type=float, default=240, help="s of its tests that a mutant survives (default: 240)")
     parser.add_argument("packages", nargs="*", help="packages of src/foten, or native (default: all)")
     options = parser.parse_args()
     by_package: dict[str, list[Change]] = {}
@@ -534,7 +534,7 @@ def main() -> None:
             if result["failed"]:
                 print(f"{test}: {len(result['failed'])} of {len(result['seconds'])} tests do not pass", file=sys.stderr)
         while futures := {
-            pool.submit(_fate, change.key, change.path, judges(change, records)): (name, change)
+            pool.submit(_fate, change.key, change.path, judges(change, records), options.limit): (name, change)
             for name, draw in draws.items()
             for change in counted(draw, rows, options.n)
             if change.key not in rows or (rows[change.key][-1] == "survives" and change.key not in tried)

@@ -411,6 +411,7 @@ RENDER = ("render", "{tex}", "-o", "{out}.wav", "--speed", "1", "--force", "1")
         (["simulate", "towel", "-o", "{out}/x.h5"], "there is no folder"),
         (["evaluate", "{tex}", "{rec}", "--trim", "0"], "--trim and --block are for others"),
         (["evaluate", "{tex}", "{tex}"], "foten import"),
+        (["evaluate", "{tex}", "{missing}", "--report", "{tex}"], "is a file, expected a folder"),
         (["nonsense"], "No such command"),
         ([*TRAIN, "--split", "contiguous", "--split-seed", "3"], "--split-seed is for the regrouped split"),
         ([*TRAIN, "--model", "ar", "--epochs", "0"], "--epochs is for networks"),

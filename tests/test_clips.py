@@ -342,14 +342,14 @@ def comment(path: Path) -> dict[str, Any]:
     return document
 
 
-@pytest.mark.parametrize("name", ["a.wav", "a.csv", "a.npz", "a.ahap", "a.haptic", "a.hjif", "a.json"])
+@pytest.mark.parametrize("name", ["a.wav", "a.csv", "a.npz", "a.ahap", "a.haptic", "a.hjif", "b.hjif", "a.json"])
 def test_a_stroke_is_exported_by_the_name_of_the_file(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], name: str
 ) -> None:
     """Each says what its format keeps; the samples are those that `foten render` has at that rate."""
     stroke = tmp_path / "s.csv"
     stroke.write_text("t,x,y,pressure\n0,0,0,0.5\n0.5,40,0,0.5\n1.0,90,0,0.4\n")
-    assert ran("--stroke", stroke, "-o", tmp_path / name) == 0
+    assert ran("--stroke", stroke, "-o", tmp_path / name, *["--to", "hjif-parametric"] * (name == "b.hjif")) == 0
     out = capsys.readouterr().out
     assert "1 s, full scale (1) is " in out
     assert "keep" in out or "kept" in out

@@ -98,6 +98,8 @@ def test_the_command_makes_a_texture_that_renders_and_is_judged(
     assert np.isfinite(judged["one_step"]["mae_scaled"])
     assert _status(["info", str(out)]) == 0
     assert "not trained here on a recording" in capsys.readouterr().out
+    assert _status(["library", "add", str(source), "--library", str(tmp_path / "library")]) == 0
+    assert read_texture(tmp_path / "library" / "Cloth.foten").card["sizes"]["n_models"] == 5
     assert _status(["import", str(source), "--rate", "1000", "-o", str(out)]) == 2
     assert "--rate is for recordings" in capsys.readouterr().err
 

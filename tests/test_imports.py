@@ -164,6 +164,25 @@ def test_records_are_frozen() -> None:
     assert changing == counting | {"Library", "_Stroked"}
 
 
+def defaults(tree: ast.AST) -> Iterator[tuple[str, ast.Call | ast.expr]]:
+    """Names of parameters and fields that have a default, and that."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.AnnAssign) and isinstance(node.target, ast.Name) and node.value:
+            yield node.target.id, node.value
+        elif isinstance(node, ast.FunctionDef) and node.args.defaults:
+            names = [argument.arg for argument in node.args.args]
+            yield from zip(names[-len(node.args.defaults) :], node.args.defaults, strict=True)
+
+
+def test_switches_of_commands_are_off_and_seeds_begin_at_0() -> None:
+    commands = [module for module in MODULES if package(module) == "cli" or module == "foten.study.commands"]
+    options = [(name, ast.unparse(value)) for module in commands for name, value in defaults(source(module))]
+    on = {name for name, text in options if text == "True" or text.startswith("Option(True")}
+    assert on == {"feel", "open_page", "tiles"}
+    seeds = [text for name, text in options if name == "seed"]
+    assert all(re.match(r"Option\(([01], min=0|None), (max=2 \*\* (32 - 1|64 - 1|31), )?help", text) for text in seeds)
+
+
 def test_the_reader_of_imports_sees_what_it_should() -> None:
     code = "import a.b\nfrom foten import runtime\ndef f():\n    from c import d\nif x:\n    import e\n"
     assert set(imported(ast.parse(code))) == {"a.b", "foten.runtime", "c", "e"}

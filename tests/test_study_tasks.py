@@ -123,11 +123,7 @@ def test_thresholds_are_asked_in_rounds_that_each_hold_all() -> None:
 @pytest.mark.parametrize(
     ("kind", "lines", "why"),
     [
-        (
-            "rating",
-            "repeats = 2",
-            r"\[task\] has 'repeats', which rating does not know, expected some of question",
-        ),
+        ("rating", "repeats = 2", r"\[task\] has 'repeats', which rating does not know, expected some of question"),
         ("oddity", "answers = 9", r"\[task\] has 'answers', which oddity does not know"),
         ("guess", "", "task: kind is 'guess', expected rating, paired, abx, oddity or threshold"),
         ("paired", "repeats = 101", "repeats is 101, expected 1 to 100"),

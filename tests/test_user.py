@@ -288,6 +288,7 @@ def test_commands_take_a_user(tmp_path: Path, capsys: pytest.CaptureFixture[str]
     [
         (["-o", "me.txt"], "a user's profile is written as .json, got -o me.txt"),
         (["--no-feel", "-o", "me.json"], "nothing to measure"),
+        (["-o", "missing/me.json", "--actuator", "missing.json"], "there is no folder"),
         ([str(EXAMPLE.parent / "steel-mesh-1_ar.foten"), "-o", "me.json"], "expected foten-plus"),
     ],
 )
