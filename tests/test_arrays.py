@@ -35,6 +35,8 @@ def test_pickles_are_not_opened(tmp_path):
 def test_arrays_without_a_meaning_carry_a_fault(tmp_path):
     np.savez(tmp_path / "a.npz", name=np.array(["denim"]), z=np.ones(5) * 1j, cube=np.zeros((2, 3, 4)))
     assert [bool(column.fault) for column in read_numpy(tmp_path / "a.npz")] == [True, True, True]
+    np.savez(tmp_path / "b.npz", force=FORCE)
+    assert [(column.fault, column.n_blank) for column in read_numpy(tmp_path / "b.npz")] == [("", 0)]
 
 
 def test_matlab_v5_with_a_struct(tmp_path):

@@ -100,7 +100,9 @@ def test_every_window_is_predicted_by_itself(model: str) -> None:
     torch.manual_seed(0)
     sizes = BASELINES[model]()
     network = build(model, sizes).double().eval()
-    assert network.state_dict().keys() == dict(network.named_parameters()).keys()  # nothing that its sizes give is stored
+    assert (
+        network.state_dict().keys() == dict(network.named_parameters()).keys()
+    )  # nothing that its sizes give is stored
     windows = torch.from_numpy(np.random.default_rng(4).standard_normal((6, sizes.history, 3)))
     with torch.no_grad():
         at_once, alone = network(windows), torch.cat([network(w[None]) for w in windows])

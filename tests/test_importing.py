@@ -18,7 +18,7 @@ from foten.datasets.clock_times import clock_seconds
 from foten.datasets.hdf5 import load_recording
 from foten.datasets.importing import DATASETS, import_recording, read_columns, read_stroke
 from foten.datasets.options import ImportOptions, parse_pairs, parse_rates
-from foten.datasets.timing import irregular
+from foten.datasets.timing import irregular, rate_of
 from foten.datasets.units import FULL_SCALE
 
 N = 2000
@@ -292,6 +292,10 @@ def test_irregular_times_are_kept(tmp_path):
     recording = _import(_csv(tmp_path / "a.csv", "t,speed", late, SPEED))
     assert recording["speed"].rate_hz == 1000
     assert recording["speed"].times_s[700] == pytest.approx(0.70005)
+
+
+def test_times_that_begin_late_and_are_rounded_have_the_rate_of_their_clock():
+    assert rate_of(np.round(100 + np.arange(3000) / 750, 3)) == 750
 
 
 @pytest.mark.parametrize(
