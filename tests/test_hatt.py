@@ -124,6 +124,8 @@ def _edited(path: Path, old: str, new: str) -> Path:
         ("<var>6.0", "<var>-6.0", "<var> is negative"),
         ("<var>6.0", "<var>loud", "<var> is 'loud', expected a number"),
         ("<gain>0.5", "<gain>nan", "<gain> is nan"),
+        ("<var>6.0", "<var>6e300", "<var> is 6e+300, expected"),
+        ("<tri>", "<tri/>" * 10 + "<tri>", "the file has 13 <tri>, expected 1 to 10 between"),
         ('<ARcoeff type="array"><value>1.0', '<ARcoeff type="array"><value>2.0', "begins with 2"),
     ],
 )

@@ -12,7 +12,7 @@ from foten.cli.command_line import _status
 from foten.datasets.hdf5 import load_recording
 from foten.datasets.importing import import_capture
 from foten.datasets.options import ImportOptions
-from foten.datasets.pen import joined, knocks_of, landings_of, pen_channels
+from foten.datasets.pen import PenClock, _pairs, joined, knocks_of, landings_of, pen_channels
 from foten.dsp import Array
 from foten.recording.capture_folder import PenEvents
 from foten.runtime.stylus import PressureCalibration
@@ -106,6 +106,21 @@ def test_what_is_not_of_one_stroke_is_refused() -> None:
     )
     with pytest.raises(ValueError, match="the pen tapped 2 times, expected 3 or more"):
         joined(few, sound, RATE_HZ)
+    late = PenEvents(events.times_s + 1e9 * (events.times_s > 16), events.x_mm, events.y_mm, events.pressure)
+    with pytest.raises(ValueError, match="strokes last 1e.09 s, an event each 0.00499 s"):
+        pen_channels(late, PenClock(0.0, 0.0, 6, 0.0), np.sin)
+    tapped = np.tile([0.5, 0.0], 10_000)
+    with pytest.raises(ValueError, match="1200 knocks and 10000 touches"):
+        joined(PenEvents(np.arange(20_000) / 200, tapped, tapped, tapped), np.arange(960_000) % 800 < 9, 8000.0)
+
+
+def test_a_tap_has_the_nearest_knock_and_the_first_of_two() -> None:
+    rng = np.random.default_rng(5)
+    for knocks in (np.unique(rng.integers(0, 90, 30)) / 2, np.array([7.0]), np.zeros(0)):
+        taps, within = rng.integers(-9, 99, 50) / 2, rng.uniform(0, 2, 50)
+        nearest = [min(range(knocks.size), key=lambda k: abs(knocks[k] - tap), default=0) for tap in taps]  # noqa: B023
+        near = [i for i, k in enumerate(nearest) if knocks.size and abs(knocks[k] - taps[i]) <= within[i]]
+        assert [part.tolist() for part in _pairs(taps, knocks, within)] == [near, [nearest[i] for i in near]]
 
 
 def test_the_pen_by_the_clock_of_the_sound_without_taps_and_silent_in_the_air() -> None:

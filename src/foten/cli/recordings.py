@@ -272,8 +272,6 @@ def _import_models(files: list[Path], output: Path, texture: str, notes: str, as
     import hashlib
 
     from foten.datasets.hatt import read_models
-    from foten.models.piecewise_ar.local_models import imported_texture
-    from foten.models.texture_file import write_texture
 
     if len(files) != 1:
         raise ValueError(f"got {len(files)} files, expected a single .xml of models")
@@ -281,6 +279,9 @@ def _import_models(files: list[Path], output: Path, texture: str, notes: str, as
         raise ValueError(f"models are written as a texture file, .foten, got -o {output.name}")
     check_files([output])
     models, digest = read_models(files[0]), hashlib.sha256(files[0].read_bytes()).hexdigest()
+    from foten.models.piecewise_ar.local_models import imported_texture  # with PyTorch, which takes seconds
+    from foten.models.texture_file import write_texture
+
     imported, decisions = imported_texture(models, digest, texture, notes=notes)
     for decision in decisions:
         say(decision)

@@ -13,9 +13,10 @@ from foten.recording.inspection.values import counted
 from foten.recording.recording import LIMITS, UNITS, Channel
 
 MAX_SAMPLE = 1e12  # of a sample in any unit; a converter of 32 bits counts to 4e9
-MAX_DURATION_S = 14_400.0  # of a channel: four hours
+MAX_DURATION_S = 7200.0  # of a channel: two hours
 MIN_DURATION_S = 0.1
-MAX_RATE_HZ = 1e7
+MIN_RATE_HZ, MAX_RATE_HZ = 1.0, 1e7  # on average; of the steps between samples
+MAX_FILLED = 10_000_000  # samples on lines between those of a file
 
 
 def check_size(where: str, samples: Array) -> None:
@@ -29,10 +30,11 @@ def check_length(where: str, channel: Channel) -> None:
     """Check that a channel lasts no longer than a hand strokes, and has a rate that a sensor has."""
     if channel.rate_hz > MAX_RATE_HZ:
         raise ValueError(f"{where}: the rate is {channel.rate_hz:g} Hz, expected {MAX_RATE_HZ:g} at most; is it right?")
-    if not channel.duration_s <= MAX_DURATION_S:
+    longest_s = min(MAX_DURATION_S, channel.samples.size / MIN_RATE_HZ)
+    if not channel.duration_s <= longest_s:
         lasts = f"{counted(channel.samples.size, 'sample')} at {channel.rate_hz:g} Hz, {channel.duration_s:.4g} s"
         hint = "is the rate right, or was the time given in ms?"
-        raise ValueError(f"{where}: {lasts}, expected {MAX_DURATION_S:g} s at most; {hint}")
+        raise ValueError(f"{where}: {lasts}, expected {longest_s:g} s at most; {hint}")
 
 
 def check_overlap(channels: Mapping[str, Channel]) -> None:

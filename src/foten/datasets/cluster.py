@@ -19,7 +19,7 @@ from pathlib import Path
 
 import numpy as np
 
-from foten.datasets.bounds import check_overlap
+from foten.datasets.bounds import MAX_DURATION_S, MIN_DURATION_S, check_overlap
 from foten.datasets.columns import Column
 from foten.datasets.importing import read_columns
 from foten.datasets.units import G
@@ -29,9 +29,7 @@ from foten.recording.recording import Channel, Recording, joined_takes
 
 SENSORS = "accelerometer IIS3DWB, load cell SC616C, position of the machine"
 TOOL = "urethane rubber fingertip on a three-axis machine"
-NOTES = (
-    "Cluster Haptic Texture Dataset, CC BY 4.0, doi 10.6084/m9.figshare.29438288: name its authors where you pass it on"
-)
+NOTES = "Cluster Haptic Texture Dataset, CC BY 4.0, doi 10.6084/m9.figshare.29438288: name its authors as you pass it on"
 STEP_HZ = 500.0  # rates of the grid are its multiples: any that a model may have divides them
 PARTS = ("accel", "force", "position")
 _CLIP = re.compile(r"(?P<surface>\d+)_(?P<direction>\d+)_(?P<speed>\d+)_(?P<force>\d+)_(?P<repeat>\d+)\.csv")
@@ -53,6 +51,7 @@ def cluster_surfaces(folder: Path) -> dict[int, list[str]]:
     return dict(sorted(surfaces.items()))
 
 
+@np.errstate(over="ignore", invalid="ignore", divide="ignore")  # absurd times and values are refused, in a sentence
 def read_cluster(folder: Path, surface: int | None) -> tuple[Recording, list[str]]:
     """Recording of a surface, a take for each clip, and sentences on what was decided.
 
@@ -72,10 +71,8 @@ def read_cluster(folder: Path, surface: int | None) -> tuple[Recording, list[str
     takes = [_take(place, name) for name in surfaces[surface]]
     rates = sorted({take["acceleration_x"].rate_hz for take in takes})
     clips = f"{counted(len(takes), 'clip')} of surface {surface}, a take each"
-    decisions = [
-        f"{clips}, at {' and '.join(f'{rate:g}' for rate in rates)} Hz by the rows that differ and their times"
-    ]
-    return joined_takes(takes), decisions
+    at_hz = " and ".join(f"{rate:g}" for rate in rates)
+    return joined_takes(takes), [f"{clips}, at {at_hz} Hz by the rows that differ and their times"]
 
 
 def _take(place: Path, name: str) -> Recording:
@@ -114,6 +111,9 @@ def _columns(path: Path) -> list[Column]:
     if len({column.samples.size for column in columns}) != 1 or columns[0].samples.size < 3 or len(columns) < 2:
         rows = "expected time and others, of three rows or more"
         raise ValueError(f"{path.parent.name}/{path.name} has {len(columns)} columns, {rows}")
+    if not MIN_DURATION_S <= (lasts_s := np.ptp(columns[0].samples)) <= MAX_DURATION_S:
+        expected = f"expected {MIN_DURATION_S:g} to {MAX_DURATION_S:g}; was the time given in ms?"
+        raise ValueError(f"{path.parent.name}/{path.name} lasts {lasts_s:.3g} s, {expected}")
     return columns
 
 

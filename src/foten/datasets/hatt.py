@@ -18,7 +18,7 @@ from foten.dsp import Array
 from foten.untrusted import read_whole
 
 MAX_FILE_BYTES = 2_000_000  # the toolkit's have 100,000
-MAX_MODELS = 1000
+MAX_MODELS, MAX_NUMBER = 1000, 1e12
 UNITS = {"AccelUnits": "m/s^2", "SpeedUnits": "mm/s", "ForceUnits": "N"}
 
 
@@ -93,8 +93,8 @@ def _models(root: Xml.Element) -> HattModels:
 
 def _triangles(root: Xml.Element, n: int) -> NDArray[np.int64]:
     corners = root.findall("tri")
-    if not corners:
-        raise ValueError("the file has no <tri>, expected triangles between the models")
+    if not 0 < len(corners) <= 2 * n:  # of a mesh without overlaps
+        raise ValueError(f"the file has {len(corners)} <tri>, expected 1 to {2 * n} between the models")
     triangles = _rows(corners, "tri")
     if triangles.shape[1] != 3 or not (triangles == np.round(triangles)).all():
         raise ValueError("a <tri> is not three integers")
@@ -122,6 +122,6 @@ def _number(text: str | None, name: str) -> float:
         value = float(text or "")
     except ValueError:
         raise ValueError(f"<{name}> is {(text or '').strip()[:30]!r}, expected a number") from None
-    if not np.isfinite(value):
-        raise ValueError(f"<{name}> is {value}, expected a finite number")
+    if not abs(value) <= MAX_NUMBER:
+        raise ValueError(f"<{name}> is {value}, expected a number of up to {MAX_NUMBER:g}")
     return value

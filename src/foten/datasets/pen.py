@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from foten.datasets.bounds import MAX_FILLED
 from foten.dsp import Array
 from foten.dsp.filters import butterworth, filter_recorded
 from foten.recording.capture_folder import PenEvents
@@ -26,6 +27,7 @@ N_RISE = 3  # frames in which a knock rises
 MAX_APART_S = 0.012  # between a tap and its knock
 MAX_DRIFT, USUAL_DRIFT = 1e-3, 1e-4  # of two quartzes and whatever lies between
 MAX_GAP_S = 0.12  # between events of a stroke, over which a hand is still smooth
+MAX_COMPARED = 10_000_000  # touches with knocks
 MIN_TAPS, MIN_TAP_SHARE = 3, 0.6  # that have to be in the sound
 
 Pairs = tuple[NDArray[np.int64], NDArray[np.int64]]
@@ -87,6 +89,8 @@ def joined(events: PenEvents, sound: Array, rate_hz: float) -> PenClock:
     if taps.size < MIN_TAPS:
         expected = f"expected {MIN_TAPS} or more: tap three times before the strokes and three after"
         raise ValueError(f"the pen tapped {taps.size} times, {expected}")
+    if knocks.size * max(landings.size, 200) > MAX_COMPARED:
+        raise ValueError(f"{knocks.size} knocks and {landings.size} touches are too many to compare; cut the file")
     n_required = max(MIN_TAPS, int(np.ceil(MIN_TAP_SHARE * taps.size)))
     # By the first taps alone, where the drift does not count yet; then by all.
     tried = (knocks[:, None] - taps[None, : MIN_TAPS + 2]).ravel()
@@ -116,7 +120,9 @@ def _pairs(expected: Array, knocks: Array, within: Array) -> Pairs:
     """Taps that have a knock within reach, and those knocks, by number."""
     if not knocks.size:
         return NO_PAIRS
-    nearest = np.abs(knocks[None, :] - expected[:, None]).argmin(axis=1)
+    after = np.searchsorted(knocks, expected)
+    before, after = np.maximum(after - 1, 0), np.minimum(after, knocks.size - 1)
+    nearest = np.where(np.abs(knocks[after] - expected) < np.abs(knocks[before] - expected), after, before)
     near = np.flatnonzero(np.abs(knocks[nearest] - expected) <= within)
     return near, nearest[near]
 
@@ -182,6 +188,8 @@ def pen_channels(events: PenEvents, clock: PenClock, force: Callable[[Array], Ar
         raise ValueError("the pen only tapped, expected strokes between the taps")
     pen_s, *values = np.concatenate(rows, axis=1)
     pen_s = clock(pen_s)
+    if not (lasts_s := float(pen_s[-1] - pen_s[0])) <= MAX_FILLED * step:
+        raise ValueError(f"the strokes last {lasts_s:.3g} s, an event each {step:.3g} s; expected {MAX_FILLED:,} at most")
     times = np.arange(pen_s[0], pen_s[-1], step)
     return {
         name: Channel(np.interp(times, pen_s, samples), 1.0 / step, times)

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from foten.datasets.bounds import MAX_FILLED
 from foten.datasets.columns import Column
 from foten.datasets.options import ImportOptions
 from foten.datasets.units import factor_of, quantity
@@ -191,6 +192,8 @@ def filled(name: str, channel: Channel, gap_ms: float, column: Column) -> tuple[
             f"{what}; --fill-gaps {would} would draw straight lines there; or cut the table there and import the pieces as "
             "takes, with --append"
         )
+    if not (n_added := float((steps[holes] / period).sum())) <= MAX_FILLED:
+        raise ValueError(f"{what}; {n_added:.3g} samples would fill them, expected {MAX_FILLED:,} at most")
     added = [np.linspace(times[i], times[i + 1], round(steps[i] / period), endpoint=False)[1:] for i in holes]
     evened = np.sort(np.concatenate([times, *added]))
     of_line = np.interp(evened, times[known], samples[known])
