@@ -159,16 +159,26 @@ class Several(nn.Module):
         return windows[:, -3:, 0]
 
 
+SQUARE = """<ir_version: 8, opset_import: ["" : 17]> square (float[b, %d, 3] windows) => (float[b] next) {
+    axes = Constant<value_ints = [1, 2]>() total = ReduceSum<keepdims = 0>(windows, axes)
+    shape = Constant<value_ints = [%d, %d]>() zeros = ConstantOfShape(shape) sum = ReduceSum<keepdims = 0>(windows)
+    filled = Add(zeros, sum) product = MatMul(filled, filled) one = ReduceSum<keepdims = 0>(product) next = Add(total, one)
+}"""
+
+
 def test_a_graph_that_is_none_of_ours_is_not_run(textures: dict[str, Texture]) -> None:
     """One gives several samples, one has other weights; one loops 2⁶² times, which whoever opens the file would run."""
     texture = textures["fnn"]
     model = onnx.load_from_string(texture.tensors["graph"].tobytes())
     model.graph.node.append(onnx.helper.make_node("Loop", ["", ""], ["never"]))
     looping = np.frombuffer(model.SerializeToString(), dtype=np.uint8)
+    squares = [onnx.parser.parse_model(SQUARE % (texture.window, n, n)).SerializeToString() for n in (9000, 2500)]
     for changes, refusal in (
         ({"graph": graph_of(Several(), texture.window)}, r"the graph gives \(2, 3\) of two windows, expected \(2,\)"),
         ({"golden.one_step": texture.tensors["golden.one_step"] + 1e-3}, "fails its own proof: one step"),
         ({"graph": looping}, "foreign operator Loop, and is not run"),
+        ({"graph": np.frombuffer(squares[0], dtype=np.uint8)}, "graph does not run in 256 MB and 2 s: .*bfc_arena"),
+        ({"graph": np.frombuffer(squares[1], dtype=np.uint8)}, "graph takes .* s for two windows, expected 0.1"),
     ):
         with pytest.raises(ValueError, match=refusal):
             NativeTexture(Texture(texture.card, {**texture.tensors, **changes}).to_bytes())

@@ -112,10 +112,14 @@ BOMBS = {
     "v7.mat": _hdf5_bomb,
     "v5.mat": lambda path: savemat(path, {"force": np.zeros(N_BOMB, np.int8)}, do_compression=True),
     "zeros.npz": lambda path: np.savez_compressed(path, force=np.zeros(N_BOMB, np.int8)),
+    "fields.npz": lambda path: np.savez_compressed(
+        path, force=np.zeros(N_BOMB // 3, [("a", "i1", 3), ("b", "i1, i1")])
+    ),
     "words.npz": lambda path: np.savez_compressed(path, force=np.zeros(N_BOMB // 50, "U100")),
     "spaces.xlsx": lambda path: _workbook(path, b"", b"", 80_000_000),
     "tag.xlsx": lambda path: _workbook(path, b"<sheetPr", b"/>", 60_000_000),  # whose parser reads it again and again
     "blank.csv": lambda path: path.write_text("a,b\n1,2\n" + 1_100_000 * "\n" + "1,2\n"),
+    "sparse.h5": lambda path: (h5py.File(path, "w").close(), os.truncate(path, 20_000_000_000)),
     "sparse.wav": lambda path: os.truncate(path, 2_000_000_000) if path.touch() is None else None,
     "grey.png": lambda path: Image.new("L", (9000, 9000)).save(path),
 }

@@ -107,7 +107,7 @@ def test_what_is_not_of_one_stroke_is_refused() -> None:
     with pytest.raises(ValueError, match="the pen tapped 2 times, expected 3 or more"):
         joined(few, sound, RATE_HZ)
     late = PenEvents(events.times_s + 1e9 * (events.times_s > 16), events.x_mm, events.y_mm, events.pressure)
-    with pytest.raises(ValueError, match="strokes last 1e.09 s, an event each 0.00499 s"):
+    with pytest.raises(ValueError, match=r"strokes last 1e.09 s, an event each 0.00499 s"):
         pen_channels(late, PenClock(0.0, 0.0, 6, 0.0), np.sin)
     tapped = np.tile([0.5, 0.0], 10_000)
     with pytest.raises(ValueError, match="1200 knocks and 10000 touches"):
@@ -118,7 +118,7 @@ def test_a_tap_has_the_nearest_knock_and_the_first_of_two() -> None:
     rng = np.random.default_rng(5)
     for knocks in (np.unique(rng.integers(0, 90, 30)) / 2, np.array([7.0]), np.zeros(0)):
         taps, within = rng.integers(-9, 99, 50) / 2, rng.uniform(0, 2, 50)
-        nearest = [min(range(knocks.size), key=lambda k: abs(knocks[k] - tap), default=0) for tap in taps]  # noqa: B023
+        nearest = [min(range(knocks.size), key=lambda k: abs(knocks[k] - tap), default=0) for tap in taps]
         near = [i for i, k in enumerate(nearest) if knocks.size and abs(knocks[k] - taps[i]) <= within[i]]
         assert [part.tolist() for part in _pairs(taps, knocks, within)] == [near, [nearest[i] for i in near]]
 

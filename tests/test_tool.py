@@ -106,7 +106,7 @@ def test_a_tool_is_written_and_read(tmp_path: Path) -> None:
         ({"hz": list(HZ[::-1])}, "do not rise"),
         ({"gain_db": ["x"] * 28}, "no finite number"),
         ({"extra": 1}, "is no tool"),
-        ({"speed_mm_s": 0.0}, "is not above 0"),
+        ({"speed_mm_s": 0.0}, "is not above 0.001"),
     ],
 )
 def test_a_bad_tool_is_refused_in_a_line(

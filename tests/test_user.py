@@ -253,6 +253,7 @@ def test_a_profile_comes_back_from_its_file(tmp_path: Path) -> None:
         ({"max_db": []}, "max_db of the user has 0 figures, expected 5"),
         ({"answers": [["detect", [160, -45, 0], 1e999]]}, "u.json holds a number that is not finite"),
         ({"volume_db": None}, "volume_db of the user is no finite number"),
+        ({"answers": [["detect", [160, -45, 0], 0]] * 10_001}, "it has 10001 answers, expected 10000 at most"),
         ({"name": 3}, "name, actuator, unit and texture of the user are text"),
     ],
 )

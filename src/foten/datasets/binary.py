@@ -40,7 +40,7 @@ def read_numpy(path: Path) -> list[Column]:
             for entry in archive.infolist():
                 with archive.open(entry) as inner:
                     array = _array(inner, entry.file_size, content, path)
-                content += array.size * max(8, array.itemsize)
+                content += array.size * _item_bytes(array.dtype)
                 name = entry.filename.removesuffix(".npy")
                 if array.dtype.kind == "U" and array.size <= 64:
                     texts[name] = array.ravel().tolist() if array.size > 1 else "".join(array.ravel())
@@ -58,9 +58,15 @@ def _array(file: Any, size: int, content: int, path: Path) -> NDArray[Any]:
     count = math.prod(shape)
     if count * dtype.itemsize != size - file.tell():
         raise ValueError(f"its header says {count:,} numbers, and it has {size - file.tell():,} bytes")
-    check_content(path, content + count * max(8, dtype.itemsize))
+    check_content(path, content + count * _item_bytes(dtype))
     array = np.frombuffer(file.read(count * dtype.itemsize), dtype=dtype)
     return array.reshape(shape[::-1]).T if by_columns else array.reshape(shape)
+
+
+def _item_bytes(dtype: np.dtype[Any]) -> int:
+    """Bytes of an item, whose numbers become float64."""
+    fields = [_item_bytes(dtype.base[name]) for name in dtype.base.names or ()]
+    return math.prod(dtype.shape) * (sum(fields) or max(8, dtype.base.itemsize))
 
 
 def read_matlab(path: Path) -> list[Column]:
@@ -138,7 +144,6 @@ def read_wav(path: Path) -> list[Column]:
     """Tracks of a WAV file, named by number, with its rate; integers become fractions of full scale."""
     from scipy.io import wavfile
 
-    check_content(path, path.stat().st_size)
     with reading(path, "WAV file"), warnings.catch_warnings():
         warnings.filterwarnings("ignore", message="Chunk .*not understood", category=wavfile.WavFileWarning)
         warnings.filterwarnings("error", message=".*EOF", category=wavfile.WavFileWarning)

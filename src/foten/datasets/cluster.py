@@ -29,7 +29,7 @@ from foten.recording.recording import Channel, Recording, joined_takes
 
 SENSORS = "accelerometer IIS3DWB, load cell SC616C, position of the machine"
 TOOL = "urethane rubber fingertip on a three-axis machine"
-NOTES = "Cluster Haptic Texture Dataset, CC BY 4.0, doi 10.6084/m9.figshare.29438288: name its authors as you pass it on"
+NOTES = "Cluster Haptic Texture Dataset, CC BY 4.0, doi 10.6084/m9.figshare.29438288: name its authors if you share it"
 STEP_HZ = 500.0  # rates of the grid are its multiples: any that a model may have divides them
 PARTS = ("accel", "force", "position")
 _CLIP = re.compile(r"(?P<surface>\d+)_(?P<direction>\d+)_(?P<speed>\d+)_(?P<force>\d+)_(?P<repeat>\d+)\.csv")

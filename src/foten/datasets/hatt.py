@@ -80,8 +80,8 @@ def _models(root: Xml.Element) -> HattModels:
         gain=of_models("gain", "1"),
         triangles=_triangles(root, len(models)),
     )
-    if not read.rate_hz > 0:
-        raise ValueError(f"<SampleRate> is {read.rate_hz:g} Hz, expected a positive number")
+    if not 0 < read.rate_hz <= 1e6:
+        raise ValueError(f"<SampleRate> is {read.rate_hz:g} Hz, expected a positive number of up to 1e6")
     for name, coefficients in (("ARcoeff", read.ar), ("MAcoeff", read.ma)):
         if not np.abs(coefficients[:, 0] - 1).max() < 1e-6:
             raise ValueError(f"<{name}> begins with {coefficients[0, 0]:g}, expected 1")

@@ -37,7 +37,7 @@ from foten.recording.inspection.one_channel import check_units
 from foten.recording.inspection.sampling import check_missing
 from foten.recording.inspection.values import counted
 from foten.recording.recording import AXES, UNITS, Channel, Recording
-from foten.untrusted import check_regular
+from foten.untrusted import check_content, check_regular
 
 DATASETS: dict[str, Callable[[Path], list[Column]]] = {
     **dict.fromkeys((".csv", ".tsv", ".txt", ".dat"), read_delimited),
@@ -66,6 +66,7 @@ def read_columns(path: Path) -> list[Column]:
     if suffix not in DATASETS:
         hint = "; save it as .xlsx" if suffix in (".xls", ".xlsb", ".ods") else ""
         raise ValueError(f"cannot read {path.name}, expected one of {' '.join(DATASETS)}{hint}")
+    check_content(path, path.stat().st_size)
     if path.stat().st_size == 0:
         raise ValueError(f"{path.name} is empty")
     columns = DATASETS[suffix](path)
@@ -116,7 +117,10 @@ def import_recording(paths: Sequence[Path], options: ImportOptions) -> tuple[Rec
     for channel in (*options.units, *options.rates_hz):
         if channel not in columns and channel != "time":
             raise ValueError(f"{channel} has a unit or rate but is not mapped; mapped are {', '.join(columns)}")
-    digests = {path: hashlib.sha256(path.read_bytes()).hexdigest() for path in {c.file for c in columns.values()}}
+    digests = {}
+    for path in {column.file for column in columns.values()}:
+        with path.open("rb") as file:
+            digests[path] = hashlib.file_digest(file, "sha256").hexdigest()
     history: list[str] = []
     channels: dict[str, Channel] = {}
     slower: dict[str, list[str]] = {}

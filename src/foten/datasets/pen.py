@@ -189,7 +189,7 @@ def pen_channels(events: PenEvents, clock: PenClock, force: Callable[[Array], Ar
     pen_s, *values = np.concatenate(rows, axis=1)
     pen_s = clock(pen_s)
     if not (lasts_s := float(pen_s[-1] - pen_s[0])) <= MAX_FILLED * step:
-        raise ValueError(f"the strokes last {lasts_s:.3g} s, an event each {step:.3g} s; expected {MAX_FILLED:,} at most")
+        raise ValueError(f"the strokes last {lasts_s:.3g} s, an event each {step:.3g} s; expected {MAX_FILLED} at most")
     times = np.arange(pen_s[0], pen_s[-1], step)
     return {
         name: Channel(np.interp(times, pen_s, samples), 1.0 / step, times)

@@ -25,7 +25,8 @@ MIN_DENSITY = 1e-18  # (m/s²)²/Hz
 # Just noticeable differences, in which distances are counted: level and centroid or width (Israr & Tan 2006, 0.25 to 0.3 octave);
 # roughness by our choice.
 JND = {"level_db": 2.0, "centroid": 0.3, "width_octaves": 0.3, "roughness_db": 0.5}
-MAX_TAGS = 100
+MAX_TAGS, MAX_FIGURE = 100, 1e6
+TEXTS = ["file", "name", "sha256", "unit", "evidence"]  # of an entry
 MAX_TEXTURES = 10_000
 
 
@@ -180,10 +181,13 @@ def open_library(folder: Path, make: bool = False) -> Library:
 def _entry(row: dict[str, Any]) -> Entry:
     """An entry of the index, checked."""
     description = Description(**row["description"])
-    numbers = [value for value in vars(description).values() if value is not None]
-    bands = tuple(float(value) for value in row["bands_db"])
-    if len(bands) != len(BANDS_HZ) or not np.isfinite([*map(float, numbers), *bands]).all():
-        raise ValueError(f"the figures of {row['file']!r} are not finite")
+    bands, tags = tuple(row["bands_db"]), tuple(row["tags"])
+    numbers = [*bands, row["rate_hz"], *(value for value in vars(description).values() if value is not None)]
+    are_numbers = all(isinstance(x, int | float) and abs(x) < MAX_FIGURE for x in numbers)
+    if len(bands) != len(BANDS_HZ) or not are_numbers or description.centroid_hz <= 0:
+        raise ValueError(f"the figures of {row['file']!r} are no numbers, or beyond {MAX_FIGURE:g}")
+    if not all(isinstance(text, str) for text in (*tags, *(row[name] for name in TEXTS))):
+        raise ValueError(f"the words of {row['file']!r} are no text")
     if Path(row["file"]).name != row["file"]:
         raise ValueError(f"{row['file']!r} is no file of its folder")
-    return Entry(**{**row, "description": description, "bands_db": bands, "tags": tuple(map(str, row["tags"]))})
+    return Entry(**{**row, "description": description, "bands_db": bands, "tags": tags})

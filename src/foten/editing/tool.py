@@ -72,8 +72,8 @@ class Transfer:
             raise ValueError("the frequencies of the filter do not rise")
         if max(map(abs, self.gain_db)) > MAX_GAIN_DB or max(abs(self.speed_exponent), abs(self.force_exponent)) > 2:
             raise ValueError(f"a gain of the tool is beyond {MAX_GAIN_DB:g} dB, or a power beyond 2")
-        if min(self.speed_mm_s, self.force_n) <= 0:
-            raise ValueError("the speed or the force of the tool is not above 0")
+        if min(self.speed_mm_s, self.force_n) <= 1e-3:
+            raise ValueError("the speed or the force of the tool is not above 0.001")
 
     def gain(self, hz: Array) -> Array:
         """Gain of power at frequencies [Hz], constant outside."""

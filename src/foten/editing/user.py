@@ -27,6 +27,7 @@ from foten.untrusted import read_profile_json
 FORMAT, VERSION = "foten-user", 1
 TONES_HZ = (40.0, 63.0, 100.0, 160.0, 250.0)
 FOR_USER = "for the user "
+MAX_ANSWERS = 10_000  # a session has 200
 REFERENCE_HZ = 160.0  # whose gain is 0
 MOVES = {"level": 6.0, "brighter": 0.75, "wider": 0.3, "rougher": 1.5}
 """Half of the range of each move: dB, octaves, octaves, dB of the envelope. Five just noticeable differences, as is assumed."""
@@ -52,9 +53,7 @@ class UserProfile:
     texture: str = ""  # that was matched to a surface; empty where none was
     moves: tuple[float, ...] = ()  # of `MOVES`, in their units
     moves_sd: tuple[float, ...] = ()
-    answers: tuple[
-        tuple[str, tuple[float, ...], int], ...
-    ] = ()  # all that were given: part, what was shown, which was chosen
+    answers: tuple[Answer, ...] = ()  # all that were given
 
     def __post_init__(self) -> None:
         for text in (self.name, self.actuator, self.unit, self.texture):
@@ -75,6 +74,8 @@ class UserProfile:
         for move, (name, limit) in zip(self.moves, MOVES.items(), strict=False):
             if abs(move) > limit:
                 raise ValueError(f"{name} of the user is {move:g}, expected {-limit:g} to {limit:g}")
+        if len(self.answers) > MAX_ANSWERS:
+            raise ValueError(f"it has {len(self.answers)} answers, expected {MAX_ANSWERS} at most")
         for answer in self.answers:
             if not _is_answer(*answer):
                 raise ValueError(f"an answer of the user is {str(answer)[:60]}, which is none to any question")

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import functools
 import re
+import threading
+import time
 from collections.abc import Mapping
 from typing import Any
 
@@ -16,8 +19,12 @@ from foten.models.registry import GRAPH
 from foten.models.stream import Model
 from foten.models.texture_file import Texture
 from foten.models.window_model import NoiseModel, WindowModel
+from foten.untrusted import brief
 
 INPUT, NOISE, OUTPUT = "windows", "noise", "next"
+MAX_GRAPHS_BYTES = 1 << 28  # of the samples in all graphs
+MAX_RUN_S, MAX_WAIT_S = 0.1, 2.0  # processor time of two windows, of which foten's take 2 ms; until a run is stopped
+FOLDING = ["ConstantFolding"]  # work of a graph without input, which no bound holds for; there is little in foten's
 # Of our networks. A file is not trusted: no operator that loops, branches, reads files or is defined elsewhere.
 _OPERATORS = re.compile(
     "Add|And|Atan|Cast|Clip|Concat|Constant|ConstantOfShape|Conv|Cos|Div|Einsum|Equal|Exp|Flatten|Gather|Gemm|Greater|Identity|LSTM|"
@@ -45,7 +52,7 @@ class OnnxPredictor:
         if named != expected or inputs[0].shape[1:] != [self.window, 3]:
             taken = [(value.name, value.shape) for value in inputs]
             raise ValueError(f"the graph takes {taken}, expected windows (b, {self.window}, 3)")
-        shape = self.predict(np.zeros((2, self.window, 3))).shape
+        shape = self._first_run().shape
         if shape != (2,):
             raise ValueError(f"the graph gives {shape} of two windows, expected (2,)")
         self._columns = [3, 1, 2] if self.takes_noise else [0, 1, 2]
@@ -55,14 +62,34 @@ class OnnxPredictor:
         """Whether the graph makes samples from noise, and predicts none."""
         return str(self._input) == NOISE
 
+    def _first_run(self) -> Array:
+        """Next samples of two windows of zeros; ValueError where a graph that is not trusted takes too much for them."""
+        from onnxruntime import RunOptions
+
+        options, began_s = RunOptions(), time.thread_time()
+        (stop := threading.Timer(MAX_WAIT_S, setattr, (options, "terminate", True))).start()
+        try:
+            following = self._run(np.zeros((2, self.window, 3), dtype=np.float32), options)
+        finally:
+            stop.cancel()
+        if (took_s := time.thread_time() - began_s) > MAX_RUN_S:
+            raise ValueError(f"the texture's graph takes {took_s:.2g} s for two windows, expected {MAX_RUN_S:g}")
+        return following
+
+    def _run(self, windows: NDArray[np.float32], options: Any = None) -> Array:
+        try:
+            return np.asarray(self._session.run([OUTPUT], {self._input: windows}, options)[0], dtype=np.float64)
+        except Exception as error:  # of onnxruntime, whose errors have no common base but this
+            within = f"{MAX_GRAPHS_BYTES >> 20} MB and {MAX_WAIT_S:g} s"
+            raise ValueError(f"the texture's graph does not run in {within}: {brief(error)}") from error
+
     def predict(self, windows: Array) -> Array:
         """Next samples, scaled, (b,), of windows (b, m, 3) of what the graph takes."""
-        (following,) = self._session.run([OUTPUT], {self._input: windows.astype(np.float32)})
-        return np.asarray(following, dtype=np.float64)
+        return self._run(windows.astype(np.float32))
 
     def next_sample(self, window: NDArray[np.float32]) -> float:
         """Next sample, scaled, of the kernel's window (1, m, 4): acceleration, speed, force, noise."""
-        return float(self._session.run([OUTPUT], {self._input: window[:, :, self._columns]})[0][0])
+        return float(self._run(window[:, :, self._columns])[0])
 
 
 def _session(graph: bytes) -> Any:
@@ -70,8 +97,7 @@ def _session(graph: bytes) -> Any:
         import onnx
         import onnxruntime
     except ImportError as error:
-        missing = "this texture's model runs in ONNX Runtime, which is not installed"
-        raise ValueError(f"{missing}: pip install 'foten[onnx]'") from error
+        raise ValueError("a graph runs in ONNX Runtime, which is missing: pip install 'foten[onnx]'") from error
     try:
         model = onnx.load_from_string(graph)
     except Exception as error:  # protobuf's, whichever of its implementations is installed
@@ -80,14 +106,25 @@ def _session(graph: bytes) -> Any:
     if foreign or model.functions or any(tensor.data_location for tensor in model.graph.initializer):
         what = f"operator {min(foreign)}" if foreign else "part"
         raise ValueError(f"the texture's graph has a foreign {what}, and is not run: none of foten's networks has it")
-    options = onnxruntime.SessionOptions()
+    try:
+        return onnxruntime.InferenceSession(graph, _options(), ["CPUExecutionProvider"], disabled_optimizers=FOLDING)
+    except Exception as error:
+        raise ValueError(f"the texture's graph is damaged: {brief(error)}") from error
+
+
+@functools.cache
+def _options() -> Any:
+    """Options of all sessions, which share a thread's worth of work and `MAX_GRAPHS_BYTES`."""
+    import onnxruntime as ort
+
+    place = ort.OrtMemoryInfo("Cpu", ort.OrtAllocatorType.ORT_ARENA_ALLOCATOR, 0, ort.OrtMemType.DEFAULT)
+    ort.create_and_register_allocator(place, ort.OrtArenaCfg({"max_mem": MAX_GRAPHS_BYTES}))
+    options = ort.SessionOptions()
     options.intra_op_num_threads = options.inter_op_num_threads = 1
     options.log_severity_level = 4  # the error says what is wrong
     options.add_session_config_entry("session.intra_op.allow_spinning", "0")
-    try:
-        return onnxruntime.InferenceSession(graph, options, providers=["CPUExecutionProvider"])
-    except Exception as error:  # of onnxruntime, whose errors have no common base but this
-        raise ValueError(f"the texture's graph is damaged: {str(error).splitlines()[0][:200]}") from error
+    options.add_session_config_entry("session.use_env_allocators", "1")
+    return options
 
 
 def model_of_graph(texture: Texture) -> Model:
