@@ -25,6 +25,7 @@ def test_a_threshold_is_found_though_some_answers_are_drawn() -> None:
 
 
 def test_what_tells_most_is_near_the_threshold() -> None:
+    assert LevelSearch(-60.5, 20.0)._point.max() == 19.5
     before = LevelSearch(-60.0, 20.0, expected=(-20.0, 6.0))
     assert (before.point, before.sd) == pytest.approx((-20.0, 6.0), abs=0.01)
     search = LevelSearch(-60.0, 20.0)

@@ -91,7 +91,9 @@ def test_listeners_are_asked_where_they_are_asked_for(
     """Under a long stroke of a simulated truth, beside two true ones; here with next to no training and a short one."""
     monkeypatch.setattr("foten.evaluate.listener_network.N_STEPS", 2)
     monkeypatch.setattr("foten.experiments.simulator_reference.LONG_S", 46.0)
-    scores = json.loads(foten("evaluate", texture, recording, "--json", "--listener")[0])["listener"]
+    printed, said = foten("evaluate", texture, recording, "--json", "--listener")
+    assert "listener 1 of 3" in said
+    scores = json.loads(printed)["listener"]
     for key in ("listener_auc", "listener_auc_waveform", "listener_auc_person"):
         assert 0 <= scores[key] <= 1
         assert 0 <= scores[f"{key}_control"] <= 1

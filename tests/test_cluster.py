@@ -19,7 +19,7 @@ def write_clip(folder: Path, surface: int, direction: int, speed: int, force_mn:
     """A clip of a tone that the program asked for 8670 times a second, and the sensor measured 6000 times."""
     name = f"{surface}_{direction}_{speed}_{force_mn}_{repeat}.csv"
     rng = np.random.default_rng([surface, direction, speed, force_mn, repeat])
-    t = np.cumsum(rng.uniform(0.6, 1.4, round(8670 * SECONDS))) / 8670
+    t = 3 + np.cumsum(rng.uniform(0.6, 1.4, round(8670 * SECONDS))) / 8670
     measured = np.floor(t * SENSOR_HZ) / SENSOR_HZ  # what the sensor holds until its next sample
     tone = 0.3 * np.sin(2 * np.pi * TONE_HZ * measured)
     accel = np.stack([t, tone, 0.01 * np.cos(9 * measured), -0.96 + 0.1 * tone], axis=1)
@@ -27,7 +27,7 @@ def write_clip(folder: Path, surface: int, direction: int, speed: int, force_mn:
     force = np.stack([t, force_mn / 1000 + 0.01 * np.sin(3 * slow)], axis=1)
     at = np.arange(0, SECONDS, 0.01)
     angle = np.radians(direction)
-    position = np.stack([at, 50 + speed * at * np.cos(angle), 50 + speed * at * np.sin(angle)], axis=1)
+    position = np.stack([3 + at, 50 + speed * at * np.cos(angle), 50 + speed * at * np.sin(angle)], axis=1)
     for part, header, rows in (
         ("accel", "time,X,Y,Z", accel),
         ("force", "time,force", force),

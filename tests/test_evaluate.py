@@ -108,6 +108,8 @@ def test_ar_20_is_fitted_on_the_training_blocks_alone(judged: Judgement, trace: 
     scheduled = judged.document["references"]["ar_scheduled"]["mae_scaled"]
     expected = error(trace, SPLIT.test, least_squares(trace, SPLIT.train, 20, scheduled=True))
     assert scheduled == pytest.approx(expected, rel=1e-6)
+    expected = error(trace, SPLIT.test, Linear(np.array([1.0, 0.0]), 1.0))
+    assert judged.document["references"]["persistence"]["mae_scaled"] == pytest.approx(expected, rel=1e-6)
 
 
 def test_the_envelope_needs_a_second_of_what_is_scored(judged: Judgement) -> None:

@@ -105,7 +105,7 @@ def test_a_normal_map_is_its_heights() -> None:
     pixels = np.round((normals + 1) / 2 * 255) / 255
     assert is_normal_map(pixels)
     assert not is_normal_map(np.repeat(heights[..., None], 3, axis=2))
-    assert np.corrcoef(integrated(2 * pixels - 1, SCALE).ravel(), heights.ravel())[0, 1] > 0.99
+    assert np.corrcoef(integrated(2 * pixels - 1, SCALE).ravel(), heights.ravel())[0, 1] > 0.9975  # of 8 bits
     assert np.ptp(heights_of(pixels, SCALE, 0.3)) == pytest.approx(0.3)
 
 
@@ -199,6 +199,4 @@ def test_the_command_makes_a_texture_with_the_period_of_its_picture(
     assert _status(["imagine", str(tmp_path / "cloth.png"), "--scale", "0.05", "--depth", "0.03", "-o", path]) == 0
     out = capsys.readouterr().out
     assert "period     1.3 mm" in out
-    assert read_texture(path).evidence.startswith(
-        "from the height map cloth.png, 0.05 mm a pixel, 0.03 mm deep, simulated tip"
-    )
+    assert read_texture(path).evidence.startswith("height map cloth.png, 0.05 mm a pixel, 0.03 mm deep, simulated tip")

@@ -200,8 +200,9 @@ def test_sound_that_was_lost_is_said(tmp_path: Path) -> None:
     rate, samples = scipy.io.wavfile.read(sound)
     samples = np.where(samples == 0, 1, samples).astype(np.int16)
     samples[25 * rate : 25 * rate + rate // 10] = 0
-    scipy.io.wavfile.write(sound, rate, samples)
-    (message,) = import_capture(sound, pen, ImportOptions(), PressureCalibration().force)[2]
+    scipy.io.wavfile.write(sound, rate, np.stack([samples, 0 * samples], axis=1))
+    first, message = import_capture(sound, pen, ImportOptions(), PressureCalibration().force)[2]
+    assert first == f"the first of 2 channels of {sound.name} is taken"
     assert "zero to the last digit for 100 ms in 1 place" in message
 
 
