@@ -88,7 +88,7 @@ def test_takes_that_do_not_belong_together_are_refused(takes: Recording) -> None
     odd = Recording({"speed": Channel(np.ones(3000), 1000.0)}, name="d.csv")
     with pytest.raises(ValueError, match=r"take 4 \(d.csv\) has the channels speed, expected as the first: acc"):
         joined_takes([takes, odd])
-    with pytest.raises(ValueError, match=r"take 4 \(b.csv\) has the same samples as take 2"):
+    with pytest.raises(ValueError, match=r"take 4 \(b.csv\) repeats take 2"):
         joined_takes([takes, takes.takes[1]])
     with pytest.raises(ValueError, match="are in m/s² and relative units"):
         joined_takes([takes, dataclasses.replace(take(9), calibrated=False)])
@@ -185,7 +185,7 @@ def test_the_commands_take_several_files_and_append(tmp_path: Path, takes: Recor
     whole = str(tmp_path / "whole.h5")
     foten("import", table, "-o", whole)
     append = ["import", str(table), "-o", whole, "--append"]
-    assert "take 2 (d.csv) has the same samples as take 1" in foten(*append, status=2)[1]
+    assert "take 2 (d.csv) repeats take 1" in foten(*append, status=2)[1]
     assert "--texture comes from the recording that is extended" in foten(*append, "--texture", "jeans", status=2)[1]
     table.write_text(f"t,acceleration,speed,force\n{rows.replace(',1', ',2')}")
     foten(*append)

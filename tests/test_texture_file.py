@@ -180,7 +180,7 @@ def test_every_key_of_the_card_is_needed_and_has_its_type(texture: Texture) -> N
         ({"units": {**UNITS, "force": ["N"]}}, r"force is in \['N'\], expected N"),
         ({"units": {**UNITS, "acceleration": "g"}}, r"acceleration is in 'g', expected m/s\^2 or relative"),
         ({"units": {}}, "acceleration is in None, expected"),
-        ({"training": {"unfinished": "no"}}, "'unfinished' in the card's training is 'no', expected true"),
+        ({"training": {"unfinished": "no"}}, "'unfinished' of the training is 'no', expected true"),
         ({"scaling": {"mean": [0, 0, 0]}}, "three means and three standard deviations"),
         ({"scaling": {"mean": [0, 0], "sd": [1, 1]}}, "three means"),
         ({"scaling": {"mean": ["a", 0, 0], "sd": [1, 1, 1]}}, "three means"),

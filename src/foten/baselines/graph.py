@@ -74,9 +74,7 @@ def graph_of_texture(texture: Texture) -> bytes:
     if model not in NETWORKS:
         raise ValueError(f"{model} has no network, expected one of {', '.join(NETWORKS)}")
     network, prefix = build(model, sizes), "network." if isinstance(sizes, FotenPlusSizes) else ""
-    network.load_state_dict(
-        {key: torch.from_numpy(np.array(tensors[f"{prefix}{key}"])) for key in network.state_dict()}
-    )
+    network.load_state_dict({k: torch.from_numpy(np.array(tensors[f"{prefix}{k}"])) for k in network.state_dict()})
     if isinstance(network, InnovationNetwork):
         return graph_of(NextInnovation(network), sizes.window, N_INPUTS).tobytes()
     return graph_of(network, sizes.window).tobytes()

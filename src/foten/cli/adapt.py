@@ -20,9 +20,7 @@ MAX_OFF_DB = 0.01  # of the largest tones of an actuator, from one session to th
 def _going_on(stored: UserProfile, now: UserProfile, output: Path) -> UserProfile:
     """The stored profile, or ValueError where it is another user's, or of another actuator."""
     if now.name and now.name != stored.name:
-        raise ValueError(
-            f"{output} is the profile of {stored.name or 'an unnamed user'}, not of {now.name}: give another -o"
-        )
+        raise ValueError(f"{output} is the profile of {stored.name or 'nobody'}, not of {now.name}: give another -o")
     if stored.unit != now.unit or any(abs(a - b) > MAX_OFF_DB for a, b in zip(stored.max_db, now.max_db, strict=True)):
         was = f"with the actuator {stored.actuator}" if stored.actuator else "without an actuator profile"
         also = ", whose profile was different then" if stored.actuator == now.actuator else ""
@@ -80,9 +78,7 @@ def adapt(
     title = "" if texture is None or texture_file is None else str(texture.card["texture"]) or texture_file.stem
     session = Session(before, title, ranges or FULL_RANGES, feel)
     if session.n_dropped:
-        say(
-            f"{session.n_dropped} earlier choices were made without the gains measured now: these questions are asked again"
-        )
+        say(f"{session.n_dropped} earlier choices were made without the gains measured now: they are asked again")
     server = AdaptServer(session, output, texture, profile)
 
     def announce(access: Access, shown: str, joined: bool) -> None:

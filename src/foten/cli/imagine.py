@@ -186,9 +186,7 @@ def _imagine(
         heights = heights_of(pixels, scale, depth)
     except ValueError as error:
         raise ValueError(f"{picture.name}: {error}") from error
-    say(
-        f"stroking {picture.name}, {heights.shape[1] * scale:.3g} × {heights.shape[0] * scale:.3g} mm, for {seconds:g} s …"
-    )
+    say(f"stroking {picture.name}, {heights.shape[1] * scale:.3g} × {heights.shape[0] * scale:.3g} mm, {seconds:g} s …")
     contact = tool_of(**{name: value for name, value in tool.items() if value is not None})
     recording = imagined(heights, scale, contact, tiles, seconds, seed)
     recording = replace(recording, texture=picture.stem)
@@ -196,9 +194,7 @@ def _imagine(
         recording, "foten-plus", trainable_sizes("foten-plus", {}), recipe_of("foten-plus", "default", seed=seed)
     )
     trained = train(job, Monitor(lambda stage: say(f"{stage} …"))).texture
-    evidence = (
-        f"from the height map {picture.name}, {scale:g} mm a pixel, {depth:g} mm deep, {recording.tool}, {UNMEASURED}"
-    )
+    evidence = f"height map {picture.name}, {scale:g} mm a pixel, {depth:g} mm deep, {recording.tool}, {UNMEASURED}"
     texture = Texture({**trained.card, "evidence": evidence}, trained.tensors)
     write_texture(texture, output)
     description = describe(texture)

@@ -63,9 +63,7 @@ def read_cluster(folder: Path, surface: int | None) -> tuple[Recording, list[str
         raise ValueError(f"{folder} is a folder of nothing that is known, expected {expected}")
     surfaces = cluster_surfaces(place)
     if surface not in surfaces:
-        known = ", ".join(map(str, list(surfaces)[:12])) + (
-            f" and {len(surfaces) - 12} more" if len(surfaces) > 12 else ""
-        )
+        known = ", ".join(map(str, list(surfaces)[:12])) + f" and {len(surfaces) - 12} more" * (len(surfaces) > 12)
         what = "name one of its surfaces" if surface is None else f"there is no surface {surface} in it"
         raise ValueError(f"{folder}: {what}, --surface {known or 'N (there is no complete clip)'}")
     takes = [_take(place, name) for name in surfaces[surface]]

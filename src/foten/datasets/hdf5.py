@@ -41,9 +41,7 @@ def write_recording(recording: Recording, path: Path) -> None:
         if len(text.encode()) > MAX_TEXT_BYTES:
             raise ValueError(f"{key} has {len(text.encode()):,} bytes, expected {MAX_TEXT_BYTES:,} at most")
     if (n := sum(2 * len(take.channels) + 3 for take in recording.takes)) > MAX_OBJECTS:
-        raise ValueError(
-            f"{len(recording.takes)} takes are too many for one file, about {n} groups of {MAX_OBJECTS} at most"
-        )
+        raise ValueError(f"{len(recording.takes)} takes are too many, about {n} groups of {MAX_OBJECTS} at most")
     # Made in memory, since HDF5 does not survive a full disk.
     with h5py.File("in memory", "w", driver="core", backing_store=False) as file:
         file.attrs.update({"format": FORMAT, "version": VERSION} | texts)

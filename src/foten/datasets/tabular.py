@@ -210,9 +210,7 @@ def _table(rows: list[list[Any]], where: str, comments: Collection[int] = ()) ->
 def stated_above(preamble: str) -> dict[str, str]:
     """Texture and tool, where lines above a table state them: `Surface: walnut board`, `Tool: steel ball`."""
     stated = {key.lower(): text for key, text in _STATED.findall(preamble)}
-    found = {
-        field: next((stated[word] for word in words.split() if word in stated), "") for field, words in _FIELDS.items()
-    }
+    found = {key: next((stated[w] for w in words.split() if w in stated), "") for key, words in _FIELDS.items()}
     return {field: text for field, text in found.items() if text}
 
 

@@ -271,9 +271,7 @@ def _unreached(edit: Edit, before: Description, after: Description) -> list[str]
     centroid, width = before.centroid_hz * 2**edit.brighter, before.width_octaves + edit.wider
     roughness, said = before.roughness_db + edit.rougher, []
     if (edit.brighter or edit.wider) and abs(np.log2(after.centroid_hz / centroid)) > UNREACHED_OCTAVES:
-        said.append(
-            f"the centroid is {after.centroid_hz:.0f} Hz, {centroid:.0f} were asked: tones stay where the path has them"
-        )
+        said.append(f"the centroid is {after.centroid_hz:.0f} Hz, not {centroid:.0f}: tones stay on the path")
     if (edit.brighter or edit.wider) and abs(after.width_octaves - width) > UNREACHED_OCTAVES:
         said.append(f"the width is {after.width_octaves:.2f} octaves, {width:.2f} were asked")
     if edit.rougher and abs(after.roughness_db - roughness) > UNREACHED_ROUGHNESS_DB:

@@ -105,9 +105,7 @@ def fit(entries: Sequence[Entry], encoder: Encoder) -> Fitted:
     values, matrix = values_of(known), np.array(vectors)
     stems = [entry.stem for entry in known]
     if len(set(stems)) < 2:
-        raise ValueError(
-            f"all {len(stems)} textures of the library are named {stems[0]!r}, expected others to compare with"
-        )
+        raise ValueError(f"all {len(stems)} textures of the library are named {stems[0]!r}, expected others too")
     tried = []
     for length, noise in product(LENGTHS, NOISES):
         tried.append((left_out_error(matrix, values, stems, length, noise), length, noise))

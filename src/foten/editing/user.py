@@ -93,9 +93,7 @@ class UserProfile:
             )
         if self.moves:
             at = "" if self.actuator else f", at a volume of {self.volume_db:g} dB"
-            lines.append(
-                f"{self.texture} is most like its surface with {self.edit.in_words() or 'nothing changed'}{at}"
-            )
+            lines.append(f"{self.texture} is most like its surface with {self.edit.in_words() or 'no change'}{at}")
         return lines
 
     @property

@@ -73,9 +73,7 @@ class SentenceEncoder:
         try:
             self._model: Any = SentenceTransformer(model, device="cpu")
         except (OSError, ValueError) as error:
-            raise ValueError(
-                f"the sentence encoder {model} cannot be loaded: {' '.join(str(error).split())[:200]}"
-            ) from None
+            raise ValueError(f"the encoder {model} cannot be loaded: {' '.join(str(error).split())[:200]}") from None
         self.name = Path(model).name
 
     def encode(self, text: str) -> Array:

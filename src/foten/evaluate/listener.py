@@ -27,9 +27,7 @@ if TYPE_CHECKING:
 N_LISTENERS = 3  # each with a seed of its own, and another rendering
 TRAIN_SHARE, TEST_SHARE = 0.6, 0.3  # the first and the last part of a stroke; what lies between keeps them apart
 STREAM = 2**35  # of noise, the first that listeners are played
-MIN_LISTENED_S = (
-    40.0  # of a stroke: 24 s to learn from, and 12 s, 100 excerpts that overlap by three quarters, to score
-)
+MIN_LISTENED_S = 40.0  # of a stroke: 24 s to learn from, and 12 s to score, in 100 excerpts that overlap
 FLOOR = 1e-4  # of the mean energy of a band: what is 40 dB below it counts as that
 NOTHING = 1e-12  # of a threshold, an energy that is not felt
 SOFTENING = np.array([[2.0], [0.05]])  # added to speed [mm/s] and force [N] before their logarithm

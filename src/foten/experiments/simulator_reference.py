@@ -28,9 +28,7 @@ LONG_S = 240.0  # of a stroke for listeners
 SETTLED_S = 0.5  # before and after what is judged: of filters, and where the clocks of sensors begin
 SEED_STEP = 1_000_003  # between realisations
 VALIDATION_HAND = 2  # the number of the hand that nothing is reported of
-N_CACHED = (
-    12  # realisations that a process keeps for the methods of an experiment: 2 MB each at 1 kHz, a long stroke's 6 MB
-)
+N_CACHED = 12  # realisations that a process keeps for the methods of an experiment: 2 MB each at 1 kHz
 _CACHE: dict[str, Trace] = {}
 
 

@@ -30,9 +30,7 @@ RETRIES = 3  # of a run whose worker or node is lost
 ANSWER_S = 5.0  # in which a cluster has to answer
 LEFT_S = 600.0  # after which what a worker wrote in part was left, which takes it no second
 QUIET_S = 300.0  # after which a line says that it goes on
-NO_CLUSTER = (
-    "no Ray cluster answers at {}: was it started with 'ray start --head', and is RAY_AUTH_TOKEN its token? ({})"
-)
+NO_CLUSTER = "no Ray cluster answers at {}: was it started with 'ray start --head' and this RAY_AUTH_TOKEN? ({})"
 THREADS = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
 Say = Callable[[str], None]
 

@@ -271,13 +271,9 @@ def check_card(card: Any) -> None:
         raise ValueError(f"the card has a rate of {card['rate_hz']} Hz and preprocessing to {preprocess.rate_hz} Hz")
     for key in (*CREDIT, EVIDENCE):
         if not isinstance(card.get(key, ""), str) or len(card.get(key, "")) > MAX_CREDIT:
-            raise ValueError(
-                f"{key!r} in the card is {shortened(card[key])}, expected a text of {MAX_CREDIT} characters at most"
-            )
+            raise ValueError(f"{key!r} in the card is {shortened(card[key])}, expected {MAX_CREDIT} characters at most")
     if not isinstance(card["training"].get("unfinished", False), bool):
-        raise ValueError(
-            f"'unfinished' in the card's training is {shortened(card['training']['unfinished'])}, expected true"
-        )
+        raise ValueError(f"'unfinished' of the training is {shortened(card['training']['unfinished'])}, expected true")
     takes = card.get("takes", [])
     if not isinstance(takes, list) or not all(_is_take(take) for take in takes):
         raise ValueError(f"the takes in the card are {shortened(takes)}, expected a name, seconds and blocks of each")
@@ -332,9 +328,7 @@ def _check_tensors(texture: Texture) -> None:
         **({"golden.sigma": (n_golden,)} if sizes.excited else {}),
     }
     if GRAPH in shapes and GRAPH not in texture.tensors:
-        raise ValueError(
-            f"unknown model {shortened(texture.card['model'])}, expected one of {', '.join(MODELS)}, or a graph"
-        )
+        raise ValueError(f"unknown model {shortened(texture.card['model'])}, expected {', '.join(MODELS)}, or a graph")
     for name, shape in shapes.items():
         actual = texture.tensors[name].shape if name in texture.tensors else None
         known = actual or ()

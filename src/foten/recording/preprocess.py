@@ -222,9 +222,7 @@ def _trace_of_takes(recording: Recording, config: PreprocessConfig, n_blocks: in
             raise ValueError(f"take {i}{take.named}: {error}") from error
     blocks = tuple(trace.n_blocks for trace in traces)
     if sum(blocks) < (n_blocks or 1):
-        raise ValueError(
-            f"{len(blocks)} takes give {sum(blocks)} blocks of {config.block_ms:g} ms, expected {n_blocks} or more"
-        )
+        raise ValueError(f"{len(blocks)} takes give {sum(blocks)} blocks of {config.block_ms:g} ms, not {n_blocks}")
     acceleration, speed, force = (np.concatenate([getattr(trace, name) for trace in traces]) for name in CHANNELS)
     n_dropped, n_uncovered = sum(trace.n_dropped for trace in traces), sum(trace.n_uncovered for trace in traces)
     of_all = recording.sha256(), asdict(config), n_dropped, n_uncovered, blocks

@@ -124,9 +124,7 @@ class Recording:
                 have, expected = (", ".join(sorted(of.channels)) for of in (take, self))
                 raise ValueError(f"take {i}{take.named} has the channels {have}, expected as the first: {expected}")
             if take.calibrated != self.calibrated:
-                raise ValueError(
-                    f"take {i}{take.named} and the first are in m/s² and relative units: takes need one unit"
-                )
+                raise ValueError(f"take {i}{take.named} and the first are in m/s² and relative units: expected one")
 
     def __getitem__(self, name: str) -> Channel:
         return self.channels[name]
@@ -200,9 +198,7 @@ def joined_takes(recordings: Sequence[Recording]) -> Recording:
     digests = [take.sha256() for take in (first, *others)]
     for i, take in enumerate(others, 2):
         if take.sha256() in digests[: i - 1]:
-            raise ValueError(
-                f"take {i}{take.named} has the same samples as take {digests.index(take.sha256()) + 1}: leave it out"
-            )
+            raise ValueError(f"take {i}{take.named} repeats take {digests.index(take.sha256()) + 1}: leave it out")
     if not others:
         return recordings[0]
     names = [recording.texture for recording in recordings]

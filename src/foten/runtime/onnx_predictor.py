@@ -22,7 +22,7 @@ from foten.models.window_model import NoiseModel, WindowModel
 from foten.untrusted import brief
 
 INPUT, NOISE, OUTPUT = "windows", "noise", "next"
-MAX_GRAPHS_BYTES = 1 << 28  # of the samples in all graphs
+MAX_BYTES = 1 << 28  # of the samples in all graphs
 MAX_RUN_S, MAX_WAIT_S = 0.1, 2.0  # processor time of two windows, of which foten's take 2 ms; until a run is stopped
 FOLDING = ["ConstantFolding"]  # work of a graph without input, which no bound holds for; there is little in foten's
 # Of our networks. A file is not trusted: no operator that loops, branches, reads files or is defined elsewhere.
@@ -80,8 +80,7 @@ class OnnxPredictor:
         try:
             return np.asarray(self._session.run([OUTPUT], {self._input: windows}, options)[0], dtype=np.float64)
         except Exception as error:  # of onnxruntime, whose errors have no common base but this
-            within = f"{MAX_GRAPHS_BYTES >> 20} MB and {MAX_WAIT_S:g} s"
-            raise ValueError(f"the texture's graph does not run in {within}: {brief(error)}") from error
+            raise ValueError(f"the texture's graph does not run within its bounds: {brief(error)}") from error
 
     def predict(self, windows: Array) -> Array:
         """Next samples, scaled, (b,), of windows (b, m, 3) of what the graph takes."""
@@ -114,11 +113,11 @@ def _session(graph: bytes) -> Any:
 
 @functools.cache
 def _options() -> Any:
-    """Options of all sessions, which share a thread's worth of work and `MAX_GRAPHS_BYTES`."""
+    """Options of all sessions, which share a thread's worth of work and `MAX_BYTES`."""
     import onnxruntime as ort
 
     place = ort.OrtMemoryInfo("Cpu", ort.OrtAllocatorType.ORT_ARENA_ALLOCATOR, 0, ort.OrtMemType.DEFAULT)
-    ort.create_and_register_allocator(place, ort.OrtArenaCfg({"max_mem": MAX_GRAPHS_BYTES}))
+    ort.create_and_register_allocator(place, ort.OrtArenaCfg({"max_mem": MAX_BYTES}))
     options = ort.SessionOptions()
     options.intra_op_num_threads = options.inter_op_num_threads = 1
     options.log_severity_level = 4  # the error says what is wrong

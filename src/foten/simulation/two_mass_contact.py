@@ -49,9 +49,7 @@ from foten.simulation.stroking import Stroking
 MAX_IMPACT_N = 40.0  # of an impact, for which steps must be short enough
 LONGEST_MM = 40.0  # wavelength of the noise
 REFERENCE_MM_S = 1.0  # V₀ of the friction
-N_NEWTON = (
-    6  # steps of Newton's method for the sliding speed: it begins on the side from which it converges without a swing
-)
+N_NEWTON = 6  # steps of Newton's method: it begins on the side from which it converges without a swing
 RANGES: Mapping[str, tuple[float, float]] = {
     "roughness_um": NOT_NEGATIVE,
     "hurst": (-0.5, 1.0),

@@ -57,9 +57,7 @@ class OutputDevice:
 
     def __post_init__(self) -> None:
         if Path(self.to).suffix.lower() == ".wav":
-            raise ValueError(
-                f"a page plays in real time, and {self.to} is a file: the red dot of the page records strokes"
-            )
+            raise ValueError(f"a page plays in real time, and {self.to} is a file: its red dot records strokes")
         if self.calibrated:
             gain_for(self.actuator, self.gain, 1.0, self.to)
 

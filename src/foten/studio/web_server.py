@@ -57,9 +57,7 @@ def listening(host: str, port: int) -> socket.socket:
         listener.bind((host, port))
     except (OSError, OverflowError) as error:
         listener.close()
-        hint = (
-            "is another studio running? --port 0 takes any that is free" if port else "is that address this machine's?"
-        )
+        hint = "is another studio running? --port 0 takes a free one" if port else "is that address this machine's?"
         raise OSError(f"cannot listen at {host}, port {port}: {hint}") from error
     listener.listen(1024)  # a tablet that is not let into the queue tries again after a second
     return listener

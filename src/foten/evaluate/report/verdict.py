@@ -48,9 +48,7 @@ def _finding(
     if borne:
         return Finding(tone, title, figure, beside, sentence)
     # Where there are no intervals at all, a caution says so once.
-    wide = (
-        "" if interval is None else " These blocks are too few to be sure of that: its 95 % interval reaches further."
-    )
+    wide = "" if interval is None else " The blocks are too few to be sure of that: its 95 % interval reaches further."
     return Finding("unknown", title, figure, f"too little data to say; {beside}", sentence + wide)
 
 
@@ -180,9 +178,7 @@ def cautions(document: Mapping[str, Any]) -> list[str]:
         few = "intervals are coarse" if n_blocks == 4 else few
         notes.append(f"Only {n_blocks} block{'s' * (n_blocks != 1)} judged: {few}.")
     if document["ceiling"]["lsd_db"] is not None and "training block" in str(document["ceiling"].get("of")):
-        notes.append(
-            "The ceiling is a recorded training block under a similar, not the same, hand: a good run can lie beyond it."
-        )
+        notes.append("The ceiling is a recorded training block under a similar, not the same, hand: a run can pass it.")
     if cut := document["free_run"].get("n_saturated"):
         notes.append(f"The saturator cut {cut} sample{'s' * (cut != 1)} of the free run: the loop bursts.")
     return notes

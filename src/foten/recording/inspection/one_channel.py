@@ -52,9 +52,7 @@ def check_units(name: str, channel: Channel, recording: Recording) -> Iterable[F
         yield Finding(severity, "constant", name, text)
         return
     if x.size > 2 and name.startswith("acceleration") and (np.diff(x) > 0).all():
-        yield Finding(
-            UNUSABLE, "rises", name, f"{name} rises from begin to end: is it the time? Is the right column mapped?"
-        )
+        yield Finding(UNUSABLE, "rises", name, f"{name} rises from begin to end: is it the time? Or the wrong column?")
         return
     kind, guess = name.split("_")[0], ""
     size = swing(x, 0.001) if kind == "position" else float(np.quantile(np.abs(x), 0.999))

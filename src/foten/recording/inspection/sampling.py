@@ -50,9 +50,7 @@ def check_short(seconds: float, options: str) -> Iterable[Finding]:
     config = PreprocessConfig()
     if seconds < min(MIN_ALONE_S, config.shortest_s):
         advice = f"train with {options}" if options else "too short to learn from; record for longer"
-        needs = (
-            f"trimming {config.trim_ms / 1000:g} s at both ends, {MIN_BLOCKS} blocks of {config.block_ms / 1000:g} s"
-        )
+        needs = f"{config.trim_ms / 1000:g} s off both ends, {MIN_BLOCKS} blocks of {config.block_ms / 1000:g} s"
         text = f"it lasts {seconds:.2f} s, and {needs} take {config.shortest_s:g} s: {advice}"
         yield Finding(NOTE if options else UNUSABLE, "short", "", text)
 

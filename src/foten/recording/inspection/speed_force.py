@@ -126,7 +126,5 @@ def check_ranges(coverage: Coverage) -> Iterable[Finding]:
         yield Finding(UNUSABLE, "coverage", "", f"{text}, only {held}: are the units right?")
     elif coverage.fraction < 0.15:
         conditions = f"the plane up to {coverage.speed_edges[-1]:g} mm/s and {coverage.force_edges[-1]:g} N"
-        text = (
-            f"only {coverage.fraction:.0%} of {conditions} was visited: vary speed and force separately when recording"
-        )
+        text = f"only {coverage.fraction:.0%} of {conditions} was visited: vary speed and force separately"
         yield Finding(NOTE, "coverage", "", text)
