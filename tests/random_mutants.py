@@ -425,9 +425,8 @@ def judges(change: Change, records: dict[str, dict[str, Any]]) -> Judges:
     path, in_c = change.path, change.path.startswith("native")
     if in_c:
         path = f"src/foten/{'training/training_kernel' if '/training/' in path else 'runtime/native'}.py"
-    module = (
-        "foten.cli" if "/cli/" in path else path[4:-3].replace("/", ".")
-    )  # any command is run by the package's `main`
+    # Any command is run by the package's `main`.
+    module = "foten.cli" if "/cli/" in path else path[4:-3].replace("/", ".")
     imported = re.compile(rf"\b{re.escape(module)}\b")
     on_line: dict[str, float] = {}
     in_module: dict[str, float] = {}

@@ -220,9 +220,8 @@ def test_who_looks_ahead_does_not_use_up_the_link(studio: Studio, headers: dict[
 def test_a_host_is_known_in_whatever_case_it_is_written(studio: Studio) -> None:
     """A browser asks for `mybox.local` where the link says `MyBox.local`."""
     assert access_to("LocalHost", 8000) == access_to("127.0.0.1", 8000) == LOCAL
-    assert (
-        LOCAL.link("::1", "operator", key="k") == "http://[::1]:8000/operator?key=k"
-    )  # this machine alone needs no token
+    # This machine alone needs no token.
+    assert LOCAL.link("::1", "operator", key="k") == "http://[::1]:8000/operator?key=k"
     access = access_to("MyBox.local", 8443)
     with TestClient(studio.app(access), base_url="https://mybox.local:8443") as client:
         for host in ("mybox.local:8443", "MyBox.local:8443"):

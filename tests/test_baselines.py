@@ -100,9 +100,8 @@ def test_every_window_is_predicted_by_itself(model: str) -> None:
     torch.manual_seed(0)
     sizes = BASELINES[model]()
     network = build(model, sizes).double().eval()
-    assert (
-        network.state_dict().keys() == dict(network.named_parameters()).keys()
-    )  # nothing that its sizes give is stored
+    # Nothing that its sizes give is stored.
+    assert network.state_dict().keys() == dict(network.named_parameters()).keys()
     windows = torch.from_numpy(np.random.default_rng(4).standard_normal((6, sizes.history, 3)))
     with torch.no_grad():
         at_once, alone = network(windows), torch.cat([network(w[None]) for w in windows])
@@ -188,9 +187,8 @@ def test_a_generator_plays_sample_by_sample_what_it_was_judged_by() -> None:
 def test_targets_of_spectra_are_frames_around_a_sample() -> None:
     assert log_magnitudes(torch.zeros(16)).exp().tolist() == pytest.approx([1e-4] * 9)  # of silence
     blocks = noise_blocks(n_blocks=5, block=200)
-    assert (
-        76 in log_spectra(TrainingWindows(blocks.flat, *blocks.targets(76), 76), blocks).train % 200
-    )  # the first there is
+    # The first there is.
+    assert 76 in log_spectra(TrainingWindows(blocks.flat, *blocks.targets(76), 76), blocks).train % 200
     windows = TrainingWindows(blocks.flat, *blocks.targets(40), 40)
     framed = log_spectra(windows, blocks)
     assert framed.target is not None

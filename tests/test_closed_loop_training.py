@@ -154,9 +154,8 @@ def test_what_does_not_gain_is_left_as_it_was(surface: Surface, monkeypatch: pyt
     assert progress.best_loss < progress.epochs[0].validation_loss
     assert not equal(better, surface.network)
     assert equal(better, fitted(surface, 2e-2, monkeypatch)[0])
-    fitted(
-        surface, 2e-2, monkeypatch, replace(CONFIG, threads=closed_loop_training.N_EXCERPTS + 2)
-    )  # some without a share
+    # Some without a share.
+    fitted(surface, 2e-2, monkeypatch, replace(CONFIG, threads=closed_loop_training.N_EXCERPTS + 2))
 
 
 @without_tones

@@ -63,9 +63,8 @@ def test_a_surface_is_all_its_clips_in_si_units_at_the_rate_of_its_samples(datas
     spectrum = np.abs(np.fft.rfft(trace.acceleration[:4000]))
     assert np.fft.rfftfreq(4000, 1 / 1000)[spectrum.argmax()] == pytest.approx(TONE_HZ, abs=0.5)
     rms = np.sqrt(np.square(trace.acceleration).mean())
-    assert rms == pytest.approx(
-        0.3 * 9.80665 / np.sqrt(2), rel=0.03
-    )  # DFT321 adds the third axis: 0.5 %; lines between samples: −1 %
+    # DFT321 adds the third axis: 0.5 %; lines between samples: −1 %.
+    assert rms == pytest.approx(0.3 * 9.80665 / np.sqrt(2), rel=0.03)
 
 
 def test_the_command_names_what_there_is_and_keeps_the_credit(

@@ -96,9 +96,8 @@ def test_a_flying_tip_comes_down_by_the_hands_force_alone() -> None:
     aloft = np.flatnonzero(force == 0.0)
     landed = aloft[0] + np.flatnonzero(force[aloft[0] :] > 0)[0]
     expected_s = np.sqrt(2 * drop_mm * 1e-3 * p.mass_kg / force_n)
-    assert (landed - aloft[0]) / RATE_HZ == pytest.approx(
-        expected_s, abs=4e-4
-    )  # four samples, and it starts from 2 µm inside
+    # Four samples, and it starts from 2 µm inside.
+    assert (landed - aloft[0]) / RATE_HZ == pytest.approx(expected_s, abs=4e-4)
     assert force[landed : landed + 40].max() > 10 * force_n  # and it lands with an impact
 
 

@@ -180,9 +180,8 @@ def test_joined_scales_and_tables_are_weighted_means() -> None:
     ]
     speed, force = rng.uniform(0, 250, 100), rng.uniform(0.05, 3.0, 100)
     expected = 0.3 * np.pad(tables[0].at(speed, force), ((0, 0), (0, 2))) + 0.7 * tables[1].at(speed, force)
-    np.testing.assert_allclose(
-        blending.joined_tables(tables, weights).at(speed, force), expected, atol=1e-6
-    )  # float32 knots
+    # Float32 knots.
+    np.testing.assert_allclose(blending.joined_tables(tables, weights).at(speed, force), expected, atol=1e-6)
 
 
 def test_tones_begin_in_step() -> None:

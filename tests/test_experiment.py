@@ -63,9 +63,8 @@ def test_what_is_tuned_has_the_recipe_that_was_best_on_validation(tmp_path: Path
             longer = {"seed": 0} | ({"epochs": 24} if run.model == "fnn" else {})  # it takes a minute
             assert {**run.train, **longer} == chosen[run.method.removesuffix(" with excitation")], run.method
     assert not {Path(run.texture).stem.removesuffix("-350hz") for run in tuned} & {run.texture for run in tried}
-    of_paper = [
-        run for name, runs in by_name.items() for run in runs if name != "main-contact"
-    ]  # whose low-pass is ours
+    # Whose low-pass is ours.
+    of_paper = [run for name, runs in by_name.items() for run in runs if name != "main-contact"]
     assert {str(run.preprocess) for run in of_paper} == {str(run.preprocess) for run in tried}
 
 

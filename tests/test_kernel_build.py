@@ -119,9 +119,8 @@ def test_nothing_is_allocated_while_rendering(build: Path, corpus: list[Path]) -
     """The program fails as well where its counter sees nothing of what loading allocates, where a state asks for another
     number of bytes than foten_model_info gives, and where a file that there is no memory for is said to be anything else.
     """
-    run_by_kernel = [
-        path for path in corpus if not path.stem.startswith("graph")
-    ]  # what others predict is not ours to count
+    # What others predict is not ours to count.
+    run_by_kernel = [path for path in corpus if not path.stem.startswith("graph")]
     out = ran(build / "hot_path", *run_by_kernel)
     assert out.strip() == f"nothing allocated while rendering {len(run_by_kernel)} files"
 

@@ -100,9 +100,8 @@ def test_tuned_runs_are_no_rows_of_table_1_before_they_have_all_its_textures(tab
     assert [(row[0], row[1]) for row in tables.both_recipes().rows] == [(name, "1") for name in ERRORS]
     runs["table-1-tuned"] = tuned(TEXTURES[:3], by=0.5)
     assert {record["recipe"] for record in tables.chosen(tables.table_1())} == {"tuned"}
-    assert {(row[3].best, row[6].best) for row in tables.both_recipes().rows} == {
-        (False, True)
-    }  # the lower on validation
+    # The lower on validation.
+    assert {(row[3].best, row[6].best) for row in tables.both_recipes().rows} == {(False, True)}
     runs["table-1-tuned"] = tuned(TEXTURES[:3], by=1.5)
     shown = [record for record in tables.chosen(tables.table_1()) if record["method"] in ERRORS]
     assert {record["recipe"] for record in shown} == {"the paper's", "its own"}
@@ -542,9 +541,8 @@ def test_table_2_has_the_network_of_table_1_on_the_textures_that_all_variants_ha
     *_, failed, without = tables.table_2_findings().splitlines()
     assert failed == f"- Within 2 % of silence's one-step error, or above: TEN on {TEXTURES[0]}."
     assert f"Without {TEXTURES[0]}: Of 6 textures, the one-step error is below that of FoTEN on" in without
-    assert (
-        "FoTEN-D 6 (p 0.125). MAE [sd] and GFC: TEN 0.332, 61.7 %; TEN + MFCC 0.100, 90.0 %; " in without
-    )  # five of 0.7 and one of 0.2
+    # Five of 0.7 and one of 0.2.
+    assert "FoTEN-D 6 (p 0.125). MAE [sd] and GFC: TEN 0.332, 61.7 %; TEN + MFCC 0.100, 90.0 %; " in without
     runs["table-2"][0] |= {"one_step.mae_scaled": 0.3}
     order = next(line for line in others if "By one-step error" in line)
     assert (

@@ -85,9 +85,8 @@ def test_a_synthesised_window_has_the_level_of_slow_light_strokes(texture: Textu
     window = synthesised_window(linear, trace, train, texture)
     assert [len(channel) for channel in window] == [texture.window] * 3
     assert (set(window[1]), set(window[2])) == ({45.0}, {0.8})
-    assert np.sqrt(np.square(window[0]).mean()) == pytest.approx(
-        4.5, rel=0.1
-    )  # the samples near 45 mm/s vary by some mm/s
+    # The samples near 45 mm/s vary by some mm/s.
+    assert np.sqrt(np.square(window[0]).mean()) == pytest.approx(4.5, rel=0.1)
     loud = dataclasses.replace(trace, acceleration=2 * trace.acceleration)
     assert np.allclose(synthesised_window(linear, loud, train, texture)[0], 2 * window[0])
     by_force = dataclasses.replace(trace, acceleration=trace.force * trace.acceleration)
@@ -112,9 +111,8 @@ def test_runs_of_whole_blocks_begin_from_each_window_and_draw_the_same_noise(tex
     other = warm_start_runs(texture, kernel, trace, blocks, silent, seed=0)
     assert np.array_equal(runs["stored"], other["stored"])
     assert not np.allclose(runs["synthesised"][..., 0], other["synthesised"][..., 0])
-    assert np.allclose(
-        runs["synthesised"][..., -100:], other["synthesised"][..., -100:], atol=1e-6
-    )  # the resonator forgets
+    # The resonator forgets.
+    assert np.allclose(runs["synthesised"][..., -100:], other["synthesised"][..., -100:], atol=1e-6)
     assert list(warm_start_runs(texture, kernel, trace, blocks, None, seed=0)) == ["stored"]
 
 
