@@ -57,6 +57,8 @@ EQUIVALENT: dict[str, str] = {
     "2a83bf48d8": "at 0 either side of the curve begins at 0, which is its strength",
     "94b3833ae3": "of what is put before a window, no more than before is kept",
     "a04def26f8": "0 held between a number and n, and the number held between 0 and n, are the same",
+    "55c42be63e": "where two points are left, none within is",
+    "e9f8f3d417": "what is taken away is 0",
     "0711a79630": "the steady level from 1 s on differs from that from 0.5 s on by at most 0.028 dB, less than a line is wide",
     "ffb3353669": "what is zipped was found to have three entries",
 }

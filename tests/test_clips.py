@@ -51,7 +51,10 @@ def test_a_clip_is_within_full_scale_and_says_what_that_is() -> None:
     clip = clip_of(np.array([0.0, -4.0, 2.0]), 8000.0, ABOUT)
     assert (clip.full_scale, clip.drive.tolist()) == (4.0, [0.0, -1.0, 0.5])
     assert clip_of(np.array([0.0, -4.0, 2.0]), 8000.0, ABOUT, 2.0).drive.tolist() == [0.0, -1.0, 1.0]
-    assert clip_of(np.zeros(8), 8000.0, ABOUT).drive.tolist() == [0.0] * 8
+    silent = clip_of(np.zeros(8), 8000.0, ABOUT)
+    assert silent.drive.tolist() == [0.0] * 8
+    assert envelopes_of(silent).frequency[:, 1].tolist() == [0.0] * len(envelopes_of(silent).frequency)
+    assert clip_of(np.ones(2), 8000.0, ABOUT).duration_s == 2 / 8000
     with pytest.raises(ValueError, match="expected two or more"):
         clip_of(np.zeros(1), 8000.0, ABOUT)
     with pytest.raises(ValueError, match="full scale is -1"):
@@ -256,6 +259,10 @@ def test_parametric_hjif_is_a_tone_of_the_level_and_the_frequency(tmp_path: Path
     rendered = synthesized(json.loads((tmp_path / "a.hjif").read_text()))[4000:12000]
     assert np.abs(np.fft.rfft(rendered)).argmax() == pytest.approx(hertz, abs=8)  # bins of 1 Hz
     assert np.sqrt(np.square(rendered).mean()) == pytest.approx(0.5 / 2**0.5, rel=error)
+    grows = np.sign(clip.drive) * np.linspace(0.1, 1.0, clip.drive.size)  # a square, whose RMS is its peak
+    write_hjif(Clip(grows, RATE_HZ, 1.0, ABOUT), tmp_path / "a.hjif", parametric=True)
+    peaks = np.abs(synthesized(json.loads((tmp_path / "a.hjif").read_text()))).reshape(4, -1).max(axis=1)
+    np.testing.assert_allclose(peaks, [0.46, 0.78, 1, 1], atol=0.02)  # √2 of the RMS, at most 1
 
 
 @pytest.mark.parametrize("seconds", [0.005, 0.02, 0.0399, 0.05, 1.2345])
@@ -269,7 +276,7 @@ def test_android_takes_points_that_are_20_ms_to_1_s_apart(tmp_path: Path, second
     assert all(0 <= point["amplitude"] <= 1 and 30 <= point["frequency_hz"] <= 600 for point in document["envelope"])
     amplitudes, timings_ms = document["waveform"]["amplitudes"], document["waveform"]["timings_ms"]
     assert sum(timings_ms) == pytest.approx(1000 * seconds, abs=10)
-    assert len(amplitudes) == len(timings_ms)
+    assert timings_ms == [10] * len(amplitudes)
     assert all(isinstance(amplitude, int) and 0 <= amplitude <= 255 for amplitude in amplitudes)
 
 

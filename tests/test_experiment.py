@@ -18,7 +18,7 @@ from foten.experiments.figures import convergence, spectra, split, thresholds, w
 from foten.experiments.onset import onset
 from foten.experiments.results import by_recipe, read_records
 from foten.experiments.run import _result
-from foten.experiments.stability import proven, stability
+from foten.experiments.stability import into, proven, stability
 from foten.experiments.sweep import planned
 from foten.models.foten_plus.sizes import FotenPlusSizes
 from foten.models.texture_file import Texture
@@ -275,6 +275,7 @@ def test_a_texture_is_bounded_and_forgets(texture: Texture) -> None:
     assert 0 < figures["attack_later_max_sd"] <= figures["attack_bound_sd"]
     assert 0 < figures["forgets_s"] < 12
     assert figures["attack_after_db"] < 0.5
+    np.testing.assert_allclose(into(np.array([[1.0, 2.0, 3.0]]), 10.0, 20.0), [[10.0, 15.0, 20.0]])
 
 
 def test_the_proven_bound_grows_with_the_level(texture: Texture) -> None:

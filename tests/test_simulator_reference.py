@@ -12,7 +12,13 @@ import pytest
 from conftest import PLUS, SMALL, exported, sizes_with
 from foten.evaluate.evaluate import evaluate
 from foten.evaluate.listener import N_LISTENERS
-from foten.experiments.simulator_reference import VALIDATION_HAND, long_strokes, reference_for, validation_listener
+from foten.experiments.simulator_reference import (
+    VALIDATION_HAND,
+    judged_spans_s,
+    long_strokes,
+    reference_for,
+    validation_listener,
+)
 from foten.models.foten_plus.sizes import FotenPlusSizes
 from foten.models.texture_file import Texture, texture_from_bytes
 from foten.recording.preprocess import PreprocessConfig, preprocess
@@ -37,6 +43,12 @@ def linear() -> tuple[Recording, Texture]:
     recording = simulate("linear-cloth", 24.0, seed=1)
     config = TrainConfig(epochs=0, batch=64, threads=1, closed_loop_training=False, max_order=20, tones=False)
     return recording, train(TrainingJob(recording, "foten-plus", FotenPlusSizes(**PLUS), config, CUT)).texture
+
+
+def test_what_is_judged_is_read_with_half_a_second_around_it(linear: tuple[Recording, Texture]) -> None:
+    spans = judged_spans_s(*linear)
+    assert len(spans) == len(linear[1].card["split"]["test"])
+    np.testing.assert_allclose(np.diff(spans).ravel(), 0.5 + 1.0 + 0.5)
 
 
 def test_a_linear_process_is_predicted_at_its_bound_and_synthesized_at_its_ceiling(
