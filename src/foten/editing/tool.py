@@ -91,7 +91,7 @@ def fitted_transfer(first: list[Trace], second: list[Trace], names: tuple[str, s
         ValueError: the traces differ in number or rate, or share no speed and force.
     """
     if len(first) != len(second):
-        raise ValueError(f"{len(first)} recordings of one tool, {len(second)} of the other, expected as many")
+        raise ValueError(f"{len(first)} recordings of one tool and {len(second)} of the other, expected as many")
     rates = {trace.rate_hz for trace in (*first, *second)}
     if len(rates) != 1:
         raise ValueError(f"recordings are at {', '.join(f'{rate:g}' for rate in sorted(rates))} Hz, expected one rate")
