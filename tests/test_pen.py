@@ -101,9 +101,7 @@ def test_what_is_not_of_one_stroke_is_refused() -> None:
     events, sound = captured()
     with pytest.raises(ValueError, match=r"\d of 6 taps are in the sound, expected 4 or more"):
         joined(events, 0.01 * np.random.default_rng(1).standard_normal(sound.size), RATE_HZ)
-    few = PenEvents(
-        *(values[events.times_s < 1.5] for values in (events.times_s, events.x_mm, events.y_mm, events.pressure))
-    )
+    few = PenEvents(*(values[events.times_s < 1.5] for values in vars(events).values()))
     with pytest.raises(ValueError, match="the pen tapped 2 times, expected 3 or more"):
         joined(few, sound, RATE_HZ)
     late = PenEvents(events.times_s + 1e9 * (events.times_s > 16), events.x_mm, events.y_mm, events.pressure)
@@ -209,8 +207,7 @@ def test_sound_that_was_lost_is_said(tmp_path: Path) -> None:
 def test_a_stroke_ends_where_a_tablet_says_nothing_for_long() -> None:
     events, sound = captured()
     t = events.times_s
-    recorded = ~((t > 5.0) & (t < 5.4))
-    fewer = PenEvents(*(values[recorded] for values in (t, events.x_mm, events.y_mm, events.pressure)))
+    fewer = PenEvents(*(values[~((t > 5.0) & (t < 5.4))] for values in vars(events).values()))
     channels = pen_channels(fewer, joined(fewer, sound, RATE_HZ), lambda pressure: 2.0 * pressure)
     force = channels["force"]
     assert np.interp(5.2 + 0.08, force.times, force.samples) == 0.0
