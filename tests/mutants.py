@@ -299,9 +299,7 @@ MUTANTS = (
         ("the force of a pressure begins without contact", "PressureCalibration.force", "Compare", "it.left >= 0"),
         ("Eq. 12 has another steepness", "PressureCalibration.b", "Constant", "3.0", "stylus native"),
     ),
-    *of_python(
-        "runtime/live/live.py", ("a ring that runs empty ends in a step", "Ring._fade", "Call min 1", "0"), tests="live"
-    ),
+    *of_python("runtime/live/live.py", ("an empty ring ends in a step", "Ring._fade", "Call min 1", "0"), tests="live"),
     *of_python(
         "training/calibration.py",
         ("no level is calibrated", "calibrate_excitation", "Call calibrate_level", "it.args[1], [0.0, 0.0, 0.0]"),
@@ -367,9 +365,7 @@ MUTANTS = (
         ("a checkpoint forgets the loops before", "Checkpoint.save", "Attribute _loops 1", "{name: it[name]}"),
         ("a full disk ends a training", "Checkpoint.save", "Name OSError", "ZeroDivisionError"),
     ),
-    *of_python(
-        "training/loop.py", ("matrices are not orthogonalised", "Optimiser.step", "Call orthogonalised", "it.args[0]")
-    ),
+    *of_python("training/loop.py", ("no orthogonalisation", "Optimiser.step", "Call orthogonalised", "it.args[0]")),
     *of_python(
         "models/foten_plus/closed_loop_training.py",
         ("what is at rest counts for the likeness", "_statistics", "Call float", "torch.ones_like(it)"),
@@ -417,9 +413,7 @@ MUTANTS = (
         ("local models' order is chosen on test blocks", "_validation_error", "Attribute validation", "it.value.test"),
         tests="piecewise_ar_fit",
     ),
-    *of_python(
-        "models/model_sizes.py", ("a window may be of any length", "MAX_WINDOW", "Constant", "51200"), tests="cli"
-    ),
+    *of_python("models/model_sizes.py", ("a window of any length", "MAX_WINDOW", "Constant", "51200"), tests="cli"),
     *of_python("models/texture_file.py", ("a speed in m/s is taken as mm/s", "_check_units", "Compare NotIn", "False")),
     *of_python(
         "recording/windows.py",
@@ -454,9 +448,7 @@ MUTANTS = (
         ("a linear predictor's free run forgets its constant", "synthesize_linear", "BinOp Add 0", "it.right"),
         ("the nearest block is that of unscaled speed and force", "nearest_training_blocks", "BinOp Div", "it.left"),
     ),
-    *of_python(
-        "evaluate/warm_start.py", ("the level is by unscaled speed", "synthesised_window", "BinOp Div 0", "it.left")
-    ),
+    *of_python("evaluate/warm_start.py", ("levels by unscaled speed", "synthesised_window", "BinOp Div 0", "it.left")),
     *of_python(
         "simulation/contact_mechanics.py",
         ("pieces fade the wrong way", "joined_pieces", "BinOp Div", "1 - it"),
@@ -524,9 +516,7 @@ MUTANTS = (
         ("the level is held from the first sample on", "_followed", "Name HOLD_S", "held if i else HOLD_S"),
         tests="clips",
     ),
-    *of_python(
-        "export/hjif.py", ("an RMS is written as an amplitude", "_chirp", "BinOp Mult 1", "it.right"), tests="clips"
-    ),
+    *of_python("export/hjif.py", ("an RMS as an amplitude", "_chirp", "BinOp Mult 1", "it.right"), tests="clips"),
     *of_python(
         "experiments/simulator_reference.py",
         ("what is chosen by is what is reported", "VALIDATION_HAND", "Constant", "1"),
@@ -542,8 +532,6 @@ MUTANTS = (
         ("a terminal is given a name as it is", "_shown_lines", "Call shown", "it.args[0]"),
         tests="hostile",
     ),
-    *of_python(
-        "untrusted.py", ("a terminal is given a name of any length", "shown", "Compare LtE", "True"), tests="hostile"
-    ),
+    *of_python("untrusted.py", ("a name of any length", "shown", "Compare LtE", "True"), tests="hostile"),
 )
 """Those that an audit made and the tests of then let pass, and others of the same kind."""

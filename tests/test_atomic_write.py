@@ -32,6 +32,8 @@ def test_what_stood_there_stays_when_writing_fails(tmp_path: Path) -> None:
 
     with pytest.raises(KeyboardInterrupt):
         interrupted()
+    with pytest.raises(KeyError), atomic_write(path):  # before a byte is written
+        raise KeyError
     assert path.read_text() == "old"
     assert list(tmp_path.iterdir()) == [path]
 

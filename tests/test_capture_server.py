@@ -186,9 +186,7 @@ def test_a_capture_says_how_many_events_came_late_and_is_refused_where_these_are
     times = np.loadtxt(folder / "pen.csv", delimiter=",", skiprows=1)[:, 0]
     assert times.size == 990
     assert (np.diff(times) > 0).all()
-    with pytest.raises(
-        RefusedError, match="not in the order of their times: 11 of 1000 came late, expected 1 % at most"
-    ):
+    with pytest.raises(RefusedError, match="11 of 1000 came late, expected 1 % at most"):
         with_late_events(1000, 11).write(tmp_path)
     capture = with_late_events(100, 0)
     with pytest.raises(RefusedError, match="longer than 300 s"):

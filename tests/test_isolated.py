@@ -5,6 +5,7 @@ import re
 import sys
 import threading
 import zipfile
+from contextlib import nullcontext
 from pathlib import Path
 
 import h5py
@@ -29,6 +30,7 @@ from foten.recording.recording import Channel, Recording
 from foten.runtime.actuator import read_profile
 from foten.runtime.renderer import Renderer
 from foten.study.design import read_design
+from foten.untrusted import check_numbers, max_content, parse_json, read_whole, shown, too_much
 
 FORCE = np.linspace(0, 3, 400)
 
@@ -189,6 +191,36 @@ def test_groups_that_hold_each_other_end(tmp_path: Path) -> None:
         inner = file.create_group("a/b")
         inner["top"], inner["again"] = file["/"], file["force"]
     assert [column.name for column in read_hdf5(tmp_path / "a.h5")] == ["a/b/again"]
+
+
+def test_a_file_is_read_up_to_its_bound_and_beyond_where_that_is_raised(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (path := tmp_path / "a").touch()
+    for size, expected in ((1 << 27, None), ((1 << 27) + 1, r"134.2 at most; FOTEN_MAX_MB=135 reads")):
+        os.truncate(path, size)
+        with pytest.raises(ValueError, match=expected) if expected else nullcontext():
+            assert len(read_whole(path)) == size
+    with pytest.raises(ValueError, match="is a folder"):
+        read_whole(tmp_path)
+    os.truncate(path, 2_500_000)
+    assert max_content(path) == (64 << 20) + 32 * 2_500_000
+    for raised, is_read in (("2", False), ("3", True), ("123456789", True)):
+        monkeypatch.setenv("FOTEN_MAX_MB", raised)
+        with nullcontext() if is_read else pytest.raises(ValueError, match=r"has 2\.5 MB"):
+            read_whole(path, 1000)
+    assert too_much(800_000_000, 64_000_000).endswith("FOTEN_MAX_MB=801 reads it all the same")
+
+
+def test_what_is_deep_long_or_large_is_refused_from_its_bound_on() -> None:
+    assert parse_json("[" * 64 + "]" * 64)
+    with pytest.raises(ValueError, match="nested more than 64 deep"):
+        parse_json("[" * 65 + "]" * 65)
+    assert shown("x" * 2000) == "x" * 2000
+    assert shown("x" * 2001) == "x" * 2000 + " …"
+    check_numbers(2**63 - 1, "a")
+    with pytest.raises(ValueError, match="a holds a number"):
+        check_numbers([-(2**63)], "a")
 
 
 def test_a_pipe_is_no_file(tmp_path: Path) -> None:

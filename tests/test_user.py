@@ -306,9 +306,7 @@ def test_another_actuator_or_user_needs_another_file(tmp_path: Path, capsys: pyt
     me, coil = str(tmp_path / "me.json"), str(tmp_path / "coil.json")
     write_user(UserProfile("Ada", "coil", "m/s²"), Path(me))
     assert _status(["adapt", "-o", me]) == 2
-    assert (
-        "was measured with the actuator coil: continue in the same way, or give another -o" in capsys.readouterr().err
-    )
+    assert "with the actuator coil: continue in the same way, or give another -o" in capsys.readouterr().err
     write_profile(ActuatorProfile("coil", gain=3.0, limit=2.0), Path(coil))
     assert _status(["adapt", "-o", me, "--actuator", coil]) == 2
     assert "with the actuator coil, whose profile was different then" in capsys.readouterr().err
