@@ -221,6 +221,10 @@ def test_no_order_is_longer_than_what_every_method_is_spared() -> None:
     assert fitted is not None
     assert fitted.window <= first_scored(100) == 50
     assert (first_scored(30), first_scored(2000)) == (20, 320)
+    taps[32], taps[-1] = 0.45, 0.0  # an order of 40 is as long as that of blocks of 80
+    fitted = best_linear(process(taps, 20)[:1600], tuple(range(14)), tuple(range(14, 20)), 80)
+    assert fitted is not None
+    assert fitted.window == first_scored(80) == 40
 
 
 def test_an_unstable_fit_is_made_stable_for_the_closed_loop() -> None:
