@@ -59,6 +59,7 @@ EQUIVALENT: dict[str, str] = {
     "a04def26f8": "0 held between a number and n, and the number held between 0 and n, are the same",
     "55c42be63e": "where two points are left, none within is",
     "f798188bd7": "points that span no area are taken out before",
+    "987b9fc32d": "a factor of all levels is in no gain between them",
     "e9f8f3d417": "what is taken away is 0",
     "0711a79630": "the steady level from 1 s on differs from that from 0.5 s on by at most 0.028 dB, less than a line is wide",
     "ffb3353669": "what is zipped was found to have three entries",

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import dataclasses
+import hashlib
 import json
 import time
 from pathlib import Path
@@ -10,13 +11,13 @@ import pytest
 from scipy.signal import butter, sosfiltfilt, welch
 
 from foten.recording.recording import AXES, Recording
+from foten.simulation import stroking as stroking_module
+from foten.simulation.contact_mechanics import CONTACT
+from foten.simulation.linear_family import LINEAR_FAMILY, OTHER_LINEAR
 from foten.simulation.simulate import (
-    CONTACT,
     GRID_MM,
-    LINEAR_FAMILY,
-    OTHER_LINEAR,
     TEXTURES,
-    TWO_MASS,
+    VERSION,
     _roughness,
     second_realisation,
     sensor_channels,
@@ -24,8 +25,20 @@ from foten.simulation.simulate import (
     vibration,
 )
 from foten.simulation.stroking import Stroking, stepped_stroking, stroking
+from foten.simulation.two_mass_contact import TWO_MASS
 
 GRAVITY = 9.81
+
+
+def test_parameters_are_those_of_the_version() -> None:
+    """All results are of these surfaces and strokes: other ones need another `VERSION`."""
+    families = [LINEAR_FAMILY, OTHER_LINEAR, TEXTURES, CONTACT, TWO_MASS]
+    tables: list[object] = [
+        {key: dataclasses.asdict(surface) for key, surface in family.items()} for family in families
+    ]
+    tables.append({name: value for name, value in vars(stroking_module).items() if name.isupper()})
+    text = json.dumps(tables, sort_keys=True, default=lambda array: np.round(array, 6).tolist())
+    assert (VERSION, hashlib.sha256(text.encode()).hexdigest()[:12]) == (2, "933e6fed086a")
 
 
 def steady(speed: float, force: float, seconds: float = 8.0) -> Stroking:

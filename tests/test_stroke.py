@@ -37,6 +37,7 @@ def test_conditioning_keeps_a_constant_and_slows_a_step() -> None:
     speed, force = constant_stroke(80.0, 1.2, 0.3, 1000.0).conditioned(20.0)
     assert speed == pytest.approx(80.0, rel=1e-9)
     assert force == pytest.approx(1.2, rel=1e-9)
+    assert constant_stroke(80.0, 1.2, 0.001, 1000.0).force.shape == (1,)
     stroke = constant_stroke(80.0, 1.2, 0.3, 1000.0)
     stroke.velocity[0, :100] = 0.0
     speed, _ = stroke.conditioned(20.0)
@@ -73,7 +74,7 @@ T = np.arange(0.0, 1.0, 0.01)
             ["force peaks at 49.5, expected N up to about 10; was it given in mN or gf? It is taken as N"],
         ),
         (
-            {"t": T, "x": 0.05 * T, "y": 0.1 * T, "pressure": T},
+            {"t": T, "x": 0.05 * T, "y": 0.1 * T, "pressure": T / T[-1]},
             ["position moves by 0.099, expected mm, tens to hundreds; was it given in m? It is taken as mm"],
         ),
         (
