@@ -1,4 +1,7 @@
-"""The server's side of a capture: what it takes, what it refuses, what it keeps, and that a texture comes of it."""
+"""The server's side of a capture: what it takes, what it refuses, what it keeps, and that a texture comes of it.
+
+It is learned by a subprocess, `foten.training.train_capture`.
+"""
 
 from __future__ import annotations
 
