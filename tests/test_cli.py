@@ -296,9 +296,7 @@ def test_every_training_says_the_problems_of_its_recording(recording: Path, tmp_
 
 def test_the_windows_in_the_help_are_those_of_the_models() -> None:
     text = TrainOptions.__dataclass_fields__["window"].default.show_default
-    said = {
-        key: int(n) for keys, _, n in (part.partition(": ") for part in text.split("; ")) for key in keys.split(", ")
-    }
+    said = {key: int(n) for keys, _, n in (p.partition(": ") for p in text.split("; ")) for key in keys.split(", ")}
     assert said == {key: sizes().window for key, sizes in TRAINABLE.items() if key != "ar"}
 
 
@@ -407,7 +405,7 @@ RENDER = ("render", "{tex}", "-o", "{out}.wav", "--speed", "1", "--force", "1")
         ([*RENDER, "--seconds", "1", "--audible", "{out}.mp3"], "sound is written as .wav"),
         ([*RENDER, "--seconds", "1", "-o", "{out}/x.csv"], "there is no folder"),
         (["render", "{pickle}", *RENDER[2:], "--seconds", "1"], "pickle"),
-        (["info", "{rec}"], "this is HDF5, as recordings are, expected a texture (.foten)"),
+        (["info", "{rec}"], "this is HDF5, as recordings are, expected a texture file"),
         (["info", "{missing}"], "no such file"),
         (["simulate", "towel", "-o", "{out}.csv"], "written as .h5"),
         (["simulate", "towel", "-o", "{out}/x.h5"], "there is no folder"),

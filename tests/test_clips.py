@@ -413,9 +413,7 @@ def test_onnx_is_checked_and_predicts_what_the_kernel_does(tmp_path: Path) -> No
 def test_a_site_is_the_page_with_the_texture_and_without_a_server(tmp_path: Path) -> None:
     assert ran("--to", "web", "-o", tmp_path / "site") == 0
     site = tmp_path / "site"
-    assert {"index.html", "studio.js", "worklet.js", "foten.mjs", "foten.wasm"} <= {
-        path.name for path in site.iterdir()
-    }
+    assert {"index.html", "studio.js", "worklet.js", "foten.mjs", "foten.wasm"} <= {p.name for p in site.iterdir()}
     listed = json.loads((site / "textures.json").read_text())
     assert listed["server"] is False
     (one,) = listed["textures"]

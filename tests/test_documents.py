@@ -95,9 +95,7 @@ LONG = ("capture", "recordings", "study", "tool", "user")
 
 def runnable(page: Path, slow: bool) -> list[Block]:
     """Commands of a page without its slow ones, or all of them where it has slow ones."""
-    some = [
-        block for block in blocks(page) if block.language in ("sh", "python") and not block.about.startswith("not run")
-    ]
+    some = [b for b in blocks(page) if b.language in ("sh", "python") and not b.about.startswith("not run")]
     quick = [block for block in some if block.about != "slow"]
     return quick if not slow else some if len(some) > len(quick) else []
 

@@ -39,9 +39,8 @@ def test_ours_are_read_and_as_large_as_they_say(name: str) -> None:
     runs = read_experiment(experiment_path(name)).runs()
     assert len(runs) == n[name]
     paper = [run for run in runs if run.model == "foten" and name in ("table-1", "table-2")]
-    assert all(
-        (run.train["batch"], run.train["epochs"], run.train["learning_rate"]) == (16, 100, 1e-3) for run in paper
-    )
+    assert all((r.train["batch"], r.train["epochs"], r.train["learning_rate"]) == (16, 100, 1e-3) for r in paper)
+    assert {len(run.configuration) for run in runs} == {16}
     windows = {run.sizes["window"] for run in runs if run.model == "foten"}
     assert windows == ({5, 10, 15, 20, 25, 30} if name == "figure-5" else {20})
 

@@ -253,9 +253,7 @@ def test_two_halves_of_a_recording_are_not_paired_by_moment(monkeypatch: pytest.
     """They are two strokes, also where they are as long as one another; a rendering is under the recorded one."""
     monkeypatch.setattr("foten.evaluate.listener.MIN_LISTENED_S", 20.0)
     paired: list[bool] = []
-    monkeypatch.setattr(
-        networks, "listener_auc", lambda *two, seed, same_stroke=True: paired.append(same_stroke) or 0.5
-    )
+    monkeypatch.setattr(networks, "listener_auc", lambda *_, seed, same_stroke=True: paired.append(same_stroke) or 0.5)
     listener_scores(stroke(hiss(1), 30), lambda seed: hiss(20 + seed))
     assert paired == [True, False] * 9
     paired.clear()

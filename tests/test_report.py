@@ -267,9 +267,7 @@ def test_the_figures_draw_what_was_scored(judged):
         assert np.sqrt(np.square(ratio).mean()) == pytest.approx(judged.document[name]["lsd_long_db"])
         assert signals.level_errors(judged, name).mean() == pytest.approx(judged.document[name]["level_bias_db"])
     axes = plots.bands(judged).axes[0]
-    errors = [
-        error for name in ("free_run", "free_run_ar", "ceiling") for error in judged.document[name]["band_errors_db"]
-    ]
+    errors = [x for name in ("free_run", "free_run_ar", "ceiling") for x in judged.document[name]["band_errors_db"]]
     assert [bar.get_height() for bar in axes.patches] == pytest.approx(errors)
     (line, _), *_ = (axes.lines for axes in plots.waveform(judged).axes)
     block = judged.blocks[signals.typical_block(judged)]

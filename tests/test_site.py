@@ -579,15 +579,11 @@ def test_few_textures_may_carry_a_mean_of_ratios(tables: ModuleType, runs: Runs)
 
 
 def test_a_silent_run_is_counted_by_either_recipe(tables: ModuleType, runs: Runs) -> None:
-    figures = {
-        name: 1.25 for name in ("free_run.level_error_db", "free_run_ar.level_error_db", "ceiling.level_error_db")
-    }
+    figures = dict.fromkeys(("free_run.level_error_db", "free_run_ar.level_error_db", "ceiling.level_error_db"), 1.25)
     figures |= {"free_run_deterministic.level_error_db": 9.0}
     levels = dict(zip(TEXTURES, [-20.1, -20.0, -41.0, *[-1.0] * 9], strict=True))
     for name, of, by in (("table-1", of_systems, 1.0), ("table-1-tuned", tuned, 0.5)):
-        runs[name] = [
-            one | {"warm_start.stored.level_db": by * levels[one["texture"]]} for one in of(TEXTURES, **figures)
-        ]
+        runs[name] = [r | {"warm_start.stored.level_db": by * levels[r["texture"]]} for r in of(TEXTURES, **figures)]
     assert "on 1 of 12 simulated textures by its tuned recipe, on 2 by the paper's" in tables.levels()
     assert "FoTEN, tuned, 9.0; AR(20), whose noise is constant, 1.2; " in tables.levels()
 

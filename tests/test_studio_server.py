@@ -36,7 +36,7 @@ from foten.runtime.actuator import ActuatorProfile
 from foten.runtime.live import devices
 from foten.runtime.renderer import EXAMPLE
 from foten.runtime.stylus import PressureCalibration
-from foten.studio import studio_server
+from foten.studio import studio_server, web_server
 from foten.studio.access import LOOPBACK, Access
 from foten.studio.live_contact import Contact
 from foten.studio.page_files import page_files
@@ -315,6 +315,16 @@ def closed_after(connections: list[socket.socket], patience_s: float) -> float:
         except ConnectionError:
             pass
     return time.monotonic() - begin
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="has no limit of open files")
+@pytest.mark.parametrize(
+    ("allowed", "limit", "n"), [(1024, -1, 4096), (-1, -1, 4096), (1024, 2048, 2048), (5000, -1, 5000)]
+)
+def test_files_are_allowed_up_to_the_limit(monkeypatch: pytest.MonkeyPatch, allowed: int, limit: int, n: int) -> None:
+    monkeypatch.setattr("resource.getrlimit", lambda _: (allowed, limit))  # -1: without end
+    monkeypatch.setattr("resource.setrlimit", lambda *_: None)
+    assert web_server._allowed_files() == n
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="has no limit of open files")

@@ -34,6 +34,7 @@ import pytest
 from scipy import stats
 from scipy.special import expit, ndtr, ndtri
 
+from foten.study import choices
 from foten.study.choices import Sensitivity, Strengths, abx, abx_share, bradley_terry, d_prime_at, oddity, oddity_share
 from foten.study.statistics import Array
 
@@ -69,6 +70,12 @@ STRENGTHS = {
         114.9,
     ),
 }
+
+
+def test_shares_of_all_right_or_none_are_half_an_answer_from_the_end() -> None:
+    for n_right, share in ((0.0, 0.1), (2.0, 0.5), (4.0, 0.9)):
+        right, trials = np.full((2, 1), n_right), np.full((2, 1), 4.0)
+        assert choices._unbiased_share(np.ones((1, 1)), right, trials)[0] == pytest.approx(share)
 
 
 @pytest.mark.parametrize("shape", STRENGTHS, ids=str)

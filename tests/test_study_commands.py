@@ -6,6 +6,7 @@ import contextlib
 import csv
 import io
 import json
+import re
 import signal
 import subprocess
 import sys
@@ -52,6 +53,7 @@ def test_from_texture_files_to_a_report_without_anyone(tmp_path: Path) -> None:
     assert "the file is intact" in status
     said = foten("analyze", database, "-o", results, "--reference", "dstn")
     assert "The highest mean is that of dstn." in said
+    assert re.search(r"Mean similarity: ar \d+\.\d\d ± \d+\.\d\d, dstn \d", said)
     assert "simulated raters rated 2 methods on 3 textures" in said
     page = (results / "report.html").read_text(encoding="utf-8")
     assert "Simulated ratings: of a model of raters, and not of people." in page
@@ -141,10 +143,8 @@ def test_a_study_that_runs_ends_cleanly_and_goes_on(tmp_path: Path) -> None:
             assert len(store.ordered()) == 3 + 2  # and some for those who leave
             if n_before == 0:
                 store.join("ABCDE")
-                refused = subprocess.run(
-                    [*STUDY, "run", study], capture_output=True, text=True, check=False, timeout=60
-                )
-                assert "is in use: end the 'foten study run' of it" in refused.stderr
+                done = subprocess.run([*STUDY, "run", study], capture_output=True, text=True, check=False, timeout=60)
+                assert "is in use: end the 'foten study run' of it" in done.stderr
                 assert "is in use" in foten("forget", database, "--participant", "1", "--yes", ok=False)
         assert operator.startswith(f"{participants}operator?key=")
         assert participants.startswith("http://127.0.0.1:")

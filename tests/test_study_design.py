@@ -33,6 +33,9 @@ def study(tmp_path: Path) -> Path:
 
 
 def test_a_new_study_file_reads_back(study: Path) -> None:
+    path = study.with_name("least.toml")
+    path.write_text(study_text("Two trials", {"mesh": FILES["mesh"]}, 1, 0), encoding="utf-8")
+    assert read_design(path)[0].n_trials == 2
     design, text = read_design(study)
     assert design.title == "A “quoted” title \\ with\nlines"
     assert (design.participants, design.seed, design.order, design.n_trials) == (12, 3, "balanced", 4)

@@ -386,6 +386,10 @@ def test_what_no_page_sends_is_refused_in_a_line(tmp_path: Path) -> None:
                 assert refused.startswith("Please enter a number: How old are you?")
                 assert refused.endswith("(0–120)") == (age in ("-5", "121"))
             assert "refused" not in page.done(answers={"age": "0"})
+        with client.websocket_connect(f"{WS}/session") as socket:
+            for _ in range(21):
+                socket.send_text('{"do": "join", "code": "ZZZZZ"}')
+            assert [socket.receive().get("code") for _ in range(22)][-1] == 1008
 
 
 @pytest.mark.parametrize(

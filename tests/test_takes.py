@@ -110,9 +110,7 @@ def test_an_inspection_is_of_all_takes_and_names_one(takes: Recording) -> None:
     assert any(re.match(r"take 1 \(a.csv\): .*spike", finding.text) for finding in inspection.problems)
     alone = [inspect_recording(one).coverage for one in takes.takes]
     assert inspection.coverage is not None
-    assert inspection.coverage.seconds.sum() == pytest.approx(
-        sum(one.seconds.sum() for one in alone if one is not None)
-    )
+    assert inspection.coverage.seconds.sum() == pytest.approx(sum(one.seconds.sum() for one in alone if one))
     assert inspection.to_text().startswith("3 takes of 3 to 4.3 s\n")
 
 

@@ -20,9 +20,7 @@ LBF_N = 4.4482216152605  # exact: 0.45359237 kg × 9.80665 m/s²
 
 def test_the_help_names_units_that_are_read():
     message = inspect.signature(import_).parameters["units"].default.help
-    named = dict(
-        part.strip().split(" ", 1) for part in message.split("of the file:")[1].split(". CHANNEL")[0].split(";")
-    )
+    named = dict(p.strip().split(" ", 1) for p in message.split("of the file:")[1].split(". CHANNEL")[0].split(";"))
     assert set(named) == set(FACTORS)
     for quantity, units in named.items():
         assert {unit.strip() for unit in units.split(",")} <= set(FACTORS[quantity])

@@ -191,7 +191,7 @@ def texture_from_bytes(data: bytes) -> Texture:
     from safetensors.numpy import load
 
     if data[:8] == b"\x89HDF\r\n\x1a\n":
-        raise ValueError("this is HDF5, as recordings are, expected a texture (.foten); are two arguments swapped?")
+        raise ValueError("this is HDF5, as recordings are, expected a texture file; are two arguments swapped?")
     if len(data) < 9:
         raise ValueError(f"the file has {len(data)} bytes, expected a texture file; is it truncated?")
     # A header's length may begin as a pickle does; the brace after it tells them apart.

@@ -26,7 +26,7 @@ from foten.studio.messages import (
     parse_message,
 )
 
-MAX_REFUSED = 1000  # messages of a page, after which it is sent away
+MAX_REFUSED, MAX_REFUSED_BEFORE = 1000, 20  # messages of a page, after which it is sent away; of one without a place
 MAX_MESSAGES_PER_S = 1200.0  # a pen has at most a thousand events a second
 MAX_WAITING_BLOCKS = 64  # for a page that does not take them; the oldest go
 MAX_WAITING_TEXTS = 200  # and messages, of which none may be left out: the page is sent away, and may come back
@@ -118,8 +118,8 @@ class PageSocket:
                 if received["type"] == "websocket.disconnect":
                     return
                 await self._take(received)
-                if self.n_refused > MAX_REFUSED:
-                    self.end(1008, f"{MAX_REFUSED} messages were refused")
+                if self.n_refused > (most := MAX_REFUSED if self.rank == STAYS else MAX_REFUSED_BEFORE):
+                    self.end(1008, f"{most} messages were refused")
             await asyncio.wait(tasks[:1], timeout=GOODBYE_S)
         except (WebSocketDisconnect, TimeoutError):  # it is gone, or does not take that it is sent away
             pass
