@@ -206,8 +206,8 @@ class ParticipantPage(PageSocket):
         session = self._session
         if session is None:
             return
-        await session.begin_showing()
         self.say({"step": session.shown()})
+        await session.begin_showing()
 
 
 def is_missed(data: bytes) -> bool:
