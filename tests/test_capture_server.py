@@ -1,7 +1,4 @@
-"""The server's side of a capture: what it takes, what it refuses, what it keeps, and that a texture comes of it.
-
-It is learned by a subprocess, `foten.training.train_capture`.
-"""
+"""The server's side of a capture: what it takes and keeps; a subprocess, `foten.training.train_capture`, learns of it."""
 
 from __future__ import annotations
 

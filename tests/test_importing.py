@@ -296,6 +296,7 @@ def test_irregular_times_are_kept(tmp_path):
 
 def test_times_that_begin_late_and_are_rounded_have_the_rate_of_their_clock():
     assert rate_of(np.round(100 + np.arange(3000) / 750, 3)) == 750
+    assert np.isfinite(rate_of(np.array([0.0, 5e-324, 1e-323])))
 
 
 @pytest.mark.parametrize(

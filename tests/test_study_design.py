@@ -32,7 +32,7 @@ def study(tmp_path: Path) -> Path:
     return path
 
 
-def test_a_new_study_file_reads_back(study: Path) -> None:
+def test_a_new_study_file_reads_back(study: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = study.with_name("least.toml")
     path.write_text(study_text("Two trials", {"mesh": FILES["mesh"]}, 1, 0), encoding="utf-8")
     assert read_design(path)[0].n_trials == 2
@@ -46,6 +46,10 @@ def test_a_new_study_file_reads_back(study: Path) -> None:
     assert [texture.name for texture in design.textures] == ["Mesh", "My towel"]
     assert [(q.private, q.at) for q in design.questions] == 4 * [(True, "start")] + [(False, "end")]
     assert text == study.read_text(encoding="utf-8")
+    for name, most in (("MAX_FILES", 3), ("MAX_ALL_TRIALS", 47)):  # of which it has 4 and 48
+        monkeypatch.setattr(f"foten.study.design.{name}", most)
+        with pytest.raises(ValueError, match=f"expected [12] to {most}"):
+            read_design(study)
 
 
 BAD = [

@@ -99,10 +99,11 @@ def rises(column: Column) -> bool:
 
 def rate_of(times: Array) -> float:
     """Rate of regular times, whole where their rounding allows it; else 1 / median step."""
-    even = min((times.size - 1) / (times[-1] - times[0]), np.finfo(float).max)  # of steps that hardly are any
-    slack = 2 * _last_digit(times) / (times[-1] - times[0]) + 1e-9
+    span = max(float(times[-1] - times[0]), 1e-290)  # so that no rate is beyond a float64
+    even = (times.size - 1) / span
+    slack = 2 * _last_digit(times) / span + 1e-9
     if irregular(times - times[0], even):
-        even = 1 / float(np.median(np.diff(times)))
+        even = 1 / max(float(np.median(np.diff(times))), 1e-290)
         slack = 1e-6
     return float(round(even)) if round(even) and abs(round(even) / even - 1) <= slack else float(even)
 
