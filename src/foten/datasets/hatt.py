@@ -18,7 +18,7 @@ from foten.dsp import Array
 from foten.untrusted import read_whole
 
 MAX_FILE_BYTES = 2_000_000  # the toolkit's have 100,000
-MAX_MODELS, MAX_NUMBER = 1000, 1e12
+MAX_MODELS, MAX_NUMBER = 1000, 1e12  # of a file, and of any figure in it
 UNITS = {"AccelUnits": "m/s^2", "SpeedUnits": "mm/s", "ForceUnits": "N"}
 
 
