@@ -198,14 +198,7 @@ def local_models(sizes: PiecewiseArSizes) -> LocalModels:
 def exported(
     model: str, sizes: ModelSizes | None = None, tensors: dict[str, np.ndarray] | None = None, **card: Any
 ) -> Texture:
-    """An untrained network, or local models that nobody fitted, as a proved texture.
-
-    Args:
-        model: its key.
-        sizes: the family's own by default.
-        tensors: in place of some of its tensors.
-        card: in place of some entries of `CARD`.
-    """
+    """An untrained network, or local models that nobody fitted, as a proved texture; tensors and card replace some of its own."""
     from foten.models.definitions import model_of
     from foten.models.piecewise_ar.local_models import local_texture
     from foten.runtime.proof import proved

@@ -20,19 +20,12 @@ KERNEL = "loops native rendering reference"
 
 @dataclass(frozen=True)
 class Mutant:
-    """One change.
+    """One change."""
 
-    Attributes:
-        what: is wrong then.
-        path: of the file, from the root of the repository.
-        change: from the file's text to the wrong one, or ValueError where the place is not there, or not unique.
-        tests: files of tests, of which one fails.
-    """
-
-    what: str
-    path: str
-    change: Callable[[str], str]
-    tests: tuple[str, ...]
+    what: str  # is wrong then
+    path: str  # of the file, from the root of the repository
+    change: Callable[[str], str]  # of its text; ValueError where the place is not there, or not unique
+    tests: tuple[str, ...]  # files, of which one fails
 
 
 def files_of(tests: str) -> tuple[str, ...]:

@@ -115,6 +115,11 @@ def test_no_edge_of_a_picture_is_felt(tiles: bool) -> None:
     ramp = np.tile(np.linspace(0, 1, 200), (40, 1))
     steps = np.abs(np.diff(np.append(line := profile_along(ramp, SCALE, tiles, 100.0), line[0])))
     assert (steps.max() > 0.1) == tiles
+    twice = np.concatenate([ramp := ramp[:, :80] ** 3, ramp[:, ::-1]], axis=1)
+    mirrored = profile_along(np.concatenate([twice, twice[::-1]]), SCALE, True, 100.0)
+    np.testing.assert_allclose(profile_along(ramp, SCALE, False, 100.0), mirrored, atol=1e-12)
+    with pytest.raises(ValueError, match="the picture is 40001 mm wide, expected 40000 at most"):
+        profile_along(twice, 40001 / twice.shape[1], True)
 
 
 def test_pictures_of_many_kinds_are_read(tmp_path: Path) -> None:
@@ -136,7 +141,7 @@ def test_a_picture_that_pillow_thinks_too_large_is_refused_in_a_line(
     monkeypatch.setattr(Image, "MAX_IMAGE_PIXELS", 64 * 64 - 1)
     assert read_picture(tmp_path / "map.png").shape == (64, 64)
     monkeypatch.setattr(Image, "MAX_IMAGE_PIXELS", 64 * 64 // 2 - 1)
-    with pytest.raises(ValueError, match=r"map.png has too many pixels, expected 100 million at most"):
+    with pytest.raises(ValueError, match=r"map.png has too many pixels, expected 17 million at most"):
         read_picture(tmp_path / "map.png")
 
 
@@ -164,7 +169,8 @@ def test_a_photo_proposes_a_period_or_none() -> None:
             "--scale is 20 mm per pixel, expected 0.001 to 5; was it given in pixels per mm?",
         ),
         (["flat.png", "--scale", "0.05", "--depth", "0"], "--depth is 0 mm, expected more than 0 and 10 at most"),
-        (["tiny.png", "--scale", "0.05"], "tiny.png has 4 × 4 pixels, expected 8 × 8 to 100 million"),
+        (["tiny.png", "--scale", "0.05"], "tiny.png has 4 × 4 pixels, expected 8 × 8 to 17 million"),
+        (["wide.png", "--scale", "0.05"], "wide.png has 1700001 × 10 pixels, expected 17 million"),
         (["bad.png", "--scale", "0.05"], "bad.png is truncated or is no picture"),
         (["bad.obj", "--scale", "0.05"], "bad.obj is no picture, expected one of .png"),
         (["none.png", "--scale", "0.05"], "none.png"),
@@ -176,6 +182,7 @@ def test_what_cannot_be_is_refused_in_a_line(
 ) -> None:
     Image.fromarray(np.full((32, 32), 77, dtype=np.uint8)).save(tmp_path / "flat.png")
     Image.fromarray(np.zeros((4, 4), dtype=np.uint8)).save(tmp_path / "tiny.png")
+    Image.fromarray(np.zeros((10, 1_700_001), dtype=np.uint8)).save(tmp_path / "wide.png")
     for name in ("bad.png", "bad.obj"):
         (tmp_path / name).write_bytes(b"x" * 300)
     before = sorted(tmp_path.iterdir())

@@ -5,9 +5,11 @@ from __future__ import annotations
 import contextlib
 import multiprocessing
 import os
+import re
 import signal
 import sqlite3
 import time
+import zlib
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -16,10 +18,11 @@ import numpy as np
 import pytest
 
 from foten import __version__
+from foten.study.analysis import read_ratings
 from foten.study.orders import orders
-from foten.study.schema import VERSION, Stimulus, create, now
+from foten.study.schema import GUARDS, VERSION, Stimulus, create, now
 from foten.study.session import contact_s
-from foten.study.store import FullError, Rated, Store, Stroked
+from foten.study.store import MAX_VALUE, FullError, Rated, Store, Stroked
 
 TEXTURES, METHODS = 3, 2
 SECOND_RATING = (
@@ -216,6 +219,39 @@ def test_a_damaged_study_is_not_backed_up(tmp_path: Path, store: Store) -> None:
     with pytest.raises(ValueError, match=r"copy\.db is damaged: a row of steps"):
         store.backup(tmp_path / "copy.db")
     assert not (tmp_path / "copy.db").exists()
+
+
+NAN, BOMB = (zlib.compress(data).hex() for data in (np.full(4, np.nan).tobytes(), bytes(MAX_VALUE + 32)))
+
+
+@pytest.mark.parametrize(
+    ("statement", "message"),
+    [
+        ("CREATE VIEW v AS SELECT 1", "tables or triggers are not as foten makes them"),
+        ("DROP TABLE shown", "tables or triggers are not as foten makes them"),
+        ("DELETE FROM study", "holds no study"),
+        ("DELETE FROM trials", "holds no study"),
+        (f"UPDATE study SET title = hex(zeroblob({MAX_VALUE // 2 + 1}))", "too big"),
+        ("UPDATE study SET design = 'task.kind = \"paired\"'", "answers are not those of the design's task, 'paired'"),
+        ("UPDATE stimuli SET texture_key = CAST(x'ff' AS TEXT)", "study.db cannot be read, it may be damaged"),
+        ("UPDATE ratings SET measured = '[{}]'", "participant 1, trial 1: what was measured is damaged"),
+        ("UPDATE ratings SET measured = '{\"level_db\": 1e999}'", "what was measured is damaged (it holds a number"),
+        ("UPDATE strokes SET events = x'ffff'", "a stroke in the study is damaged"),
+        (f"UPDATE strokes SET events = x'{NAN}'", "a stroke in the study is too long, cut off, or not of finite"),
+        (f"UPDATE strokes SET events = x'{BOMB}'", "a stroke in the study is too long, cut off, or not of finite"),
+    ],
+)
+def test_a_study_that_somebody_edited_is_refused_in_a_line(store: Store, statement: str, message: str) -> None:
+    filled(store)
+    store.add_strokes(1, 1, [Stroked(0, np.ones((3, 4)))])
+    store.close()
+    with contextlib.closing(sqlite3.connect(store.path, isolation_level=None)) as connection:
+        for line in (*(f"DROP TRIGGER {name}" for name in GUARDS), statement):
+            connection.execute(line)
+        if "DROP TABLE" not in statement:
+            connection.executescript("".join(f"CREATE TRIGGER {name} {guard};" for name, guard in GUARDS.items()))
+    with pytest.raises((ValueError, OSError), match=re.escape(message)), Store(store.path) as edited:
+        assert [read_ratings(edited), edited.parts(1, 1)] == []
 
 
 @contextlib.contextmanager

@@ -311,6 +311,11 @@ def test_tables_are_written_in_three_forms(swept: Path, tmp_path: Path) -> None:
         (lambda rows: [*rows[:-1], rows[-1][:5]], "other.csv, row 5: it has not as many cells as row 1 has names"),
         (lambda rows: [rows[0], [*rows[1], "1"], *rows[2:]], "other.csv, row 2: it has not as many cells"),
         (lambda rows: with_cell(rows, "epochs", "0,5"), "other.csv, row 3: epochs is '0,5', expected a number"),
+        (lambda rows: with_cell(rows, "epochs", "-1e12"), "other.csv, row 3: epochs is '-1e12', expected a number"),
+        (
+            lambda rows: [rows[0], *([rows[1][0], f"m{i}", *rows[1][2:]] for i in range(501))],
+            "there are 501 methods, expected 500",
+        ),
         (lambda rows: with_cell(rows, "split", ""), "on linear-cloth has no split: is this the whole runs.csv"),
         (
             lambda rows: [[cell for k, cell in enumerate(row) if rows[0][k] != "rate_hz"] for row in rows],
@@ -590,7 +595,10 @@ def test_a_sweep_names_what_it_has_anew_and_makes_again_what_is_damaged(swept: P
     without_split = json.loads(whole)
     del without_split["evaluation"]["split_sha256"]
     without_index = {name: value for name, value in json.loads(whole).items() if name != "index"}
-    for text in (whole[:-100], json.dumps(without_split), json.dumps(without_index), "5", '{"evaluation": 5}'):
+    infinite, lists = json.loads(whole) | {"index": float("inf")}, json.loads(whole)
+    lists["provenance"]["code"] = ["x"]
+    odd = map(json.dumps, (without_split, without_index, infinite, lists))
+    for text in (whole[:-100], "5", '{"evaluation": 5}', *odd):
         path.write_text(text)
         lines: list[str] = []
         assert lacking(plan, folder, [platform_here()], lines.append) == plan[:1]

@@ -35,6 +35,8 @@ def check_length(where: str, channel: Channel) -> None:
         lasts = f"{counted(channel.samples.size, 'sample')} at {channel.rate_hz:g} Hz, {channel.duration_s:.4g} s"
         hint = "is the rate right, or was the time given in ms?"
         raise ValueError(f"{where}: {lasts}, expected {longest_s:g} s at most; {hint}")
+    if channel.span_s[0] > MAX_DURATION_S:
+        raise ValueError(f"{where}: it starts at {channel.span_s[0]:g} s, expected {MAX_DURATION_S:g} at most")
 
 
 def check_overlap(channels: Mapping[str, Channel]) -> None:

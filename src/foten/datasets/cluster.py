@@ -1,14 +1,11 @@
 """Cluster Haptic Texture Dataset: 118 surfaces under a rubber fingertip on a machine, in clips of 5 s (CC BY 4.0).
 
-Source: Eguchi, Hayase, Hiroi and Hiraki, Scientific Data 13:756, doi 10.6084/m9.figshare.29438288; layout and units as its
-`dataset_details.md` states them. Untried on the real files, which are not reachable from where this was written.
-
     sensor_data/accel/ID_DIRECTION_SPEED_FORCE_REPEAT.csv      time [s], X, Y, Z [g]
-    sensor_data/force/…                                        time [s], force [N]
-    sensor_data/position/…                                     time [s], X, Y [mm]
+    sensor_data/force/…, sensor_data/position/…                time [s], force [N]; time [s], X, Y [mm]
 
-A clip is a take. Its rows are read as fast as a program can ask, faster than the sensor measures: a row that repeats the last is
-no sample. The rate is that of the others, which the documents state as 6 kHz.
+A clip is a take. A row that repeats the last is no sample; the rate is that of the others, by the documents 6 kHz. Untried on
+the real files, which could not be reached. Source: Eguchi, Hayase, Hiroi and Hiraki, Scientific Data 13:756, doi
+10.6084/m9.figshare.29438288, `dataset_details.md`.
 """
 
 from __future__ import annotations

@@ -5,11 +5,8 @@ With x and y the logarithms of speed and force, x_i as x behind a first-order lo
     φ = (1, x, y, x², xy, y², x³, x²y, x⁴,  d_i, d_i², d_i x, d_i y  for each i)
     log g_b = w_b · φ, at most `MAX_LOG_GAIN` in size          out = in + Σ_b (g_b − 1) · band-pass_b(in)
 
-Each band-pass has one pair of poles and is half as strong at the edges of its band, so neighbours add up to about one. Only gains
-move: whatever they do, what leaves has bounds where what comes in has.
-
-A tool that starts from rest, stops or turns back vibrates otherwise than one that goes on at the same speed: friction sets in,
-and what rang rings out. A level or a filter over speed and force cannot say so.
+Neighbouring band-passes add up to about one. Only gains move, so that what leaves is bounded where what comes in is. A tool that
+starts, stops or turns back vibrates otherwise than one that goes on, which no level over speed and force can say.
 
 Source: ours. Band-passes: the bilinear transform of a resonance of the band's width.
 """

@@ -1,17 +1,13 @@
 """The normalised lattice: a linear predictor that follows speed and force, and is stable however they move.
 
-An autoregression of order p has reflection coefficients k₁ … k_p. With β the leak, section i rotates (f_i, b_{i−1}) into
-(f_{i−1}, b_i):
+With reflection coefficients k₁ … k_p and the leak β, section i rotates (f_i, b_{i−1}) into (f_{i−1}, b_i):
 
-    f_{i−1}[n] = c_i f_i[n] − k_i β b_{i−1}[n−1]        c_i = √(1 − k_i²)
-    b_i[n]     = k_i f_i[n] + c_i β b_{i−1}[n−1]        b₀[n] = f₀[n] = x[n]
+    f_{i−1}[n] = c_i f_i[n] − k_i β b_{i−1}[n−1]        c_i = √(1 − k_i²),  e = f_p goes in
+    b_i[n]     = k_i f_i[n] + c_i β b_{i−1}[n−1]        b₀[n] = f₀[n] = x[n] comes out
 
-The innovation e = f_p goes in, x comes out, and b₀ … b_{p−1} are the state. For constant k, β = 1 and white e of unit variance
-every f and b has unit variance. A rotation keeps f² + b², so for any k(v[n], f[n]) in (−1, 1)
-
-    Σ_{i<p} b_i[n]² + b_p[n]²  =  e[n]² + β² Σ_{i<p} b_i[n−1]²
-
-The sum of squares of the state is a Lyapunov function that all filters share: with |e| ≤ E it ends up below E²/(1 − β²).
+A rotation keeps f² + b², so for any k(v[n], f[n]) in (−1, 1) the sum of squares of the state b₀ … b_{p−1} is a Lyapunov
+function: with |e| ≤ E it ends up below E²/(1 − β²). For constant k, β = 1 and white e of unit variance every f and b has unit
+variance.
 
 Source: Gray & Markel, "A normalized digital filter structure", IEEE Trans. ASSP 23 (1975), for the structure.
 """

@@ -1,12 +1,9 @@
 """Line spectral frequencies: p angles that give a polynomial, and whose means are those of a stable filter.
 
-For A(z) = 1 + a₁z⁻¹ + … + a_p z^−p, with its mirror image z^−(p+1) A(1/z), the polynomials
-
     P(z) = A(z) + z^−(p+1) A(1/z)        Q(z) = A(z) − z^−(p+1) A(1/z)        A = (P + Q) / 2
 
-have all their zeros on the unit circle. Where those of A lie inside it, the zeros of P and Q alternate, and their angles in
-(0, π) are the line spectral frequencies ω₁ < … < ω_p. Any rising angles in (0, π) are those of some such A, and a mean of
-rising angles rises. In float64 a filter of order 20 whose angles all lie within 1 rad has poles outside by rounding.
+Where the zeros of A lie inside the unit circle, those of P and Q alternate on it, and their angles in (0, π) are ω₁ < … < ω_p.
+Any rising angles are those of some such A. In float64, order 20 with all angles within 1 rad has poles outside by rounding.
 
 Source: Itakura, J. Acoust. Soc. Am. 57 (1975) S35; used between local models of a texture by Culbertson, Unwin and Kuchenbecker,
 IEEE Trans. Haptics 7 (2014).

@@ -1,16 +1,13 @@
-"""Counter-based Gaussian noise: the same numbers in every language, on every processor, in any order.
+"""Counter-based Gaussian noise: the same numbers in every language, on every processor, in any order and block size.
 
-Sample `n` of stream `s` under key `k` depends on nothing else, so a renderer may draw it in any block size.
-
-1. `(w0, w1, w2, w3) = Philox4x32-10(counter = (n mod 2³², n div 2³², s mod 2³², s div 2³²),
-   key = (k mod 2³², k div 2³²))` (Salmon, Moraes, Dror, Shaw, SC 2011).
+1. `(w0, w1, w2, w3) = Philox4x32-10(counter = (n mod 2³², n div 2³², s mod 2³², s div 2³²), key = (k mod 2³², k div 2³²))` of
+sample n of stream s under key k (Salmon, Moraes, Dror, Shaw, SC 2011).
 2. Cut the four words into eight 16-bit integers and add them: `t`, an integer in [0, 524280].
 3. `x = (t − 262140) / √(8·(2³² − 1)/12)`: zero mean, unit variance, kurtosis 3 − 1.2/8.
-4. `g = x·(0.97846856 + 0.00750807·x²)`, the odd cubic that gives `g` variance 1 and kurtosis 3 (solved from the moments
-   of the sum of eight uniform numbers, up to the twelfth).
+4. `g = x·(0.97846856 + 0.00750807·x²)`, the odd cubic that gives `g` variance 1 and kurtosis 3 (solved from the moments of the
+sum of eight uniform numbers, up to the twelfth). |g| < 5.68.
 
-Steps 1 and 2 are integers and steps 3 and 4 four float64 operations without a library function, so that they agree to
-the last bit wherever IEEE arithmetic is not contracted. The sum bounds every number to |g| < 5.68.
+Integers and four float64 operations: they agree to the last bit wherever IEEE arithmetic is not contracted.
 """
 
 from __future__ import annotations

@@ -1,14 +1,11 @@
 """Segmentation of a signal into stationary autoregressions by the minimum description length.
 
-A signal of n samples cut into m + 1 pieces of n_j samples, each an autoregression of order p_j with Yule–Walker variance σ_j²,
-takes
+A signal of n samples cut into m + 1 pieces of n_j samples, each of order p_j with Yule–Walker variance σ_j², takes in nats
 
     log m + (m + 1) log n + Σ log p_j + Σ (p_j + 2)/2 · log n_j + Σ n_j/2 · log(2π σ_j²)      (log 0 counted as 0)
 
-nats. Differs from the source: the cuts are found by dynamic programming on a grid and then moved by single samples, not by a
-genetic search.
-
-Source: AutoPARM of Davis, Lee and Rodriguez-Yam, J. Am. Stat. Assoc. 101 (2006), which [12] cuts recordings with.
+Source: AutoPARM of Davis, Lee and Rodriguez-Yam, J. Am. Stat. Assoc. 101 (2006), which [12] cuts recordings with. Differs from
+it: the cuts are found by dynamic programming on a grid and then moved by single samples, not by a genetic search.
 """
 
 from __future__ import annotations

@@ -2,13 +2,10 @@
 
     h[n] = u h[n−1] + (1 − u) tanh(3 x[n])        log s = … + strength · h / sd(h) − strength²        u = exp(−1/(τ · rate))
 
-Rougher, x is the innovation: its sign says nothing of its size, so that h is a slow random walk about 0 of known size, and
-nothing feeds back on itself. Smoother, x is the innovation's size and the strength is negative: loud stretches are made softer,
-down to Gaussian noise of the texture's spectrum, which has an envelope of its own. A texture without a network in its loop gets
-one that holds this unit alone. Tones keep their envelope.
+Rougher, x is the innovation, and h a slow random walk. Smoother, x is its size and the strength negative: loud stretches become
+softer, down to Gaussian noise. A texture without a network gets one that holds this unit alone. Tones keep their envelope.
 
-Source: ours; volatility that follows signed innovations after Nelson, "Conditional heteroskedasticity in asset returns: a new
-approach", Econometrica 59 (1991).
+Source: ours; volatility after Nelson, "Conditional heteroskedasticity in asset returns: a new approach", Econometrica 59 (1991).
 """
 
 from __future__ import annotations

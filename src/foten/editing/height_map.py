@@ -31,7 +31,8 @@ from foten.simulation.stroking import Stroking, stroking
 from foten.untrusted import check_content
 
 SUFFIXES = (".png", ".tif", ".tiff", ".jpg", ".jpeg", ".bmp", ".exr")
-MAX_PIXELS = 100_000_000
+MAX_PIXELS = 17_000_000
+MAX_WIDTH_MM = 10 * LOOP_MM
 MIN_SIDE = 8  # pixels
 MIN_SCALE_MM, MAX_SCALE_MM = 1e-3, 5.0  # of a pixel
 MAX_DEPTH_MM = 10.0
@@ -88,11 +89,9 @@ def _read_image(path: Path) -> Array:
         raise ValueError(f"{path.name} has too many pixels, expected {MAX_PIXELS / 1e6:g} million at most") from None
     except (UnidentifiedImageError, OSError, SyntaxError) as error:
         raise ValueError(f"{path.name} is truncated or is no picture ({error})") from None
-    if pixels.dtype.kind == "u":
-        return pixels.astype(np.float64) / np.iinfo(pixels.dtype).max
-    return pixels.astype(np.float64) / (
-        65535.0 if pixels.dtype.kind == "i" else 1.0
-    )  # Pillow opens some of 16 bits as 32
+    # Pillow opens some of 16 bits as 32.
+    largest = np.iinfo(pixels.dtype).max if pixels.dtype.kind == "u" else 65535 if pixels.dtype.kind == "i" else 1
+    return np.divide(pixels, largest, dtype=np.float64)
 
 
 def _read_exr(path: Path) -> Array:
@@ -154,16 +153,16 @@ def profile_along(heights: Array, scale_mm: float, tiles: bool, length_mm: float
     """
     from scipy.ndimage import map_coordinates
 
-    if not tiles:
-        heights = np.concatenate([heights, heights[:, ::-1]], axis=1)
-        heights = np.concatenate([heights, heights[::-1]], axis=0)
-    rows, columns = heights.shape
-    width_mm = columns * scale_mm
+    rows, columns = (n if tiles else 2 * n for n in heights.shape)
+    if (width_mm := columns * scale_mm) > MAX_WIDTH_MM:
+        raise ValueError(f"the picture is {width_mm:g} mm wide, expected {MAX_WIDTH_MM:g} at most; is --scale in mm?")
     n_turns = max(1, round(length_mm / width_mm))
     n = round(n_turns * width_mm / GRID_MM)
     share = np.arange(n) / n
     x, y = share * n_turns * columns, share * rows  # down the picture once
-    lines = map_coordinates(heights, np.stack([y % rows, x % columns]), order=3, mode="grid-wrap")
+    lines = map_coordinates(
+        heights, np.stack([y % rows, x % columns]), order=3, mode="grid-wrap" if tiles else "reflect"
+    )
     return np.asarray(lines - lines.mean())
 
 

@@ -2,10 +2,8 @@
 
     y = log spectrum in thirds of an octave, powers of speed and force        y(words) = ȳ + K(words, library) (K + λ)⁻¹ (Y − ȳ)
 
-K is linear in the vectors (ridge regression) or falls with their distance (a Gaussian process); kind, length and λ are chosen by
-leaving out one name after another, its namesakes with it. The spread is the posterior's, in decibels.
-
-Source: ours; what words are worth was measured on 100 models (docs/less-than-a-recording.md).
+K is linear in the vectors or falls with their distance (a Gaussian process); kind, length and λ are chosen by leaving out one
+name after another. The spread is the posterior's [dB]. Source: ours; measured on 100 models (docs/less-than-a-recording.md).
 """
 
 from __future__ import annotations

@@ -2,9 +2,8 @@
 
     one surface, both tools ─▶ spectra by speed and force ─▶ Transfer ─▶ a texture as that tool would feel it
 
-The filter multiplies the spectra of lattices and the amplitudes of tones, so that a transferred texture is a texture like any
-other: it costs what it cost, in the kernel, on the page and in a study. Its phase is that of least delay. An innovation network
-hears what the lattice gives and draws otherwise for another lattice: by how much is rendered, and taken out of the filter.
+The filter, of least delay, multiplies the spectra of lattices and the amplitudes of tones: the result is a texture like any
+other. An innovation network draws otherwise for another lattice: by how much is rendered, and taken out of the filter.
 
 Source: ours; measured on eight pens (docs/less-than-a-recording.md).
 """

@@ -2,9 +2,8 @@
 
     answers on the page of `foten adapt` ─▶ UserProfile ─▶ adapted(texture): a texture file like any other
 
-The filter has the gains by which tones of five frequencies feel as strong as one of 160 Hz. On people whom others measured,
-accelerations of 40 to 250 Hz are felt at one amplitude: so a filter that makes them equal takes away what her actuator, her grip
-and her skin do to a spectrum. Moves are those of `editing.edit`, as she chose them beside a real surface.
+The filter has the gains by which tones of five frequencies feel as strong as one of 160 Hz: people feel accelerations of 40 to
+250 Hz at one amplitude, so it takes away what actuator, grip and skin do. Moves are those of `editing.edit`.
 
 Source: ours; equal thresholds of acceleration after Verrillo, J. Acoust. Soc. Am. 35 (1963), as in `dsp.perception`.
 """

@@ -6,6 +6,7 @@ import difflib
 import hashlib
 import itertools
 import json
+import math
 import re
 import zlib
 from collections.abc import Collection, Iterable, Mapping, Sequence
@@ -22,6 +23,7 @@ from foten.training.config import FILTERS, OWN_RECIPES, RECIPES, TrainConfig, ch
 from foten.untrusted import MAX_TOML, parse_toml, read_whole
 
 RECORDED = (".h5", ".hdf5")
+MAX_RUNS = 10_000
 OF_FIRST_SPLIT = ("stability", "onset")  # measures that are taken of no other split
 MEASURES = {
     **{name: f"foten.experiments.{name}" for name in OF_FIRST_SPLIT},
@@ -147,8 +149,12 @@ class Experiment:
         """Every run, in the order of the recordings.
 
         Raises:
-            ValueError: a setting is unknown or out of range; the message names the method.
+            ValueError: a setting is unknown or out of range; the message names the method. Or there are too many runs.
         """
+        n_methods = sum(len(self._recipes(method)) or 1 for method in self.methods)
+        n_cells = sum(math.prod(map(len, grid.values())) for grid in self.grid or [{}])
+        if (n := len(self.textures) * len(self.split_seeds) * n_methods * n_cells) > MAX_RUNS:
+            raise ValueError(f"it has {n} runs, expected {MAX_RUNS} at most: textures × splits × methods × settings")
         return [
             self._resolved(texture, method, split_seed, cell, recipe)
             for texture in self.textures

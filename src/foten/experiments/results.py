@@ -16,7 +16,7 @@ import numpy as np
 
 from foten.experiments.experiment import Run
 from foten.reporting.table import Table
-from foten.untrusted import MAX_PROFILE, parse_json, read_whole
+from foten.untrusted import MAX_PROFILE, check_numbers, parse_json, read_whole
 
 Results = Sequence[Mapping[str, Any]]  # result files of a sweep, with the signals that figures are drawn from
 Record = Mapping[str, Any]  # a run: names, settings, and figures by their paths; a row of `runs.csv`
@@ -50,6 +50,7 @@ _SCORES = (
 )
 _ONCE = ("note", "platform")  # in `runs.csv`: empty where an experiment's run before has the same
 VALIDATION = ("validation.mae_scaled", "validation.spectrum_db")  # what a recipe is chosen by, the first that it has
+MAX_FIGURE, MAX_DIFFERENT = 1e12, 500
 _NEEDED = ("split", "rate_hz", "recording_sha256", "training_s")  # for tables
 _TEXTS = (
     *("experiment", "note", "method", "recipe", "beside", "model", "texture"),
@@ -61,8 +62,11 @@ def read_result(path: Path) -> dict[str, Any] | None:
     """Result in a file; None where no record can be made of it."""
     try:
         result: dict[str, Any] = parse_json(read_whole(path, MAX_PROFILE))
-        _record(result)
-    except (ValueError, KeyError, TypeError, OSError):
+        check_numbers(result, path.name)
+        record = _record(result)
+        sources = record.pop("sources")
+        hash((*record.values(), *sources.items()))  # by which runs are told apart
+    except (AttributeError, ValueError, KeyError, TypeError, OSError):
         return None
     return result
 
@@ -221,6 +225,9 @@ def joined(parts: Sequence[Records], mixed: bool = False) -> list[dict[str, Any]
             what = f"{record['method']} on {record['texture']}, split {record['split']:g}"
             raise ValueError(f"{what}, is there of two recordings, as after a change of the simulator: leave one out")
     records = list(runs.values())
+    for name in ("method", "recipe", "texture"):
+        if (n := len({record[name] for record in records})) > MAX_DIFFERENT:
+            raise ValueError(f"there are {n} {name}s, expected {MAX_DIFFERENT} at most")
     if not mixed:
         check_alike(records)
     return records
@@ -240,11 +247,8 @@ def read_records(path: Path) -> list[dict[str, Any]]:
     except (UnicodeDecodeError, csv.Error) as error:
         raise ValueError(f"{path.name} is no CSV file in UTF-8 ({error})") from error
     # A figure that no run has is no column: before the first run with an excitation is done, for example.
-    if (
-        not rows
-        or not {"method", "texture", "split"} <= set(rows[0])
-        or not {f.path for f in FIGURES.values()} & set(rows[0])
-    ):
+    names = set(rows[0] if rows else ())
+    if not ({"method", "texture", "split"} <= names and {f.path for f in FIGURES.values()} & names):
         raise ValueError(f"{path.name} is no runs.csv of foten tables")
     above: dict[tuple[str, str], str] = {}
     records = []
@@ -267,7 +271,11 @@ def _parsed(key: str, text: str) -> Any:
     """Cell of `runs.csv`: a text, a number, or None."""
     if key in _TEXTS or key.endswith("_sha256") or key.startswith("version."):  # which earlier versions wrote
         return text
-    return {"": None, "yes": True, "no": False}[text] if text in ("", "yes", "no") else float(text)
+    if text in ("", "yes", "no"):
+        return {"": None, "yes": True, "no": False}[text]
+    if not abs(number := float(text)) < MAX_FIGURE:
+        raise ValueError
+    return number
 
 
 def runs_table(records: Records, digits: int | None = None) -> Table:

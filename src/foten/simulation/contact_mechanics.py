@@ -3,14 +3,9 @@
     place on the profile ─▶ height under the ball ─▶ Hertz contact, or none ─▶ force ─┐
     speed ─▶ the tip, on a spring, under Coulomb friction of that force ─▶ friction ──┴─▶ modes of the tool ─▶ acceleration
 
-No autoregression is the truth. The profile is drawn by the texture's key and closed to a loop; a realisation starts at a place of
-its own.
-
-Height under a ball of radius R, the dilation of the profile: h(s) = maxᵤ [p(s + u) − u²/2R].
-Normal force: F = K δ^1.5 (1 + D dδ/dt), not negative, with δ = h − z and K = 4/3 E* √R (Hertz; Hunt & Crossley, "Coefficient of
-restitution interpreted as damping in vibroimpact", Journal of Applied Mechanics 42, 1975). The tip: m z̈ = F − P − c ż, under the
-hand's force P; and along the stroke m q̈ = −k q − d q̇ ± μF, with Coulomb friction that falls from μ(1 + s) at rest to μ. Both
-forces reach the sensor on the tool's body through two modes. Not fitted to any surface.
+Height under a ball of radius R on the profile p: h(s) = maxᵤ [p(s + u) − u²/2R]. Normal force: F = K δ^1.5 (1 + D dδ/dt) ≥ 0,
+with δ = h − z and K = 4/3 E* √R (Hertz; Hunt & Crossley, Journal of Applied Mechanics 42, 1975). The tip: m z̈ = F − P − c ż
+under the hand's force P; along the stroke m q̈ = −k q − d q̇ ± μF, and μ falls from μ(1 + s) at rest. Not fitted to any surface.
 """
 
 from __future__ import annotations

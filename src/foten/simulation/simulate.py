@@ -1,12 +1,10 @@
 """Seeded recordings with a known truth: twelve textures under raw sensors, twenty of contact mechanics, and linear processes.
 
-The model of one of the twelve, from the hand to the sensor:
-
     path length s(t) ─▶ roughness w(s): a lattice and self-affine noise ─┐
     Poisson impacts of asperities, a number for each mm ─────────────────┴▶ × level fᵅ vᵝ ─┐
                                                 sensors ◀─ two modes of the tool ◀─ contact ◀┘
 
-Not fitted to any surface. A way back meets new roughness of the same kind.
+This is the model of one of the twelve. Not fitted to any surface. A way back meets new roughness of the same kind.
 """
 
 from __future__ import annotations

@@ -1,23 +1,15 @@
 """Textures of other physics: profiles by other laws, a tool of two masses in a compliant hand, friction with a memory.
 
-A model that was tuned on `contact_mechanics` is judged here, so that one's own simulator does not become one's own judge. Nothing
-but the strokes, the ball and the sensors is shared with it.
-
-Profile: fractional Brownian noise; filtered Poisson grains, of gamma-distributed heights, each steep in front and falling off
-exponentially; threads with missing and thick ones; all of it swelling and fading in slow waves of uneven length.
-
-Normal motion: the tip m₁ touches, the tool's body m₂ carries the sensor, the hand's mass m₃ presses with the force P:
+A model that was tuned on `contact_mechanics` is judged here, which shares the strokes, the ball and the sensors alone. The
+profile is fractional Brownian noise, filtered Poisson grains and uneven threads, in slow waves. The tip m₁ touches, the body m₂
+carries the sensor, the hand's mass m₃ presses with the force P; springs with dampers N and H lie between. The tip slides at V on
+a shaft:
 
     F = max(0, K (δ^1.5 + 1.5 τ √δ dδ/dt))      Kuwabara & Kono, Japanese Journal of Applied Physics 26 (1987)
-    m₁ z̈₁ = F − N,  m₂ z̈₂ = N − H,  m₃ z̈₃ = H − P      N, H: springs with dampers, of the tool's neck and of the hand's flesh
-
-Tangential motion: the tip on a bending shaft, under a friction F μ(V, θ) that is against the sliding at V:
-
+    m₁ z̈₁ = F − N,  m₂ z̈₂ = N − H,  m₃ z̈₃ = H − P
     μ = a asinh(V / 2V₀ · exp((μ₀ + b ln(V₀ θ / d)) / a)),  dθ/dt = 1 − V θ / d      Dieterich (1979), Ruina (1983)
 
-The hand's own acceleration is not in the sensor: no rendering should have it, since the hand that strokes really moves.
-Where b > a the contact strengthens while it rests, and sticks and slips. The regularised form is that of Rice & Ben-Zion (1996).
-Not fitted to any surface.
+Where b > a the contact sticks and slips; the regularised form is that of Rice & Ben-Zion (1996). Not fitted to any surface.
 """
 
 from __future__ import annotations

@@ -159,6 +159,9 @@ def read_ratings(store: Store) -> list[Ratings]:
             complete = [n for n, one in zip(numbers, values, strict=True) if np.isfinite(one).all()]
             result.append(Ratings(*study, scale.key, "", *names, of_scale, numbers, methods, values, complete, *beside))
         return result
+    needed = [row["measured"].get("level_db") if task.kind == "threshold" else row["other"] for row in rows]
+    if not all(isinstance(value, int | float) for value in needed):
+        raise ValueError(f"{store.path}: answers are not those of the design's task, {task.kind!r}")
     complete = _who_ended(store, rows, numbers)
     if task.kind == "threshold":
         plays_in_page = parse_toml(str(store.study["design"])).get("output", {}).get("to", "page") == "page"

@@ -25,7 +25,7 @@ from foten.study.orders import N_TARGETS, Trial
 from foten.study.report import OF_THRESHOLDS, SUMMARY, dictionary_of, participants_frame, rows_of, written
 from foten.study.schema import Stimulus
 from foten.study.session import INTERVALS, MAX_APART_S
-from foten.study.store import Store, Stroked
+from foten.study.store import Store, Stroked, measured_of
 
 BIDS_VERSION = "1.9.0"
 ANSWERS = (  # columns of the answers that are not private, meaning, unit
@@ -167,7 +167,7 @@ def events_of(store: Store, participant: int) -> list[dict[str, Any]]:
         answer["value"] = choices[int(row["rating"])] if choices else row["rating"]
         if kind in N_TARGETS:
             answer["right"] = int(row["rating"] == trials[row["trial"]].target)
-        events.append({**answer, "level_db": json.loads(row["measured"]).get("level_db")})
+        events.append({**answer, "level_db": measured_of(row).get("level_db")})
     for row in store.moments(participant, "switches"):
         surface = row["side"].removeprefix("virtual ")
         events.append({"at": row["at_s"], "trial_type": "switch", "trial": row["trial"], "surface": surface})

@@ -90,6 +90,7 @@ GUARDS = {
         for table in ("ratings", "participants")
     },
 }
+ALL = "".join([TABLES, *(f"CREATE TRIGGER {name} {guard};\n" for name, guard in GUARDS.items())])
 TABLES_BY_PARTICIPANT = ("switches", "strokes", "shown", "ratings", "steps", "answers", "abouts", "consents", "trials")
 
 # Ratings, of each chain of corrections the last.
@@ -130,9 +131,7 @@ def create(
     with atomic_write(path) as part, contextlib.closing(sqlite3.connect(part)) as connection, connection:
         connection.execute(f"PRAGMA application_id = {APPLICATION_ID}")
         connection.execute(f"PRAGMA user_version = {VERSION}")
-        connection.executescript(TABLES)
-        for name, guard in GUARDS.items():
-            connection.execute(f"CREATE TRIGGER {name} {guard}")
+        connection.executescript(ALL)
         connection.execute("INSERT INTO study VALUES (1, ?, ?, ?, ?, ?, ?, ?)", study)
         connection.executemany("INSERT INTO stimuli VALUES (?, ?, ?, ?, ?, ?)", map(astuple, stimuli))
         connection.executemany("INSERT INTO trials VALUES (?, ?, ?, ?, ?, ?)", trials)

@@ -21,9 +21,10 @@ from foten.atomic_write import atomic_write
 from foten.study import schema
 from foten.study.orders import Trial
 from foten.study.schema import Stimulus, faults_of, now
-from foten.untrusted import check_regular
+from foten.untrusted import brief, check_numbers, check_regular, parse_json
 
 BUSY_S = 2.0  # to wait for another writer
+MAX_VALUE = 16_000_000  # bytes
 FULL = ("SQLITE_FULL", "SQLITE_IOERR", "SQLITE_READONLY", "SQLITE_CANTOPEN")  # how errors of a disk are called
 HELD = ("SQLITE_BUSY", "SQLITE_LOCKED")  # and of another program that holds the file
 
@@ -70,6 +71,7 @@ class Store(contextlib.AbstractContextManager["Store"]):
         self._lock: BinaryIO | None = None
         self._connection = sqlite3.connect(path, isolation_level=None, timeout=BUSY_S, check_same_thread=False)
         self._connection.row_factory = sqlite3.Row
+        self._connection.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, MAX_VALUE)
         try:
             self._open()
             if read_only:
@@ -99,7 +101,15 @@ class Store(contextlib.AbstractContextManager["Store"]):
         execute("PRAGMA journal_mode = WAL")
         execute("PRAGMA synchronous = FULL")  # of write-ahead logging: a commit waits for the disk
         execute("PRAGMA foreign_keys = ON")
-        self.study = dict(execute("SELECT * FROM study").fetchone())
+        tables = "SELECT type, name, sql FROM sqlite_schema"
+        with contextlib.closing(sqlite3.connect(":memory:")) as new:
+            new.executescript(schema.ALL)
+            if set(map(tuple, execute(tables))) != set(new.execute(tables)):
+                raise ValueError(f"{self.path}: tables or triggers are not as foten makes them; were they edited?")
+        rows = execute("SELECT * FROM study").fetchall()
+        if not rows or not self.ordered():
+            raise ValueError(f"{self.path} holds no study: its row is gone, or there are no trials")
+        self.study = dict(rows[0])
 
     def hold(self) -> None:
         """Lock the study for this process until `close` or the process's end; OSError where another process runs it."""
@@ -150,7 +160,10 @@ class Store(contextlib.AbstractContextManager["Store"]):
         return self._connection.execute(statement, values)
 
     def _rows(self, query: str, *values: Any) -> list[sqlite3.Row]:
-        return self._execute(query, *values).fetchall()
+        try:
+            return self._execute(query, *values).fetchall()
+        except sqlite3.DatabaseError as error:
+            raise OSError(f"{self.path.name} cannot be read, it may be damaged: {error}") from error
 
     def join(self, code: str) -> int:
         """Add a participant under a code; the next free number, or ValueError where all have begun."""
@@ -342,10 +355,7 @@ class Store(contextlib.AbstractContextManager["Store"]):
             "LEFT JOIN stimuli o ON o.texture = t.texture AND o.method = t.other "
             "WHERE r.trial > 0 ORDER BY r.participant, r.trial, r.id"
         )
-        return [
-            {**dict(row), "measured": json.loads(row["measured"]), "corrected": row["corrects"] is not None}
-            for row in rows
-        ]
+        return [{**dict(row), "measured": measured_of(row), "corrected": row["corrects"] is not None} for row in rows]
 
     def levels(self, participant: int, texture: int, method: int) -> list[tuple[float, bool]]:
         """Levels [dB] that a participant's threshold was asked at so far, and whether each answer was right."""
@@ -355,7 +365,7 @@ class Store(contextlib.AbstractContextManager["Store"]):
             "WHERE r.corrects IS NULL AND r.participant = ? AND t.texture = ? AND t.method = ? AND r.trial > 0 ORDER BY r.trial",
             *(participant, texture, method),
         )
-        return [(float(json.loads(row["measured"])["level_db"]), row["rating"] == row["target"]) for row in rows]
+        return [(float(measured_of(row)["level_db"]), row["rating"] == row["target"]) for row in rows]
 
     def counts(self) -> dict[int, dict[str, Any]]:
         """By participant: code, number of rated trials, when they joined and when the last answer came."""
@@ -450,6 +460,17 @@ class Store(contextlib.AbstractContextManager["Store"]):
             raise OSError(f"{self.path.name} is {why}")
 
 
+def measured_of(row: Mapping[str, Any] | sqlite3.Row) -> dict[str, Any]:
+    """What was measured in a trial, of a row of `ratings`; ValueError where it is damaged."""
+    try:
+        measured = parse_json(row["measured"])
+        check_numbers(measured, "it")
+        return dict(measured.items())
+    except (AttributeError, ValueError) as error:
+        where = f"participant {row['participant']}, trial {row['trial']}"
+        raise ValueError(f"{where}: what was measured is damaged ({brief(error)})") from error
+
+
 def _seconds(at: str | float) -> float:
     """A stored time as seconds of the system's clock."""
     return at if isinstance(at, float) else datetime.fromisoformat(at).timestamp()
@@ -460,7 +481,14 @@ def _packed(array: NDArray[np.float64]) -> bytes:
 
 
 def _unpacked(part: bytes, n_columns: int) -> NDArray[np.float64]:
-    return np.frombuffer(zlib.decompress(part), dtype="<f8").reshape(-1, n_columns)
+    try:
+        inflater = zlib.decompressobj()
+        events = np.frombuffer(inflater.decompress(part, MAX_VALUE), dtype="<f8").reshape(-1, n_columns)
+    except (ValueError, zlib.error) as error:
+        raise ValueError(f"a stroke in the study is damaged: {error}") from error
+    if not inflater.eof or not np.isfinite(events).all():
+        raise ValueError("a stroke in the study is too long, cut off, or not of finite numbers")
+    return events
 
 
 def _lock(file: int) -> None:

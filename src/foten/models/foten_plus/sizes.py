@@ -1,26 +1,15 @@
 """foten-plus, ours: a lattice over speed and force, tones, and a network that says how the next innovation is distributed.
 
-With ℓ(v, f) the level of the vibration, x = a/ℓ is of about unit size at every speed and force. A lattice whose reflection
-coefficients follow v and f (`dsp.lattice`) predicts x and leaves the innovation e, of unit variance; a unit of it is worth
-Π cᵢ in x. Innovations of a scraped surface are uncorrelated and far from independent: impacts ring. So a gated recurrent unit,
-given each innovation, x, v and f, gives the distribution of the next one, a mixture of Gaussians:
+    a[n] = ℓ · ( lattice(x[n−1], x[n−2], …) + Π cᵢ · e[n] )        x = a / ℓ(v, f),  e[n] ~ Σ w_k N(μ_k, s_k)
+    w, μ, s = network(e, x, v, f)
 
-    a[n] = ℓ · ( lattice(x[n−1], x[n−2], …) + Π cᵢ · e[n] )        e[n] ~ Σ w_k N(μ_k, s_k),  w, μ, s = network(e, x, v, f)
+The lattice (`dsp.lattice`) leaves uncorrelated innovations e of unit variance; the network says how they are distributed. The
+mean of its mixture is predicted, as far as validation bears it out. A rendering draws e by the mixture's quantile function, in a
+network trained in its closed loop, or σ(v, f) times Gaussian noise where the network brings nothing; ℓ becomes ℓ σ(v, f). With
+the gain before the filter the lattice predicts a and ℓ e enters it. |e| ≤ E = σ · (largest innovation), so its energy stays
+below E²/(1 − leak²), and the network's state within ±1. Surfaces that repeat have tones too (`dsp.tones`).
 
-The mean of the mixture is what is predicted, as far as validation bears it out; in the closed loop e is drawn, through the
-mixture's quantile function, from one Gaussian number. This is the gain after the filter. With the gain before the filter the
-lattice predicts a itself and ℓ e enters it, so that what rang before rings on as loud as it was. Training chooses. In a
-rendering ℓ is multiplied by σ(v, f), which is near 1; where validation says that the network brings nothing, e is σ(v, f) times
-Gaussian noise.
-
-What enters the lattice is at most E = σ · (largest innovation), times the largest ℓ where the gain comes before the filter; the
-lattice's energy stays below E²/(1 − leak²), however speed and force move, and the network's state within ±1 by its gates.
-
-A rendering draws from a network of its own (`rendering_network.`), which begins as the other and is trained in its closed loop.
-A surface that repeats is rendered by tones of the path (`dsp.tones`), a lattice of the residual's own, and a network that is
-given the phase of the tones as well. Its next sample is predicted as above.
-
-Source: ours. Differs from the paper: its network (Sec. IV) is `foten`.
+Source: ours (docs/model.md). Differs from the paper: its network (Sec. IV) is `foten`.
 """
 
 from __future__ import annotations

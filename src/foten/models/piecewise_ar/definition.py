@@ -1,14 +1,11 @@
 """Piecewise AR: local linear models over speed and force, mixed by line spectral frequencies and power, run as a lattice.
 
-Between the three models around a condition their line spectral frequencies are mixed by barycentric weights. That is a stable
-filter, but a change from one stable filter to the next need not be, except in a normalised lattice (`dsp.lattice`). Under the
-condition of a model it is the very filter, gain (1 + b₁z⁻¹ + …) / A. What enters a normalised lattice is as loud as what leaves
-it: its power is what is mixed. No sample exceeds D N / √(1 − leak²), where D is the largest gain of a model before the lattice,
-and N the largest noise times 1 + Σ|b_k|.
+The three models around a condition are mixed by barycentric weights, and a normalised lattice (`dsp.lattice`) is stable while
+they change. At the condition of a model it is the very filter, gain (1 + b₁z⁻¹ + …) / A. No sample exceeds D N / √(1 − leak²),
+with D the largest gain of a model before the lattice, and N the largest noise times 1 + Σ|b_k|.
 
-Source: Culbertson, Unwin and Kuchenbecker, IEEE Trans. Haptics 7 (2014), [12] of the paper, as far as its abstract and
-the public texture files say: our re-implementation. Differs from it: the lattice, where a direct form keeps its samples;
-and power, where the variance of innovations is mixed there, which half-way from a noise to a tone is louder than both.
+Source: Culbertson, Unwin and Kuchenbecker, IEEE Trans. Haptics 7 (2014), [12] of the paper, by its abstract and public files.
+Differs from it: a lattice, not a direct form; power is mixed, not the variance of innovations, which is louder half-way.
 """
 
 from __future__ import annotations
