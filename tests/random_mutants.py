@@ -421,7 +421,8 @@ Judges = list[tuple[list[str], float]]
 
 
 def judges(change: Change, records: dict[str, dict[str, Any]]) -> Judges:
-    """Tests that execute a change's line and pass without it, the quick ones first, then files that start processes.
+    """Tests that execute a change's line and pass without it, those of files that import its module first, and of these the
+    quick ones; then files that start processes.
 
     Where no test executes it, as at import: those that execute the module, and all files that import it. Of C: those that call
     the kernel.
@@ -435,6 +436,7 @@ def judges(change: Change, records: dict[str, dict[str, Any]]) -> Judges:
     on_line: dict[str, float] = {}
     in_module: dict[str, float] = {}
     files: list[tuple[float, list[str], bool]] = []
+    naming: set[str] = set()
     for test, result in records.items():
         passed = {name: s for name, s in result["seconds"].items() if name not in result["failed"]}
         lines, text = result["lines"].get(path, {}), (ROOT / test).read_text()
@@ -443,11 +445,13 @@ def judges(change: Change, records: dict[str, dict[str, Any]]) -> Judges:
         if result["sources"].get(path) == _digest((ROOT / path).read_bytes()):  # else lines have moved
             on_line |= {name: passed[name] for name in lines.get(str(change.line), []) if name in passed}
         named = Path(change.path).stem in test if in_c else imported.search(text)
+        naming |= {test} if named else set()
         if named or ("test_kernel_build" if in_c else "test_imports") in test:  # of the latter one reads every module
             without = [option for name in result["failed"] for option in ("--deselect", name)]
             files.append((sum(passed.values()), [test, *without], "subprocess" in text))
     executing = in_module if in_c or not on_line else on_line
-    quick = (sorted(executing, key=executing.__getitem__), sum(executing.values()))
+    by_relevance = sorted(executing, key=lambda name: (name.partition("::")[0] not in naming, executing[name]))
+    quick = (by_relevance, sum(executing.values()))
     # Lines that a process of a test executes are not recorded.
     whole = [
         (names, seconds) for seconds, names, has_processes in sorted(files) if has_processes or in_c or not on_line

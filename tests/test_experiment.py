@@ -18,7 +18,7 @@ from foten.experiments.figures import convergence, spectra, split, thresholds, w
 from foten.experiments.onset import onset
 from foten.experiments.results import by_recipe, read_records
 from foten.experiments.run import _result
-from foten.experiments.stability import into, proven, stability
+from foten.experiments.stability import into, proven, render_streams, stability
 from foten.experiments.sweep import planned
 from foten.models.foten_plus.sizes import FotenPlusSizes
 from foten.models.texture_file import Texture
@@ -264,8 +264,14 @@ def texture() -> Texture:
     return dataclasses.replace(texture, card={**texture.card, "metrics": metrics})
 
 
-def test_a_texture_is_bounded_and_forgets(texture: Texture) -> None:
+def test_a_texture_is_bounded_and_forgets(texture: Texture, monkeypatch: pytest.MonkeyPatch) -> None:
+    paths: list[np.ndarray] = []
+    watched = "foten.experiments.stability.render_streams"
+    monkeypatch.setattr(watched, lambda *of, **more: [paths.append(of[2]), render_streams(*of, **more)][1])
     figures = stability(texture, minutes=0.5, n_attack=12_000)
+    ranges = [texture.trained_range(name) for name in ("speed", "force")]
+    middle = (np.mean(ranges, axis=1) - texture.scaling.mean[1:]) / texture.scaling.sd[1:]
+    np.testing.assert_allclose(paths[0][0, -1, :2], middle, rtol=1e-6)
     assert figures["n_samples"] == 30_000
     assert 1 < figures["max_sd"] < np.inf
     assert 0 < figures["attack_later_max_sd"] <= figures["attack_bound_sd"]

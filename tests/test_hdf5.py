@@ -80,10 +80,7 @@ def test_a_file_as_matlab_writes_it_is_read(tmp_path):
         (lambda f: f.create_dataset("channels/speed", data=np.zeros((4, 4))), "unit is ''"),
         (lambda f: f["channels/force"].__setitem__(7, 1e30), "force: sample 7 is 1e.30, expected below 1e.12"),
         (lambda f: f["channels/force"].attrs.__setitem__("rate_hz", 1e-3), "Hz, 1e.05 s, expected 100 s at most"),
-        (
-            lambda f: f["times_s/position_x"].__setitem__(..., 1e9 + np.arange(50)),
-            "starts at 1e.09 s, expected 7200 at",
-        ),
+        (lambda f: f["times_s/position_x"].__setitem__(..., 1e9 + np.arange(50)), "starts at 1e.09 s, expected 7200"),
         (lambda f: f["channels/force"].attrs.__setitem__("rate_hz", 1e12), "the rate is 1e.12 Hz"),
         (lambda f: f["times_s/position_x"].__setitem__(49, 1e9), "the rate right, or was the time given in ms"),
         (lambda f: f.attrs.__setitem__("simulation", "[" * 50_000), "simulation is not a JSON object"),

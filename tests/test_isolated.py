@@ -114,9 +114,7 @@ BOMBS = {
     "v7.mat": _hdf5_bomb,
     "v5.mat": lambda path: savemat(path, {"force": np.zeros(N_BOMB, np.int8)}, do_compression=True),
     "zeros.npz": lambda path: np.savez_compressed(path, force=np.zeros(N_BOMB, np.int8)),
-    "fields.npz": lambda path: np.savez_compressed(
-        path, force=np.zeros(N_BOMB // 3, [("a", "i1", 3), ("b", "i1, i1")])
-    ),
+    "fields.npz": lambda at: np.savez_compressed(at, force=np.zeros(N_BOMB // 3, [("a", "i1", 3), ("b", "i1, i1")])),
     "words.npz": lambda path: np.savez_compressed(path, force=np.zeros(N_BOMB // 50, "U100")),
     "spaces.xlsx": lambda path: _workbook(path, b"", b"", 80_000_000),
     "tag.xlsx": lambda path: _workbook(path, b"<sheetPr", b"/>", 60_000_000),  # whose parser reads it again and again

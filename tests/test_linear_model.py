@@ -64,7 +64,7 @@ def test_innovations_are_what_the_kernels_predictions_leave(before: bool) -> Non
     # The kernel begins at a window, the innovations with the block: what is older is forgotten.
     settled = slice(100, None)
     np.testing.assert_allclose(
-        (e * gain)[:, m:][:, settled], (blocks.samples[:, m:, 0] - predicted)[:, settled], atol=1e-5
+        (e * gain)[:, m:][:, settled], (blocks.samples[:, m:, 0] - predicted)[:, settled], 0, 1e-5
     )
     under = model.level(blocks.condition_before()[2]).reshape(5, 300)
     np.testing.assert_allclose((x * under)[:, 1:], blocks.samples[:, 1:, 0], atol=1e-9)

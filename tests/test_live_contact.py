@@ -69,6 +69,7 @@ def test_an_actuator_is_driven_as_it_needs(there: bool) -> None:
     scale = 1.0 if there else 1 / 5.0
     assert np.abs(expected).max() > 1e-3
     np.testing.assert_allclose(out, expected * scale * 10 ** (-6 / 20), rtol=1e-5)
+    assert contact.gain == pytest.approx(scale * 10 ** (-6 / 20))
 
 
 def stroked(contact: Contact, player: HandTurnedPlayer, n: int, seconds: float) -> NDArray[np.float32]:

@@ -432,26 +432,17 @@ def test_a_participant_alone_and_a_trial_alone() -> None:
 @pytest.mark.parametrize(
     ("call", "message"),
     [
-        (
-            lambda: bradley_terry(np.ones((3, 2))),
-            r"wins are of shape \(3, 2\), expected \(participants, methods, methods\)",
-        ),
+        (lambda: bradley_terry(np.ones((3, 2))), r"wins are of shape \(3, 2\), expected \(participants, methods,"),
         (lambda: bradley_terry(-wins(6, 3)), "wins hold a negative or missing number"),
         (lambda: bradley_terry(np.ones((3, 2, 2))), "a method is chosen over itself"),
         (lambda: bradley_terry(np.zeros((3, 2, 2))), "nobody has chosen"),
         (lambda: bradley_terry(wins(6, 3), reference=3), r"the reference is method 3, expected one of 0 … 2"),
-        (
-            lambda: oddity(np.ones((2, 2)), np.ones(2)),
-            r"right answers are of shape \(2, 2\), expected \(participants,\)",
-        ),
+        (lambda: oddity(np.ones((2, 2)), np.ones(2)), r"right answers are of shape \(2, 2\), expected \(partic"),
         (lambda: oddity(np.ones(2), np.ones(3)), "there are 2 numbers of right answers and 3 of trials"),
         (lambda: oddity(np.array([1, 3]), np.array([2, 2])), "participant 1 has 3 right answers of 2 trials"),
         (lambda: oddity(np.array([-1.0]), np.ones(1)), "right answers hold a negative"),
         (lambda: oddity(np.zeros(2), np.zeros(2)), "there is no trial"),
-        (
-            lambda: abx(np.ones((2, 3)), np.ones((2, 2))),
-            r"where X is A are of shape \(2, 3\), expected \(participants, 2\)",
-        ),
+        (lambda: abx(np.ones((2, 3)), np.ones((2, 2))), r"where X is A are of shape \(2, 3\), expected \(partic"),
         (lambda: abx(np.ones((2, 2)), np.ones((3, 2))), "answers are of 2 participants where X is A, of 3"),
         (lambda: abx(np.full((2, 2), 0.5), np.ones((2, 2))), "where X is A hold a negative, broken or missing number"),
         (lambda: abx(np.ones((2, 2)), np.zeros((2, 2))), "there is no trial where X is B"),

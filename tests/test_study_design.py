@@ -72,11 +72,7 @@ BAD = [
     ('at = "end"', 'at = "middle"', "question remarks: at is 'middle', expected start, end, or after how many trials"),
     ('key = "handedness"', 'key = "age"', "two questions with one key"),
     ('options = ["right", "left", "either"]', "", "question handedness: a choice has two options or more"),
-    (
-        "low = 0\nhigh = 120",
-        "low = 120\nhigh = 0",
-        "question age: low and high are 120 and 0, expected bounds of a number",
-    ),
+    ("low = 0\nhigh = 120", "low = 120\nhigh = 0", "question age: low and high are 120 and 0, expected bounds"),
     ("low = 0\nhigh = 120", "low = nan", "not finite, .* in 'low'"),
     ('at = "end"', "low = 3", "question remarks: low and high are 3 and 1e.*, expected bounds of a number in order"),
     ("title =", "title", "study.toml: this is not TOML"),

@@ -284,6 +284,12 @@ def test_a_table_says_what_was_reduced_and_what_a_figure_is_blind_to(records: li
         assert ["blind to" in other for other in others] == [True] * (name in ("summary", "gfc", "warm-start"))
 
 
+def test_the_warm_starts_columns_are_errors_per_cent_and_decibels(records: list[dict]) -> None:
+    same = [one | {path: 2.0 for _, path, *_ in method_tables.WARM_START} for one in records]
+    row = method_tables.warm_start(same).cells()[1]
+    assert [cell.split()[0] for cell in row[-7:-1]] == ["2.000", "2.000", "2.000", "200.0", "200.0", "2.0"]
+
+
 def test_tables_are_written_in_three_forms(swept: Path, tmp_path: Path) -> None:
     assert "| excited |" in foten("tables", swept, "-o", tmp_path / "tables")[0]
     names = product(("summary", "warm-start", "mae", "gfc", "lsd", "level"), ("md", "csv", "tex"))
@@ -605,6 +611,10 @@ def test_a_sweep_names_what_it_has_anew_and_makes_again_what_is_damaged(swept: P
         assert lines == [f"FNN [13], linear-cloth, split 1: run again, as {path.name} is damaged"]
         with pytest.raises(ValueError, match=f"{path.name} is no result of foten sweep, or damaged"):
             read_results(folder)
+    path.write_text(whole.replace(json.loads(whole)["provenance"]["code"], "0" * 16))
+    assert len(read_records(folder)) == 4
+    with pytest.raises(ValueError, match="run the sweep again, or allow it by --mixed"):
+        read_results(folder)
 
 
 def test_the_same_run_under_two_names_is_refused(tmp_path: Path) -> None:

@@ -11,12 +11,22 @@ from conftest import exported
 from foten.baselines.sizes import TRAINABLE
 from foten.cli.command_line import _status
 from foten.editing.describe import describe, rendered, spectrum
-from foten.editing.user import MOVES, TONES_HZ, UserProfile, adapted, equal_strength, read_user, write_user
+from foten.editing.envelope import STRENGTHS, EnvelopeCurve
+from foten.editing.user import (
+    MOVES,
+    REFERENCE_HZ,
+    TONES_HZ,
+    UserProfile,
+    adapted,
+    equal_strength,
+    read_user,
+    write_user,
+)
 from foten.models.texture_file import read_texture
 from foten.runtime.actuator import ActuatorProfile, write_profile
 from foten.runtime.renderer import EXAMPLE
 from foten.studio.adapt_server import largest_tones_db, reachable
-from foten.studio.adapt_session import Limits, Question, Session, answered_by
+from foten.studio.adapt_session import ABOVE_THRESHOLD_DB, ROOM_DB, Limits, Question, Session, answered_by
 
 TOWEL = EXAMPLE.parent / "towel.foten"
 GAINS = UserProfile("Ada", gain_db=(6.0, 3.0, 0.0, 0.0, -6.0), gain_sd_db=(1.0,) * 5)
@@ -150,10 +160,15 @@ def test_a_tone_that_the_output_cannot_make_strong_enough_has_a_gain_above_it() 
 
 def test_moves_stay_within_what_a_texture_reaches() -> None:
     """Jeans cannot be made smoother: the envelope is searched for from there upwards, and what hardly changes is left out."""
-    ranges = reachable(read_texture(EXAMPLE.parent / "jeans.foten"))
+    ranges = reachable(jeans := read_texture(EXAMPLE.parent / "jeans.foten"))
     low, high = ranges["rougher"]
     assert low > -0.1
     assert 0.3 < high <= 1.5
+    roughness = EnvelopeCurve(jeans).roughness_db
+    assert (low, high) == (
+        roughness[0] - roughness[STRENGTHS.index(0.0)],
+        roughness[-1] - roughness[STRENGTHS.index(0)],
+    )
     session = Session(UserProfile(), "jeans", ranges, feel=False)
     assert session.moves(-np.ones(4))[3] == pytest.approx(low)
     assert session.moves(np.ones(4)) == pytest.approx([6.0, 0.75, 0.3, high])
@@ -172,6 +187,9 @@ def test_a_part_that_has_not_ended_says_nothing() -> None:
     session.answer(session.question.n, person(session.question))
     assert session.question.part == "compare"
     assert len(session.profile.threshold_db) == 5
+    felt = max(search.point for hertz, search in session.thresholds.items() if hertz not in session.unfelt_hz)
+    above = max(ABOVE_THRESHOLD_DB[0], min(ABOVE_THRESHOLD_DB[1], -ROOM_DB - felt))
+    assert session.reference_db == round(min(-ROOM_DB, session.thresholds[REFERENCE_HZ].point + above), 1)
     assert not session.profile.gain_db
     assert session.progress["detect"] == 1
 

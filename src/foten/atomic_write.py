@@ -35,7 +35,7 @@ def atomic_write(path: Path) -> Iterator[Path]:
         raise
     finally:
         with suppress(OSError):
-            part.unlink(missing_ok=True)
+            part.unlink()
 
 
 def write_json(path: Path, document: Mapping[str, Any], indent: int | None = 1) -> None:
