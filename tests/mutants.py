@@ -36,10 +36,8 @@ def files_of(tests: str) -> tuple[str, ...]:
 def of_c(path: str, *rows: tuple[str, ...], tests: str = KERNEL) -> list[Mutant]:
     """Mutants of a file in `native`: what is wrong, the tokens that are replaced, by what, other tests than the kernel's."""
     return [
-        Mutant(
-            what, f"native/{path}", partial(_tokens_replaced, before, after), files_of(others[0] if others else tests)
-        )
-        for what, before, after, *others in rows
+        Mutant(what, f"native/{path}", partial(_tokens_replaced, before, after), files_of(more[0] if more else tests))
+        for what, before, after, *more in rows
     ]
 
 
@@ -260,16 +258,8 @@ MUTANTS = (
         ("a pen goes on from how it moved before it stood", "= s->velocity[0] = s->velocity[1] = 0;", "= 0;"),
         tests="stylus",
     ),
-    *of_c(
-        "src/actuator.c",
-        ("an actuator's new figures begin from rest", "designed.memory = into->memory;", ""),
-        tests="actuator",
-    ),
-    *of_c(
-        "src/card.c",
-        ("the kernel takes a speed in m/s as mm/s", "if (!check_units(file)) return 0;", ""),
-        tests="native",
-    ),
+    *of_c("src/actuator.c", ("new figures begin from rest", "designed.memory = into->memory;", ""), tests="actuator"),
+    *of_c("src/card.c", ("a speed in m/s is taken as mm/s", "if (!check_units(file)) return 0;", ""), tests="native"),
     *of_c(
         "src/file.c",
         ("of a name twice the first counts", "i = file->n_entries; i > 0; i--", "i = 1; i <= file->n_entries; i++"),
@@ -281,11 +271,7 @@ MUTANTS = (
         ("a band-pass may grow at 0 Hz or at half the rate", "&& fabs(filter[1]) < 1 + filter[2]", ""),
         tests="equaliser",
     ),
-    *of_python(
-        "untrusted.py",
-        ("JSON may hold a name twice", "_unique", "Compare Lt", "it.left and False"),
-        tests="texture_file",
-    ),
+    *of_python("untrusted.py", ("a name twice", "_unique", "Compare Lt", "it.left and False"), tests="texture_file"),
     *of_python(
         "runtime/stylus.py",
         ("the force of a pressure has no exponent", "PressureCalibration.force", "Call exp", "1 + it.args[0]"),
@@ -478,11 +464,7 @@ MUTANTS = (
         ("every step back is midnight", "clock_seconds", "UnaryOp USub 0", "0"),
         tests="importing",
     ),
-    *of_python(
-        "datasets/timing.py",
-        ("coarse stamps excuse any jitter", "irregular", "Call min", "it.args[0]"),
-        tests="importing",
-    ),
+    *of_python("datasets/timing.py", ("jitter is excused", "irregular", "Call min", "it.args[0]"), tests="importing"),
     *of_python(
         "models/foten_plus/tones_fit.py",
         ("the jitter's variance is not over the distance", "_period_jitter", "BinOp Sub 3", "it.left"),
@@ -493,11 +475,7 @@ MUTANTS = (
         ("practice answers lead the level search", "Store.levels", "Constant 1", "it.replace('> 0', '>= 0')"),
         tests="study_store",
     ),
-    *of_python(
-        "study/session.py",
-        ("time between strokes is contact", "contact_s", "Compare Gt 0", "True"),
-        tests="study_store",
-    ),
+    *of_python("study/session.py", ("pauses are contact", "contact_s", "Compare Gt 0", "True"), tests="study_store"),
     *of_python(
         "studio/levels.py",
         ("gains are over the widest range", "_conditions", "Call max", "it.func.value.min(0)"),
@@ -510,21 +488,14 @@ MUTANTS = (
         tests="clips",
     ),
     *of_python("export/hjif.py", ("an RMS as an amplitude", "_chirp", "BinOp Mult 1", "it.right"), tests="clips"),
-    *of_python(
-        "experiments/simulator_reference.py",
-        ("what is chosen by is what is reported", "VALIDATION_HAND", "Constant", "1"),
-    ),
+    *of_python("experiments/simulator_reference.py", ("chosen by the reported", "VALIDATION_HAND", "Constant", "1")),
     *of_python(
         "cli/train.py",
         ("the playable texture is not written", "on_playable", "Expr write_texture", ""),
         ("what a training notes is not shown", "train", "Expr note 2", ""),
         tests="cli",
     ),
-    *of_python(
-        "console.py",
-        ("a terminal is given a name as it is", "_shown_lines", "Call shown", "it.args[0]"),
-        tests="hostile",
-    ),
+    *of_python("console.py", ("a name is shown as it is", "_shown_lines", "Call shown", "it.args[0]"), tests="hostile"),
     *of_python("untrusted.py", ("a name of any length", "shown", "Compare LtE", "True"), tests="hostile"),
 )
 """Those that an audit made and the tests of then let pass, and others of the same kind."""

@@ -310,6 +310,13 @@ class LineRecorder:
             self.result["lines"][str(Path(path).relative_to(self._folder))] = lines
 
 
+class Deadline:
+    """Plugin of pytest: a test that goes on for over a minute ends the process, as one that waits without an end does."""
+
+    def pytest_runtest_logstart(self, nodeid: str) -> None:
+        signal.alarm(75)
+
+
 def run_pytest(folder: Path, arguments: list[str], limit_s: float, recorder: LineRecorder | None = None) -> str:
     """Run tests of a copy in a fork of this process, which has what they import: `passed`, `failed`, or `late`.
 
@@ -341,7 +348,7 @@ def _pytest(folder: Path, arguments: list[str], recorder: LineRecorder | None) -
     import pytest
 
     options = ["-q", "-p", "no:xdist", "-p", "no:cacheprovider", *([] if recorder else ["-x"])]
-    status = pytest.main([*options, *arguments], [recorder] if recorder else [])
+    status = pytest.main([*options, *arguments], [recorder or Deadline()])
     if recorder:
         (folder / "record.json").write_text(json.dumps(recorder.result))
     sys.stdout.flush()
@@ -453,9 +460,7 @@ def judges(change: Change, records: dict[str, dict[str, Any]]) -> Judges:
     by_relevance = sorted(executing, key=lambda name: (name.partition("::")[0] not in naming, executing[name]))
     quick = (by_relevance, sum(executing.values()))
     # Lines that a process of a test executes are not recorded.
-    whole = [
-        (names, seconds) for seconds, names, has_processes in sorted(files) if has_processes or in_c or not on_line
-    ]
+    whole = [(names, seconds) for seconds, names, starts in sorted(files) if starts or in_c or not on_line]
     return [*whole[:1], quick, *whole[1:]] if in_c else [quick, *whole]
 
 

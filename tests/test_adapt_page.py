@@ -96,10 +96,7 @@ def test_a_bad_answer_is_refused_and_nothing_kept(
 
 
 def test_others_get_nothing(client: TestClient) -> None:
-    assert (
-        client.post("/answer", json={"n": 0, "which": 0}, headers={"origin": "http://elsewhere.example"}).status_code
-        == 403
-    )
+    assert client.post("/answer", json={"n": 0, "which": 0}, headers={"origin": "http://x.test"}).status_code == 403
     for path in ("/pair/0/0", "/pair/99/5", "/pair/-1/0", "/textures/other.foten", "/session.py", "/../session.py"):
         assert client.get(path).status_code == 404
     assert "foten: your hand" in client.get("/").text
@@ -114,9 +111,7 @@ def test_no_address_is_a_fault_of_a_server(server: AdaptServer, tmp_path: Path) 
         app = one.app(Access(LOOPBACK, 8000))
         with TestClient(app, base_url=HERE, headers={"origin": HERE}) as client:
             for value in ("9" * 5000, "-1", "1e999", "nan", "²", "%00", "%ff", "a" * 5000):
-                query = "&".join(
-                    f"{name}={value}" for name in ("texture", "level", "at", "exact", "key", "role", "token")
-                )
+                query = "&".join(f"{of}={value}" for of in ("texture", "level", "at", "exact", "key", "role", "token"))
                 for route in app._app.routes:  # type: ignore[attr-defined]
                     path = re.sub(r"\{.*?\}", value, route.path)
                     for method in sorted(getattr(route, "methods", ())):  # a WebSocket has none

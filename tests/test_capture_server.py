@@ -106,13 +106,7 @@ def test_a_capture_is_kept_in_files_that_import_reads(client: TestClient, studio
 
 
 def test_a_folder_is_named_after_its_surface_and_a_second_one_has_a_number(tmp_path: Path) -> None:
-    names = {
-        "../../etc/passwd": "etc-passwd",
-        "…": "surface",
-        "Wool 2": "wool-2",
-        "a" * 90: "a" * 60,
-        "wool/2": "wool-2-2",
-    }
+    names = {"../../etc/pass": "etc-pass", "…": "surface", "Wool 2": "wool-2", "a" * 90: "a" * 60, "wool/2": "wool-2-2"}
     for name, expected in names.items():
         capture = CaptureSession(About(name, 48000))
         capture.add_sound(np.zeros(100, dtype=np.float32))

@@ -87,10 +87,7 @@ def test_each_of_several_grids_is_run_for_itself(tmp_path: Path) -> None:
         {"window": 144, "loss": "mae"},
         {"learning_rate": 1e-4},
     ] * (len(runs) // 10)
-    for wrong, match in (
-        ("grid = [5]", "a grid is 5, expected a table"),
-        ("[[grid]]\nwindows = [5]", "unknown key 'windows'"),
-    ):
+    for wrong, match in (("grid = [5]", "a grid is 5, expected"), ("[[grid]]\nwindows = [5]", "unknown key 'windows'")):
         with pytest.raises(ValueError, match=match):
             read_experiment(experiment(tmp_path, TINY.replace("[train]", f"{wrong}\n[train]")))
 

@@ -39,26 +39,15 @@ FOR_ALL = {"atomic_write", "untrusted"}
 EVERYTHING = {"", *(package for package, names in MAY_IMPORT.items() if names is None)}  # "": foten itself, lazily
 WITH_TORCH = {"training", "baselines", "experiments", "cli"}
 TRAINED = re.compile(r"foten\.models\.\w+\.(?!definition$|sizes$)\w+")  # by PyTorch
-FRAMEWORK_FREE = {
-    "foten.training",
-    "foten.baselines",
-    "foten.baselines.sizes",
-    "foten.training.config",
-    "foten.experiments",
-}
+NO_TORCH = {"foten.training", "foten.baselines", "foten.baselines.sizes", "foten.training.config", "foten.experiments"}
 LISTENER = re.compile(r"foten\.evaluate\.listener(_network)?")  # loads PyTorch when it is asked
 WITHOUT_SCIPY = {"atomic_write", "untrusted", "dsp", "recording", "models", "runtime", ""}  # at import
-THIRD_PARTIES = {
-    "atomic_write": set(),
-    "untrusted": set(),
-    "dsp": {"numpy", "scipy"},
-    "models": {"numpy", "safetensors"},
-}
+EXTERNAL = {"atomic_write": set(), "untrusted": set(), "dsp": {"numpy", "scipy"}, "models": {"numpy", "safetensors"}}
 
 
 def may_train(module: str) -> bool:
     """Whether a module is of what may import PyTorch as soon as it is imported."""
-    if module in FRAMEWORK_FREE:
+    if module in NO_TORCH:
         return False
     trained = TRAINED.fullmatch(module) or LISTENER.fullmatch(module)
     return bool(trained) or package(module) in {"training", "baselines", "experiments"}
@@ -109,10 +98,7 @@ def of_project(modules: Iterator[str]) -> set[str]:
 
 
 def test_of_the_command_line_alone_the_study_is_known() -> None:
-    assert {package(module) for module in MODULES if "study" in of_project(imported(source(module)))} == {
-        "study",
-        "cli",
-    }
+    assert {package(m) for m in MODULES if "study" in of_project(imported(source(m)))} == {"study", "cli"}
 
 
 def test_every_package_has_its_row() -> None:
@@ -134,10 +120,10 @@ def test_a_module_imports_what_its_layer_may(module: str) -> None:
     assert not beyond, f"{module} imports {', '.join(sorted(beyond))}"
 
 
-@pytest.mark.parametrize("module", [m for m in MODULES if package(m) in THIRD_PARTIES and not may_train(m)])
+@pytest.mark.parametrize("module", [m for m in MODULES if package(m) in EXTERNAL and not may_train(m)])
 def test_a_module_needs_no_more_than_its_layer_may(module: str) -> None:
     names = {name.split(".")[0] for name in imported(source(module))}
-    beyond = names - set(sys.stdlib_module_names) - THIRD_PARTIES[package(module)] - {"foten"}
+    beyond = names - set(sys.stdlib_module_names) - EXTERNAL[package(module)] - {"foten"}
     assert not beyond, f"{module} imports {', '.join(sorted(beyond))}"
 
 

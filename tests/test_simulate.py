@@ -33,9 +33,7 @@ GRAVITY = 9.81
 def test_parameters_are_those_of_the_version() -> None:
     """All results are of these surfaces and strokes: other ones need another `VERSION`."""
     families = [LINEAR_FAMILY, OTHER_LINEAR, TEXTURES, CONTACT, TWO_MASS]
-    tables: list[object] = [
-        {key: dataclasses.asdict(surface) for key, surface in family.items()} for family in families
-    ]
+    tables: list[object] = [{key: dataclasses.asdict(one) for key, one in family.items()} for family in families]
     tables.append({name: value for name, value in vars(stroking_module).items() if name.isupper()})
     text = json.dumps(tables, sort_keys=True, default=lambda array: np.round(array, 6).tolist())
     assert (VERSION, hashlib.sha256(text.encode()).hexdigest()[:12]) == (2, "933e6fed086a")

@@ -77,9 +77,7 @@ def chromium(*flags: str) -> Iterator[Any]:
 
 def look(page: Any, name: str, sizes: Sequence[str] = ("phone", "tablet", "desktop"), part: str = "html") -> list[Any]:
     """Take screenshots of a page for people, light and dark, and return what axe-core complains of in a part of it."""
-    axe = pytest.importorskip(
-        "axe_playwright_python.sync_playwright", reason="needs axe-core: pip install '.[browser]'"
-    )
+    axe = pytest.importorskip("axe_playwright_python.sync_playwright", reason="needs pip install '.[browser]'")
     SHOTS.mkdir(parents=True, exist_ok=True)
     complaints = []
     page.evaluate(axe.Axe().axe_script)

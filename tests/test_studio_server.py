@@ -327,6 +327,18 @@ def test_files_are_allowed_up_to_the_limit(monkeypatch: pytest.MonkeyPatch, allo
     assert web_server._allowed_files() == n
 
 
+def test_a_connection_that_gives_room_waits_no_more() -> None:
+    async def waiting() -> dict[Any, None]:
+        connections, sockets = web_server.Connections(lambda *_: None, 2), socket.socketpair()
+        for number, one in enumerate(sockets):
+            connections._wait(web_server._Connection(one, ("a", number)), 60.0)
+            one.close()
+        connections._drop_oldest()
+        return connections._waiting
+
+    assert [connection.peer for connection in asyncio.run(waiting())] == [("a", 1)]
+
+
 @pytest.mark.skipif(sys.platform == "win32", reason="has no limit of open files")
 @pytest.mark.parametrize("host", ["127.0.0.1", "0.0.0.0"])
 def test_connections_that_ask_nothing_shut_nobody_out(host: str) -> None:
