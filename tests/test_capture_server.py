@@ -9,6 +9,7 @@ import time
 import tracemalloc
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -18,18 +19,21 @@ pytest.importorskip("starlette")
 import scipy.io.wavfile
 from starlette.testclient import TestClient
 
+from conftest import exported
 from foten.datasets.hdf5 import load_recording
 from foten.dsp import Array
 from foten.models.texture_file import read_texture
 from foten.recording.capture_folder import About
 from foten.recording.recording import RELATIVE
 from foten.runtime.renderer import EXAMPLE
+from foten.simulation.simulate import simulate
 from foten.simulation.simulated_capture import SOUND_HZ, SimulatedCapture, simulate_capture
 from foten.studio import capture_server, studio_server
 from foten.studio.capture_server import CaptureSession, in_order
 from foten.studio.messages import MAX_BYTES, RefusedError
 from foten.studio.shelf import Shelf
 from foten.studio.studio_server import Studio
+from foten.training import train_capture
 from test_messages import BEGIN
 from test_studio_server import HERE, LOCAL, until
 
@@ -309,3 +313,16 @@ def test_a_texture_is_there_before_its_training_ends_and_the_servers_end_ends_th
     assert card["units"]["acceleration"] == RELATIVE
     assert any("came late" in sentence for sentence in load_recording(folder / "old-denim-washed.h5").history)
     assert not studio.trainings._running
+
+
+def test_the_texture_is_playable_early_and_the_last_is_written(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    early, last = (exported("foten-plus", texture=name) for name in ("early", "last"))
+    monkeypatch.setattr(
+        train_capture, "train", lambda _, of: [of.on_playable(early) for _ in "12"] and SimpleNamespace(texture=last)
+    )
+    train_capture.train_recording(simulate("linear-hum", 8), {}, tmp_path / "a.foten")
+    assert read_texture(tmp_path / "a.foten").card["texture"] == "last"
+    said = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    assert [one.get("playable") or one.get("done") for one in said] == ["a.foten", "a.foten"]

@@ -28,11 +28,7 @@ def write_clip(folder: Path, surface: int, direction: int, speed: int, force_mn:
     at = np.arange(0, SECONDS, 0.01)
     angle = np.radians(direction)
     position = np.stack([3 + at, 50 + speed * at * np.cos(angle), 50 + speed * at * np.sin(angle)], axis=1)
-    for part, header, rows in (
-        ("accel", "time,X,Y,Z", accel),
-        ("force", "time,force", force),
-        ("position", "time,X,Y", position),
-    ):
+    for part, header, rows in (("accel", "X,Y,Z", accel), ("force", "force", force), ("position", "X,Y", position)):
         place = folder / "sensor_data" / part
         place.mkdir(parents=True, exist_ok=True)
         np.savetxt(place / name, rows, "%.9g", ",", header=f"time,{header}", comments="")
@@ -94,7 +90,7 @@ def test_a_damaged_clip_is_named(tmp_path: Path) -> None:
     path = tmp_path / "sensor_data" / "position" / "1_0_20_500_0.csv"
     text = path.read_text()
     for damaged, message in (
-        (text.replace("50,50", "50,none", 1), ", row 2 holds numbers and words"),
+        (text.replace("50,50", "50,none", 1), ", column Y: row 2 is 'none'"),
         (text + "1e9,50,50\n", " lasts 1e.09 s, expected 0.1 to 7200"),
         ("time,X,Y\n0,1,1\n5e-324,2,2\n1e-323,3,3\n", " lasts 9.88e-324 s, expected 0.1 to 7200"),
     ):

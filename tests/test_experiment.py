@@ -321,13 +321,9 @@ def test_the_papers_figures_are_as_they_were_looked_at(tmp_path: Path) -> None:
     text = TINY.replace('"linear-twin"', '"linear-twin", "linear-hum", "towel"')
     results = []
     for k, run in enumerate(read_experiment(experiment(tmp_path, text)).runs()):
-        times = np.arange(400 if k > 1 else 100)
-        wave, decay, gain = (
-            np.sin(times / (5 + k)),
-            np.exp(-times[:40] / 10),
-            np.where((times < 50) | (k > 0), 1.0, 1e-3),
-        )
-        signals = {"recorded": wave, "free_run": gain * wave[::-1], "frequencies_hz": 10.0 * times[:40]}
+        t = np.arange(400 if k > 1 else 100)
+        wave, decay, gain = (np.sin(t / (5 + k)), np.exp(-t[:40] / 10), np.where((t < 50) | (k > 0), 1.0, 1e-3))
+        signals = {"recorded": wave, "free_run": gain * wave[::-1], "frequencies_hz": 10.0 * t[:40]}
         signals |= {"error_to_silence": 1 + k / 10 - decay, "level_db": -k * (1 - decay)}
         signals |= {"density": {"recorded": decay, "free_run": gain[-1] ** 2 * (1 + k) * decay[::-1]}}
         warm = {"ceiling": {"mae_scaled": 1.4}, "silence_mae_scaled": 1.0}

@@ -19,10 +19,11 @@ from foten.cli.command_line import _status
 from foten.console import preload
 from foten.datasets import isolated
 from foten.datasets.binary import read_hdf5
+from foten.datasets.columns import Column
 from foten.datasets.hatt import read_models
 from foten.datasets.hdf5 import load_recording, write_recording
 from foten.datasets.importing import DATASETS, read_columns
-from foten.datasets.isolated import read_isolated
+from foten.datasets.isolated import contents_of, read_isolated
 from foten.editing.texture_library import open_library
 from foten.experiments.experiment import read_experiment
 from foten.models.texture_file import Texture, read_texture, write_texture
@@ -208,6 +209,12 @@ def test_a_file_is_read_up_to_its_bound_and_beyond_where_that_is_raised(
         with nullcontext() if is_read else pytest.raises(ValueError, match=r"has 2\.5 MB"):
             read_whole(path, 1000)
     assert too_much(800_000_000, 64_000_000).endswith("FOTEN_MAX_MB=801 reads it all the same")
+
+
+def test_rows_of_columns_are_told_by_their_ends() -> None:
+    columns = [Column("a", np.zeros(3), row_numbers=range(2, 5)), Column("b", np.zeros(2))]
+    assert [rows for rows, _ in contents_of(columns)[0]] == [[2, 5], [0, 0]]
+    assert [column.n_rows for column in columns] == [3, 2]
 
 
 def test_what_is_deep_long_or_large_is_refused_from_its_bound_on() -> None:

@@ -234,14 +234,14 @@ def test_the_same_seed_gives_the_same_area_whatever_was_drawn_before() -> None:
 
 def test_every_listener_has_a_rendering_of_its_own_and_the_control_a_true_one(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(networks, "N_STEPS", 2)
-    recorded, asked = stroke(hiss(1)), []
+    recorded, asked, stages = stroke(hiss(1)), [], list[str]()
 
     def rendered(seed: int) -> np.ndarray:
         asked.append(seed)
         return hiss(10 + seed)
 
-    scores = listener_scores(recorded, rendered, [stroke(hiss(2))], seed=4)
-    assert asked == [4, 5, 6]
+    scores = listener_scores(recorded, rendered, [stroke(hiss(2))], 4, stages.append)
+    assert (asked, stages[::3]) == ([4, 5, 6], ["listener 1 of 3", "listener 2 of 3", "listener 3 of 3"])
     for kind in ("", "_waveform", "_person"):
         assert 0 <= scores[f"listener_auc{kind}"] <= 1
         assert 0 <= scores[f"listener_auc{kind}_control"] <= 1

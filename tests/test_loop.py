@@ -358,6 +358,15 @@ def test_singular_values_come_near_one_and_directions_stay(shape: tuple[int, ...
     assert (overlap > 0.68).all()
 
 
+def test_a_matrix_without_a_gradient_decays() -> None:
+    of = parameters()
+    before = of["square"].detach().clone()
+    for parameter in of.values():
+        parameter.grad = torch.zeros_like(parameter)
+    Optimiser(of, replace(RECIPES["default"], optimiser="muon", learning_rate=0.1, weight_decay=0.5)).step(0.5)
+    torch.testing.assert_close(of["square"].detach(), 0.975 * before)
+
+
 def test_steps_without_matrices_are_those_of_pytorchs_adamw() -> None:
     """Oracle: torch.optim.AdamW, at a rate that changes, with decay; and a state that goes on where it was."""
     config = replace(RECIPES["default"], optimiser="adamw", weight_decay=0.2)

@@ -53,6 +53,7 @@ def test_delay_and_drift_are_found(delay_s: float, drift: float) -> None:
         events, sound = captured(delay_s, drift, seed=seed)
         clock = joined(events, sound, RATE_HZ)
         assert clock.n_taps == len(TAPS)
+        assert clock.residual_ms < 3
         t = np.linspace(0.0, 23.0, 100)
         worst = max(worst, float(np.abs(clock(t) - (t * (1 + drift) + delay_s)).max()))
     assert worst < 0.003  # s: what the issue of a capture allows at 200 events a second

@@ -58,21 +58,16 @@ def test_what_is_imported_at_once_counts_whoever_it_belongs_to(root: Path) -> No
     assert "package.network" in closure(["package.run"], root, others={"package.models.b"})
 
 
-def test_a_run_depends_on_its_measures_and_not_on_others() -> None:
+def test_a_run_depends_on_its_measures_and_not_on_rest() -> None:
     sources = sources_of("foten", ())
     assert {"foten", "foten.experiments.run", "foten.models.foten.network", "foten.dsp.filters"} <= set(sources)
     assert [name.partition(".")[0] for name in sources if name.startswith(KERNEL)] == [
         "kernel/libfoten",
         "kernel/libfoten_training",
     ]
-    others = {"foten.experiments.stability", "foten.evaluate.listener_network"}
-    others |= {
-        "foten.experiments.sweep",
-        "foten.experiments.method_tables",
-        "foten.reporting.table",
-        "foten.study.store",
-    }
-    assert not others & set(sources)
+    rest = {"foten.experiments.stability", "foten.evaluate.listener_network"}
+    rest |= {"foten.experiments.sweep", "foten.experiments.method_tables", "foten.reporting.table", "foten.study.store"}
+    assert not rest & set(sources)
     assert set(sources_of("foten", ("stability",))) - set(sources) == {"foten.experiments.stability"}
     assert "foten.evaluate.listener_network" in sources_of("foten", ("listener",))
     for model in TRAINABLE:

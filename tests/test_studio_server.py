@@ -119,6 +119,8 @@ def test_a_photograph_beside_a_texture_is_its_picture_and_a_name_that_is_taken_g
         listed = client.get("/textures.json").json()["textures"]
         assert [one["file"] for one in listed] == ["mesh.foten", "mesh-2.foten"]
         assert client.get(f"/{listed[1]['picture']}").content == b"\xff\xd8 picture"
+        gains = client.get("/gains", params={"texture": [one["file"] for one in listed]}).json()["gains_db"]
+        assert gains == [0.0, 0.0]
 
 
 @pytest.mark.parametrize(

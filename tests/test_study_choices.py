@@ -399,6 +399,7 @@ def test_all_right_and_none_right() -> None:
     assert every.d_prime == pytest.approx(float(d_prime_at(10.5 / 11, oddity_share)))
     assert every.ci95_low < every.d_prime < every.ci95_high == np.inf
     assert every.p == pytest.approx(3.0**-10 / 2)
+    assert oddity(np.array([5, 3, 0]), np.array([9, 9, 0])) == oddity(np.array([5, 3]), np.array([9, 9]))
     every = abx(np.array([[12, 0]] * 4), np.array([[0, 12]] * 4))
     assert every.share == 1
     assert 0 < every.ci95_low < every.d_prime < every.ci95_high == np.inf

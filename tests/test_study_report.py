@@ -11,7 +11,7 @@ import pytest
 
 from foten import __version__
 from foten.reporting.table import minus
-from foten.study.analysis import Result, analyse, null_rates
+from foten.study.analysis import Result, analyse, null_rates, stars
 from foten.study.orders import orders
 from foten.study.raters import Raters
 from foten.study.report import MAX_ROWS, _markdown, write_report
@@ -178,6 +178,10 @@ def test_few_tests_within_textures_are_one_table_and_many_show_the_lowest_p(tmp_
     report = _markdown([results(database(tmp_path / "many.db", 5, 6, 2))])
     assert report.count("The 12 lowest p of 15 pairs; pairs.csv has all.") == 3
     assert max(part.count("\n| ") - 1 for part in report.split("\n## ")) == MAX_ROWS
+
+
+def test_stars_are_those_of_figure_9() -> None:
+    assert [stars(p) for p in (None, 0.05, 0.049, 0.009, 0.0009)] == ["", "", "*", "**", "***"]
 
 
 @pytest.mark.parametrize(

@@ -51,6 +51,7 @@ from foten.study.store import FullError, Store
 from foten.study.study_server import OPERATOR, OPERATOR_COOKIE, StudyServer, study_files
 from test_studio_server import HERE, LOCAL, WS
 
+SESSION = f"{WS}/session"
 NAMES = ("artificial-grass", "steel-mesh-1", *(f"surface-{i}" for i in range(3, 13)))
 METHODS = ("ar", "dstn", "ldhtd", "foten")
 
@@ -90,7 +91,7 @@ def served(server: StudyServer) -> Iterator[TestClient]:
 
 @contextlib.contextmanager
 def joined(server: StudyServer, **joining: Any) -> Iterator[Page]:
-    with served(server) as client, client.websocket_connect(f"{WS}/session") as socket:
+    with served(server) as client, client.websocket_connect(SESSION) as socket:
         yield Page(socket, **joining)
 
 
@@ -208,7 +209,7 @@ def test_no_byte_that_a_participant_is_sent_names_or_orders_methods(tmp_path: Pa
     said: list[list[str]] = []
     with served(server) as client:
         for _ in range(3):
-            with client.websocket_connect(f"{WS}/session") as socket:
+            with client.websocket_connect(SESSION) as socket:
                 page = Page(socket, rate_hz=8000)
                 while page.step["kind"] != "end":
                     if page.step["kind"] == "trial":
@@ -252,7 +253,7 @@ def test_two_screens_are_joined_by_a_code_and_the_operator_lets_trials_begin(tmp
         client = stack.enter_context(served(server))
         cookie = {"cookie": f"{OPERATOR_COOKIE}={server.admitted.add(OPERATOR)}"}
         operator = stack.enter_context(client.websocket_connect(f"{WS}/operate", headers=cookie))
-        a, b, c = (stack.enter_context(client.websocket_connect(f"{WS}/session")) for _ in range(3))
+        a, b, c = (stack.enter_context(client.websocket_connect(SESSION)) for _ in range(3))
 
         def operate(**message: Any) -> None:
             operator.send_text(json.dumps(message))
@@ -369,13 +370,13 @@ def test_what_no_page_sends_is_refused_in_a_line(tmp_path: Path) -> None:
     server = server_of(study_file(tmp_path))
     with served(server) as client:
         assert client.get(f"/pictures/{'9' * 5000}").status_code == 404
-        with client.websocket_connect(f"{WS}/session") as one, client.websocket_connect(f"{WS}/session") as other:
+        with client.websocket_connect(SESSION) as one, client.websocket_connect(SESSION) as other:
             for socket in (one, other):
                 socket.send_text(json.dumps({"do": "join", "fresh": "ABCDE"}))
             codes = [json.loads(socket.receive_text()).get("joined") for socket in (one, other)]
             assert codes == ["ABCDE", "ABCDE"]
         assert len(server.sessions) == 1
-        with client.websocket_connect(f"{WS}/session") as socket:
+        with client.websocket_connect(SESSION) as socket:
             page = Page(socket, code="ABCDE")
             while page.step["kind"] != "questions":
                 page.answer()
@@ -386,7 +387,7 @@ def test_what_no_page_sends_is_refused_in_a_line(tmp_path: Path) -> None:
                 assert refused.startswith("Please enter a number: How old are you?")
                 assert refused.endswith("(0–120)") == (age in ("-5", "121"))
             assert "refused" not in page.done(answers={"age": "0"})
-        with client.websocket_connect(f"{WS}/session") as socket:
+        with client.websocket_connect(SESSION) as socket:
             for _ in range(21):
                 socket.send_text('{"do": "join", "code": "ZZZZZ"}')
             assert [socket.receive().get("reason") for _ in range(22)][-1] == "20 messages were refused"
@@ -471,14 +472,14 @@ def test_places_of_those_who_answer_nothing_are_returned_with_their_orders(tmp_p
     server = server_of(path)
 
     def asked(client: TestClient, fresh: str) -> dict[str, Any]:
-        with client.websocket_connect(f"{WS}/session") as socket:
+        with client.websocket_connect(SESSION) as socket:
             socket.send_text(json.dumps({"do": "join", "fresh": fresh}))
             said: dict[str, Any] = json.loads(socket.receive_text())
             return said
 
     all_begun = {"refused": read_language("en").words["all_begun"]}
     with served(server) as client, contextlib.ExitStack() as stack:
-        a, b, c = (stack.enter_context(client.websocket_connect(f"{WS}/session")) for _ in range(3))
+        a, b, c = (stack.enter_context(client.websocket_connect(SESSION)) for _ in range(3))
         page = Page(a, fresh="AAAAA")
         for joining in ({"fresh": "BBBBB"}, {}):
             page.say(do="join", **joining)
@@ -685,11 +686,7 @@ def test_a_page_learns_of_a_switch_at_once_and_nothing_is_loaded_for_it(
 @pytest.mark.parametrize("what", ["answer", "hold"])
 def test_an_answer_or_a_hold_during_a_switch_is_no_failure_to_play(tmp_path: Path, what: str) -> None:
     server = server_of(abx_file(tmp_path, screens="2"))
-    with (
-        served(server) as client,
-        client.websocket_connect(f"{WS}/session") as a,
-        client.websocket_connect(f"{WS}/session") as b,
-    ):
+    with served(server) as client, client.websocket_connect(SESSION) as a, client.websocket_connect(SESSION) as b:
         tablet = Page(a, role="stroke", rate_hz=8000)
         screen = Page(b, code=tablet.code, role="answer")
         screen.to_trial()
@@ -724,7 +721,7 @@ def test_who_downloads_the_data_keeps_nobody_waiting(tmp_path: Path, monkeypatch
         return b"all"
 
     monkeypatch.setattr("foten.study.record.zipped", zipped)
-    with served(server) as client, client.websocket_connect(f"{WS}/session") as socket:
+    with served(server) as client, client.websocket_connect(SESSION) as socket:
         page = Page(socket)
         page.to_trial()
         page.answer()
@@ -754,7 +751,7 @@ def test_markers_come_in_pairs_wherever_the_hand_goes(tmp_path: Path, compared: 
 
     server.markers = Recorder()  # type: ignore[assignment]
     sides = [("virtual", 1), ("virtual", 0)] if compared else [("real", 0), ("virtual", 0)]
-    with served(server) as client, client.websocket_connect(f"{WS}/session") as socket:
+    with served(server) as client, client.websocket_connect(SESSION) as socket:
         page = Page(socket, rate_hz=8000)
         page.to_trial()
         for side, interval in sides:
@@ -775,11 +772,7 @@ def test_markers_come_in_pairs_wherever_the_hand_goes(tmp_path: Path, compared: 
 
 def test_under_runs_are_those_of_the_page_that_plays(tmp_path: Path) -> None:
     server = server_of(study_file(tmp_path, screens="2", practice="0"))
-    with (
-        served(server) as client,
-        client.websocket_connect(f"{WS}/session") as a,
-        client.websocket_connect(f"{WS}/session") as b,
-    ):
+    with served(server) as client, client.websocket_connect(SESSION) as a, client.websocket_connect(SESSION) as b:
         tablet = Page(a, role="stroke")
         screen = Page(b, code=tablet.code, role="answer")
         screen.to_trial()
@@ -809,7 +802,7 @@ def test_strokes_on_a_tablet_are_waited_for_where_the_answer_comes_back_first(tm
     server, events = server_of(path), outage(100)
     with contextlib.ExitStack() as stack:
         client = stack.enter_context(served(server))
-        a, b = (stack.enter_context(client.websocket_connect(f"{WS}/session")) for _ in range(2))
+        a, b = (stack.enter_context(client.websocket_connect(SESSION)) for _ in range(2))
         screen = Page(b, code=code, role="answer")
         refused = screen.done(**answer)
         assert (refused["refused"], refused["again"]) == ("One moment, please", True)
@@ -853,17 +846,17 @@ def test_strokes_that_the_disk_has_no_room_for_are_not_stored_twice(
     with served(server) as client:
         with monkeypatch.context() as patch:
             patch.setattr(server.store, "add_strokes", full)
-            with client.websocket_connect(f"{WS}/session") as socket:
+            with client.websocket_connect(SESSION) as socket:
                 page = Page(socket, rate_hz=8000)
                 page.to_trial()
                 for event in events:
                     socket.send_bytes(event.tobytes())
                 assert "values are None" in page.done()["refused"]  # and all before was taken in
-            with client.websocket_connect(f"{WS}/session") as socket:
+            with client.websocket_connect(SESSION) as socket:
                 page = Page(socket, code=page.code, again=50)
                 assert page.step["stored"] == 50
                 send_again(page, events)
-        with client.websocket_connect(f"{WS}/session") as socket:
+        with client.websocket_connect(SESSION) as socket:
             Page(socket, code=page.code).answer()
     np.testing.assert_array_equal(server.store.strokes(1, 1), events)
     (row,) = server.store.ratings()
@@ -896,11 +889,11 @@ def test_strokes_wait_for_room_on_the_disk_and_the_operator_sees_it(tmp_path: Pa
 def test_the_page_that_strokes_is_the_one_that_sounds(tmp_path: Path) -> None:
     """After a lost network the old connection may be there still; both count for the trial."""
     server = server_of(study_file(tmp_path, practice="0"))
-    with served(server) as client, client.websocket_connect(f"{WS}/session") as old:
+    with served(server) as client, client.websocket_connect(SESSION) as old:
         first = Page(old, rate_hz=8000)
         first.to_trial()
         first.stroke_until_it_sounds()
-        with client.websocket_connect(f"{WS}/session") as new:
+        with client.websocket_connect(SESSION) as new:
             second = Page(new, code=first.code, rate_hz=8000)
             assert len(server.sessions[1].pages) == 1
             with pytest.raises(WebSocketDisconnect) as gone:
@@ -964,7 +957,7 @@ def test_a_device_that_refuses_to_begin_is_given_back(tmp_path: Path, monkeypatc
 def test_data_of_a_study_with_any_name_is_downloaded(tmp_path: Path) -> None:
     path = study_file(tmp_path, practice="0").rename(tmp_path / '類似 "1".toml')
     server = server_of(path)
-    with served(server) as client, client.websocket_connect(f"{WS}/session") as socket:
+    with served(server) as client, client.websocket_connect(SESSION) as socket:
         page = Page(socket)
         page.to_trial()
         page.answer()
@@ -1193,9 +1186,9 @@ def test_a_page_that_joins_again_is_no_second_participant(tmp_path: Path) -> Non
     server = server_of(study_file(tmp_path))
     with served(server) as client:
         for _ in range(2):
-            with client.websocket_connect(f"{WS}/session") as socket:
+            with client.websocket_connect(SESSION) as socket:
                 assert Page(socket, fresh="KXWQA").code == "KXWQA"
-        with client.websocket_connect(f"{WS}/session") as socket:
+        with client.websocket_connect(SESSION) as socket:
             socket.send_text(json.dumps({"do": "join", "fresh": "ab"}))
             assert "expected 5 letters" in json.loads(socket.receive_text())["refused"]
     assert server.store.codes() == {"KXWQA": 1}
@@ -1273,7 +1266,7 @@ def test_nothing_is_lost_while_the_file_cannot_be_written(tmp_path: Path) -> Non
     def set_read_only(on: bool) -> None:
         server.store._connection.execute(f"PRAGMA query_only = {'ON' if on else 'OFF'}")
 
-    with served(server) as client, client.websocket_connect(f"{WS}/session") as socket:
+    with served(server) as client, client.websocket_connect(SESSION) as socket:
         code = client.portal.call(server.begin).code
         session, page = server.sessions[1], Page(socket, code=code, rate_hz=8000)
 
@@ -1351,11 +1344,11 @@ def test_a_participant_is_refused_in_the_language_of_the_study(tmp_path: Path, m
     german = read_language("de")
 
     def refused(**joining: Any) -> str:
-        with client.websocket_connect(f"{WS}/session") as socket:
+        with client.websocket_connect(SESSION) as socket:
             socket.send_text(json.dumps({"do": "join", **joining}))
             return str(json.loads(socket.receive_text())["refused"])
 
-    with served(server) as client, client.websocket_connect(f"{WS}/session") as socket:
+    with served(server) as client, client.websocket_connect(SESSION) as socket:
         page = Page(socket, rate_hz=8000)
         assert page.answer()["step"]["kind"] == "questions"
         assert page.done(answers={"age": "old"})["refused"] == german.say("not_a_number", question=german.new["age"])

@@ -303,13 +303,8 @@ def test_the_tests_of_the_kernel_pass_on_arm(
 ) -> None:
     """Linked statically, so that QEMU needs nothing of that system."""
     assert CMAKE is not None
-    toolchain = (
-        "--toolchain",
-        NATIVE / "zig.cmake",
-        f"-DFOTEN_ZIG={wheels.zig()}",
-        "-DFOTEN_TARGET=aarch64-linux-musl",
-    )
-    ran(CMAKE, "-S", ROOT, "-B", tmp_path, *toolchain, "-DFOTEN_TESTS=ON")
+    chain = ("--toolchain", NATIVE / "zig.cmake", f"-DFOTEN_ZIG={wheels.zig()}", "-DFOTEN_TARGET=aarch64-linux-musl")
+    ran(CMAKE, "-S", ROOT, "-B", tmp_path, *chain, "-DFOTEN_TESTS=ON")
     ran(CMAKE, "--build", tmp_path, "--parallel", "2")
     for isa in ("neon", "portable"):
         out = ran("qemu-aarch64", tmp_path / "hot_path", *textures, FOTEN_ISA=isa)
