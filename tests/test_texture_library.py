@@ -157,6 +157,7 @@ def test_words_over_a_library_make_a_texture(tmp_path: Path) -> None:
         fit(entries[:10], word_table())
     with pytest.raises(ValueError, match="all 16 textures of the library are named 'muslin', expected others"):
         fit([entry(f"muslin-{k}", -10.0) for k in range(16)], word_table())
+    assert fit([entry(f"{'muslin' if k else 'velvet'}-{k}", -10.0 - k) for k in range(16)], word_table()).error_db > 0
 
 
 def test_few_textures_are_moved_and_that_is_called_a_guess(tmp_path: Path) -> None:
