@@ -318,10 +318,7 @@ class Deadline:
 
 
 def run_pytest(folder: Path, arguments: list[str], limit_s: float, recorder: LineRecorder | None = None) -> str:
-    """Run tests of a copy in a fork of this process, which has what they import: `passed`, `failed`, or `late`.
-
-    What they started ends with them; what a recorder noted is in the copy's `record.json`.
-    """
+    """Run tests of a copy in a fork of this process: `passed`, `failed`, or `late`. A recorder writes the copy's `record.json`."""
     child = multiprocessing.get_context("fork").Process(target=_pytest, args=(folder, arguments, recorder))
     child.start()
     child.join(limit_s)
@@ -428,11 +425,9 @@ Judges = list[tuple[list[str], float]]
 
 
 def judges(change: Change, records: dict[str, dict[str, Any]]) -> Judges:
-    """Tests that execute a change's line and pass without it, those of files that import its module first, and of these the
-    quick ones; then files that start processes.
+    """Tests that execute a change's line and pass without it, first those that import its module; then files with processes.
 
-    Where no test executes it, as at import: those that execute the module, and all files that import it. Of C: those that call
-    the kernel.
+    Where no test executes it, those that execute the module, and all files that import it. Of C: those that call the kernel.
     """
     path, in_c = change.path, change.path.startswith("native")
     if in_c:

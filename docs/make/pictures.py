@@ -85,11 +85,11 @@ def image_of(figure: Figure) -> Image.Image:
     return Image.fromarray(np.asarray(canvas.buffer_rgba())).convert("RGB")
 
 
-def save(figure: Figure | Image.Image, name: str) -> None:
+def save(figure: Figure | Image.Image, name: str, n_colours: int = N_COLOURS) -> None:
     """Write a picture of few colours, without loss but for these: none is far from that of a line, rare or frequent."""
     (DOCS / "pictures").mkdir(exist_ok=True)
     image = figure if isinstance(figure, Image.Image) else image_of(figure)
-    palette = image.quantize(N_COLOURS, Image.Quantize.MAXCOVERAGE, kmeans=3, dither=Image.Dither.NONE).convert("RGB")
+    palette = image.quantize(n_colours, Image.Quantize.MAXCOVERAGE, kmeans=3, dither=Image.Dither.NONE).convert("RGB")
     palette.save(DOCS / "pictures" / f"{name}.webp", lossless=True, quality=100, method=6)
     print(name)
 
@@ -255,7 +255,7 @@ def one_step(arguments: argparse.Namespace) -> None:
         right.plot(hertz, 10 * np.log10(power + 1e-16), color=colour, lw=1.6 if i == 0 else 1.1, ls="-" if i else ":")
     left.set(xlabel="s", yticks=[], title="… free runs under the same speed and force")
     right.set(xlabel="Hz", ylabel="dB re sd²/Hz", xlim=(0, 0.5 * trace.rate_hz), ylim=(-70, 0), title="its spectrum")
-    save(figure, "one-step")
+    save(figure, "one-step", 24)
 
 
 def silence(arguments: argparse.Namespace) -> None:
@@ -583,7 +583,7 @@ def figure_6(arguments: argparse.Namespace) -> None:
     picture = Image.new("RGB", (images[0].width, sum(image.height for image in images)))
     picture.paste(images[0], (0, 0))
     picture.paste(images[1], (0, images[0].height))
-    save(picture, "figure-6")
+    save(picture, "figure-6", 24)
 
 
 def figure_7(arguments: argparse.Namespace) -> None:
