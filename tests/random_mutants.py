@@ -318,7 +318,7 @@ class Deadline:
 
 
 def run_pytest(folder: Path, arguments: list[str], limit_s: float, recorder: LineRecorder | None = None) -> str:
-    """Run tests of a copy in a fork of this process: `passed`, `failed`, or `late`. A recorder writes the copy's `record.json`."""
+    """Run a copy's tests in a fork of this process: `passed`, `failed`, or `late`. A recorder writes its `record.json`."""
     child = multiprocessing.get_context("fork").Process(target=_pytest, args=(folder, arguments, recorder))
     child.start()
     child.join(limit_s)
