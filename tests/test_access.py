@@ -115,11 +115,8 @@ def test_secrets_that_others_may_have_put_there_are_refused(tmp_path: Path, monk
             with pytest.raises(ValueError, match=f"^{path} is {what}.* of the user .*, expected no link, and yours"):
                 start()
 
-    for path, mode, what in (
-        (folder, 0o750, "drwx"),
-        (folder / "devices.json", 0o620, "-rw"),
-        (folder / "key.pem", 0o602, "-"),
-    ):
+    key = folder / "key.pem"
+    for path, mode, what in ((folder, 0o750, "drwx"), (folder / "devices.json", 0o620, "-rw"), (key, 0o602, "-")):
         before = path.stat().st_mode
         path.chmod(mode)
         check_refused(path, what)

@@ -253,12 +253,8 @@ def test_more_force_keeps_the_tip_down_and_more_speed_throws_it_off() -> None:
     p, key = CONTACT["sandpaper-coarse"], "sandpaper-coarse"
 
     def lost(speed: float, force: float) -> float:
-        return float(
-            np.mean(
-                contact_vibration(p, surface_of(p, key), steady(speed, force), np.random.default_rng(0))[1][2000:]
-                == 0.0
-            )
-        )
+        stroke, rng = steady(speed, force), np.random.default_rng(0)
+        return float(np.mean(contact_vibration(p, surface_of(p, key), stroke, rng)[1][2000:] == 0.0))
 
     assert lost(150.0, 0.3) > lost(150.0, 2.5) + 0.1
     assert lost(250.0, 1.0) > lost(60.0, 1.0) + 0.1

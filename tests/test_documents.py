@@ -170,10 +170,8 @@ def test_pages_of_results_have_their_figures_from_the_csv_files() -> None:
     others = {"0.149", "92.15", "0.03", "0.14", "2.27", "0.56", "0.24", "0.32", "0.9997", "0.005", "0.05"}
     others |= {"0.95", "0.33"}  # powers of the law
     others |= {"3.11"}  # of Python
-    generated, code = (
-        re.compile(r"<!-- ([\w-]+) -->.*?<!-- /\1 -->", re.DOTALL),
-        re.compile("```.*?```|`[^`]*`", re.DOTALL),
-    )
+    generated = re.compile(r"<!-- ([\w-]+) -->.*?<!-- /\1 -->", re.DOTALL)
+    code = re.compile("```.*?```|`[^`]*`", re.DOTALL)
     pages = ("results", "compared", "listener", "model", "concepts", "differences", "reproduce")
     for path in (*(ROOT / "docs" / f"{page}.md" for page in pages), ROOT / "CHANGELOG.md", ROOT / "CONTRIBUTING.md"):
         name, text = path.stem, code.sub("", generated.sub("", path.read_text(encoding="utf-8")))

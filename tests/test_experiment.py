@@ -202,7 +202,7 @@ def test_recordings_are_where_it_is_said(tmp_path: Path) -> None:
         ("epochs = 1", "epoch = 1", "unknown key 'epoch' in 'train' of the file, expected 'epochs'?"),
         ("epochs = 1", "epochs = -1", "epochs is -1, expected 0 or more"),
         ("[train]", "split_seeds = [1, 1]\n[train]", "split_seeds is [1, 1], expected a list of whole numbers, each"),
-        ("[train]", f"split_seeds = {[*range(2501)]}\n[train]", "it has 10004 runs, expected 10000 at most"),
+        ("[train]", f"split_seeds = {[*range(501)]}\n[train]", "it has more than 2000 runs"),
         ("[train]", "[grid]\nepoch = [1]\n[train]", "unknown key 'epoch' in [grid], expected 'epochs'?"),
         ('"FNN [13]"}', '"FNN [13]"}, {model = "ar", train = {epochs = 3}}', "'ar' is fitted without a recipe"),
         ("sizes = {excitation = true}", "sizes = 5", "'sizes' of a method is 5, expected a table"),

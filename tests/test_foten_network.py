@@ -48,12 +48,8 @@ class Equations:
         options = {"dropout": 0.0, "batch_first": True, "norm_first": sizes.pre_norm, "dtype": torch.float64}
         layer = TransformerEncoderLayer(width, n_heads, sizes.d_feedforward, **options)
         names = {"self_attn.in_proj_": "attention_in.", "self_attn.out_proj.": "attention_out."}
-        names |= {
-            "linear1.": "feedforward_in.",
-            "linear2.": "feedforward_out.",
-            "norm1.": "norm_1.",
-            "norm2.": "norm_2.",
-        }
+        names |= {"linear1.": "feedforward_in.", "linear2.": "feedforward_out."}
+        names |= {"norm1.": "norm_1.", "norm2.": "norm_2."}
         parts = [(theirs + part, ours + part) for theirs, ours in names.items() for part in ("weight", "bias")]
         layer.load_state_dict({theirs: self.w[f"{name}.{ours}"] for theirs, ours in parts})
         return layer(x).detach()

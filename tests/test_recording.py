@@ -80,11 +80,7 @@ def test_blocks_are_consecutive_and_share_memory() -> None:
     assert np.shares_memory(trace.blocks(trace.speed), trace.speed)
 
 
-@given(
-    blocks=st.lists(st.integers(0, 5), min_size=1, max_size=4, unique=True),
-    m=st.integers(1, 7),
-    extra=st.integers(0, 3),
-)
+@given(st.lists(st.integers(0, 5), min_size=1, max_size=4, unique=True), st.integers(1, 7), st.integers(0, 3))
 @settings(max_examples=30, deadline=None)
 def test_windows_are_eq_1(blocks: list[int], m: int, extra: int) -> None:
     """Oracle: Eq. 1 as loops."""

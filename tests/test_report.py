@@ -49,12 +49,8 @@ def _judged(rate_hz=1000.0):
     config = PreprocessConfig(rate_hz=rate_hz, trim_ms=0, block_ms=1000 * BLOCK / rate_hz)
     texture = exported(
         *("foten", FotenSizes(**SMALL, excitation=True)),
-        **{
-            "texture": "denim",
-            "rate_hz": rate_hz,
-            "preprocess": asdict(config),
-            "recording_sha256": recording.sha256(),
-        },
+        **{"texture": "denim", "rate_hz": rate_hz, "preprocess": asdict(config)},
+        recording_sha256=recording.sha256(),
         split=asdict(Split(TRAIN, (), TEST, N_BLOCKS, BLOCK, "regrouped", 0)),
     )
     bound = np.full(N_BLOCKS * BLOCK, 0.1 * texture.scaling.sd[0])

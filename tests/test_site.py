@@ -144,11 +144,8 @@ def test_systems_have_one_order_by_whichever_recipe_they_are_shown(tables: Modul
         one | {"validation.mae_scaled": 0.01} if one["method"] in better else one for one in tuned(TEXTURES, by=1.5)
     ]
     shown = {record["method"]: record["recipe"] for record in tables.chosen(tables.table_1())}
-    assert [*shown] == [
-        *[name for name in ERRORS if name != "foten-plus (ours)"],
-        "FoTEN with excitation",
-        "foten-plus (ours)",
-    ]
+    others = [name for name in ERRORS if name != "foten-plus (ours)"]
+    assert [*shown] == [*others, "FoTEN with excitation", "foten-plus (ours)"]
     assert {name for name, recipe in shown.items() if recipe == "tuned"} == {*better, "FoTEN with excitation"}
     runs["table-1-tuned"] = tuned(TEXTURES)  # as with piecewise AR, which has no recipe
     assert not [line for line in tables.findings(tables.table_1()) if tables.BY_RECIPE in line]

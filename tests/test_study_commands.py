@@ -8,6 +8,7 @@ import io
 import json
 import re
 import signal
+import sqlite3
 import subprocess
 import sys
 import threading
@@ -23,6 +24,7 @@ from foten.cli.command_line import _status
 from foten.datasets.importing import read_stroke
 from foten.runtime.stroke import tabled_stroke
 from foten.study.languages import read_language
+from foten.study.schema import GUARDS
 from foten.study.store import Store, Stroked
 from test_study_server import study_file
 
@@ -80,6 +82,12 @@ def test_from_texture_files_to_a_report_without_anyone(tmp_path: Path) -> None:
     foten("forget", database, "--participant", "2", "--yes")
     assert "14 simulated raters" in foten("status", database)
     assert "15 simulated raters" in foten("status", tmp_path / "copy.db")
+    with contextlib.closing(sqlite3.connect(database, isolation_level=None)) as edited:
+        edited.executescript("""DROP TRIGGER ratings_stay_update; UPDATE ratings SET measured = '{"newtons": 1}'""")
+        edited.execute(f"CREATE TRIGGER ratings_stay_update {GUARDS['ratings_stay_update']}")
+    assert "rows that do not fit (KeyError('steepness')); were they edited?" in foten(
+        *strokes, "--trial", "3", ok=False
+    )
 
 
 def test_what_a_command_refuses_is_a_line(tmp_path: Path) -> None:

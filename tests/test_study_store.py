@@ -221,6 +221,18 @@ def test_a_damaged_study_is_not_backed_up(tmp_path: Path, store: Store) -> None:
     assert not (tmp_path / "copy.db").exists()
 
 
+def test_statistics_of_sqlite_are_no_edit_and_strokes_are_read_up_to_a_bound(store: Store) -> None:
+    store._connection.execute("ANALYZE")
+    store.close()
+    with Store(store.path) as again:
+        number = again.join("A")
+        again.add_strokes(number, 1, [Stroked(0, np.zeros((MAX_VALUE // 64, 4)))] * 2)
+        assert len(again.strokes(number, 1)) == MAX_VALUE // 32
+        again.add_strokes(number, 1, [Stroked(0, np.zeros((1, 4)))])
+        with pytest.raises(ValueError, match="too long, or cut off"):
+            again.strokes(number, 1)
+
+
 NAN, BOMB = (zlib.compress(data).hex() for data in (np.full(4, np.nan).tobytes(), bytes(MAX_VALUE + 32)))
 
 
@@ -230,15 +242,15 @@ NAN, BOMB = (zlib.compress(data).hex() for data in (np.full(4, np.nan).tobytes()
         ("CREATE VIEW v AS SELECT 1", "tables or triggers are not as foten makes them"),
         ("DROP TABLE shown", "tables or triggers are not as foten makes them"),
         ("DELETE FROM study", "holds no study"),
-        ("DELETE FROM trials", "holds no study"),
+        ("ALTER TABLE trials RENAME COLUMN other TO o", "tables or triggers are not as foten makes them"),
         (f"UPDATE study SET title = hex(zeroblob({MAX_VALUE // 2 + 1}))", "too big"),
         ("UPDATE study SET design = 'task.kind = \"paired\"'", "answers are not those of the design's task, 'paired'"),
-        ("UPDATE stimuli SET texture_key = CAST(x'ff' AS TEXT)", "study.db cannot be read, it may be damaged"),
+        ("UPDATE stimuli SET texture_key = CAST(x'ff' AS TEXT)", "study.db cannot be read, is it damaged or in use?"),
         ("UPDATE ratings SET measured = '[{}]'", "participant 1, trial 1: what was measured is damaged"),
         ("UPDATE ratings SET measured = '{\"level_db\": 1e999}'", "what was measured is damaged (it holds a number"),
-        ("UPDATE strokes SET events = x'ffff'", "a stroke in the study is damaged"),
-        (f"UPDATE strokes SET events = x'{NAN}'", "a stroke in the study is too long, cut off, or not of finite"),
-        (f"UPDATE strokes SET events = x'{BOMB}'", "a stroke in the study is too long, cut off, or not of finite"),
+        ("UPDATE strokes SET events = x'ffff'", "study.db, participant 1, trial 1: a stroke is damaged (Error"),
+        (f"UPDATE strokes SET events = x'{NAN}'", "a stroke is damaged (its numbers are not finite)"),
+        (f"UPDATE strokes SET events = x'{BOMB}'", "a stroke is damaged (it is too long, or cut off)"),
     ],
 )
 def test_a_study_that_somebody_edited_is_refused_in_a_line(store: Store, statement: str, message: str) -> None:

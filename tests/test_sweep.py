@@ -317,10 +317,13 @@ def test_tables_are_written_in_three_forms(swept: Path, tmp_path: Path) -> None:
         (lambda rows: [*rows[:-1], rows[-1][:5]], "other.csv, row 5: it has not as many cells as row 1 has names"),
         (lambda rows: [rows[0], [*rows[1], "1"], *rows[2:]], "other.csv, row 2: it has not as many cells"),
         (lambda rows: with_cell(rows, "epochs", "0,5"), "other.csv, row 3: epochs is '0,5', expected a number"),
-        (lambda rows: with_cell(rows, "epochs", "-1e12"), "other.csv, row 3: epochs is '-1e12', expected a number"),
         (
-            lambda rows: [rows[0], *([rows[1][0], f"m{i}", *rows[1][2:]] for i in range(501))],
-            "there are 501 methods, expected 500",
+            lambda rows: with_cell(rows, "epochs", "-1e12"),
+            "other.csv, row 3: epochs is '-1e12', expected a number below",
+        ),
+        (
+            lambda rows: [rows[0], *([rows[1][0], f"m{i}", *rows[1][2:]] for i in range(2001))],
+            "there are 2001 runs, expected 2000",
         ),
         (lambda rows: with_cell(rows, "split", ""), "on linear-cloth has no split: is this the whole runs.csv"),
         (

@@ -36,7 +36,9 @@ def check_length(where: str, channel: Channel) -> None:
         hint = "is the rate right, or was the time given in ms?"
         raise ValueError(f"{where}: {lasts}, expected {longest_s:g} s at most; {hint}")
     if channel.span_s[0] > MAX_DURATION_S:
-        raise ValueError(f"{where}: it starts at {channel.span_s[0]:g} s, expected {MAX_DURATION_S:g} at most")
+        raise ValueError(
+            f"{where}: it starts at {channel.span_s[0]:g} s, expected {MAX_DURATION_S:g} at most: subtract its first time"
+        )
 
 
 def check_overlap(channels: Mapping[str, Channel]) -> None:

@@ -4,8 +4,8 @@ Both keep a posterior over what is asked for, show what tells most about it, and
 
     p(θ | answers) ∝ p(θ) Π p(answer | θ, shown)        shown = argmax I(θ; answer)
 
-Source: levels after Watson, "QUEST+: a general multidimensional Bayesian adaptive psychometric method", Journal of Vision
-17 (2017); the point after Coombs, "A theory of data" (1964): of two, the nearer to one's own ideal is chosen.
+Source: levels after Watson, "QUEST+: a general multidimensional Bayesian adaptive psychometric method", Journal of Vision 17
+(2017); the point after Coombs, "A theory of data" (1964): of two, the nearer to one's own ideal is chosen.
 """
 
 from __future__ import annotations

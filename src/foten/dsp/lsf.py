@@ -2,8 +2,8 @@
 
     P(z) = A(z) + z^−(p+1) A(1/z)        Q(z) = A(z) − z^−(p+1) A(1/z)        A = (P + Q) / 2
 
-Where the zeros of A lie inside the unit circle, those of P and Q alternate on it, and their angles in (0, π) are ω₁ < … < ω_p.
-Any rising angles are those of some such A. In float64, order 20 with all angles within 1 rad has poles outside by rounding.
+Where the zeros of A lie inside the unit circle, those of P and Q alternate on it, at angles 0 < ω₁ < … < ω_p < π. Any rising
+angles are those of some such A, means too. In float64, order 20 with all within 1 rad has poles outside by rounding.
 
 Source: Itakura, J. Acoust. Soc. Am. 57 (1975) S35; used between local models of a texture by Culbertson, Unwin and Kuchenbecker,
 IEEE Trans. Haptics 7 (2014).

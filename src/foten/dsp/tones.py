@@ -1,12 +1,12 @@
-"""Tones of the path: a surface that repeats every λ mm vibrates at v/λ Hz and its multiples, a lattice renders the residual.
+"""Tones of the path: a surface that repeats every λ mm vibrates at v/λ Hz and its multiples.
 
     T(φ; v, f) = ℓ(v, f) Σ_h A_h(v, f) cos hφ + B_h(v, f) sin hφ      φ = 2π/λ ∫ v dt
 
-Periods differ by a share s: the phase's rate is off by r, correlated over half a period and driven by the innovation e,
+ℓ is the level. Periods differ by a share s: the phase's rate is off by r, correlated over half a period, from innovations e,
 
     r ← ρ r + √(1 − ρ²) s e      ρ = exp(−2 v / (λ rate))      φ ← φ + 2π v / (λ rate) · (1 + r)
 
-so its variance grows by q = 4π² s²/λ a mm. The phase returns to the path's within half a second. Source: ours.
+so its variance grows by q = 4π² s²/λ a mm. It returns to the path's in half a second. A lattice renders the rest. Source: ours.
 """
 
 from __future__ import annotations

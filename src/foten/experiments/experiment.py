@@ -6,10 +6,9 @@ import difflib
 import hashlib
 import itertools
 import json
-import math
 import re
 import zlib
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
@@ -23,7 +22,7 @@ from foten.training.config import FILTERS, OWN_RECIPES, RECIPES, TrainConfig, ch
 from foten.untrusted import MAX_TOML, parse_toml, read_whole
 
 RECORDED = (".h5", ".hdf5")
-MAX_RUNS = 10_000
+MAX_RUNS = 2000  # of a sweep, and of its tables
 OF_FIRST_SPLIT = ("stability", "onset")  # measures that are taken of no other split
 MEASURES = {
     **{name: f"foten.experiments.{name}" for name in OF_FIRST_SPLIT},
@@ -151,11 +150,7 @@ class Experiment:
         Raises:
             ValueError: a setting is unknown or out of range; the message names the method. Or there are too many runs.
         """
-        n_methods = sum(len(self._recipes(method)) or 1 for method in self.methods)
-        n_cells = sum(math.prod(map(len, grid.values())) for grid in self.grid or [{}])
-        if (n := len(self.textures) * len(self.split_seeds) * n_methods * n_cells) > MAX_RUNS:
-            raise ValueError(f"it has {n} runs, expected {MAX_RUNS} at most: textures × splits × methods × settings")
-        return [
+        runs = (
             self._resolved(texture, method, split_seed, cell, recipe)
             for texture in self.textures
             for split_seed in self.split_seeds
@@ -163,14 +158,14 @@ class Experiment:
             if method.split_seeds is None or split_seed in method.split_seeds
             for recipe in self._recipes(method) or [""]
             for cell in (self._cells() if method.model != "ar" else [{}])
-        ]
+        )
+        if len(first := list(itertools.islice(runs, MAX_RUNS + 1))) > MAX_RUNS:
+            raise ValueError(f"it has more than {MAX_RUNS} runs (textures × splits × methods × settings): split it")
+        return first
 
-    def _cells(self) -> list[dict[str, Any]]:
-        return [
-            dict(zip(grid, values, strict=True))
-            for grid in self.grid or [{}]
-            for values in itertools.product(*grid.values())
-        ]
+    def _cells(self) -> Iterator[dict[str, Any]]:
+        cells = ((grid, values) for grid in self.grid or [{}] for values in itertools.product(*grid.values()))
+        return (dict(zip(grid, values, strict=True)) for grid, values in cells)
 
     def _recipes(self, method: Method) -> Mapping[str, Mapping[str, Any]]:
         return method.recipes or ({} if method.model == "ar" else self.recipes)

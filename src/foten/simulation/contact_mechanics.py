@@ -5,7 +5,7 @@
 
 Height under a ball of radius R on the profile p: h(s) = maxᵤ [p(s + u) − u²/2R]. Normal force: F = K δ^1.5 (1 + D dδ/dt) ≥ 0,
 with δ = h − z and K = 4/3 E* √R (Hertz; Hunt & Crossley, Journal of Applied Mechanics 42, 1975). The tip: m z̈ = F − P − c ż
-under the hand's force P; along the stroke m q̈ = −k q − d q̇ ± μF, and μ falls from μ(1 + s) at rest. Not fitted to any surface.
+under the hand's force P; along the stroke m q̈ = −k q − d q̇ ± μF, with μ(1 + s) at rest. Not fitted to any surface.
 """
 
 from __future__ import annotations

@@ -2,8 +2,7 @@
 
 A model that was tuned on `contact_mechanics` is judged here, which shares the strokes, the ball and the sensors alone. The
 profile is fractional Brownian noise, filtered Poisson grains and uneven threads, in slow waves. The tip m₁ touches, the body m₂
-carries the sensor, the hand's mass m₃ presses with the force P; springs with dampers N and H lie between. The tip slides at V on
-a shaft:
+carries the sensor, the hand's mass m₃ presses with the force P by the springs and dampers N and H. The tip slides at V:
 
     F = max(0, K (δ^1.5 + 1.5 τ √δ dδ/dt))      Kuwabara & Kono, Japanese Journal of Applied Physics 26 (1987)
     m₁ z̈₁ = F − N,  m₂ z̈₂ = N − H,  m₃ z̈₃ = H − P

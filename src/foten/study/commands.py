@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -23,8 +25,8 @@ StudyFile = Annotated[Path, Argument(metavar="STUDY.toml", help="Study file, as 
 Database = Annotated[
     Path, Argument(metavar="STUDY.db", help="Database with the answers of a study, as written by 'foten study run'.")
 ]
-Participant = Annotated[int, Option("--participant", min=1, help="Number of the participant.")]
-TrialNumber = Annotated[int, Option("--trial", help="Number of the trial.")]
+Participant = Annotated[int, Option("--participant", min=1, max=10**6, help="Number of the participant.")]
+TrialNumber = Annotated[int, Option("--trial", min=0, max=10**6, help="Number of the trial.")]
 Sd = Annotated[float, Option(min=0.1, help="Standard deviation of ratings between raters (points).")]
 Effect = Annotated[
     float | None,
@@ -201,7 +203,7 @@ def status(database: Database, as_json: JsonOption = False) -> None:
     with _store(database) as store:
         counts, faults, log = store.counts(), store.check(), store.log()
         kind, n = "simulated rater" if store.simulated else "participant", sum(count["n"] for count in counts.values())
-        trials = sum(trial.number > 0 for trial in store.trials(store.ordered()[0]))
+        trials = sum(trial.number > 0 for first in store.ordered()[:1] for trial in store.trials(first))
         rows = [f"{store.study['title']}: {counted(len(counts), kind)}, {counted(n, 'rating')}"]
         for number, row in counts.items():
             last = (row["last"] or row["joined"])[:16].replace("T", " ")
@@ -459,6 +461,7 @@ def strokes(
     with _store(database) as store:
         parts = [part for part in store.parts(participant, trial) if len(part.events)]
         rows = [row for row in store.ratings() if (row["participant"], row["trial"]) == (participant, trial)]
+        curve = [f"{one['newtons']:g},{one['steepness']:g}" for row in rows if "newtons" in (one := row["measured"])]
     surfaces = sorted({part.interval + 1 for part in parts})
     if surface is None and len(surfaces) > 1:
         raise ValueError(f"surfaces {', '.join(map(str, surfaces))} were stroked in that trial: which one? --surface 1")
@@ -473,12 +476,8 @@ def strokes(
         writer.writerow(("t", "x", "y", "pressure"))
         writer.writerows([f"{value:.6f}" for value in (t - events[0, 3], x, y, p)] for x, y, p, t in events)
     print(f"wrote {output}: {counted(len(events), 'event')}, {events[-1, 3] - events[0, 3]:.1f} s")
-    measured = rows[0]["measured"] if rows else {}
-    if "newtons" in measured:
-        print(
-            f"to render with this tablet's force: foten render --stroke {output} "
-            f"--pressure {measured['newtons']:g},{measured['steepness']:g}"
-        )
+    if curve:
+        print(f"to render with this tablet's force: foten render --stroke {output} --pressure {curve[0]}")
 
 
 @app.command()
@@ -549,7 +548,12 @@ def _devices(database: Path) -> Path:
     return database.with_suffix(".access") / "devices.json"
 
 
-def _store(database: Path) -> Store:
+@contextlib.contextmanager
+def _store(database: Path) -> Iterator[Store]:
     from foten.study.store import Store
 
-    return Store(database)
+    with Store(database) as store:
+        try:
+            yield store
+        except (ArithmeticError, LookupError, TypeError) as error:
+            raise ValueError(f"{database.name}: rows that do not fit ({error!r}); were they edited?") from error

@@ -19,12 +19,13 @@ from numpy.typing import NDArray
 from foten import __version__
 from foten.atomic_write import atomic_write
 from foten.study import schema
+from foten.study.design import MAX_FILES
 from foten.study.orders import Trial
 from foten.study.schema import Stimulus, faults_of, now
 from foten.untrusted import brief, check_numbers, check_regular, parse_json
 
 BUSY_S = 2.0  # to wait for another writer
-MAX_VALUE = 16_000_000  # bytes
+MAX_VALUE = 64_000_000  # bytes; of a trial's strokes too
 FULL = ("SQLITE_FULL", "SQLITE_IOERR", "SQLITE_READONLY", "SQLITE_CANTOPEN")  # how errors of a disk are called
 HELD = ("SQLITE_BUSY", "SQLITE_LOCKED")  # and of another program that holds the file
 
@@ -98,17 +99,19 @@ class Store(contextlib.AbstractContextManager["Store"]):
             raise ValueError(
                 f"{self.path} is of version {version}, expected {schema.VERSION}: analyse it with the foten that made it"
             )
-        execute("PRAGMA journal_mode = WAL")
-        execute("PRAGMA synchronous = FULL")  # of write-ahead logging: a commit waits for the disk
-        execute("PRAGMA foreign_keys = ON")
-        tables = "SELECT type, name, sql FROM sqlite_schema"
+        tables = (
+            "SELECT type, name, sql FROM sqlite_schema WHERE name NOT LIKE 'sqlite_%'"  # but for statistics and indexes
+        )
         with contextlib.closing(sqlite3.connect(":memory:")) as new:
             new.executescript(schema.ALL)
             if set(map(tuple, execute(tables))) != set(new.execute(tables)):
                 raise ValueError(f"{self.path}: tables or triggers are not as foten makes them; were they edited?")
         rows = execute("SELECT * FROM study").fetchall()
-        if not rows or not self.ordered():
-            raise ValueError(f"{self.path} holds no study: its row is gone, or there are no trials")
+        if not rows or execute("SELECT count(*) FROM stimuli").fetchone()[0] > MAX_FILES:
+            raise ValueError(f"{self.path} holds no study, or one of more than {MAX_FILES} textures")
+        execute("PRAGMA journal_mode = WAL")
+        execute("PRAGMA synchronous = FULL")  # of write-ahead logging: a commit waits for the disk
+        execute("PRAGMA foreign_keys = ON")
         self.study = dict(rows[0])
 
     def hold(self) -> None:
@@ -163,7 +166,7 @@ class Store(contextlib.AbstractContextManager["Store"]):
         try:
             return self._execute(query, *values).fetchall()
         except sqlite3.DatabaseError as error:
-            raise OSError(f"{self.path.name} cannot be read, it may be damaged: {error}") from error
+            raise OSError(f"{self.path.name} cannot be read, is it damaged or in use? {error}") from error
 
     def join(self, code: str) -> int:
         """Add a participant under a code; the next free number, or ValueError where all have begun."""
@@ -328,14 +331,17 @@ class Store(contextlib.AbstractContextManager["Store"]):
 
     def timed_parts(self, participant: int, trial: int) -> list[tuple[Stroked, float]]:
         """Parts of a trial's contact, and when each was stored [s, the system's clock]."""
+        parts, left = [], MAX_VALUE
         query = "SELECT * FROM strokes WHERE participant = ? AND trial = ? ORDER BY part"
-        return [
-            (
-                Stroked(int(row["interval"]), _unpacked(row["events"], 4), _unpacked(row["conditions"], 2)),
-                _seconds(row["at"]),
-            )
-            for row in self._rows(query, participant, trial)
-        ]
+        for row in self._rows(query, participant, trial):
+            try:
+                events, conditions = _unpacked(row["events"], 4, left), _unpacked(row["conditions"], 2, left)
+            except (ValueError, zlib.error) as error:
+                where = f"{self.path.name}, participant {participant}, trial {trial}"
+                raise ValueError(f"{where}: a stroke is damaged ({error})") from error
+            left -= events.nbytes + conditions.nbytes
+            parts.append((Stroked(int(row["interval"]), events, conditions), _seconds(row["at"])))
+        return parts
 
     def moments(self, participant: int, table: str) -> list[dict[str, Any]]:
         """Rows of a participant in `ratings`, `switches` or `shown`, with `at_s` [s, system's clock]; of ratings the first."""
@@ -480,15 +486,15 @@ def _packed(array: NDArray[np.float64]) -> bytes:
     return zlib.compress(np.ascontiguousarray(array, dtype="<f8").tobytes())
 
 
-def _unpacked(part: bytes, n_columns: int) -> NDArray[np.float64]:
-    try:
-        inflater = zlib.decompressobj()
-        events = np.frombuffer(inflater.decompress(part, MAX_VALUE), dtype="<f8").reshape(-1, n_columns)
-    except (ValueError, zlib.error) as error:
-        raise ValueError(f"a stroke in the study is damaged: {error}") from error
-    if not inflater.eof or not np.isfinite(events).all():
-        raise ValueError("a stroke in the study is too long, cut off, or not of finite numbers")
-    return events
+def _unpacked(part: bytes, n_columns: int, max_bytes: int) -> NDArray[np.float64]:
+    inflater = zlib.decompressobj()
+    inflated = inflater.decompress(part, max_bytes + 1)
+    if not inflater.eof:
+        raise ValueError("it is too long, or cut off")
+    rows = np.frombuffer(inflated, dtype="<f8").reshape(-1, n_columns)
+    if not np.isfinite(rows).all():
+        raise ValueError("its numbers are not finite")
+    return rows
 
 
 def _lock(file: int) -> None:

@@ -6,8 +6,8 @@
 The lattice (`dsp.lattice`) leaves uncorrelated innovations e of unit variance; the network says how they are distributed. The
 mean of its mixture is predicted, as far as validation bears it out. A rendering draws e by the mixture's quantile function, in a
 network trained in its closed loop, or σ(v, f) times Gaussian noise where the network brings nothing; ℓ becomes ℓ σ(v, f). With
-the gain before the filter the lattice predicts a and ℓ e enters it. |e| ≤ E = σ · (largest innovation), so its energy stays
-below E²/(1 − leak²), and the network's state within ±1. Surfaces that repeat have tones too (`dsp.tones`).
+the gain before the filter the lattice predicts a and ℓ e enters it. What enters is at most E = σ · (largest innovation), there
+times the largest ℓ: the lattice's energy stays below E²/(1 − leak²), the network's state within ±1.
 
 Source: ours (docs/model.md). Differs from the paper: its network (Sec. IV) is `foten`.
 """
