@@ -271,7 +271,7 @@ MUTANTS = (
         ("a band-pass may grow at 0 Hz or at half the rate", "&& fabs(filter[1]) < 1 + filter[2]", ""),
         tests="equaliser",
     ),
-    *of_python("untrusted.py", ("a name twice", "_unique", "Compare Lt", "it.left and False"), tests="texture_file"),
+    *of_python("untrusted.py", ("a doubled name", "_unique", "Compare Lt", "it.left and False"), tests="texture_file"),
     *of_python(
         "runtime/stylus.py",
         ("the force of a pressure has no exponent", "PressureCalibration.force", "Call exp", "1 + it.args[0]"),
@@ -459,7 +459,11 @@ MUTANTS = (
         "dsp/adaptive.py",
         ("particles that are drawn anew spread too little", "PreferenceSearch._draw_anew", "Call sqrt", "1 - SHRINK"),
     ),
-    *of_python("datasets/clock_times.py", ("is midnight", "clock_seconds", "UnaryOp USub 0", "0"), tests="importing"),
+    *of_python(
+        "datasets/clock_times.py",
+        ("every step back is midnight", "clock_seconds", "UnaryOp USub 0", "0"),
+        tests="importing",
+    ),
     *of_python("datasets/timing.py", ("jitter is excused", "irregular", "Call min", "it.args[0]"), tests="importing"),
     *of_python(
         "models/foten_plus/tones_fit.py",
@@ -484,7 +488,7 @@ MUTANTS = (
         tests="clips",
     ),
     *of_python("export/hjif.py", ("an RMS as an amplitude", "_chirp", "BinOp Mult 1", "it.right"), tests="clips"),
-    *of_python("experiments/simulator_reference.py", ("chosen by the reported", "VALIDATION_HAND", "Constant", "1")),
+    *of_python("experiments/simulator_reference.py", ("chosen by the test hand", "VALIDATION_HAND", "Constant", "1")),
     *of_python(
         "cli/train.py",
         ("the playable texture is not written", "on_playable", "Expr write_texture", ""),

@@ -314,9 +314,9 @@ def test_a_linear_predictor_counts_once_for_all_runs_on_a_recording(tables: Modu
 
 def test_a_start_is_forgotten_by_runs_that_are_heard(tables: ModuleType) -> None:
     def shown(*of: tuple[float, float | None]) -> str:
-        at = {"warm_start.synthesised.mae_scaled": 0.5}
+        row = {"warm_start.synthesised.mae_scaled": 0.5}
         records = [
-            run("FNN [13]", texture, 0.3, **at, **{"warm_start.stored.level_db": level, "warm_start.forgotten_ms": ms})
+            run("FNN [13]", texture, 0.3, **row, **{"warm_start.stored.level_db": level, "warm_start.forgotten_ms": ms})
             for texture, (level, ms) in zip(TEXTURES, of, strict=False)
         ]
         return str(tables.warm_start(records).rows[0][-1])
@@ -663,12 +663,13 @@ def test_a_run_that_is_added_replaces_the_one_in_its_place(monkeypatch: pytest.M
         ("FNN [13]", 0.3, note),
         ("FoTEN", 0.2, note),
     ]
-    of = read_experiment(experiment_path("figure-5"))
-    new |= {"experiment": of.title, "method": of.runs()[0].label, "texture": of.textures[0], "free_run.lsd_db": 3.0}
+    grid = read_experiment(experiment_path("figure-5"))
+    new |= {"experiment": grid.title, "method": grid.runs()[0].label, "texture": grid.textures[0]}
+    new |= {"free_run.lsd_db": 3.0}
     tables.add(tmp_path, None)
-    (kept,) = (one for one in written["rows"] if one["experiment"] == of.title)
+    (kept,) = (one for one in written["rows"] if one["experiment"] == grid.title)
     expected = {name: value for name, value in new.items() if name != "free_run.lsd_db"}  # which no table reads
-    assert kept == expected | {"note": of.note}
+    assert kept == expected | {"note": grid.note}
     new["experiment"] = "Ingredients"
     with pytest.raises(SystemExit, match="'Ingredients' is none of recipes, table-1"):
         tables.add(tmp_path, None)

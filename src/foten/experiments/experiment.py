@@ -150,7 +150,7 @@ class Experiment:
         Raises:
             ValueError: a setting is unknown or out of range; the message names the method. Or there are too many runs.
         """
-        runs = (
+        every_run = (
             self._resolved(texture, method, split_seed, cell, recipe)
             for texture in self.textures
             for split_seed in self.split_seeds
@@ -159,9 +159,9 @@ class Experiment:
             for recipe in self._recipes(method) or [""]
             for cell in (self._cells() if method.model != "ar" else [{}])
         )
-        if len(first := list(itertools.islice(runs, MAX_RUNS + 1))) > MAX_RUNS:
+        if len(runs := list(itertools.islice(every_run, MAX_RUNS + 1))) > MAX_RUNS:
             raise ValueError(f"it has more than {MAX_RUNS} runs (textures × splits × methods × settings): split it")
-        return first
+        return runs
 
     def _cells(self) -> Iterator[dict[str, Any]]:
         cells = ((grid, values) for grid in self.grid or [{}] for values in itertools.product(*grid.values()))

@@ -461,7 +461,8 @@ def strokes(
     with _store(database) as store:
         parts = [part for part in store.parts(participant, trial) if len(part.events)]
         rows = [row for row in store.ratings() if (row["participant"], row["trial"]) == (participant, trial)]
-        curve = [f"{one['newtons']:g},{one['steepness']:g}" for row in rows if "newtons" in (one := row["measured"])]
+        log = [row["measured"] for row in rows if "newtons" in row["measured"]]
+        curve = [f"{measured['newtons']:g},{measured['steepness']:g}" for measured in log]
     surfaces = sorted({part.interval + 1 for part in parts})
     if surface is None and len(surfaces) > 1:
         raise ValueError(f"surfaces {', '.join(map(str, surfaces))} were stroked in that trial: which one? --surface 1")

@@ -99,9 +99,7 @@ class Store(contextlib.AbstractContextManager["Store"]):
             raise ValueError(
                 f"{self.path} is of version {version}, expected {schema.VERSION}: analyse it with the foten that made it"
             )
-        tables = (
-            "SELECT type, name, sql FROM sqlite_schema WHERE name NOT LIKE 'sqlite_%'"  # but for statistics and indexes
-        )
+        tables = "SELECT type, name, sql FROM sqlite_schema WHERE name NOT LIKE 'sqlite_%'"  # not SQLite's own
         with contextlib.closing(sqlite3.connect(":memory:")) as new:
             new.executescript(schema.ALL)
             if set(map(tuple, execute(tables))) != set(new.execute(tables)):
@@ -331,15 +329,16 @@ class Store(contextlib.AbstractContextManager["Store"]):
 
     def timed_parts(self, participant: int, trial: int) -> list[tuple[Stroked, float]]:
         """Parts of a trial's contact, and when each was stored [s, the system's clock]."""
-        parts, left = [], MAX_VALUE
+        parts, remaining_bytes = [], MAX_VALUE
         query = "SELECT * FROM strokes WHERE participant = ? AND trial = ? ORDER BY part"
         for row in self._rows(query, participant, trial):
             try:
-                events, conditions = _unpacked(row["events"], 4, left), _unpacked(row["conditions"], 2, left)
+                events = _unpacked(row["events"], 4, remaining_bytes)
+                conditions = _unpacked(row["conditions"], 2, remaining_bytes - events.nbytes)
             except (ValueError, zlib.error) as error:
                 where = f"{self.path.name}, participant {participant}, trial {trial}"
                 raise ValueError(f"{where}: a stroke is damaged ({error})") from error
-            left -= events.nbytes + conditions.nbytes
+            remaining_bytes -= events.nbytes + conditions.nbytes
             parts.append((Stroked(int(row["interval"]), events, conditions), _seconds(row["at"])))
         return parts
 
