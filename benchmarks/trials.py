@@ -3,15 +3,16 @@
     python benchmarks/trials.py APPROACH [--half choosing] [--fits 1 2] [--csv docs/results/trials.csv] [--folder build/trials]
 
 A fit learns from 64 s of each surface at 1 kHz, with seeds of its own; it is judged under a hand of its own, 240 s, by the ideal
-listener and by the one with a person's limits, each beside a control of two true realisations; and by the ideal one where the
-rendering is told the truth's mean band levels (`known_levels`). Bias of level by quarter of speed is of frames of 40 ms, of three
-renderings and three realisations; level error and log-spectral distance are divided by those of two realisations.
+listener, by the one with a person's limits, by excerpts of 2 s, and under a hand that stands still in speed and force, each
+beside a control of two true realisations; and by the ideal one where the rendering is told the truth's mean band levels
+(`known_levels`). Bias of level by quarter of speed is of frames of 40 ms, of three renderings and three realisations; level error
+and log-spectral distance are divided by those of two realisations.
 
 Every row goes into one CSV, which keeps the rows of earlier approaches: what is there is not run again. Textures and strokes are
 kept in a folder.
 
-Seeds of recordings, hands and noise are those below, and were written down before the first trial. The kept half runs once: with
-its first row in the CSV, another approach is refused.
+Seeds of recordings, hands and noise are those below, and were written down before the first trial. A kept half runs once: with
+its first row in the CSV, another approach is refused; but for the default before recorded innovations on the new kept half.
 """
 
 from __future__ import annotations
@@ -50,8 +51,10 @@ from foten.recording.preprocess import PreprocessConfig, preprocess
 from foten.recording.recording import Recording
 from foten.recording.trace import Trace
 from foten.runtime.native import NativeTexture
+from foten.simulation.contact_mechanics import RATE_HZ
 from foten.simulation.linear_family import LINEAR_FAMILY, OTHER_LINEAR
-from foten.simulation.simulate import simulate
+from foten.simulation.simulate import LINEAR_RATE_HZ, simulate, simulate_stroke
+from foten.simulation.stroking import Stroking, stepped_stroking, stroking
 from foten.simulation.two_mass_contact import TWO_MASS
 from foten.training.config import recipe_of
 from foten.training.job import TrainingJob
@@ -59,17 +62,29 @@ from foten.training.pipeline import train
 from result_table import write_rows
 
 SECONDS, LONG_S = 64.0, 240.0
-SURFACES = {"choosing": (*list(TWO_MASS)[:5], *LINEAR_FAMILY), "kept": (*list(TWO_MASS)[5:], *OTHER_LINEAR)}
+SURFACES = {
+    "choosing": (*list(TWO_MASS)[:5], *LINEAR_FAMILY),
+    "kept": (*list(TWO_MASS)[5:10], *OTHER_LINEAR),
+    "new kept": ("denim", "latex", "spruce", "cork", "pumice"),
+}
+# Times as quick as the hand that recorded is the one that listens to these.
+QUICKNESS = {"cork": 0.6, "pumice": 1.7}
+BEFORE = "before recorded innovations"  # may be judged on the new kept half beside what stands at the end
 # By half and fit: of the recording; of the hand that listens; of its first realisation; of the rendering and the listener.
 SEEDS = {
     ("choosing", 1): (301, 4301, 5301, 61),
     ("choosing", 2): (302, 4302, 5302, 62),
     ("kept", 1): (701, 8701, 9701, 71),
     ("kept", 2): (702, 8702, 9702, 72),
+    ("new kept", 1): (811, 12811, 13811, 81),
+    ("new kept", 2): (812, 12812, 13812, 82),
 }
 N_TRUE, N_RENDERED = 3, 3  # realisations of a long stroke, and renderings under it
 SEED_STEP = 1_000_003
 N_QUARTERS = 4
+LONG_EXCERPT = 250  # frames of 8 ms: 2 s
+# Of the hand that stands still. DFT321 mixes what it is given in 2 s: as much is mixed as under a hand that moves.
+HOLD_S, MOVE_S, HELD_SPEED, HELD_FORCE = 1.0, 0.15, (15.0, 250.0), (0.3, 3.0)
 CHANNELS = ("acceleration", "speed", "force")
 KEYS = ("approach", "half", "surface", "fit")
 
@@ -99,14 +114,34 @@ def recording_of(trial: Trial) -> Recording:
     return load_recording(path)
 
 
-def strokes_of(trial: Trial) -> list[Trace]:
+def quickened(surface: str, seed: int, rate_hz: float) -> Stroking:
+    """Long stroke of a hand, on the same path at another speed on some surfaces."""
+    quickness = QUICKNESS.get(surface, 1.0)
+    stroke = stroking(LONG_S * quickness, seed, rate_hz / quickness)
+    return replace(stroke, rate_hz=rate_hz, velocity=quickness * stroke.velocity)
+
+
+def still_hand(seed: int, rate_hz: float) -> Stroking:
+    """Long stroke that holds speed and force for `HOLD_S` at a time, each log-uniform."""
+    rng = np.random.default_rng([seed, 3])
+    knots, at = [], 0.0
+    while at < LONG_S:
+        held = [float(np.exp(rng.uniform(*np.log(ends)))) for ends in (HELD_SPEED, HELD_FORCE)]
+        knots += [(at, *held), (at + HOLD_S - MOVE_S, *held)]
+        at += HOLD_S
+    return stepped_stroking(knots, rate_hz)
+
+
+def strokes_of(trial: Trial, still: bool = False) -> list[Trace]:
     """The true realisations of the long stroke of a trial's hand, preprocessed; simulated once."""
-    path = trial.folder / "strokes" / f"{trial.surface}-{trial.fit}.npz"
+    path = trial.folder / ("held" if still else "strokes") / f"{trial.surface}-{trial.fit}.npz"
     if not path.is_file():
         path.parent.mkdir(parents=True, exist_ok=True)
         _, hand, noise, _ = SEEDS[trial.half, trial.fit]
+        rate = LINEAR_RATE_HZ if trial.surface.startswith("linear-") else RATE_HZ
+        stroke = still_hand(hand, rate) if still else quickened(trial.surface, hand, rate)
         made = [
-            preprocess(simulate(trial.surface, LONG_S, stroke_seed=hand, noise_seed=seed), PreprocessConfig())
+            preprocess(simulate_stroke(trial.surface, stroke, seed), PreprocessConfig())
             for seed in range(noise, noise + N_TRUE * SEED_STEP, SEED_STEP)
         ]
         arrays = {f"{name}{k}": getattr(trace, name) for k, trace in enumerate(made) for name in CHANNELS}
@@ -117,24 +152,29 @@ def strokes_of(trial: Trial) -> list[Trace]:
         return [Trace(*channel, float(known["rate_hz"]), len(channel[0])) for channel in channels]
 
 
-def control_of(trial: Trial, true: Sequence[Trace]) -> dict[str, float]:
-    """What the listeners make of two true realisations; listened to once."""
-    path = trial.folder / "controls" / f"{trial.surface}-{trial.fit}.json"
+def control_of(trial: Trial, kind: str, true: Sequence[Trace]) -> float:
+    """Area of a listener for two true realisations; listened to once."""
+    path = trial.folder / "controls" / f"{trial.surface}-{trial.fit}-{kind}.json"
     if not path.is_file():
         path.parent.mkdir(parents=True, exist_ok=True)
         with atomic_write(path) as part:
-            part.write_text(json.dumps(listened(trial, true[0], true[1])))
-    return {f"{name}_control": area for name, area in json.loads(path.read_text()).items()}
+            part.write_text(json.dumps(heard_by(trial, kind, true[0], true[1])))
+    return float(json.loads(path.read_text()))
 
 
-def listened(trial: Trial, true: Trace, other: Trace) -> dict[str, float]:
-    """Areas of the listeners."""
-    seed, shown = SEEDS[trial.half, trial.fit][-1], vibrations(true, other)
-    return {name: listener_auc(*shown[kind], seed=seed) for name, kind in (("ideal", ""), ("person", "_person"))}
+LISTENERS = {"ideal": ("", None), "person": ("_person", None), "long": ("", LONG_EXCERPT), "still": ("", None)}
+"""Kind of listener, and frames of its excerpts; the last one under a hand that stands still."""
 
 
-def judge(trial: Trial, again: bool = False) -> dict[str, str]:
-    """The row of a trial: trained, unless its texture is in the folder already, and judged."""
+def heard_by(trial: Trial, kind: str, true: Trace, other: Trace) -> float:
+    """Area of a listener."""
+    of_kind, excerpt = LISTENERS[kind]
+    shown = vibrations(true, other, excerpt=excerpt)[of_kind]
+    return listener_auc(*shown, seed=SEEDS[trial.half, trial.fit][-1])
+
+
+def judge(trial: Trial, kinds: Sequence[str], again: bool = False) -> dict[str, str]:
+    """The row of a trial by kinds of listeners: trained, unless its texture is in the folder already, and judged."""
     import torch
 
     torch.set_num_threads(1)
@@ -148,10 +188,19 @@ def judge(trial: Trial, again: bool = False) -> dict[str, str]:
     trained_s = time.perf_counter() - started
     texture, true = read_texture(path), strokes_of(trial)
     kernel = NativeTexture(texture.to_bytes())
-    rendered = [rendering(kernel, true[0], listener_seed + 10 * k) for k in range(N_RENDERED)]
-    runs = [replace(true[0], acceleration=run) for run in rendered]
-    figures = {**listened(trial, true[0], runs[0]), **control_of(trial, true)}
-    figures |= {"known_levels": known_levels(trial, true, runs), **level_figures(true, runs)}
+
+    def rendered(under: Trace, k: int = 0) -> Trace:
+        return replace(under, acceleration=rendering(kernel, under, listener_seed + 10 * k))
+
+    runs = [rendered(true[0], k) for k in range(N_RENDERED)]
+    figures = level_figures(true, runs)
+    for kind in kinds:
+        of_kind, run = (
+            (true, runs[0]) if kind != "still" else ((held := strokes_of(trial, still=True)), rendered(held[0]))
+        )
+        figures |= {kind: heard_by(trial, kind, of_kind[0], run), f"{kind}_control": control_of(trial, kind, of_kind)}
+    if set(kinds) == set(LISTENERS):
+        figures["known_levels"] = known_levels(trial, true, runs)
     columns = {name: f"{value:.4f}" for name, value in figures.items()}
     sizes, metrics = texture.sizes, texture.card["metrics"]
     loops = metrics["renderings"].get("with network", {}).get("closed_loop_training") or {}
@@ -230,11 +279,12 @@ def main() -> None:
     parser.add_argument("--csv", type=Path, default=Path("docs/results/trials.csv"))
     parser.add_argument("--folder", type=Path, default=Path("build/trials"))
     parser.add_argument("--workers", type=int, default=2)
+    parser.add_argument("--listeners", nargs="+", default=list(LISTENERS), choices=tuple(LISTENERS))
     options = parser.parse_args()
     rows: list[dict[str, str]] = list(csv.DictReader(options.csv.open())) if options.csv.is_file() else []
-    other = {row["approach"] for row in rows if row["half"] == "kept"} - {options.approach}
-    if options.half == "kept" and other:
-        parser.error(f"the kept half was judged already, with {', '.join(other)}: it can be judged once")
+    judged = {row["approach"] for row in rows if row["half"] == options.half} - {options.approach, BEFORE}
+    if options.half.endswith("kept") and options.approach != BEFORE and judged:
+        parser.error(f"the {options.half} half was judged already, with {', '.join(judged)}: it can be judged once")
     done = [{name: row[name] for name in KEYS} for row in rows]
     surfaces = options.surfaces or SURFACES[options.half]
     trials = [
@@ -242,7 +292,9 @@ def main() -> None:
     ]
     trials = [trial for trial in trials if trial.row not in done]
     with ProcessPoolExecutor(options.workers, get_context("spawn")) as pool:
-        for n, ready in enumerate(as_completed([pool.submit(judge, trial) for trial in trials]), start=1):
+        for n, ready in enumerate(
+            as_completed([pool.submit(judge, trial, options.listeners) for trial in trials]), start=1
+        ):
             rows.append(ready.result())
             print(f"{n}/{len(trials)} {json.dumps(rows[-1])}", flush=True)
             write_rows(rows, options.csv)

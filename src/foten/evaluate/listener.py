@@ -107,13 +107,18 @@ def listener_scores(
     return {**means, "listener_s": seconds, "listener_control_of": control_of}
 
 
-def vibrations(first: Trace, second: Trace, in_m_s2: bool = True) -> dict[str, tuple[Vibration, Vibration]]:
+def vibrations(
+    first: Trace, second: Trace, in_m_s2: bool = True, excerpt: int | None = None
+) -> dict[str, tuple[Vibration, Vibration]]:
     """Two vibrations as the listeners of `KINDS` are shown them, standardised by both in the part that they learn from.
+
+    Excerpts have so many frames, half a second by default.
 
     A person feels energies above a threshold: of held tools where they are in m/s², and 40 dB below the mean in any unit.
     """
-    from foten.evaluate.listener_network import Limits, Vibration
+    from foten.evaluate.listener_network import EXCERPT, Limits, Vibration
 
+    excerpt = excerpt or EXCERPT
     both = (first, second)
     # Shapes are (n_pieces, channels, frames) from here on.
     energies = [band_energies(stroke.blocks(stroke.acceleration), stroke.rate_hz) for stroke in both]
@@ -121,7 +126,7 @@ def vibrations(first: Trace, second: Trace, in_m_s2: bool = True) -> dict[str, t
     conditions = [_conditions(stroke) for stroke in both]
     # Where a rendering does not fade, (n_pieces, frames).
     moving = [((lowest[:, 0] >= MOVING_SPEED) & (lowest[:, 1] >= MOVING_FORCE)) for _, lowest in conditions]
-    starts = [_starts(*moves.shape) for moves in moving]
+    starts = [_starts(*moves.shape, excerpt) for moves in moving]
     floor += np.finfo(float).tiny
     threshold = np.maximum(floor, band_thresholds(envelope_edges(first.rate_hz))[:, None]) if in_m_s2 else floor
     logs = [np.log(energy + floor) for energy in energies]
@@ -136,13 +141,13 @@ def vibrations(first: Trace, second: Trace, in_m_s2: bool = True) -> dict[str, t
     shown: dict[str, list[Vibration]] = {kind: [] for kind in KINDS}
     for k, (stroke, moves, (train, test)) in enumerate(zip(both, moving, starts, strict=True)):
         frames = np.concatenate([np.where(moves[:, None], bands[k], 0.0), speed_forces[k]], axis=1)
-        shown[""].append(Vibration(_joined(frames), None, train, test))
+        shown[""].append(Vibration(_joined(frames), None, train, test, excerpt=excerpt))
         cut = framed(stroke.blocks(stroke.acceleration), BAND_FRAME_MS, stroke.rate_hz)
         samples = (np.arcsinh(2 * cut / scale) * moves[..., None]).reshape(-1, cut.shape[-1])
-        shown["_waveform"].append(Vibration(_joined(frames), samples, train, test))
+        shown["_waveform"].append(Vibration(_joined(frames), samples, train, test, excerpt=excerpt))
         levels = np.log(np.where(moves[:, None], energies[k] / threshold, 0.0) + NOTHING)
         frames = np.concatenate([levels, speed_forces[k]], axis=1)
-        shown["_person"].append(Vibration(_joined(frames), None, train, test, limits))
+        shown["_person"].append(Vibration(_joined(frames), None, train, test, limits, excerpt))
     return {kind: (first, second) for kind, (first, second) in shown.items()}
 
 
@@ -153,14 +158,14 @@ def _conditions(stroke: Trace) -> tuple[Array, Array]:
     return frames.mean(axis=-1), frames.min(axis=-1)
 
 
-def _starts(n_pieces: int, n_frames: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def _starts(n_pieces: int, n_frames: int, excerpt: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Frames with which excerpts to learn from, and to be scored on, begin: each within one piece."""
-    from foten.evaluate.listener_network import EXCERPT, HOP
+    from foten.evaluate.listener_network import HOP
 
     n = n_pieces * n_frames
     first = np.arange(n)
-    inside = first[first % n_frames <= n_frames - EXCERPT]
-    train = inside[inside + EXCERPT <= TRAIN_SHARE * n]
+    inside = first[first % n_frames <= n_frames - excerpt]
+    train = inside[inside + excerpt <= TRAIN_SHARE * n]
     later = inside[inside >= (1 - TEST_SHARE) * n]
     return train, later[(later % n_frames) % HOP == 0]
 

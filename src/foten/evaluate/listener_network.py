@@ -44,12 +44,13 @@ class Vibration:
     train: NDArray[np.int64]  # numbers of the frames with which excerpts to learn from begin
     test: NDArray[np.int64]  # and those to be scored on
     limits: Limits | None = None  # of a person
+    excerpt: int = EXCERPT  # frames
 
 
 class Listener(nn.Module):
     """Log odds that an excerpt is of the second vibration."""
 
-    def __init__(self, n_channels: int, frame: int | None) -> None:
+    def __init__(self, n_channels: int, frame: int | None, excerpt: int) -> None:
         """Listener of some channels, and of a waveform of so many samples a frame or none."""
         super().__init__()
         self.of_waveform = None
@@ -60,7 +61,7 @@ class Listener(nn.Module):
                 nn.ReLU(),
                 nn.Conv1d(32, 24, 4, 2, padding=1),
                 nn.ReLU(),
-                nn.AdaptiveAvgPool1d(EXCERPT),
+                nn.AdaptiveAvgPool1d(excerpt),
             )
             n_channels += 24
         self.layers = nn.Sequential(
@@ -70,7 +71,7 @@ class Listener(nn.Module):
         self.out = nn.Linear(128, 1)
 
     def forward(self, frames: Tensor, waveform: Tensor | None) -> Tensor:
-        """Log odds (b,): frames (b, channels, EXCERPT) and, where it takes them, waveforms (b, n)."""
+        """Log odds (b,): frames (b, channels, excerpt) and, where it takes them, waveforms (b, n)."""
         if self.of_waveform is not None and waveform is not None:
             frames = torch.cat([frames, self.of_waveform(waveform[:, None])], dim=1)
         over_time = self.layers(frames)
@@ -96,7 +97,7 @@ def _listener_auc(both: tuple[Vibration, Vibration], rng: np.random.Generator, s
     frames = [torch.from_numpy(each.frames).float() for each in both]
     waveforms = [None if each.waveform is None else torch.from_numpy(each.waveform).float() for each in both]
     frame = None if waveforms[0] is None else waveforms[0].shape[1]
-    offsets, limits = torch.arange(EXCERPT), both[0].limits
+    offsets, limits = torch.arange(both[0].excerpt), both[0].limits
 
     def excerpts(which: int, starts: NDArray[np.int64]) -> tuple[Tensor, Tensor | None]:
         at = torch.from_numpy(starts)[:, None] + offsets
@@ -105,7 +106,7 @@ def _listener_auc(both: tuple[Vibration, Vibration], rng: np.random.Generator, s
             shown = torch.cat([felt(shown[:, :N_BANDS], limits), shown[:, N_BANDS:]], dim=1)
         return shown, None if samples is None else samples[at].flatten(1)
 
-    listener = Listener(len(frames[0]), frame)
+    listener = Listener(len(frames[0]), frame, both[0].excerpt)
     rate = RATE if limits is None else PERSON_RATE
     optimiser = torch.optim.AdamW(listener.parameters(), rate, weight_decay=1e-2)
     schedule = torch.optim.lr_scheduler.OneCycleLR(optimiser, rate, total_steps=N_STEPS)

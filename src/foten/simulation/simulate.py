@@ -1,4 +1,4 @@
-"""Seeded recordings with a known truth: twelve textures under raw sensors, twenty of contact mechanics, and linear processes.
+"""Seeded recordings with a known truth: twelve textures under raw sensors, twenty-five of contact mechanics, and linear processes.
 
     path length s(t) ─▶ roughness w(s): a lattice and self-affine noise ─┐
     Poisson impacts of asperities, a number for each mm ─────────────────┴▶ × level fᵅ vᵝ ─┐
@@ -173,7 +173,7 @@ def simulate(
         stroke_seed: of the hand.
         accelerometer_hz: 10 000 (by default) divided by a whole number; for the linear family, its rate, 1000 by default.
     """
-    known: dict[str, Parameters] = {**TEXTURES, **CONTACT, **TWO_MASS, **LINEAR_FAMILY, **OTHER_LINEAR}
+    known = _known()
     if key not in known:
         raise ValueError(f"unknown texture {key!r}, expected one of {', '.join(known)}")
     default_hz = LINEAR_RATE_HZ if isinstance(known[key], LinearParameters) else RATE_HZ
@@ -188,6 +188,18 @@ def simulate(
         "parameters": json.loads(json.dumps(asdict(known[key]))),  # lists, as they come back from a file
     }
     return _simulated(simulation, [int(simulation["noise_seed"])])[0]
+
+
+def simulate_stroke(key: str, stroke: Stroking, noise_seed: int) -> Recording:
+    """Simulated recording under a stroke at 10 kHz, or at any rate for a linear process: raw sensors as of `simulate`."""
+    parameters = _known()[key]
+    default_hz = stroke.rate_hz if isinstance(parameters, LinearParameters) else RATE_HZ
+    if stroke.rate_hz != default_hz:
+        raise ValueError(f"the stroke is at {stroke.rate_hz:g} Hz, expected {default_hz:g}")
+    rng = np.random.default_rng([noise_seed, 2, *key.encode()])
+    with ThreadPoolExecutor() as pool:
+        tool, sensors, captures = _captures(parameters, key, stroke, [rng], None, default_hz, pool)
+        return Recording(next(iter(captures)), texture=key, tool=tool, sensors=sensors, notes="simulated")
 
 
 def second_realisation(
@@ -220,6 +232,10 @@ def realisations(
         return _simulated({**simulation, **changed}, noise_seeds, spans_s)
     except (KeyError, TypeError) as error:
         raise ValueError(f"its parameters are those of another simulator ({error}): simulate it again") from error
+
+
+def _known() -> dict[str, Parameters]:
+    return {**TEXTURES, **CONTACT, **TWO_MASS, **LINEAR_FAMILY, **OTHER_LINEAR}
 
 
 def check_seconds(seconds: float) -> None:
