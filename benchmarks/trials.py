@@ -65,10 +65,10 @@ SECONDS, LONG_S = 64.0, 240.0
 SURFACES = {
     "choosing": (*list(TWO_MASS)[:5], *LINEAR_FAMILY),
     "kept": (*list(TWO_MASS)[5:10], *OTHER_LINEAR),
-    "new kept": ("denim", "latex", "spruce", "cork", "pumice"),
+    "new kept": ("denim", "latex", "spruce", "bark", "pumice"),
 }
 # Times as quick as the hand that recorded is the one that listens to these.
-QUICKNESS = {"cork": 0.6, "pumice": 1.7}
+QUICKNESS = {"bark": 0.6, "pumice": 1.7}
 BEFORE = "before recorded innovations"  # may be judged on the new kept half beside what stands at the end
 # By half and fit: of the recording; of the hand that listens; of its first realisation; of the rendering and the listener.
 SEEDS = {
