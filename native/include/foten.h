@@ -140,6 +140,10 @@ FOTEN_API foten_status foten_start_scaled(foten_state *state, const double *wind
 FOTEN_API void foten_run_scaled(foten_state *state, const double *condition, const double *noise, double limit,
                                 size_t n, double *out);
 
+/* Recorded moments from `first` to before `end` are not played, until the next foten_reset: a rendering that is judged
+ * beside a recording plays none of its own. */
+FOTEN_API void foten_exclude_recorded(foten_state *state, int first, int end);
+
 typedef enum {
     FOTEN_PREDICT_MODEL = 0,    /* the complete model */
     FOTEN_PREDICT_LINEAR = 1,   /* the lattice of "foten-plus" alone; other models complete */

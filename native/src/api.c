@@ -198,6 +198,12 @@ void foten_run_scaled(foten_state *s, const double *conditions, const double *no
     }
 }
 
+void foten_exclude_recorded(foten_state *s, int first, int end) {
+    if (!s) return;
+    s->loop->recorded.first_excluded = first;
+    s->loop->recorded.end_excluded = end;
+}
+
 foten_status foten_predict(foten_state *s, const double *samples, size_t n, foten_prediction_part part,
                            foten_prediction *out) {
     if (!s || !samples || !out) return FOTEN_BAD_ARGUMENT;

@@ -54,6 +54,8 @@ static const struct {
     {"excitation", CARD_TEN | CARD_FOTEN | CARD_GRAPH, offsetof(card_sizes, excitation), 0, SWITCH},
     {"network_in_loop", CARD_PLUS, offsetof(card_sizes, network_in_loop), 1, SWITCH},
     {"equalised", CARD_PLUS, offsetof(card_sizes, equalised), 0, SWITCH},
+    {"recorded", CARD_PLUS, offsetof(card_sizes, recorded), 0, SWITCH},
+    {"along_path", CARD_PLUS, offsetof(card_sizes, along_path), 0, SWITCH},
     {"gain_before_filter", CARD_PLUS, offsetof(card_sizes, gain_before_filter), 0, SWITCH},
     {"residual_gain_before_filter", CARD_PLUS, offsetof(card_sizes, residual_gain_before_filter), 0, SWITCH},
 };

@@ -72,6 +72,42 @@ static inline double clip(double x, double limit) { return x > limit ? limit : x
 #define FOTEN_MAX_NEWTON_STEPS 60            /* foten.models.foten_plus.definition.MAX_NEWTON_STEPS */
 #define FOTEN_NEWTON_PRECISION 1e-7          /* foten.models.foten_plus.definition.NEWTON_PRECISION */
 
+/* Recorded innovations. */
+#define FOTEN_CONTROL_MS 4.0            /* foten.models.foten_plus.recorded_innovations.CONTROL_MS */
+#define FOTEN_FADE_MS 6.0               /* foten.models.foten_plus.recorded_innovations.FADE_MS */
+#define FOTEN_OCTAVE 256                /* foten.models.foten_plus.recorded_innovations.OCTAVE */
+#define FOTEN_SPEED_FLOOR 20.0          /* foten.models.foten_plus.recorded_innovations.SPEED_FLOOR */
+#define FOTEN_RECORDED_FORCE_FLOOR 0.05 /* foten.models.foten_plus.recorded_innovations.FORCE_FLOOR */
+#define FOTEN_SPEED_ORIGIN 3666         /* foten.models.foten_plus.recorded_innovations.SPEED_ORIGIN */
+#define FOTEN_FORCE_ORIGIN 1452         /* foten.models.foten_plus.recorded_innovations.FORCE_ORIGIN */
+#define FOTEN_STORED_SHIFT 3            /* foten.models.foten_plus.recorded_innovations.STORED_SHIFT */
+#define FOTEN_LEVEL_SHIFT 4             /* foten.models.foten_plus.recorded_innovations.LEVEL_SHIFT */
+#define FOTEN_N_GROWTH 10               /* foten.models.foten_plus.recorded_innovations.N_GROWTH */
+#define FOTEN_N_NEAREST 12              /* foten.models.foten_plus.recorded_innovations.N_NEAREST */
+#define FOTEN_MAX_DIFFERENCE 14000      /* foten.models.foten_plus.recorded_innovations.MAX_DIFFERENCE */
+#define FOTEN_MIN_LENGTH 20             /* foten.models.foten_plus.recorded_innovations.MIN_LENGTH */
+#define FOTEN_MAX_LENGTH 62             /* foten.models.foten_plus.recorded_innovations.MAX_LENGTH */
+#define FOTEN_MIN_AGE 6                 /* foten.models.foten_plus.recorded_innovations.MIN_AGE */
+#define FOTEN_MAX_SPEED_DIFFERENCE 74   /* foten.models.foten_plus.recorded_innovations.MAX_SPEED_DIFFERENCE */
+#define FOTEN_MAX_FORCE_DIFFERENCE 148  /* foten.models.foten_plus.recorded_innovations.MAX_FORCE_DIFFERENCE */
+#define FOTEN_MIN_DISTANCE 15           /* foten.models.foten_plus.recorded_innovations.MIN_DISTANCE */
+#define FOTEN_N_AHEAD 20                /* foten.models.foten_plus.recorded_innovations.N_AHEAD */
+#define FOTEN_N_MARGIN 8                /* foten.models.foten_plus.recorded_innovations.N_MARGIN */
+#define FOTEN_CANDIDATE 1               /* foten.models.foten_plus.recorded_innovations.CANDIDATE */
+#define FOTEN_RUN_START 2               /* foten.models.foten_plus.recorded_innovations.RUN_START */
+#define FOTEN_N_TAPS 16                 /* foten.models.foten_plus.recorded_innovations.N_TAPS */
+#define FOTEN_N_PHASES 64               /* foten.models.foten_plus.recorded_innovations.N_PHASES */
+#define FOTEN_MAX_PACE 256              /* foten.models.foten_plus.recorded_innovations.MAX_PACE */
+#define FOTEN_ONE 65536                 /* foten.models.foten_plus.recorded_innovations.ONE */
+#define FOTEN_MAX_MOMENTS 4194304       /* foten.models.foten_plus.recorded_innovations.MAX_MOMENTS */
+#define FOTEN_MAX_CANDIDATES 16384      /* foten.models.foten_plus.recorded_innovations.MAX_CANDIDATES */
+#define FOTEN_WEIGHT_0 23               /* foten.models.foten_plus.recorded_innovations.WEIGHTS[0] */
+#define FOTEN_WEIGHT_1 12               /* foten.models.foten_plus.recorded_innovations.WEIGHTS[1] */
+#define FOTEN_WEIGHT_2 9                /* foten.models.foten_plus.recorded_innovations.WEIGHTS[2] */
+#define FOTEN_WEIGHT_3 5                /* foten.models.foten_plus.recorded_innovations.WEIGHTS[3] */
+#define FOTEN_WEIGHT_4 3                /* foten.models.foten_plus.recorded_innovations.WEIGHTS[4] */
+#define FOTEN_WEIGHT_5 3                /* foten.models.foten_plus.recorded_innovations.WEIGHTS[5] */
+
 /* The equaliser. */
 #define FOTEN_N_BANDS 8             /* foten.dsp.bands.N_BANDS */
 #define FOTEN_N_LOWPASSES 3         /* foten.dsp.equaliser.N_LOWPASSES */

@@ -90,17 +90,17 @@ void file_close(texture_file *file) {
 typedef struct {
     char name[160];
     const unsigned char *data;
-    size_t n;
-    int wide;
+    size_t n, width; /* numbers, and bytes of each */
 } tensor;
 
 /* Where a tensor lies: nothing is trusted, neither its shape nor its offsets. */
 static int locate(const texture_file *file, size_t shape[4], tensor *at) {
     json tensor_entry = entry_of(file, at->name), kind = json_member(tensor_entry, "dtype"), sizes[4];
-    int dimensions = json_items(json_member(tensor_entry, "shape"), sizes, 4), wide = json_is_string(kind, "F64");
+    int dimensions = json_items(json_member(tensor_entry, "shape"), sizes, 4);
+    at->width = json_is_string(kind, "F64") ? 8 : json_is_string(kind, "F32") ? 4 : json_is_string(kind, "U8") ? 1 : 0;
     long long size, begin, end;
     size_t n = 1;
-    if (dimensions < 0 || !ends_of(tensor_entry, &begin, &end) || (!wide && !json_is_string(kind, "F32"))) return -1;
+    if (dimensions < 0 || !ends_of(tensor_entry, &begin, &end) || !at->width) return -1;
     for (int i = 0; i < dimensions; i++) {
         if (!json_integer(sizes[i], &size) || size < 0 || size > 1 << 28 ||
             (size && n > (SIZE_MAX >> 8) / (size_t)size))
@@ -109,10 +109,9 @@ static int locate(const texture_file *file, size_t shape[4], tensor *at) {
         n *= shape[i];
     }
     if (begin < 0 || end < begin || (unsigned long long)end > file->n_data) return -1;
-    if ((unsigned long long)(end - begin) != (unsigned long long)n * (wide ? 8 : 4)) return -1;
+    if ((unsigned long long)(end - begin) != (unsigned long long)n * at->width) return -1;
     at->data = file->data + begin;
     at->n = n;
-    at->wide = wide;
     return dimensions;
 }
 
@@ -124,14 +123,13 @@ int file_shape(const texture_file *file, const char *name, size_t shape[4]) {
 
 static double number_at(const tensor *at, size_t i) {
     uint64_t bits = 0;
-    int size = at->wide ? 8 : 4;
-    for (int k = size - 1; k >= 0; k--) bits = bits << 8 | at->data[i * (size_t)size + (size_t)k];
+    for (size_t k = at->width; k > 0; k--) bits = bits << 8 | at->data[i * at->width + k - 1];
     uint32_t half = (uint32_t)bits;
     double x;
     float narrow;
     memcpy(&x, &bits, 8);
     memcpy(&narrow, &half, 4);
-    return at->wide ? x : narrow;
+    return at->width == 8 ? x : narrow;
 }
 
 /* Locate a tensor that has to have a shape. */
@@ -148,6 +146,7 @@ static int locate_shaped(texture_file *file, const char *prefix, const char *nam
 }
 
 static int copy(texture_file *file, const tensor *at, double *out) {
+    if (at->width == 1) return file_refuse(file, FOTEN_BAD_FILE, "tensor '%s' is of bytes, expected floats", at->name);
     for (size_t i = 0; i < at->n; i++) {
         out[i] = number_at(at, i);
         if (!(out[i] - out[i] == 0))
@@ -163,6 +162,21 @@ double *file_take(texture_file *file, arena *memory, const char *prefix, const c
     double *out = arena_take(memory, at.n, sizeof *out);
     if (!out) file_refuse(file, FOTEN_NO_MEMORY, "no memory");
     return out && copy(file, &at, out) ? out : NULL;
+}
+
+const unsigned char *file_bytes(texture_file *file, arena *memory, const char *prefix, const char *name,
+                                const size_t shape[4]) {
+    tensor at;
+    if (!locate_shaped(file, prefix, name, shape, &at)) return NULL;
+    if (at.width != 1) {
+        file_refuse(file, FOTEN_BAD_FILE, "tensor '%s' is of floats, expected bytes", at.name);
+        return NULL;
+    }
+    unsigned char *out = arena_take(memory, at.n, 1);
+    if (!out) file_refuse(file, FOTEN_NO_MEMORY, "no memory");
+    else memcpy(out, at.data, at.n);
+    file->n_taken++;
+    return out;
 }
 
 int file_copy(texture_file *file, const char *prefix, const char *name, const size_t shape[4], double *out) {

@@ -37,6 +37,10 @@ double *file_take(texture_file *file, arena *memory, const char *prefix, const c
 /* The same, copied. */
 int file_copy(texture_file *file, const char *prefix, const char *name, const size_t shape[4], double *out);
 
+/* The bytes of a tensor of that shape. */
+const unsigned char *file_bytes(texture_file *file, arena *memory, const char *prefix, const char *name,
+                                const size_t shape[4]);
+
 /* The shape of a tensor, its dimensions counted; -1 where there is none. */
 int file_shape(const texture_file *file, const char *name, size_t shape[4]);
 

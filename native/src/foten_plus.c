@@ -18,7 +18,8 @@ static void place(const foten_model *m, loop *l, block *from) {
 static void set_condition(const foten_model *m, loop *l, const condition *c, int first) {
     int moved = first || loop_moved(l, c), moved_path = moved || c->path_speed != l->condition.path_speed;
     l->condition = *c;
-    if (m->equaliser.used && (first || moved)) scale_physical(&m->lattice.level, c->scaled, l->physical);
+    if ((m->equaliser.used || m->recorded.used) && (first || moved))
+        scale_physical(&m->lattice.level, c->scaled, l->physical);
     if (first) equaliser_settle(&l->equaliser, l->physical[0]);
     if (moved) {
         lattice_set_condition(m->excited_lattice, &l->lattice, c->scaled);
@@ -53,6 +54,10 @@ static void start_with_tones(const foten_model *m, loop *l, const double *window
     set_condition(m, l, &last, 1);
 }
 
+static void start_recorded(const foten_model *m, loop *l) {
+    if (m->recorded.used) recorded_begin(&m->recorded, &l->recorded, l->physical, NULL);
+}
+
 static void start(const foten_model *m, loop *l, const double *windows, int n, int as_prediction) {
     const lattice *of = as_prediction ? &m->lattice : m->excited_lattice;
     lattice_clear(&l->lattice, longer_order(m));
@@ -60,6 +65,7 @@ static void start(const foten_model *m, loop *l, const double *windows, int n, i
     innovation_clear(&m->network, &l->innovation, l->lattice.logs, 0);
     if (m->tones.n && !as_prediction) {
         start_with_tones(m, l, windows, n);
+        start_recorded(m, l);
         return;
     }
     for (int t = 1; t < n; t++) {
@@ -69,6 +75,7 @@ static void start(const foten_model *m, loop *l, const double *windows, int n, i
     }
     condition last = condition_of(&m->lattice.level, windows + 3 * n - 2);
     if (!as_prediction || !m->tones.n) set_condition(m, l, &last, 1);
+    if (!as_prediction) start_recorded(m, l);
 }
 
 /* The lattice of the vibration and its network predict, with tones as well: the phase of a recording is not known. How
@@ -104,6 +111,7 @@ static double step(const foten_model *m, loop *l, const condition *c, const doub
     double entering = of->gain_before_filter ? c->fade : 1, leaving = of->gain_before_filter ? 1 : c->fade;
     double scale = scale_of_noise(m, l), level = l->lattice.level * l->sigma, innovation = 0;
     if (m->network_in_loop) innovation = loop_drawn(m, l, noise, scale);
+    else if (noise && m->recorded.used) innovation = excitation_limited(&m->excitation, l->recorded.next, scale);
     else if (noise) innovation = excitation_limited(&m->excitation, *noise, scale);
     double e = l->sigma * innovation * entering;
     double residual =
@@ -114,6 +122,7 @@ static double step(const foten_model *m, loop *l, const condition *c, const doub
         tones_push(&m->tones, &l->tones, e, c);
     }
     set_condition(m, l, c, 0);
+    if (m->recorded.used) recorded_advance(&m->recorded, &l->recorded, l->physical, noise);
     if (m->network_in_loop)
         innovation_push(m->network_in_loop, &l->innovation, innovation * entering, residual / level, l->lattice.logs,
                         l->tones.phase);
@@ -132,6 +141,10 @@ static void begin(const foten_model *m, loop *l, const condition *c, noise_sourc
         double sine = noise_next(&noise), cosine = noise_next(&noise);
         tones_draw(&l->tones, sine, cosine);
         set_condition(m, l, c, 1);
+    }
+    if (m->recorded.used) {
+        double z = noise_next(&noise);
+        recorded_begin(&m->recorded, &l->recorded, l->physical, &z);
     }
     if (!m->network_in_loop) return;
     innovation_clear(m->network_in_loop, &l->innovation, l->lattice.logs, l->tones.phase);

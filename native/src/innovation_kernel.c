@@ -71,6 +71,20 @@ static void mixture(const innovation_network *n, innovation_state *s) {
     for (size_t i = components; i % WIDTH; i++) s->weight[i] = 0;
 }
 
+static void distances(const int16_t *const features[6], int first, int n, const int32_t *query, const int32_t *weights,
+                      int32_t *out) {
+    enum { LARGEST = FOTEN_MAX_DIFFERENCE };
+    for (int k = 0; k < 6; k++) {
+        const int16_t *feature = features[k] + first;
+        int32_t q = query[k], weight = weights[k];
+        for (int i = 0; i < n; i++) {
+            int32_t d = (feature[i] - q) * weight;
+            d = d > LARGEST ? LARGEST : d < -LARGEST ? -LARGEST : d;
+            out[i] = (k ? out[i] : 0) + d * d;
+        }
+    }
+}
+
 #define NAMED(name) innovation_##name
-#define FOR(name) const innovation_kernel NAMED(name) = {push, mixture};
+#define FOR(name) const innovation_kernel NAMED(name) = {push, mixture, distances};
 FOR(KERNEL)

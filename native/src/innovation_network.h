@@ -5,6 +5,8 @@
  * the last digits of asinh, erfc and the like. */
 #pragma once
 
+#include <stdint.h>
+
 #include "constants.h"
 #include "tables.h"
 
@@ -37,6 +39,9 @@ typedef struct {
 struct innovation_kernel {
     void (*push)(const innovation_network *n, innovation_state *s); /* the inputs, into the recurrent layer */
     void (*mixture)(const innovation_network *n, innovation_state *s);
+    /* Distances of `n` recorded candidates from `first` on to a query: see recorded.c. */
+    void (*distances)(const int16_t *const features[6], int first, int n, const int32_t *query, const int32_t *weights,
+                      int32_t *out);
 };
 
 int innovation_read(texture_file *file, arena *memory, const char *prefix, int n_inputs, int n_hidden, int head_width,

@@ -13,7 +13,8 @@ struct loop {
     double sigma;                /* of the excitation at the next sample: foten-plus, networks */
     tones_state tones;           /* foten-plus */
     equaliser_state equaliser;   /* foten-plus */
-    double physical[2];          /* speed [mm/s] and force [N] of the last sample, for it */
+    recorded_state recorded;     /* foten-plus */
+    double physical[2];          /* speed [mm/s] and force [N] of the last sample, for these two */
     innovation_state innovation; /* foten-plus */
     predictor_state predictor;   /* networks, graphs */
     mixture mixture;             /* piecewise AR */

@@ -24,6 +24,10 @@ static int read_plus(foten_model *m, texture_file *file, const card_sizes *s, co
     if (!excitation_read(file, &m->memory, width, &m->excitation)) return 0;
     m->excited = 1;
     if (s->equalised && !equaliser_read(file, &m->memory, &m->equaliser)) return 0;
+    int step = (int)floor(FOTEN_CONTROL_MS * m->rate_hz / 1000 + 0.5);
+    if (s->recorded &&
+        !recorded_read(file, &m->memory, step > 1 ? step : 1, s->along_path, isa->innovation, &m->recorded))
+        return 0;
     if (!s->n_tones) return 1;
     if (!tones_read(file, &m->memory, s->n_tones, s->n_tone_speed, s->n_tone_force, &m->tones)) return 0;
     return lattice_read(file, &m->memory, "residual.", s->n_residual_speed, s->n_residual_force, s->residual_order,

@@ -8,6 +8,7 @@
 #include "lattice.h"
 #include "piecewise_ar.h"
 #include "predictor.h"
+#include "recorded.h"
 #include "tones.h"
 
 typedef struct loop loop;
@@ -34,6 +35,7 @@ struct foten_model {
     const innovation_network *network_in_loop;
     tones tones;
     equaliser equaliser;
+    recorded_innovations recorded;
     int warm_up; /* samples that a network takes in before it is asked */
 
     const piecewise_ar *piecewise_ar; /* of piecewise AR */

@@ -42,6 +42,7 @@ class Prediction(NamedTuple):
     scale: Array | None = None  # by how much a unit of excitation moves it; None for no excitation
     innovation_limit: tuple[float, float] = (np.inf, np.inf)  # in units of the scale, and of scaled acceleration
     mixture: Mixture | None = None  # of the innovation, in units of the scale, its mean in the sample; None for noise
+    recorded: Array | None = None  # innovations that take the place of noise, in units of the scale
     # Where near rest what enters a lattice fades, and not what leaves it: the sample without innovation, and the tones in it.
     linear: Array | None = None
     tone: Array | float = 0.0
@@ -52,7 +53,7 @@ class Prediction(NamedTuple):
             return self.sample
         limit = limit_of(self.innovation_limit, self.scale)
         if self.mixture is None:
-            return self.sample + self.scale * np.clip(noise, -limit, limit)
+            return self.sample + self.scale * np.clip(noise if self.recorded is None else self.recorded, -limit, limit)
         drawn, expected = (
             np.clip(values, -limit, limit) for values in (self.mixture.quantile(noise), self.mixture.expected())
         )

@@ -33,6 +33,7 @@ CLOSED_LOOP_TOLERANCE = 1e-4  # scaled, of each of 64 steps
 MIN_GOLDEN = 8  # windows
 MAX_RATE_HZ = 1e5
 MAX_NUMBER = 1e9  # of a number in a tensor; squares of it are finite in float32
+CODED = ("recorded.innovations", "recorded.moments")  # tensors of bytes
 MAX_CREDIT = 500  # characters
 _MAX_HEADER = 10_000_000  # bytes; a card has 20,000, and reading takes a minute for the most that safetensors allows
 
@@ -307,7 +308,7 @@ def _are_numbers(values: Any, n: int) -> bool:
 def _check_tensors(texture: Texture) -> None:
     sizes = texture.sizes
     for name, tensor in texture.tensors.items():
-        if name == GRAPH and tensor.dtype == np.uint8:
+        if tensor.dtype == np.uint8 and name in (GRAPH, *CODED):
             continue
         if tensor.dtype not in (np.float32, np.float64):
             raise ValueError(f"tensor {name!r} is {tensor.dtype}, expected float32 or float64")

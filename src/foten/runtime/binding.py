@@ -84,6 +84,7 @@ _SIGNATURES = {
     "foten_state_free": (None, [c_void_p]),
     "foten_reset": (None, [c_void_p, c_uint64]),
     "foten_start": (c_int, [c_void_p, _FLOATS, _FLOATS, _FLOATS]),
+    "foten_exclude_recorded": (None, [c_void_p, c_int, c_int]),
     "foten_start_scaled": (c_int, [c_void_p, _DOUBLES]),
     "foten_run_scaled": (None, [c_void_p, _DOUBLES, _DOUBLES, c_double, c_size_t, _DOUBLES]),
     "foten_predict": (c_int, [c_void_p, _DOUBLES, c_size_t, c_int, _DOUBLES]),

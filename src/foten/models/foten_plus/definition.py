@@ -16,6 +16,7 @@ from foten.dsp.lattice import check_reflections, predict, push
 from foten.dsp.speed_force_table import SpeedForceTable
 from foten.dsp.tones import MAX_JITTER_DRIVE, anti_alias_gain, fitted_phase, tone
 from foten.models.excitation import Excitation, Scale
+from foten.models.foten_plus.recorded_innovations import Playback, RecordedInnovations
 from foten.models.foten_plus.sizes import LOG_SCALE_LIMIT, FotenPlusSizes
 from foten.models.stream import Prediction, Weights, limit_of
 
@@ -178,6 +179,7 @@ class FotenPlus:
         self.network = NetworkDefinition(tensors, "network.")
         self.rendering_network = NetworkDefinition(tensors, "rendering_network.") if sizes.network_in_loop else None
         self.equaliser = Equaliser.of(tensors) if sizes.equalised else None
+        self.recorded = RecordedInnovations.of(tensors, sizes.along_path) if sizes.recorded else None
         self.tones: Tones | None = None
         if sizes.n_tones:
             self.excited_lattice = Lattice(tensors, "residual.", sizes.residual_gain_before_filter)
@@ -194,6 +196,7 @@ class FotenPlus:
         """
         stream = self._started(windows)
         stream.settle_equaliser()
+        stream.begin_playback(None)
         return stream
 
     def _started(self, windows: Array) -> FotenPlusStream:
@@ -266,11 +269,23 @@ class FotenPlusStream:
         self.set_condition(condition)
         self.inputs = self._inputs(np.zeros(s), np.zeros(s))  # of the last sample
         self.equaliser: EqualiserStream | None = None
+        self.playback: list[Playback] = []
+        self.next_innovation = np.zeros(s)  # recorded, over σ
 
     def settle_equaliser(self) -> None:
         """Begin the equaliser, where there is one, as after a long time under the condition."""
         if self.model.equaliser is not None:
             self.equaliser = EqualiserStream(self.model.equaliser, *self._physical().T)
+
+    def begin_playback(self, noise: Array | None) -> None:
+        """Begin the recorded innovations, where there are any, from standard normal numbers (s,) or None."""
+        if self.model.recorded is not None:
+            self.playback = [Playback(self.model.recorded) for _ in self.condition]
+            self._play(noise)
+
+    def _play(self, noise: Array | None) -> None:
+        for k, (playback, (speed, force)) in enumerate(zip(self.playback, self._physical(), strict=True)):
+            self.next_innovation[k] = playback.advance(speed, force, None if noise is None else float(noise[k]))
 
     def _physical(self) -> Array:
         """Speed [mm/s] and force [N] of the last sample, (s, 2)."""
@@ -296,7 +311,7 @@ class FotenPlusStream:
     def n_initial(self) -> int:
         """A number for each state; two for a phase; one for each sample of a network's window."""
         warm_up = self.model.sizes.window if self.network else 0
-        return len(self.states) + (2 if self.tones else 0) + warm_up
+        return len(self.states) + (2 if self.tones else 0) + (self.model.recorded is not None) + warm_up
 
     def begin(self, condition: Array, noise: Array, fade: float = 1.0) -> None:
         """Draw the states and the phase of the tones; run the network for its window.
@@ -318,6 +333,9 @@ class FotenPlusStream:
             phase = np.arctan2(noise[:, p], noise[:, p + 1])
             self.begin_phase(self.tones, phase, phase)
             p += 2
+        if self.model.recorded is not None:
+            self.begin_playback(noise[:, p])
+            p += 1
         zero = np.zeros(len(noise))
         self.hidden_state, self.inputs = np.zeros_like(self.hidden_state), self._inputs(zero, zero)
         for z in noise[:, p:].T:
@@ -330,7 +348,9 @@ class FotenPlusStream:
         innovation_gain, known = cosines * self.level, self.condition[:, :2]
         sample = x * self.lattice.gains(self.level)[1] + self.tone
         if self.network is None:
-            return self._fading(self.model.excitation.added_to(sample, innovation_gain, known), sample)
+            prediction = self.model.excitation.added_to(sample, innovation_gain, known)
+            recorded = self.next_innovation.copy() if self.playback else None
+            return self._fading(prediction._replace(recorded=recorded), sample)
         mixture = self.network.mixture(self.hidden_state, self.inputs)
         if not self.calibrated:
             return Prediction(sample + innovation_gain * mixture.expected(), innovation_gain, mixture=mixture)
@@ -380,3 +400,5 @@ class FotenPlusStream:
             self.nominal_phase = self.nominal_phase + tones.phase_increment(condition)
             self.tone = tone(tones.coefficients(condition), self.phase)
         self.advance(e / sigma, x / level, condition)
+        if self.playback:
+            self._play(noise)

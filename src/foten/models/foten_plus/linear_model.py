@@ -10,6 +10,7 @@ from itertools import product
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import sparse
 from scipy.ndimage import uniform_filter1d
 from scipy.signal import lfilter
@@ -338,18 +339,25 @@ class LinearModel:
         """The level of the vibration."""
         return Scale.of(self.tensors, "lattice.level.")
 
-    def innovations(self, blocks: ScaledBlocks, residual: bool = False) -> tuple[Array, Array, Array]:
+    def innovations(
+        self, blocks: ScaledBlocks, residual: bool = False, run: NDArray[np.int64] | None = None
+    ) -> tuple[Array, Array, Array]:
         """x, the innovations, and what an innovation of 1 is in scaled acceleration, (n_blocks, block) each.
 
         Each sample's level and reflection coefficients are those of the condition before it (Eq. 1), and a block's first sample
-        gives zeros. A `residual` is what the tones leave of the acceleration, where there are tones.
+        gives zeros. A `residual` is what the tones leave of the acceleration, where there are tones. The blocks of a `run`
+        alone are taken as one, (1, n) each.
         """
-        samples, before = blocks.samples[:, 1:, 0], blocks.conditions_with_speed()[:, :-1]
+        samples, before, phase = blocks.samples[..., 0], blocks.conditions_with_speed(), self.phase
+        if run is not None:
+            samples, before = samples[run].reshape(1, -1), before[run].reshape(1, -1, 3)
+            phase = None if phase is None else phase[run].reshape(1, -1)
+        samples, before = samples[:, 1:], before[:, :-1]
         lattice = Lattice(self.tensors, "lattice.", self.sizes.gain_before_filter)
-        if residual and self.phase is not None:
+        if residual and phase is not None:
             tones = Tones(self.tensors, lattice.level)
             coefficients = tones.coefficients(before.reshape(-1, 3)).reshape(*samples.shape, -1)
-            samples, lattice = samples - tone(coefficients, self.phase[:, 1:]), self.excited_lattice
+            samples, lattice = samples - tone(coefficients, phase[:, 1:]), self.excited_lattice
         level = lattice.level(before[..., :2].reshape(-1, 2)).reshape(samples.shape)
         gain, after = lattice.gains(level)
         speed, force = np.moveaxis(lattice.level.physical(before[..., :2]), 2, 0)

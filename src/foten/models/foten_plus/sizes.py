@@ -49,6 +49,8 @@ class FotenPlusSizes(ModelSizes):
     n_residual_force: int = 1  # and over force
     residual_gain_before_filter: bool = False
     equalised: bool = False  # whether an equaliser is behind all of it
+    recorded: bool = False  # whether a rendering plays recorded innovations
+    along_path: bool = False  # and reads them at the pace of the hand
     excited: ClassVar[bool] = True
 
     @property
@@ -68,6 +70,8 @@ class FotenPlusSizes(ModelSizes):
                 "equaliser.filters": (N_BANDS, 3),
                 "equaliser.smoothing": (N_LOWPASSES,),
             }
+        if self.recorded:
+            shapes |= {"recorded.values": (256,), "recorded.innovations": (None, None), "recorded.moments": (None, 5)}
         shapes |= lattice_shapes("lattice", self.n_speed, self.n_force, self.order, width)
         if self.n_tones:
             shapes |= table_shapes("tones", self.n_tone_speed, self.n_tone_force, "values", 2 * self.n_tones)
