@@ -23,11 +23,12 @@ import hashlib
 import json
 import os
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass, replace
 from multiprocessing import get_context
 from pathlib import Path
+from typing import Any
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -46,6 +47,7 @@ from foten.dsp.level import frame_levels, frame_means, framed
 from foten.evaluate.listener import FLOOR, rendering, vibrations
 from foten.evaluate.listener_network import listener_auc
 from foten.models.conditions import MOVING_FORCE, MOVING_SPEED
+from foten.models.foten_plus import fit
 from foten.models.texture_file import read_texture, write_texture
 from foten.recording.preprocess import PreprocessConfig, preprocess
 from foten.recording.recording import Recording
@@ -53,7 +55,7 @@ from foten.recording.trace import Trace
 from foten.runtime.native import NativeTexture
 from foten.simulation.contact_mechanics import RATE_HZ
 from foten.simulation.linear_family import LINEAR_FAMILY, OTHER_LINEAR
-from foten.simulation.simulate import LINEAR_RATE_HZ, simulate, simulate_stroke
+from foten.simulation.simulate import LINEAR_RATE_HZ, TEXTURES, simulate, simulate_stroke
 from foten.simulation.stroking import Stroking, stepped_stroking, stroking
 from foten.simulation.two_mass_contact import TWO_MASS
 from foten.training.config import recipe_of
@@ -65,10 +67,17 @@ SECONDS, LONG_S = 64.0, 240.0
 SURFACES = {
     "choosing": (*list(TWO_MASS)[:5], *LINEAR_FAMILY),
     "kept": (*list(TWO_MASS)[5:10], *OTHER_LINEAR),
+    "simulated": tuple(TEXTURES),
     "new kept": ("denim", "latex", "spruce", "bark", "pumice"),
 }
 # Times as quick as the hand that recorded is the one that listens to these.
 QUICKNESS = {"bark": 0.6, "pumice": 1.7}
+# Parts that can be left out: functions of the fit that give nothing then.
+PARTS: Mapping[str, Callable[..., Any]] = {
+    "calibrated_network": lambda *_: None,
+    "recorded_candidates": lambda *_: [],
+    "fit_equaliser": lambda *_: None,
+}
 BEFORE = "before recorded innovations"  # may be judged on the new kept half beside what stands at the end
 # By half and fit: of the recording; of the hand that listens; of its first realisation; of the rendering and the listener.
 SEEDS = {
@@ -76,6 +85,8 @@ SEEDS = {
     ("choosing", 2): (302, 4302, 5302, 62),
     ("kept", 1): (701, 8701, 9701, 71),
     ("kept", 2): (702, 8702, 9702, 72),
+    ("simulated", 1): (901, 9901, 10901, 91),
+    ("simulated", 2): (902, 9902, 10902, 92),
     ("new kept", 1): (811, 12811, 13811, 81),
     ("new kept", 2): (812, 12812, 13812, 82),
 }
@@ -98,6 +109,7 @@ class Trial:
     surface: str
     fit: int
     folder: Path
+    without: tuple[str, ...] = ()  # of `PARTS`
 
     @property
     def row(self) -> dict[str, str]:
@@ -178,6 +190,8 @@ def judge(trial: Trial, kinds: Sequence[str], again: bool = False) -> dict[str, 
     import torch
 
     torch.set_num_threads(1)
+    for part in trial.without:
+        setattr(fit, part, PARTS[part])
     seed, *_, listener_seed = SEEDS[trial.half, trial.fit]
     path, started = trial.folder / trial.approach / f"{trial.surface}-{trial.fit}.foten", time.perf_counter()
     if again or not path.is_file():
@@ -208,6 +222,7 @@ def judge(trial: Trial, kinds: Sequence[str], again: bool = False) -> dict[str, 
         **trial.row,
         **columns,
         "network": "yes" if getattr(sizes, "network_in_loop", False) else "no",
+        "recorded": ("path" if sizes.along_path else "time") if getattr(sizes, "recorded", False) else "no",
         "loss_before": f"{loops.get('before', float('nan')):.4f}",
         "loss_after": f"{loops.get('after', float('nan')):.4f}",
         "training_s": f"{trained_s:.0f}",
@@ -279,6 +294,7 @@ def main() -> None:
     parser.add_argument("--csv", type=Path, default=Path("docs/results/trials.csv"))
     parser.add_argument("--folder", type=Path, default=Path("build/trials"))
     parser.add_argument("--workers", type=int, default=2)
+    parser.add_argument("--without", nargs="+", default=[], choices=tuple(PARTS))
     parser.add_argument("--listeners", nargs="+", default=list(LISTENERS), choices=tuple(LISTENERS))
     options = parser.parse_args()
     rows: list[dict[str, str]] = list(csv.DictReader(options.csv.open())) if options.csv.is_file() else []
@@ -288,7 +304,9 @@ def main() -> None:
     done = [{name: row[name] for name in KEYS} for row in rows]
     surfaces = options.surfaces or SURFACES[options.half]
     trials = [
-        Trial(options.approach, options.half, key, fit, options.folder) for fit in options.fits for key in surfaces
+        Trial(options.approach, options.half, key, fit, options.folder, tuple(options.without))
+        for fit in options.fits
+        for key in surfaces
     ]
     trials = [trial for trial in trials if trial.row not in done]
     with ProcessPoolExecutor(options.workers, get_context("spawn")) as pool:
@@ -308,7 +326,9 @@ def main() -> None:
 
 def means(rows: Sequence[dict[str, str]]) -> list[str]:
     """Means of the figures of some rows."""
-    named = [name for name in rows[0] if name not in (*KEYS, "network", "sha256", "loss_before", "loss_after")]
+    named = [
+        name for name in rows[0] if name not in (*KEYS, "network", "recorded", "sha256", "loss_before", "loss_after")
+    ]
     return [f"{name} {np.mean([float(row[name]) for row in rows if row[name]]):.3f}" for name in named]
 
 

@@ -22,6 +22,19 @@ from foten.dsp.bands import N_BANDS
 from foten.dsp.equaliser import N_TERMS, Equaliser
 from foten.models.excitation import Excitation, Scale
 from foten.models.foten_plus.definition import Mixture
+from foten.models.foten_plus.recorded_innovations import (
+    CANDIDATE,
+    FORCE_FLOOR,
+    FORCE_ORIGIN,
+    N_AHEAD,
+    N_GROWTH,
+    RUN_START,
+    SPEED_FLOOR,
+    SPEED_ORIGIN,
+    STORED_SHIFT,
+    RecordedInnovations,
+    logarithm,
+)
 from foten.models.foten_plus.sizes import FotenPlusSizes
 from foten.models.model_sizes import ModelSizes
 from foten.models.piecewise_ar.sizes import PiecewiseArSizes
@@ -150,6 +163,8 @@ def untrained_tensors(model: str, sizes: ModelSizes, network: Any, seed: int = 0
     if isinstance(sizes, FotenPlusSizes) and sizes.equalised:
         weights = 0.1 * np.random.default_rng(seed + 3).standard_normal((N_BANDS, N_TERMS))
         tensors |= Equaliser.of_weights(weights, CARD["rate_hz"]).tensors()
+    if isinstance(sizes, FotenPlusSizes) and sizes.recorded:
+        tensors |= recorded(seed).tensors()
     if isinstance(sizes, FotenPlusSizes):
         rng = np.random.default_rng(seed)
         prefixes = ["lattice.", *(["residual."] if sizes.n_tones else [])]
@@ -170,6 +185,21 @@ def untrained_tensors(model: str, sizes: ModelSizes, network: Any, seed: int = 0
                 elif name == "tones.phase_params":
                     tensors[name] = np.array([2 * np.pi / 2.5 / 1000, 0.03, 2e-3])
     return tensors
+
+
+def recorded(seed: int = 0, n: int = 90, step: int = 4) -> RecordedInnovations:
+    """Seeded recorded innovations in two runs of n moments, their speed from about 8 to 220 mm/s and their force 0.3 to 2.5 N."""
+    rng, j = np.random.default_rng(seed), np.arange(2 * n)
+    speed = 114 + 106 * np.sin(2 * np.pi * j / 70 + np.repeat([0.0, 1.0], n))
+    force = 1.4 + 1.1 * np.sin(2 * np.pi * j / 33)
+    logs = [
+        logarithm(speed, SPEED_FLOOR) - SPEED_ORIGIN >> STORED_SHIFT,
+        logarithm(force, FORCE_FLOOR) - FORCE_ORIGIN >> STORED_SHIFT,
+    ]
+    flags = np.where((j % n >= N_GROWTH) & (n - j % n >= N_AHEAD), CANDIDATE, 0) | np.where(j % n == 0, RUN_START, 0)
+    moments = np.stack([*logs, *rng.integers(100, 150, (2, 2 * n)), flags], axis=1).astype(np.uint8)
+    values = np.linspace(-3, 3, 256).astype(np.float32).astype(float)
+    return RecordedInnovations(values, rng.integers(0, 256, (2 * n, step), dtype=np.uint8), moments, False)
 
 
 def local_models(sizes: PiecewiseArSizes) -> LocalModels:

@@ -13,7 +13,7 @@ from scipy.signal import butter, freqz_sos, lfilter
 from scipy.stats import spearmanr
 
 from foten.dsp.bands import N_BANDS, envelope_edges
-from foten.dsp.distance import earth_mover_octaves, log_spectral_distance
+from foten.dsp.distance import area_under_curve, earth_mover_octaves, log_spectral_distance
 from foten.dsp.perception import THRESHOLD_M_S2, internal_noise_db
 from foten.evaluate.listener import listener_scores, long_stroke, vibrations
 from foten.recording.trace import Trace
@@ -21,7 +21,7 @@ from foten.recording.trace import Trace
 pytest.importorskip("torch")
 
 from foten.evaluate import listener_network as networks
-from foten.evaluate.listener_network import EXCERPT, HOP, Limits, area_under_curve, felt, listener_auc
+from foten.evaluate.listener_network import EXCERPT, HOP, Limits, felt, listener_auc
 
 PENS = Path(__file__).parents[1].parent / "shared" / "data" / "pen-triplets"
 RATE_HZ, SECONDS = 1000.0, 60

@@ -77,3 +77,10 @@ def earth_mover_octaves(frequencies: Array, recorded: Array, synthesized: Array)
     ]
     distance = (np.abs(shares[0] - shares[1])[..., :-1] * np.diff(np.log2(frequencies))).sum(axis=-1)
     return np.asarray(np.where((totals[0] > 0) & (totals[1] > 0), distance, 0.0))
+
+
+def area_under_curve(first: Array, second: Array) -> float:
+    """Share of pairs in which the score of the second is the larger, ties by half: shapes (n,) and (k,)."""
+    order = np.sort(first)
+    below, up_to = (np.searchsorted(order, second, side) for side in ("left", "right"))
+    return float((below + up_to).mean() / (2 * len(first)))

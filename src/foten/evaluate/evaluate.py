@@ -14,6 +14,7 @@ from foten.evaluate import free_run as runs
 from foten.evaluate.one_step import Linear, best_linear, excitation_scores, fit_linear, one_step, predict
 from foten.evaluate.warm_start import synthesised_window, warm_start_runs, warm_start_scores
 from foten.models.conditions import MOVING_FORCE, MOVING_SPEED
+from foten.models.foten_plus.recorded_innovations import neighbourhoods
 from foten.models.texture_file import Texture
 from foten.recording.preprocess import PreprocessConfig, preprocess
 from foten.recording.recording import RELATIVE, Recording
@@ -185,7 +186,7 @@ def _warm_start(case: _Case, linear: Linear | None, ceiling: Array | None) -> tu
         case.reasons["warm_start.synthesised"] = "no training blocks to fit AR(20) on, or too few"
     else:
         window = synthesised_window(linear, trace, case.split.train, texture)
-    runs = warm_start_runs(texture, case.kernel, trace, case.blocks, window, case.seed)
+    runs = warm_start_runs(texture, case.kernel, trace, case.blocks, window, case.seed, case.split)
     scored = runs if ceiling is None else {**runs, "ceiling": ceiling}
     return warm_start_scores(trace.picked(case.blocks)[0], scored, trace.rate_hz, texture.scaling.sd[0]), runs
 
@@ -200,7 +201,9 @@ def _listener(case: _Case, on_stage: Callable[[str], None]) -> dict[str, Any] | 
     strokes = [long_stroke(stroke) for stroke in case.simulated.strokes]
     recorded, *others = strokes or [long_stroke(case.trace, case.blocks)]
     try:
-        rendered, in_m_s2 = partial(rendering, case.kernel, recorded), case.texture.unit != RELATIVE
+        excluded = [] if strokes else neighbourhoods(case.split, case.trace.rate_hz, case.blocks)
+        rendered = partial(rendering, case.kernel, recorded, excluded=excluded)
+        in_m_s2 = case.texture.unit != RELATIVE
         return listener_scores(recorded, rendered, others, case.seed, on_stage, in_m_s2)
     except ValueError as error:
         case.reasons["listener"] = str(error)
@@ -267,7 +270,9 @@ def _free_run(case: _Case, linear: Linear | None) -> tuple[dict[str, Any], dict[
         if excitation and not texture.has_excitation:
             reasons[name] = f"{texture.card['model']} carries no excitation"
         else:
-            signals[name], saturated[name] = runs.synthesize(case.kernel, trace, blocks, excitation, case.seed)
+            signals[name], saturated[name] = runs.synthesize(
+                case.kernel, trace, blocks, excitation, case.seed, split=case.split
+            )
     if linear is not None:
         signals["free_run_ar"] = runs.synthesize_linear(linear, trace, blocks, texture.scaling, case.seed)
     else:

@@ -15,7 +15,9 @@ from foten.dsp.noise import gaussian
 from foten.dsp.perception import LEVEL_JND_DB
 from foten.evaluate import metrics
 from foten.evaluate.one_step import Linear
+from foten.models.foten_plus.recorded_innovations import neighbourhoods
 from foten.recording.scaling import Scaling
+from foten.recording.split import Split
 from foten.recording.trace import Trace
 from foten.runtime.loops import render_strokes
 from foten.runtime.native import NativeTexture
@@ -36,15 +38,18 @@ def synthesize(
     excitation: bool,
     seed: int = 0,
     n_seeds: int = N_SEEDS,
+    split: Split | None = None,
 ) -> tuple[Array, int]:
     """Free run under recorded speed and force [m/s²], (n_seeds, n_blocks, block), and how many samples the saturator cut.
 
-    Rendered by the kernel; each block goes on from its own recorded window. Without excitation n_seeds is 1.
+    Rendered by the kernel; each block goes on from its own recorded window. Without excitation n_seeds is 1. With the `split` of
+    the recording that was learned from, no innovations are played that were recorded within a second of a block.
     """
     m, channels = texture.info.window, trace.picked(blocks)
     _, speed, force = repeated = [np.tile(channel, (n_seeds if excitation else 1, 1)) for channel in channels]
     windows = [channel[:, :m] for channel in repeated]
-    rendered, n_saturated = render_strokes(texture, seed, speed[:, m:], force[:, m:], 0, windows, excitation)
+    excluded = neighbourhoods(split, trace.rate_hz, blocks, n_seeds if excitation else 1)
+    rendered, n_saturated = render_strokes(texture, seed, speed[:, m:], force[:, m:], 0, windows, excitation, excluded)
     return _after_recorded(channels[0][:, :m], rendered), n_saturated
 
 

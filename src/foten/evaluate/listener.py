@@ -18,7 +18,7 @@ from foten.dsp.level import framed
 from foten.dsp.perception import band_thresholds, internal_noise_db
 from foten.models.conditions import MOVING_FORCE, MOVING_SPEED
 from foten.recording.trace import Trace
-from foten.runtime.loops import render_strokes
+from foten.runtime.loops import Excluded, render_strokes
 from foten.runtime.native import NativeTexture
 
 if TYPE_CHECKING:
@@ -46,10 +46,10 @@ def long_stroke(trace: Trace, blocks: Sequence[int] | None = None) -> Trace:
     return Trace(acceleration, speed, force, trace.rate_hz, trace.block)
 
 
-def rendering(kernel: NativeTexture, recorded: Trace, seed: int) -> Array:
-    """Texture rendered under recorded speed and force [m/s²], shape (n,)."""
+def rendering(kernel: NativeTexture, recorded: Trace, seed: int, excluded: Excluded = ()) -> Array:
+    """Texture rendered under recorded speed and force [m/s²], shape (n,); `excluded` of each piece as of `render_strokes`."""
     speed, force = recorded.blocks(recorded.speed), recorded.blocks(recorded.force)
-    return render_strokes(kernel, seed, speed, force, STREAM)[0].ravel()
+    return render_strokes(kernel, seed, speed, force, STREAM, excluded=excluded)[0].ravel()
 
 
 def listener_scores(
@@ -126,7 +126,7 @@ def vibrations(
     conditions = [_conditions(stroke) for stroke in both]
     # Where a rendering does not fade, (n_pieces, frames).
     moving = [((lowest[:, 0] >= MOVING_SPEED) & (lowest[:, 1] >= MOVING_FORCE)) for _, lowest in conditions]
-    starts = [_starts(*moves.shape, excerpt) for moves in moving]
+    starts = [_starts(len(moves), moves.shape[1], excerpt) for moves in moving]
     floor += np.finfo(float).tiny
     threshold = np.maximum(floor, band_thresholds(envelope_edges(first.rate_hz))[:, None]) if in_m_s2 else floor
     logs = [np.log(energy + floor) for energy in energies]

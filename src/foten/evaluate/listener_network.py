@@ -15,6 +15,7 @@ from torch.nn import functional
 
 from foten.dsp import Array
 from foten.dsp.bands import N_BANDS
+from foten.dsp.distance import area_under_curve
 
 EXCERPT = 62  # frames of 8 ms: half a second
 N_STEPS, BATCH = 500, 96  # the budget: four seconds on one core, seven with the waveform
@@ -140,10 +141,3 @@ def felt(levels: Tensor, limits: Limits) -> Tensor:
     of_energy, of_threshold = limits.noise * (own + common)
     mean, sd = (torch.from_numpy(each).float() for each in (limits.mean, limits.sd))
     return (torch.logaddexp(levels + of_energy, of_threshold) - mean) / sd
-
-
-def area_under_curve(first: Array, second: Array) -> float:
-    """Share of pairs in which the score of the second is the larger, ties by half: shapes (n,) and (k,)."""
-    order = np.sort(first)
-    below, up_to = (np.searchsorted(order, second, side) for side in ("left", "right"))
-    return float((below + up_to).mean() / (2 * len(first)))

@@ -11,8 +11,10 @@ from foten.dsp import Array
 from foten.dsp.noise import gaussian
 from foten.evaluate.metrics import goodness_of_fit
 from foten.evaluate.one_step import Linear
+from foten.models.foten_plus.recorded_innovations import neighbourhoods
 from foten.models.texture_file import Texture
 from foten.recording.scaling import Scaling
+from foten.recording.split import Split
 from foten.recording.trace import Trace
 from foten.runtime.loops import render_strokes
 from foten.runtime.native import NativeTexture
@@ -67,6 +69,7 @@ def warm_start_runs(
     blocks: tuple[int, ...],
     window: list[Array] | None,
     seed: int,
+    split: Split | None = None,
 ) -> dict[str, Array]:
     """Free runs of whole blocks [m/s²], (n_seeds, n_blocks, block): from the `stored` window, and from the `synthesised` one.
 
@@ -76,13 +79,14 @@ def warm_start_runs(
     excitation = texture.has_excitation
     n_seeds = N_DRAWS if excitation else 1
     _, speed, force = (np.tile(channel, (n_seeds, 1)) for channel in trace.picked(blocks))
+    excluded = neighbourhoods(split, trace.rate_hz, blocks, n_seeds)
     starts: dict[str, list[Array]] = {"stored": stored_window(texture) if texture.predicts_samples else []}
     if window is not None and texture.predicts_samples:
         starts["synthesised"] = window
     runs = {}
     for name, start in starts.items():
         windows = [np.tile(channel, (len(speed), 1)) for channel in start]
-        rendered, _ = render_strokes(kernel, seed, speed, force, 0, windows, excitation)
+        rendered, _ = render_strokes(kernel, seed, speed, force, 0, windows, excitation, excluded)
         runs[name] = rendered.reshape(n_seeds, len(blocks), -1)
     return runs
 

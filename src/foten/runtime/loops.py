@@ -13,6 +13,8 @@ from foten.dsp import Array
 from foten.runtime.binding import library
 from foten.runtime.native import NativeState, NativeTexture, PredictionPart
 
+Excluded = Sequence[tuple[int, int]]  # the first moment, and the one after the last, of each stream
+
 
 def on_all_cores(work: Callable[[int], None], n: int) -> None:
     """Call a function with 0 … n − 1 over the cores; the kernel's calls release the interpreter's lock."""
@@ -21,7 +23,12 @@ def on_all_cores(work: Callable[[int], None], n: int) -> None:
 
 
 def render_streams(
-    texture: NativeTexture, windows: Array, condition: Array, noise: Array | None, limit: float = np.inf
+    texture: NativeTexture,
+    windows: Array,
+    condition: Array,
+    noise: Array | None,
+    limit: float = np.inf,
+    excluded: Excluded = (),
 ) -> Array:
     """Render n samples of each stream of a texture's closed loop, shape (s, n), without fade and growth; all scaled.
 
@@ -30,6 +37,7 @@ def render_streams(
         condition: speed and force of each sample, and the speed that tones go by [mm/s], shape (s, n, 3).
         noise: standard normal, shape (s, n); None for the deterministic loop.
         limit: that samples are cut to.
+        excluded: recorded moments that each stream does not play, none by default.
 
     Raises:
         ValueError: a window holds NaN or infinity.
@@ -40,6 +48,8 @@ def render_streams(
         window, conditions = (np.ascontiguousarray(part[i], dtype=np.float64) for part in (windows, condition))
         drawn = None if noise is None else np.ascontiguousarray(noise[i], dtype=np.float64).ctypes
         state = NativeState(texture)
+        if excluded:
+            state.exclude(*excluded[i])
         if library().foten_start_scaled(state.pointer, window.ctypes) != 0:
             raise ValueError("the windows to start from hold NaN or infinity")
         library().foten_run_scaled(state.pointer, conditions.ctypes, drawn, limit, len(conditions), out[i].ctypes)
@@ -57,6 +67,7 @@ def render_strokes(
     first_stream: int = 0,
     windows: Sequence[Array] = (),
     excitation: bool = True,
+    excluded: Excluded = (),
 ) -> tuple[Array, int]:
     """Acceleration [m/s²] of strokes with noise of their own, shape (s, n), and how many samples the saturator cut.
 
@@ -64,11 +75,14 @@ def render_strokes(
         seed: of the noise; stroke s draws that of stream `first_stream` + s.
         speed, force: at the texture's own rate [mm/s, N], each of shape (s, n).
         windows: acceleration, speed and force, each (s, window), that strokes go on from; by default the stored warm start.
+        excluded: recorded moments that each stroke does not play, none by default.
     """
     rendered, n_saturated = np.empty(speed.shape), np.zeros(len(speed), dtype=np.int64)
 
     def render(stroke: int) -> None:
         state = NativeState(texture, seed=seed, stream=first_stream + stroke, excitation=excitation)
+        if excluded:
+            state.exclude(*excluded[stroke])
         if windows:
             state.start(*(window[stroke] for window in windows))
         rendered[stroke] = state.render_stroke(speed[stroke], force[stroke])

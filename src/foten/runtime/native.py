@@ -134,6 +134,10 @@ class NativeState:
         if library().foten_start(self.pointer, *(column.ctypes for column in columns)) != 0:
             raise ValueError("the window to start from holds NaN or infinity")
 
+    def exclude(self, first: int, end: int) -> None:
+        """Play no recorded moment from `first` to before `end`, until the next reset."""
+        library().foten_exclude_recorded(self.pointer, first, end)
+
     def predict(self, samples: NDArray[np.float64], part: PredictionPart, out: NDArray[np.float64]) -> None:
         """Predict recorded samples (n, 3) one step ahead, filling `out` (n − window, 4): see `predict_blocks`."""
         which = get_args(PredictionPart).index(part)

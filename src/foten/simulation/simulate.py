@@ -1,4 +1,4 @@
-"""Seeded recordings with a known truth: twelve textures under raw sensors, twenty-five of contact mechanics, and linear processes.
+"""Seeded recordings with a known truth: twelve textures under raw sensors, more of contact mechanics, and linear processes.
 
     path length s(t) ─▶ roughness w(s): a lattice and self-affine noise ─┐
     Poisson impacts of asperities, a number for each mm ─────────────────┴▶ × level fᵅ vᵝ ─┐

@@ -20,6 +20,7 @@ from foten.dsp.level import frame_levels, frame_means
 from foten.dsp.noise import gaussian, innovation_likelihood
 from foten.models.conditions import MOVING_SPEED
 from foten.models.excitation import MAX_SIGMA, N_FEATURES, N_POWERS, Excitation, Scale, powers
+from foten.models.foten_plus.recorded_innovations import neighbourhoods
 from foten.recording.scaling import Scaling
 from foten.runtime.loops import render_streams, render_strokes
 from foten.runtime.native import NativeTexture
@@ -227,7 +228,9 @@ class ClosedLoop:
         channels = [trace.blocks(x)[list(numbers)] for x in (trace.acceleration, trace.speed, trace.force)]
         _, speed, force = (np.tile(x[:, m:], (n_runs, 1)) for x in channels)
         windows = [np.tile(x[:, :m], (n_runs, 1)) for x in channels]
-        rendered, _ = render_strokes(self.kernel(excitation), seed, speed, force, first_stream, windows)
+        rendered, _ = render_strokes(
+            self.kernel(excitation), seed, speed, force, first_stream, windows, excluded=self._excluded(numbers, n_runs)
+        )
         return np.asarray(self.blocks.scaling.scale_channel(0, rendered)).reshape(n_runs, len(numbers), -1)
 
     def _runs(
@@ -241,8 +244,13 @@ class ClosedLoop:
             sigma = excitation.sigma(self.blocks.samples[chosen, m - 1 : -1, 1:].reshape(-1, 2))
             in_sigma = excitation.innovation_limit[0]
             noise = np.clip(noise, -in_sigma, in_sigma) * np.tile(sigma.reshape(len(chosen), -1), (n_runs, 1))
-        rendered = render_streams(self.kernel(excitation), starts, conditions, noise, self.limit)
+        excluded = self._excluded(numbers, n_runs)
+        rendered = render_streams(self.kernel(excitation), starts, conditions, noise, self.limit, excluded)
         return rendered.reshape(n_runs, len(chosen), -1)
+
+    def _excluded(self, numbers: tuple[int, ...], n_runs: int) -> list[tuple[int, int]]:
+        """Recorded moments that runs of blocks do not play: their own, and those within a second."""
+        return neighbourhoods(self.blocks.split, self.blocks.trace.rate_hz, numbers, n_runs)
 
     def terms(self, numbers: tuple[int, ...]) -> Array:
         """Terms of an equaliser under some blocks, after the history, (N_TERMS, k, n)."""

@@ -29,6 +29,7 @@ from foten.models.foten_plus.network import (
     scored,
     with_mean_share,
 )
+from foten.models.foten_plus.recorded_fit import recorded_innovations
 from foten.models.foten_plus.sizes import FotenPlusSizes
 from foten.models.foten_plus.tones_fit import fit_residual, silent_tones, tonal_model
 from foten.models.texture_file import Texture
@@ -39,9 +40,11 @@ from foten.training.calibration import (
     ClosedLoop,
     Residuals,
     calibrate_excitation,
+    calibrate_level,
     calibrate_network_gain,
 )
 from foten.training.config import TrainConfig
+from foten.training.excerpt_classifier import classified_area
 from foten.training.job import ScaledBlocks, Trained, TrainingJob, check_block
 from foten.training.loop import Monitor, Progress, pick_device
 from foten.training.texture_builder import TextureBuilder, tensors_of
@@ -50,6 +53,7 @@ MIN_GAIN_NAT = 0.005  # of an innovation's nll on the validation blocks, for a n
 INNOVATION_HEADROOM = 1.3  # times the largest recorded innovation is the largest that a network may draw
 MAX_TONE_DISTORTION = 1.05  # times the log-spectral distance without tones, on the validation blocks
 AS_NEAR = 0.005  # share of the distance by which a table is nearer than one filter, to be worth it
+MAX_NOISE_AREA = 0.6  # up to which noise is not told from the recording: nothing else is tried then
 MAX_EXPONENT = 1.5  # of speed or force, that the level grows with outside the trained range
 # Mean and standard deviation of these powers over textures: 100 measured AR models (0.97 ± 0.28, 0.32 ± 0.19), and the simulated
 # ones (1.00, 0.33).
@@ -81,6 +85,7 @@ class Candidate:
     closed_loop: dict[str, float] | None = None  # validation loss of its closed-loop training, before and after
     distance: float | None = None  # `_distance`; None where blocks are too short for envelopes
     equaliser: Equaliser | None = None
+    area: float | None = None  # `classified_area`; None where there are too few excerpts
 
 
 @dataclass(frozen=True)
@@ -133,11 +138,13 @@ def fit(job: TrainingJob, monitor: Monitor) -> Trained:
         behind_equaliser = beside.submit(equalised, excited, loop, run)
         network = fit_network(initial, excited, run)
     excited = behind_equaliser.result()
+    playing = recorded_candidates(excited, tensors_of(initial, "network."), run) if told_apart(excited) else []
+    chosen = best_random_part([excited, *playing])
     rendering_network = fit_rendering_network(network, excited, linear, tonal, run)
-    in_loop = calibrated_network(rendering_network, excited, network.network, run)
+    in_loop = calibrated_network(rendering_network, chosen, network.network, run)
     network.progress.include(rendering_network.progress)
     monitor.on_stage("proving the texture file")
-    candidates = [excited, *([] if in_loop is None else [in_loop])]
+    candidates = [chosen, *([] if in_loop is None else [in_loop])]
     texture = texture_of(candidates, network.predictor, network, report, run)
     mae = texture.card["metrics"]["validation_mae_scaled_lattice"]
     return Trained(texture, blocks.trace, blocks.split, network.progress, mae)
@@ -267,11 +274,46 @@ def fit_rendering_network(
     return phase_conditioned if with_tones or likelier else network
 
 
+def recorded_candidates(excited: Candidate, networks: Tensors, run: FitContext) -> list[Candidate]:
+    """Candidates that play recorded innovations over the excited one's σ, as they were and along the path, each calibrated."""
+    random_part = excited.random_part
+    recorded = recorded_innovations(excited.model, random_part.excitation.sigma, run.blocks)
+    if recorded is None:
+        return []
+    run.monitor.on_stage("calibrating the level of recorded innovations")
+    limit = float(np.abs(recorded.values).max()), random_part.excitation.innovation_limit[1]
+
+    def calibrated(along_path: bool) -> Candidate:
+        sizes = replace(excited.model.sizes, recorded=True, along_path=along_path)
+        model = replace(excited.model, sizes=sizes, tensors={**excited.model.tensors, **recorded.tensors()})
+        loop = _closed_loop(model, networks, run)
+        excitation, errors = calibrate_level(
+            loop, replace(random_part.excitation, innovation_limit=limit), run.config.seed
+        )
+        part = replace(random_part, excitation=excitation, level_errors_db=errors)
+        return equalised(Candidate(model, part), loop, run)
+
+    with ThreadPoolExecutor(2) as pool:
+        return list(pool.map(calibrated, (False, True)))
+
+
+def best_random_part(candidates: Sequence[Candidate]) -> Candidate:
+    """The candidate that is told from the recording the least often, the first where that is not known."""
+    return min(candidates, key=lambda candidate: candidate.area or 0.0)
+
+
+def told_apart(candidate: Candidate) -> bool:
+    """Whether a candidate is told from the recording more often than chance explains."""
+    return candidate.area is not None and candidate.area > MAX_NOISE_AREA
+
+
 def calibrated_network(
     fitted: FittedNetwork, excited: Candidate, network: InnovationNetwork, run: FitContext
 ) -> Candidate | None:
     """Candidate that draws from a network, calibrated in its closed loop; None where noise is as near, or as likely."""
-    compared = excited.distance is not None and run.config.closed_loop_training
+    compared = excited.area is not None and run.config.closed_loop_training
+    if compared and not told_apart(excited):
+        return None
     gain_nat = excited.random_part.innovation_nll - fitted.innovation_nll
     if not fitted.progress.best.epoch or (gain_nat < MIN_GAIN_NAT and not compared):
         return None
@@ -291,7 +333,7 @@ def calibrated_network(
     random_part = calibrate_network_gain(sizes.excitation_width, limit, loop, seed, nll, level=not gained)
     run.monitor.on_stage("fitting the equaliser of the network's renderings")
     candidate = equalised(Candidate(model, random_part, tensors, closed_loop), loop, run)
-    if compared and (candidate.distance or 0.0) >= (excited.distance or 0.0):
+    if compared and (candidate.area or 0.0) >= (excited.area or 0.0):
         return None
     return candidate
 
@@ -323,6 +365,7 @@ def texture_of(
                 **candidate.random_part.metrics(),
                 "closed_loop_training": candidate.closed_loop,
                 "distance": candidate.distance,
+                "area": candidate.area,
                 "equalised": candidate.equaliser is not None,
             }
             for name, candidate in zip(("without network", "with network"), candidates, strict=False)
@@ -373,7 +416,8 @@ def equalised(candidate: Candidate, loop: ClosedLoop, run: FitContext) -> Candid
     equaliser = fit_equaliser(loop, random_part.excitation, seed)
     loop = replace(loop, as_heard=True, equaliser=equaliser)
     random_part = replace(random_part, free_run=loop.free_run_errors(random_part.excitation, seed))
-    return replace(candidate, random_part=random_part, distance=_distance(loop, random_part, run), equaliser=equaliser)
+    distance, area = _distance(loop, random_part, run), classified_area(loop, random_part.excitation, seed)
+    return replace(candidate, random_part=random_part, distance=distance, equaliser=equaliser, area=area)
 
 
 def _distance(loop: ClosedLoop, random_part: Calibrated, run: FitContext) -> float | None:

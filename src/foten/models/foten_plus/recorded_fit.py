@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import replace
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -25,8 +22,8 @@ from foten.models.foten_plus.recorded_innovations import (
     RecordedInnovations,
     control_step,
     logarithm,
+    runs_of,
 )
-from foten.recording.split import Split
 from foten.training.job import ScaledBlocks
 
 COMPANDING = 255.0  # μ of the μ-law: the codes lie as dense near zero as for 14 bits
@@ -43,7 +40,7 @@ def recorded_innovations(model: LinearModel, sigma: Scale, blocks: ScaledBlocks)
     """Innovations over σ of the training and validation blocks; None where no run of them is long enough for a candidate."""
     step = control_step(blocks.trace.rate_hz)
     innovations, moments = [], []
-    for run in _runs(blocks.split):
+    for run in runs_of(blocks.split):
         e, x, speed, force = _analysed(model, sigma, blocks, run)
         n = len(e) // step
         at = np.arange(n) * step
@@ -68,24 +65,10 @@ def recorded_innovations(model: LinearModel, sigma: Scale, blocks: ScaledBlocks)
     return RecordedInnovations(values, codes, moment, along_path=False)
 
 
-def neighbourhood(split: Split, rate_hz: float, block: int) -> tuple[int, int]:
-    """Moments, the first and the one after the last, that are not played where a block is rendered beside its recording."""
-    step, away = control_step(rate_hz), NEIGHBOUR_S * rate_hz
-    times = [run[0] * split.block + step * np.arange(len(run) * split.block // step) for run in _runs(split)]
-    first, end = np.searchsorted(np.concatenate(times), [block * split.block - away, (block + 1) * split.block + away])
-    return int(first), int(end)
-
-
-def _runs(split: Split) -> Iterator[NDArray[np.int64]]:
-    """Numbers of the training and validation blocks, those that follow one another together."""
-    known = np.array(sorted((*split.train, *split.validation)))
-    yield from np.split(known, np.flatnonzero(np.diff(known) > 1) + 1)
-
-
 def _analysed(
     model: LinearModel, sigma: Scale, blocks: ScaledBlocks, run: NDArray[np.int64]
 ) -> tuple[Array, Array, Array, Array]:
-    """Innovations over σ, what the level leaves of the signal, and the speed and force before each sample, of a run, (n,) each."""
+    """Innovations over σ, the signal over its level, and the speed and force before each sample, of a run, (n,) each."""
     x, e, _ = model.innovations(blocks, residual=True, run=run)
     condition = blocks.samples[run, :, 1:].reshape(-1, 2)
     before = np.concatenate([condition[:1], condition[:-1]])

@@ -12,7 +12,7 @@ a linear predictor (Un & Magill, 1975).
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from foten.dsp import Array
+from foten.recording.split import Split
 
 Integers = NDArray[np.int64]
 
@@ -51,6 +52,7 @@ N_TAPS, N_PHASES = 16, 64  # of the interpolation along the path
 MAX_PACE = OCTAVE  # steps, of log speed over the recorded one
 ONE = 1 << 16  # a sample, of a place in the recording
 MAX_MOMENTS = 1 << 22
+NEIGHBOUR_S = 1.25  # away from a block that is judged, what is played: a second, and the longest stretch
 MAX_CANDIDATES = 1 << 14
 
 
@@ -120,8 +122,8 @@ class RecordedInnovations:
 
     def tensors(self) -> dict[str, NDArray[Any]]:
         """As a texture file has them."""
-        names = {"values": self.values.astype(np.float32), "innovations": self.codes, "moments": self.moments}
-        return {f"recorded.{name}": value for name, value in names.items()}
+        values = self.values.astype(np.float32)
+        return {"recorded.values": values, "recorded.innovations": self.codes, "recorded.moments": self.moments}
 
     @property
     def step(self) -> int:
@@ -180,6 +182,27 @@ class RecordedInnovations:
             return float(self.innovations[at])
         around = np.clip(np.arange(at + 1 - N_TAPS // 2, at + 1 + N_TAPS // 2), 0, len(self.innovations) - 1)
         return float(self.innovations[around] @ self.taps[phase])
+
+
+def neighbourhood(split: Split, rate_hz: float, block: int) -> tuple[int, int]:
+    """Moments, the first and the one after the last, that are not played where a block is rendered beside its recording."""
+    step, away = control_step(rate_hz), NEIGHBOUR_S * rate_hz
+    times = [run[0] * split.block + step * np.arange(len(run) * split.block // step) for run in runs_of(split)]
+    first, end = np.searchsorted(np.concatenate(times), [block * split.block - away, (block + 1) * split.block + away])
+    return int(first), int(end)
+
+
+def neighbourhoods(
+    split: Split | None, rate_hz: float, blocks: Sequence[int], n_times: int = 1
+) -> list[tuple[int, int]]:
+    """`neighbourhood` of each block, all of them so many times; none of another recording, which has no split."""
+    return [] if split is None else [neighbourhood(split, rate_hz, block) for block in blocks] * n_times
+
+
+def runs_of(split: Split) -> Iterator[NDArray[np.int64]]:
+    """Numbers of the training and validation blocks, those that follow one another together."""
+    known = np.array(sorted((*split.train, *split.validation)))
+    yield from np.split(known, np.flatnonzero(np.diff(known) > 1) + 1)
 
 
 class Playback:
