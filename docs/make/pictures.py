@@ -554,7 +554,7 @@ def of_sweeps(arguments: argparse.Namespace) -> list[Any]:
 def compared(arguments: argparse.Namespace) -> None:
     """Waveforms of each system of Table I in the closed loop, of three textures."""
     shown = [result for result in of_sweeps(arguments) if result["run"]["texture"] in COMPARED]
-    save(figures.waveforms(shown), "compared")
+    save(figures.waveforms(shown), "compared", 24)
 
 
 def figure_5(arguments: argparse.Namespace) -> None:
@@ -588,7 +588,7 @@ def figure_6(arguments: argparse.Namespace) -> None:
 
 def figure_7(arguments: argparse.Namespace) -> None:
     """Fig. 7: spectra of the test blocks and of every system's free run."""
-    save(figures.spectra(of_sweeps(arguments)), "figure-7")
+    save(figures.spectra(of_sweeps(arguments)), "figure-7", 24)
 
 
 def capture(arguments: argparse.Namespace) -> None:

@@ -662,7 +662,6 @@ TABLES: dict[str, dict[str, Callable[[], Table | str]]] = {
         "session": users_session,
         "words": words_worth,
     },
-    "model.md": {"random-part": partial(benchmark, "random-part")},
     "compared.md": {**paper_tables.TABLES, "csv": partial(listed, *FULL_LENGTH, REAL_TABLE_1)},
     "reproduce.md": {"experiments": experiments, "versions": versions, "made-anew": made_anew, "spent": spent},
     "runtime.md": {name: partial(benchmark, name) for name in BENCHMARKS},

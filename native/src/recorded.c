@@ -15,7 +15,7 @@ enum {
     N_TAPS = FOTEN_N_TAPS,
     N_PHASES = FOTEN_N_PHASES,
     ONE = FOTEN_ONE,
-    CHUNK = 512 /* candidates whose distances are known at once */
+    CHUNK = 128 /* candidates whose distances are computed at once */
 };
 
 /* log2(value + floor) + 10, in steps. */
@@ -44,39 +44,53 @@ static int32_t level_at(const recorded_innovations *r, int moment, int which) {
     return (int32_t)r->moments[moment * FIELDS + 2 + which] << FOTEN_LEVEL_SHIFT;
 }
 
-static int refuse_candidates(texture_file *file) {
-    return file_refuse(file, FOTEN_BAD_FILE,
-                       "the recorded innovations have no candidate, or one too near to where its run begins or ends");
-}
-
-/* Runs, and candidates with their features. */
-static int list_moments(texture_file *file, arena *memory, recorded_innovations *r) {
-    int n = r->n_moments, end = n, run = 0;
-    r->run_end = arena_take(memory, (size_t)n, sizeof *r->run_end);
-    r->candidates = arena_take(memory, (size_t)n, sizeof *r->candidates);
-    for (int k = 0; k < RECORDED_FEATURES; k++) r->features[k] = arena_take(memory, (size_t)n, sizeof *r->features[k]);
-    if (memory->failed) return file_refuse(file, FOTEN_NO_MEMORY, "no memory");
-    if (!(r->moments[4] & RUN_START)) return refuse_candidates(file);
-    for (int j = n - 1; j >= 0; j--) {
+/* Where runs end, and how many candidates have which stored log speed, from those of less on; 0 where one cannot be. */
+static int count_moments(const recorded_innovations *r, int before[257]) {
+    int end = r->n_moments, run = 0;
+    if (!(r->moments[4] & RUN_START)) return 0;
+    for (int j = r->n_moments - 1; j >= 0; j--) {
         r->run_end[j] = end;
         if (r->moments[j * FIELDS + 4] & RUN_START) end = j;
     }
-    for (int j = 0; j < n; j++) {
-        int flags = r->moments[j * FIELDS + 4];
-        if (flags & RUN_START) run = j;
-        if (!(flags & CANDIDATE)) continue;
-        if (j - run < MAX_GROWTH || r->run_end[j] - j < FOTEN_N_AHEAD) return refuse_candidates(file);
-        for (int k = 0; k < 2; k++) {
-            r->features[k][r->n_candidates] = (int16_t)log_at(r, j, k);
-            r->features[2 + k][r->n_candidates] = (int16_t)(log_at(r, j, k) - log_at(r, j - MAX_GROWTH, k));
-            r->features[4 + k][r->n_candidates] = (int16_t)level_at(r, j, k);
-        }
-        if (r->n_candidates == FOTEN_MAX_CANDIDATES)
-            return file_refuse(file, FOTEN_BAD_FILE, "the recorded innovations have more than %d candidates",
-                               FOTEN_MAX_CANDIDATES);
-        r->candidates[r->n_candidates++] = j;
+    for (int j = 0; j < r->n_moments; j++) {
+        const unsigned char *moment = r->moments + j * FIELDS;
+        if (moment[4] & RUN_START) run = j;
+        if (!(moment[4] & CANDIDATE)) continue;
+        if (j - run < MAX_GROWTH || r->run_end[j] - j < FOTEN_N_AHEAD) return 0;
+        before[moment[0] + 1]++;
     }
-    return r->n_candidates ? 1 : refuse_candidates(file);
+    for (int k = 0; k < 256; k++) before[k + 1] += before[k];
+    return before[256] > 0;
+}
+
+/* Runs, and candidates in the order of their speed, with their features. */
+static int list_moments(texture_file *file, arena *memory, recorded_innovations *r) {
+    int before[257] = {0};
+    r->run_end = arena_take(memory, (size_t)r->n_moments, sizeof *r->run_end);
+    if (!r->run_end) return file_refuse(file, FOTEN_NO_MEMORY, "no memory");
+    if (!count_moments(r, before))
+        return file_refuse(
+            file, FOTEN_BAD_FILE,
+            "the recorded innovations have no candidate, or one too near to where its run begins or ends");
+    r->n_candidates = before[256];
+    if (r->n_candidates > FOTEN_MAX_CANDIDATES)
+        return file_refuse(file, FOTEN_BAD_FILE, "the recorded innovations have %d candidates, expected %d at most",
+                           r->n_candidates, FOTEN_MAX_CANDIDATES);
+    size_t n = (size_t)r->n_candidates;
+    r->candidates = arena_take(memory, n, sizeof *r->candidates);
+    for (int k = 0; k < RECORDED_FEATURES; k++) r->features[k] = arena_take(memory, n, sizeof *r->features[k]);
+    if (memory->failed) return file_refuse(file, FOTEN_NO_MEMORY, "no memory");
+    for (int j = 0; j < r->n_moments; j++) {
+        if (!(r->moments[j * FIELDS + 4] & CANDIDATE)) continue;
+        int at = before[r->moments[j * FIELDS]]++;
+        r->candidates[at] = j;
+        for (int k = 0; k < 2; k++) {
+            r->features[k][at] = (int16_t)log_at(r, j, k);
+            r->features[2 + k][at] = (int16_t)(log_at(r, j, k) - log_at(r, j - MAX_GROWTH, k));
+            r->features[4 + k][at] = (int16_t)level_at(r, j, k);
+        }
+    }
+    return 1;
 }
 
 int recorded_read(texture_file *file, arena *memory, int step, int along_path, const innovation_kernel *kernel,
@@ -128,29 +142,54 @@ static double innovation_at(const recorded_innovations *r, int64_t place) {
     return sum;
 }
 
-/* The nearest candidates that may be played, nearest first; how many there are. */
-static int find_nearest(const recorded_innovations *r, const recorded_state *s, int moment, const int32_t *query,
-                        const int32_t *weights, int nearest[N_NEAREST]) {
-    int32_t distances[CHUNK], best[N_NEAREST];
-    int n = 0;
-    for (int first = 0; first < r->n_candidates; first += CHUNK) {
-        int count = r->n_candidates - first < CHUNK ? r->n_candidates - first : CHUNK;
-        r->kernel->distances((const int16_t *const *)r->features, first, count, query, weights, distances);
-        for (int i = 0; i < count; i++) {
-            if (n == N_NEAREST && distances[i] >= best[n - 1]) continue;
-            int candidate = r->candidates[first + i];
-            if (candidate >= s->first_excluded && candidate < s->end_excluded) continue;
-            if (moment >= 0 && abs(candidate - moment) < FOTEN_MIN_DISTANCE) continue;
-            int at = n < N_NEAREST ? n++ : n - 1;
-            for (; at && best[at - 1] > distances[i]; at--) {
-                best[at] = best[at - 1];
-                nearest[at] = nearest[at - 1];
-            }
-            best[at] = distances[i];
-            nearest[at] = candidate;
-        }
+/* Of the candidates that may be played, those of the least distance so far, of the earlier moment where two are equal.
+ */
+typedef struct {
+    int n, moments[N_NEAREST];
+    int32_t distances[N_NEAREST];
+} found;
+
+static void consider(const recorded_state *s, int moment, int candidate, int32_t distance, found *f) {
+    int full = f->n == N_NEAREST, last = f->n - 1;
+    if (full && (distance > f->distances[last] || (distance == f->distances[last] && candidate > f->moments[last])))
+        return;
+    if (candidate >= s->first_excluded && candidate < s->end_excluded) return;
+    if (moment >= 0 && abs(candidate - moment) < FOTEN_MIN_DISTANCE) return;
+    int at = full ? last : f->n++;
+    for (; at; at--) {
+        int32_t before = f->distances[at - 1];
+        if (before < distance || (before == distance && f->moments[at - 1] < candidate)) break;
+        f->distances[at] = before;
+        f->moments[at] = f->moments[at - 1];
     }
-    return n;
+    f->distances[at] = distance;
+    f->moments[at] = candidate;
+}
+
+/* Candidates lie in the order of their speed: from the hand's on, upwards and downwards, until speed alone is further
+ * than all that were found. */
+static found find_nearest(const recorded_innovations *r, const recorded_state *s, int moment, const int32_t *query,
+                          const int32_t *weights) {
+    int32_t distances[CHUNK], largest = FOTEN_MAX_DIFFERENCE;
+    int low = 0, high = r->n_candidates;
+    while (low < high) { /* how many are slower */
+        int middle = (low + high) / 2;
+        if (r->features[0][middle] < query[0]) low = middle + 1;
+        else high = middle;
+    }
+    found f = {0};
+    for (;;) {
+        int32_t away[2] = {low ? (query[0] - r->features[0][low - 1]) * weights[0] : INT32_MAX,
+                           high < r->n_candidates ? (r->features[0][high] - query[0]) * weights[0] : INT32_MAX};
+        int up = away[1] < away[0];
+        int32_t nearer = away[up] < largest ? away[up] : largest;
+        if (away[up] == INT32_MAX || (f.n == N_NEAREST && nearer * nearer > f.distances[N_NEAREST - 1])) return f;
+        int left = up ? r->n_candidates - high : low, n = left < CHUNK ? left : CHUNK, first = up ? high : low - n;
+        r->kernel->distances((const int16_t *const *)r->features, first, n, query, weights, distances);
+        for (int i = 0; i < n; i++) consider(s, moment, r->candidates[first + i], distances[i], &f);
+        if (up) high += n;
+        else low -= n;
+    }
 }
 
 static void follow_path(const recorded_innovations *r, recorded_state *s, int moment, int32_t log_speed) {
@@ -164,8 +203,7 @@ static void decide(const recorded_innovations *r, recorded_state *s, const doubl
                                                        FOTEN_WEIGHT_3, FOTEN_WEIGHT_4, FOTEN_WEIGHT_5};
     int32_t logs[2] = {logarithm(physical[0], FOTEN_SPEED_FLOOR), logarithm(physical[1], FOTEN_RECORDED_FORCE_FLOOR)},
             query[RECORDED_FEATURES] = {logs[0], logs[1]}, used[RECORDED_FEATURES];
-    int moment = s->place < 0 ? -1 : (int)(s->place / ONE / r->step), at = s->n_history % MAX_GROWTH,
-        nearest[N_NEAREST];
+    int moment = s->place < 0 ? -1 : (int)(s->place / ONE / r->step), at = s->n_history % MAX_GROWTH;
     for (int k = 0; k < 2; k++) {
         for (int i = 0; !s->n_history && i < MAX_GROWTH; i++) s->history[i][k] = logs[k];
         query[2 + k] = logs[k] - s->history[at][k];
@@ -184,8 +222,8 @@ static void decide(const recorded_innovations *r, recorded_state *s, const doubl
         }
     }
     for (int k = 0; k < RECORDED_FEATURES; k++) used[k] = k >= 4 && moment < 0 ? 0 : weights[k];
-    int n = find_nearest(r, s, moment, query, used, nearest);
-    if (!n) {
+    found nearest = find_nearest(r, s, moment, query, used);
+    if (!nearest.n) {
         s->place = -1;
         return;
     }
@@ -197,7 +235,7 @@ static void decide(const recorded_innovations *r, recorded_state *s, const doubl
         s->previous_pace = s->pace;
         s->n_faded = 0;
     }
-    moment = nearest[number % (uint64_t)n];
+    moment = nearest.moments[number % (uint64_t)nearest.n];
     s->place = (int64_t)moment * r->step * ONE;
     follow_path(r, s, moment, logs[0]);
 }

@@ -152,6 +152,9 @@ def network_summary(card: Mapping[str, Any]) -> str:
     elif gain >= 0.05:
         improves = f"improves one-step predictions by {gain:.1f} %"
         improves += f", with its mean scaled to {100 * share:.0f} %" * (share < 1)
+    if sizes.get("recorded"):
+        pace = "at the hand's pace along the path" if sizes["along_path"] else "as they were recorded"
+        return f"{improves}; not used in renderings, which play recorded innovations {pace}"
     if not sizes["network_in_loop"]:
         return f"{improves}; not used in renderings: with it, free runs were no nearer to the recording"
     if sizes["n_tones"]:

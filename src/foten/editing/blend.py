@@ -174,6 +174,7 @@ def _blended(first: Texture, second: Texture, at: float) -> Texture:
     tensors |= near.network("network", rendering=False)
     if near.sizes.network_in_loop:
         tensors |= near.network("rendering_network", rendering=True)
+    tensors |= {name: tensor for name, tensor in near.texture.tensors.items() if name.startswith("recorded.")}
     sizes = replace(
         near.sizes,
         equalised=bool(equalisers),

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from foten.dsp import Array
 from foten.editing.describe import steady_figures
+from foten.models.foten_plus.recorded_innovations import LEVELS_IN_OCTAVE, RecordedInnovations, encoded
 from foten.models.foten_plus.sizes import FotenPlusSizes
 from foten.models.texture_file import Texture
 from foten.runtime.proof import Tensors, proved
@@ -41,6 +42,8 @@ def with_envelope(texture: Texture, strength: float) -> Texture:
         return texture
     before = texture.sizes
     assert isinstance(before, FotenPlusSizes)
+    if before.recorded:
+        return _with_recorded_envelope(texture, before, strength)
     sizes = replace(before, n_hidden=before.n_hidden + 1, head_width=before.head_width + 1, network_in_loop=True)
     tensors: Tensors = {
         name: tensor
@@ -55,6 +58,32 @@ def with_envelope(texture: Texture, strength: float) -> Texture:
         tensors |= {f"{prefix}{name}": tensor.astype(np.float32) for name, tensor in parts.items()}
     limit = texture.tensors["excitation.innovation_limit"].astype(np.float64) * np.exp(PEAKS * max(strength, 0.0))
     tensors["excitation.innovation_limit"] = limit.astype(np.float32)
+    return _reproved(texture, sizes, tensors)
+
+
+def _with_recorded_envelope(texture: Texture, sizes: FotenPlusSizes, strength: float) -> Texture:
+    """Recorded innovations whose envelope, over `TIME_CONSTANT_S`, is taken to the power of 1 + strength, as loud as before."""
+    recorded = RecordedInnovations.of(texture.tensors, sizes.along_path)
+    e, n = recorded.innovations, max(1, round(TIME_CONSTANT_S * texture.rate_hz))
+    power = np.convolve(np.square(e), np.full(n, 1 / n), mode="same")
+    gain = np.sqrt(power / power.mean() + 1e-6) ** strength
+    gain *= np.sqrt(np.square(e).mean() / np.square(gain * e).mean())
+    changed, moments = gain * e, recorded.moments.astype(np.float64)
+    moments[:, 2:4] += LEVELS_IN_OCTAVE * np.log2(gain[:: recorded.step])[:, None]
+    stored = np.clip(np.round(moments), 0, 255).astype(np.uint8)
+    largest = float(np.abs(changed).max())
+    rougher = encoded(changed.reshape(recorded.codes.shape), stored, largest, sizes.along_path)
+    kept = {
+        name: tensor
+        for name, tensor in texture.tensors.items()
+        if not name.startswith("golden.") and name != "warm_start"
+    }
+    in_sigma, in_acceleration = texture.tensors["excitation.innovation_limit"]
+    limit = np.array([max(largest, in_sigma), in_acceleration], dtype=np.float32)
+    return _reproved(texture, sizes, {**kept, **rougher.tensors(), "excitation.innovation_limit": limit})
+
+
+def _reproved(texture: Texture, sizes: FotenPlusSizes, tensors: Tensors) -> Texture:
     windows, start = (texture.tensors[name].astype(np.float64) for name in ("golden.windows", "warm_start"))
     cost = {"multiply_adds": sizes.multiply_adds()}
     known = {"format_version", "model", "sizes", "window", "units", "scaling", "split", "metrics"}

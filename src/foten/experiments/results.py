@@ -250,10 +250,11 @@ def read_records(path: Path) -> list[dict[str, Any]]:
     if not ({"method", "texture", "split"} <= names and {f.path for f in FIGURES.values()} & names):
         raise ValueError(f"{path.name} is no runs.csv of foten tables")
     above: dict[tuple[str, str], str] = {}
-    records = []
+    experiment, records = "", []
     for n, row in enumerate(rows, 2):  # as a spreadsheet counts
         if None in row or None in row.values():
             raise ValueError(f"{path.name}, row {n}: it has not as many cells as row 1 has names; is it cut off?")
+        experiment = row["experiment"] = row.get("experiment") or experiment
         for name in _ONCE:
             of = row.get("experiment", ""), name
             row[name] = above[of] = row.get(name) or above.get(of, "")
@@ -278,7 +279,9 @@ def _parsed(key: str, text: str) -> Any:
 
 
 def runs_table(records: Records, digits: int | None = None) -> Table:
-    """Table `runs.csv`, a row for each run, empty where there is no figure; note and platform where they differ from those above.
+    """Table `runs.csv`, a row for each run, empty where there is no figure.
+
+    Experiment, note and platform are empty where they are those above.
 
     Args:
         digits: significant ones; None for all, so that a mean of them is rounded once.
@@ -294,12 +297,16 @@ def runs_table(records: Records, digits: int | None = None) -> Table:
         return "" if value is None else str(value)
 
     previous: dict[str, Record] = {}  # run of an experiment
-    rows = []
+    experiment = ""
+    rows: list[list[str]] = []
     for record in records:
         above = previous.get(record["experiment"])
         names = {} if above is None else {k: "" if above[k] == record[k] else record[k] or "unknown" for k in _ONCE}
-        rows.append([cell({**record, **names}.get(key)) for key in keys])
-        previous[record["experiment"]] = record
+        title = record["experiment"]
+        again = {"experiment": ""} if rows and title == experiment else {}
+        rows.append([cell({**record, **names, **again}.get(key)) for key in keys])
+        experiment = title
+        previous[title] = record
     return Table.of(keys, rows)
 
 

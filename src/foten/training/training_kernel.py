@@ -1,6 +1,5 @@
 """Training's library in C (`native/training`): a recurrent unit over chunks, closed-loop roll-outs, and lattices of blocks.
 
-A step of likelihood takes 0.4 of PyTorch's time (`benchmarks/random_part.py`).
 """
 
 from __future__ import annotations

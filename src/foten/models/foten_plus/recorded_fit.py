@@ -12,6 +12,8 @@ from foten.models.foten_plus.recorded_innovations import (
     CANDIDATE,
     FORCE_FLOOR,
     FORCE_ORIGIN,
+    LEVEL_ORIGIN,
+    LEVELS_IN_OCTAVE,
     MAX_CANDIDATES,
     N_AHEAD,
     N_GROWTH,
@@ -21,15 +23,14 @@ from foten.models.foten_plus.recorded_innovations import (
     STORED_SHIFT,
     RecordedInnovations,
     control_step,
+    encoded,
     logarithm,
     runs_of,
 )
 from foten.training.job import ScaledBlocks
 
-COMPANDING = 255.0  # μ of the μ-law: the codes lie as dense near zero as for 14 bits
 OUTLIER_SHARE = 2e-5  # of innovations that are cut off
 LEVEL_MS = (8.0, 40.0)
-LEVELS_IN_OCTAVE, LEVEL_ORIGIN = 16, 128  # of a stored level; of 1
 MIN_SPEED = 1.0  # mm/s of a candidate
 NEIGHBOUR_S = (
     1.25  # from a block that is judged: what is recorded there is not played: a second, and the longest stretch
@@ -59,10 +60,7 @@ def recorded_innovations(model: LinearModel, sigma: Scale, blocks: ScaledBlocks)
     joined, moment = np.concatenate(innovations), _thinned(np.concatenate(moments))
     if not (moment[:, 4] & CANDIDATE).any():
         return None
-    largest = float(np.quantile(np.abs(joined), 1 - OUTLIER_SHARE)) or 1.0
-    values = _values(largest)
-    codes = np.searchsorted((values[1:] + values[:-1]) / 2, joined).astype(np.uint8)
-    return RecordedInnovations(values, codes, moment, along_path=False)
+    return encoded(joined, moment, float(np.quantile(np.abs(joined), 1 - OUTLIER_SHARE)))
 
 
 def _analysed(
@@ -86,16 +84,6 @@ def _levels(x: Array, at: NDArray[np.int64], n: int) -> NDArray[np.uint8]:
 
 def _byte(values: Array | NDArray[np.int64]) -> NDArray[np.uint8]:
     return np.clip(values, 0, 255).astype(np.uint8)
-
-
-def _values(largest: float) -> Array:
-    """256 values up to a largest one by the μ-law, symmetric, as a texture file has them."""
-    u = np.linspace(-1, 1, 256)
-    return (
-        (np.sign(u) * largest * np.expm1(np.abs(u) * np.log1p(COMPANDING)) / COMPANDING)
-        .astype(np.float32)
-        .astype(float)
-    )
 
 
 def _thinned(moments: NDArray[np.uint8]) -> NDArray[np.uint8]:

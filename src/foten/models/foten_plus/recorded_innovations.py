@@ -51,6 +51,8 @@ CANDIDATE, RUN_START = 1, 2  # flags of a moment
 N_TAPS, N_PHASES = 16, 64  # of the interpolation along the path
 MAX_PACE = OCTAVE  # steps, of log speed over the recorded one
 ONE = 1 << 16  # a sample, of a place in the recording
+LEVELS_IN_OCTAVE, LEVEL_ORIGIN = 16, 128  # of a stored level; the stored level of 1
+COMPANDING = 255.0  # μ of the μ-law: the codes lie as dense near zero as for 14 bits
 MAX_MOMENTS = 1 << 22
 NEIGHBOUR_S = 1.25  # away from a block that is judged, what is played: a second, and the longest stretch
 MAX_CANDIDATES = 1 << 14
@@ -203,6 +205,17 @@ def runs_of(split: Split) -> Iterator[NDArray[np.int64]]:
     """Numbers of the training and validation blocks, those that follow one another together."""
     known = np.array(sorted((*split.train, *split.validation)))
     yield from np.split(known, np.flatnonzero(np.diff(known) > 1) + 1)
+
+
+def encoded(
+    innovations: Array, moments: NDArray[np.uint8], largest: float, along_path: bool = False
+) -> RecordedInnovations:
+    """Innovations (n_moments, step) in 256 codes by the μ-law, symmetric, cut at a largest one."""
+    u = np.linspace(-1, 1, 256)
+    values = np.sign(u) * (largest or 1.0) * np.expm1(np.abs(u) * np.log1p(COMPANDING)) / COMPANDING
+    values = values.astype(np.float32).astype(float)
+    codes = np.searchsorted((values[1:] + values[:-1]) / 2, innovations).astype(np.uint8)
+    return RecordedInnovations(values, codes, moments, along_path)
 
 
 class Playback:
