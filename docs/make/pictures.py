@@ -609,7 +609,7 @@ def capture(arguments: argparse.Namespace) -> None:
     axes[1].set(ylabel="mm/s")
     axes[2].plot(t, np.where(pressure > 0, PressureCalibration().force(pressure), np.nan), color=LINEAR, linewidth=1)
     axes[2].set(ylabel="N", xlabel="seconds", xlim=(t[shown][0], t[shown][-1]))
-    save(figure, "capture")
+    save(figure, "capture", 24)
 
 
 PICTURES: dict[str, Callable[[argparse.Namespace], None]] = {

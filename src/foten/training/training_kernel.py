@@ -1,6 +1,4 @@
-"""Training's library in C (`native/training`): a recurrent unit over chunks, closed-loop roll-outs, and lattices of blocks.
-
-"""
+"""Training's library in C (`native/training`): a recurrent unit over chunks, closed-loop roll-outs, and lattices of blocks."""
 
 from __future__ import annotations
 
