@@ -216,15 +216,12 @@ def judge(trial: Trial, kinds: Sequence[str], again: bool = False) -> dict[str, 
     if set(kinds) == set(LISTENERS):
         figures["known_levels"] = known_levels(trial, true, runs)
     columns = {name: f"{value:.4f}" for name, value in figures.items()}
-    sizes, metrics = texture.sizes, texture.card["metrics"]
-    loops = metrics["renderings"].get("with network", {}).get("closed_loop_training") or {}
+    sizes = texture.sizes
     return {
         **trial.row,
         **columns,
         "network": "yes" if getattr(sizes, "network_in_loop", False) else "no",
         "recorded": ("path" if sizes.along_path else "time") if getattr(sizes, "recorded", False) else "no",
-        "loss_before": f"{loops.get('before', float('nan')):.4f}",
-        "loss_after": f"{loops.get('after', float('nan')):.4f}",
         "training_s": f"{trained_s:.0f}",
         "file_kb": f"{path.stat().st_size / 1000:.0f}",
         "sha256": hashlib.sha256(path.read_bytes()).hexdigest()[:12],
@@ -326,9 +323,7 @@ def main() -> None:
 
 def means(rows: Sequence[dict[str, str]]) -> list[str]:
     """Means of the figures of some rows."""
-    named = [
-        name for name in rows[0] if name not in (*KEYS, "network", "recorded", "sha256", "loss_before", "loss_after")
-    ]
+    named = [name for name in rows[0] if name not in (*KEYS, "network", "recorded", "sha256")]
     return [f"{name} {np.mean([float(row[name]) for row in rows if row[name]]):.3f}" for name in named]
 
 
