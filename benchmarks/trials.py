@@ -19,7 +19,6 @@ from __future__ import annotations
 
 import argparse
 import csv
-import hashlib
 import json
 import os
 import time
@@ -224,7 +223,6 @@ def judge(trial: Trial, kinds: Sequence[str], again: bool = False) -> dict[str, 
         "recorded": ("path" if sizes.along_path else "time") if getattr(sizes, "recorded", False) else "no",
         "training_s": f"{trained_s:.0f}",
         "file_kb": f"{path.stat().st_size / 1000:.0f}",
-        "sha256": hashlib.sha256(path.read_bytes()).hexdigest()[:12],
     }
 
 
@@ -323,7 +321,7 @@ def main() -> None:
 
 def means(rows: Sequence[dict[str, str]]) -> list[str]:
     """Means of the figures of some rows."""
-    named = [name for name in rows[0] if name not in (*KEYS, "network", "recorded", "sha256")]
+    named = [name for name in rows[0] if name not in (*KEYS, "network", "recorded")]
     return [f"{name} {np.mean([float(row[name]) for row in rows if row[name]]):.3f}" for name in named]
 
 
