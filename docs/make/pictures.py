@@ -495,7 +495,7 @@ def listener(arguments: argparse.Namespace) -> None:
     panels[0].set_ylabel("AUC of the listener")
     handles, labels = panels[2].get_legend_handles_labels()
     add_legend(figure, STYLE, handles=handles, labels=labels, ncols=4, loc="outside upper right")
-    save(figure, "listener")
+    save(figure, "listener", 24)
 
 
 def impact(arguments: argparse.Namespace) -> None:
@@ -517,7 +517,7 @@ def impact(arguments: argparse.Namespace) -> None:
         axes.set_title(name, loc="left", fontsize=9)
     panels[1].set_ylabel("acceleration [m/s²]")
     panels[-1].set(xlabel="time [s]", xlim=(0, length / trace.rate_hz))
-    save(figure, "impact")
+    save(figure, "impact", 24)
     played = slice(start, start + 2000)
     write_sound("listener", [signal[played] for signal in signals.values()], trace.rate_hz)
 
