@@ -32,6 +32,7 @@ from foten.training.config import TrainConfig
 from foten.training.job import TrainingJob, scaled_blocks
 from foten.training.loop import Epoch, Monitor, Progress
 from foten.training.pipeline import train
+from foten.training.texture_builder import tensors_of
 
 QUICK = TrainConfig(epochs=0, batch=32, threads=1, max_order=20, table=False, tones=False, closed_loop_training=False)
 SHORT = PreprocessConfig(trim_ms=0, block_ms=500)
@@ -201,6 +202,18 @@ def test_a_rendering_draws_from_the_network_that_knows_the_phase_where_that_is_l
     if interrupted:  # then the other is not begun
         monkeypatch.delattr(foten_plus, "_fitted")
         assert foten_plus.fit_rendering_network(network, excited, linear, tonal, fitted.run) is network
+
+
+def test_a_microphones_recording_is_not_stored_above_2_khz(fitted: Fitted) -> None:
+    """Speech nearby could be in it; one of an accelerometer is, as it was and along the path."""
+    run, networks = fitted.run, tensors_of(fitted.network.network, "network.")
+    played = foten_plus.recorded_candidates(fitted.excited, networks, run)
+    assert [one.model.sizes.along_path for one in played] == [False, True]
+    assert all(one.model.sizes.recorded and "recorded.moments" in one.model.tensors for one in played)
+    faster = replace(run.blocks, trace=replace(run.blocks.trace, rate_hz=2500.0))
+    units = {**run.builder.card["units"], "acceleration": "relative"}
+    builder = replace(run.builder, blocks=faster, card={**run.builder.card, "units": units})
+    assert foten_plus.recorded_candidates(fitted.excited, networks, replace(run, builder=builder)) == []
 
 
 def candidate(

@@ -33,6 +33,7 @@ from foten.models.foten_plus.recorded_fit import recorded_innovations
 from foten.models.foten_plus.sizes import FotenPlusSizes
 from foten.models.foten_plus.tones_fit import fit_residual, silent_tones, tonal_model
 from foten.models.texture_file import Texture
+from foten.recording.recording import RELATIVE
 from foten.runtime.proof import Tensors
 from foten.training.calibration import (
     UNSCORED_SHARE,
@@ -53,6 +54,7 @@ MIN_GAIN_NAT = 0.005  # of an innovation's nll on the validation blocks, for a n
 INNOVATION_HEADROOM = 1.3  # times the largest recorded innovation is the largest that a network may draw
 MAX_TONE_DISTORTION = 1.05  # times the log-spectral distance without tones, on the validation blocks
 AS_NEAR = 0.005  # share of the distance by which a table is nearer than one filter, to be worth it
+MAX_MICROPHONE_HZ = 2000.0  # rate above which a microphone's recording is not stored: speech nearby could be in it
 MAX_NOISE_AREA = 0.6  # up to which noise is not told from the recording: nothing else is tried then
 MAX_EXPONENT = 1.5  # of speed or force, that the level grows with outside the trained range
 # Mean and standard deviation of these powers over textures: 100 measured AR models (0.97 ± 0.28, 0.32 ± 0.19), and the simulated
@@ -278,7 +280,8 @@ def recorded_candidates(excited: Candidate, networks: Tensors, run: FitContext) 
     """Candidates that play recorded innovations over the excited one's σ, as they were and along the path, each calibrated."""
     random_part = excited.random_part
     recorded = recorded_innovations(excited.model, random_part.excitation.sigma, run.blocks)
-    if recorded is None:
+    of_microphone = run.builder.card["units"]["acceleration"] == RELATIVE
+    if recorded is None or (of_microphone and run.blocks.trace.rate_hz > MAX_MICROPHONE_HZ):
         return []
     run.monitor.on_stage("calibrating the level of recorded innovations")
     limit = float(np.abs(recorded.values).max()), random_part.excitation.innovation_limit[1]
