@@ -169,7 +169,7 @@ def control_of(trial: Trial, kind: str, true: Sequence[Trace]) -> float:
     if not path.is_file():
         path.parent.mkdir(parents=True, exist_ok=True)
         with atomic_write(path) as part:
-            part.write_text(json.dumps(heard_by(trial, kind, true[0], true[1])))
+            part.write_text(json.dumps(listener_area(trial, kind, true[0], true[1])))
     return float(json.loads(path.read_text()))
 
 
@@ -177,7 +177,7 @@ LISTENERS = {"ideal": ("", None), "person": ("_person", None), "long": ("", LONG
 """Kind of listener, and frames of its excerpts; the last one under a hand that stands still."""
 
 
-def heard_by(trial: Trial, kind: str, true: Trace, other: Trace) -> float:
+def listener_area(trial: Trial, kind: str, true: Trace, other: Trace) -> float:
     """Area of a listener."""
     of_kind, excerpt = LISTENERS[kind]
     shown = vibrations(true, other, excerpt=excerpt)[of_kind]
@@ -211,7 +211,10 @@ def judge(trial: Trial, kinds: Sequence[str], again: bool = False) -> dict[str, 
         of_kind, run = (
             (true, runs[0]) if kind != "still" else ((held := strokes_of(trial, still=True)), rendered(held[0]))
         )
-        figures |= {kind: heard_by(trial, kind, of_kind[0], run), f"{kind}_control": control_of(trial, kind, of_kind)}
+        figures |= {
+            kind: listener_area(trial, kind, of_kind[0], run),
+            f"{kind}_control": control_of(trial, kind, of_kind),
+        }
     if set(kinds) == set(LISTENERS):
         figures["known_levels"] = known_levels(trial, true, runs)
     columns = {name: f"{value:.4f}" for name, value in figures.items()}

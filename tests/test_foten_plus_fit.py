@@ -12,6 +12,7 @@ import torch
 
 import foten.models.foten_plus.fit as foten_plus
 from conftest import PLUS, SMALL, perturbed, sizes_with
+from foten.dsp.distance import area_under_curve
 from foten.models.excitation import Excitation
 from foten.models.foten_plus.fit import LAW, Candidate, FitContext, FittedNetwork, best_candidate
 from foten.models.foten_plus.linear_model import LinearModel, fit_level, fit_linear_models
@@ -29,6 +30,7 @@ from foten.runtime.renderer import Renderer
 from foten.simulation.simulate import simulate
 from foten.training.calibration import Calibrated, FreeRunErrors, constant_scale
 from foten.training.config import TrainConfig
+from foten.training.excerpt_classifier import N_RUNS, _scores
 from foten.training.job import TrainingJob, scaled_blocks
 from foten.training.loop import Epoch, Monitor, Progress
 from foten.training.pipeline import train
@@ -214,6 +216,22 @@ def test_a_microphones_recording_is_not_stored_above_2_khz(fitted: Fitted) -> No
     units = {**run.builder.card["units"], "acceleration": "relative"}
     builder = replace(run.builder, blocks=faster, card={**run.builder.card, "units": units})
     assert foten_plus.recorded_candidates(fitted.excited, networks, replace(run, builder=builder)) == []
+
+
+@pytest.mark.parametrize(("moved", "of_blocks", "area"), [(0.0, 0.0, 0.5), (0.0, 3.0, 0.5), (1.0, 0.0, 0.9)])
+def test_a_classifier_sees_what_differs_in_every_block_and_not_what_each_has_of_its_own(
+    moved: float, of_blocks: float, area: float
+) -> None:
+    """96 excerpts of 24 blocks, four renderings, 20 features: one of them moved by as much as it varies, or offset by block.
+
+    The area of a Gaussian moved by one standard deviation is 0.76 for one feature; here for four of them, Φ(√2) = 0.92.
+    """
+    rng = np.random.default_rng(0)
+    block = np.repeat(np.arange(24), 4)
+    features = rng.standard_normal((96, 1 + N_RUNS, 20))
+    features[:, 1:, :4] += moved
+    features[:, 1:, :4] += of_blocks * rng.standard_normal((24, 1, 4))[block]
+    assert area_under_curve(*_scores(features, block)) == pytest.approx(area, abs=0.1)
 
 
 def candidate(

@@ -292,8 +292,8 @@ def test_moments_are_those_of_the_recording() -> None:
     assert (found.logarithms[found.candidates, 0] >= logarithm(np.array(MIN_SPEED), SPEED_FLOOR) - 8).all()
 
 
-def test_innovations_are_stored_to_a_hundredth() -> None:
-    """Eight bits by the μ-law: 38 dB below the signal, whatever its size."""
+def test_innovations_are_stored_to_two_hundredths() -> None:
+    """Eight bits by the μ-law: the error of rounding is below 2 % of the signal."""
     blocks = blocks_of()
     found = recorded_of(blocks)
     e = found.innovations

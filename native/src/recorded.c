@@ -147,9 +147,9 @@ static double innovation_at(const recorded_innovations *r, int64_t place) {
 typedef struct {
     int n, moments[N_NEAREST];
     int32_t distances[N_NEAREST];
-} found;
+} nearest_moments;
 
-static void consider(const recorded_state *s, int moment, int candidate, int32_t distance, found *f) {
+static void consider(const recorded_state *s, int moment, int candidate, int32_t distance, nearest_moments *f) {
     int full = f->n == N_NEAREST, last = f->n - 1;
     if (full && (distance > f->distances[last] || (distance == f->distances[last] && candidate > f->moments[last])))
         return;
@@ -167,9 +167,9 @@ static void consider(const recorded_state *s, int moment, int candidate, int32_t
 }
 
 /* Candidates lie in the order of their speed: from the hand's on, upwards and downwards, until speed alone is further
- * than all that were found. */
-static found find_nearest(const recorded_innovations *r, const recorded_state *s, int moment, const int32_t *query,
-                          const int32_t *weights) {
+ * than all of the nearest. */
+static nearest_moments nearest_to(const recorded_innovations *r, const recorded_state *s, int moment,
+                                  const int32_t *query, const int32_t *weights) {
     int32_t distances[CHUNK], largest = FOTEN_MAX_DIFFERENCE;
     int low = 0, high = r->n_candidates;
     while (low < high) { /* how many are slower */
@@ -177,14 +177,15 @@ static found find_nearest(const recorded_innovations *r, const recorded_state *s
         if (r->features[0][middle] < query[0]) low = middle + 1;
         else high = middle;
     }
-    found f = {0};
+    nearest_moments f = {0};
     for (;;) {
         int32_t away[2] = {low ? (query[0] - r->features[0][low - 1]) * weights[0] : INT32_MAX,
                            high < r->n_candidates ? (r->features[0][high] - query[0]) * weights[0] : INT32_MAX};
         int up = away[1] < away[0];
         int32_t nearer = away[up] < largest ? away[up] : largest;
         if (away[up] == INT32_MAX || (f.n == N_NEAREST && nearer * nearer > f.distances[N_NEAREST - 1])) return f;
-        int left = up ? r->n_candidates - high : low, n = left < CHUNK ? left : CHUNK, first = up ? high : low - n;
+        int remaining = up ? r->n_candidates - high : low, n = remaining < CHUNK ? remaining : CHUNK,
+            first = up ? high : low - n;
         r->kernel->distances((const int16_t *const *)r->features, first, n, query, weights, distances);
         for (int i = 0; i < n; i++) consider(s, moment, r->candidates[first + i], distances[i], &f);
         if (up) high += n;
@@ -222,7 +223,7 @@ static void decide(const recorded_innovations *r, recorded_state *s, const doubl
         }
     }
     for (int k = 0; k < RECORDED_FEATURES; k++) used[k] = k >= 4 && moment < 0 ? 0 : weights[k];
-    found nearest = find_nearest(r, s, moment, query, used);
+    nearest_moments nearest = nearest_to(r, s, moment, query, used);
     if (!nearest.n) {
         s->place = -1;
         return;

@@ -91,8 +91,8 @@ def _scores(features: Array, block: NDArray[np.int64]) -> tuple[Array, Array]:
     fold = np.repeat(block, m) % N_FOLDS
     score = np.empty(n * m)
     for k in range(N_FOLDS):
-        known = fold != k
-        weighted = x[known].T * weight[known]
-        gram = weighted @ x[known] + PENALTY * (m - 1) * np.eye(p)
-        score[~known] = x[~known] @ np.linalg.solve(gram, weighted @ np.where(rendered[known], 1.0, -1.0))
+        fitted = fold != k
+        weighted = x[fitted].T * weight[fitted]
+        gram = weighted @ x[fitted] + PENALTY * (m - 1) * np.eye(p)
+        score[~fitted] = x[~fitted] @ np.linalg.solve(gram, weighted @ np.where(rendered[fitted], 1.0, -1.0))
     return score[~rendered], score[rendered]

@@ -140,7 +140,7 @@ def fit(job: TrainingJob, monitor: Monitor) -> Trained:
         behind_equaliser = beside.submit(equalised, excited, loop, run)
         network = fit_network(initial, excited, run)
     excited = behind_equaliser.result()
-    playing = recorded_candidates(excited, tensors_of(initial, "network."), run) if told_apart(excited) else []
+    playing = recorded_candidates(excited, tensors_of(initial, "network."), run) if is_distinguishable(excited) else []
     chosen = best_random_part([excited, *playing])
     rendering_network = fit_rendering_network(network, excited, linear, tonal, run)
     in_loop = calibrated_network(rendering_network, chosen, network.network, run)
@@ -305,7 +305,7 @@ def best_random_part(candidates: Sequence[Candidate]) -> Candidate:
     return min(candidates, key=lambda candidate: candidate.area or 0.0)
 
 
-def told_apart(candidate: Candidate) -> bool:
+def is_distinguishable(candidate: Candidate) -> bool:
     """Whether a candidate is told from the recording more often than chance explains."""
     return candidate.area is not None and candidate.area > MAX_NOISE_AREA
 
@@ -315,7 +315,7 @@ def calibrated_network(
 ) -> Candidate | None:
     """Candidate that draws from a network, calibrated in its closed loop; None where noise is as near, or as likely."""
     compared = excited.area is not None and run.config.closed_loop_training
-    if compared and not told_apart(excited):
+    if compared and not is_distinguishable(excited):
         return None
     gain_nat = excited.random_part.innovation_nll - fitted.innovation_nll
     if not fitted.progress.best.epoch or (gain_nat < MIN_GAIN_NAT and not compared):

@@ -168,7 +168,7 @@ class RecordedInnovations:
 
     @cached_property
     def features(self) -> Integers:
-        """What candidates are found by, (n_candidates, 6)."""
+        """Log speed, log force, their growths and two levels of each candidate in steps, (n_candidates, 6)."""
         j = self.candidates
         growth = self.logarithms[j] - self.logarithms[j - N_GROWTH]
         return np.concatenate([self.logarithms[j], growth, self.levels[j]], axis=1)
@@ -203,8 +203,8 @@ def neighbourhoods(
 
 def runs_of(split: Split) -> Iterator[NDArray[np.int64]]:
     """Numbers of the training and validation blocks, those that follow one another together."""
-    known = np.array(sorted((*split.train, *split.validation)))
-    yield from np.split(known, np.flatnonzero(np.diff(known) > 1) + 1)
+    numbers = np.array(sorted((*split.train, *split.validation)))
+    yield from np.split(numbers, np.flatnonzero(np.diff(numbers) > 1) + 1)
 
 
 def encoded(
