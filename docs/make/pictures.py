@@ -71,7 +71,7 @@ SHOWN = "towel"  # the easiest of the simulated textures to predict, and the pap
 SEED = 1
 OURS_KEY = "foten-plus"
 INK, OURS, PAPER, LINEAR, CEILING = "#333333", BLUE, ORANGE, GREEN, MAUVE
-SOUND_HZ = 4000
+SOUND_HZ = 3000
 STYLE = Style(INK, label_pt=10, tick_pt=9)
 DPI = 110
 N_COLOURS = 32  # of a picture's palette
@@ -554,7 +554,7 @@ def of_sweeps(arguments: argparse.Namespace) -> list[Any]:
 def compared(arguments: argparse.Namespace) -> None:
     """Waveforms of each system of Table I in the closed loop, of three textures."""
     shown = [result for result in of_sweeps(arguments) if result["run"]["texture"] in COMPARED]
-    save(figures.waveforms(shown), "compared", 24)
+    save(figures.waveforms(shown), "compared")
 
 
 def figure_5(arguments: argparse.Namespace) -> None:
@@ -588,7 +588,7 @@ def figure_6(arguments: argparse.Namespace) -> None:
 
 def figure_7(arguments: argparse.Namespace) -> None:
     """Fig. 7: spectra of the test blocks and of every system's free run."""
-    save(figures.spectra(of_sweeps(arguments)), "figure-7", 24)
+    save(figures.spectra(of_sweeps(arguments)), "figure-7")
 
 
 def capture(arguments: argparse.Namespace) -> None:
