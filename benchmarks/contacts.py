@@ -5,8 +5,8 @@
 A contact is one state that renders each sample in time, under a hand that moves at each: 1 ms over the median time of a step, at
 1 kHz. Then as many independent states as fill 60 % of a millisecond are held for a minute, a second of them and a second of a
 loop that is as long and does nothing in turn: what that one misses is the machine's. Last, one state alone at 10 kHz. All of it
-for the paper's network, and for foten-plus with a network in the loop, a tone and an equaliser, both untrained: the time is the
-same. The loop, `native/tests/contacts.c`, is built here.
+for the paper's network, and for foten-plus with a minute of recorded innovations, a tone and an equaliser, both untrained: the
+time is the same. The loop, `native/tests/contacts.c`, is built here.
 """
 
 from __future__ import annotations
@@ -47,12 +47,12 @@ def textures_of(paths: list[Path]) -> list[Any]:
     if paths:
         return [texture_from_bytes(path.read_bytes()) for path in paths]
     sys.path.insert(0, str(ROOT / "tests"))
-    from conftest import exported
+    from conftest import exported, recorded
 
     table = {"n_speed": 12, "n_force": 3}  # lattices and tone as sawn wood gets them
     residual = {"residual_order": 40, **{f"n_residual_{name[2:]}": n for name, n in table.items()}}
-    sizes = FotenPlusSizes(order=40, **table, n_tones=1, **residual, equalised=True)
-    return [exported("foten"), exported("foten-plus", sizes)]
+    sizes = FotenPlusSizes(order=40, **table, n_tones=1, **residual, equalised=True, recorded=True)
+    return [exported("foten"), exported("foten-plus", sizes, recorded(n=8000).tensors())]
 
 
 def measured(program: Path, file: Path, isa: str, share: float, seconds: int, tick_us: float) -> dict[str, Any]:

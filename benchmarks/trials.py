@@ -8,6 +8,8 @@ beside a control of two true realisations; and by the ideal one where the render
 (`known_levels`). Bias of level by quarter of speed is of frames of 40 ms, of three renderings and three realisations; level error
 and log-spectral distance are divided by those of two realisations.
 
+A rendering does not use the network, which is not trained here.
+
 Every row goes into one CSV, which keeps the rows of earlier approaches: what is there is not run again. Textures and strokes are
 kept in a folder.
 
@@ -48,7 +50,7 @@ from foten.evaluate.listener_network import listener_auc
 from foten.models.conditions import MOVING_FORCE, MOVING_SPEED
 from foten.models.foten_plus import fit
 from foten.models.texture_file import read_texture, write_texture
-from foten.recording.preprocess import PreprocessConfig, preprocess
+from foten.recording.preprocess import PreprocessConfig, fitting_cut, preprocess
 from foten.recording.recording import Recording
 from foten.recording.trace import Trace
 from foten.runtime.native import NativeTexture
@@ -58,7 +60,7 @@ from foten.simulation.simulate import LINEAR_RATE_HZ, TEXTURES, simulate, simula
 from foten.simulation.stroking import Stroking, stepped_stroking, stroking
 from foten.simulation.two_mass_contact import TWO_MASS
 from foten.training.config import recipe_of
-from foten.training.job import TrainingJob
+from foten.training.job import TrainingJob, shortest_block
 from foten.training.pipeline import train
 from result_table import write_rows
 
@@ -71,12 +73,13 @@ SURFACES = {
 }
 # Times as quick as the hand that recorded is the one that listens to these.
 QUICKNESS = {"bark": 0.6, "pumice": 1.7}
-# Parts that can be left out: functions of the fit that give nothing then.
-PARTS: Mapping[str, Callable[..., Any]] = {
-    "calibrated_network": lambda *_: None,
-    "recorded_candidates": lambda *_: [],
-    "fit_equaliser": lambda *_: None,
+# Parts that can be left out, and what functions of the fit do then. Without noise, recorded innovations are always played.
+PARTS: Mapping[str, Mapping[str, Callable[..., Any]]] = {
+    "recorded": {"recorded_candidates": lambda *_: []},
+    "noise": {"is_distinguishable": lambda _: True, "best_random_part": lambda of: _BEST(of[1:] or of)},
+    "equaliser": {"fit_equaliser": lambda *_: None},
 }
+_BEST = fit.best_random_part
 BEFORE = "before recorded innovations"  # may be judged on the new kept half beside what stands at the end
 # By half and fit: of the recording; of the hand that listens; of its first realisation; of the rendering and the listener.
 SEEDS = {
@@ -109,6 +112,8 @@ class Trial:
     fit: int
     folder: Path
     without: tuple[str, ...] = ()  # of `PARTS`
+    settings: str = "{}"  # of the training, as JSON
+    seconds: float = SECONDS  # that it learns from
 
     @property
     def row(self) -> dict[str, str]:
@@ -118,10 +123,11 @@ class Trial:
 
 def recording_of(trial: Trial) -> Recording:
     """What a trial learns from, simulated once."""
-    path = trial.folder / "recordings" / f"{trial.surface}-{trial.fit}.h5"
+    length = "" if trial.seconds == SECONDS else f"-{trial.seconds:g}"
+    path = trial.folder / "recordings" / f"{trial.surface}-{trial.fit}{length}.h5"
     if not path.is_file():
         path.parent.mkdir(parents=True, exist_ok=True)
-        write_recording(simulate(trial.surface, SECONDS, SEEDS[trial.half, trial.fit][0]), path)
+        write_recording(simulate(trial.surface, trial.seconds, SEEDS[trial.half, trial.fit][0]), path)
     return load_recording(path)
 
 
@@ -190,13 +196,17 @@ def judge(trial: Trial, kinds: Sequence[str], again: bool = False) -> dict[str, 
 
     torch.set_num_threads(1)
     for part in trial.without:
-        setattr(fit, part, PARTS[part])
+        for name, instead in PARTS[part].items():
+            setattr(fit, name, instead)
     seed, *_, listener_seed = SEEDS[trial.half, trial.fit]
     path, started = trial.folder / trial.approach / f"{trial.surface}-{trial.fit}.foten", time.perf_counter()
     if again or not path.is_file():
         path.parent.mkdir(parents=True, exist_ok=True)
-        config = recipe_of("foten-plus", threads=1, seed=seed)
-        job = TrainingJob(recording_of(trial), "foten-plus", trainable_sizes("foten-plus", {}), config, split_seed=seed)
+        config = recipe_of("foten-plus", **{"threads": 1, "seed": seed, "epochs": 0, **json.loads(trial.settings)})
+        recording, sizes = recording_of(trial), trainable_sizes("foten-plus", {})
+        trim_ms, block_ms = fitting_cut(recording, shortest_block(sizes.window))
+        cut = PreprocessConfig(trim_ms=trim_ms, block_ms=block_ms)
+        job = TrainingJob(recording, "foten-plus", sizes, config, cut, split_seed=seed)
         write_texture(train(job).texture, path)
     trained_s = time.perf_counter() - started
     texture, true = read_texture(path), strokes_of(trial)
@@ -217,12 +227,12 @@ def judge(trial: Trial, kinds: Sequence[str], again: bool = False) -> dict[str, 
         }
     if set(kinds) == set(LISTENERS):
         figures["known_levels"] = known_levels(trial, true, runs)
-    columns = {name: f"{value:.4f}" for name, value in figures.items()}
+    columns = {name: f"{value:.3f}" for name, value in figures.items()}
     sizes = texture.sizes
     return {
         **trial.row,
         **columns,
-        "network": "yes" if getattr(sizes, "network_in_loop", False) else "no",
+        "network": "no",
         "recorded": ("path" if sizes.along_path else "time") if getattr(sizes, "recorded", False) else "no",
         "training_s": f"{trained_s:.0f}",
         "file_kb": f"{path.stat().st_size / 1000:.0f}",
@@ -293,8 +303,11 @@ def main() -> None:
     parser.add_argument("--folder", type=Path, default=Path("build/trials"))
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--without", nargs="+", default=[], choices=tuple(PARTS))
+    parser.add_argument("--settings", default="{}", help="of the training, as JSON")
+    parser.add_argument("--seconds", type=float, default=SECONDS, help="that a fit learns from")
     parser.add_argument("--listeners", nargs="+", default=list(LISTENERS), choices=tuple(LISTENERS))
     options = parser.parse_args()
+    name = options.approach if options.seconds == SECONDS else f"{options.approach}, {options.seconds:g} s"
     rows: list[dict[str, str]] = list(csv.DictReader(options.csv.open())) if options.csv.is_file() else []
     judged = {row["approach"] for row in rows if row["half"] == options.half} - {options.approach, BEFORE}
     if options.half.endswith("kept") and options.approach != BEFORE and judged:
@@ -302,7 +315,7 @@ def main() -> None:
     done = [{name: row[name] for name in KEYS} for row in rows]
     surfaces = options.surfaces or SURFACES[options.half]
     trials = [
-        Trial(options.approach, options.half, key, fit, options.folder, tuple(options.without))
+        Trial(name, options.half, key, fit, options.folder, tuple(options.without), options.settings, options.seconds)
         for fit in options.fits
         for key in surfaces
     ]

@@ -15,13 +15,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 import torch
-from scipy.special import log_ndtr, ndtri_exp
 
 from foten.baselines.sizes import TRAINABLE, NoiseModelSizes
 from foten.dsp.bands import N_BANDS
 from foten.dsp.equaliser import N_TERMS, Equaliser
 from foten.models.excitation import Excitation, Scale
-from foten.models.foten_plus.definition import Mixture
 from foten.models.foten_plus.recorded_innovations import (
     CANDIDATE,
     FORCE_FLOOR,
@@ -144,7 +142,6 @@ def scale(width: int, level: float, seed: int) -> Scale:
 
 def untrained_tensors(model: str, sizes: ModelSizes, network: Any, seed: int = 0) -> dict[str, np.ndarray]:
     """A network's tensors and seeded ones of all else; foten-plus resonates near 120 Hz through its lattice."""
-    from foten.models.foten_plus.network import InnovationNetwork
     from foten.training.texture_builder import tensors_of
 
     tensors: dict[str, np.ndarray] = {}
@@ -152,11 +149,6 @@ def untrained_tensors(model: str, sizes: ModelSizes, network: Any, seed: int = 0
         tensors = packed(network, sizes).tensors
     else:
         tensors = tensors_of(network, "network." if model == "foten-plus" else "")
-        if isinstance(sizes, FotenPlusSizes) and sizes.network_in_loop:
-            torch.manual_seed(seed + 2)
-            drawing = perturbed(InnovationNetwork(sizes, sizes.n_rendering_inputs))
-            # Without tones as if it had not been trained further: it draws from what is predicted.
-            tensors |= tensors_of(drawing if sizes.n_tones else network, "rendering_network.")
     if sizes.excited:
         width = sizes.excitation_width  # type: ignore[attr-defined]
         tensors |= Excitation(scale(width, 0.0, seed), (1e6, 1e6)).tensors()
@@ -288,16 +280,6 @@ def experiment(folder: Path, text: str = TINY) -> Path:
     path = folder / "experiment.toml"
     path.write_text(text)
     return path
-
-
-def standardised(mixture: Mixture, values: np.ndarray) -> np.ndarray:
-    """The z of which values are the quantiles at Φ(z), by SciPy."""
-    logs = np.log(mixture.weight)
-    below, above = (
-        np.logaddexp.reduce(logs + log_ndtr(sign * (values[:, None] - mixture.mean) / mixture.scale), axis=1)
-        for sign in (1, -1)
-    )
-    return np.where(below < above, 1, -1) * ndtri_exp(np.minimum(below, above))
 
 
 NUMBER = re.compile(r"-?\d+\.?\d*(?:e[-+]\d+)?")

@@ -28,7 +28,6 @@ KINDS = {
     "ar-zeros": ("ar", {"order": 2, "ma": 3, "n_models": 5, "n_triangles": 4, "window": 9}),
     "plus": ("foten-plus", PLUS),
     "plus-table": ("foten-plus", {**PLUS, "n_speed": 2, "n_force": 2, "gain_before_filter": True}),
-    "plus-silent": ("foten-plus", {**PLUS, "network_in_loop": False}),
     "ten-excited": ("ten", {**TEN, **EXCITED}),
     "graph": ("fnn", FNN),
     "graph-excited": ("fnn", {**FNN, **EXCITED}),

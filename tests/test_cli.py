@@ -19,7 +19,7 @@ from typer.main import get_command
 from foten.atomic_write import atomic_write
 from foten.baselines.sizes import TRAINABLE
 from foten.cli.command_line import _status, app
-from foten.cli.evaluate import network_summary
+from foten.cli.evaluate import network_summary, random_part_summary
 from foten.cli.train import TrainOptions
 from foten.console import JsonOption, options_from, print_result
 from foten.datasets.hdf5 import load_recording, write_recording
@@ -126,24 +126,6 @@ def test_a_foreign_recording_is_scored_on_all_of_its_blocks(texture: Path, folde
     assert (document["n_blocks"], document["block"]) == (6, 600)
 
 
-def test_ctrl_c_after_the_last_epoch_is_one_too_and_says_how_to_go_on(
-    recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """While the network is trained in its closed loop, here in name only: the blocks are too short for it."""
-    from foten.models.foten_plus import fit
-
-    def interrupted(_network: object, drawing: fit.FittedNetwork, *_: object) -> None:
-        drawing.progress.interrupted = True
-
-    monkeypatch.setattr(fit, "MIN_GAIN_NAT", -1e3)
-    monkeypatch.setattr(fit, "_train_in_closed_loop", interrupted)
-    out = tmp_path / "o.foten"
-    command = ["train", str(recording), "-o", str(out), *FAST, *TINY]
-    assert "next: the same command with --resume" in foten(*command, status=130)[0]
-    monkeypatch.setattr(fit, "_train_in_closed_loop", lambda *_: None)
-    assert "next: foten evaluate" in foten(*command, "--resume")[0]
-
-
 def test_ctrl_c_in_a_teacher_says_how_to_go_on(
     recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -176,11 +158,11 @@ def test_ctrl_c_in_the_first_epoch_leaves_the_playable_file(
     monkeypatch.setattr("foten.models.foten_plus.network.scored", interrupted)
     out = tmp_path / "p.foten"
     shown = foten("train", recording, "-o", out, *FAST, *TINY, status=130)[1].splitlines()
-    assert f"wrote {out}: playable, but still without its network; training will replace it" in shown
+    assert f"wrote {out}: playable already; training will replace it" in shown
     assert shown[-1] == "foten: interrupted"
     assert [path.name for path in tmp_path.iterdir()] == ["p.foten"]
     foten("render", out, "--speed", "100", "--force", "1", "--seconds", "0.2", "-o", tmp_path / "s.wav")
-    early = "its training has not ended: this is the early texture, without its network"
+    early = "its training has not ended: this is an early texture"
     assert f"unfinished    {early}\n" in foten("info", out)[0]
     printed, shown = foten("evaluate", out, recording, "--report", tmp_path / "r")
     assert f"p.foten: {early}" in shown.splitlines()
@@ -251,28 +233,26 @@ def test_render_writes_each_output(texture: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("sizes", "mae_scaled", "share", "words"),
+    ("mae_scaled", "share", "words"),
     [
-        ({}, 0.95, 1.0, "improves one-step predictions by 5.0 %, and generates the random part of a rendering"),
-        ({}, 0.95, 0.35, "improves one-step predictions by 5.0 %, with its mean scaled to 35 %, and"),
-        ({}, 1.0, 0.0, "does not correct one-step predictions: no gain on the validation blocks exceeded"),
-        ({"network_in_loop": False}, 0.9999, 1.0, "does not improve one-step predictions; not used in renderings"),
-        (
-            {"n_tones": 3},
-            0.9,
-            1.0,
-            "improves one-step predictions by 10.0 %; a second network generates the residual of a rendering",
-        ),
+        (0.95, 1.0, "improves one-step predictions by 5.0 %"),
+        (0.95, 0.35, "improves one-step predictions by 5.0 %, with its mean scaled to 35 %"),
+        (1.0, 0.0, "does not correct one-step predictions: no gain on the validation blocks exceeded chance"),
+        (0.9999, 1.0, "does not improve one-step predictions"),
     ],
 )
-def test_what_the_network_is_for_is_said_plainly(
-    texture: Path, sizes: dict[str, Any], mae_scaled: float, share: float, words: str
-) -> None:
+def test_what_the_network_is_for_is_said_plainly(texture: Path, mae_scaled: float, share: float, words: str) -> None:
     card = read_texture(texture).card
     metrics = {**card["metrics"], "validation_mae_scaled_lattice": 1.0, "validation_mae_scaled": mae_scaled}
     metrics["mean_share"] = share
-    sizes = {**card["sizes"], "network_in_loop": True, "n_tones": 0, **sizes}
-    assert network_summary({**card, "sizes": sizes, "metrics": metrics}).startswith(words)
+    assert network_summary({**card, "metrics": metrics}) == words
+
+
+def test_what_a_rendering_draws_from_is_said() -> None:
+    played = {"recorded": True, "along_path": False}
+    assert random_part_summary({"recorded": False, "along_path": False}) == "Gaussian noise"
+    assert random_part_summary(played) == "recorded innovations, as they were"
+    assert "the speed of the hand" in random_part_summary({**played, "along_path": True})
 
 
 def test_nothing_is_learned_from_a_recording_without_a_stroke_but_with_anyway(recording: Path, tmp_path: Path) -> None:

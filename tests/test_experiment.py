@@ -256,7 +256,7 @@ def test_every_experiment_that_comes_with_foten_is_listed(tmp_path: Path) -> Non
 
 @pytest.fixture(scope="module")
 def texture() -> Texture:
-    texture = exported("foten-plus", FotenPlusSizes(order=20, network_in_loop=False))
+    texture = exported("foten-plus", FotenPlusSizes(order=20))
     metrics = {**texture.card["metrics"], "recorded_peak_sd": 4.0}
     return dataclasses.replace(texture, card={**texture.card, "metrics": metrics})
 

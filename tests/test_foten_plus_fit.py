@@ -1,8 +1,7 @@
-"""What foten-plus decides in training: gain before or after the filter, tones, the network in its loop, growth."""
+"""What foten-plus decides in training: gain before or after the filter, tones, the random part, growth."""
 
 from __future__ import annotations
 
-import copy
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -13,12 +12,14 @@ import torch
 import foten.models.foten_plus.fit as foten_plus
 from conftest import PLUS, SMALL, perturbed, sizes_with
 from foten.dsp.distance import area_under_curve
+from foten.dsp.lattice import predict, push
 from foten.models.excitation import Excitation
 from foten.models.foten_plus.fit import LAW, Candidate, FitContext, FittedNetwork, best_candidate
 from foten.models.foten_plus.linear_model import LinearModel, fit_level, fit_linear_models
 from foten.models.foten_plus.network import InnovationNetwork
+from foten.models.foten_plus.recorded_fit import recorded_innovations
+from foten.models.foten_plus.recorded_innovations import FORCE_FLOOR, SPEED_FLOOR, runs_of
 from foten.models.foten_plus.sizes import FotenPlusSizes
-from foten.models.foten_plus.tones_fit import silent_tones
 from foten.models.texture_file import Texture
 from foten.recording.preprocess import PreprocessConfig
 from foten.recording.recording import Recording
@@ -32,13 +33,13 @@ from foten.training.calibration import Calibrated, FreeRunErrors, constant_scale
 from foten.training.config import TrainConfig
 from foten.training.excerpt_classifier import N_RUNS, _scores
 from foten.training.job import TrainingJob, scaled_blocks
-from foten.training.loop import Epoch, Monitor, Progress
+from foten.training.loop import Epoch, Monitor
 from foten.training.pipeline import train
 from foten.training.texture_builder import tensors_of
 
-QUICK = TrainConfig(epochs=0, batch=32, threads=1, max_order=20, table=False, tones=False, closed_loop_training=False)
+QUICK = TrainConfig(epochs=0, batch=32, threads=1, max_order=20, table=False, tones=False)
 SHORT = PreprocessConfig(trim_ms=0, block_ms=500)
-PARTS: tuple[PredictionPart, ...] = ("linear", "model", "rendering")
+PARTS: tuple[PredictionPart, ...] = ("linear", "model")
 
 
 @pytest.fixture(scope="module")
@@ -53,16 +54,11 @@ class Fitted:
     run: FitContext
     excited: Candidate
     report: dict[str, Any]
-    network: FittedNetwork
+    network: InnovationNetwork
 
-    def finish(self, likelier: float, config: TrainConfig = QUICK, monitor: Monitor | None = None) -> Texture:
-        """The texture where the network finds the validation blocks likelier than noise by that many nat."""
-        run = replace(self.run, config=config, monitor=monitor or Monitor())
-        part = replace(self.excited.random_part, innovation_nll=self.network.innovation_nll + likelier)
-        excited = replace(self.excited, random_part=part)
-        in_loop = foten_plus.calibrated_network(self.network, excited, self.network.network, run)
-        candidates = [excited, *([] if in_loop is None else [in_loop])]
-        return foten_plus.texture_of(candidates, self.network.predictor, self.network, self.report, run)
+    def finish(self, network: FittedNetwork) -> Texture:
+        """The texture with a network."""
+        return foten_plus.texture_of(self.excited, network.network, network, self.report, self.run)
 
 
 @pytest.fixture(scope="module")
@@ -75,12 +71,7 @@ def fitted(recording: Recording) -> Fitted:
     torch.manual_seed(0)
     initial = perturbed(InnovationNetwork(sizes))
     excited, report = foten_plus.best_linear_model([linear], lambda: None, initial, run)
-    with pytest.MonkeyPatch.context() as patch:  # all that it says is used, whatever
-        patch.setattr(foten_plus, "mean_share", lambda *_: 1.0)
-        network = foten_plus.fit_network(initial, excited, run)
-    (line,) = network.progress.epochs
-    progress = Progress([replace(line, validation_loss=9.0), replace(line, epoch=1)], line.validation_loss)
-    return Fitted(run, excited, report, replace(network, progress=progress))
+    return Fitted(run, excited, report, initial)
 
 
 def test_a_block_too_short_to_calibrate_its_level_is_refused_before_anything_is_fitted(recording: Recording) -> None:
@@ -95,120 +86,52 @@ def test_a_block_too_short_to_calibrate_its_level_is_refused_before_anything_is_
     assert np.isfinite(train(jobs[1]).texture.card["metrics"]["validation_level_error_db"])
 
 
-@pytest.mark.parametrize(("likelier", "in_loop"), [(0.006, True), (0.004, False)])
-def test_the_network_is_in_the_loop_where_its_innovations_are_likelier(
-    fitted: Fitted, likelier: float, in_loop: bool
-) -> None:
-    stages: list[str] = []
-    texture = fitted.finish(likelier, monitor=Monitor(on_stage=stages.append))
-    metrics = texture.card["metrics"]
-    assert ("calibrating the level with the network in the loop" in stages) == in_loop
-    assert set(metrics["renderings"]) == {"without network", *(["with network"] if in_loop else [])}
-    assert texture.sizes.network_in_loop == in_loop  # type: ignore[attr-defined]
-    assert metrics["validation_mae_scaled"] == fitted.network.predictor_mae
-    chosen = metrics["renderings"]["with network" if in_loop else "without network"]
-    assert metrics["validation_level_error_db"] == chosen["validation_level_error_db"]
-    # Whatever a rendering uses, the next sample is predicted with the network.
-    validation = list(fitted.run.blocks.split.validation)
-    recorded, kernel = fitted.run.blocks.samples[validation], NativeTexture(texture.to_bytes())
-    linear, with_network, rendering = (predict_blocks(kernel, recorded, part) for part in PARTS)
-    if in_loop:  # the card's likelihood is the judge's, of one sample less in each block
-        moving = fitted.run.blocks.moving()[validation, texture.window + 1 :]
-        assert metrics["validation_nll"] == pytest.approx(rendering.nll[:, 1:][moving].mean(), rel=1e-4)  # float32
-        assert not moving.all()
-    assert np.abs(with_network.sample - linear.sample).max() > 1e-4
-    assert np.array_equal(rendering.sample, with_network.sample if in_loop else linear.sample)
-
-
 @pytest.mark.parametrize("share", [0.4, None])
-def test_a_prediction_takes_a_share_of_the_networks_mean_and_a_rendering_all(
+def test_a_prediction_takes_a_share_of_the_networks_mean(
     fitted: Fitted, monkeypatch: pytest.MonkeyPatch, share: float | None
 ) -> None:
     """What a perturbed network says is borne out by nothing: its share is 0, and the prediction exactly the linear model's."""
-    if share is not None:
-        monkeypatch.setattr(foten_plus, "mean_share", lambda *_: share)
-    network = foten_plus.fit_network(fitted.network.network, fitted.excited, fitted.run)
-    network = replace(network, progress=fitted.network.progress)
-    shrunk, full = replace(fitted, network=network).finish(1.0), fitted.finish(1.0)
+
+    def finished(taken: float | None) -> Texture:
+        with monkeypatch.context() as patch:
+            if taken is not None:
+                patch.setattr(foten_plus, "mean_share", lambda *_: taken)
+            return fitted.finish(foten_plus.fit_network(fitted.network, fitted.excited.model, fitted.run))
+
+    shrunk, full = finished(share), finished(1.0)
     metrics = shrunk.card["metrics"]
     assert metrics["mean_share"] == (share or 0.0)
     validation = list(fitted.run.blocks.split.validation)
     recorded, kernel = fitted.run.blocks.samples[validation], NativeTexture(shrunk.to_bytes())
-    linear, model, rendering = (predict_blocks(kernel, recorded, part) for part in PARTS)
+    linear, model = (predict_blocks(kernel, recorded, part) for part in PARTS)
     correction = predict_blocks(NativeTexture(full.to_bytes()), recorded, "model").sample - linear.sample
     assert np.abs(correction).max() > 1e-4
     np.testing.assert_allclose(model.sample - linear.sample, (share or 0.0) * correction, rtol=1e-5, atol=1e-7)
     if share is None:
-        assert np.array_equal(model.sample, linear.sample)
+        np.testing.assert_array_equal(model.sample, linear.sample)
         assert metrics["validation_mae_scaled"] == metrics["validation_mae_scaled_lattice"]
-    moving = fitted.run.blocks.moving()[validation, shrunk.window + 1 :]
-    assert metrics["validation_nll"] == pytest.approx(rendering.nll[:, 1:][moving].mean(), rel=1e-4)  # float32
-    for name in full.tensors:  # what a rendering draws from begins as the network that was fitted
-        if name.startswith("rendering_network."):
-            np.testing.assert_array_equal(shrunk.tensors[name], full.tensors[name], name)
+    moving = fitted.run.blocks.moving()[validation, shrunk.window :]
+    assert not moving.all()
+    assert metrics["validation_nll"] == pytest.approx(linear.nll[moving].mean(), rel=1e-4)  # float32
 
 
-def test_with_the_network_in_the_loop_the_level_is_calibrated_from_one(fitted: Fitted) -> None:
-    """σ follows what the closed loop misses of the level, and bounds are those of what was recorded."""
-    texture = fitted.finish(1.0)
-    errors = texture.card["metrics"]["level_errors_db"]
-    assert abs(errors[0]) > 0.1  # a network that nobody trained is too loud or too soft
-    assert abs(errors[-1]) < 0.3 * abs(errors[0])
-    data, chosen = fitted.network.data, list(fitted.run.blocks.split.train)
-    known = np.stack([data.innovation, data.innovation * data.innovation_gain])[:, chosen, data.n_transient + 1 :]
-    largest = 1.3 * np.abs(known).max(axis=(1, 2))
-    np.testing.assert_allclose(texture.tensors["excitation.innovation_limit"], largest, rtol=1e-6)
-
-
-@pytest.mark.parametrize("after", [0.5, 1.0, None])
-@pytest.mark.parametrize("interrupted", [False, True])
-def test_the_level_is_calibrated_only_where_closed_loop_training_gained_nothing(
-    fitted: Fitted, monkeypatch: pytest.MonkeyPatch, after: float | None, interrupted: bool
-) -> None:
-    """Blocks may be too short for it (None). An interruption is in the progress: a sweep would take the training for done."""
-    progress = Progress([Epoch(0, np.nan, 1.0, 1.0, 1.0, True)], after or 1.0, interrupted=interrupted, notes=["full"])
-    monkeypatch.setattr(foten_plus, "excerpts_of", lambda *_: after and object())
-    monkeypatch.setattr(foten_plus, "fit_closed_loop", lambda *_: progress)
-    network = replace(fitted.network, progress=copy.deepcopy(fitted.network.progress))
-    config = replace(QUICK, closed_loop_training=True)
-    stages: list[str] = []
-    texture = replace(fitted, network=network).finish(1.0, config, Monitor(on_stage=stages.append))
-    assert any(stage.startswith("no training in the closed loop") for stage in stages) == (after is None)
-    rendering = texture.card["metrics"]["renderings"]["with network"]
-    assert len(rendering["level_errors_db"]) == (0 if after == 0.5 else 3)
-    assert rendering["closed_loop_training"] == (after and {"before": 1.0, "after": after})
-    assert network.progress.interrupted == (interrupted and after is not None)
-    assert network.progress.notes == (["full"] if after else [])
-    sigma = Excitation.of(texture.tensors).sigma
-    assert (set(sigma(np.zeros((1, 2)))) == {1.0}) == (after == 0.5)
-
-
-@pytest.mark.parametrize("with_tones", [False, True])
-@pytest.mark.parametrize("likelier", [0.006, 0.004])
-@pytest.mark.parametrize("interrupted", [False, True])
-def test_a_rendering_draws_from_the_network_that_knows_the_phase_where_that_is_likelier(
-    fitted: Fitted, monkeypatch: pytest.MonkeyPatch, with_tones: bool, likelier: float, interrupted: bool
-) -> None:
-    """Or where it has tones. An interrupted fit of it is an interrupted training, whichever is drawn from."""
-    linear = fitted.excited.model
-    phase = np.zeros(fitted.run.blocks.samples.shape[:2])
-    tonal = silent_tones(linear, LinearModel(linear.sizes, {"tones.phase_params": np.array([0.1, 0.0, 0.1])}, phase))
-    network = replace(fitted.network, progress=copy.deepcopy(fitted.network.progress))
-    progress = Progress(interrupted=interrupted)
-    knowing = replace(network, innovation_nll=network.innovation_nll - likelier, progress=progress)
-    monkeypatch.setattr(foten_plus, "_fitted", lambda *_: knowing)
-    excited = replace(fitted.excited, model=tonal if with_tones else linear)
-    rendering_network = foten_plus.fit_rendering_network(network, excited, linear, tonal, fitted.run)
-    assert (rendering_network is knowing) == (with_tones or likelier > 0.005)
-    assert network.progress.interrupted == interrupted
-    if interrupted:  # then the other is not begun
-        monkeypatch.delattr(foten_plus, "_fitted")
-        assert foten_plus.fit_rendering_network(network, excited, linear, tonal, fitted.run) is network
+def test_no_rendered_sample_changes_once_the_random_part_is_chosen(recording: Recording) -> None:
+    """The network is fitted after that, and changes predictions alone."""
+    playable: list[Texture] = []
+    job = TrainingJob(recording, "foten-plus", FotenPlusSizes(**PLUS), replace(QUICK, epochs=1), SHORT)
+    final = train(job, Monitor(on_playable=playable.append)).texture
+    assert final.card["metrics"]["n_epochs"] == 1
+    speed, force = np.linspace(0.0, 200.0, 4000), np.linspace(0.1, 2.0, 4000)
+    before, after = (Renderer(one).render(speed, force) for one in (playable[-1], final))
+    assert np.abs(after).max() > 0
+    np.testing.assert_array_equal(before, after)
+    assert playable[-1].unfinished
+    assert not final.unfinished
 
 
 def test_a_microphones_recording_is_not_stored_above_2_khz(fitted: Fitted) -> None:
     """Speech nearby could be in it; one of an accelerometer is, as it was and along the path."""
-    run, networks = fitted.run, tensors_of(fitted.network.network, "network.")
+    run, networks = fitted.run, tensors_of(fitted.network, "network.")
     played = foten_plus.recorded_candidates(fitted.excited, networks, run)
     assert [one.model.sizes.along_path for one in played] == [False, True]
     assert all(one.model.sizes.recorded and "recorded.moments" in one.model.tensors for one in played)
@@ -216,6 +139,31 @@ def test_a_microphones_recording_is_not_stored_above_2_khz(fitted: Fitted) -> No
     units = {**run.builder.card["units"], "acceleration": "relative"}
     builder = replace(run.builder, blocks=faster, card={**run.builder.card, "units": units})
     assert foten_plus.recorded_candidates(fitted.excited, networks, replace(run, builder=builder)) == []
+
+
+def test_the_recording_can_be_filtered_back_from_what_is_stored(fitted: Fitted) -> None:
+    """As docs/texture-file.md warns: speed and force to 1/32 octave, and the vibration with an error 20 dB below it."""
+    blocks, model, sigma = fitted.run.blocks, fitted.excited.model, fitted.excited.random_part.excitation.sigma
+    recorded = recorded_innovations(model, sigma, blocks)
+    assert recorded is not None
+    (run, *_), lattice = runs_of(blocks.split), model.excited_lattice
+    n = len(run) * blocks.trace.block // recorded.step * recorded.step
+    steps = 2.0 ** ((recorded.logarithms[: n // recorded.step] + 4) / 256 - 10) - [SPEED_FLOOR, FORCE_FLOOR]
+    at = np.arange(n) / recorded.step
+    speed, force = (np.interp(at, np.arange(len(steps)), channel) for channel in steps.T)
+    known = blocks.samples[run].reshape(-1, 3)[:n]
+    physical = model.level.physical(known[:, 1:])
+    np.testing.assert_allclose(speed[100:], physical[99:-1, 0], rtol=0.04, atol=2.0)
+    condition = blocks.scaling.scale(np.stack([np.zeros(n), speed, force], axis=1))[:, 1:]
+    level, k = lattice.level(condition), lattice.reflections(condition)
+    before, after = lattice.gains(level)
+    states, out = np.zeros((lattice.order, 1)), np.zeros(n)
+    for t, e in enumerate(recorded.innovations[:n] * sigma(condition) * before):
+        x, cosines = predict(states, k[:, t : t + 1])
+        states, _ = push(states, k[:, t : t + 1], x + cosines * e)
+        out[t] = float((x + cosines * e)[0]) * after[t]
+    error = np.square(out - known[:, 0])[200:].mean()
+    assert 10 * np.log10(np.square(known[200:, 0]).mean() / error) > 20
 
 
 @pytest.mark.parametrize(("moved", "of_blocks", "area"), [(0.0, 0.0, 0.5), (0.0, 3.0, 0.5), (1.0, 0.0, 0.9)])
@@ -234,13 +182,10 @@ def test_a_classifier_sees_what_differs_in_every_block_and_not_what_each_has_of_
     assert area_under_curve(*_scores(features, block)) == pytest.approx(area, abs=0.1)
 
 
-def candidate(
-    name: str, errors: tuple[float, float], distance: float | None = None, before: bool = False, n_speed: int = 1
-) -> Candidate:
+def candidate(name: str, errors: tuple[float, float]) -> Candidate:
     sigma = constant_scale(1, scaling=scaled_blocks(white(4, 200), split_of(4, 200)).scaling)
-    model = LinearModel(FotenPlusSizes(gain_before_filter=before, n_speed=n_speed), {}, report={"lattices": name})
-    random_part = Calibrated(Excitation(sigma, (1.0, 1.0)), FreeRunErrors(*errors), None)
-    return Candidate(model, random_part, distance=distance)
+    model = LinearModel(FotenPlusSizes(), {}, report={"lattices": name})
+    return Candidate(model, Calibrated(Excitation(sigma, (1.0, 1.0)), FreeRunErrors(*errors), None))
 
 
 @pytest.mark.parametrize(
@@ -257,29 +202,9 @@ def test_tones_are_taken_where_the_free_run_has_less_error_and_the_same_colour(
 ) -> None:
     best, report = best_candidate([candidate("without", (2.0, 1.0)), candidate("with", tones)])
     assert best.model.report["lattices"] == chosen
-    assert report["free_run"] == {**best.random_part.free_run._asdict(), "distance": None}
+    assert report["free_run"] == best.random_part.free_run._asdict()
     (rejected,) = report["rejected"]
     assert rejected["lattices"] == {"with": "without", "without": "with"}[chosen]
-
-
-@pytest.mark.parametrize(
-    ("distances", "chosen"),
-    [
-        ((1.0, 0.9, 0.95, 0.99), "table"),  # the nearest
-        ((1.0, 0.997, 0.999, 1.1), "one filter"),  # which a table has to be nearer than by more than half a per cent
-        ((1.0, 0.9, 0.905, 0.899), "other place"),  # of the same place alone
-    ],
-)
-def test_the_linear_model_is_that_whose_envelopes_are_nearest(distances: tuple[float, ...], chosen: str) -> None:
-    kinds = {"first": (False, 12), "table": (True, 12), "one filter": (True, 1), "other place": (False, 12)}
-    known = [
-        candidate(name, (9.0, 9.0), distance, *kind)
-        for (name, kind), distance in zip(kinds.items(), distances, strict=True)
-    ]
-    best, report = best_candidate(known)
-    assert best.model.report["lattices"] == chosen
-    assert report["free_run"]["distance"] == best.distance
-    assert len(report["rejected"]) == 3
 
 
 def split_of(n_blocks: int, block: int) -> Split:
@@ -341,7 +266,8 @@ def test_a_law_and_a_recording_are_weighed_by_how_well_they_are_known() -> None:
 def test_the_growth_of_foten_plus_is_in_its_card_and_the_papers_network_clamps(
     recording: Recording, fitted: Fitted
 ) -> None:
-    exponents = fitted.finish(0.0).card["extrapolation_exponents"]
+    network = foten_plus.fit_network(fitted.network, fitted.excited.model, fitted.run)
+    exponents = fitted.finish(network).card["extrapolation_exponents"]
     assert exponents == foten_plus.extrapolation_exponents(fitted.run.blocks)
     assert exponents != {"speed": 0.0, "force": 0.0}
     job = TrainingJob(recording, "foten", sizes_with("foten", SMALL), QUICK, SHORT)

@@ -16,7 +16,6 @@ from foten.models.definitions import model_of
 from foten.models.foten_plus import recorded_innovations
 from foten.models.foten_plus.definition import FotenPlus
 from foten.models.foten_plus.linear_model import fit_level, fit_linear_models
-from foten.models.foten_plus.recorded_fit import MIN_SPEED
 from foten.models.foten_plus.recorded_fit import recorded_innovations as fitted
 from foten.models.foten_plus.recorded_innovations import (
     CANDIDATE,
@@ -37,6 +36,7 @@ from foten.models.foten_plus.recorded_innovations import (
     logarithm,
     neighbourhood,
 )
+from foten.models.foten_plus.recorded_store import MIN_SPEED, thinned
 from foten.models.foten_plus.sizes import FotenPlusSizes
 from foten.models.texture_file import Texture, texture_from_bytes
 from foten.recording.split import Split
@@ -53,15 +53,7 @@ RATE = 1000.0
 
 def playing(along_path: bool = False, **sizes: object) -> Texture:
     """An untrained texture that plays recorded innovations."""
-    plus = {
-        **PLUS,
-        "network_in_loop": False,
-        "recorded": True,
-        "along_path": along_path,
-        "order": 6,
-        "n_speed": 3,
-        **sizes,
-    }
+    plus = {**PLUS, "recorded": True, "along_path": along_path, "order": 6, "n_speed": 3, **sizes}
     return exported("foten-plus", FotenPlusSizes(**plus))  # type: ignore[arg-type]
 
 
@@ -211,9 +203,9 @@ def reproved(texture: Texture) -> bytes:
 
 
 def test_what_is_played_is_bounded_by_the_files_limit() -> None:
-    """As a network's draws are: an innovation beyond the limit is cut."""
+    """As an excitation is: an innovation beyond the limit is cut."""
     limit = {"excitation.innovation_limit": np.array([0.5, 1e6])}
-    sizes = FotenPlusSizes(**{**PLUS, "network_in_loop": False, "recorded": True, "order": 1})
+    sizes = FotenPlusSizes(**{**PLUS, "recorded": True, "order": 1})
     cut, free = (exported("foten-plus", sizes, tensors) for tensors in (limit, {}))
     speed, force = np.full(2000, 100.0), np.full(2000, 1.0)
     loudest = [np.abs(definitions.render(each, speed, force)).max() for each in (cut, free)]
@@ -320,11 +312,8 @@ def test_candidates_are_thinned_where_they_lie_dense() -> None:
     moments = np.stack(
         [speed, np.full(n, 100), rng.integers(120, 130, n), np.full(n, 128), np.full(n, CANDIDATE)], axis=1
     )
-    from foten.models.foten_plus.recorded_fit import _thinned
-
-    thinned = _thinned(moments.astype(np.uint8))
-    kept = (thinned[:, 4] & CANDIDATE) > 0
-    assert 0.9 * recorded_innovations.MAX_CANDIDATES < kept.sum() <= recorded_innovations.MAX_CANDIDATES
+    kept = (thinned(moments.astype(np.uint8))[:, 4] & CANDIDATE) > 0
+    assert 0.9 * 2**14 < kept.sum() <= 2**14
     assert kept[:500].all()
 
 
@@ -343,7 +332,7 @@ def test_rougher_is_a_power_of_the_recorded_envelope() -> None:
     swell = 4.0 ** np.sin(2 * np.pi * np.arange(source.codes.size) / 800)
     e = source.innovations * swell / 3
     changed = recorded_innovations.encoded(e.reshape(source.codes.shape), source.moments, float(np.abs(e).max()))
-    sizes = FotenPlusSizes(**{**PLUS, "network_in_loop": False, "recorded": True, "order": 6})
+    sizes = FotenPlusSizes(**{**PLUS, "recorded": True, "order": 6})
     texture = exported("foten-plus", sizes, changed.tensors())
     swelled = []
     for strength in (-1.0, 0.0, 1.0):
@@ -356,14 +345,15 @@ def test_rougher_is_a_power_of_the_recorded_envelope() -> None:
     assert swelled[2] == pytest.approx(swelled[1] ** 2, rel=0.4)
 
 
-def test_a_blend_plays_the_innovations_of_the_nearer_side() -> None:
+def test_a_blend_plays_stretches_of_either_side_by_its_share() -> None:
+    """Of noise as well, which is stored behind the innovations of the first texture."""
     from foten.editing.blend import blend
 
     first, second = playing(), exported("foten-plus", FotenPlusSizes(**{**PLUS, "order": 4}))
-    for at, plays in ((0.25, True), (0.75, False)):
-        between = blend(first, second, at, n_steps=0)
-        assert between.card["sizes"]["recorded"] is plays
-        assert ("recorded.moments" in between.tensors) is plays
+    for at in (0.25, 0.75):
+        between = RecordedInnovations.of(blend(first, second, at, n_steps=0).tensors, False)
+        of_second = between.candidates >= len(first.tensors["recorded.moments"])
+        assert of_second.mean() == pytest.approx(at, abs=0.02)
 
 
 def with_sizes(**changed: object) -> tuple[FotenPlusSizes, Tensors]:
@@ -398,23 +388,6 @@ def test_a_prediction_takes_no_more_than_its_history(before: bool) -> None:
     np.testing.assert_allclose(predictor.predict(longer[:, 3:]), expected, rtol=1e-9, atol=1e-9)
     moved = np.abs(predictor.predict(first) - expected).max() > 1e-8  # rounding is 1e-14 of 30
     assert moved != before
-
-
-@pytest.mark.parametrize("noise", [-5.6, None, 5.6])
-def test_what_the_network_draws_is_bounded(noise: float | None) -> None:
-    """In the unit that σ has, whatever the network says; without noise as well."""
-    sizes, tensors = with_sizes(order=6)
-    tensors["excitation.innovation_limit"] = np.array([2.5, 1e6])
-    inputs = windows(200, sizes.history)
-    silent = {**tensors, "rendering_network.out.weight": 0 * tensors["rendering_network.out.weight"]}
-    silent["rendering_network.out.bias"] = tensors["rendering_network.out.bias"] * 0
-    loud = {**tensors, "rendering_network.out.weight": 1e3 * tensors["rendering_network.out.weight"]}
-    linear, drawn = (model(sizes, some).start(inputs).predict() for some in (silent, loud))
-    assert drawn.scale is not None
-    sample = drawn.sample if noise is None else drawn.excited(np.full(200, noise))
-    share = (sample - linear.sample) / drawn.scale
-    assert np.abs(share).max() <= 2.5 * (1 + 1e-9)  # rounding of the difference
-    assert np.abs(share).max() > 2.49
 
 
 @pytest.mark.parametrize("before", [False, True])

@@ -148,7 +148,7 @@ def test_the_first_free_sample_is_the_one_step_prediction() -> None:
     out, _ = synthesize(NativeTexture(texture.to_bytes()), recorded, (0, 1, 2), excitation=False)
     windows = texture.scaling.scale(recorded.stacked()).reshape(3, 300, 3)[:, : texture.window]
     padded = np.pad(windows, ((0, 0), (0, 1), (0, 0)))  # what is predicted is not looked at
-    predicted = predict_blocks(NativeTexture(texture.to_bytes()), padded).sample[:, 0]
+    predicted = predict_blocks(NativeTexture(texture.to_bytes()), padded, "linear").sample[:, 0]
     expected = texture.scaling.unscale_acceleration(predicted)
     np.testing.assert_allclose(out[0, :, texture.window], expected, atol=ONE_STEP_TOLERANCE * SCALING.sd[0])
 

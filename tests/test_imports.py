@@ -38,7 +38,9 @@ MAY_IMPORT = table()
 FOR_ALL = {"atomic_write", "untrusted"}
 EVERYTHING = {"", *(package for package, names in MAY_IMPORT.items() if names is None)}  # "": foten itself, lazily
 WITH_TORCH = {"training", "baselines", "experiments", "cli"}
-TRAINED = re.compile(r"foten\.models\.\w+\.(?!definition$|sizes$|recorded_innovations$)\w+")  # by PyTorch
+TRAINED = re.compile(
+    r"foten\.models\.\w+\.(?!definition$|sizes$|recorded_innovations$|recorded_store$)\w+"
+)  # by PyTorch
 NO_TORCH = {"foten.training", "foten.baselines", "foten.baselines.sizes", "foten.training.config", "foten.experiments"}
 LISTENER = re.compile(r"foten\.evaluate\.listener(_network)?")  # loads PyTorch when it is asked
 WITHOUT_SCIPY = {"atomic_write", "untrusted", "dsp", "recording", "models", "runtime", ""}  # at import

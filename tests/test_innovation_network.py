@@ -1,20 +1,20 @@
-"""The innovation network: mixtures by their definition, its layers as PyTorch's, and what it makes of known processes."""
+"""The innovation network: its likelihood, its layers as PyTorch's, and what it makes of known processes."""
 
 from __future__ import annotations
 
+import copy
 import dataclasses
 import math
-from collections.abc import Callable
 
 import numpy as np
 import pytest
 import torch
-from scipy.integrate import quad
+from scipy.special import logsumexp
 from scipy.stats import norm
 
-from conftest import PLUS, standardised, untrained, untrained_tensors
+from conftest import PLUS, untrained, untrained_tensors
 from foten.models.foten_plus import network as innovation
-from foten.models.foten_plus.definition import Mixture, NetworkDefinition, innovation_inputs, phase_inputs
+from foten.models.foten_plus.definition import NetworkDefinition, innovation_inputs
 from foten.models.foten_plus.linear_model import LinearModel
 from foten.models.foten_plus.network import (
     CHUNK,
@@ -41,72 +41,33 @@ from foten.training.texture_builder import tensors_of
 SIZES = FotenPlusSizes(**PLUS)
 
 
-def mixtures(n: int, k: int = 4, seed: int = 0) -> Mixture:
-    """n mixtures: near, far, sharp and wide components."""
-    rng = np.random.default_rng(seed)
-    weight = rng.dirichlet(np.full(k, 0.5), n) + 1e-9
-    scale = np.exp(rng.uniform(-5, 2, (n, k)))
-    return Mixture(weight / weight.sum(axis=1, keepdims=True), 3 * rng.standard_normal((n, k)), scale)
-
-
-def repeated(mixture: Mixture, n: int) -> Mixture:
-    return Mixture(*(np.repeat(part, n, axis=0) for part in dataclasses.astuple(mixture)))
-
-
-def test_a_quantile_has_as_much_below_it_as_a_normal_number() -> None:
-    """By the definition of each: Σ w Φ((x − μ)/s) = Φ(z), and far in the upper tail by what is above."""
-    z, drawn = np.array([-5.6, -3.0, -1.0, 0.0, 0.3, 2.0, 5.6]), mixtures(40)
-    for row in range(40):
-        mixture = repeated(Mixture(*(part[row : row + 1] for part in dataclasses.astuple(drawn))), len(z))
-        x = mixture.quantile(z)
-        below, above = (
-            (mixture.weight * norm.cdf(sign * (x[:, None] - mixture.mean) / mixture.scale)).sum(axis=1)
-            for sign in (1, -1)
-        )
-        np.testing.assert_allclose(np.where(z < 0, below, above), norm.cdf(-np.abs(z)), rtol=1e-12)
-        assert (np.diff(x) > 0).all()
-        np.testing.assert_allclose(standardised(mixture, x), z, atol=1e-7)
-
-
-def test_a_single_component_is_a_normal_distribution() -> None:
-    normal = Mixture(np.ones((3, 1)), np.array([[0.0], [2.0], [-1.0]]), np.array([[1.0], [0.1], [30.0]]))
-    z = np.array([1.3, -2.0, 5.0])
-    np.testing.assert_allclose(normal.quantile(z), normal.mean[:, 0] + normal.scale[:, 0] * z, rtol=1e-12)
-    np.testing.assert_allclose(normal.log_density(normal.quantile(z)), norm.logpdf(z) - np.log(normal.scale[:, 0]))
-
-
-def test_the_mean_is_that_of_the_density() -> None:
-    """Oracle: quadrature of exp(log_density)."""
-    mixture = Mixture(np.array([[0.7, 0.3]]), np.array([[-0.5, 2.0]]), np.array([[0.4, 1.5]]))
-
-    def moment(power: int) -> float:
-        def integrand(x: float) -> float:
-            return x**power * math.exp(mixture.log_density(np.array([x]))[0])
-
-        return quad(integrand, -20, 20, limit=400)[0]
-
-    assert moment(0) == pytest.approx(1.0)
-    assert mixture.expected()[0] == pytest.approx(moment(1))
-
-
 def test_the_unit_and_its_head_are_pytorchs() -> None:
     """Seam: PyTorch in float64 on the same tensors, sample by sample, and as a graph would be asked."""
     network = untrained("foten-plus", SIZES).double()
-    rng = np.random.default_rng(0)
-    inputs, innovation = 2 * rng.standard_normal((3, 30, 5)), rng.standard_normal((3, 30))
+    inputs = 2 * np.random.default_rng(0).standard_normal((3, 30, 5))
     definition, hidden = NetworkDefinition(tensors_of(network), ""), np.zeros((3, SIZES.n_hidden))
     with torch.no_grad():
-        mixture = network(torch.from_numpy(inputs))
+        states = network.recurrent(torch.from_numpy(inputs))[0].numpy()
+        log_weight, mean, log_scale = (part.numpy() for part in network(torch.from_numpy(inputs)))
         last = NextInnovation(network)(torch.from_numpy(inputs)).numpy()
-        nll = negative_log_likelihood(mixture, torch.from_numpy(innovation)).numpy()
-    theirs = [part.numpy() for part in mixture]
+    expected = (np.exp(log_weight) * mean).sum(axis=2)
     for i in range(30):
         hidden = definition.push(hidden, inputs[:, i])
-        ours = definition.mixture(hidden, inputs[:, i])
-        for part, other in zip((np.log(ours.weight), ours.mean, np.log(ours.scale)), theirs, strict=True):
-            np.testing.assert_allclose(part, other[:, i], rtol=1e-9, atol=1e-9)
-        np.testing.assert_allclose(-ours.log_density(innovation[:, i]), nll[:, i], rtol=1e-9, atol=1e-9)
-    np.testing.assert_allclose(last, np.concatenate([part[:, -1] for part in theirs], axis=1), atol=1e-12)
+        np.testing.assert_allclose(hidden, states[:, i], rtol=1e-9, atol=1e-9)
+        np.testing.assert_allclose(definition.expected(hidden, inputs[:, i]), expected[:, i], rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(last, np.concatenate([part[:, -1] for part in (log_weight, mean, log_scale)], axis=1))
+
+
+def test_the_likelihood_is_that_of_a_mixture_of_normals() -> None:
+    """Oracle: SciPy's normal density, of components near and far, sharp and wide."""
+    rng = np.random.default_rng(0)
+    weight, innovation = rng.dirichlet(np.full(4, 0.5), 40) + 1e-9, 3 * rng.standard_normal(40)
+    log_weight, mean = np.log(weight / weight.sum(axis=1, keepdims=True)), 3 * rng.standard_normal((40, 4))
+    log_scale = rng.uniform(-5, 2, (40, 4))
+    expected = -logsumexp(log_weight + norm.logpdf(innovation[:, None], mean, np.exp(log_scale)), axis=1)
+    parts = tuple(torch.from_numpy(part) for part in (log_weight, mean, log_scale))
+    nll = negative_log_likelihood(parts, torch.from_numpy(innovation))  # type: ignore[arg-type]
+    np.testing.assert_allclose(nll, expected, rtol=1e-9)
 
 
 CONFIG = TrainConfig(**{**OWN_RECIPES["foten-plus"], "epochs": 2, "threads": 1, "batch": 32})
@@ -151,8 +112,8 @@ def test_of_noise_nothing_is_learned_and_of_bursts_when_they_are(monkeypatch: py
     assert known - 0.02 < nats < known + 0.25  # the first samples of each burst come unannounced
     # Independent draws of the right kurtosis, all that an excitation without memory can be.
     x = data.innovation[16:20].ravel()
-    parts = np.array([0.2, 0.8]), np.zeros(2), np.array([1.0, 0.1]) / math.sqrt(0.208)
-    unaware = -float(Mixture(*(np.tile(part, (x.size, 1)) for part in parts)).log_density(x).mean())
+    loud, quiet = (norm.pdf(x, scale=size / math.sqrt(0.208)) for size in (1.0, 0.1))
+    unaware = -float(np.log(0.2 * loud + 0.8 * quiet).mean())
     assert nats < unaware - 0.15
 
 
@@ -175,39 +136,30 @@ def test_more_threads_than_a_batch_has_shares_for_learn_the_same(monkeypatch: py
     assert losses[2].validation_loss == losses[1].validation_loss
 
 
-def captured_loop(monkeypatch: pytest.MonkeyPatch, module: str, fit: Callable[[], Progress]) -> tuple[Loop, Progress]:
-    """The loop that a fit runs, and its progress."""
+def test_the_averaged_network_is_validated_on_the_validation_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Oracle: PyTorch's own unit over these blocks, in float64."""
     loops: list[Loop] = []
 
     def captured(loop: Loop, *arguments: object) -> Progress:
         loops.append(loop)
         return run_loop(loop, *arguments)  # type: ignore[arg-type]
 
-    monkeypatch.setattr(f"foten.models.foten_plus.{module}.run_loop", captured)
-    progress = fit()
-    return loops[0], progress
-
-
-def test_the_averaged_network_is_validated_on_the_validation_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Oracle: the definition in NumPy, sample by sample over these blocks, in float64."""
+    monkeypatch.setattr(innovation, "run_loop", captured)
     monkeypatch.setattr(innovation, "N_STEPS", 20)
     blocks, data = process("bursts", block=300)
     data = dataclasses.replace(data, innovation_gain=3.0 * np.ones_like(data.innovation))
-    loop, progress = captured_loop(monkeypatch, "network", lambda: fitted(blocks, data))
+    progress = fitted(blocks, data)
+    (loop,) = loops
     assert loop.averaging > 0
     assert progress.best.epoch > 0
     other = untrained("foten-plus", FotenPlusSizes(n_hidden=16, head_width=16, window=20))
     for network in (loop.network, other):
-        definition = NetworkDefinition(tensors_of(network), "")
-        hidden, nats, errors = np.zeros((4, 16)), [], []
-        for n in range(20, 299):
-            hidden = definition.push(hidden, data.inputs[16:20, n])
-            mixture = definition.mixture(hidden, data.inputs[16:20, n])
-            follows = data.innovation[16:20, n + 1]
-            nats.append(-mixture.log_density(follows))
-            errors.append(3 * np.abs(follows - mixture.expected()))
-        expected = (np.mean(nats[20:]), np.mean(errors[20:]))
-        assert loop.validate(network) == pytest.approx(expected, rel=1e-4)
+        follows = torch.from_numpy(data.innovation[16:20, 21:])
+        with torch.no_grad():
+            mixture = copy.deepcopy(network).double()(torch.from_numpy(data.inputs[16:20, 20:-1]))
+        nats = negative_log_likelihood(mixture, follows)[:, 20:].mean()
+        errors = 3 * (follows - (mixture[0].exp() * mixture[1]).sum(dim=-1)).abs()[:, 20:].mean()
+        assert loop.validate(network) == pytest.approx((float(nats), float(errors)), rel=1e-4)
     assert loop.validate(loop.network)[0] == pytest.approx(progress.best_loss, rel=1e-6)
 
 
@@ -216,24 +168,21 @@ def test_the_averaged_network_is_validated_on_the_validation_blocks(monkeypatch:
 def test_a_network_is_fitted_to_the_innovations_of_a_linear_model(
     kind: str, sign_symmetric: bool, repeats: bool
 ) -> None:
-    """Of one that leaves all, a level of 1 and no reflections: mirrored where it may be, with the phase of the sample after."""
+    """Of one that leaves all, a level of 1 and no reflections: mirrored where it may be."""
     blocks, data = process(kind)
-    sizes = FotenPlusSizes(**PLUS, order=1, n_tones=int(repeats), network_in_loop=False)
+    sizes = FotenPlusSizes(**PLUS, order=1, n_tones=int(repeats))
     tensors = untrained_tensors("foten-plus", sizes, untrained("foten-plus", sizes))
     for name in tensors:
         if name.endswith((".reflections", ".values", "level.out.weight", "level.out.bias", "level.exponents")):
             tensors[name] = 0 * tensors[name]
     phase = np.cumsum(0.1 * np.ones(data.innovation.shape), axis=1) if repeats else None
     model = LinearModel(sizes, tensors, phase)
-    of = innovations_of(model, blocks, 20, residual=True)
+    of = innovations_of(model, blocks, 20)
     np.testing.assert_allclose(of.innovation[:, 1:], blocks.samples[:, 1:, 0], rtol=1e-6, atol=1e-9)
     logs = model.level.logarithms(blocks.samples[..., 1:].reshape(-1, 2))
     inputs = innovation_inputs(of.innovation.ravel(), of.innovation.ravel(), logs).reshape(*of.innovation.shape, 5)
-    np.testing.assert_allclose(of.inputs[:, 1:, :5], inputs[:, 1:])
+    np.testing.assert_allclose(of.inputs[:, 1:], inputs[:, 1:])
     assert of.sign_symmetric == (sign_symmetric and not repeats)
-    if phase is not None:
-        np.testing.assert_allclose(of.inputs[..., 5:], phase_inputs(phase + 0.1), atol=1e-9)
-        assert innovations_of(model, blocks, 20).inputs.shape[2] == 5  # what predicts is given no phase
 
 
 def test_only_what_has_no_sign_is_mirrored() -> None:

@@ -13,7 +13,7 @@ from foten.dsp.tones import tone
 from foten.models.foten_plus.definition import Tones
 from foten.models.foten_plus.linear_model import LinearModel, fit_level, fit_linear_models
 from foten.models.foten_plus.sizes import FotenPlusSizes
-from foten.models.foten_plus.tones_fit import fit_residual, silent_tones, tonal_model
+from foten.models.foten_plus.tones_fit import fit_residual, tonal_model
 from foten.recording.preprocess import PreprocessConfig, preprocess
 from foten.recording.split import Split, split_blocks
 from foten.recording.trace import Trace
@@ -47,7 +47,7 @@ def test_a_prediction_knows_the_condition_of_the_sample_before_and_a_blocks_firs
 
 def with_tensors(**counts: Any) -> LinearModel:
     """A linear model of seeded tensors."""
-    sizes = FotenPlusSizes(**PLUS, network_in_loop=False, **counts)
+    sizes = FotenPlusSizes(**PLUS, **counts)
     return LinearModel(sizes, untrained_tensors("foten-plus", sizes, untrained("foten-plus", sizes)))
 
 
@@ -84,22 +84,6 @@ def test_innovations_beside_tones_are_of_what_the_tones_leave() -> None:
     _, e, _ = model.innovations(played, residual=True)
     assert np.abs(e).max() < 1e-9
     assert np.abs(model.innovations(played)[1]).max() > 0.1
-
-
-def test_silent_tones_leave_all_of_the_vibration_to_the_lattice() -> None:
-    """And have the tensors that their sizes name, with the phase and the wavelength of the tones that were fitted."""
-    blocks = moving_blocks()
-    linear = with_tensors(order=6, n_speed=3, n_force=2, gain_before_filter=True)
-    tonal = with_tensors(order=6, n_tones=2, residual_order=3)
-    tonal = dataclasses.replace(tonal, phase=np.ones((5, 300)))
-    silent = silent_tones(linear, tonal)
-    for ours, theirs in zip(silent.innovations(blocks, residual=True), linear.innovations(blocks), strict=True):
-        np.testing.assert_allclose(ours, theirs, atol=1e-9)
-    assert silent.phase is tonal.phase
-    names = ("tones.", "residual.")
-    shapes = {name: tensor.shape for name, tensor in silent.tensors.items() if name.startswith(names)}
-    assert shapes == {name: shape for name, shape in silent.sizes.tensor_shapes().items() if name.startswith(names)}
-    np.testing.assert_array_equal(silent.tensors["tones.phase_params"], tonal.tensors["tones.phase_params"])
 
 
 def test_a_steady_power_is_that_of_excitation_and_tones() -> None:

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from conftest import PLUS, SCALING, exported, packed, sizes_with, standardised, untrained
+from conftest import PLUS, SCALING, exported, packed, sizes_with, untrained
 from foten.dsp.lattice import LEAK, polynomial
 from foten.dsp.noise import innovation_likelihood
 from foten.models.definitions import model_of
 from foten.models.excitation import Excitation
-from foten.models.foten_plus.definition import FotenPlus, Mixture
+from foten.models.foten_plus.definition import FotenPlus, innovation_inputs
 from foten.models.foten_plus.sizes import FotenPlusSizes
 from foten.models.model_sizes import ModelSizes
 from foten.models.piecewise_ar.definition import PiecewiseAr
@@ -23,7 +23,6 @@ from foten.models.stream import Model, run
 from foten.models.texture_file import CLOSED_LOOP_TOLERANCE, ONE_STEP_TOLERANCE, Texture
 from foten.runtime.loops import predict_blocks, render_streams
 from foten.runtime.native import NativeState, NativeTexture, PredictionPart
-from test_innovation_network import mixtures
 from test_piecewise_ar import LOCAL
 from test_reference import CASES, sizes_for
 
@@ -107,41 +106,27 @@ def test_the_kernels_loop_is_the_references(key: str, variant: str) -> None:
             assert np.abs(expected).max() > 0.01 or (not texture.predicts_samples and noise is None)
 
 
-def deviation(mixture: Mixture) -> np.ndarray:
-    """Standard deviations of mixtures, (s,)."""
-    around = mixture.mean - mixture.expected()[:, None]
-    return np.sqrt((mixture.weight * (around**2 + mixture.scale**2)).sum(axis=1))
-
-
 def followed(
     model: Model, m: int, blocks: np.ndarray, part: PredictionPart
 ) -> tuple[np.ndarray, np.ndarray | None, np.ndarray | None, np.ndarray | None]:
     """The reference's predictions of recorded blocks, which it takes in sample by sample; with scales, z and nll."""
     n = blocks.shape[1]
     if isinstance(model, FotenPlus):
-        in_loop = model.sizes.network_in_loop and not model.sizes.n_tones
-        corrected = part == "model" or (part == "rendering" and in_loop)
-        stream = model._analysed(blocks[:, :m], model.lattice, model.network if corrected else None, calibrated=False)
-        conditions, predictions, units = model.with_speed(blocks[:, :, 1:]), [], []
+        stream, warm_up = model._analysed(blocks[:, :m], model.lattice)
+        hidden, network, predicted = np.zeros((len(blocks), model.network.n_hidden)), model.network, []
+        for inputs in warm_up[-model.sizes.window :]:
+            hidden = network.push(hidden, inputs)
         for t in range(m, n):
-            predictions.append(stream.predict())
-            units.append(np.sqrt(1 - stream.reflections**2).prod(axis=0) * stream.level)
-            x = blocks[:, t, 0] / stream.level
-            stream.advance(stream.analyse(blocks[:, t, 0]), x, conditions[:, t])
-        samples = np.stack([one.sample for one in predictions], axis=1)
-        if model.sizes.n_tones or corrected != in_loop:
+            correction = stream.linear()[1] * network.expected(hidden, inputs) if part == "model" else 0.0
+            predicted.append((stream.predict().sample + correction, stream.predict().scale))
+            x, e = blocks[:, t, 0] / stream.level, stream.analyse(blocks[:, t, 0])
+            stream.set_condition(model.with_speed(blocks[:, t, 1:]))
+            inputs = innovation_inputs(e, x, model.lattice.level.logarithms(blocks[:, t, 1:]))
+            hidden = network.push(hidden, inputs)
+        samples, scales = (np.stack(some, axis=1) for some in zip(*predicted, strict=True))
+        if part == "model" or model.sizes.n_tones:
             return samples, None, None, None
-        missed = (blocks[:, m:, 0] - samples).T
-        if not corrected:
-            both = zip(predictions, missed, strict=True)
-            scores = [(p.scale, *innovation_likelihood(miss, p.scale)) for p, miss in both]
-        else:
-            scores = []
-            for p, miss, unit in zip(predictions, missed, units, strict=True):
-                e = miss / unit + p.mixture.expected()
-                nll = np.log(unit) - p.mixture.log_density(e)
-                scores.append((unit * deviation(p.mixture), standardised(p.mixture, e), nll))
-        return samples, *(np.stack(some, axis=1) for some in zip(*scores, strict=True))
+        return samples, scales, *innovation_likelihood(blocks[:, m:, 0] - samples, scales)
     if isinstance(model, PiecewiseAr):
         local, local_predictions = model.start(blocks[:, :m]), []
         for t in range(m, n):
@@ -181,10 +166,7 @@ def test_the_kernel_predicts_recorded_samples_as_the_reference(key: str, variant
             np.testing.assert_allclose(predicted.standardised, standardised, rtol=10 * tolerance, atol=10 * tolerance)
             np.testing.assert_allclose(predicted.nll, nll, rtol=100 * tolerance, atol=100 * tolerance)
     if isinstance(texture.sizes, FotenPlusSizes):
-        corrected = predictions["model"].sample
-        assert np.abs(predictions["linear"].sample - corrected).max() > 1e-3
-        same = np.array_equal(predictions["rendering"].sample, corrected)
-        assert same == (texture.sizes.network_in_loop and not texture.sizes.n_tones)
+        assert np.abs(predictions["linear"].sample - predictions["model"].sample).max() > 1e-3
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf])
@@ -245,7 +227,7 @@ def test_a_sample_goes_by_the_condition_before_it(key: str, variant: str) -> Non
 
 def test_under_a_constant_condition_the_lattice_is_an_all_pole_filter() -> None:
     """Oracle: scipy.signal.lfilter and the step-up recursion; white noise in, and a recorded window that rings out."""
-    texture = exported("foten-plus", FotenPlusSizes(**{**PLUS, "order": 6, "network_in_loop": False}))
+    texture = exported("foten-plus", FotenPlusSizes(**{**PLUS, "order": 6}))
     native, model = NativeTexture(texture.to_bytes()), model_of(texture.sizes, texture.tensors)
     assert isinstance(model, FotenPlus)
     condition = np.tile([[[0.3, -0.2, 118.0]]], (2, 500, 1))
@@ -261,27 +243,10 @@ def test_under_a_constant_condition_the_lattice_is_an_all_pole_filter() -> None:
     np.testing.assert_allclose(render_streams(native, windows, condition, None)[0], impulse, rtol=1e-9, atol=1e-9)
 
 
-@pytest.mark.parametrize("seed", range(4))
-def test_a_draw_is_the_mixtures_quantile(seed: int) -> None:
-    """Seam: of components near and far, sharp and wide, at numbers as far out as noise goes."""
-    sizes, mixture = FotenPlusSizes(**{**PLUS, "order": 6, "n_components": 4}), mixtures(1, seed=seed)
-    outputs = [np.log(mixture.weight), mixture.mean, 6 * np.arctanh(np.log(mixture.scale) / 6)]
-    silent = np.zeros(sizes.tensor_shapes()["rendering_network.out.weight"])
-    bias = np.concatenate(outputs, axis=1)[0]
-    out = {"rendering_network.out.weight": silent, "rendering_network.out.bias": bias}
-    texture = exported("foten-plus", sizes, out)
-    noise = np.linspace(-5.7, 5.7, 115)[:, None]
-    windows, condition = np.zeros((len(noise), texture.window, 3)), np.zeros((len(noise), 1, 3))
-    expected = run(model_of(sizes, texture.tensors).start(windows), condition, noise)
-    drawn = render_streams(NativeTexture(texture.to_bytes()), windows, condition, noise)
-    assert (np.diff(drawn[:, 0]) > 0).all()
-    np.testing.assert_allclose(drawn, expected, rtol=1e-11, atol=1e-11)  # rounding, where hardly anything is near
-
-
 @pytest.mark.parametrize("largest", [(1.2, 1e6), (1e6, 0.15), (1.2, 0.15)])
-@pytest.mark.parametrize("variant", ["network-not-in-loop", "gain-before", "tones", "tones-and-no-network", "excited"])
+@pytest.mark.parametrize("variant", ["order-7", "gain-before", "tones", "excited"])
 def test_no_excitation_is_larger_than_the_largest_innovation(variant: str, largest: tuple[float, float]) -> None:
-    """In units of σ and in scaled acceleration; a network that predicts nothing leaves the excitation alone."""
+    """In units of σ and in scaled acceleration; a network of windows that predicts nothing leaves the excitation alone."""
     key = "foten" if variant == "excited" else "foten-plus"
     sizes = sizes_for(key, variant)
     bound = {"excitation.innovation_limit": np.array(largest)}
@@ -333,9 +298,9 @@ SWITCHED = [(0.0, 0.0, 0.0), (350.0, 4.0, 350.0)]  # mm/s, N and the path's mm/s
 
 
 @pytest.mark.parametrize("gain_before", [False, True])
-@pytest.mark.parametrize("in_loop", [False, True])
+@pytest.mark.parametrize("plays", [False, True])
 @pytest.mark.parametrize("tones", [False, True])
-def test_nothing_makes_it_grow(tones: bool, in_loop: bool, gain_before: bool) -> None:
+def test_nothing_makes_it_grow(tones: bool, plays: bool, gain_before: bool) -> None:
     """Windows of ±50 standard deviations, speed and force switched at every sample, noise at its bound; and the saturator.
 
     The reference's lattice can be looked at; the kernel renders the same samples.
@@ -343,8 +308,8 @@ def test_nothing_makes_it_grow(tones: bool, in_loop: bool, gain_before: bool) ->
     sizes = {**PLUS, "order": 6, "n_speed": 3, "n_force": 2}
     of_tones = {"n_tones": 3, "n_tone_speed": 4, "n_tone_force": 2, "residual_order": 4}
     gains = {"gain_before_filter": gain_before, "residual_gain_before_filter": gain_before}
-    family = FotenPlusSizes(**(sizes | of_tones if tones else sizes), **gains, network_in_loop=in_loop)
-    texture = exported("foten-plus", family, {"excitation.innovation_limit": np.array([9.0, 1e6])})
+    family = FotenPlusSizes(**(sizes | of_tones if tones else sizes), **gains, recorded=plays)
+    texture = exported("foten-plus", family, {"excitation.innovation_limit": np.array([2.5, 1e6])})
     model = model_of(family, texture.tensors)
     assert isinstance(model, FotenPlus)
     rng = np.random.default_rng(2)
@@ -358,10 +323,9 @@ def test_nothing_makes_it_grow(tones: bool, in_loop: bool, gain_before: bool) ->
     expected = run(stream, condition, noise)
     assert np.isfinite(expected).all()
     energy = np.square(stream.states).sum(axis=0)
-    # σ times the largest noise, or the largest innovation that the network may draw.
     known = np.concatenate([windows[:, -1:, 1:], condition[..., :2]], axis=1)  # of each sample the one before
     flat, limit = known.reshape(-1, 2), model.excitation.innovation_limit[0]
-    innovation = float(model.excitation.sigma(flat).max()) * (limit if in_loop else min(5.68, limit))
+    innovation = float(model.excitation.sigma(flat).max()) * limit
     before, after = model.excited_lattice.gains(model.excited_lattice.level(flat))
     innovation *= float(before.max())
     left = LEAK ** (2 * n)
@@ -369,7 +333,7 @@ def test_nothing_makes_it_grow(tones: bool, in_loop: bool, gain_before: bool) ->
     native = NativeTexture(texture.to_bytes())
     out = render_streams(native, windows, condition, noise)
     error = np.abs(out - expected) / np.maximum(1.0, np.abs(expected))
-    assert error.max() < 1e-8  # float64, whose last digits a network feeds back
+    assert error.max() < 1e-8  # float64
     loudest = np.sqrt(at_first.max() + innovation**2 / (1 - LEAK**2)) * float(after.max())
     if tones:
         tone = np.abs(texture.tensors["tones.values"]).sum(axis=1).max()

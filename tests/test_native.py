@@ -384,7 +384,7 @@ def test_a_slower_device_keeps_its_band_and_gets_no_more(native: NativeTexture, 
 @pytest.mark.parametrize("rate", [60.0, 250.0, 999.0, 1001.0, 8000.0])
 def test_a_constant_stays_itself_at_any_rate(rate: float) -> None:
     """Physics: a lattice without excitation dies away, and leaves the mean acceleration."""
-    sizes = FotenPlusSizes(**{**PLUS, "network_in_loop": False})
+    sizes = FotenPlusSizes(**PLUS)
     texture = exported("foten-plus", sizes, scaling={"mean": [0.7, 100.0, 1.0], "sd": list(SCALING.sd)})
     state = NativeState(NativeTexture(texture.to_bytes()), rate, excitation=False)
     out = held(state, int(20 * rate), 100.0)
@@ -553,7 +553,7 @@ def test_what_is_wrong_in_a_file_is_named(texture: Texture) -> None:
     sizes = dict(texture.card["sizes"])
     cases = [
         (bytes_of({"format_version": 1}), "format version"),
-        (bytes_of({"format_version": 4}), "format version 4, expected 5: train it again"),
+        (bytes_of({"format_version": 5}), "format version 5, expected 6: train it again: foten train RECORDING"),
         (bytes_of({"model": "gpt"}), "does not run"),
         (bytes_of({"rate_hz": 0}), "rate_hz"),
         (bytes_of({"window": 3}), "window"),
@@ -567,7 +567,7 @@ def test_what_is_wrong_in_a_file_is_named(texture: Texture) -> None:
         (bytes_of({"units": {**texture.card["units"], "acceleration": "g"}}), r"acceleration is not in m/s\^2"),
         (bytes_of({"units": {"acceleration": "relative", "force": "N"}}), "speed is not in mm/s"),
         (bytes_of({"sizes": {**sizes, "n_hidden": 0}}), "n_hidden"),
-        (bytes_of({"sizes": {**sizes, "network_in_loop": 1}}), "network_in_loop"),
+        (bytes_of({"sizes": {**sizes, "recorded": 1}}), "recorded"),
         (bytes_of({"sizes": {**sizes, "colour": 1}}), "size that this library does not know"),
         (bytes_of({"sizes": {**sizes, "phase_input": "angle"}}), "size that this library does not know"),
         (bytes_of({"sizes": {**sizes, "n_components": 65537}}), "n_components"),
@@ -601,7 +601,7 @@ def test_a_window_without_a_prediction_hides_no_other(texture: Texture) -> None:
 
 def test_silence_does_not_become_slow() -> None:
     """A lattice without excitation dies away: its state becomes zero before it becomes denormal."""
-    texture = exported("foten-plus", FotenPlusSizes(**{**PLUS, "network_in_loop": False}))
+    texture = exported("foten-plus", FotenPlusSizes(**PLUS))
     state = NativeState(NativeTexture(texture.to_bytes()), excitation=False)
     out = held(state, 2_000_000, 100.0)
     tail = out[-1000:] - out[-1]

@@ -22,7 +22,7 @@ from foten.evaluate.one_step import (
 from foten.models.definitions import model_of
 from foten.models.foten.sizes import FotenSizes
 from foten.models.foten_plus.sizes import FotenPlusSizes
-from foten.models.texture_file import ONE_STEP_TOLERANCE, Texture
+from foten.models.texture_file import ONE_STEP_TOLERANCE
 from foten.recording.windows import first_scored, windows
 from foten.runtime.loops import predict_blocks, render_streams
 from foten.runtime.native import NativeTexture
@@ -52,29 +52,17 @@ def test_a_texture_predicts_each_sample_from_its_history() -> None:
     np.testing.assert_allclose(predicted, expected, rtol=ONE_STEP_TOLERANCE, atol=ONE_STEP_TOLERANCE)
 
 
-def unscaled(sizes: FotenPlusSizes | FotenSizes) -> Texture:
-    """A texture whose network's innovations, where one is in the loop, are not scaled."""
-    tensors: dict[str, np.ndarray] = {}
-    if isinstance(sizes, FotenPlusSizes) and sizes.network_in_loop:
-        shapes = sizes.tensor_shapes()
-        tensors = {
-            f"excitation.{name}": np.zeros(shapes[f"excitation.{name}"])
-            for name in ("out.weight", "out.bias", "exponents")
-        }
-    return exported("foten" if isinstance(sizes, FotenSizes) else "foten-plus", sizes, tensors)
-
-
 @pytest.mark.parametrize(
     "sizes",
     [
         FotenPlusSizes(**{**PLUS, "order": 6}),
-        FotenPlusSizes(**{**PLUS, "order": 6, "network_in_loop": False, "gain_before_filter": True}),
+        FotenPlusSizes(**{**PLUS, "order": 6, "gain_before_filter": True}),
         FotenSizes(**SMALL, excitation=True),
     ],
 )
 def test_scores_of_a_texture_on_its_own_loop_are_those_of_the_noise(sizes: FotenPlusSizes | FotenSizes) -> None:
     """Recovery: the errors of the prediction that a rendering uses, taken back through the scale, are what was drawn."""
-    texture = unscaled(sizes)
+    texture = exported("foten" if isinstance(sizes, FotenSizes) else "foten-plus", sizes)
     native, rng = NativeTexture(texture.to_bytes()), np.random.default_rng(2)
     m, k = texture.window, 3000
     condition = np.cumsum(0.02 * rng.standard_normal((1, k, 3)), axis=1).clip(-1, 1)
@@ -100,18 +88,13 @@ def test_scores_are_of_the_prediction_that_a_rendering_uses() -> None:
     """The excitation of a rendering without the network says nothing of the errors of a prediction with it."""
     samples = np.random.default_rng(0).standard_normal((240, 3))
     n = np.array([[60], [180]]) + np.arange(50)
-    nlls = []
-    for in_loop in (False, True):
-        texture = unscaled(FotenPlusSizes(**{**PLUS, "network_in_loop": in_loop}))
-        native = NativeTexture(texture.to_bytes())
-        scores = excitation_scores(native, samples, n, np.ones(n.shape, dtype=bool))
-        rows = np.stack([samples[row[0] - texture.window : row[-1] + 1] for row in n])
-        predicted = predict_blocks(native, rows, "rendering")
-        other = predict(native, samples, n, "linear" if in_loop else "model").sample
-        assert np.abs(other - predicted.sample).max() > 1e-3
-        assert scores["nll"] == pytest.approx(predicted.nll.mean())
-        nlls.append(scores["nll"])
-    assert nlls[0] != nlls[1]
+    texture = exported("foten-plus", FotenPlusSizes(**PLUS))
+    native = NativeTexture(texture.to_bytes())
+    scores = excitation_scores(native, samples, n, np.ones(n.shape, dtype=bool))
+    rows = np.stack([samples[row[0] - texture.window : row[-1] + 1] for row in n])
+    predicted = predict_blocks(native, rows, "linear")
+    assert np.abs(predict(native, samples, n, "model").sample - predicted.sample).max() > 1e-3
+    assert scores["nll"] == pytest.approx(predicted.nll.mean())
 
 
 def test_where_a_rendering_has_tones_the_error_is_not_known() -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
@@ -15,10 +14,8 @@ import pytest
 from conftest import PLUS, sizes_with
 from foten.baselines.sizes import TRAINABLE
 from foten.models.foten.sizes import FotenSizes
-from foten.models.foten_plus import closed_loop_training
 from foten.models.foten_plus import fit as foten_plus
 from foten.models.foten_plus import network as innovation
-from foten.models.foten_plus.sizes import FotenPlusSizes
 from foten.models.texture_file import Texture, texture_from_bytes
 from foten.recording.preprocess import PreprocessConfig
 from foten.recording.recording import Recording
@@ -26,7 +23,7 @@ from foten.runtime.renderer import Renderer
 from foten.simulation.simulate import simulate
 from foten.training.config import TrainConfig
 from foten.training.job import ScaledBlocks, Trained, TrainingJob
-from foten.training.loop import Checkpoint, Epoch, Monitor, Progress
+from foten.training.loop import Checkpoint, Monitor, Progress
 from foten.training.pipeline import FITS, train
 
 SMALL = {"d_model": 8, "n_heads": 2, "n_layers": 2, "d_feedforward": 16, "head": (16, 8), "spectral_width": 8, **PLUS}
@@ -41,8 +38,6 @@ def brief() -> Any:
     """Fit networks for a few steps."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(innovation, "N_STEPS", 10)
-        for name, value in {"N_STEPS": 2, "N_EXCERPTS": 6, "N_KNOWN": 40, "N_VALIDATIONS": 1}.items():
-            patch.setattr(closed_loop_training, name, value)
         yield
 
 
@@ -88,7 +83,9 @@ def test_a_texture_is_playable_before_the_network_is_fitted(recording: Recording
     monitor = Monitor(on_epoch=lambda line: happened.append(line.epoch), on_playable=happened.append)
     again = train(job_of(recording), monitor)
     assert isinstance(happened[0], Texture)
-    assert happened[1:] == [0, 1, 2]
+    *others, first, second, third = happened[1:]
+    assert all(isinstance(one, Texture) for one in others)
+    assert (first, second, third) == (0, 1, 2)
     playable = texture_from_bytes(happened[0].to_bytes())
     k = PLUS["n_components"]
     assert not playable.tensors["network.out.weight"][k : 2 * k].any()  # the means of its mixture
@@ -105,29 +102,26 @@ def test_a_texture_is_playable_before_the_network_is_fitted(recording: Recording
     assert again.texture.to_bytes() == trained.texture.to_bytes()
 
 
-@pytest.mark.parametrize(("chosen", "n_written"), [(0, 1), (-1, 2)])
+@pytest.mark.parametrize("chosen", [0, -1])
 def test_the_first_linear_model_is_playable_before_it_is_compared(
-    chosen: int, n_written: int, recording: Recording, monkeypatch: pytest.MonkeyPatch
+    chosen: int, recording: Recording, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """And another one that is nearer takes its place."""
+    """And what is chosen takes its place before the network is fitted."""
     happened: list[str] = []
-    fitted, distance, best = foten_plus.fit_linear_models, foten_plus._distance, foten_plus.best_candidate
+    fitted, best = foten_plus.fit_linear_models, foten_plus.best_candidate
 
     def two_alike(*arguments: Any) -> list[Any]:
         first = fitted(*arguments)[0]
         return [first, replace(first)]
 
-    def compared(*arguments: Any) -> float | None:
-        happened.append("compared")
-        return distance(*arguments)
+    def compared(candidates: Any) -> Any:
+        happened.append("compared" if len(candidates) > 1 else "reported")
+        return best([candidates[chosen]])
 
     monkeypatch.setattr(foten_plus, "fit_linear_models", two_alike)
-    monkeypatch.setattr(foten_plus, "_distance", compared)
-    monkeypatch.setattr(foten_plus, "best_candidate", lambda candidates: best([candidates[chosen]]))
+    monkeypatch.setattr(foten_plus, "best_candidate", compared)
     train(job_of(recording, epochs=0), Monitor(on_playable=lambda texture: happened.append("playable")))
-    assert happened[0] == "playable"
-    assert happened.count("playable") == n_written
-    assert "compared" in happened
+    assert happened == ["reported", "playable", "compared", "reported", "playable"]
 
 
 def test_where_the_network_gains_nothing_the_texture_renders_as_the_playable_one(recording: Recording) -> None:
@@ -141,9 +135,6 @@ def test_where_the_network_gains_nothing_the_texture_renders_as_the_playable_one
     assert set(texture.tensors) == set(playable[-1].tensors)
     for name, tensor in playable[-1].tensors.items():
         np.testing.assert_array_equal(texture.tensors[name], tensor, name)
-
-
-LOOPS = ("network", "phase-conditioned network", "closed loop")
 
 
 class InterruptedCheckpoint(Checkpoint):
@@ -161,62 +152,17 @@ class InterruptedCheckpoint(Checkpoint):
             raise KeyboardInterrupt
 
 
-FITTED: dict[str, Any] = {}  # of the mesh, whose linear models are always the same
-
-
-@pytest.fixture
-def mesh(monkeypatch: pytest.MonkeyPatch) -> TrainingJob:
-    """A job of a surface that repeats, all of whose loops are run."""
-
-    def once(name: str) -> Callable[..., Any]:
-        fit = getattr(foten_plus, name)
-
-        def fit_once(*arguments: object) -> Any:
-            if name not in FITTED:
-                FITTED[name] = fit(*arguments)
-            return FITTED[name]
-
-        return fit_once
-
-    monkeypatch.setattr(foten_plus, "MIN_GAIN_NAT", -1e3)  # whatever the networks gain
-    monkeypatch.setattr(foten_plus, "equalised", lambda it, *_: replace(it, distance=float(not it.rendering_network)))
-    for name in ("fit_level", "fit_linear_models", "fit_residual", "best_linear_model"):
-        monkeypatch.setattr(foten_plus, name, once(name))
-    sizes, config = FotenPlusSizes(**PLUS), replace(QUICK, tones=True)
-    return TrainingJob(simulate("steel-mesh-1", 9.0), "foten-plus", sizes, config, SECONDS)
-
-
-@pytest.fixture
-def of_mesh(mesh: TrainingJob) -> Trained:
-    """Its training without an interruption: the log is of the network that predicts, and stages say of the others."""
-    if "trained" not in FITTED:
-        lines, stages = list[Epoch](), list[str]()
-        FITTED["trained"] = train(mesh, Monitor(on_epoch=lines.append, on_stage=stages.append))
-        assert lines == FITTED["trained"].progress.epochs
-        assert "training a network that is given the phase of the surface" in stages
-        in_loop = "training the network in its closed loop: "
-        assert [stage for stage in stages if in_loop in stage] == [f"{in_loop}{n} %" for n in (0, 50, 100)]
-    trained: Trained = FITTED["trained"]
-    assert trained.texture.sizes.n_tones  # type: ignore[attr-defined]
-    return trained
-
-
-@pytest.mark.parametrize("loop", LOOPS)
-def test_a_training_goes_on_in_the_loop_where_it_was_interrupted(
-    mesh: TrainingJob, of_mesh: Trained, loop: str, tmp_path: Path
-) -> None:
-    """Three loops in one checkpoint: in each Ctrl-C keeps the best, is reported, and the resumed run ends with the same bytes."""
-    assert not of_mesh.progress.interrupted
-    path = tmp_path / "checkpoint.pt"
-    checkpoint = InterruptedCheckpoint(path, mesh.config, loop)
-    interrupted = train(mesh, Monitor(checkpoint=checkpoint))
-    n = LOOPS.index(loop)
-    assert checkpoint.saved == [*(name for name in LOOPS[:n] for _ in range(2)), loop]
+def test_a_training_goes_on_where_it_was_interrupted(recording: Recording, trained: Trained, tmp_path: Path) -> None:
+    """Ctrl-C keeps the best, is reported, and the resumed run ends with the same bytes."""
+    assert not trained.progress.interrupted
+    job, path = job_of(recording), tmp_path / "checkpoint.pt"
+    checkpoint = InterruptedCheckpoint(path, job.config, "network")
+    interrupted = train(job, Monitor(checkpoint=checkpoint))
     assert interrupted.progress.interrupted
     assert rendered(interrupted.texture).std() > 0
-    assert interrupted.texture.to_bytes() != of_mesh.texture.to_bytes()
-    again = train(mesh, Monitor(checkpoint=Checkpoint(path, mesh.config, resume=True)))
-    assert again.texture.to_bytes() == of_mesh.texture.to_bytes()
+    assert interrupted.texture.to_bytes() != trained.texture.to_bytes()
+    again = train(job, Monitor(checkpoint=Checkpoint(path, job.config, resume=True)))
+    assert again.texture.to_bytes() == trained.texture.to_bytes()
     assert not again.progress.interrupted
     assert [line.epoch for line in again.progress.epochs] == [0, 1, 2]
 
@@ -277,7 +223,6 @@ def test_the_test_blocks_have_no_say(recording: Recording, monkeypatch: pytest.M
 
     And only foten-plus is playable before a network is fitted.
     """
-    monkeypatch.setattr(foten_plus, "MIN_GAIN_NAT", -1e3)  # with its network trained in the closed loop
     sizes = sizes_with(model, SMALL) if model == "foten-plus" else TRAINABLE[model]()
     job = TrainingJob(recording, model, sizes, replace(QUICK, epochs=1), SECONDS)
     playable: list[Texture] = []

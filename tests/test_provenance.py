@@ -112,7 +112,7 @@ def result() -> dict[str, Any]:
     evaluation = {**{name: figures for name in runs}, "references": {"zero": figures}, "rate_hz": 1000.0}
     evaluation |= {"n_blocks": 2, "split_sha256": "ab"}
     seconds = {"training": 1.0, "evaluation": 1.0}
-    empty = {"signals": None, "n_epochs": 1, "measures": {}, "network_in_loop": None, "file_bytes": 1}
+    empty = {"signals": None, "n_epochs": 1, "measures": {}, "random_part": None, "file_bytes": 1}
     return {"evaluation": evaluation, "seconds": seconds, **empty}
 
 

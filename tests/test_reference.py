@@ -35,17 +35,15 @@ VARIANTS: dict[str, dict[str, Any]] = {
 PLUS_VARIANTS: dict[str, dict[str, Any]] = {
     "small": PLUS,
     "one-component": {**PLUS, "n_components": 1},
-    "network-not-in-loop": {**PLUS, "network_in_loop": False, "order": 7},
+    "order-7": {**PLUS, "order": 7},
     "a-table": {**PLUS, "order": 7, "n_speed": 4, "n_force": 3},
     "tones": {**PLUS, "order": 5, "n_tones": 3, "n_tone_speed": 5, "n_tone_force": 2, "residual_order": 8},
     "gain-before": {**PLUS, "order": 7, "n_speed": 4, "n_force": 3, "gain_before_filter": True},
-    "gain-before-not-in-loop": {**PLUS, "order": 7, "gain_before_filter": True, "network_in_loop": False},
     "equalised": {**PLUS, "order": 7, "equalised": True},
-    "equalised-tones": {**PLUS, "n_tones": 2, "residual_order": 6, "equalised": True, "network_in_loop": False},
+    "equalised-tones": {**PLUS, "n_tones": 2, "residual_order": 6, "equalised": True},
     "gain-before-of-the-residual": {**PLUS, "n_tones": 2, "residual_order": 6, "residual_gain_before_filter": True},
     "gain-before-of-one-of-two": {**PLUS, "order": 5, "n_tones": 2, "residual_order": 6, "gain_before_filter": True},
     "tones-on-a-table": {**PLUS, "n_tones": 2, "n_tone_speed": 4, "n_residual_speed": 3, "n_residual_force": 2},
-    "tones-and-no-network": {**PLUS, "n_tones": 2, "residual_order": 6, "network_in_loop": False},
     # Layers as wide as they are trained, and some that end a little after a panel of 16.
     "usual-widths": {"window": 12, "n_tones": 2, "residual_order": 6},
     "widths-of-no-panel": {"window": 12, "n_hidden": 10, "head_width": 17, "n_components": 7, "n_tones": 1},
@@ -139,22 +137,6 @@ def test_what_a_stream_begins_with_is_chance_alone(sizes: dict[str, Any]) -> Non
     one, same, other = (run(stream, np.tile(condition[:, None], (1, 50, 1)), None) for stream in streams)
     np.testing.assert_array_equal(one, same)
     assert (one[:, 0] != other[:, 0]).all()
-
-
-@pytest.mark.parametrize("n_tones", [0, 2])
-def test_a_network_in_the_loop_begins_with_samples_of_its_own(n_tones: int) -> None:
-    """As many as it takes in before it is asked; the last of them is the lattice's own last one."""
-    sizes = FotenPlusSizes(**PLUS, order=6, residual_order=6, n_tones=n_tones)
-    model = model_of(sizes, exported("foten-plus", sizes).tensors)
-    condition = np.array([[0.3, -0.2, 118.0]])
-    stream: Any = model.start(np.zeros((1, sizes.history, 3)))
-    assert stream.n_initial == 6 + bool(n_tones) * 2 + sizes.window
-    stream.begin(condition, np.random.default_rng(4).standard_normal((1, stream.n_initial)))
-    assert (np.abs(stream.hidden_state) > 1e-3).all()
-    # With the gain after the filter, what leaves over the level is b₀; σ is a part of the level then.
-    sigma = stream.model.excitation.sigma(condition[:, :2])
-    assert stream.inputs[0, 2] == pytest.approx(float(stream.states[0, 0] / sigma[0]) / 2)
-    np.testing.assert_allclose(stream.inputs[0, 3:5], stream.logs[0])
 
 
 def test_a_prediction_may_be_taken_twice() -> None:

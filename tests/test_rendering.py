@@ -67,10 +67,9 @@ def test_standing_still_or_lifted_off_it_is_silent(
         np.testing.assert_array_equal(renderer.render(*steady(50, speed, force)), 0.0)
 
 
-@pytest.mark.parametrize("in_loop", [False, True])
-def test_with_the_gain_before_the_filter_what_rang_rings_out(in_loop: bool) -> None:
+def test_with_the_gain_before_the_filter_what_rang_rings_out() -> None:
     """As a tool does that comes to rest: by the lattice alone, to nothing. Oracle: its direct form, of which no input is left."""
-    sizes = FotenPlusSizes(**PLUS, order=6, gain_before_filter=True, network_in_loop=in_loop)
+    sizes = FotenPlusSizes(**PLUS, order=6, gain_before_filter=True)
     texture = exported("foten-plus", sizes)
     model = model_of(sizes, texture.tensors)
     assert isinstance(model, FotenPlus)
@@ -206,7 +205,7 @@ def test_any_stroke_gives_a_finite_bounded_vibration(
 )
 def test_a_stroke_begins_as_if_its_condition_had_always_been_there(sizes: dict[str, Any]) -> None:
     """As loud and of the same colour from the first sample on, over many streams, as half a second later."""
-    family = FotenPlusSizes(**{**PLUS, "network_in_loop": False, **sizes})
+    family = FotenPlusSizes(**{**PLUS, **sizes})
     texture = exported("foten-plus", family)
     out = streams(texture, 3000, *steady(640, *LOW)) - SCALING.mean[0]
 
@@ -220,18 +219,9 @@ def test_a_stroke_begins_as_if_its_condition_had_always_been_there(sizes: dict[s
     np.testing.assert_allclose(first, settled, atol=0.09 * settled[0])
 
 
-@pytest.mark.parametrize("family", ["foten", "foten-plus"])
-def test_a_stroke_of_a_network_in_the_loop_begins_settled(family: str) -> None:
+def test_a_stroke_of_a_network_in_the_loop_begins_settled() -> None:
     """The first samples are as loud as those half a second later: a window's length was run before them."""
-    if family == "foten":
-        texture = exported("foten", FotenSizes(**{**SMALL, "n_layers": 1, "window": 8}, excitation=True))
-    else:
-        # Trained, its innovations are of unit size, as those of a recording are.
-        sizes = FotenPlusSizes(**PLUS, order=6)
-        weight, unit = exported("foten-plus", sizes).tensors["network.out.weight"], dict[str, np.ndarray]()
-        for name in ("network", "rendering_network"):
-            unit |= {f"{name}.out.weight": 0.1 * weight, f"{name}.out.bias": np.zeros(9)}
-        texture = exported("foten-plus", sizes, unit)
+    texture = exported("foten", FotenSizes(**{**SMALL, "n_layers": 1, "window": 8}, excitation=True))
     out = streams(texture, 1000, *steady(120)) - SCALING.mean[0]
     out -= out[:, 60:].mean()
     settled = np.square(out[:, 60:]).mean()
@@ -284,9 +274,7 @@ def test_states_of_one_texture_do_not_disturb_each_other(texture: Texture) -> No
 @pytest.mark.parametrize("gain_before_filter", [False, True])
 def test_the_level_follows_the_excitation(gain_before_filter: bool) -> None:
     """The lattice has unit gain, whatever its reflections: the vibration is as loud as level times excitation."""
-    sizes = FotenPlusSizes(
-        **{**PLUS, "order": 6, "n_speed": 3, "n_force": 2}, network_in_loop=False, gain_before_filter=gain_before_filter
-    )
+    sizes = FotenPlusSizes(**{**PLUS, "order": 6, "n_speed": 3, "n_force": 2}, gain_before_filter=gain_before_filter)
     texture = exported("foten-plus", sizes)
     model = model_of(sizes, texture.tensors)
     assert isinstance(model, FotenPlus)

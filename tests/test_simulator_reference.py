@@ -41,7 +41,7 @@ def untrained() -> Texture:
 def linear() -> tuple[Recording, Texture]:
     """A linear process, and what a linear fit learns of it."""
     recording = simulate("linear-cloth", 24.0, seed=1)
-    config = TrainConfig(epochs=0, batch=64, threads=1, closed_loop_training=False, max_order=20, tones=False)
+    config = TrainConfig(epochs=0, batch=64, threads=1, max_order=20, tones=False)
     return recording, train(TrainingJob(recording, "foten-plus", FotenPlusSizes(**PLUS), config, CUT)).texture
 
 

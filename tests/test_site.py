@@ -346,18 +346,18 @@ def test_what_is_quicker_is_quicker_by_a_tenth_and_measured(
 
 def test_what_does_not_forget_is_named_with_its_network(monkeypatch: pytest.MonkeyPatch) -> None:
     tables = made_by("tables")
-    watched = {"stability.max_sd": 9.0, "network_in_loop": True}
+    watched = {"stability.max_sd": 9.0, "random_part": "recorded"}
     of = {
         "main-contact": [
             {"texture": "canvas", **watched, "stability.forgets_s": None},
             {"texture": "cork", **watched, "stability.forgets_s": 0.2},
             {"texture": "cork", **watched, "stability.max_sd": None},  # a second split, which is not measured
         ],
-        "main-linear": [{"texture": "linear-hum", **watched, "stability.forgets_s": None, "network_in_loop": False}],
+        "main-linear": [{"texture": "linear-hum", **watched, "stability.forgets_s": None, "random_part": "noise"}],
     }
     monkeypatch.setattr(tables, "runs", lambda name: of.get(name, []))
-    with_network, without = "canvas (with the network in the loop)", "linear-hum (without the network in the loop)"
-    assert tables.chaotic() == f"Still apart at the end: {without}, {with_network}."
+    playing, noisy = "canvas (recorded)", "linear-hum (noise)"
+    assert tables.chaotic() == f"Still apart at the end: {noisy}, {playing}."
     of["main-contact"].pop(0)
     of["main-linear"].clear()
     assert tables.chaotic() == "All renderings forget within that time."
@@ -620,17 +620,21 @@ def test_sentences_on_compared_systems_hold_in_the_csv_files(tables: ModuleType)
         assert np.mean(worse) > 0, model
 
 
-def test_a_difference_of_areas_varies_by_that_between_two_recordings(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_part_is_worth_what_is_lost_without_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A fit that it does not change has no row without it, and counts as no gain."""
     tables = made_by("tables")
-    areas = {("a", 1): (0.6, 0.7), ("a", 2): (0.6, 0.8), ("b", 1): (0.5, 0.9), ("b", 2): (0.7, 0.9)}
-    records = [
-        {"texture": texture, "split": split, "method": method, "validation_listener.area": area}
-        for (texture, split), both in areas.items()
-        for method, area in zip(("default", "no network"), both, strict=True)
+    areas = {"a": (0.6, 0.7), "b": (0.5, 0.5), "linear-c": (0.5, 0.6)}
+    rows = [
+        {"approach": approach, "half": "choosing", "surface": surface, "fit": "1", "ideal": f"{area}"}
+        for surface, both in areas.items()
+        for approach, area in zip(("with", "without"), both, strict=True)
+        if (surface, approach) != ("b", "without")
     ]
-    monkeypatch.setattr(tables, "records_of", lambda name: records)
-    variances = (0.1**2 / 2, 0.2**2 / 2)  # of 0.1 and 0.2, and of 0.4 and 0.2
-    assert tables.varies_by() == pytest.approx(np.sqrt(np.mean(variances)))
+    monkeypatch.setattr(tables, "csv_rows", lambda name: rows)
+    monkeypatch.setattr(tables, "PARTS", {"tones": ("with", "without")})
+    assert [tuple(row) for row in tables.parts().cells()[1:]] == [
+        ("tones", "2 of 3", "+0.050 ± 0.050", "+0.100 ± 0.000")
+    ]
 
 
 def test_pairs_of_the_same_pens_are_not_independent() -> None:

@@ -1,4 +1,4 @@
-"""The training kernel in C: its structures are those of its source, its layers PyTorch's, its roll-outs the definition's."""
+"""The training kernel in C: its structures are those of its source, its layers PyTorch's."""
 
 from __future__ import annotations
 
@@ -10,19 +10,15 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 import torch
-from scipy.stats import norm
 from torch import Tensor
 
 from foten.models.foten import transformer
 from foten.models.foten.transformer import EncoderLayer
-from foten.models.foten_plus.definition import Mixture
 from foten.training import encoder_kernel
 from foten.training import training_kernel as kernel
 from foten.training.dropout import bits_from, random_bits, set_dropout
-from foten.training.training_kernel import MAX_ADJOINT, WEIGHT_NAMES, Rollout, RolloutInputs, RolloutState
 
 C_SOURCES = Path(__file__).parents[1] / "native/training"
 
@@ -53,7 +49,7 @@ def test_hidden_states_in_double_are_pytorchs_own() -> None:
 @pytest.mark.parametrize(
     "structure",
     [
-        *(kernel.RecurrentUnit, kernel.RolloutBatch, kernel.RolloutGradients, kernel.LatticeBlocks, kernel.Deviations),
+        *(kernel.RecurrentUnit, kernel.LatticeBlocks, kernel.Deviations),
         *(encoder_kernel.EncoderLayer, encoder_kernel.EncoderGradients),
     ],
 )
@@ -74,105 +70,6 @@ def test_structures_are_laid_out_as_in_c(structure: type[ctypes.Structure]) -> N
     assert {array for array, kind in arrays.items() if kind == "double"} == kernel._DOUBLES & set(arrays)
     assert {array for array, kind in arrays.items() if kind == "int"} == kernel._INTEGERS & set(arrays)
     assert f"GATES = {kernel.GATES} " in source
-
-
-Inputs = tuple[RolloutInputs, RolloutState]
-
-
-def streams(s: int, n: int, p: int, rng: np.random.Generator, gain_before: bool) -> Inputs:
-    def single(values: np.ndarray) -> np.ndarray:
-        return values.astype(np.float32)
-
-    reflections = np.ascontiguousarray(single(rng.uniform(-0.7, 0.7, (s, n, p))).transpose(1, 2, 0))
-    level, logs = single(rng.uniform(0.5, 2.0, (s, n))), single(rng.standard_normal((s, n, 2)))
-    states, hidden, inputs = (single(rng.standard_normal(shape)) for shape in ((s, p), (s, 6), (s, 5)))
-    return RolloutInputs(reflections, level, logs, gain_before, 50.0), RolloutState(states, hidden, inputs)
-
-
-def weights(k: int, rng: np.random.Generator) -> dict[str, np.ndarray]:
-    shapes = [(18, 5), (18, 6), (18,), (18,), (7, 11), (7,), (3 * k, 7), (3 * k,)]
-    return {
-        name: (0.4 * rng.standard_normal(shape)).astype(np.float32)
-        for name, shape in zip(WEIGHT_NAMES, shapes, strict=True)
-    }
-
-
-def mixture_of(out: np.ndarray) -> Mixture:
-    """What outputs (s, 3k) of a network say."""
-    logit, mean, log_scale = np.split(out.astype(float), 3, axis=1)
-    weight = np.exp(logit)
-    return Mixture(weight / weight.sum(axis=1, keepdims=True), mean, np.exp(6 * np.tanh(log_scale / 6)))
-
-
-@pytest.mark.parametrize("gain_before", [False, True])
-@pytest.mark.parametrize("p", [1, 2, 9])
-@pytest.mark.parametrize("of_isa", ["portable", kernel.isa()])
-def test_gradients_are_those_of_finite_differences(
-    of_isa: str, p: int, gain_before: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Of one Gaussian, whose draw μ + s z moves with the weights; of a mixture the draw's own derivative is below.
-
-    In float32 a central difference of 1e-2 is good to a per cent of the largest.
-    """
-    monkeypatch.setattr(kernel, "_function", lambda name: getattr(kernel.training_library(), f"{name}_{of_isa}"))
-    rng = np.random.default_rng(3)
-    inputs, state = streams(3, 12, p, rng, gain_before)
-    at, of = weights(1, rng), rng.standard_normal((3, 12)).astype(np.float32)
-
-    def loss(changed: dict[str, np.ndarray]) -> float:
-        return float((Rollout(changed, inputs, state, np.random.default_rng(4)).residual.astype(float) * of).sum())
-
-    gradients = Rollout(at, inputs, state, np.random.default_rng(4)).gradients(of, np.inf)
-    for name, gradient in gradients.items():
-        largest = float(np.abs(gradient).max())
-        for number in rng.choice(gradient.size, min(6, gradient.size), replace=False):
-            ends = []
-            for step in (-1e-2, 1e-2):
-                changed = {**at, name: at[name].copy()}
-                changed[name].flat[number] += step
-                ends.append(loss(changed))
-            assert float(gradient.flat[number]) == pytest.approx((ends[1] - ends[0]) / 2e-2, abs=0.02 * largest + 1e-3)
-
-
-def test_a_chaotic_stream_does_not_drown_the_others() -> None:
-    """Weights eight times as large let a difference grow with each sample; held, a gradient is of the size of one sample's."""
-    rng = np.random.default_rng(8)
-    inputs, state = streams(3, 400, 2, rng, False)
-    at = {name: 8 * weight for name, weight in weights(1, rng).items()}
-    of = np.ones((3, 400), np.float32)
-    free, held = (
-        max(float(np.abs(part).max()) for part in Rollout(at, inputs, state, drawn).gradients(of, limit).values())
-        for limit, drawn in ((np.inf, np.random.default_rng(1)), (MAX_ADJOINT, np.random.default_rng(1)))
-    )
-    assert free > 1e6
-    assert held < 1e4
-
-
-def test_a_draw_moves_as_its_quantile_does() -> None:
-    """∂e/∂θ at one probability, against the definition's quantile at the same z."""
-    rng = np.random.default_rng(5)
-    inputs, state = streams(40, 1, 3, rng, False)
-    run = Rollout(weights(4, rng), inputs, state, rng)
-    derivative, out = run._draw_derivatives()[0], run._out[0].astype(float)
-    now = mixture_of(out)
-    z = norm.ppf((now.weight * norm.cdf((run.innovation[0][:, None] - now.mean) / now.scale)).sum(axis=1))
-    for column in range(out.shape[1]):
-        step = np.zeros_like(out)
-        step[:, column] = 1e-5
-        expected = (mixture_of(out + step).quantile(z) - mixture_of(out - step).quantile(z)) / 2e-5
-        np.testing.assert_allclose(derivative[:, column], expected, rtol=2e-3, atol=2e-4)
-
-
-def test_draws_are_distributed_as_the_network_says() -> None:
-    """Kolmogorov and Smirnov's distance of 20,000 draws from one mixture of four; 1.95 / √n is its 0.1 % quantile."""
-    n, rng = 20_000, np.random.default_rng(9)
-    inputs, state = streams(1, 1, 1, rng, False)
-    run = Rollout(weights(4, rng), inputs, state, rng, n)
-    mixture = mixture_of(run._out[0, :1])
-    assert 1 - (mixture.weight**2).sum() > 0.5  # which no component alone is
-    drawn = np.sort(run.innovation[0].astype(float))
-    below = (mixture.weight * norm.cdf((drawn[:, None] - mixture.mean) / mixture.scale)).sum(axis=1)
-    assert np.abs(below - (np.arange(n) + 0.5) / n).max() < 1.95 / np.sqrt(n)
 
 
 Layer = Callable[[EncoderLayer], tuple[Tensor, list[Tensor]]]

@@ -108,9 +108,9 @@ def average(of: Callable[[Record], float], spec: str = ".2f") -> Callable[[Recor
     return lambda records: format(np.mean([of(record) for record in records]), spec)
 
 
-def in_loop(records: Records) -> str:
-    """In how many runs a rendering uses the network."""
-    return f"{sum(bool(record['network_in_loop']) for record in records)} of {len(records)}"
+def playing(records: Records) -> str:
+    """In how many runs a rendering plays recorded innovations."""
+    return f"{sum(record['random_part'] == 'recorded' for record in records)} of {len(records)}"
 
 
 def place_of(record: Record) -> tuple[Any, ...]:

@@ -46,12 +46,12 @@ from csv_records import (
     average,
     core_hours,
     csv_rows,
-    in_loop,
     mean,
     mean_of,
     note_of,
     of_file,
     place_of,
+    playing,
     records_of,
     runs,
     runs_of,
@@ -60,8 +60,8 @@ from csv_records import (
 )
 from foten.atomic_write import atomic_write
 from foten.experiments.experiment import experiment_path, read_experiment
-from foten.experiments.method_tables import brief, ratios, same_blocks
-from foten.experiments.results import Record, Records, chosen, read_records, runs_table
+from foten.experiments.method_tables import brief, same_blocks
+from foten.experiments.results import Record, Records, read_records, runs_table
 from foten.reporting.table import Number, Table, mean_number
 from foten.simulation import contact_mechanics, linear_family, simulate
 from paper_tables import interval, over_textures
@@ -92,7 +92,7 @@ def readme_systems() -> Table:
 
 def readme_notes() -> str:
     """Sentences on what the figures of the README rest on."""
-    network = f"A rendering uses the network in {in_loop([one for name in MAIN for one in runs(name)])} runs."
+    network = f"A rendering plays recorded innovations in {playing([one for name in MAIN for one in runs(name)])} runs."
     seconds = map(
         "{} table: {}".format, ("First", "Second"), map(paper_tables.seconds_of_test, (REAL_10, REAL_TABLE_1))
     )
@@ -132,7 +132,7 @@ def short() -> Table:
         ("LSD ÷ AR(20)", mean(LSD, AR_LSD)),
         ("LSD ÷ ceiling", mean(LSD, CEILING)),
         ("level error ÷ ceiling", mean(LEVEL, CEILING_LEVEL)),
-        ("in the loop", in_loop),
+        ("plays recorded", playing),
     )
     return table(("",), {title: beside_foten(name) for name, title in MAIN.items()}, columns)
 
@@ -146,7 +146,7 @@ def by_texture(*names: str) -> Table:
         ("LSD ÷ AR(20)", mean(LSD, AR_LSD)),
         ("÷ ceiling", mean(LSD, CEILING)),
         ("level error ÷ ceiling", mean(LEVEL, CEILING_LEVEL)),
-        ("in the loop", in_loop),
+        ("plays recorded", playing),
     )
     rows: dict[str, list[Record]] = {}
     for name in names:
@@ -199,7 +199,7 @@ def stability() -> Table:
 def chaotic() -> str:
     """Sentence on the textures whose renderings from two windows are still apart when they are no longer watched."""
     never = [
-        f"{record['texture']} ({'with' if record['network_in_loop'] else 'without'} the network in the loop)"
+        f"{record['texture']} ({record['random_part']})"
         for name in MAIN
         for record in runs(name)
         if record.get("stability.max_sd") is not None and record.get("stability.forgets_s") is None
@@ -288,43 +288,13 @@ def listener() -> Table:
     return table(("mean of", "method"), rows, (*AREAS, last))
 
 
-def varies_by() -> float:
-    """Standard deviation of a difference of the areas with and without the network, over recordings of a texture."""
-    areas = {
-        (record["texture"], record["split"], record["method"]): record["validation_listener.area"]
-        for record in records_of("ingredients")
-        if record["method"] in ("default", "no network")
-    }
-    differences: dict[str, list[float]] = {}
-    for (texture, split, method), area in areas.items():
-        if method == "default":
-            differences.setdefault(texture, []).append(areas[texture, split, "no network"] - area)
-    return float(np.sqrt(np.mean([np.var(each, ddof=1) for each in differences.values() if len(each) > 1])))
-
-
 def listener_notes() -> str:
-    """Sentences on what the controls vary by, and on textures that are told apart more often with the network."""
+    """Sentence on what the controls lie between."""
     records = [record for of in listened("listener").values() for record in of]
-    kinds = {
-        "listener_auc": "by band energies",
-        "listener_auc_waveform": "by waveform too",
-        "listener_auc_person": "by a person",
-    }
+    kinds = ("listener_auc", "listener_auc_waveform", "listener_auc_person")
     controls = [record[f"listener.{kind}_control"] for record in records for kind in kinds]
-    within = f"controls lie between {min(controls):.2f} and {max(controls):.2f}"
-    by_place = {(record["texture"], record["method"]): record for record in records}
-    varies = varies_by()
-    n, worse = 0, []
-    for texture, method in by_place:
-        for kind, way in kinds.items():
-            with_network, without = (by_place[texture, name][f"listener.{kind}"] for name in (OURS, method))
-            n += method != OURS
-            if with_network >= without + 2 * varies:
-                worse.append(f"{texture} {way} ({with_network:.2f}, without {without:.2f})")
-    more = f"Of {n} comparisons, told apart more often with the network by as much: {'; '.join(worse) or 'none'}."
     return (
-        f"One recording and one fit of each texture; {within}. Between two recordings, a difference of with and without the "
-        f"network varies by {varies:.3f} (standard deviation), so one below {2 * varies:.2f} means little. {more}"
+        f"One recording and one fit of each texture; controls lie between {min(controls):.2f} and {max(controls):.2f}."
     )
 
 
@@ -373,10 +343,42 @@ def trials() -> Table:
     return Table.of(heads, lines)
 
 
-def of_experiment(name: str, make: Callable[[Records], Table]) -> Table:
-    """Table of an experiment's runs, empty where it has not been run."""
-    records = records_of(name)
-    return make(chosen(records)) if records else Table((), ())
+WITH = "recorded, no network in the loop"
+PARTS = {
+    "network in the loop, trained there": ("recorded innovations", WITH),
+    "distance of band envelopes that chooses the linear part": (WITH, "recorded, linear part by its errors"),
+    "equaliser": (WITH, "recorded, no equaliser"),
+    "table of reflection coefficients": (WITH, "recorded, one filter"),
+    "tones": (WITH, "recorded, no tones"),
+    "orders above 40": (WITH, "recorded, orders up to 40"),
+    "level before the filter": (WITH, "recorded, level after the filter"),
+}
+"""Parts, and the approaches of the trials with and without them; a fit without a row is the same without the part."""
+
+
+def parts() -> Table:
+    """What each part takes off the area of the ideal listener, on fits of the choosing half and the simulated textures."""
+    by_approach: dict[str, dict[tuple[str, ...], float]] = {}
+    for row in csv_rows("trials"):
+        place = row["half"], row["surface"], row["fit"]
+        by_approach.setdefault(row["approach"], {})[place] = float(row["ideal"])
+
+    def gain(each: Sequence[float]) -> str:
+        error = np.std(each, ddof=1) / np.sqrt(len(each)) if len(each) > 1 else 0.0
+        return f"{np.mean(each):+.3f} ± {error:.3f}" if each else "–"
+
+    cells = []
+    for part, (with_part, without) in PARTS.items():
+        known, changed = by_approach[with_part], by_approach[without]
+        if without == WITH:
+            known = {place: area for place, area in known.items() if place in changed}
+        gains = {place: changed.get(place, area) - area for place, area in known.items()}
+        kinds = [
+            [g for place, g in gains.items() if place[1].startswith("linear-") == linear] for linear in (False, True)
+        ]
+        n_changed = f"{sum(place in changed for place in known)} of {len(known)}"
+        cells.append((part, n_changed, *map(gain, kinds)))
+    return Table.of(("part", "fits that it changes", "gain, other surfaces", "gain, linear processes"), cells)
 
 
 def benchmark(name: str) -> Table:
@@ -493,7 +495,7 @@ LISTENERS = {"listener": "listener", "listener-256s": "listener"}
 def experiments() -> Table:
     """What the other experiments are of, and what the runs in their CSV files took."""
     rows = []
-    for name in (*MAIN, *LISTENERS, "ingredients"):
+    for name in (*MAIN, *LISTENERS):
         title, every = of_file(name)["title"], records_of(LISTENERS.get(name, name))
         runs = [record for record in every if name not in LISTENERS or record["experiment"] == title]
         rows.append((f"`{name}`", note_of(name, runs), str(len(runs)), core_hours(runs)))
@@ -645,8 +647,8 @@ TABLES: dict[str, dict[str, Callable[[], Table | str]]] = {
         "abrupt": abrupt,
         "abrupt-filter": abrupt_filter,
         "abrupt-surfaces": abrupt_surfaces,
-        "ingredients": partial(of_experiment, "ingredients", ratios),
-        "csv": partial(listed, *MAIN, "listener", "ingredients"),
+        "parts": parts,
+        "csv": partial(listed, *MAIN, "listener"),
     },
     "listener.md": {
         "listener": listener,

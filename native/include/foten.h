@@ -53,7 +53,7 @@ extern "C" {
 #define FOTEN_VERSION_MAJOR 0
 #define FOTEN_VERSION_MINOR 1
 /* Of this header's structures and functions; foten_abi() has to be the same: compare them before anything else. */
-#define FOTEN_ABI 6
+#define FOTEN_ABI 7
 
 typedef struct foten_model foten_model;
 typedef struct foten_state foten_state;
@@ -123,8 +123,8 @@ FOTEN_API void foten_state_free(foten_state *state);
 
 /* Begin again, as a new state with this seed; the condition and the actuator stay. A state begins as if its first
  * condition had lasted for a long time, with random initial values; so does the low-pass of `smooth`. A deterministic
- * state, or a model without a random part, begins with the window in the file. With a network in the loop, the first
- * sample takes as many of its steps as its window is long. */
+ * state, or a model without a random part, begins with the window in the file. The first sample of a network of windows
+ * with an excitation takes as many of its steps as a window is long. */
 FOTEN_API void foten_reset(foten_state *state, uint64_t seed);
 
 /* Go on from a recorded window: foten_info.window samples of acceleration, speed and force, all finite; their noise
@@ -145,9 +145,8 @@ FOTEN_API void foten_run_scaled(foten_state *state, const double *condition, con
 FOTEN_API void foten_exclude_recorded(foten_state *state, int first, int end);
 
 typedef enum {
-    FOTEN_PREDICT_MODEL = 0,    /* the complete model */
-    FOTEN_PREDICT_LINEAR = 1,   /* the lattice of "foten-plus" alone; other models complete */
-    FOTEN_PREDICT_RENDERING = 2 /* as a rendering does: the network only if it is in the loop */
+    FOTEN_PREDICT_MODEL = 0, /* the complete model; of "foten-plus" the sample alone */
+    FOTEN_PREDICT_LINEAR = 1 /* the lattice of "foten-plus" alone, as in its renderings; other models complete */
 } foten_prediction_part;
 
 /* What is not known is 0, and so is the scale if nothing is random. */

@@ -52,7 +52,6 @@ static const struct {
     {"n_triangles", CARD_AR, offsetof(card_sizes, n_triangles), 1, 1},
     {"pre_norm", CARD_NETWORKS, offsetof(card_sizes, network.pre_norm), 1, SWITCH},
     {"excitation", CARD_TEN | CARD_FOTEN | CARD_GRAPH, offsetof(card_sizes, excitation), 0, SWITCH},
-    {"network_in_loop", CARD_PLUS, offsetof(card_sizes, network_in_loop), 1, SWITCH},
     {"equalised", CARD_PLUS, offsetof(card_sizes, equalised), 0, SWITCH},
     {"recorded", CARD_PLUS, offsetof(card_sizes, recorded), 0, SWITCH},
     {"along_path", CARD_PLUS, offsetof(card_sizes, along_path), 0, SWITCH},
@@ -138,9 +137,9 @@ int card_read_sizes(texture_file *file, int has_function, card_sizes *s) {
     if (!json_integer(json_member(file->card, "format_version"), &version))
         return file_refuse(file, FOTEN_BAD_FILE, "the card has no format version");
     if (version != FOTEN_FORMAT_VERSION)
-        return file_refuse(file, FOTEN_BAD_FILE, "the file has format version %lld, expected %d: %s", version,
-                           FOTEN_FORMAT_VERSION,
-                           version < FOTEN_FORMAT_VERSION ? "train it again with this foten" : "update foten");
+        return file_refuse(
+            file, FOTEN_BAD_FILE, "the file has format version %lld, expected %d: %s", version, FOTEN_FORMAT_VERSION,
+            version < FOTEN_FORMAT_VERSION ? "train it again: foten train RECORDING -o NAME.foten" : "update foten");
     if (!from.begin || *from.begin != '{') return file_refuse(file, FOTEN_BAD_FILE, "the card has no 'sizes'");
     if (!read_model(file, has_function, s, &usual_window)) return 0;
     for (int i = 0; i < N(SIZES); i++) {

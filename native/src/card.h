@@ -19,7 +19,7 @@ typedef struct {
     int excitation_width, order, n_speed, n_force, n_tones, n_tone_speed, n_tone_force, residual_order,
         n_residual_speed, n_residual_force;
     int n_hidden, head_width, n_components;
-    int excitation, gain_before_filter, residual_gain_before_filter, network_in_loop, equalised, recorded, along_path;
+    int excitation, gain_before_filter, residual_gain_before_filter, equalised, recorded, along_path;
     int ma, n_models, n_triangles;
 } card_sizes;
 

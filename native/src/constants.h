@@ -10,7 +10,7 @@
 static inline double clip(double x, double limit) { return x > limit ? limit : x < -limit ? -limit : x; }
 
 /* The texture file and its proof. */
-#define FOTEN_FORMAT_VERSION 5           /* foten.models.texture_file.FORMAT_VERSION */
+#define FOTEN_FORMAT_VERSION 6           /* foten.models.texture_file.FORMAT_VERSION */
 #define FOTEN_MIN_GOLDEN 8               /* foten.models.texture_file.MIN_GOLDEN */
 #define FOTEN_ONE_STEP_TOLERANCE 1e-5    /* foten.models.texture_file.ONE_STEP_TOLERANCE */
 #define FOTEN_CLOSED_LOOP_TOLERANCE 1e-4 /* foten.models.texture_file.CLOSED_LOOP_TOLERANCE */
@@ -67,10 +67,6 @@ static inline double clip(double x, double limit) { return x > limit ? limit : x
 #define FOTEN_NOISE_LINEAR 0.97846856        /* foten.dsp.noise._LINEAR */
 #define FOTEN_NOISE_CUBIC 0.00750807         /* foten.dsp.noise._CUBIC */
 #define FOTEN_N_INPUTS 5                     /* foten.models.foten_plus.sizes.N_INPUTS */
-#define FOTEN_N_PHASE_INPUTS 4               /* foten.models.foten_plus.sizes.N_PHASE_INPUTS */
-#define FOTEN_LOG_SCALE_LIMIT 6.0            /* foten.models.foten_plus.sizes.LOG_SCALE_LIMIT */
-#define FOTEN_MAX_NEWTON_STEPS 60            /* foten.models.foten_plus.definition.MAX_NEWTON_STEPS */
-#define FOTEN_NEWTON_PRECISION 1e-7          /* foten.models.foten_plus.definition.NEWTON_PRECISION */
 
 /* Recorded innovations. */
 #define FOTEN_CONTROL_MS 4.0            /* foten.models.foten_plus.recorded_innovations.CONTROL_MS */

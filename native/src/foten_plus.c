@@ -1,4 +1,4 @@
-/* The loop of foten-plus: a lattice with innovations that a network draws, or an excitation, and tones of the path. */
+/* The loop of foten-plus: a lattice with innovations of an excitation or of the recording, and tones of the path. */
 #include <math.h>
 
 #include "loop.h"
@@ -11,7 +11,7 @@ static int longer_order(const foten_model *m) {
 static void place(const foten_model *m, loop *l, block *from) {
     lattice_place(&l->lattice, longer_order(m), from);
     l->tones.coefficients = block_take(from, 2 * (size_t)m->tones.n, sizeof *l->tones.coefficients);
-    innovation_place(&m->network, &l->innovation, from); /* of the sizes of the rendering's */
+    innovation_place(&m->network, &l->innovation, from);
 }
 
 /* Make ready, at the phase that there is, for the sample after one under a condition. */
@@ -29,73 +29,52 @@ static void set_condition(const foten_model *m, loop *l, const condition *c, int
 }
 
 /* Take in a recorded sample of what a lattice is of, which is made ready for it, and its condition; a network, or NULL
- * for none, takes in its innovation, and the phase of tones at the next sample. */
-static void analyse(loop *l, const lattice *of, const innovation_network *network, double sample, const condition *c,
-                    double phase) {
+ * for none, takes in its innovation. */
+static void analyse(loop *l, const lattice *of, const innovation_network *network, double sample, const condition *c) {
     double e =
         lattice_analyse(&l->lattice, of->order, sample / gain_after(of, &l->lattice)) / gain_before(of, &l->lattice);
     double x = sample / l->lattice.level;
     lattice_set_condition(of, &l->lattice, c->scaled);
-    if (network) innovation_push(network, &l->innovation, e, x, l->lattice.logs, phase);
-}
-
-static void start_with_tones(const foten_model *m, loop *l, const double *windows, int n) {
-    const lattice *of = m->excited_lattice;
-    const scale *level = &m->lattice.level;
-    condition last = condition_of(level, windows + 3 * n - 2);
-    tones_fit(&m->tones, level, &l->tones, windows, n);
-    for (int t = 1; t < n; t++) {
-        condition before = condition_of(level, windows + 3 * t - 2), now = condition_of(level, windows + 3 * t + 1);
-        double tone = tones_follow(&m->tones, level, &l->tones, &before);
-        analyse(l, of, t >= n - m->warm_up ? m->network_in_loop : NULL, windows[3 * t] - tone, &now,
-                tones_ahead(&m->tones, &l->tones, &now));
-    }
-    tones_begin_path(&m->tones, &l->tones, &last);
-    set_condition(m, l, &last, 1);
-}
-
-static void start_recorded(const foten_model *m, loop *l) {
-    if (m->recorded.used) recorded_begin(&m->recorded, &l->recorded, l->physical, NULL);
+    if (network) innovation_push(network, &l->innovation, e, x, l->lattice.logs);
 }
 
 static void start(const foten_model *m, loop *l, const double *windows, int n, int as_prediction) {
     const lattice *of = as_prediction ? &m->lattice : m->excited_lattice;
+    const scale *level = &m->lattice.level;
+    int with_tones = m->tones.n && !as_prediction;
+    condition last = condition_of(level, windows + 3 * n - 2);
     lattice_clear(&l->lattice, longer_order(m));
     lattice_set_condition(of, &l->lattice, windows + 1);
-    innovation_clear(&m->network, &l->innovation, l->lattice.logs, 0);
-    if (m->tones.n && !as_prediction) {
-        start_with_tones(m, l, windows, n);
-        start_recorded(m, l);
+    innovation_clear(&m->network, &l->innovation);
+    if (with_tones) tones_fit(&m->tones, level, &l->tones, windows, n);
+    for (int t = 1; t < n; t++) {
+        condition before = condition_of(level, windows + 3 * t - 2), now = condition_of(level, windows + 3 * t + 1);
+        double tone = with_tones ? tones_follow(&m->tones, level, &l->tones, &before) : 0;
+        int warming_up = as_prediction && t >= n - m->warm_up;
+        analyse(l, of, warming_up ? &m->network : NULL, windows[3 * t] - tone, &now);
+    }
+    if (as_prediction) {
+        l->sigma = excitation_sigma(&m->excitation, last.scaled);
         return;
     }
-    for (int t = 1; t < n; t++) {
-        condition now = condition_of(&m->lattice.level, windows + 3 * t + 1);
-        const innovation_network *network = as_prediction ? &m->network : m->network_in_loop;
-        analyse(l, of, t >= n - m->warm_up ? network : NULL, windows[3 * t], &now, 0);
-    }
-    condition last = condition_of(&m->lattice.level, windows + 3 * n - 2);
-    if (!as_prediction || !m->tones.n) set_condition(m, l, &last, 1);
-    if (!as_prediction) start_recorded(m, l);
+    if (with_tones) tones_begin_path(&m->tones, &l->tones, &last);
+    set_condition(m, l, &last, 1);
+    if (m->recorded.used) recorded_begin(&m->recorded, &l->recorded, l->physical, NULL);
 }
 
 /* The lattice of the vibration and its network predict, with tones as well: the phase of a recording is not known. How
- * likely a sample is, is said by the network that predicts, from which that of a rendering began, or by the excitation;
- * not where a rendering has tones. */
+ * likely a sample is, is said by the lattice and the excitation; not where a rendering has tones. */
 static void predict(const foten_model *m, loop *l, foten_prediction_part part, double recorded, foten_prediction *out) {
-    const innovation_network *in_loop = m->tones.n ? NULL : m->network_in_loop;
-    int with_network = part == FOTEN_PREDICT_MODEL || (part == FOTEN_PREDICT_RENDERING && in_loop);
     double gain = l->lattice.all_cosines * l->lattice.level;
     double linear = lattice_predict(&l->lattice, m->lattice.order) * gain_after(&m->lattice, &l->lattice);
     *out = (foten_prediction){.sample = linear};
-    if (with_network) out->sample += gain * innovation_mixture(&m->network, &l->innovation);
-    if (m->tones.n || with_network != (in_loop != NULL)) return;
-    if (with_network) loop_score(&m->network, &l->innovation, recorded - linear, gain, out);
-    else excitation_score(recorded - linear, gain * l->sigma, out);
+    if (part == FOTEN_PREDICT_MODEL) out->sample += gain * innovation_expected(&m->network, &l->innovation);
+    else if (!m->tones.n) excitation_score(recorded - linear, gain * l->sigma, out);
 }
 
 static void push(const foten_model *m, loop *l, const double *sample) {
     condition now = condition_of(&m->lattice.level, sample + 1);
-    analyse(l, &m->lattice, &m->network, sample[0], &now, 0);
+    analyse(l, &m->lattice, &m->network, sample[0], &now);
     l->sigma = excitation_sigma(&m->excitation, now.scaled);
 }
 
@@ -109,11 +88,11 @@ static double scale_of_noise(const foten_model *m, const loop *l) {
 static double step(const foten_model *m, loop *l, const condition *c, const double *noise, double limit) {
     const lattice *of = m->excited_lattice;
     double entering = of->gain_before_filter ? c->fade : 1, leaving = of->gain_before_filter ? 1 : c->fade;
-    double scale = scale_of_noise(m, l), level = l->lattice.level * l->sigma, innovation = 0;
-    if (m->network_in_loop) innovation = loop_drawn(m, l, noise, scale);
-    else if (noise && m->recorded.used) innovation = excitation_limited(&m->excitation, l->recorded.next, scale);
-    else if (noise) innovation = excitation_limited(&m->excitation, *noise, scale);
-    double e = l->sigma * innovation * entering;
+    double e = 0;
+    if (noise) {
+        double innovation = m->recorded.used ? l->recorded.next : *noise;
+        e = l->sigma * excitation_limited(&m->excitation, innovation, scale_of_noise(m, l)) * entering;
+    }
     double residual =
         gain_after(of, &l->lattice) * lattice_synthesise(&l->lattice, of->order, gain_before(of, &l->lattice) * e);
     double sample = residual * leaving;
@@ -123,14 +102,11 @@ static double step(const foten_model *m, loop *l, const condition *c, const doub
     }
     set_condition(m, l, c, 0);
     if (m->recorded.used) recorded_advance(&m->recorded, &l->recorded, l->physical, noise);
-    if (m->network_in_loop)
-        innovation_push(m->network_in_loop, &l->innovation, innovation * entering, residual / level, l->lattice.logs,
-                        l->tones.phase);
     if (m->equaliser.used) sample = equaliser_step(&m->equaliser, &l->equaliser, sample, l->physical);
     return loop_cut(l, sample, limit);
 }
 
-/* Draw the states, and the phase of tones; run a network for the length of its window. */
+/* Draw the states, the phase of tones, and where the recording begins. */
 static void begin(const foten_model *m, loop *l, const condition *c, noise_source noise) {
     const lattice *of = m->excited_lattice;
     set_condition(m, l, c, 1);
@@ -146,9 +122,6 @@ static void begin(const foten_model *m, loop *l, const condition *c, noise_sourc
         double z = noise_next(&noise);
         recorded_begin(&m->recorded, &l->recorded, l->physical, &z);
     }
-    if (!m->network_in_loop) return;
-    innovation_clear(m->network_in_loop, &l->innovation, l->lattice.logs, l->tones.phase);
-    loop_run(m, l, c, &noise, m->warm_up, INFINITY);
 }
 
 static void quiet(const foten_model *m, loop *l) {

@@ -33,9 +33,9 @@ static void product(double *out, const double *start, const double *panels, size
 }
 
 static void push(const innovation_network *n, innovation_state *s) {
-    size_t h = n->hidden_stride, hidden = (size_t)n->n_hidden, inputs = (size_t)n->n_inputs;
+    size_t h = n->hidden_stride, hidden = (size_t)n->n_hidden;
     double *gates = s->scratch, *candidates = s->scratch + 3 * h;
-    product(gates, n->gate_bias, n->from_input, 3 * h, s->inputs, inputs);
+    product(gates, n->gate_bias, n->from_input, 3 * h, s->inputs, INNOVATION_INPUTS);
     product(gates, gates, n->from_hidden, 2 * h, s->hidden, hidden);
     product(candidates, n->candidate_bias, n->from_hidden + 2 * h * hidden, h, s->hidden, hidden);
     for (size_t i = 0; i < 2 * h; i += WIDTH) store(gates + i, logistic(load(gates + i))); /* none waits for another */
@@ -46,29 +46,23 @@ static void push(const innovation_network *n, innovation_state *s) {
     }
 }
 
-static void mixture(const innovation_network *n, innovation_state *s) {
-    size_t width = n->head_stride, hidden = (size_t)n->n_hidden, inputs = (size_t)n->n_inputs,
-           components = (size_t)n->n_components;
-    double *both = s->scratch, *head = both + n->both_stride, *out = head + width, largest, sum = 0;
+static double expected(const innovation_network *n, innovation_state *s) {
+    size_t width = n->head_stride, hidden = (size_t)n->n_hidden, components = (size_t)n->n_components;
+    double *both = s->scratch, *head = both + n->both_stride, *out = head + width, largest, sum = 0, weighted = 0;
+    const vec zero = {0};
     memcpy(both, s->hidden, hidden * sizeof *both);
-    memcpy(both + hidden, s->inputs, inputs * sizeof *both);
-    product(head, n->head_bias, n->head, width, both, hidden + inputs);
+    memcpy(both + hidden, s->inputs, sizeof s->inputs);
+    product(head, n->head_bias, n->head, width, both, hidden + INNOVATION_INPUTS);
     for (size_t i = 0; i < width; i += WIDTH) store(head + i, tanh_of(load(head + i)));
     product(out, n->out_bias, n->out, n->out_stride, head, (size_t)n->head_width);
     largest = out[0];
     for (size_t i = 1; i < components; i++) largest = out[i] > largest ? out[i] : largest;
     for (size_t i = 0; i < components; i++) {
-        s->weight[i] = out[i] - largest;
-        s->mean[i] = out[components + i];
-        s->scale[i] = out[2 * components + i] / FOTEN_LOG_SCALE_LIMIT;
+        double weight = exp_of(zero + (out[i] - largest))[0];
+        sum += weight;
+        weighted += weight * out[components + i];
     }
-    for (size_t i = 0; i < components; i += WIDTH) {
-        store(s->weight + i, exp_of(load(s->weight + i)));
-        store(s->scale + i, exp_of(FOTEN_LOG_SCALE_LIMIT * tanh_of(load(s->scale + i))));
-    }
-    for (size_t i = 0; i < components; i++) sum += s->weight[i];
-    for (size_t i = 0; i < components; i++) s->weight[i] /= sum;
-    for (size_t i = components; i % WIDTH; i++) s->weight[i] = 0;
+    return weighted / sum;
 }
 
 static void distances(const int16_t *const features[6], int first, int n, const int32_t *query, const int32_t *weights,
@@ -86,5 +80,5 @@ static void distances(const int16_t *const features[6], int first, int n, const 
 }
 
 #define NAMED(name) innovation_##name
-#define FOR(name) const innovation_kernel NAMED(name) = {push, mixture, distances};
+#define FOR(name) const innovation_kernel NAMED(name) = {push, expected, distances};
 FOR(KERNEL)

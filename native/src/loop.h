@@ -15,7 +15,7 @@ struct loop {
     equaliser_state equaliser;   /* foten-plus */
     recorded_state recorded;     /* foten-plus */
     double physical[2];          /* speed [mm/s] and force [N] of the last sample, for these two */
-    innovation_state innovation; /* foten-plus */
+    innovation_state innovation; /* foten-plus: of predictions */
     predictor_state predictor;   /* networks, graphs */
     mixture mixture;             /* piecewise AR */
     double *innovations;         /* piecewise AR: the last ones, the youngest first */
@@ -72,23 +72,6 @@ static inline double loop_cut(loop *l, double sample, double limit) {
     double played = clip(sample, limit);
     l->cut = played != sample;
     return played;
-}
-
-/* The next innovation over sigma, where a unit of it moves the sample by `scale`: what the network in the loop draws
- * or, without noise, expects. */
-static inline double loop_drawn(const foten_model *m, loop *l, const double *noise, double scale) {
-    double next = innovation_mixture(m->network_in_loop, &l->innovation);
-    if (noise) next = innovation_quantile(m->network_in_loop, &l->innovation, *noise);
-    return excitation_limited(&m->excitation, next, scale);
-}
-
-/* How likely the residual of what is predicted without innovation is, by a mixture that is made ready, into the
- * prediction; `gain`: what an innovation of 1 moves the sample by. */
-static inline void loop_score(const innovation_network *n, const innovation_state *s, double residual, double gain,
-                              foten_prediction *out) {
-    out->scale = gain * innovation_sd(n, s);
-    out->standardised = innovation_standardised(n, s, residual / gain);
-    out->nll = innovation_nll(n, s, residual / gain) + log(gain);
 }
 
 /* Run for n samples under a condition. */

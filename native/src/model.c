@@ -10,16 +10,10 @@ static int read_plus(foten_model *m, texture_file *file, const card_sizes *s, co
     m->kind = &lattice_loop;
     m->warm_up = s->network.window;
     m->excited_lattice = s->n_tones ? &m->residual : &m->lattice;
-    m->network_in_loop = s->network_in_loop ? &m->rendering_network : NULL;
     if (!lattice_read(file, &m->memory, "lattice.", s->n_speed, s->n_force, s->order, width, s->gain_before_filter,
                       &m->lattice))
         return 0;
-    int inputs = INNOVATION_INPUTS, of_rendering = inputs + (s->n_tones ? PHASE_INPUTS : 0);
-    if (!innovation_read(file, &m->memory, "network.", inputs, s->n_hidden, s->head_width, s->n_components,
-                         isa->innovation, &m->network))
-        return 0;
-    if (s->network_in_loop && !innovation_read(file, &m->memory, "rendering_network.", of_rendering, s->n_hidden,
-                                               s->head_width, s->n_components, isa->innovation, &m->rendering_network))
+    if (!innovation_read(file, &m->memory, s->n_hidden, s->head_width, s->n_components, isa->innovation, &m->network))
         return 0;
     if (!excitation_read(file, &m->memory, width, &m->excitation)) return 0;
     m->excited = 1;

@@ -27,16 +27,15 @@ struct foten_model {
     predictor predictor;   /* of networks and graphs */
     excitation excitation; /* of foten-plus, and of a network that has one */
 
-    /* Of foten-plus: lattice and network that predict the vibration, the lattice of what tones leave, and what a
-     * rendering goes by; its network is NULL where the excitation is noise. */
+    /* Of foten-plus: lattice and network that predict the vibration, the lattice of what tones leave, and which of both
+     * lattices a rendering excites. */
     lattice lattice, residual;
-    innovation_network network, rendering_network;
+    innovation_network network;
     const struct lattice *excited_lattice;
-    const innovation_network *network_in_loop;
     tones tones;
     equaliser equaliser;
     recorded_innovations recorded;
-    int warm_up; /* samples that a network takes in before it is asked */
+    int warm_up; /* samples that the network takes in before it is asked */
 
     const piecewise_ar *piecewise_ar; /* of piecewise AR */
 

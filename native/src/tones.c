@@ -80,10 +80,6 @@ double tones_follow(const tones *t, const scale *level, tones_state *s, const co
     return sum_at(s->coefficients, t->n, s->path + s->phase);
 }
 
-double tones_ahead(const tones *t, const tones_state *s, const condition *now) {
-    return s->path + s->phase + increment_of(t, now);
-}
-
 /* The way to the first sample belongs to the recording, and nothing of it is kept: the phase is taken within half a
  * turn. */
 void tones_begin_path(const tones *t, tones_state *s, const condition *last) {

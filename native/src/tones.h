@@ -31,9 +31,6 @@ void tones_fit(const tones *t, const scale *level, tones_state *s, const double 
 /* After that the tone of each sample but the first, under the condition of the one before. */
 double tones_follow(const tones *t, const scale *level, tones_state *s, const condition *before);
 
-/* The phase of the sample after that, under its condition. */
-double tones_ahead(const tones *t, const tones_state *s, const condition *now);
-
 /* After that begin the path at the next sample. */
 void tones_begin_path(const tones *t, tones_state *s, const condition *last);
 

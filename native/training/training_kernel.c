@@ -1,7 +1,6 @@
-/* What training an innovation network spends its time on: its recurrent unit over chunks, and roll-outs in the
- * closed loop, forward and back, all streams of a batch side by side; and the lattices of a recording, section by
- * section. A library of its own, libfoten_training, which comes with the Python package alone;
- * `training.training_kernel` binds it.
+/* What training foten-plus spends its time on: the recurrent unit of the innovation network over chunks, forward and
+ * back, all streams of a batch side by side; and the lattices of a recording, section by section. A library of its own,
+ * libfoten_training, which comes with the Python package alone; `training.training_kernel` binds it.
  *
  * Arrays lie sample by sample, then stream by stream: (n, s, ...). Rows of hidden states and the like are padded to a
  * multiple of 16, those of weights with zeros, so that what is computed there stays zero. Matrices are (outputs,
@@ -11,7 +10,6 @@
 #include <stddef.h>
 #include <stdlib.h>
 
-#include "constants.h"
 #include "vectors.h"
 
 enum { GATES = 3 }; /* reset, update, new */
@@ -26,38 +24,6 @@ typedef struct {
     float *candidate_preactivation; /* what `reset` multiplies, (n, s, n_hidden) */
 } recurrent_unit;
 
-/* s streams of n samples in the closed loop: network, draw, lattice of order p, network. */
-typedef struct {
-    int n, s, p, n_inputs, n_hidden, head_width, n_components, n_out; /* n_inputs, n_out: padded */
-    int gain_before_filter, with_phase;
-    float innovation_limit;
-    float leak;
-    /* Of the gates: (3 n_hidden, n_inputs), (3 n_hidden, n_hidden). */
-    const float *from_input, *input_bias, *from_hidden, *hidden_bias;
-    const float *head, *head_bias;      /* (head_width, n_hidden + n_inputs) */
-    const float *out, *out_bias;        /* (n_out, head_width) */
-    const float *reflections, *cosines; /* of each sample's lattice, (n, p, s) */
-    const float *level;                 /* (n, s) */
-    const float *logs;                  /* (n, s, 2) */
-    const float *chosen, *normal;       /* of chance, (n, s) */
-    const double *phase_increment;      /* by which the path moves the phase, (n + 1, s) */
-    double period_jitter, phase_leak, max_jitter_drive;
-    float *states;                   /* of the lattices before the first sample, (p + 1, s) */
-    double *phase;                   /* of tones at each sample, (n, s), the first given */
-    float *network;                  /* hidden states and inputs, (n + 1, s, n_hidden + n_inputs), the first given */
-    float *head_output, *out_output; /* (n, s, head_width), (n, s, n_out) */
-    float *gates, *candidate_preactivation; /* as above */
-    float *innovation, *residual;           /* (n, s) */
-} rollout_batch;
-
-/* What a loss says of a roll-out, and where gradients go. */
-typedef struct {
-    const float *by_residual; /* (n, s) */
-    const float *drawn;       /* of each innovation by the outputs of the network, (n, s, n_out) */
-    float adjoint_limit;      /* that the gradient of a stream's state may be */
-    float *by_head, *by_out;  /* (n, s, head_width), (n, s, n_out) */
-} rollout_gradients;
-
 INLINE vec choose(vec_bits mask, vec a, vec b) { return (vec)(((vec_bits)a & mask) | ((vec_bits)b & ~mask)); }
 INLINE vec minus_size(vec x) { return choose(x < 0.0f, x, -x); }
 
@@ -69,13 +35,6 @@ INLINE vec logistic(vec x) {
 INLINE vec tanh_of(vec x) {
     vec e = exp_of(2.0f * minus_size(x)), t = (1.0f - e) / (1.0f + e);
     return choose(x < 0.0f, -t, t);
-}
-
-/* Floats for n of them from a block, which moves past them. */
-static float *taken(float **block, size_t n) {
-    float *from = *block;
-    *block += n;
-    return from;
 }
 
 /* A linear map whose weights are laid out in `room`, (outputs, inputs) of a matrix with rows of `stride`, or of its
@@ -90,12 +49,12 @@ static linear map_of(const float *matrix, const float *bias, int outputs, int in
     return (linear){inputs, outputs, room, bias};
 }
 
-/* A sample of the unit: hidden states lie `stride` apart. */
-static void unit(const linear *map, int s, int h, const float *from_input, const float *now, float *next, int stride,
-                 float *gates, float *candidate_preactivation, float *of_hidden) {
-    apply(map, s, now, stride, of_hidden, GATES * h, 0);
+/* A sample of the unit. */
+static void unit(const linear *map, int s, int h, const float *from_input, const float *now, float *next, float *gates,
+                 float *candidate_preactivation, float *of_hidden) {
+    apply(map, s, now, h, of_hidden, GATES * h, 0);
     for (int k = 0; k < s; k++, from_input += GATES * h, of_hidden += GATES * h, gates += GATES * h,
-             candidate_preactivation += h, now += stride, next += stride)
+             candidate_preactivation += h, now += h, next += h)
         for (int i = 0; i < h; i += LANES) {
             vec reset = logistic(load(from_input + i) + load(of_hidden + i)),
                 update = logistic(load(from_input + h + i) + load(of_hidden + h + i));
@@ -112,11 +71,11 @@ static void unit(const linear *map, int s, int h, const float *from_input, const
 /* And back: `d` is the gradient by the next hidden states, and becomes that by those before them; `gates` becomes that
  * by what of the inputs goes into them, and `candidate_preactivation` that by what it is itself. Room: 4 n_hidden
  * states a stream. */
-static void unit_back(const linear *map, int s, int h, float *d, const float *now, int stride, float *gates,
+static void unit_back(const linear *map, int s, int h, float *d, const float *now, float *gates,
                       float *candidate_preactivation, float *room) {
     float *by_preactivation = room, *added = room + (size_t)(GATES * h) * (size_t)s;
     for (int k = 0; k < s;
-         k++, now += stride, gates += GATES * h, candidate_preactivation += h, by_preactivation += GATES * h)
+         k++, now += h, gates += GATES * h, candidate_preactivation += h, by_preactivation += GATES * h)
         for (int i = 0; i < h; i += LANES) {
             vec of_next = load(d + k * h + i), reset = load(gates + i), update = load(gates + h + i),
                 new = load(gates + 2 * h + i);
@@ -139,13 +98,13 @@ static void unit_back(const linear *map, int s, int h, float *d, const float *no
 EXPORTED(foten_train_unit)(const recurrent_unit *u) {
     int s = u->s, h = u->n_hidden;
     size_t row = (size_t)(s * h);
-    float *memory = malloc(sizeof(float) * (size_t)(GATES * h) * (size_t)(h + s)), *block = memory;
+    float *memory = malloc(sizeof(float) * (size_t)(GATES * h) * (size_t)(h + s));
     if (!memory) return 1;
-    linear map = map_of(u->weight, u->bias, GATES * h, h, h, 0, taken(&block, (size_t)(GATES * h * h)));
+    linear map = map_of(u->weight, u->bias, GATES * h, h, h, 0, memory);
     for (int t = 0; t < u->n; t++) {
         size_t at = (size_t)t * row;
-        unit(&map, s, h, u->from_input + GATES * at, u->hidden + at, u->hidden + at + row, h, u->gates + GATES * at,
-             u->candidate_preactivation + at, block);
+        unit(&map, s, h, u->from_input + GATES * at, u->hidden + at, u->hidden + at + row, u->gates + GATES * at,
+             u->candidate_preactivation + at, memory + GATES * h * h);
     }
     free(memory);
     return 0;
@@ -156,196 +115,14 @@ EXPORTED(foten_train_unit)(const recurrent_unit *u) {
 EXPORTED(foten_train_unit_back)(const recurrent_unit *u, const float *by_hidden) {
     int s = u->s, h = u->n_hidden;
     size_t row = (size_t)(s * h);
-    float *memory = calloc((size_t)(GATES * h * h) + (size_t)h + (2 + GATES) * row, sizeof(float)), *block = memory;
+    float *memory = calloc((size_t)(GATES * h * h) + (size_t)h + (2 + GATES) * row, sizeof(float));
     if (!memory) return 1;
-    float *zero = taken(&block, (size_t)h), *d = taken(&block, row), *room = taken(&block, (1 + GATES) * row);
-    linear map = map_of(u->weight, zero, h, GATES * h, h, 1, block);
+    float *zero = memory, *d = zero + h, *room = d + row;
+    linear map = map_of(u->weight, zero, h, GATES * h, h, 1, room + (1 + GATES) * row);
     for (int t = u->n - 1; t >= 0; t--) {
         size_t at = (size_t)t * row;
         for (size_t i = 0; i < row; i += LANES) store(d + i, load(d + i) + load(by_hidden + at + i));
-        unit_back(&map, s, h, d, u->hidden + at, h, u->gates + GATES * at, u->candidate_preactivation + at, room);
-    }
-    free(memory);
-    return 0;
-}
-
-/* An innovation of the mixture that a network says, by two numbers of chance. */
-static float draw(const rollout_batch *r, const float *out, float chosen, float normal) {
-    int n = r->n_components, component = 0;
-    float largest_logit = out[0], total = 0, share = 0;
-    for (int i = 1; i < n; i++) largest_logit = out[i] > largest_logit ? out[i] : largest_logit;
-    for (int i = 0; i < n; i++) total += expf(out[i] - largest_logit);
-    for (int i = 0; i < n - 1; i++) component += chosen * total >= (share += expf(out[i] - largest_logit));
-    float scale = expf((float)FOTEN_LOG_SCALE_LIMIT * tanhf(out[2 * n + component] / (float)FOTEN_LOG_SCALE_LIMIT));
-    return (float)clip(out[n + component] + scale * normal, r->innovation_limit);
-}
-
-/* The lattices of all streams, `dsp.lattice`: in f what enters, then what comes out. */
-static void synthesise(const rollout_batch *r, int sample, float *restrict f) {
-    int s = r->s;
-    for (int i = r->p - 1; i >= 0; i--) {
-        const float *restrict k = r->reflections + ((size_t)sample * (size_t)r->p + (size_t)i) * (size_t)s;
-        const float *restrict c = r->cosines + (k - r->reflections);
-        const float *restrict b = r->states + i * s;
-        float *restrict up = r->states + (i + 1) * s;
-        for (int j = 0; j < s; j++) {
-            float leaked = r->leak * b[j];
-            up[j] = k[j] * f[j] + c[j] * leaked;
-            f[j] = c[j] * f[j] - k[j] * leaked;
-        }
-    }
-    memcpy(r->states, f, sizeof(float) * (size_t)s);
-}
-
-/* And back: in f the gradient by what comes out, then by what enters; in d that by the states after, then before. */
-static void synthesise_back(const rollout_batch *r, int sample, float *restrict f, float *d) {
-    int s = r->s;
-    for (int i = 0; i < r->p; i++) {
-        const float *restrict k = r->reflections + ((size_t)sample * (size_t)r->p + (size_t)i) * (size_t)s;
-        const float *restrict c = r->cosines + (k - r->reflections);
-        float *restrict by = d + i * s;
-        const float *restrict up = d + (i + 1) * s;
-        for (int j = 0; j < s; j++) {
-            float of_up = up[j];
-            by[j] = r->leak * (c[j] * of_up - k[j] * f[j]);
-            f[j] = k[j] * of_up + c[j] * f[j];
-        }
-    }
-}
-
-/* What the network is given of a sample, and the phase of tones at the next one. */
-static void take_in(const rollout_batch *r, int sample, int stream, float e, float over, double *path, double *rate,
-                    float *in) {
-    size_t at = (size_t)sample * (size_t)r->s + (size_t)stream;
-    in[0] = asinhf(e);
-    in[1] = asinhf(3 * fabsf(e)) - 1;
-    in[2] = r->residual[at] / over;
-    in[3] = r->logs[2 * at];
-    in[4] = r->logs[2 * at + 1];
-    if (!r->with_phase) return;
-    double increment = r->phase_increment[at], next = r->phase_increment[at + (size_t)r->s],
-           memory = exp(-increment / PI);
-    *rate = memory * *rate + sqrt(1 - memory * memory) * r->period_jitter * clip(e, r->max_jitter_drive);
-    double phase = r->phase[at];
-    phase += increment * *rate + next - r->phase_leak * (phase - *path);
-    *path += next;
-    if (sample + 1 < r->n) r->phase[at + (size_t)r->s] = phase;
-    in[5] = (float)cos(phase);
-    in[6] = (float)sin(phase);
-    in[7] = (float)cos(2 * phase);
-    in[8] = (float)sin(2 * phase);
-}
-
-EXPORTED(foten_train_rollout)(const rollout_batch *r) {
-    int s = r->s, h = r->n_hidden, w = r->head_width, o = r->n_out, row = h + r->n_inputs, gates = GATES * h;
-    size_t weights = (size_t)gates * (size_t)row + (size_t)w * (size_t)(row + o);
-    float *memory = calloc(weights + (size_t)s * (size_t)(2 * gates + 1), sizeof(float)), *block = memory;
-    double *path = calloc(2 * (size_t)s, sizeof(double)), *rate = path + s;
-    if (!memory || !path) {
-        free(memory);
-        free(path);
-        return 1;
-    }
-    linear of_inputs = map_of(r->from_input, r->input_bias, gates, r->n_inputs, r->n_inputs, 0,
-                              taken(&block, (size_t)(gates * r->n_inputs)));
-    linear of_hidden = map_of(r->from_hidden, r->hidden_bias, gates, h, h, 0, taken(&block, (size_t)(gates * h)));
-    linear head = map_of(r->head, r->head_bias, w, row, row, 0, taken(&block, (size_t)(w * row)));
-    linear out = map_of(r->out, r->out_bias, o, w, w, 0, taken(&block, (size_t)(w * o)));
-    float *from_inputs = taken(&block, (size_t)(s * gates)), *from_hidden = taken(&block, (size_t)(s * gates)),
-          *f = block;
-    if (r->with_phase) memcpy(path, r->phase, sizeof(double) * (size_t)s);
-    for (int t = 0; t < r->n; t++) {
-        size_t at = (size_t)t * (size_t)s;
-        float *now = r->network + at * (size_t)row, *next = now + s * row;
-        float *hidden_layer = r->head_output + at * (size_t)w, *outputs = r->out_output + at * (size_t)o;
-        apply(&head, s, now, row, hidden_layer, w, 0);
-        for (int i = 0; i < s * w; i += LANES) store(hidden_layer + i, tanh_of(load(hidden_layer + i)));
-        apply(&out, s, hidden_layer, w, outputs, o, 0);
-        for (int k = 0; k < s; k++) {
-            float e = r->innovation[at + (size_t)k] =
-                draw(r, outputs + k * o, r->chosen[at + (size_t)k], r->normal[at + (size_t)k]);
-            f[k] = r->gain_before_filter ? r->level[at + (size_t)k] * e : e;
-        }
-        synthesise(r, t, f);
-        memcpy(r->residual + at, f, sizeof(float) * (size_t)s);
-        for (int k = 0; k < s; k++) {
-            float over = r->gain_before_filter ? 2 * r->level[at + (size_t)k] : 2;
-            take_in(r, t, k, r->innovation[at + (size_t)k], over, path + k, rate + k, next + k * row + h);
-        }
-        apply(&of_inputs, s, next + h, row, from_inputs, gates, 0);
-        unit(&of_hidden, s, h, from_inputs, now, next, row, r->gates + at * (size_t)gates,
-             r->candidate_preactivation + at * (size_t)h, from_hidden);
-    }
-    free(memory);
-    free(path);
-    return 0;
-}
-
-/* Hold the gradient of each stream's state to `adjoint_limit`: d by its hidden states, inputs and the lattice's states.
- */
-static void hold(const rollout_batch *r, float adjoint_limit, float *d_hidden, float *d_inputs, float *d_states) {
-    int s = r->s, h = r->n_hidden;
-    for (int k = 0; k < s; k++) {
-        float size = 0;
-        for (int i = 0; i < h; i++) size += d_hidden[k * h + i] * d_hidden[k * h + i];
-        for (int i = 0; i < r->p; i++) size += d_states[i * s + k] * d_states[i * s + k];
-        size = sqrtf(size);
-        if (size <= adjoint_limit) continue;
-        float held = adjoint_limit / size;
-        for (int i = 0; i < h; i++) d_hidden[k * h + i] *= held;
-        for (int i = 0; i < r->n_inputs; i++) d_inputs[k * r->n_inputs + i] *= held;
-        for (int i = 0; i < r->p; i++) d_states[i * s + k] *= held;
-    }
-}
-
-/* `gates` and `candidate_preactivation` of the roll-out become gradients, as above. */
-EXPORTED(foten_train_rollout_back)(const rollout_batch *r, const rollout_gradients *g) {
-    int s = r->s, h = r->n_hidden, m = r->n_inputs, w = r->head_width, o = r->n_out, row = h + m, gates = GATES * h;
-    size_t weights = (size_t)gates * (size_t)row + (size_t)w * (size_t)(row + o),
-           numbers = (size_t)((2 + GATES) * h + 2 * m + row + r->p + 2);
-    float *memory = calloc(weights + (size_t)row + (size_t)w + (size_t)s * numbers, sizeof(float)), *block = memory;
-    if (!memory) return 1;
-    float *zero = taken(&block, (size_t)(row + w));
-    linear to_inputs = map_of(r->from_input, zero, m, gates, m, 1, taken(&block, (size_t)(gates * m)));
-    linear to_hidden = map_of(r->from_hidden, zero, h, gates, h, 1, taken(&block, (size_t)(gates * h)));
-    linear to_both = map_of(r->head, zero, row, w, row, 1, taken(&block, (size_t)(w * row)));
-    linear to_head = map_of(r->out, zero, w, o, w, 1, taken(&block, (size_t)(w * o)));
-    float *d_hidden = taken(&block, (size_t)(s * h)), *hidden_room = taken(&block, (size_t)(s * (1 + GATES) * h));
-    float *d_inputs = taken(&block, (size_t)(s * m)), *inputs_room = taken(&block, (size_t)(s * m));
-    float *d_states = taken(&block, (size_t)(s * (r->p + 1))), *f = taken(&block, (size_t)s), *both = block;
-    for (int t = r->n - 1; t >= 0; t--) {
-        size_t at = (size_t)t * (size_t)s;
-        float *by_input = r->gates + at * (size_t)gates;
-        unit_back(&to_hidden, s, h, d_hidden, r->network + at * (size_t)row, row, by_input,
-                  r->candidate_preactivation + at * (size_t)h, hidden_room);
-        apply(&to_inputs, s, by_input, gates, inputs_room, m, 0);
-        for (int i = 0; i < s * m; i += LANES) store(d_inputs + i, load(d_inputs + i) + load(inputs_room + i));
-        for (int k = 0; k < s; k++) {
-            float over = r->gain_before_filter ? 2 * r->level[at + (size_t)k] : 2;
-            f[k] = g->by_residual[at + (size_t)k] + d_inputs[k * m + 2] / over + d_states[k];
-        }
-        synthesise_back(r, t, f, d_states);
-        float *out = g->by_out + at * (size_t)o, *head = g->by_head + at * (size_t)w;
-        const float *drawn = g->drawn + at * (size_t)o, *hidden_layer = r->head_output + at * (size_t)w;
-        for (int k = 0; k < s; k++) {
-            float e = r->innovation[at + (size_t)k], gain = r->gain_before_filter ? r->level[at + (size_t)k] : 1,
-                  sign = (float)((e > 0) - (e < 0));
-            float by = gain * f[k] + d_inputs[k * m] / sqrtf(1 + e * e) +
-                       d_inputs[k * m + 1] * 3 * sign / sqrtf(1 + 9 * e * e);
-            if (!(fabsf(e) < r->innovation_limit)) by = 0;
-            for (int i = 0; i < o; i++) out[k * o + i] = drawn[k * o + i] * by;
-        }
-        apply(&to_head, s, out, o, head, w, 0);
-        for (int i = 0; i < s * w; i += LANES) {
-            vec value = load(hidden_layer + i);
-            store(head + i, load(head + i) * (1.0f - value * value));
-        }
-        apply(&to_both, s, head, w, both, row, 0);
-        for (int k = 0; k < s; k++) {
-            for (int i = 0; i < h; i++) d_hidden[k * h + i] += both[k * row + i];
-            memcpy(d_inputs + k * m, both + k * row + h, sizeof(float) * (size_t)m);
-        }
-        hold(r, g->adjoint_limit, d_hidden, d_inputs, d_states);
+        unit_back(&map, s, h, d, u->hidden + at, u->gates + GATES * at, u->candidate_preactivation + at, room);
     }
     free(memory);
     return 0;

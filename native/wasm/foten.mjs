@@ -14,7 +14,7 @@
 const OPTIONS_BYTES = 32; // foten_options: double, uint64, uint64, int, int
 const ACTUATOR_BYTES = 40; // foten_actuator: five doubles
 const WHY_BYTES = 512;
-const ABI = 6; // FOTEN_ABI of the header that this follows
+const ABI = 7; // FOTEN_ABI of the header that this follows
 
 export class FotenError extends Error {}
 

@@ -121,6 +121,7 @@ def _linear_model(texture: Texture) -> dict[str, str]:
     parts = f"the lattice all of them, the network the last {sizes['window']}"
     rows = {"history": f"a prediction uses the last {texture.window} samples: {parts}"}
     rows |= {"lattice": f"order {sizes['order']}, {over}{gain}", "tones": "none"}
+    rows["random part"] = random_part_summary(sizes)
     rows["network"] = network_summary(texture.card)
     if sizes["n_tones"]:
         every = f" of a surface that repeats every {2 * pi / (texture.tensors['tones.phase_params'][0] * texture.rate_hz):.3g} mm"
@@ -141,7 +142,7 @@ def _takes(card: Mapping[str, Any]) -> dict[str, str]:
 
 def network_summary(card: Mapping[str, Any]) -> str:
     """Use of a foten-plus texture's network, in words."""
-    sizes, metrics = card["sizes"], card["metrics"]
+    metrics = card["metrics"]
     if metrics.get("n_epochs") == 0:
         return "not trained: no epoch was run"
     without = metrics.get("validation_mae_scaled_lattice")
@@ -152,14 +153,14 @@ def network_summary(card: Mapping[str, Any]) -> str:
     elif gain >= 0.05:
         improves = f"improves one-step predictions by {gain:.1f} %"
         improves += f", with its mean scaled to {100 * share:.0f} %" * (share < 1)
-    if sizes.get("recorded"):
-        pace = "at the hand's pace along the path" if sizes["along_path"] else "as they were recorded"
-        return f"{improves}; not used in renderings, which play recorded innovations {pace}"
-    if not sizes["network_in_loop"]:
-        return f"{improves}; not used in renderings: with it, free runs were no nearer to the recording"
-    if sizes["n_tones"]:
-        return f"{improves}; a second network generates the residual of a rendering (all but the tones)"
-    return f"{improves}, and generates the random part of a rendering"
+    return improves
+
+
+def random_part_summary(sizes: Mapping[str, Any]) -> str:
+    """Random part of a foten-plus texture's renderings, in words."""
+    if not sizes["recorded"]:
+        return "Gaussian noise"
+    return f"recorded innovations, {'at the speed of the hand over the recorded one' if sizes['along_path'] else 'as they were'}"
 
 
 def validation_summary(card: Mapping[str, Any]) -> str:

@@ -97,6 +97,13 @@ class TrainOptions:
         help="Initial weights: uniform (as in PyTorch) or glorot (as in Keras).",
         show_default=_of("initial_weights"),
     )
+    recorded_innovations: str | None = Option(
+        None,
+        help="Whether the file may hold the recording's innovations, from which the recording can nearly be restored: auto "
+        "(where noise is told from the recording, but not of a microphone above 2 kHz, which hears speech), always (of a "
+        "microphone too) or never.",
+        show_default="auto; foten-plus only",
+    )
     excitation: bool = Option(
         False, "--excitation", help="Add a random excitation, without which a network's free run falls silent."
     )
@@ -169,7 +176,8 @@ class TrainOptions:
 
     def changes(self) -> dict[str, Any]:
         """Settings of `TrainConfig` that differ from the recipe's, by name."""
-        names = ("epochs", "loss", "delta", "batch", "learning_rate", "dropout", "initial_weights", "threads")
+        of_networks = ("epochs", "loss", "delta", "batch", "learning_rate", "dropout", "initial_weights", "threads")
+        names = (*of_networks, "recorded_innovations")
         return _not_none(**{name: getattr(self, name) for name in names})
 
     def config(self) -> TrainConfig:
@@ -228,7 +236,7 @@ def train(options: TrainOptions) -> None:
     if options.has_network:
         folder.open(_settled(job), options.resume)
     with display:
-        early = [f"wrote {output}: playable, but still without its network; training will replace it"]
+        early = [f"wrote {output}: playable already; training will replace it"]
 
         def on_playable(playable: Texture) -> None:
             write_texture(playable, output)

@@ -1,4 +1,4 @@
-"""A texture between two: levels, reflection coefficients and tones blended, the random part of the nearer one."""
+"""A texture between two: levels, reflection coefficients and tones blended, each stretch of innovations from either side."""
 
 from __future__ import annotations
 
@@ -14,7 +14,9 @@ from foten.editing.describe import Description, describe, steady_figures
 from foten.editing.edit import N_STEPS, UNMEASURED, with_level, with_spectrum
 from foten.models.excitation import Excitation, Scale
 from foten.models.foten_plus.definition import lattice_tensors, table_tensors
-from foten.models.foten_plus.sizes import N_INPUTS, N_PHASE_INPUTS, FotenPlusSizes
+from foten.models.foten_plus.recorded_innovations import MAX_CANDIDATES, RecordedInnovations, encoded
+from foten.models.foten_plus.recorded_store import evenly_thinned, stored_noise
+from foten.models.foten_plus.sizes import FotenPlusSizes
 from foten.models.texture_file import Texture
 from foten.recording.scaling import Scaling
 from foten.runtime.proof import Tensors, proved
@@ -28,7 +30,6 @@ class _Side:
 
     texture: Texture
     scaling: Scaling  # of the blend
-    n_tones: int  # of the blend
 
     @property
     def sizes(self) -> FotenPlusSizes:
@@ -64,9 +65,16 @@ class _Side:
         before = [(0, 0)] * (window.ndim - 2) + [(max(0, history - n), 0), (0, 0)]
         return np.pad(window, before, mode="symmetric")[..., -history:, :]
 
-    def network(self, name: str, rendering: bool) -> Tensors:
-        """Tensors of a network of its own, with inputs of the blend."""
-        prefix = f"{name}."
+    def innovations(self) -> RecordedInnovations:
+        """What it plays; of noise, as if it were recorded over the trained range."""
+        if self.sizes.recorded:
+            return RecordedInnovations.of(self.texture.tensors, self.sizes.along_path)
+        speed, force = (self.texture.trained_range(name) for name in ("speed", "force"))
+        return stored_noise(self.texture.rate_hz, speed, force)
+
+    def network(self) -> Tensors:
+        """Tensors of its network, with inputs of the blend."""
+        prefix = "network."
         own = {key: t.copy() for key, t in self.texture.tensors.items() if key.startswith(prefix)}
         log_means = Scale.of(self.texture.tensors, "lattice.level.")
         now = self.scale("lattice.level.")
@@ -78,10 +86,6 @@ class _Side:
         ):
             columns = own[prefix + weight][:, first + 3 : first + 5].astype(np.float64)
             own[prefix + bias] = (own[prefix + bias] + columns @ shift).astype(np.float32)
-            if rendering and self.n_tones and not self.sizes.n_tones:
-                padded = np.pad(own[prefix + weight], ((0, 0), (0, N_PHASE_INPUTS)))
-                assert padded.shape[1] == first + N_INPUTS + N_PHASE_INPUTS
-                own[prefix + weight] = padded
         return own
 
 
@@ -97,7 +101,8 @@ def blend(
 
     Level, centroid and width at the described condition lie between those of the two: level in decibels, centroid over log
     frequency. The level over speed and force is blended in decibels; reflection coefficients linearly, so that every point is
-    stable; tones in amplitude, once in step, and their periods over log length. The random part is that of the nearer one.
+    stable; tones in amplitude, once in step, and their periods over log length. Where one of them plays recorded innovations, a
+    stretch is drawn from either side, by its share.
 
     Args:
         descriptions: of both, where they are known.
@@ -155,7 +160,7 @@ def _blended(first: Texture, second: Texture, at: float) -> Texture:
     mean, sd = weights @ means, np.exp(weights @ np.log(sds))
     scaling = Scaling(mean=tuple(mean.tolist()), sd=tuple(sd.tolist()))
     n_tones = max(int(t.card["sizes"]["n_tones"]) for t in both)
-    sides = [_Side(t, scaling, n_tones) for t in both]
+    sides = [_Side(t, scaling) for t in both]
     near = sides[at >= 0.5]
     level = joined_scales([side.level("lattice.") for side in sides], weights)
     lattice = joined_tables([side.table("lattice.", "reflections") for side in sides], weights)
@@ -164,20 +169,24 @@ def _blended(first: Texture, second: Texture, at: float) -> Texture:
     in_acceleration = float(in_sd * np.exp(weights @ np.log(sds[:, 0])) / sd[0])
     sigma = joined_scales([side.scale("excitation.") for side in sides], weights)
     tensors: Tensors = {**lattice_tensors("lattice.", level, lattice)}
-    tensors |= Excitation(sigma, (float(in_sigma), in_acceleration)).tensors()
     equalisers = [
         (w, Equaliser.of(side.texture.tensors)) for w, side in zip(weights, sides, strict=True) if side.sizes.equalised
     ]
     if equalisers:
         log_gains = np.sum([w * equaliser.weights for w, equaliser in equalisers], axis=0)
         tensors |= Equaliser.of_weights(log_gains, first.rate_hz).tensors()
-    tensors |= near.network("network", rendering=False)
-    if near.sizes.network_in_loop:
-        tensors |= near.network("rendering_network", rendering=True)
-    tensors |= {name: tensor for name, tensor in near.texture.tensors.items() if name.startswith("recorded.")}
+    tensors |= near.network()
+    recorded, along_path = any(side.sizes.recorded for side in sides), all(side.sizes.along_path for side in sides)
+    if recorded:
+        played = _joined_innovations([side.innovations() for side in sides], weights, along_path)
+        tensors |= played.tensors()
+        in_sigma = max(in_sigma, float(np.abs(played.values).max()))
+    tensors |= Excitation(sigma, (float(in_sigma), in_acceleration)).tensors()
     sizes = replace(
         near.sizes,
         equalised=bool(equalisers),
+        recorded=recorded,
+        along_path=along_path,
         excitation_width=level.hidden_bias.size,
         **_counts(lattice, "order", "n_speed", "n_force"),
         n_tones=n_tones,
@@ -240,6 +249,17 @@ def _card(both: tuple[Texture, Texture], near: Texture, weights: Array) -> dict[
         "trained_range": {c: linear(*(t.trained_range(c) for t in both)) for c in channels},
         "extrapolation_exponents": {c: linear(*(t.extrapolation_exponent(c) for t in both)) for c in channels},
     }
+
+
+def _joined_innovations(sides: list[RecordedInnovations], weights: Array, along_path: bool) -> RecordedInnovations:
+    """Innovations of two sides, of whose candidates as many are kept as its share says: so are the stretches that are played."""
+    counts = [side.candidates.size for side in sides]
+    total = min(MAX_CANDIDATES, *(count / weight for count, weight in zip(counts, weights, strict=True)))
+    moments = [
+        evenly_thinned(side.moments, max(1, int(total * weight))) for side, weight in zip(sides, weights, strict=True)
+    ]
+    e = np.concatenate([side.innovations for side in sides]).reshape(-1, sides[0].step)
+    return encoded(e, np.concatenate(moments), float(np.abs(e).max()), along_path)
 
 
 def _counts(table: SpeedForceTable, *names: str) -> dict[str, Any]:

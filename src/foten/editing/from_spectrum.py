@@ -60,13 +60,11 @@ def texture_of_spectrum(
     reflections = reflections_for(density[None], ORDER)
     scaling = Scaling(mean=(0.0, spectrum.speed_mm_s, spectrum.force_n), sd=(rms, *SD))
     table = SpeedForceTable(np.array([spectrum.speed_mm_s]), log_force(np.array([spectrum.force_n])), reflections)
-    sizes = FotenPlusSizes(
-        n_hidden=1, head_width=1, n_components=1, excitation_width=1, network_in_loop=False, order=ORDER
-    )
+    sizes = FotenPlusSizes(n_hidden=1, head_width=1, n_components=1, excitation_width=1, order=ORDER)
     one = _constant(scaling)
     tensors: Tensors = {**lattice_tensors("lattice.", one, table)}
     tensors |= Excitation(one, (INNOVATION_LIMIT, 1e3)).tensors()
-    shapes = sizes.network_shapes("network", 5)
+    shapes = sizes.network_shapes()
     tensors |= {key: np.zeros([n or 1 for n in shape], dtype=np.float32) for key, shape in shapes.items()}
     windows = _windows(FotenPlus(sizes, tensors), sizes.history)
     preprocess = PreprocessConfig(rate_hz=rate_hz)

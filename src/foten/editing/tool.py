@@ -3,7 +3,7 @@
     one surface, both tools ─▶ spectra by speed and force ─▶ Transfer ─▶ a texture as that tool would feel it
 
 The filter, of least delay, multiplies the spectra of lattices and the amplitudes of tones: the result is a texture like any
-other. An innovation network draws otherwise for another lattice: by how much is rendered, and taken out of the filter.
+other.
 
 Source: ours; measured on eight pens (docs/less-than-a-recording.md).
 """
@@ -11,7 +11,6 @@ Source: ours; measured on eight pens (docs/less-than-a-recording.md).
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass, replace
-from itertools import pairwise, product
 from pathlib import Path
 from typing import Any
 
@@ -20,9 +19,8 @@ from numpy.typing import NDArray
 
 from foten.atomic_write import write_json
 from foten.dsp import Array
-from foten.dsp.distance import MIN_SCORED_HZ, max_scored_hz, welch
+from foten.dsp.distance import MIN_SCORED_HZ, max_scored_hz
 from foten.dsp.speed_force_table import FORCE_FLOOR
-from foten.editing.describe import rendered, varied
 from foten.editing.edit import restored
 from foten.editing.warp import N_BINS, reflections_for, spectra_of
 from foten.models.conditions import MOVING_FORCE, MOVING_SPEED
@@ -40,8 +38,6 @@ MIN_FRAMES = 4  # of a cell, of each tool
 MAX_GAIN_DB = 60.0
 POWER_SD = 0.2  # prior of the powers of speed and force by which a gain grows
 MAX_BANDS = 200
-ANSWERS_PER_OCTAVE, ANSWER_S = 2, 16.0  # of what a network answers to a filter: bands, and how long it is rendered
-MIN_POWER = 1e-3  # of the largest, below which a bin says nothing of it
 FRAME_SD_DB = 4.34  # of the power in one bin of one frame
 
 
@@ -178,35 +174,9 @@ def filtered(texture: Texture, transfer: Transfer, words: str, tool: str) -> Tex
     """The texture through a filter and with other powers, proved, which its card tells in words; otherwise as `transferred`."""
     if texture.card["model"] != "foten-plus":
         raise ValueError(f"the texture is of {texture.card['model']}, expected one of foten-plus")
-    if not texture.card["sizes"]["network_in_loop"]:
-        return _filtered(texture, transfer, words, tool)
-    alone = replace(transfer, speed_exponent=0.0, force_exponent=0.0)
-    answer = _answer(texture, _filtered(texture, alone, words, tool), alone)
-    return _filtered(texture, transfer, words, tool, answer)
-
-
-def _answer(texture: Texture, filtered: Texture, transfer: Transfer) -> Transfer:
-    """The network's answer to a filter, as a filter: by how much else renderings differ from what they were."""
-    rate = texture.rate_hz
-    n_bands = int(ANSWERS_PER_OCTAVE * np.log2(max_scored_hz(rate) / MIN_SCORED_HZ))
-    edges = MIN_SCORED_HZ * 2 ** (np.arange(n_bands + 1) / ANSWERS_PER_OCTAVE)
-    more = []
-    for speed, force in product(varied(texture, "speed"), varied(texture, "force")):
-        (hz, p), (_, q) = (welch(rendered(one, speed, force, ANSWER_S), rate, 256) for one in (texture, filtered))
-        wanted, has_power = p * transfer.gain(hz), p > MIN_POWER * p.max()
-        bands = [(hz >= low) & (hz < high) & has_power for low, high in pairwise(edges)]
-        more.append([10 * np.log10(q[band].sum() / wanted[band].sum()) if band.any() else 0.0 for band in bands])
-    gain = np.clip(np.mean(more, axis=0), -MAX_GAIN_DB, MAX_GAIN_DB)
-    return replace(
-        transfer, hz=tuple(np.sqrt(edges[1:] * edges[:-1])), gain_db=tuple(gain), gain_sd_db=(0.0,) * n_bands
-    )
-
-
-def _filtered(texture: Texture, transfer: Transfer, words: str, tool: str, answer: Transfer | None = None) -> Texture:
-    """The texture through a filter, over the answer of its network to that."""
     card, tensors = texture.card, texture.tensors
     grid = np.linspace(0, texture.rate_hz / 2, N_BINS + 1)
-    gain = transfer.gain(grid) / (1.0 if answer is None else answer.gain(grid))
+    gain = transfer.gain(grid)
     changed: dict[str, NDArray[Any]] = {}
     own = Scale.of(tensors, "lattice.level.")
     most = 1.0

@@ -56,7 +56,7 @@ def predict(texture: NativeTexture, samples: Array, n: NDArray[np.int64], part: 
 def excitation_scores(
     texture: NativeTexture, samples: Array, n: NDArray[np.int64], counted: NDArray[np.bool_]
 ) -> dict[str, Any]:
-    """Fit of the random part, a network's distribution or an excitation's scale, to the error of a rendering's prediction.
+    """Fit of the excitation's scale to the error of the prediction that a rendering uses, without the network of foten-plus.
 
     Unknown where a rendering has tones (`dsp.tones`).
 
@@ -70,7 +70,7 @@ def excitation_scores(
         numbers, 1 where the distribution is right; `intervals`.
     """
     unknown = dict.fromkeys(("nll", "coverage_50", "coverage_90", "standardised_sd"))
-    predicted = predict(texture, samples, n, "rendering")
+    predicted = predict(texture, samples, n, "linear")
     if not predicted.scale.all():
         return {**unknown, "intervals": {}}
     standardised, nll = predicted.standardised, predicted.nll

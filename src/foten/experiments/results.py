@@ -48,11 +48,12 @@ _SCORES = (
     *("one_step", "free_run", "free_run_deterministic", "free_run_ar", "ceiling", "warm_start"),
     *("listener", "references", "validation"),
 )
-_ONCE = ("note", "platform")  # in `runs.csv`: empty where an experiment's run before has the same
+_ONCE = ("note", "platform", "code")  # in `runs.csv`: empty where an experiment's run before has the same
 VALIDATION = ("validation.mae_scaled", "validation.spectrum_db")  # what a recipe is chosen by, the first that it has
 MAX_FIGURE = 1e12
 _NEEDED = ("split", "rate_hz", "recording_sha256", "training_s")  # for tables
 _TEXTS = (
+    "random_part",
     *("experiment", "note", "method", "recipe", "beside", "model", "texture"),
     *("excitation", "measures", "code", "platform"),
 )
@@ -121,7 +122,7 @@ def _record(result: Mapping[str, Any]) -> dict[str, Any]:
         "split": split,
         "n_blocks": evaluation["n_blocks"],
         "excitation": _excitation(evaluation),
-        "network_in_loop": result["network_in_loop"],
+        "random_part": result["random_part"],
         "recording_sha256": result["recording_sha256"][:12],
         "split_sha256": (evaluation["split_sha256"] or "")[:12],
         "epochs": result["n_epochs"],

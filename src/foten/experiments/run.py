@@ -62,11 +62,18 @@ def _result(run: Run, recording: Recording, texture: Texture, seconds: float) ->
         "n_epochs": metrics.get("n_epochs"),
         "validation_mae_scaled": metrics["validation_mae_scaled"],
         "file_bytes": len(texture.to_bytes()),
-        "network_in_loop": texture.sizes.network_in_loop if isinstance(texture.sizes, FotenPlusSizes) else None,
+        "random_part": _random_part(texture),
         "measures": _measures(run.measures, texture, recording),
         "evaluation": document,
         "signals": _signals(judgement),
     }
+
+
+def _random_part(texture: Texture) -> str | None:
+    """What a rendering of foten-plus draws from; None of other models."""
+    if not isinstance(texture.sizes, FotenPlusSizes):
+        return None
+    return "recorded" if texture.sizes.recorded else "noise"
 
 
 def _measures(names: Sequence[str], texture: Texture, recording: Recording) -> dict[str, Any]:

@@ -123,7 +123,7 @@ def proven(texture: Texture) -> float | None:
     sizes, tensors = texture.sizes, texture.tensors
     if not isinstance(sizes, FotenPlusSizes):
         return None
-    largest = np.inf if sizes.network_in_loop or sizes.recorded else MAX_NOISE
+    largest = np.inf if sizes.recorded else MAX_NOISE
     entering = float(tensors["excitation.sigma_max"].item()) * min(
         largest, float(tensors["excitation.innovation_limit"][0])
     )

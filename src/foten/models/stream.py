@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from foten.dsp import Array
-
-if TYPE_CHECKING:
-    from foten.models.foten_plus.definition import Mixture
 
 
 class Weights(dict[str, Array]):
@@ -41,36 +38,25 @@ class Prediction(NamedTuple):
     sample: Array
     scale: Array | None = None  # by how much a unit of excitation moves it; None for no excitation
     innovation_limit: tuple[float, float] = (np.inf, np.inf)  # in units of the scale, and of scaled acceleration
-    mixture: Mixture | None = None  # of the innovation, in units of the scale, its mean in the sample; None for noise
     recorded: Array | None = None  # innovations that take the place of noise, in units of the scale
-    # Where near rest what enters a lattice fades, and not what leaves it: the sample without innovation, and the tones in it.
-    linear: Array | None = None
-    tone: Array | float = 0.0
+    gain_before_filter: bool = False  # then near rest the excitation fades, and not what a lattice makes of it
+    tone: Array | float = 0.0  # of the sample
 
     def excited(self, noise: Array) -> Array:
         """The sample with excitation from standard normal noise, shape (s,)."""
         if self.scale is None:
             return self.sample
-        limit = limit_of(self.innovation_limit, self.scale)
-        if self.mixture is None:
-            return self.sample + self.scale * np.clip(noise if self.recorded is None else self.recorded, -limit, limit)
-        drawn, expected = (
-            np.clip(values, -limit, limit) for values in (self.mixture.quantile(noise), self.mixture.expected())
-        )
-        return self.sample + self.scale * (drawn - expected)
+        in_scales, in_acceleration = self.innovation_limit
+        limit = np.minimum(in_scales, in_acceleration / self.scale)
+        return self.sample + self.scale * np.clip(noise if self.recorded is None else self.recorded, -limit, limit)
 
     def faded(self, noise: Array | None, fade: Array | float) -> tuple[Array, Array]:
         """The output with a fade near rest, and the sample that the stream goes on from, (s,) each; of noise or None."""
         sample = self.sample if noise is None else self.excited(noise)
-        if self.linear is None:
+        if not self.gain_before_filter:
             return fade * sample, sample
-        residual = self.linear + fade * (sample - self.tone - self.linear)
-        return residual + fade * self.tone, residual + self.tone
-
-
-def limit_of(innovation_limit: tuple[float, float], scale: Array) -> Array:
-    """The largest innovation in units of its scale, (s,), from that and that of scaled acceleration."""
-    return np.minimum(innovation_limit[0], innovation_limit[1] / scale)
+        sample = self.sample + fade * (sample - self.sample)
+        return sample - (1 - fade) * self.tone, sample
 
 
 class Stream(Protocol):

@@ -27,7 +27,7 @@ from foten.recording.split import Split
 from foten.recording.trace import CHANNELS
 from foten.untrusted import check_numbers, parse_json, printable, read_whole
 
-FORMAT_VERSION = 5
+FORMAT_VERSION = 6
 ONE_STEP_TOLERANCE = 1e-5  # scaled; float32 arithmetic of the network
 CLOSED_LOOP_TOLERANCE = 1e-4  # scaled, of each of 64 steps
 MIN_GOLDEN = 8  # windows
@@ -106,7 +106,7 @@ class Texture:
         """Sentence on a texture that was written before its training ended; empty for others."""
         if not self.card["training"].get("unfinished", False):
             return ""
-        return "its training has not ended: this is the early texture, without its network"
+        return "its training has not ended: this is an early texture"
 
     @property
     def has_excitation(self) -> bool:
@@ -229,7 +229,7 @@ def check_card(card: Any) -> None:
     version = card.get("format_version")
     if version != FORMAT_VERSION:
         older = type(version) is int and version < FORMAT_VERSION
-        advice = "train it again with this foten" if older else "update foten"
+        advice = "train it again: foten train RECORDING -o NAME.foten" if older else "update foten"
         raise ValueError(f"the file has format version {shortened(version)}, expected {FORMAT_VERSION}: {advice}")
     for kind, keys in _CARD.items():
         expected = "a number" if kind == (int, float) else getattr(kind, "__name__", "dict or null")

@@ -7,7 +7,7 @@ from ctypes import POINTER, Structure, c_char_p, c_double, c_float, c_int, c_siz
 from functools import cache
 from pathlib import Path
 
-ABI = 6  # FOTEN_ABI of the header that this follows
+ABI = 7  # FOTEN_ABI of the header that this follows
 NO_MEMORY, NO_PREDICTOR = 3, 5
 
 

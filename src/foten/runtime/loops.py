@@ -93,7 +93,7 @@ def render_strokes(
 
 
 class Prediction(NamedTuple):
-    """Predicted samples and their likelihood, scaled, of one shape; all but the sample are 0 where there is no random part."""
+    """Predicted samples and their likelihood, scaled, of one shape; all but the sample are 0 where no likelihood is known."""
 
     sample: Array
     scale: Array  # standard deviation of the random part
@@ -106,7 +106,7 @@ def predict_blocks(texture: NativeTexture, blocks: Array, part: PredictionPart =
 
     Args:
         blocks: acceleration, speed and force; each sample is predicted from those before it in its block.
-        part: all of the "model"; its "linear" part alone; or what a "rendering" uses, the network only where it is in the loop.
+        part: all of the "model" or its "linear" part alone, which renderings of foten-plus excite: there this has the likelihood.
     """
     out = np.empty((len(blocks), blocks.shape[1] - texture.info.window, 4))
 

@@ -17,7 +17,7 @@ from foten.models.texture_file import Texture
 from foten.runtime import binding
 from foten.runtime.binding import NativeActuator, NativeStatistics, library
 
-PredictionPart = Literal["model", "linear", "rendering"]
+PredictionPart = Literal["model", "linear"]
 
 
 @dataclass(frozen=True)

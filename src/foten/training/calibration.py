@@ -192,7 +192,7 @@ class ClosedLoop:
     unit_sigma: bool = False  # whether the kernel's σ is 1 whatever the excitation, which scales the noise instead
 
     def with_unit_sigma(self, width: int, innovation_limit: float) -> ClosedLoop:
-        """The same by one kernel for all excitations of a limit in acceleration, where no network draws."""
+        """The same by one kernel for all excitations of a limit in acceleration."""
         unit = constant_scale(width, self.blocks.scaling)
         texture = self.kernel(Excitation(unit, (MAX_SIGMA, innovation_limit)))
         return replace(self, kernel=lambda excitation: texture, unit_sigma=True)
@@ -279,7 +279,6 @@ class Calibrated:
     acceleration_nll: float | None  # where a rendering does not fade; None where it always does
     # By how much the loop was too loud before each adjustment.
     level_errors_db: list[float] = field(default_factory=list)
-    innovation_nll: float = math.nan  # before the level was calibrated
 
     def metrics(self) -> dict[str, Any]:
         return {
@@ -299,36 +298,13 @@ def calibrate_excitation(width: int, residuals: Residuals, loop: ClosedLoop, see
     in_sigma = (innovation / sigma(residuals.condition))[:n]
     fitted = Excitation(sigma, (float(np.abs(in_sigma).max()), residuals.largest))
 
-    def nll_under(excitation: Excitation) -> Array:
-        scale = excitation.sigma(residuals.condition[n:]) * gain[n:]
-        return innovation_likelihood((innovation * gain)[n:], scale)[1]
-
-    innovation_nll = float((nll_under(fitted) - np.log(gain[n:])).mean())
     excitation, errors = calibrate_level(loop, fitted, seed)
-    nll, moving = nll_under(excitation), residuals.moving[n:]
-    acceleration_nll = float(nll[moving].mean()) if moving.any() else None
+    acceleration_nll, moving = None, residuals.moving[n:]
+    if moving.any():
+        scale = excitation.sigma(residuals.condition[n:]) * gain[n:]
+        acceleration_nll = float(innovation_likelihood((innovation * gain)[n:], scale)[1][moving].mean())
     free_run = loop.free_run_errors(excitation, seed)
-    return Calibrated(excitation, free_run, acceleration_nll, errors, innovation_nll)
-
-
-def calibrate_network_gain(
-    width: int,
-    innovation_limit: tuple[float, float],
-    loop: ClosedLoop,
-    seed: int,
-    acceleration_nll: float | None,
-    level: bool,
-) -> Calibrated:
-    """Scale of a network's innovations in the closed loop, σ near 1, and their bound.
-
-    Args:
-        innovation_limit: in units of σ and in scaled acceleration.
-        level: False leaves σ at 1: the network has learned its level in the closed loop.
-    """
-    excitation, errors = Excitation(constant_scale(width, loop.blocks.scaling), innovation_limit), list[float]()
-    if level:
-        excitation, errors = calibrate_level(loop, excitation, seed)
-    return Calibrated(excitation, loop.free_run_errors(excitation, seed), acceleration_nll, errors)
+    return Calibrated(excitation, free_run, acceleration_nll, errors)
 
 
 def calibrate_level(loop: ClosedLoop, excitation: Excitation, seed: int) -> tuple[Excitation, list[float]]:

@@ -9,6 +9,7 @@ from typing import Any
 
 LOSSES, SCHEDULES, OPTIMISERS = ("huber", "mse", "mae"), ("one_cycle", "constant"), ("muon", "adamw")
 INITIAL_WEIGHTS = ("uniform", "glorot")
+STORED = ("auto", "always", "never")  # recorded innovations: auto, not of a microphone above 2 kHz; always, of any
 WARM_START = (45.0, 0.8)  # mm/s, N: mean of early contacts; Sec. V-a
 
 
@@ -37,12 +38,13 @@ class TrainConfig:
     table: bool = True  # try reflection coefficients that follow speed and force
     gain_before_filter: bool = True  # try the level before the lattice as well as after it
     tones: bool = True  # try tones of the path
-    closed_loop_training: bool = True  # of a rendering's network, once it is fitted by likelihood
+    recorded_innovations: str = "auto"  # tried where noise is told from the recording; or "always" or "never": `STORED`
     seed: int = 0  # of the initial weights, the order of windows and dropout
     threads: int = 2  # each takes a share of every batch; part of what makes a file reproducible
 
     def __post_init__(self) -> None:
         choices = {"loss": LOSSES, "schedule": SCHEDULES, "optimiser": OPTIMISERS, "initial_weights": INITIAL_WEIGHTS}
+        choices["recorded_innovations"] = STORED
         for name, known in choices.items():
             if getattr(self, name) not in known:
                 raise ValueError(f"{name} is {getattr(self, name)!r}, expected one of {', '.join(known)}")
@@ -127,7 +129,7 @@ UNUSED: dict[str, tuple[str, ...]] = {
     ),
 }
 """Settings that a model does not use: the loss of foten-plus is a likelihood, that of the GAN its discriminator."""
-OF_FOTEN_PLUS = ("max_order", "table", "gain_before_filter", "tones", "closed_loop_training")
+OF_FOTEN_PLUS = ("max_order", "table", "gain_before_filter", "tones", "recorded_innovations")
 
 
 def recipe_of(model: str, recipe: str = "default", **changed: Any) -> TrainConfig:

@@ -1,1 +1,1 @@
-"""foten-plus: a level, a lattice, tones, and an innovation network."""
+"""foten-plus: a level, a lattice, tones, a random part, and a network for one-step predictions."""

@@ -1,10 +1,8 @@
-"""foten-plus as `models.foten_plus.sizes` describes it: lattice, tones, and innovations of a network or of an excitation."""
+"""foten-plus as `models.foten_plus.sizes` describes it: lattice, tones, excitation, and the network of a prediction."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
@@ -17,57 +15,8 @@ from foten.dsp.speed_force_table import SpeedForceTable
 from foten.dsp.tones import MAX_JITTER_DRIVE, anti_alias_gain, fitted_phase, tone
 from foten.models.excitation import Excitation, Scale
 from foten.models.foten_plus.recorded_innovations import Playback, RecordedInnovations
-from foten.models.foten_plus.sizes import LOG_SCALE_LIMIT, FotenPlusSizes
-from foten.models.stream import Prediction, Weights, limit_of
-
-_erfc = np.vectorize(math.erfc, otypes=[float])
-MAX_NEWTON_STEPS = 60  # of Newton's method, which takes about four
-NEWTON_PRECISION = 1e-7  # of the narrowest component: the step after one so small would be about its square
-
-
-@dataclass(frozen=True)
-class Mixture:
-    """Mixtures of k Gaussians, one for each of s streams: all (s, k)."""
-
-    weight: Array
-    mean: Array
-    scale: Array
-
-    def expected(self) -> Array:
-        """Their means, (s,)."""
-        return np.asarray((self.weight * self.mean).sum(axis=1))
-
-    def log_density(self, values: Array) -> Array:
-        """Log p of values (s,) [nat]."""
-        z = (values[:, None] - self.mean) / self.scale
-        terms = np.log(self.weight) - np.log(self.scale) - 0.5 * z * z
-        largest = terms.max(axis=1)
-        return largest + np.log(np.exp(terms - largest[:, None]).sum(axis=1)) - 0.5 * np.log(2 * np.pi)
-
-    def quantile(self, noise: Array) -> Array:
-        """The values below which lies Φ(z), for standard normal numbers z (s,).
-
-        Newton's method on log F, within the smallest and the largest of the components' own quantiles, from their mean; the
-        upper half by the mirror image, since only small probabilities are known to many digits.
-        """
-        sign = np.where(noise > 0, -1.0, 1.0)
-        z, mean = -np.abs(noise), sign[:, None] * self.mean
-        log_p = np.log(0.5 * _erfc(-z / np.sqrt(2)))
-        quantiles = mean + self.scale * z[:, None]  # of each component by itself
-        low, high, x = quantiles.min(axis=1), quantiles.max(axis=1), (self.weight * quantiles).sum(axis=1)
-        for _ in range(MAX_NEWTON_STEPS):
-            deviation = (x[:, None] - mean) / self.scale
-            below = (self.weight * 0.5 * _erfc(-deviation / np.sqrt(2))).sum(axis=1)
-            density = (self.weight * np.exp(-0.5 * deviation * deviation) / self.scale).sum(axis=1) / np.sqrt(2 * np.pi)
-            with np.errstate(all="ignore"):
-                error = np.log(below) - log_p
-                low, high = np.where(error < 0, x, low), np.where(error < 0, high, x)
-                step = x - error * below / density
-            step = np.where((step >= low) & (step <= high), step, 0.5 * (low + high))
-            converged, x = np.abs(step - x) <= NEWTON_PRECISION * self.scale.min(axis=1), step
-            if converged.all():
-                break
-        return sign * x
+from foten.models.foten_plus.sizes import FotenPlusSizes
+from foten.models.stream import Prediction, Weights
 
 
 def innovation_inputs(innovation: Array, sample: Array, logs: Array) -> Array:
@@ -76,21 +25,15 @@ def innovation_inputs(innovation: Array, sample: Array, logs: Array) -> Array:
     return np.column_stack([np.arcsinh(innovation), size, sample / 2, logs])
 
 
-def phase_inputs(phase: Array) -> Array:
-    """Cosine and sine of the phase of the next sample [rad], and of twice it: (…,) → (…, 4)."""
-    return np.stack([np.cos(phase), np.sin(phase), np.cos(2 * phase), np.sin(2 * phase)], axis=-1)
-
-
 class NetworkDefinition:
     """The innovation network of a texture's tensors.
 
     A gated recurrent unit takes in what each sample was; a head gives a mixture of Gaussians for the next innovation:
 
-        u = (asinh e, asinh 3|e| − 1, x/2, log v/v̄, log f/f̄ [, cos φ, sin φ, cos 2φ, sin 2φ])      h ← GRU(u, h)
-        (log w, μ, log s) = W₂ tanh(W₁ [h, u] + b₁) + b₂           p(e) = Σ w_k N(e; μ_k, s_k),  log s = L tanh(· / L)
+        u = (asinh e, asinh 3|e| − 1, x/2, log v/v̄, log f/f̄)      h ← GRU(u, h)
+        (log w, μ, log s) = W₂ tanh(W₁ [h, u] + b₁) + b₂          p(e) = Σ w_k N(e; μ_k, s_k)
 
-    φ, where there are tones, is the phase of the next sample. The prediction is the mean. In a rendering the innovation is the
-    mixture's quantile at Φ(z), z one Gaussian number: a smooth function of weights, state and number.
+    The prediction is the mean; s serves its fit by likelihood.
 
     Source: ours; the unit is that of Cho et al., "Learning phrase representations using RNN encoder–decoder" (2014), with the
     reset gate after the product.
@@ -101,7 +44,7 @@ class NetworkDefinition:
         self.n_hidden = self._w["recurrent.weight_hh_l0"].shape[1]
 
     def push(self, hidden: Array, inputs: Array) -> Array:
-        """h after inputs (s, 5 or 9): (s, h) → (s, h)."""
+        """h after inputs (s, 5): (s, h) → (s, h)."""
         from_inputs = inputs @ self._w["recurrent.weight_ih_l0"].T + self._w["recurrent.bias_ih_l0"]
         from_hidden = hidden @ self._w["recurrent.weight_hh_l0"].T + self._w["recurrent.bias_hh_l0"]
         (r, z, n), (hr, hz, candidate_preactivation) = (np.split(x, 3, axis=1) for x in (from_inputs, from_hidden))
@@ -109,13 +52,12 @@ class NetworkDefinition:
         candidate = np.tanh(n + reset * candidate_preactivation)
         return (1 - update) * candidate + update * hidden
 
-    def mixture(self, hidden: Array, inputs: Array) -> Mixture:
-        """The distributions after h (s, h) and the last inputs (s, 5 or 9)."""
+    def expected(self, hidden: Array, inputs: Array) -> Array:
+        """The expected next innovations (s,), after h (s, h) and the last inputs (s, 5)."""
         out = self._w.linear("out", np.tanh(self._w.linear("head", np.concatenate([hidden, inputs], axis=1))))
-        logit, mean, log_scale = np.split(out, 3, axis=1)
+        logit, mean, _ = np.split(out, 3, axis=1)
         weight = np.exp(logit - logit.max(axis=1, keepdims=True))
-        scale = np.exp(LOG_SCALE_LIMIT * np.tanh(log_scale / LOG_SCALE_LIMIT))
-        return Mixture(weight / weight.sum(axis=1, keepdims=True), mean, scale)
+        return np.asarray((weight * mean).sum(axis=1) / weight.sum(axis=1))
 
 
 class Lattice:
@@ -177,7 +119,6 @@ class FotenPlus:
         self.excitation = Excitation.of(tensors)
         self.lattice = self.excited_lattice = Lattice(tensors, "lattice.", sizes.gain_before_filter)
         self.network = NetworkDefinition(tensors, "network.")
-        self.rendering_network = NetworkDefinition(tensors, "rendering_network.") if sizes.network_in_loop else None
         self.equaliser = Equaliser.of(tensors) if sizes.equalised else None
         self.recorded = RecordedInnovations.of(tensors, sizes.along_path) if sizes.recorded else None
         self.tones: Tones | None = None
@@ -187,13 +128,15 @@ class FotenPlus:
 
     def predict(self, windows: Array) -> Array:
         """Next samples by the lattice and the network: windows (b, m, 3) scaled → (b,) scaled."""
-        return self._analysed(windows, self.lattice, self.network, calibrated=False).predict().sample
+        stream, inputs = self._analysed(windows, self.lattice)
+        hidden = np.zeros((len(windows), self.network.n_hidden))
+        for each in inputs[-self.sizes.window :]:
+            hidden = self.network.push(hidden, each)
+        sample, gain = stream.linear()
+        return sample + gain * self.network.expected(hidden, inputs[-1])
 
     def start(self, windows: Array) -> FotenPlusStream:
-        """Streams that go on from scaled windows, shape (s, m, 3).
-
-        Their first sample is what `predict` gives where the network is in the loop, there are no tones nor equaliser, and σ is 1.
-        """
+        """Streams that go on from scaled windows, shape (s, m, 3)."""
         stream = self._started(windows)
         stream.settle_equaliser()
         stream.begin_playback(None)
@@ -201,7 +144,7 @@ class FotenPlus:
 
     def _started(self, windows: Array) -> FotenPlusStream:
         if self.tones is None:
-            return self._analysed(windows, self.lattice, self.rendering_network)
+            return self._analysed(windows, self.lattice)[0]
         condition = self.with_speed(windows[:, :-1, 1:])
         flat = condition.reshape(-1, 3)
         level = self.lattice.level(flat[:, :2]).reshape(condition.shape[:2])
@@ -210,10 +153,9 @@ class FotenPlus:
         phase = fitted_phase(windows[:, 1:, 0] / level, coefficients, travelled)
         residual = windows.copy()
         residual[:, 1:, 0] -= level * tone(coefficients, travelled + phase[:, None])
-        last = travelled[:, -1:] + phase[:, None] + self.tones.phase_increment(self.with_speed(windows[:, -1:, 1:]))
-        next_phase = np.concatenate([travelled + phase[:, None], last], axis=1)
-        stream = self._analysed(residual, self.excited_lattice, self.rendering_network, self.tones, next_phase)
-        phase = np.remainder(next_phase[:, -1] + np.pi, 2 * np.pi) - np.pi  # within half a turn
+        stream, _ = self._analysed(residual, self.excited_lattice)
+        phase = travelled[:, -1] + phase + self.tones.phase_increment(stream.condition)
+        phase = np.remainder(phase + np.pi, 2 * np.pi) - np.pi  # within half a turn
         stream.begin_phase(self.tones, phase, np.zeros_like(phase))
         return stream
 
@@ -221,53 +163,30 @@ class FotenPlus:
         """Conditions (…, 2) scaled with the speed that they stand for [mm/s], (…, 3)."""
         return np.concatenate([condition, self.lattice.level.physical(condition)[..., :1]], axis=-1)
 
-    def _analysed(
-        self,
-        windows: Array,
-        lattice: Lattice,
-        network: NetworkDefinition | None,
-        tones: Tones | None = None,
-        next_phase: Array | None = None,
-        calibrated: bool = True,
-    ) -> FotenPlusStream:
-        """Streams after windows of what a lattice is of, with the phase of tones at the sample after each (s, n)."""
+    def _analysed(self, windows: Array, lattice: Lattice) -> tuple[FotenPlusStream, list[Array]]:
+        """Streams after windows of what a lattice is of, and u of each sample but the first, (s, 5) each."""
         conditions = self.with_speed(windows[:, :, 1:])
-        stream = FotenPlusStream(self, lattice, network, conditions[:, 0], tones, calibrated)
-        n = windows.shape[1]
-        for i in range(1, n):
+        stream, inputs = FotenPlusStream(self, lattice, conditions[:, 0]), []
+        for i in range(1, windows.shape[1]):
+            x = windows[:, i, 0] / stream.level
             e = stream.analyse(windows[:, i, 0])
-            if next_phase is not None:
-                stream.phase = next_phase[:, i]
-            warming_up = i >= n - self.sizes.window
-            stream.advance(e, windows[:, i, 0] / stream.level, conditions[:, i], update_network=warming_up)
-        return stream
+            stream.set_condition(conditions[:, i])
+            inputs.append(innovation_inputs(e, x, lattice.level.logarithms(conditions[:, i, :2])))
+        return stream, inputs
 
 
 class FotenPlusStream:
-    """Streams of foten-plus: of a lattice, with a network or without, and of tones or none.
-
-    Unless `calibrated`, σ does not scale what the network draws: as in the recording that it was trained on.
-    """
+    """Streams of foten-plus: of a lattice, and of its model's tones or none."""
 
     bounded: ClassVar[bool] = True
 
-    def __init__(
-        self,
-        model: FotenPlus,
-        lattice: Lattice,
-        network: NetworkDefinition | None,
-        condition: Array,
-        tones: Tones | None = None,
-        calibrated: bool = True,
-    ) -> None:
+    def __init__(self, model: FotenPlus, lattice: Lattice, condition: Array) -> None:
         s = len(condition)
-        self.model, self.lattice, self.network, self.tones, self.calibrated = model, lattice, network, tones, calibrated
+        self.model, self.lattice = model, lattice
         self.states = np.zeros((lattice.order, s))  # b₀ … b_{p−1} of the lattice
-        self.hidden_state = np.zeros((s, network.n_hidden if network else 0))  # of the network, after the last sample
         # Phase of the tones at the next sample [rad], the same without jitter, r of `dsp.tones`, and T; 0 without tones.
         self.phase = self.nominal_phase = self.rate = self.tone = np.zeros(s)
         self.set_condition(condition)
-        self.inputs = self._inputs(np.zeros(s), np.zeros(s))  # of the last sample
         self.equaliser: EqualiserStream | None = None
         self.playback: list[Playback] = []
         self.next_innovation = np.zeros(s)  # recorded, over σ
@@ -295,12 +214,7 @@ class FotenPlusStream:
         """Set what the next sample is predicted under: the condition (s, 3) of the last."""
         self.condition = condition  # speed and force, scaled, and the speed that tones go by [mm/s]
         self.level = self.lattice.level(condition[:, :2])
-        self.logs = self.lattice.level.logarithms(condition[:, :2])
         self.reflections = self.lattice.reflections(condition[:, :2])
-
-    def _inputs(self, innovation: Array, x: Array) -> Array:
-        inputs = innovation_inputs(innovation, x, self.logs)
-        return inputs if self.tones is None else np.concatenate([inputs, phase_inputs(self.phase)], axis=1)
 
     def begin_phase(self, tones: Tones, phase: Array, nominal_phase: Array) -> None:
         """Begin the tones at a phase of the next sample, and that without jitter, (s,) each."""
@@ -309,12 +223,11 @@ class FotenPlusStream:
 
     @property
     def n_initial(self) -> int:
-        """A number for each state; two for a phase; one for each sample of a network's window."""
-        warm_up = self.model.sizes.window if self.network else 0
-        return len(self.states) + (2 if self.tones else 0) + (self.model.recorded is not None) + warm_up
+        """A number for each state; two for a phase; one for recorded innovations."""
+        return len(self.states) + (2 if self.model.tones else 0) + (self.model.recorded is not None)
 
     def begin(self, condition: Array, noise: Array, fade: float = 1.0) -> None:
-        """Draw the states and the phase of the tones; run the network for its window.
+        """Draw the states, the phase of the tones, and where the recording begins.
 
         Under a constant condition the states of a normalised lattice are uncorrelated and as large as what enters it. So Gaussian
         states of that size are stationary, but for the leak.
@@ -323,45 +236,28 @@ class FotenPlusStream:
         """
         self.set_condition(condition)
         self.settle_equaliser()
-        p, excitation, known = len(self.states), self.model.excitation, condition[:, :2]
-        before, _ = self.lattice.gains(self.level)
-        size = before * excitation.sigma(known)
+        p = len(self.states)
+        size = self.lattice.gains(self.level)[0] * self.model.excitation.sigma(condition[:, :2])
         if self.lattice.gain_before_filter:
             size = fade * size
         self.states = size * noise[:, :p].T
-        if self.tones:
+        if self.model.tones:
             phase = np.arctan2(noise[:, p], noise[:, p + 1])
-            self.begin_phase(self.tones, phase, phase)
-            p += 2
-        if self.model.recorded is not None:
-            self.begin_playback(noise[:, p])
-            p += 1
-        zero = np.zeros(len(noise))
-        self.hidden_state, self.inputs = np.zeros_like(self.hidden_state), self._inputs(zero, zero)
-        for z in noise[:, p:].T:
-            leaving, sample = self.predict().faded(z, fade)
-            self.push(sample, condition, z)
-            self.leave(leaving)
+            self.begin_phase(self.model.tones, phase, phase)
+        self.begin_playback(noise[:, -1])
+
+    def linear(self) -> tuple[Array, Array]:
+        """The next sample by the lattice alone, and by how much an innovation of 1 moves it, (s,) each."""
+        x, cosines = predict(self.states, self.reflections)
+        return x * self.lattice.gains(self.level)[1], cosines * self.level
 
     def predict(self) -> Prediction:
-        x, cosines = predict(self.states, self.reflections)
-        innovation_gain, known = cosines * self.level, self.condition[:, :2]
-        sample = x * self.lattice.gains(self.level)[1] + self.tone
-        if self.network is None:
-            prediction = self.model.excitation.added_to(sample, innovation_gain, known)
-            recorded = self.next_innovation.copy() if self.playback else None
-            return self._fading(prediction._replace(recorded=recorded), sample)
-        mixture = self.network.mixture(self.hidden_state, self.inputs)
-        if not self.calibrated:
-            return Prediction(sample + innovation_gain * mixture.expected(), innovation_gain, mixture=mixture)
-        scale, bounds = innovation_gain * self.model.excitation.sigma(known), self.model.excitation.innovation_limit
-        limit = limit_of(bounds, scale)
-        expected = sample + scale * np.clip(mixture.expected(), -limit, limit)
-        return self._fading(Prediction(expected, scale, bounds, mixture), sample)
-
-    def _fading(self, prediction: Prediction, linear: Array) -> Prediction:
-        before = self.lattice.gain_before_filter
-        return prediction._replace(linear=linear - self.tone, tone=self.tone) if before else prediction
+        sample, innovation_gain = self.linear()
+        prediction = self.model.excitation.added_to(sample + self.tone, innovation_gain, self.condition[:, :2])
+        recorded = self.next_innovation.copy() if self.playback else None
+        return prediction._replace(
+            recorded=recorded, gain_before_filter=self.lattice.gain_before_filter, tone=self.tone
+        )
 
     def leave(self, sample: Array) -> Array:
         """What leaves, through the equaliser, of a sample that was pushed and faded, (s,)."""
@@ -373,25 +269,15 @@ class FotenPlusStream:
         self.states, e = push(self.states, self.reflections, sample / after)
         return e / before
 
-    def advance(self, innovation: Array, x: Array, condition: Array, update_network: bool = True) -> None:
-        """Go on to the condition (s, 3) of a sample; the network takes in its innovation and x, (s,) each."""
-        self.set_condition(condition)
-        if self.network is not None and update_network:
-            self.inputs = self._inputs(innovation, x)
-            self.hidden_state = self.network.push(self.hidden_state, self.inputs)
-
     def push(self, sample: Array, condition: Array, noise: Array | None) -> None:
         """Take in the next samples; the noise in them is known from their innovations.
 
         The phase of tones jitters with the innovation, and leaks towards that without jitter, full turns included: two streams
         under the same noise converge.
         """
-        before, tones, sigma = self.condition, self.tones, self.model.excitation.sigma(self.condition[:, :2])
-        level = self.level * sigma
-        x = sample - self.tone
-        e = self.analyse(x)
+        tones, e = self.model.tones, self.analyse(sample - self.tone)
         if tones is not None:
-            increment = tones.phase_increment(before)
+            increment = tones.phase_increment(self.condition)
             memory = np.exp(-increment / np.pi)
             jitter = tones.period_jitter * np.clip(e, -MAX_JITTER_DRIVE, MAX_JITTER_DRIVE)
             self.rate = memory * self.rate + np.sqrt(1 - memory * memory) * jitter
@@ -399,6 +285,6 @@ class FotenPlusStream:
             self.phase = self.phase + tones.phase_increment(condition)
             self.nominal_phase = self.nominal_phase + tones.phase_increment(condition)
             self.tone = tone(tones.coefficients(condition), self.phase)
-        self.advance(e / sigma, x / level, condition)
+        self.set_condition(condition)
         if self.playback:
             self._play(noise)

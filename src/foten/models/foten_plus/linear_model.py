@@ -312,7 +312,7 @@ def _shrunk(information: Array, score: Array, parts: Array) -> Array:
 class LinearModel:
     """All of foten-plus but its network and excitation."""
 
-    sizes: FotenPlusSizes  # of lattices and tones; the network is not in the loop
+    sizes: FotenPlusSizes  # of lattices and tones
     tensors: Tensors  # theirs, by the names in a texture file
     # Of the fundamental at every sample [rad], (n_blocks, block); None where the surface does not repeat.
     phase: Array | None = None
@@ -406,7 +406,7 @@ def fit_linear_models(level: Scale, data: LatticeData, sizes: FotenPlusSizes, co
     models = []
     for fitted in selected_lattices(data, config):
         counts = counts_of(fitted.table, "order", "n_speed", "n_force")
-        of_this = replace(sizes, **counts, gain_before_filter=fitted.gain_before_filter, network_in_loop=False)
+        of_this = replace(sizes, **counts, gain_before_filter=fitted.gain_before_filter)
         tensors = lattice_tensors("lattice.", level, fitted.table)
         models.append(LinearModel(of_this, tensors, report={"lattices": fitted.tried, "wavelength_mm": None}))
     return models

@@ -13,9 +13,9 @@ from scipy.special import stdtrit
 from torch import Tensor, nn
 
 from foten.dsp import Array
-from foten.models.foten_plus.definition import innovation_inputs, phase_inputs
+from foten.models.foten_plus.definition import innovation_inputs
 from foten.models.foten_plus.linear_model import LinearModel
-from foten.models.foten_plus.sizes import LOG_SCALE_LIMIT, N_INPUTS, FotenPlusSizes
+from foten.models.foten_plus.sizes import N_INPUTS, FotenPlusSizes
 from foten.training.config import TrainConfig
 from foten.training.job import ScaledBlocks
 from foten.training.loop import (
@@ -40,16 +40,18 @@ MEAN_CHANCE = 0.05  # that a mean which brings nothing is used
 STRETCH_MS = 200.0  # of the validation blocks, over which a mean's gains are averaged; less where these were too few
 MIN_STRETCHES = 10
 MAX_MIRRORED_ASYMMETRY = 4.0  # standard errors of the innovations' asymmetry, up to which their signs mean nothing
+LOG_SCALE_LIMIT = 6.0  # of log s, in size
+MIRROR = (-1.0, 1.0, -1.0, 1.0, 1.0)  # of the inputs: the innovation and x change their sign
 
 
 class InnovationNetwork(nn.Module):
     """A mixture of Gaussians for the next innovation (`definition.NetworkDefinition`); before training its means are zero."""
 
-    def __init__(self, sizes: FotenPlusSizes, n_inputs: int = N_INPUTS) -> None:
+    def __init__(self, sizes: FotenPlusSizes) -> None:
         super().__init__()
         k = self.n_components = sizes.n_components
-        self.recurrent = nn.GRU(n_inputs, sizes.n_hidden, batch_first=True)
-        self.head = nn.Linear(sizes.n_hidden + n_inputs, sizes.head_width)
+        self.recurrent = nn.GRU(N_INPUTS, sizes.n_hidden, batch_first=True)
+        self.head = nn.Linear(sizes.n_hidden + N_INPUTS, sizes.head_width)
         self.out = nn.Linear(sizes.head_width, 3 * k)
         with torch.no_grad():
             self.out.weight.mul_(0.1)
@@ -58,7 +60,7 @@ class InnovationNetwork(nn.Module):
             self.out.bias[2 * k :] = torch.linspace(-1.5, 1.0, k) if k > 1 else 0.0
 
     def forward(self, inputs: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Log w, μ and log s after each sample: u (b, n, n_inputs) → (b, n, k) each."""
+        """Log w, μ and log s after each sample: u (b, n, 5) → (b, n, k) each."""
         hidden, _ = self.recurrent(inputs)
         return self.mixture(hidden, inputs)
 
@@ -93,7 +95,7 @@ def negative_log_likelihood(mixture: tuple[Tensor, Tensor, Tensor], innovation: 
 class Innovations:
     """Innovations that a network is fitted to: arrays of (n_blocks, block)."""
 
-    inputs: Array  # u of each sample, (n_blocks, block, 5), with the phase of tones 9: `definition.NetworkDefinition`
+    inputs: Array  # u of each sample, (n_blocks, block, 5): `definition.NetworkDefinition`
     innovation: Array  # of each sample, which is to be predicted from the inputs before it
     innovation_gain: Array  # what an innovation of 1 is in scaled acceleration
     speed: Array  # of each sample [mm/s]
@@ -106,16 +108,11 @@ class Innovations:
         return tuple(torch.from_numpy(np.ascontiguousarray(x)).float().to(device) for x in (inputs, target))
 
 
-def innovations_of(model: LinearModel, blocks: ScaledBlocks, n_transient: int, residual: bool = False) -> Innovations:
-    """Innovations of a linear model, or of the residual of its tones with their phase, for a network to be fitted to."""
-    x, e, gain = model.innovations(blocks, residual)
-    level = model.excited_lattice.level if residual else model.level
-    logs = level.logarithms(blocks.samples[..., 1:].reshape(-1, 2))
+def innovations_of(model: LinearModel, blocks: ScaledBlocks, n_transient: int) -> Innovations:
+    """Innovations of a linear model, for a network to be fitted to."""
+    x, e, gain = model.innovations(blocks)
+    logs = model.level.logarithms(blocks.samples[..., 1:].reshape(-1, 2))
     inputs = innovation_inputs(e.ravel(), x.ravel(), logs).reshape(*e.shape, -1)
-    phase = model.phase if residual else None
-    if phase is not None:
-        after = 2 * phase[:, -1:] - phase[:, -2:-1]  # the last sample's is not predicted from
-        inputs = np.concatenate([inputs, phase_inputs(np.concatenate([phase[:, 1:], after], axis=1))], axis=2)
     train = e[list(blocks.split.train), n_transient:]
     sign_symmetric = model.phase is None and asymmetry(train) < MAX_MIRRORED_ASYMMETRY
     return Innovations(inputs, e, gain, blocks.trace.blocks(blocks.trace.speed), n_transient, sign_symmetric)
@@ -160,11 +157,10 @@ class Batches:
         self._data, self._size, self._device = data, config.batch, device
         self.tensors = data.tensors(device)
         self._chunks = Chunks(data, blocks.split.train, warm_up)
-        # Of the inputs: the innovation and x change their sign, a phase does not.
-        self._mirror = torch.tensor([-1.0, 1.0, -1.0] + [1.0] * (data.inputs.shape[2] - 3), device=device)
+        self._mirror = torch.tensor(MIRROR, device=device)
 
     def draw(self, generator: np.random.Generator) -> tuple[Tensor, Tensor]:
-        """Inputs (b, n, n_inputs) and, beside each, the innovation that follows it (b, n)."""
+        """Inputs (b, n, 5) and, beside each, the innovation that follows it (b, n)."""
         all_inputs, all_targets = self.tensors
         block, sample = self._chunks.draw(self._size, generator)
         inputs, target = all_inputs[block, sample], all_targets[block, sample]
@@ -182,7 +178,6 @@ def fit_innovation_network(
     warm_up: int,
     config: TrainConfig,
     monitor: Monitor,
-    name: str = "network",
 ) -> Progress:
     """Train a network in place by likelihood; its weights are averaged over some hundred steps. See `run_loop`."""
     device = next(network.parameters()).device
@@ -211,12 +206,12 @@ def fit_innovation_network(
 
     with ThreadPoolExecutor(n_threads) as pool:
         step = gradient_step(network, optimiser, gradients, config.clip_norm, schedule(config, N_STEPS))
-        loop = Loop(name, network, N_STEPS, step, validate, {"optimiser": optimiser}, EMA_DECAY)
+        loop = Loop("network", network, N_STEPS, step, validate, {"optimiser": optimiser}, EMA_DECAY)
         return run_loop(loop, config, monitor)
 
 
 def mixtures(network: InnovationNetwork, inputs: Tensor, first: int = 0) -> tuple[Tensor, Tensor, Tensor]:
-    """`InnovationNetwork.forward` by the training kernel, from a sample on: (b, n, n_inputs) → (b, n − first, k) each."""
+    """`InnovationNetwork.forward` by the training kernel, from a sample on: (b, n, 5) → (b, n − first, k) each."""
     return network.mixture(hidden_states(network.recurrent, inputs)[:, first:], inputs[:, first:])
 
 

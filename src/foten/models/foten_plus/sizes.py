@@ -1,13 +1,12 @@
-"""foten-plus, ours: a lattice over speed and force, tones, and a network that says how the next innovation is distributed.
+"""foten-plus, ours: a lattice over speed and force, tones, and a network that predicts the next innovation.
 
     a[n] = ℓ · ( lattice(x[n−1], x[n−2], …) + Π cᵢ · e[n] )        x = a / ℓ(v, f),  e[n] ~ Σ w_k N(μ_k, s_k)
     w, μ, s = network(e, x, v, f)
 
 The lattice (`dsp.lattice`) leaves uncorrelated innovations e of unit variance; the network says how they are distributed. The
-mean of its mixture is predicted, as far as validation bears it out. A rendering draws e by the mixture's quantile function, in a
-network trained in its closed loop, or σ(v, f) times Gaussian noise where the network brings nothing; ℓ becomes ℓ σ(v, f). With
-the gain before the filter the lattice predicts a and ℓ e enters it. What enters is at most E = σ · (largest innovation), there
-times the largest ℓ: the lattice's energy stays below E²/(1 − leak²), the network's state within ±1.
+mean of its mixture is predicted, as far as validation bears it out. A rendering uses no network: its e is Gaussian noise or
+recorded innovations, times σ(v, f). With the gain before the filter the lattice predicts a and ℓ e enters it. What enters is at
+most E = σ · (largest innovation), there times the largest ℓ: the lattice's energy stays below E²/(1 − leak²).
 
 Source: ours (docs/model.md). Differs from the paper: its network (Sec. IV) is `foten`.
 """
@@ -23,8 +22,6 @@ from foten.models.excitation import excitation_shapes, linear_shapes, scale_cost
 from foten.models.model_sizes import ModelSizes, Shapes
 
 N_INPUTS = 5  # of the innovation network: the innovation and its size, the sample, log speed and log force
-N_PHASE_INPUTS = 4  # cosine and sine of the phase of tones and of twice it, to the network of a rendering
-LOG_SCALE_LIMIT = 6.0  # of log s, in size
 
 
 @dataclass(frozen=True)
@@ -36,7 +33,6 @@ class FotenPlusSizes(ModelSizes):
     head_width: int = 48  # of the layer that makes a distribution of it
     n_components: int = 4  # of that distribution
     excitation_width: int = 16  # hidden units of log σ over speed and force, and of log levels
-    network_in_loop: bool = True  # whether a rendering uses a network
     order: int = 20  # p of the lattice, samples
     n_speed: int = 1  # its knots over speed
     n_force: int = 1  # and over force
@@ -60,10 +56,7 @@ class FotenPlusSizes(ModelSizes):
 
     def tensor_shapes(self) -> Shapes:
         width = self.excitation_width
-        shapes = self.network_shapes("network", N_INPUTS)
-        if self.network_in_loop:
-            shapes |= self.network_shapes("rendering_network", self.n_rendering_inputs)
-        shapes |= excitation_shapes(width)
+        shapes = self.network_shapes() | excitation_shapes(width)
         if self.equalised:
             shapes |= {
                 "equaliser.weights": (N_BANDS, N_TERMS),
@@ -80,29 +73,18 @@ class FotenPlusSizes(ModelSizes):
             shapes |= lattice_shapes("residual", n_speed, n_force, self.residual_order, width)
         return shapes
 
-    @property
-    def n_rendering_inputs(self) -> int:
-        """Inputs of the network of a rendering, of a sample."""
-        return N_INPUTS + (N_PHASE_INPUTS if self.n_tones else 0)
-
-    def network_shapes(self, name: str, n_inputs: int) -> Shapes:
+    def network_shapes(self) -> Shapes:
         h, width = self.n_hidden, self.head_width
-        recurrent = {"weight_ih": (3 * h, n_inputs), "weight_hh": (3 * h, h), "bias_ih": (3 * h,), "bias_hh": (3 * h,)}
-        shapes: Shapes = {f"{name}.recurrent.{part}_l0": shape for part, shape in recurrent.items()}
-        shapes |= linear_shapes(f"{name}.head", width, h + n_inputs)
-        return shapes | linear_shapes(f"{name}.out", 3 * self.n_components, width)
-
-    def network_cost(self) -> int:
-        """The multiply-adds of a step of the network of a rendering."""
-        n_read = self.n_rendering_inputs + self.n_hidden
-        return (3 * self.n_hidden + self.head_width) * n_read + 3 * self.n_components * self.head_width
+        recurrent = {"weight_ih": (3 * h, N_INPUTS), "weight_hh": (3 * h, h), "bias_ih": (3 * h,), "bias_hh": (3 * h,)}
+        shapes: Shapes = {f"network.recurrent.{part}_l0": shape for part, shape in recurrent.items()}
+        shapes |= linear_shapes("network.head", width, h + N_INPUTS)
+        return shapes | linear_shapes("network.out", 3 * self.n_components, width)
 
     def multiply_adds(self) -> int:
-        """Cost of predicting a sample and taking it in; four knots are mixed for each coefficient."""
+        """Cost of rendering a sample; four knots are mixed for each coefficient."""
         order = self.residual_order if self.n_tones else self.order
         linear = 10 * order + 12 * self.n_tones + (2 + (self.n_tones > 0)) * scale_cost(self.excitation_width)
-        equaliser = self.equalised * N_BANDS * (N_TERMS + 6)
-        return linear + equaliser + self.network_in_loop * self.network_cost()
+        return linear + self.equalised * N_BANDS * (N_TERMS + 6)
 
 
 def lattice_shapes(name: str, n_speed: int, n_force: int, order: int, width: int) -> Shapes:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from scipy.signal import lfilter
@@ -287,20 +286,6 @@ def tonal_model(linear: LinearModel, residual: FittedResidual, rate_hz: float) -
         "period_jitter": tones.period_jitter,
     }
     return LinearModel(sizes, tensors, tones.phase, report)
-
-
-def silent_tones(linear: LinearModel, tonal: LinearModel) -> LinearModel:
-    """The model without tones, with tones of amplitude zero, whose phase its network is given."""
-    lattice = {name: tensor for name, tensor in linear.tensors.items() if name.startswith("lattice.")}
-    residual = {name.replace("lattice", "residual", 1): tensor for name, tensor in lattice.items()}
-    speed, force = (linear.tensors[f"lattice.{name}"][:1] for name in ("speed_knots", "force_knots"))
-    silent = {"tones.speed_knots": speed, "tones.force_knots": force, "tones.values": np.zeros((1, 2), np.float32)}
-    phase = {"tones.phase_params": tonal.tensors["tones.phase_params"]}
-    linear_sizes = linear.sizes
-    changed: dict[str, Any] = {"n_tones": 1, "n_tone_speed": 1, "n_tone_force": 1, "residual_order": linear_sizes.order}
-    changed |= {"n_residual_speed": linear_sizes.n_speed, "n_residual_force": linear_sizes.n_force}
-    sizes = replace(linear_sizes, **changed, residual_gain_before_filter=linear_sizes.gain_before_filter)
-    return LinearModel(sizes, {**linear.tensors, **residual, **silent, **phase}, tonal.phase, tonal.report)
 
 
 def _tone_tensors(tones: FittedTones, rate_hz: float) -> Tensors:

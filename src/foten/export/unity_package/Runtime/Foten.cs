@@ -135,7 +135,7 @@ namespace Foten
             public int asks_predictor;
         }
 
-        internal const int Abi = 6; // FOTEN_ABI of the header that this follows
+        internal const int Abi = 7; // FOTEN_ABI of the header that this follows
 
         [DllImport(Library)] internal static extern int foten_abi();
         [DllImport(Library)] internal static extern int foten_model_load(byte[] bytes, UIntPtr n, out IntPtr model, byte[] why, UIntPtr whySize);
