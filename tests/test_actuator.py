@@ -34,7 +34,9 @@ def test_filter_times_actuator_is_flat(texture: Texture, rate: float, resonance:
     s, w = 2j * np.pi * hertz, 2 * np.pi * resonance
     resonator = profile.gain * s**2 / (s**2 + 2 * damping * w * s + w**2)
     played, asked = np.fft.rfft(drive * window) * resonator, np.fft.rfft(wanted * window)
-    crossed, power = (np.convolve(part, np.ones(9), mode="same") for part in (played * asked.conj(), np.abs(asked) ** 2))
+    crossed, power = (
+        np.convolve(part, np.ones(9), mode="same") for part in (played * asked.conj(), np.abs(asked) ** 2)
+    )
     ratio = (crossed / power)[(hertz > 40) & (hertz < 400)]
     assert np.abs(20 * np.log10(np.abs(ratio))).max() < 0.3
     assert np.real(ratio).min() > 0.5  # the wires are the right way round again
