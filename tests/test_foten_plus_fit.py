@@ -129,8 +129,8 @@ def test_no_rendered_sample_changes_once_the_random_part_is_chosen(recording: Re
     assert not final.unfinished
 
 
-def test_a_microphones_recording_is_not_stored_above_2_khz(fitted: Fitted) -> None:
-    """Speech nearby could be in it; one of an accelerometer is, as it was and along the path."""
+def test_a_microphones_recording_is_not_stored_above_2_khz_unless_asked(fitted: Fitted) -> None:
+    """Speech nearby could be in it; one of an accelerometer is stored, as it was and along the path, unless that is refused."""
     run, networks = fitted.run, tensors_of(fitted.network, "network.")
     played = foten_plus.recorded_candidates(fitted.excited, networks, run)
     assert [one.model.sizes.along_path for one in played] == [False, True]
@@ -138,7 +138,15 @@ def test_a_microphones_recording_is_not_stored_above_2_khz(fitted: Fitted) -> No
     faster = replace(run.blocks, trace=replace(run.blocks.trace, rate_hz=2500.0))
     units = {**run.builder.card["units"], "acceleration": "relative"}
     builder = replace(run.builder, blocks=faster, card={**run.builder.card, "units": units})
-    assert foten_plus.recorded_candidates(fitted.excited, networks, replace(run, builder=builder)) == []
+    of_microphone = replace(run, builder=builder)
+    assert foten_plus.recorded_candidates(fitted.excited, networks, of_microphone) == []
+    never, always = (replace(QUICK, recorded_innovations=stored) for stored in ("never", "always"))
+    assert foten_plus.recorded_candidates(fitted.excited, networks, replace(run, config=never)) == []
+    asked: list[object] = []
+    with pytest.MonkeyPatch.context() as patch:  # it gets as far as the recording
+        patch.setattr(foten_plus, "recorded_innovations", lambda *_: asked.append(1))
+        assert foten_plus.recorded_candidates(fitted.excited, networks, replace(of_microphone, config=always)) == []
+    assert asked
 
 
 def test_the_recording_can_be_filtered_back_from_what_is_stored(fitted: Fitted) -> None:
