@@ -23,7 +23,6 @@ import argparse
 import csv
 import json
 import os
-import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass, replace
@@ -199,7 +198,7 @@ def judge(trial: Trial, kinds: Sequence[str], again: bool = False) -> dict[str, 
         for name, instead in PARTS[part].items():
             setattr(fit, name, instead)
     seed, *_, listener_seed = SEEDS[trial.half, trial.fit]
-    path, started = trial.folder / trial.approach / f"{trial.surface}-{trial.fit}.foten", time.perf_counter()
+    path = trial.folder / trial.approach / f"{trial.surface}-{trial.fit}.foten"
     if again or not path.is_file():
         path.parent.mkdir(parents=True, exist_ok=True)
         config = recipe_of("foten-plus", **{"threads": 1, "seed": seed, "epochs": 0, **json.loads(trial.settings)})
@@ -208,7 +207,6 @@ def judge(trial: Trial, kinds: Sequence[str], again: bool = False) -> dict[str, 
         cut = PreprocessConfig(trim_ms=trim_ms, block_ms=block_ms)
         job = TrainingJob(recording, "foten-plus", sizes, config, cut, split_seed=seed)
         write_texture(train(job).texture, path)
-    trained_s = time.perf_counter() - started
     texture, true = read_texture(path), strokes_of(trial)
     kernel = NativeTexture(texture.to_bytes())
 
@@ -232,10 +230,7 @@ def judge(trial: Trial, kinds: Sequence[str], again: bool = False) -> dict[str, 
     return {
         **trial.row,
         **columns,
-        "network": "no",
         "recorded": ("path" if sizes.along_path else "time") if getattr(sizes, "recorded", False) else "no",
-        "training_s": f"{trained_s:.0f}",
-        "file_kb": f"{path.stat().st_size / 1000:.0f}",
     }
 
 
@@ -337,7 +332,7 @@ def main() -> None:
 
 def means(rows: Sequence[dict[str, str]]) -> list[str]:
     """Means of the figures of some rows."""
-    named = [name for name in rows[0] if name not in (*KEYS, "network", "recorded")]
+    named = [name for name in rows[0] if name not in (*KEYS, "recorded")]
     return [f"{name} {np.mean([float(row[name]) for row in rows if row[name]]):.3f}" for name in named]
 
 

@@ -98,7 +98,7 @@ def drawn(width: float, height: float, n_rows: int = 1, n_columns: int = 1, **op
     return new_figure(width, height, STYLE, nrows=n_rows, ncols=n_columns, **options)
 
 
-def texture_of(key: str, model: str = OURS_KEY, **changed: int) -> Texture:
+def texture_of(key: str, model: str = OURS_KEY, **changed: Any) -> Texture:
     """Texture of 64 s of simulation, trained once, by our recipe or with changes of it."""
     path = BUILD / "-".join([key, model, *(f"{name}-{value}" for name, value in changed.items()), f"{SEED}.foten"])
     if not path.exists():
@@ -114,7 +114,7 @@ def stroke(arguments: argparse.Namespace) -> None:
     trace = preprocess(simulate("jeans", 64.0, seed=SEED), PreprocessConfig())
     blocks = Split.from_fields(texture.card["split"]).test
     rendered, _ = synthesize(NativeTexture(texture.to_bytes()), trace, blocks, excitation=True, n_seeds=1)
-    played = slice(0, round(2.5 * trace.rate_hz))
+    played = slice(0, round(2.0 * trace.rate_hz))
     signals = (trace.blocks(trace.acceleration)[list(blocks)], rendered[0])
     write_sound("stroke", [signal.ravel()[played] for signal in signals], trace.rate_hz)
 
@@ -494,17 +494,17 @@ def listener(arguments: argparse.Namespace) -> None:
 
 
 def impact(arguments: argparse.Namespace) -> None:
-    """A slow stroke over sparse impacts, recorded, and rendered without a network and with it; all as sound."""
+    """A slow stroke over sparse impacts, recorded, and rendered with noise alone and as by default; all as sound."""
     key = "artificial-grass"
     texture = texture_of(key)
-    noise = texture_of(key, epochs=0)
+    noise = texture_of(key, recorded_innovations="never")
     trace = preprocess(simulate(key, 40.0, seed=SEED + 1), PreprocessConfig())
     slow = (trace.speed > 8) & (trace.speed < 40)
     length = 600  # samples
     start = int(np.argmax(np.convolve(slow[2000:], np.ones(length), mode="valid"))) + 2000
     shown = slice(start, start + length)
     signals = {"recorded": trace.acceleration}
-    for name, of in (("no network", noise), ("foten-plus", texture)):
+    for name, of in (("noise alone", noise), ("foten-plus", texture)):
         signals[name] = NativeState(NativeTexture(of.to_bytes()), seed=SEED).render_stroke(trace.speed, trace.force)
     figure, panels = drawn(8, 3.9, 3, 1, sharex=True, sharey=True)
     for axes, (name, signal), colour in zip(panels, signals.items(), (INK, PAPER, OURS), strict=True):
@@ -513,7 +513,7 @@ def impact(arguments: argparse.Namespace) -> None:
     panels[1].set_ylabel("acceleration [m/s²]")
     panels[-1].set(xlabel="time [s]", xlim=(0, length / trace.rate_hz))
     save(figure, "impact", 24)
-    played = slice(start, start + 2000)
+    played = slice(start, start + 1500)
     write_sound("listener", [signal[played] for signal in signals.values()], trace.rate_hz)
 
 
