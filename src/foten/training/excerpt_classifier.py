@@ -18,7 +18,7 @@ from foten.dsp.level import framed
 from foten.models.excitation import Excitation
 from foten.training.calibration import ERROR_STREAM, FLOOR, ClosedLoop
 
-EXCERPT, HOP = 62, 31  # frames of 8 ms: half seconds, overlapping by half
+EXCERPT, MIN_EXCERPT = 62, 24  # frames of 8 ms: half seconds, which overlap by half; less where blocks are shorter
 LAGS = (1, 2, 4, 8)  # frames, of autocorrelations
 N_RUNS = 4  # free runs of each block
 N_FOLDS = 8  # of blocks
@@ -45,10 +45,12 @@ def classified_area(loop: ClosedLoop, excitation: Excitation, seed: int) -> floa
         for x, floor in zip((trace.speed, trace.force), FLOOR, strict=True)
     )
     moving = np.asarray(framed(loop.blocks.moving()[known, first:], BAND_FRAME_MS, trace.rate_hz).all(axis=-1))
-    features, block = [], []
+    features, block, length = [], [], min(EXCERPT, logs.shape[-1])
+    if length < MIN_EXCERPT:
+        return None
     for k in range(len(known)):
-        for start in range(0, logs.shape[-1] - EXCERPT + 1, HOP):
-            at = slice(start, start + EXCERPT)
+        for start in range(0, logs.shape[-1] - length + 1, length // 2):
+            at = slice(start, start + length)
             if moving[k, at].mean() >= MOVING_SHARE:
                 hand = _hand(speed[k, at], force[k, at])
                 features.append([np.concatenate([_statistics(run[k][:, at]), hand]) for run in logs])
@@ -59,13 +61,13 @@ def classified_area(loop: ClosedLoop, excitation: Excitation, seed: int) -> floa
 
 
 def _hand(speed: Array, force: Array) -> Array:
-    """Statistics of log speed and log force of an excerpt (EXCERPT,) each."""
+    """Statistics of log speed and log force of an excerpt (n,) each."""
     x, y = speed.mean(), force.mean()
     return np.array([x, y, x * x, speed[-1] - speed[0], speed.std()])
 
 
 def _statistics(logs: Array) -> Array:
-    """Of log energies (N_BANDS, EXCERPT): means, spreads, shapes, autocorrelations, correlations of bands, and of changes."""
+    """Of log energies (N_BANDS, n): means, spreads, shapes, autocorrelations, correlations of bands, and of changes."""
     mean = logs.mean(axis=1)
     spread = logs.std(axis=1) + 1e-6
     unit = (logs - mean[:, None]) / spread[:, None]
@@ -75,7 +77,7 @@ def _statistics(logs: Array) -> Array:
         [
             *(mean, np.log(spread), (unit**3).mean(axis=1), np.sqrt((unit**4).mean(axis=1))),
             *((unit[:, lag:] * unit[:, :-lag]).mean(axis=1) for lag in LAGS),
-            (unit @ unit.T / EXCERPT)[np.triu_indices(N_BANDS, 1)],
+            (unit @ unit.T / logs.shape[1])[np.triu_indices(N_BANDS, 1)],
             *(np.log(change_spread), ((change / change_spread[:, None]) ** 3).mean(axis=1)),
         ]
     )
