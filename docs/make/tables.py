@@ -507,7 +507,7 @@ VERSIONS = {
     "2f0f0d6e": {"7e5f9516d6af35bf", "396feffc46c5c2bb", "daed59569aa57f0e", "7a51214710a5daa5", "44f1efb5c1cd1f53"},
     "2a974bd7": {"29401e15b6d05a20", "7d77f7c7239854cc"},
     "214eeaf5": {"738830bef19dd066", "0ace9ef399e18463"},
-    "7f9c20f6": {"41cfd2eadd7b0421"},
+    "7f9c20f6": {"41cfd2eadd7b0421", "0eb6489a5b1c9a5e"},
 }
 """Commits that runs are of, and their digests; a digest covers what a model's runs import, so commits may share some."""
 
