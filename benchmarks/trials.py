@@ -225,7 +225,7 @@ def judge(trial: Trial, kinds: Sequence[str], again: bool = False) -> dict[str, 
         }
     if set(kinds) == set(LISTENERS):
         figures["known_levels"] = known_levels(trial, true, runs)
-    columns = {name: f"{value:.3f}" for name, value in figures.items()}
+    columns = {name: f"{value:.{2 if name.endswith('_db') else 3}f}" for name, value in figures.items()}
     sizes = texture.sizes
     return {
         **trial.row,

@@ -493,6 +493,34 @@ def listener(arguments: argparse.Namespace) -> None:
     save(figure, "listener", 24)
 
 
+def lengths(arguments: argparse.Namespace) -> None:
+    """The ideal listener's area by seconds learned from: of the default now and before, and of each random part alone."""
+    names = {
+        "before recorded innovations": (PAPER, "-"),
+        "as by default": (OURS, "-"),
+        "recorded alone": (OURS, ":"),
+        "noise alone": (LINEAR, ":"),
+    }
+    areas: dict[tuple[str, bool], dict[float, list[float]]] = {}
+    for row in rows_of("trials"):
+        name, _, length = row["approach"].partition(", ")
+        if name in names and length.endswith(" s"):
+            of = areas.setdefault((name, row["surface"].startswith("linear-")), {})
+            of.setdefault(float(length.removesuffix(" s")), []).append(float(row["ideal"]))
+    figure, panels = drawn(6.4, 2.5, 1, 2, sharey=True)
+    for axes, linear, title in zip(panels, (False, True), ("glitter paper, wood", "a linear process"), strict=True):
+        for name, (colour, style) in names.items():
+            known = sorted(areas.get((name, linear), {}).items())
+            axes.plot(*zip(*((s, np.mean(each)) for s, each in known), strict=True), style, color=colour, label=name)
+        axes.set_xscale("log", base=2)
+        axes.set_xticks([8, 16, 32, 64, 256], ["8", "16", "32", "64", "256"])
+        axes.set_title(title, loc="left", fontsize=10)
+        axes.axhline(0.5, color="#cccccc", lw=0.8, zorder=0)
+    panels[0].set(ylabel="AUC of the listener", xlabel="s learned from")
+    add_legend(panels[1], STYLE, fontsize=8)
+    save(figure, "lengths", 12)
+
+
 def impact(arguments: argparse.Namespace) -> None:
     """A slow stroke over sparse impacts, recorded, and rendered with noise alone and as by default; all as sound."""
     key = "artificial-grass"
@@ -621,6 +649,7 @@ PICTURES: dict[str, Callable[[argparse.Namespace], None]] = {
     "rates": rates,
     "listener": listener,
     "impact": impact,
+    "lengths": lengths,
     "compared": compared,
     "figure-5": figure_5,
     "figure-6": figure_6,

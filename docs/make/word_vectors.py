@@ -45,11 +45,15 @@ def main() -> None:
             word, _, numbers = line.partition(" ")
             if re.fullmatch("[a-z]+", word) and (len(table) < N_FREQUENT or word in wanted):
                 table[word] = [float(number) for number in numbers.split()]
-    words = sorted(table)  # which takes 15 kB less than by frequency
+    words = sorted(table)  # which takes 15 kB less than by frequency, and number by number 6 kB less than word by word
     vectors = np.array([table[word] for word in words])
     scales = (np.abs(vectors).max(axis=1) / 127).astype(np.float16)
     rounded = np.round(vectors / scales[:, None].astype(np.float64)).clip(-127, 127).astype(np.int8)
-    arrays = {"vectors": rounded, "scales": scales, "words": np.frombuffer("\n".join(words).encode(), dtype=np.uint8)}
+    arrays = {
+        "vectors": np.ascontiguousarray(rounded.T),
+        "scales": scales,
+        "words": np.frombuffer("\n".join(words).encode(), dtype=np.uint8),
+    }
     with atomic_write(TABLE) as part, part.open("wb") as file:
         np.savez_compressed(file, **arrays)
     print(

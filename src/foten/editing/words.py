@@ -39,7 +39,7 @@ class WordTable:
     def __init__(self, path: Path = TABLE) -> None:
         with np.load(path, allow_pickle=False) as table:
             words = bytes(table["words"]).decode().split("\n")
-            vectors = table["vectors"].astype(np.float64) * table["scales"].astype(np.float64)[:, None]
+            vectors = table["vectors"].T.astype(np.float64) * table["scales"].astype(np.float64)[:, None]
         self._rows = {word: i for i, word in enumerate(words)}
         self._vectors = vectors - vectors.mean(axis=0)  # what all words share says nothing
 
