@@ -92,7 +92,10 @@ def readme_systems() -> Table:
 
 def readme_notes() -> str:
     """Sentences on what the figures of the README rest on."""
-    network = f"A rendering plays recorded innovations in {playing([one for name in MAIN for one in runs(name)])} runs."
+    every = [one for name in MAIN for one in runs(name)]
+    network = f"A rendering plays recorded innovations in {playing(every)} runs."
+    if before := sum(one["random_part"] == "network" for one in every):
+        network += f" In {before}, which are of the version before, it draws from a network."
     seconds = map(
         "{} table: {}".format, ("First", "Second"), map(paper_tables.seconds_of_test, (REAL_10, REAL_TABLE_1))
     )
