@@ -379,7 +379,7 @@ def parts() -> Table:
         kinds = [
             [g for place, g in gains.items() if place[1].startswith("linear-") == linear] for linear in (False, True)
         ]
-        n_changed = f"{sum(place in changed for place in known)} of {len(known)}"
+        n_changed = f"{sum(gain_of != 0 for gain_of in gains.values())} of {len(known)}"
         cells.append((part, n_changed, *map(gain, kinds)))
     return Table.of(("part", "fits that it changes", "gain, other surfaces", "gain, linear processes"), cells)
 

@@ -282,7 +282,7 @@ def _parsed(key: str, text: str) -> Any:
 def runs_table(records: Records, digits: int | None = None) -> Table:
     """Table `runs.csv`, a row for each run, empty where there is no figure.
 
-    Experiment, note and platform are empty where they are those above.
+    Experiment, note, platform and code are empty where they are those above.
 
     Args:
         digits: significant ones; None for all, so that a mean of them is rounded once.

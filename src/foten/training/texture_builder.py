@@ -19,7 +19,7 @@ from foten.runtime.proof import MakeModel, ProvedTexture, Tensors, proved
 from foten.training.config import WARM_START
 from foten.training.job import ScaledBlocks
 
-N_GOLDEN = MIN_GOLDEN  # windows of the validation blocks
+N_GOLDEN = 12  # windows of the validation blocks
 NEAR_SHARE = 100  # of so many training windows one is near enough to begin from
 WARM_START_RINGS_MS = 20.0  # the end of a window, which rings on into what comes after
 
