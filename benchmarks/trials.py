@@ -8,7 +8,8 @@ beside a control of two true realisations; and by the ideal one where the render
 (`known_levels`). Bias of level by quarter of speed is of frames of 40 ms, of three renderings and three realisations; level error
 and log-spectral distance are divided by those of two realisations.
 
-A rendering does not use the network, which is not trained here.
+A rendering does not use the network, which is not trained here. Axes are joined block by block, as in the rows of before, unless
+--dft321-ms says otherwise; --quickness has another hand listen.
 
 Every row goes into one CSV, which keeps the rows of earlier approaches: what is there is not run again. Textures and strokes are
 kept in a folder.
@@ -113,11 +114,21 @@ class Trial:
     without: tuple[str, ...] = ()  # of `PARTS`
     settings: str = "{}"  # of the training, as JSON
     seconds: float = SECONDS  # that it learns from
+    dft321_ms: float = 0.0  # of `PreprocessConfig`
+    quickness: float = 1.0  # of the hand that listens, times the surface's own
 
     @property
     def row(self) -> dict[str, str]:
         """What says which it is, as in the table."""
         return {name: str(getattr(self, name)) for name in KEYS}
+
+    def path(self, kind: str, ending: str) -> Path:
+        """Where what depends on surface, fit, cut and hand is kept."""
+        window = f"-{self.dft321_ms:g}ms" if self.dft321_ms else ""
+        hand = f"-{self.quickness:g}x" if self.quickness != 1 else ""
+        path = self.folder / kind / f"{self.surface}-{self.fit}{window}{hand}{ending}"
+        path.parent.mkdir(parents=True, exist_ok=True)
+        return path
 
 
 def recording_of(trial: Trial) -> Recording:
@@ -130,9 +141,9 @@ def recording_of(trial: Trial) -> Recording:
     return load_recording(path)
 
 
-def quickened(surface: str, seed: int, rate_hz: float) -> Stroking:
+def quickened(trial: Trial, seed: int, rate_hz: float) -> Stroking:
     """Long stroke of a hand, on the same path at another speed on some surfaces."""
-    quickness = QUICKNESS.get(surface, 1.0)
+    quickness = QUICKNESS.get(trial.surface, 1.0) * trial.quickness
     stroke = stroking(LONG_S * quickness, seed, rate_hz / quickness)
     return replace(stroke, rate_hz=rate_hz, velocity=quickness * stroke.velocity)
 
@@ -150,14 +161,13 @@ def still_hand(seed: int, rate_hz: float) -> Stroking:
 
 def strokes_of(trial: Trial, still: bool = False) -> list[Trace]:
     """The true realisations of the long stroke of a trial's hand, preprocessed; simulated once."""
-    path = trial.folder / ("held" if still else "strokes") / f"{trial.surface}-{trial.fit}.npz"
+    path = trial.path("held" if still else "strokes", ".npz")
     if not path.is_file():
-        path.parent.mkdir(parents=True, exist_ok=True)
         _, hand, noise, _ = SEEDS[trial.half, trial.fit]
         rate = LINEAR_RATE_HZ if trial.surface.startswith("linear-") else RATE_HZ
-        stroke = still_hand(hand, rate) if still else quickened(trial.surface, hand, rate)
+        stroke = still_hand(hand, rate) if still else quickened(trial, hand, rate)
         made = [
-            preprocess(simulate_stroke(trial.surface, stroke, seed), PreprocessConfig())
+            preprocess(simulate_stroke(trial.surface, stroke, seed), PreprocessConfig(dft321_ms=trial.dft321_ms))
             for seed in range(noise, noise + N_TRUE * SEED_STEP, SEED_STEP)
         ]
         arrays = {f"{name}{k}": getattr(trace, name) for k, trace in enumerate(made) for name in CHANNELS}
@@ -170,9 +180,8 @@ def strokes_of(trial: Trial, still: bool = False) -> list[Trace]:
 
 def control_of(trial: Trial, kind: str, true: Sequence[Trace]) -> float:
     """Area of a listener for two true realisations; listened to once."""
-    path = trial.folder / "controls" / f"{trial.surface}-{trial.fit}-{kind}.json"
+    path = trial.path("controls", f"-{kind}.json")
     if not path.is_file():
-        path.parent.mkdir(parents=True, exist_ok=True)
         with atomic_write(path) as part:
             part.write_text(json.dumps(listener_area(trial, kind, true[0], true[1])))
     return float(json.loads(path.read_text()))
@@ -204,7 +213,7 @@ def judge(trial: Trial, kinds: Sequence[str], again: bool = False) -> dict[str, 
         config = recipe_of("foten-plus", **{"threads": 1, "seed": seed, "epochs": 0, **json.loads(trial.settings)})
         recording, sizes = recording_of(trial), trainable_sizes("foten-plus", {})
         trim_ms, block_ms = fitting_cut(recording, shortest_block(sizes.window))
-        cut = PreprocessConfig(trim_ms=trim_ms, block_ms=block_ms)
+        cut = PreprocessConfig(trim_ms=trim_ms, block_ms=block_ms, dft321_ms=trial.dft321_ms)
         job = TrainingJob(recording, "foten-plus", sizes, config, cut, split_seed=seed)
         write_texture(train(job).texture, path)
     texture, true = read_texture(path), strokes_of(trial)
@@ -300,17 +309,23 @@ def main() -> None:
     parser.add_argument("--without", nargs="+", default=[], choices=tuple(PARTS))
     parser.add_argument("--settings", default="{}", help="of the training, as JSON")
     parser.add_argument("--seconds", type=float, default=SECONDS, help="that a fit learns from")
+    parser.add_argument(
+        "--dft321-ms", type=float, default=0.0, help="windows in which three axes become one; 0: blocks"
+    )
+    parser.add_argument("--quickness", type=float, default=1.0, help="of the hand that listens")
     parser.add_argument("--listeners", nargs="+", default=list(LISTENERS), choices=tuple(LISTENERS))
     options = parser.parse_args()
     name = options.approach if options.seconds == SECONDS else f"{options.approach}, {options.seconds:g} s"
     rows: list[dict[str, str]] = list(csv.DictReader(options.csv.open())) if options.csv.is_file() else []
-    judged = {row["approach"] for row in rows if row["half"] == options.half} - {options.approach, BEFORE}
+    allowed = {options.approach, *([BEFORE] if options.half == "new kept" else [])}
+    judged = {row["approach"] for row in rows if row["half"] == options.half} - allowed
     if options.half.endswith("kept") and options.approach != BEFORE and judged:
         parser.error(f"the {options.half} half was judged already, with {', '.join(judged)}: it can be judged once")
     done = [{name: row[name] for name in KEYS} for row in rows]
     surfaces = options.surfaces or SURFACES[options.half]
+    changed = options.settings, options.seconds, options.dft321_ms, options.quickness
     trials = [
-        Trial(name, options.half, key, fit, options.folder, tuple(options.without), options.settings, options.seconds)
+        Trial(name, options.half, key, fit, options.folder, tuple(options.without), *changed)
         for fit in options.fits
         for key in surfaces
     ]

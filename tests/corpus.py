@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from conftest import exported
+from conftest import exported, recorded
 from foten.baselines.sizes import TRAINABLE
 from foten.models.texture_file import Texture
 
@@ -32,6 +32,7 @@ KINDS = {
     "graph": ("fnn", FNN),
     "graph-excited": ("fnn", {**FNN, **EXCITED}),
     "graph-noise": ("dftnet", {"window": 8, "n_conditions": 1, "first": 1, "second": 1, "third": 1}),
+    "plus-recorded": ("foten-plus", {**PLUS, "n_tones": 1, "recorded": True, "along_path": True, "equalised": True}),
     "plus-tones": ("foten-plus", {**PLUS, "n_tones": 1, "n_tone_speed": 2, "residual_order": 3}),
 }
 
@@ -41,7 +42,8 @@ def write_corpus(folder: Path) -> list[Path]:
     folder.mkdir(parents=True, exist_ok=True)
     paths = []
     for name, (key, sizes) in KINDS.items():
-        texture = exported(key, TRAINABLE[key](**sizes))
+        stored = recorded(n=40).tensors() if "recorded" in sizes else None
+        texture = exported(key, TRAINABLE[key](**sizes), stored)
         if "graph" in texture.tensors:  # which the kernel does not read
             texture = Texture(texture.card, {**texture.tensors, "graph": np.zeros(4, dtype=np.uint8)})
         paths.append(folder / f"{name}.foten")

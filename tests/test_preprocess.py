@@ -1,5 +1,5 @@
-import dataclasses
 from collections.abc import Mapping
+from dataclasses import asdict, replace
 from typing import Any
 
 import numpy as np
@@ -39,7 +39,7 @@ def amplitude(samples: np.ndarray) -> float:
 @pytest.mark.parametrize("rate_hz", [1000.0, 10_000.0])
 @pytest.mark.parametrize("zero_phase", [False, True])
 def test_the_hand_and_gravity_go_and_the_vibration_stays(rate_hz: float, zero_phase: bool) -> None:
-    config = dataclasses.replace(SHORT, zero_phase=zero_phase)
+    config = replace(SHORT, zero_phase=zero_phase)
 
     def through(samples: np.ndarray) -> float:
         return amplitude(preprocess(recording(samples, rate_hz=rate_hz), config).acceleration)
@@ -61,7 +61,7 @@ def test_what_lies_above_the_new_rate_does_not_come_back_as_an_alias() -> None:
 @pytest.mark.parametrize("rate_hz", [1000.0, 2500.0, 10_000.0])
 def test_any_rate_up_to_the_accelerometers_own(rate_hz: float) -> None:
     recorded = recording(tone(100.0, rate_hz=10_000.0), rate_hz=10_000.0)
-    trace = preprocess(recorded, dataclasses.replace(SHORT, rate_hz=rate_hz))
+    trace = preprocess(recorded, replace(SHORT, rate_hz=rate_hz))
     assert trace.block == 0.5 * rate_hz
     assert len(trace) == 5 * rate_hz - trace.n_dropped
     assert amplitude(trace.acceleration) == pytest.approx(1.0, abs=2e-3)
@@ -101,7 +101,7 @@ def test_speed_force_and_the_vibration_they_cause_stay_side_by_side(zero_phase: 
 def test_three_axes_become_one_in_each_block_by_itself(zero_phase: bool) -> None:
     rng = np.random.default_rng(0)
     axes = {f"acceleration_{axis}": rng.standard_normal(6000) for axis in "xyz"}
-    config = dataclasses.replace(SHORT, zero_phase=zero_phase)
+    config = replace(SHORT, zero_phase=zero_phase)
     before = preprocess(recording(axes), config)
     # One sample of the fifth block; the high-pass carries it on, but never back.
     changed = {**axes, "acceleration_y": axes["acceleration_y"].copy()}
@@ -115,13 +115,27 @@ def test_three_axes_become_one_in_each_block_by_itself(zero_phase: bool) -> None
         assert moved[:4].max() == 0.0
 
 
-def test_the_axes_are_joined_after_they_are_filtered() -> None:
+@pytest.mark.parametrize("dft321_ms", [0.0, 64.0])
+def test_the_axes_are_joined_after_they_are_filtered(dft321_ms: float) -> None:
+    """Block by block, or in windows across them."""
     rng = np.random.default_rng(0)
     axes = {f"acceleration_{axis}": rng.standard_normal(6000) for axis in "xyz"}
-    joint = preprocess(recording(axes), SHORT)
+    joint = preprocess(recording(axes), replace(SHORT, dft321_ms=dft321_ms))
     alone = [preprocess(recording(samples), SHORT) for samples in axes.values()]
-    stacked = np.stack([trace.blocks(trace.acceleration) for trace in alone], axis=1)
-    np.testing.assert_allclose(joint.acceleration, dft321(stacked).ravel(), atol=1e-12)  # rounding
+    blocks = np.stack([trace.blocks(trace.acceleration) for trace in alone], axis=1)
+    expected = dft321(np.stack([trace.acceleration for trace in alone]), 64) if dft321_ms else dft321(blocks).ravel()
+    np.testing.assert_allclose(joint.acceleration, expected, atol=1e-12)  # rounding
+
+
+def test_a_card_of_before_has_its_axes_joined_block_by_block() -> None:
+    assert PreprocessConfig.of_card({"rate_hz": 2000.0}) == PreprocessConfig(rate_hz=2000.0, dft321_ms=0.0)
+    assert PreprocessConfig.of_card(asdict(PreprocessConfig())) == PreprocessConfig()
+
+
+@pytest.mark.parametrize("dft321_ms", [-1.0, 1.0])
+def test_a_window_of_less_than_two_samples_is_refused(dft321_ms: float) -> None:
+    with pytest.raises(ValueError, match=f"dft321_ms is {dft321_ms:g}, expected 0 or two samples and more, 2 ms"):
+        PreprocessConfig(dft321_ms=dft321_ms)
 
 
 @pytest.mark.parametrize("name", ["force", "force_z"])
@@ -278,7 +292,7 @@ def test_what_no_hand_does_is_refused_unless_forced(name: str, peak: float, mess
     absurd = Recording({key: Channel(values, 1000.0) for key, values in channels.items()})
     with pytest.raises(ValueError, match=message):
         preprocess(absurd, SHORT)
-    trace = preprocess(absurd, dataclasses.replace(SHORT, force_units=True))
+    trace = preprocess(absurd, replace(SHORT, force_units=True))
     assert float(np.abs(getattr(trace, name)).max()) == pytest.approx(peak, rel=0.1)
 
 

@@ -224,6 +224,21 @@ def test_dft321_keeps_the_energy_of_all_axes(n: int) -> None:
     assert np.square(dft321(axes)).sum() == pytest.approx(np.square(axes).sum(), rel=1e-12)  # Parseval; rounding
 
 
+@pytest.mark.parametrize(("n", "window"), [(2000, 64), (1999, 63), (5, 64), (64, 2)])
+def test_windows_give_one_axis_back(n: int, window: int) -> None:
+    axis = np.random.default_rng(n).standard_normal(n)
+    np.testing.assert_allclose(dft321(np.stack([axis, 0 * axis, 0 * axis]), window), axis, atol=1e-12)  # rounding
+
+
+def test_short_windows_keep_energy_where_it_was() -> None:
+    """A quiet second beside a loud one, whose energy one transform of both spreads over it."""
+    axes = np.random.default_rng(1).standard_normal((3, 2000)) * np.repeat([0.1, 1.0], 1000)
+    truth = np.square(axes).sum(axis=0)[100:900].mean()
+    of_windows, of_whole = (np.square(dft321(axes, window))[100:900].mean() / truth for window in (64, None))
+    assert 10 * np.log10(of_windows) == pytest.approx(0.0, abs=1.0)
+    assert 10 * np.log10(of_whole) > 6.0
+
+
 def test_axes_that_cancel_do_not_vanish() -> None:
     axis = np.random.default_rng(0).standard_normal(200)
     found = dft321(np.stack([axis, -axis, np.zeros(200)]))

@@ -459,10 +459,9 @@ def abrupt(arguments: argparse.Namespace) -> None:
 
 
 def listener(arguments: argparse.Namespace) -> None:
-    """The area under a listener's curve, by texture: without a network, with it, of longer recordings, and of the control."""
-    longer, title = "foten-plus, recorded 256 s", read_experiment(experiment_path("listener-256s")).title
+    """The area under a listener's curve, by texture: of noise alone, as by default, and of the control."""
     auc = {
-        (longer if row["experiment"] == title else row["method"], row["texture"]): [
+        (row["method"], row["texture"]): [
             float(row[f"listener.{key}"]) for key in ("listener_auc", "listener_auc_control")
         ]
         for row in read_records(RESULTS / "listener.csv")
@@ -472,14 +471,8 @@ def listener(arguments: argparse.Namespace) -> None:
     for axes, kind, title in zip(panels, kinds, ("linear", "simulated", "contact mechanics"), strict=True):
         known = [key for key in kind if ("foten-plus", key) in auc]
         order = sorted(known, key=lambda key: auc["foten-plus", key][0])
-        for method, colour, inside in (
-            ("no network", PAPER, PAPER),
-            ("foten-plus", OURS, OURS),
-            (longer, OURS, "white"),
-        ):
-            shown = [(x, auc[method, key][0]) for x, key in enumerate(order) if (method, key) in auc]
-            if shown:
-                axes.plot(*zip(*shown, strict=True), "o", color=colour, mfc=inside, label=method, ms=6)
+        for method, colour in (("noise alone", PAPER), ("foten-plus", OURS)):
+            axes.plot(range(len(order)), [auc[method, key][0] for key in order], "o", color=colour, label=method, ms=6)
         axes.plot(
             range(len(order)), [auc["foten-plus", key][1] for key in order], "_", color=INK, ms=11, label="control"
         )

@@ -237,24 +237,17 @@ def onset() -> Table:
     return table(("mean of",), measured("onset"), columns)
 
 
-def listened(name: str) -> dict[tuple[str, str], Records]:
-    """Runs of an experiment with listeners, by what the textures are and method."""
-    title = read_experiment(experiment_path(name)).title
-    records = [record for record in records_of("listener") if record["experiment"] == title]
+def listened() -> dict[tuple[str, str], Records]:
+    """Runs with listeners, by what the textures are and method."""
     titles = (MAIN[LINEAR], MAIN[SIMULATED], MAIN[CONTACT])
     kinds = dict(zip(titles, (linear_family.LINEAR_FAMILY, simulate.TEXTURES, contact_mechanics.CONTACT), strict=True))
+    records = records_of("listener")
     methods = dict.fromkeys(record["method"] for record in records)
     groups = {
         (title, method): [record for record in records if record["texture"] in keys and record["method"] == method]
         for (title, keys), method in product(kinds.items(), methods)
     }
     return {key: group for key, group in groups.items() if group}
-
-
-def of_textures(records: Records, like: Records) -> Records:
-    """Runs of the textures that other runs are of."""
-    keys = {record["texture"] for record in like}
-    return [record for record in records if record["texture"] in keys]
 
 
 def worst_auc(records: Records) -> str:
@@ -271,44 +264,20 @@ AREAS: Columns = (
 )
 
 
-def person(records: Records) -> str:
-    """Area with a person's limits, a dash where it was not asked for."""
-    areas = [record.get("listener.listener_auc_person") for record in records]
-    return "–" if None in areas else format(np.mean(areas), ".2f")
-
-
 def listener() -> Table:
     """Areas under listeners' curves, means over the textures of each kind, beside those of two true vibrations."""
-    by_method, control = listened("listener"), average(lambda record: record["listener.listener_auc_waveform_control"])
-    rows: dict[tuple[str, ...], Records] = {}
-    for (title, method), records in by_method.items():
-        ours = by_method.get((title, OURS), [])
-        rows[title, method] = records
-        if len(records) < len(ours):  # a method that was asked about some textures alone: ours on the same
-            rows[title, f"{OURS} on these"] = of_textures(ours, records)
-    asked = any("listener.listener_auc_person" in record for record in records_of("listener"))
-    last = ("a person's limits", person) if asked else ("control", control)
-    return table(("mean of", "method"), rows, (*AREAS, last))
+    person = average(lambda record: record["listener.listener_auc_person"])
+    return table(("mean of", "method"), listened(), (*AREAS, ("a person's limits", person)))
 
 
 def listener_notes() -> str:
     """Sentence on what the controls lie between."""
-    records = [record for of in listened("listener").values() for record in of]
+    records = [record for of in listened().values() for record in of]
     kinds = ("listener_auc", "listener_auc_waveform", "listener_auc_person")
     controls = [record[f"listener.{kind}_control"] for record in records for kind in kinds]
     return (
         f"One recording and one fit of each texture; controls lie between {min(controls):.2f} and {max(controls):.2f}."
     )
-
-
-def recorded_longer() -> Table:
-    """The same of foten-plus for recordings of two lengths, of the textures that both have."""
-    short_of = listened("listener")
-    rows: dict[tuple[str, ...], Records] = {}
-    for (title, method), long in listened("listener-256s").items():
-        rows[title, "64 s"] = of_textures(short_of.get((title, method), []), long)
-        rows[title, "256 s"] = long
-    return table(("mean of", "recorded"), rows, AREAS)
 
 
 def trials() -> Table:
@@ -344,6 +313,27 @@ def trials() -> Table:
         "control",
     )
     return Table.of(heads, lines)
+
+
+OTHER_HANDS = {
+    f"hand of {factor:g} times the speed{suffix}".replace(" 0.", " ."): (f"{factor:g} times as quick", joined)
+    for factor in (0.6, 1.7)
+    for suffix, joined in (("", "blocks of 2 s"), (", DFT321 in windows", "windows of 64 ms"))
+}
+"""Approaches of the trials under other hands than the one that was learned from; how quick they are, and how axes became one."""
+
+
+def hands() -> Table:
+    """Bias of level by quarter of speed under another hand, mean and standard error over surfaces."""
+    lines = []
+    for approach, labels in OTHER_HANDS.items():
+        of_it = [row for row in csv_rows("trials") if row["approach"] == approach]
+        if of_it:
+            biases = ([float(row[f"bias_{k}_db"]) for row in of_it] for k in range(1, 5))
+            errors = ((np.mean(each), np.std(each, ddof=1) / np.sqrt(len(each))) for each in biases)
+            lines.append((*labels, *(f"{bias:+.2f} ± {error:.2f}" for bias, error in errors)))
+    quarters = [f"{name} [dB]" for name in ("slowest", "second", "third", "fastest")]
+    return Table.of(("hand that listens", "DFT321 in", *quarters), lines)
 
 
 WITH = "recorded, no network in the loop"
@@ -491,16 +481,11 @@ def abrupt_surfaces() -> Table:
     return Table.of(("", *GROUPS, "a flat surface, force and taps"), cells)
 
 
-LISTENERS = {"listener": "listener", "listener-256s": "listener"}
-"""Experiments with listeners, and the CSV that holds their runs."""
-
-
 def experiments() -> Table:
     """What the other experiments are of, and what the runs in their CSV files took."""
     rows = []
-    for name in (*MAIN, *LISTENERS):
-        title, every = of_file(name)["title"], records_of(LISTENERS.get(name, name))
-        runs = [record for record in every if name not in LISTENERS or record["experiment"] == title]
+    for name in (*MAIN, "listener"):
+        runs = records_of(name)
         rows.append((f"`{name}`", note_of(name, runs), str(len(runs)), core_hours(runs)))
     return Table.of(("experiment", "what", "runs", "core-hours"), rows)
 
@@ -654,12 +639,7 @@ TABLES: dict[str, dict[str, Callable[[], Table | str]]] = {
         "parts": parts,
         "csv": partial(listed, *MAIN, "listener"),
     },
-    "listener.md": {
-        "listener": listener,
-        "listener-notes": listener_notes,
-        "recorded-longer": recorded_longer,
-        "trials": trials,
-    },
+    "listener.md": {"listener": listener, "listener-notes": listener_notes, "hands": hands, "trials": trials},
     "less-than-a-recording.md": {
         "few-strokes": partial(few_strokes, real=False),
         "few-strokes-real": partial(few_strokes, real=True),
@@ -696,14 +676,14 @@ def pages() -> Iterator[tuple[Path, str, str]]:
         yield path, before, text
 
 
-JOINED = (*FULL_LENGTH, REAL_TABLE_1, *MAIN)
+JOINED = (*FULL_LENGTH, REAL_TABLE_1, *MAIN, "listener")
 """Experiments that are run in parts, in the order of their versions."""
 KEPT_FIGURES = {"figure-5": ("one_step", "validation"), "recipes": ("one_step", "references", "validation")}
 """Figures that are kept of an experiment of many runs."""
 
 
 def add(folder: Path, recordings: Path | None) -> None:
-    """Put the results of a sweep, all or a part, into the CSV of their experiment, beside what the CSV has of others."""
+    """Put the results of a sweep, all or a part, into the CSV of their experiment, beside what the CSV has of its other runs."""
     records = brief(read_records(folder))
     title = records[0]["experiment"]
     name = next((name for name in JOINED if of_file(name)["title"] == title), None)
@@ -718,8 +698,8 @@ def add(folder: Path, recordings: Path | None) -> None:
     parts = {other: runs_of(other) for other in JOINED if FULL_LENGTH.get(other, other) == file}
     experiment = read_experiment(experiment_path(name), recordings)
     places = [run.place for run in experiment.runs()]
-    done = {*map(place_of, records)}
-    kept = [record for record in parts[name] if place_of(record) not in done]
+    others = {*places} - {*map(place_of, records)}
+    kept = [record for record in parts[name] if place_of(record) in others]  # not what the experiment has no more
     described = [one | {"note": experiment.note} for one in (*records, *kept)]  # as it is now, of earlier runs too
     parts[name] = sorted(described, key=lambda one: places.index(place_of(one)))
     runs_table([record for part in parts.values() for record in part], 4).write(RESULTS / f"{file}.csv")

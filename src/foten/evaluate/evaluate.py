@@ -70,7 +70,7 @@ def trace_for(
     Raises:
         ValueError: they are given of the recording that the texture was trained on, whose blocks are those of its split.
     """
-    config = PreprocessConfig(**texture.card["preprocess"])
+    config = PreprocessConfig.of_card(texture.card["preprocess"])
     cut: dict[str, Any] = {k: v for k, v in {"trim_ms": trim_ms, "block_ms": block_ms}.items() if v is not None}
     if cut and recording.sha256() == texture.card["recording_sha256"]:
         trained = "the texture was trained on this recording and is judged on the blocks of its split"

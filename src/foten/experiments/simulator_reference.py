@@ -82,7 +82,7 @@ def reference_for(
     except (KeyError, TypeError, ValueError) as error:
         return SimulatorReference(why_no_bound=f"the simulator's parameters in the recording cannot be used ({error})")
     strokes = long_strokes(recording, texture) if listener else ()
-    config = PreprocessConfig(**texture.card["preprocess"])
+    config = PreprocessConfig.of_card(texture.card["preprocess"])
     known = SimulatorReference(further, strokes)
     if recording.simulation["key"] not in LINEAR_FAMILY:
         return known
@@ -102,7 +102,7 @@ def judged_spans_s(recording: Recording, texture: Texture) -> list[tuple[float, 
     """
     if texture.card["split"] is None or recording.sha256() != texture.card["recording_sha256"]:
         return []
-    config, split = PreprocessConfig(**texture.card["preprocess"]), Split.from_fields(texture.card["split"])
+    config, split = PreprocessConfig.of_card(texture.card["preprocess"]), Split.from_fields(texture.card["split"])
     starts_s = [(config.trim_ms + config.block_ms * block) / 1000 for block in split.test]
     return [(start - SETTLED_S, start + config.block_ms / 1000 + SETTLED_S) for start in starts_s]
 

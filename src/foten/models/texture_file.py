@@ -263,7 +263,7 @@ def check_card(card: Any) -> None:
         raise ValueError("the scaling in the card is not three means and three standard deviations")
     Scaling(mean=tuple(card["scaling"]["mean"]), sd=tuple(card["scaling"]["sd"]))
     try:
-        preprocess = PreprocessConfig(**card["preprocess"])
+        preprocess = PreprocessConfig.of_card(card["preprocess"])
         if card["split"] is not None:
             Split.from_fields(card["split"])
     except (TypeError, KeyError, AttributeError, OverflowError) as error:

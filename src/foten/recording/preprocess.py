@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -45,6 +47,7 @@ class PreprocessConfig:
     highpass_order: int = 2
     lowpass_hz: float = 20.0  # of speed and force in training; Sec. V-b
     render_lowpass_hz: float = 20.0  # of speed and force in rendering; Sec. V-b
+    dft321_ms: float = 64.0  # windows in which three axes become one; 0: each block by itself
     zero_phase: bool = False  # forwards and backwards; looks into the future
     force_units: bool = False  # take values beyond `LIMITS`
 
@@ -56,6 +59,10 @@ class PreprocessConfig:
             raise ValueError(f"rate is {self.rate_hz:g} Hz, expected a positive number")
         if self.trim_ms < 0 or not self.block_ms > 0:
             raise ValueError(f"trim is {self.trim_ms:g} ms and block {self.block_ms:g} ms, expected ≥ 0 and > 0")
+        if self.dft321_ms and not self.dft321_ms * self.rate_hz >= 2000:
+            raise ValueError(
+                f"dft321_ms is {self.dft321_ms:g}, expected 0 or two samples and more, {2000 / self.rate_hz:g} ms"
+            )
         half = self.rate_hz / 2
         for name in ("highpass_hz", "lowpass_hz", "render_lowpass_hz"):
             cutoff = getattr(self, name)
@@ -65,6 +72,11 @@ class PreprocessConfig:
             raise ValueError(f"highpass_order is {self.highpass_order}, expected {MAX_HIGHPASS_ORDER} at most")
         # The filters' own check, before a long recording is read.
         butterworth("highpass", self.highpass_hz, self.rate_hz, self.highpass_order)
+
+    @classmethod
+    def of_card(cls, settings: Mapping[str, Any]) -> PreprocessConfig:
+        """Configuration of a texture's card; before `dft321_ms` was written down, each block was transformed by itself."""
+        return cls(**{"dft321_ms": 0.0, **settings})
 
     @property
     def block(self) -> int:
@@ -144,7 +156,7 @@ def preprocess(recording: Recording, config: PreprocessConfig | None = None, n_b
     """Trace of a recording: whole blocks of acceleration, speed and force at one rate.
 
     It has the stretch that every channel covers. The low-pass of speed and force is causal, as in rendering; its delay is
-    then cut off to a whole sample. DFT321 joins three axes in each block by itself. Of several takes the blocks follow one
+    then cut off to a whole sample. DFT321 joins three axes in short windows. Of several takes the blocks follow one
     another; each take is trimmed and filtered by itself.
 
     Args:
@@ -200,7 +212,7 @@ def preprocess(recording: Recording, config: PreprocessConfig | None = None, n_b
     vibration = np.stack([settled(highpass, samples, trim) for samples in decimated])
     acceleration = vibration[0]
     if len(axes) > 1:
-        acceleration = dft321(vibration.reshape(len(axes), -1, config.block).swapaxes(0, 1)).ravel()
+        acceleration = joined_axes(vibration, config)
     velocities, normal_force = velocity_and_force(recording, rate)
     speed = speed_of(np.stack([settled(lowpass, row, trim + delay) for row in velocities]))
     force = np.maximum(settled(lowpass, normal_force, trim + delay), 0.0)
@@ -210,6 +222,13 @@ def preprocess(recording: Recording, config: PreprocessConfig | None = None, n_b
     n_uncovered = max(round(axis.duration_s * rate) for axis in axes) - (stop - start)
     source = recording.sha256(), asdict(config), n_dropped, n_uncovered
     return Trace(acceleration, speed, force, rate, config.block, *source)
+
+
+def joined_axes(vibration: Array, config: PreprocessConfig) -> Array:
+    """Axes (n_axes, n) of whole blocks as one (n,)."""
+    if not config.dft321_ms:
+        return dft321(vibration.reshape(len(vibration), -1, config.block).swapaxes(0, 1)).ravel()
+    return dft321(vibration, round(config.dft321_ms * config.rate_hz / 1000))
 
 
 def _trace_of_takes(recording: Recording, config: PreprocessConfig, n_blocks: int | None) -> Trace:

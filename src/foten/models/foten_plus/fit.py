@@ -108,7 +108,7 @@ def fit(job: TrainingJob, monitor: Monitor) -> Trained:
     network = InnovationNetwork(sizes).to(pick_device())
 
     def playable(candidate: Candidate) -> None:
-        early = texture_of(candidate, network, None, best_candidate([candidate])[1], run)
+        early = texture_of(candidate, network, None, linear_report(candidate), run)
         unfinished = {**early.card, "training": {**early.card["training"], "unfinished": True}}
         monitor.on_playable(replace(early, card=unfinished))
 
@@ -191,17 +191,18 @@ def best_candidate(candidates: Sequence[Candidate]) -> tuple[Candidate, dict[str
 
     One whose log-spectral distance is not within `MAX_DISTORTION` of the first's is not taken.
     """
-
-    def report(candidate: Candidate) -> dict[str, Any]:
-        sizes = candidate.model.sizes
-        kind = {"order": sizes.order, "n_speed": sizes.n_speed, "gain_before_filter": sizes.gain_before_filter}
-        return {**candidate.model.report, "free_run": candidate.random_part.free_run._asdict(), "kind": kind}
-
     allowed = MAX_DISTORTION * candidates[0].random_part.free_run.lsd_db
     eligible = [one for one in candidates if one is candidates[0] or one.random_part.free_run.lsd_db <= allowed]
     best = min(eligible, key=lambda candidate: math.prod(candidate.random_part.free_run))
-    rejected = [report(candidate) for candidate in candidates if candidate is not best]
-    return best, {**report(best), **({"rejected": rejected} if rejected else {})}
+    rejected = [linear_report(candidate) for candidate in candidates if candidate is not best]
+    return best, {**linear_report(best), **({"rejected": rejected} if rejected else {})}
+
+
+def linear_report(candidate: Candidate) -> dict[str, Any]:
+    """What a candidate's linear model is, and the errors of its free runs."""
+    sizes = candidate.model.sizes
+    kind = {"order": sizes.order, "n_speed": sizes.n_speed, "gain_before_filter": sizes.gain_before_filter}
+    return {**candidate.model.report, "free_run": candidate.random_part.free_run._asdict(), "kind": kind}
 
 
 def fit_random_part(excited: Candidate, networks: Tensors, run: FitContext) -> Candidate:
