@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import re
 import sys
@@ -34,6 +35,7 @@ from foten.studio.messages import MAX_BYTES, RefusedError
 from foten.studio.shelf import Shelf
 from foten.studio.studio_server import Studio
 from foten.training import train_capture
+from foten.training.config import WITHHELD
 from test_messages import BEGIN
 from test_studio_server import HERE, LOCAL, until
 
@@ -326,3 +328,21 @@ def test_the_texture_is_playable_early_and_the_last_is_written(
     assert read_texture(tmp_path / "a.foten").card["texture"] == "last"
     said = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
     assert [one.get("playable") or one.get("done") for one in said] == ["a.foten", "a.foten"]
+
+
+@pytest.mark.parametrize(
+    ("microphone", "rate_hz", "told"), [(True, 2500.0, True), (True, 1000.0, False), (False, 2500.0, False)]
+)
+def test_the_page_is_told_where_nothing_heard_is_stored(
+    microphone: bool,
+    rate_hz: float,
+    told: bool,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.setattr(train_capture, "train", lambda *_: SimpleNamespace(texture=exported("foten-plus")))
+    heard = dataclasses.replace(simulate("towel", 8), microphone=microphone)
+    train_capture.train_recording(heard, {rate_hz: 1.0}, tmp_path / "a.foten")
+    said = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    assert said == [{"notes": [WITHHELD]}] * told + [{"done": "a.foten"}]

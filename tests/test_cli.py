@@ -24,6 +24,7 @@ from foten.cli.train import TrainOptions
 from foten.console import JsonOption, options_from, print_result
 from foten.datasets.hdf5 import load_recording, write_recording
 from foten.models.texture_file import read_texture, write_texture
+from foten.training.config import WITHHELD
 
 FAST = ["--trim", "0", "--block", "500", "--epochs", "1", "--threads", "1", "--window", "12"]
 TINY = [f"--set={size}" for size in ("n_hidden=6", "head_width=5", "n_components=2")]
@@ -249,10 +250,18 @@ def test_what_the_network_is_for_is_said_plainly(texture: Path, mae_scaled: floa
 
 
 def test_what_a_rendering_draws_from_is_said() -> None:
-    played = {"recorded": True, "along_path": False}
-    assert random_part_summary({"recorded": False, "along_path": False}) == "Gaussian noise"
-    assert random_part_summary(played) == "recorded innovations, as they were"
-    assert "the speed of the hand" in random_part_summary({**played, "along_path": True})
+    def summary(recorded: bool, along_path: bool = False, **card: Any) -> str:
+        sizes = {"recorded": recorded, "along_path": along_path}
+        return random_part_summary(
+            {"sizes": sizes, "rate_hz": 2500.0, "training": {"recorded_innovations": "auto"}, **card}
+        )
+
+    assert summary(False) == "Gaussian noise"
+    assert summary(True) == "recorded innovations, as they were"
+    assert "the speed of the hand" in summary(True, True)
+    assert summary(False, microphone=True) == "Gaussian noise; " + WITHHELD
+    assert summary(False, microphone=True, rate_hz=2000.0) == "Gaussian noise"
+    assert summary(False, microphone=True, training={"recorded_innovations": "never"}) == "Gaussian noise"
 
 
 def test_nothing_is_learned_from_a_recording_without_a_stroke_but_with_anyway(recording: Path, tmp_path: Path) -> None:

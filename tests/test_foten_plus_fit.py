@@ -140,8 +140,7 @@ def test_a_microphones_recording_is_not_stored_above_2_khz_unless_asked(fitted: 
     assert [one.model.sizes.along_path for one in played] == [False, True]
     assert all(one.model.sizes.recorded and "recorded.moments" in one.model.tensors for one in played)
     faster = replace(run.blocks, trace=replace(run.blocks.trace, rate_hz=2500.0))
-    units = {**run.builder.card["units"], "acceleration": "relative"}
-    builder = replace(run.builder, blocks=faster, card={**run.builder.card, "units": units})
+    builder = replace(run.builder, blocks=faster, card={**run.builder.card, "microphone": True})
     of_microphone = replace(run, builder=builder)
     assert foten_plus.recorded_candidates(fitted.excited, networks, of_microphone) == []
     never, always = (replace(QUICK, recorded_innovations=stored) for stored in ("never", "always"))

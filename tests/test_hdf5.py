@@ -23,6 +23,7 @@ def _recording() -> Recording:
         notes="µ and ² survive",
         simulation={"key": "jeans", "seed": 3},
         history=("force was converted from gf to N", "two gaps were filled"),
+        microphone=True,
     )
 
 
@@ -31,7 +32,7 @@ def test_a_recording_comes_back_exactly(tmp_path):
     write_recording(recording, tmp_path / "a.h5")
     back = load_recording(tmp_path / "a.h5")
     assert back.sha256() == recording.sha256()  # samples, rates and times, to the last bit
-    for key in ("texture", "tool", "sensors", "notes", "simulation", "history"):
+    for key in ("texture", "tool", "sensors", "notes", "simulation", "history", "microphone"):
         assert getattr(back, key) == getattr(recording, key)
     assert back["force"].times_s is None
 

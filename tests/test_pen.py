@@ -156,6 +156,7 @@ def test_a_sound_and_events_are_imported_as_one_recording(tmp_path: Path, capsys
     assert "in relative units: 1 is its RMS while the pen strokes" in message
     recording = load_recording(out)
     assert not recording.calibrated
+    assert recording.microphone
     assert recording.unit("acceleration") == "relative"
     assert recording.unit("force") == "N"
     assert recording["force"].samples.max() == pytest.approx(0.13 * np.exp(3.32 * 0.4))
@@ -171,6 +172,7 @@ def test_with_a_sensitivity_it_is_in_metres_per_second_squared(tmp_path: Path) -
     assert _status(["import", str(sound), "--pen", str(events), *with_units, "-o", str(out)]) == 0
     recording = load_recording(out)
     assert recording.calibrated
+    assert recording.microphone  # a sensitivity does not make it deaf to speech
     _, samples = scipy.io.wavfile.read(sound)
     np.testing.assert_allclose(recording["acceleration"].samples, 50 * samples.astype(float), rtol=1e-6)
     assert recording["force"].samples.max() == pytest.approx(0.2 * np.exp(3 * 0.4))

@@ -121,7 +121,7 @@ def _linear_model(texture: Texture) -> dict[str, str]:
     parts = f"the lattice all of them, the network the last {sizes['window']}"
     rows = {"history": f"a prediction uses the last {texture.window} samples: {parts}"}
     rows |= {"lattice": f"order {sizes['order']}, {over}{gain}", "tones": "none"}
-    rows["random part"] = random_part_summary(sizes)
+    rows["random part"] = random_part_summary(texture.card)
     rows["network"] = network_summary(texture.card)
     if sizes["n_tones"]:
         every = f" of a surface that repeats every {2 * pi / (texture.tensors['tones.phase_params'][0] * texture.rate_hz):.3g} mm"
@@ -156,10 +156,14 @@ def network_summary(card: Mapping[str, Any]) -> str:
     return improves
 
 
-def random_part_summary(sizes: Mapping[str, Any]) -> str:
+def random_part_summary(card: Mapping[str, Any]) -> str:
     """Random part of a foten-plus texture's renderings, in words."""
+    from foten.training.config import WITHHELD, withholds_recording
+
+    sizes, stored = card["sizes"], card["training"].get("recorded_innovations", "")
     if not sizes["recorded"]:
-        return "Gaussian noise"
+        withheld = withholds_recording(card.get("microphone", False), card["rate_hz"], stored)
+        return "Gaussian noise" + f"; {WITHHELD}" * withheld
     return f"recorded innovations, {'at the speed of the hand over the recorded one' if sizes['along_path'] else 'as they were'}"
 
 

@@ -44,7 +44,9 @@ def write_recording(recording: Recording, path: Path) -> None:
         raise ValueError(f"{len(recording.takes)} takes are too many, about {n} groups of {MAX_OBJECTS} at most")
     # Made in memory, since HDF5 does not survive a full disk.
     with h5py.File("in memory", "w", driver="core", backing_store=False) as file:
-        file.attrs.update({"format": FORMAT, "version": VERSION} | texts)
+        file.attrs.update(
+            {"format": FORMAT, "version": VERSION} | texts | ({"microphone": 1} if recording.microphone else {})
+        )
         for i, take in enumerate(recording.takes, 1):
             group = file if i == 1 else file.create_group(f"takes/{i}")
             if i > 1:
@@ -96,7 +98,8 @@ def load_recording(path: Path) -> Recording:
         take = Recording(of_take, texts["texture"], history=_lines(about), calibrated=same_unit)
         later.append(replace(take, name=str(about.get("name", ""))))
     recording = Recording(channels, **texts, history=_lines(attributes), calibrated=calibrated)  # type: ignore[arg-type]
-    return replace(recording, simulation=_simulation(attributes, name), later_takes=tuple(later))
+    microphone = not calibrated or bool(attributes.get("microphone"))  # relative units are a microphone's
+    return replace(recording, simulation=_simulation(attributes, name), later_takes=tuple(later), microphone=microphone)
 
 
 def load_takes(paths: Sequence[Path]) -> Recording:

@@ -145,7 +145,10 @@ def import_recording(paths: Sequence[Path], options: ImportOptions) -> tuple[Rec
     for finding in check_missing(recording):
         guess = guesses.get(finding.channel, "") if finding.code == "missing" else ""
         decisions.append(f"{finding.text}{'; ' * bool(guess)}{guess}")
-    recording = replace(recording, **dict[str, Any](stated_above(above)))
+    microphone = any(
+        quantity(name) == "acceleration" and column.file.suffix.lower() == ".wav" for name, column in columns.items()
+    )
+    recording = replace(recording, **dict[str, Any](stated_above(above)), microphone=microphone)
     return recording, list(dict.fromkeys(decisions))
 
 
@@ -295,7 +298,8 @@ def import_capture(
     channels["acceleration"] = Channel(column.samples * factor, rate_hz)
     source = f"acceleration is column {column.name} of {sound.name}"
     history = [source, f"position and force are those of {pen.name}", str(clock), on_unit]
-    return _checked(channels, history, options.force_units, calibrated=unit is not None), clock, decisions
+    recording = _checked(channels, history, options.force_units, calibrated=unit is not None)
+    return replace(recording, microphone=True), clock, decisions
 
 
 def read_stroke(path: Path, units: Mapping[str, str]) -> dict[str, Array]:

@@ -109,6 +109,7 @@ class Recording:
     simulation: Mapping[str, Any] | None = None  # parameters of the simulator that made it
     history: tuple[str, ...] = ()  # what was done to the samples on the way in, one sentence each
     calibrated: bool = True  # False where the acceleration is in relative units
+    microphone: bool = False  # whether one heard the acceleration, which then may hold speech from nearby
     name: str = ""  # of the take, where there are several: the file that it came from
     later_takes: tuple[Recording, ...] = ()  # each with its own times
 
@@ -204,4 +205,5 @@ def joined_takes(recordings: Sequence[Recording]) -> Recording:
     names = [recording.texture for recording in recordings]
     unnumbered = {name.rstrip(" _-(0123456789)") for name in names}
     common = unnumbered.pop() if len(set(names)) > len(unnumbered) == 1 else ""
-    return replace(first, later_takes=tuple(others), texture=common or names[0])
+    microphone = any(recording.microphone for recording in recordings)
+    return replace(first, later_takes=tuple(others), texture=common or names[0], microphone=microphone)

@@ -10,6 +10,8 @@ from typing import Any
 LOSSES, SCHEDULES, OPTIMISERS = ("huber", "mse", "mae"), ("one_cycle", "constant"), ("muon", "adamw")
 INITIAL_WEIGHTS = ("uniform", "glorot")
 STORED = ("auto", "always", "never")  # recorded innovations: auto, not of a microphone above 2 kHz; always, of any
+MAX_MICROPHONE_HZ = 2000.0  # rate above which speech could be understood
+WITHHELD = "no recorded innovations are stored: speech near the microphone could be in them"
 WARM_START = (45.0, 0.8)  # mm/s, N: mean of early contacts; Sec. V-a
 
 
@@ -160,3 +162,8 @@ def check_used(model: str, names: Iterable[str], loss: str = "huber") -> None:
             raise ValueError(f"{option} means nothing to {model}: leave it out")
         if name == "delta" and loss != "huber":
             raise ValueError(f"delta is the threshold of the huber loss, and the loss is {loss}: leave it out")
+
+
+def withholds_recording(microphone: bool, rate_hz: float, stored: str) -> bool:
+    """Whether a texture's file holds no recorded innovations, unless `stored` asks for them, since they could hold speech."""
+    return microphone and rate_hz > MAX_MICROPHONE_HZ and stored == "auto"

@@ -130,6 +130,7 @@ class TrainingJob:
             **self.credit,
             "recording_sha256": trace.recording_sha256,
             **({"takes": takes_entry(recording, trace)} if trace.take_blocks else {}),
+            **({"microphone": True} if recording.microphone else {}),
             "preprocess": dict(trace.preprocess),
             "split": asdict(split),
             "split_sha256": split.sha256(),

@@ -27,7 +27,7 @@ from foten.recording.inspection.values import counted
 from foten.recording.preprocess import PreprocessConfig, blocks_of
 from foten.recording.recording import Recording
 from foten.runtime.stylus import PressureCalibration
-from foten.training.config import recipe_of
+from foten.training.config import WITHHELD, recipe_of, withholds_recording
 from foten.training.job import TrainingJob, shortest_block
 from foten.training.loop import Epoch, Monitor
 from foten.training.pipeline import train
@@ -89,6 +89,8 @@ def train_recording(recording: Recording, carried: Mapping[float, float], output
     preprocess = PreprocessConfig(rate_hz=rate_hz, trim_ms=0.0, block_ms=block_ms)
     job = TrainingJob(recording, MODEL, FotenPlusSizes(), config, preprocess, texture_name=recording.texture)
     share, is_playable = 0.05, False
+    if withholds_recording(recording.microphone, rate_hz, config.recorded_innovations):
+        _say(notes=[WITHHELD])
 
     def on_stage(stage: str) -> None:
         nonlocal share

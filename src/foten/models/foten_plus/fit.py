@@ -30,7 +30,6 @@ from foten.models.foten_plus.recorded_fit import recorded_innovations
 from foten.models.foten_plus.sizes import FotenPlusSizes
 from foten.models.foten_plus.tones_fit import fit_residual, tonal_model
 from foten.models.texture_file import Texture
-from foten.recording.recording import RELATIVE
 from foten.runtime.proof import Tensors
 from foten.training.calibration import (
     UNSCORED_SHARE,
@@ -40,16 +39,13 @@ from foten.training.calibration import (
     calibrate_excitation,
     calibrate_level,
 )
-from foten.training.config import TrainConfig
+from foten.training.config import TrainConfig, withholds_recording
 from foten.training.excerpt_classifier import classified_area
 from foten.training.job import ScaledBlocks, Trained, TrainingJob, check_block
 from foten.training.loop import Monitor, Progress, pick_device
 from foten.training.texture_builder import TextureBuilder, tensors_of
 
 MAX_DISTORTION = 1.05  # times the log-spectral distance of the first linear model, on the validation blocks
-MAX_MICROPHONE_HZ = (
-    2000.0  # rate above which a microphone's recording is not stored unless asked: speech could be in it
-)
 MAX_NOISE_AREA = 0.6  # up to which noise is not told from the recording: nothing else is tried then
 MAX_EXPONENT = 1.5  # of speed or force, that the level grows with outside the trained range
 # Mean and standard deviation of these powers over textures: 100 measured AR models (0.97 ± 0.28, 0.32 ± 0.19), and the simulated
@@ -231,9 +227,8 @@ def fit_network(network: InnovationNetwork, model: LinearModel, run: FitContext)
 def recorded_candidates(excited: Candidate, networks: Tensors, run: FitContext) -> list[Candidate]:
     """Candidates that play recorded innovations over the excited one's σ, as they were and along the path, each calibrated."""
     random_part, stored = excited.random_part, run.config.recorded_innovations
-    of_microphone = run.builder.card["units"]["acceleration"] == RELATIVE
-    with_speech = of_microphone and run.blocks.trace.rate_hz > MAX_MICROPHONE_HZ
-    if stored == "never" or (stored == "auto" and with_speech):
+    microphone = run.builder.card.get("microphone", False)
+    if stored == "never" or withholds_recording(microphone, run.blocks.trace.rate_hz, stored):
         return []
     recorded = recorded_innovations(excited.model, random_part.excitation.sigma, run.blocks)
     if recorded is None:
