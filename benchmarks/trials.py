@@ -8,8 +8,8 @@ beside a control of two true realisations; and by the ideal one where the render
 (`known_levels`). Bias of level by quarter of speed is of frames of 40 ms, of three renderings and three realisations; level error
 and log-spectral distance are divided by those of two realisations.
 
-A rendering does not use the network, which is not trained here. Axes are joined block by block, as in the rows of before, unless
---dft321-ms says otherwise; --quickness has another hand listen.
+A rendering does not use the network, which is not trained here. Axes of a block become one at once, as in the rows of before,
+unless --dft321-ms says otherwise; --quickness has another hand listen.
 
 Every row goes into one CSV, which keeps the rows of earlier approaches: what is there is not run again. Textures and strokes are
 kept in a folder.

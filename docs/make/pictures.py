@@ -459,23 +459,18 @@ def abrupt(arguments: argparse.Namespace) -> None:
 
 
 def listener(arguments: argparse.Namespace) -> None:
-    """The area under a listener's curve, by texture: of noise alone, as by default, and of the control."""
+    """The area under a listener's curve, by texture, and that of the control."""
     auc = {
-        (row["method"], row["texture"]): [
-            float(row[f"listener.{key}"]) for key in ("listener_auc", "listener_auc_control")
-        ]
+        row["texture"]: [float(row[f"listener.{key}"]) for key in ("listener_auc", "listener_auc_control")]
         for row in read_records(RESULTS / "listener.csv")
     }
     kinds = (LINEAR_FAMILY, TEXTURES, CONTACT)
     figure, panels = drawn(9, 3.6, 1, 3, sharey=True, width_ratios=[len(kind) + 1 for kind in kinds])
     for axes, kind, title in zip(panels, kinds, ("linear", "simulated", "contact mechanics"), strict=True):
-        known = [key for key in kind if ("foten-plus", key) in auc]
-        order = sorted(known, key=lambda key: auc["foten-plus", key][0])
-        for method, colour in (("noise alone", PAPER), ("foten-plus", OURS)):
-            axes.plot(range(len(order)), [auc[method, key][0] for key in order], "o", color=colour, label=method, ms=6)
-        axes.plot(
-            range(len(order)), [auc["foten-plus", key][1] for key in order], "_", color=INK, ms=11, label="control"
-        )
+        order = sorted((key for key in kind if key in auc), key=lambda key: auc[key][0])
+        ours, control = zip(*(auc[key] for key in order), strict=True)
+        axes.plot(range(len(order)), ours, "o", color=OURS, label="foten-plus", ms=6)
+        axes.plot(range(len(order)), control, "_", color=INK, ms=11, label="control")
         axes.axhline(0.5, color="#cccccc", lw=0.8, zorder=0)
         axes.set_xticks(range(len(order)), order, rotation=60, ha="right", fontsize=8)
         axes.set_title(title, loc="left", fontsize=10)

@@ -237,17 +237,11 @@ def onset() -> Table:
     return table(("mean of",), measured("onset"), columns)
 
 
-def listened() -> dict[tuple[str, str], Records]:
-    """Runs with listeners, by what the textures are and method."""
-    titles = (MAIN[LINEAR], MAIN[SIMULATED], MAIN[CONTACT])
-    kinds = dict(zip(titles, (linear_family.LINEAR_FAMILY, simulate.TEXTURES, contact_mechanics.CONTACT), strict=True))
+def listened() -> dict[str, Records]:
+    """Runs with listeners, by what the textures are."""
+    kinds = {LINEAR: linear_family.LINEAR_FAMILY, SIMULATED: simulate.TEXTURES, CONTACT: contact_mechanics.CONTACT}
     records = records_of("listener")
-    methods = dict.fromkeys(record["method"] for record in records)
-    groups = {
-        (title, method): [record for record in records if record["texture"] in keys and record["method"] == method]
-        for (title, keys), method in product(kinds.items(), methods)
-    }
-    return {key: group for key, group in groups.items() if group}
+    return {MAIN[name]: [record for record in records if record["texture"] in keys] for name, keys in kinds.items()}
 
 
 def worst_auc(records: Records) -> str:
@@ -267,7 +261,11 @@ AREAS: Columns = (
 def listener() -> Table:
     """Areas under listeners' curves, means over the textures of each kind, beside those of two true vibrations."""
     person = average(lambda record: record["listener.listener_auc_person"])
-    return table(("mean of", "method"), listened(), (*AREAS, ("a person's limits", person)))
+    return table(
+        ("mean of",),
+        {(title,): records for title, records in listened().items()},
+        (*AREAS, ("a person's limits", person)),
+    )
 
 
 def listener_notes() -> str:
