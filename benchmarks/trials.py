@@ -198,7 +198,7 @@ def listener_area(trial: Trial, kind: str, true: Trace, other: Trace) -> float:
     return listener_auc(*shown, seed=SEEDS[trial.half, trial.fit][-1])
 
 
-def judge(trial: Trial, kinds: Sequence[str], again: bool = False) -> dict[str, str]:
+def judge(trial: Trial, kinds: Sequence[str]) -> dict[str, str]:
     """The row of a trial by kinds of listeners: trained, unless its texture is in the folder already, and judged."""
     import torch
 
@@ -208,7 +208,7 @@ def judge(trial: Trial, kinds: Sequence[str], again: bool = False) -> dict[str, 
             setattr(fit, name, instead)
     seed, *_, listener_seed = SEEDS[trial.half, trial.fit]
     path = trial.folder / trial.approach / f"{trial.surface}-{trial.fit}.foten"
-    if again or not path.is_file():
+    if not path.is_file():
         path.parent.mkdir(parents=True, exist_ok=True)
         config = recipe_of("foten-plus", **{"threads": 1, "seed": seed, "epochs": 0, **json.loads(trial.settings)})
         recording, sizes = recording_of(trial), trainable_sizes("foten-plus", {})
@@ -315,11 +315,17 @@ def main() -> None:
     parser.add_argument("--quickness", type=float, default=1.0, help="of the hand that listens")
     parser.add_argument("--listeners", nargs="+", default=list(LISTENERS), choices=tuple(LISTENERS))
     options = parser.parse_args()
-    name = options.approach if options.seconds == SECONDS else f"{options.approach}, {options.seconds:g} s"
+    changes = {
+        f"hand of {options.quickness:g} times the speed": options.quickness != 1,
+        f"DFT321 in windows of {options.dft321_ms:g} ms": options.dft321_ms,
+        f"{options.seconds:g} s": options.seconds != SECONDS,
+    }
+    name = ", ".join([options.approach, *(text for text, is_changed in changes.items() if is_changed)])
     rows: list[dict[str, str]] = list(csv.DictReader(options.csv.open())) if options.csv.is_file() else []
-    allowed = {options.approach, *([BEFORE] if options.half == "new kept" else [])}
-    judged = {row["approach"] for row in rows if row["half"] == options.half} - allowed
-    if options.half.endswith("kept") and options.approach != BEFORE and judged:
+    judged = {row["approach"] for row in rows if row["half"] == options.half} - {name}
+    if options.half == "new kept":
+        judged = judged - {BEFORE} if name != BEFORE else set()
+    if options.half.endswith("kept") and judged:
         parser.error(f"the {options.half} half was judged already, with {', '.join(judged)}: it can be judged once")
     done = [{name: row[name] for name in KEYS} for row in rows]
     surfaces = options.surfaces or SURFACES[options.half]

@@ -13,7 +13,7 @@ from conftest import PLUS, exported, recorded, untrained, untrained_tensors
 from foten.dsp.noise import gaussian
 from foten.models import definitions
 from foten.models.definitions import model_of
-from foten.models.foten_plus import recorded_innovations
+from foten.models.foten_plus import recorded_fit, recorded_innovations
 from foten.models.foten_plus.definition import FotenPlus
 from foten.models.foten_plus.linear_model import fit_level, fit_linear_models
 from foten.models.foten_plus.recorded_fit import recorded_innovations as fitted
@@ -35,10 +35,13 @@ from foten.models.foten_plus.recorded_innovations import (
     interpolation_taps,
     logarithm,
     neighbourhood,
+    runs_of,
 )
 from foten.models.foten_plus.recorded_store import MIN_SPEED, thinned
 from foten.models.foten_plus.sizes import FotenPlusSizes
 from foten.models.texture_file import Texture, texture_from_bytes
+from foten.recording.preprocess import PreprocessConfig, preprocess
+from foten.recording.recording import Channel, Recording
 from foten.recording.split import Split
 from foten.recording.trace import Trace
 from foten.runtime.native import NativeState, NativeTexture
@@ -266,13 +269,49 @@ def test_a_file_holds_nothing_of_test_blocks() -> None:
     np.testing.assert_array_equal(plain.values, marked.values)
 
 
+def test_what_filters_carry_out_of_a_test_block_is_not_stored() -> None:
+    """Ten standard deviations on three axes: windows carry them 64 ms on, and the high-pass less than 3 % of them further."""
+    stroke, noise = stroking(20.0, 5, RATE), np.random.default_rng(2).standard_normal((3, 20_000))
+    split = Split((0, 1, 3, 4, 6), (7, 9), (2, 5, 8), 10, 2000, "regrouped", 0)
+
+    def recorded(marker: float) -> ScaledBlocks:
+        marked = noise + marker * np.isin(np.arange(20_000) // 2000, split.test)
+        axes = {f"acceleration_{axis}": Channel(samples, RATE) for axis, samples in zip("xyz", marked, strict=True)}
+        hand = {"speed": Channel(stroke.speed, RATE), "force": Channel(stroke.force, RATE)}
+        config = PreprocessConfig(trim_ms=0.0, zero_phase=True)
+        return scaled_blocks(preprocess(Recording({**axes, **hand}), config), split)
+
+    plain = recorded(0.0)
+    trace = recorded(10.0).trace
+    marked = replace(plain, trace=trace, samples=plain.scaling.scale(trace.stacked()).reshape(plain.samples.shape))
+    sizes, config = FotenPlusSizes(), recipe_of("foten-plus", max_order=10, table=False, gain_before_filter=False)
+    level, data = fit_level(plain.flat[:, 0], sizes, plain, config)
+    model = fit_linear_models(level, data, sizes, config)[0]
+    one = replace(level, exponents=0 * level.exponents, out_weight=0 * level.out_weight)
+
+    run = runs_of(split, trace)[1]
+    first, second = (recorded_fit._analysed(model, one, blocks, run).innovations for blocks in (plain, marked))
+    moved = np.abs(first - second)
+    assert moved[:64].max() > 0.5
+    assert moved[-64:].max() > 0.5
+    assert moved[64:-64].max() < 0.3
+    stored = fitted(model, one, plain)
+    assert stored is not None
+    of_run = stored.innovations[4000:8000]
+    assert np.abs([of_run[:64], of_run[-64:]]).max() < 1e-3  # the code of least magnitude
+    np.testing.assert_allclose(of_run[64:-64], first[64:-64], atol=0.1)
+
+
 def test_moments_are_those_of_the_recording() -> None:
     """Runs of neighbouring blocks; speed and force before each moment, within a step of what is stored."""
     blocks = blocks_of()
     found = recorded_of(blocks)
     runs = [(0, 1), (3, 4), (6, 7), (9,)]
     assert len(found.moments) == 500 * 7
-    np.testing.assert_array_equal(np.flatnonzero(found.moments[:, 4] & RUN_START), np.cumsum([0, 1000, 1000, 1000]))
+    starts = np.cumsum([0, 1000, 1000, 1000, 500])  # and 64 ms before the next, which are not played
+    np.testing.assert_array_equal(
+        np.flatnonzero(found.moments[:, 4] & RUN_START), np.unique([starts[:4], starts[1:] - 16])
+    )
     at = 0
     for run in runs:
         samples = np.concatenate([np.arange(2000 * b, 2000 * (b + 1)) for b in run])
@@ -298,10 +337,21 @@ def test_innovations_are_stored_to_two_hundredths() -> None:
 def test_the_neighbourhood_of_a_block_is_a_second_and_a_stretch_on_either_side() -> None:
     """Test blocks too, of which the file holds nothing but what lies beside them."""
     split = Split((0, 1, 3, 4, 6), (7, 9), (2, 5, 8), 10, 2000, "regrouped", 0)
-    assert neighbourhood(split, RATE, 0) == (0, 500 + 313)
-    assert neighbourhood(split, RATE, 1) == (500 - 312, 1000)  # block 2 is not in the file, block 3 is two seconds away
-    assert neighbourhood(split, RATE, 2) == (1000 - 312, 1000 + 313)
-    assert neighbourhood(split, RATE, 9) == (3000, 3500)
+    trace = Trace(*np.zeros((3, 20_000)), RATE, 2000)
+    assert neighbourhood(split, trace, 0) == (0, 500 + 313)
+    assert neighbourhood(split, trace, 1) == (
+        500 - 312,
+        1000,
+    )  # block 2 is not in the file, block 3 is two seconds away
+    assert neighbourhood(split, trace, 2) == (1000 - 312, 1000 + 313)
+    assert neighbourhood(split, trace, 9) == (3000, 3500)
+
+
+def test_a_run_ends_with_its_take() -> None:
+    """Hand and vibration of the next begin anew."""
+    split = Split((0, 1, 3, 4), (5,), (2,), 6, 2000, "regrouped", 0)
+    trace = Trace(*np.zeros((3, 12_000)), RATE, 2000, take_blocks=(4, 2))
+    assert [run.tolist() for run in runs_of(split, trace)] == [[0, 1], [3], [4, 5]]
 
 
 def test_candidates_are_thinned_where_they_lie_dense() -> None:

@@ -99,9 +99,10 @@ def test_speed_force_and_the_vibration_they_cause_stay_side_by_side(zero_phase: 
 
 @pytest.mark.parametrize("zero_phase", [False, True])
 def test_three_axes_become_one_in_each_block_by_itself(zero_phase: bool) -> None:
+    """Without windows."""
     rng = np.random.default_rng(0)
     axes = {f"acceleration_{axis}": rng.standard_normal(6000) for axis in "xyz"}
-    config = replace(SHORT, zero_phase=zero_phase)
+    config = replace(SHORT, zero_phase=zero_phase, dft321_ms=0.0)
     before = preprocess(recording(axes), config)
     # One sample of the fifth block; the high-pass carries it on, but never back.
     changed = {**axes, "acceleration_y": axes["acceleration_y"].copy()}
@@ -115,15 +116,27 @@ def test_three_axes_become_one_in_each_block_by_itself(zero_phase: bool) -> None
         assert moved[:4].max() == 0.0
 
 
+def test_a_window_carries_a_sample_64_ms_at_most_into_the_block_before() -> None:
+    """What recorded innovations leave out beside a test block; the high-pass carries it on as far in the block after."""
+    rng = np.random.default_rng(0)
+    axes = {f"acceleration_{axis}": rng.standard_normal(6000) for axis in "xyz"}
+    changed = {**axes, "acceleration_y": axes["acceleration_y"].copy()}
+    changed["acceleration_y"][500 + 4 * 500] += 5.0  # the first sample of the fifth block
+    before, after = (preprocess(recording(of), SHORT).acceleration for of in (axes, changed))
+    moved = np.abs(after - before)
+    assert moved[2000 - 64 : 2000].max() > 0.1
+    assert moved[: 2000 - 64].max() == 0.0
+
+
 @pytest.mark.parametrize("dft321_ms", [0.0, 64.0])
 def test_the_axes_are_joined_after_they_are_filtered(dft321_ms: float) -> None:
-    """Block by block, each at once or in windows."""
+    """Block by block, or in windows across them."""
     rng = np.random.default_rng(0)
     axes = {f"acceleration_{axis}": rng.standard_normal(6000) for axis in "xyz"}
     joint = preprocess(recording(axes), replace(SHORT, dft321_ms=dft321_ms))
     alone = [preprocess(recording(samples), SHORT) for samples in axes.values()]
     blocks = np.stack([trace.blocks(trace.acceleration) for trace in alone], axis=1)
-    expected = dft321(blocks, 64 if dft321_ms else None).ravel()
+    expected = dft321(np.stack([trace.acceleration for trace in alone]), 64) if dft321_ms else dft321(blocks).ravel()
     np.testing.assert_allclose(joint.acceleration, expected, atol=1e-12)  # rounding
 
 

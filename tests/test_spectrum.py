@@ -235,7 +235,7 @@ def test_short_windows_keep_energy_where_it_was() -> None:
     axes = np.random.default_rng(1).standard_normal((3, 2000)) * np.repeat([0.1, 1.0], 1000)
     truth = np.square(axes).sum(axis=0)[100:900].mean()
     of_windows, of_whole = (np.square(dft321(axes, window))[100:900].mean() / truth for window in (64, None))
-    assert 10 * np.log10(of_windows) == pytest.approx(0.0, abs=1.0)
+    assert 10 * np.log10(of_windows) == pytest.approx(-0.3, abs=0.1)  # where windows disagree in phase they cancel
     assert 10 * np.log10(of_whole) > 6.0
 
 

@@ -181,6 +181,7 @@ def test_every_key_of_the_card_is_needed_and_has_its_type(texture: Texture) -> N
         ({"units": {**UNITS, "acceleration": "g"}}, r"acceleration is in 'g', expected m/s\^2 or relative"),
         ({"units": {}}, "acceleration is in None, expected"),
         ({"training": {"unfinished": "no"}}, "'unfinished' of the training is 'no', expected true"),
+        ({"microphone": None}, "'microphone' in the card is None, expected true"),
         ({"scaling": {"mean": [0, 0, 0]}}, "three means and three standard deviations"),
         ({"scaling": {"mean": [0, 0], "sd": [1, 1]}}, "three means"),
         ({"scaling": {"mean": ["a", 0, 0], "sd": [1, 1, 1]}}, "three means"),

@@ -314,9 +314,9 @@ def trials() -> Table:
 
 
 OTHER_HANDS = {
-    f"hand of {factor:g} times the speed{suffix}".replace(" 0.", " ."): (f"{factor:g} times as quick", joined)
+    f"what stands, hand of {factor:g} times the speed{suffix}": (f"{factor:g} times as quick", joined)
     for factor in (0.6, 1.7)
-    for suffix, joined in (("", "blocks of 2 s"), (", DFT321 in windows", "windows of 64 ms"))
+    for suffix, joined in (("", "blocks of 2 s"), (", DFT321 in windows of 64 ms", "windows of 64 ms"))
 }
 """Approaches of the trials under other hands than the one that was learned from; how quick they are, and how axes became one."""
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from typer import Argument, Exit, Option
 
-from foten.cli.evaluate import network_summary, validation_summary
+from foten.cli.evaluate import network_summary, random_part_summary, validation_summary
 from foten.console import JsonOption, check_files, options_from, preload, print_result, refuse
 from foten.training.config import FILTERS, RECIPES, TrainConfig, check_used, recipe_of
 
@@ -327,7 +327,7 @@ def _summary(trained: Trained) -> str:
     trim_ms, block_ms = trace.preprocess["trim_ms"], 1000 * trace.block / trace.rate_hz
     lines.append(f"{takes}{len(trace) / trace.rate_hz:g} s in {trace.n_blocks} {cut_in_words(trim_ms, block_ms)}")
     if card["model"] == "foten-plus":
-        lines.append(f"network: {network_summary(card)}")
+        lines += [f"random part: {random_part_summary(card)}", f"network: {network_summary(card)}"]
     lines.append(f"above the trained range, {trained.texture.extrapolation_in_words()}")
     if trace.n_uncovered:
         lines.append(f"not used: {_duration(trace.n_uncovered, trace.rate_hz)} that only some of the sensors recorded")

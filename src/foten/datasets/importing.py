@@ -142,13 +142,18 @@ def import_recording(paths: Sequence[Path], options: ImportOptions) -> tuple[Rec
         decisions.append("the normal force is force_z; --normal x,y,z states another normal of the surface")
     recording = _checked(channels, history, options.force_units)
     decisions += _on_units(recording, columns, clocks, options)
+    sounds = {
+        column.file.name
+        for name, column in columns.items()
+        if quantity(name) == "acceleration" and column.file.suffix.lower() == ".wav"
+    }
+    if sounds:
+        asked = "unless foten train --recorded-innovations always asks for them"
+        decisions.append(f"{min(sounds)} may hold speech: above 2 kHz a texture stores no innovations of it, {asked}")
     for finding in check_missing(recording):
         guess = guesses.get(finding.channel, "") if finding.code == "missing" else ""
         decisions.append(f"{finding.text}{'; ' * bool(guess)}{guess}")
-    microphone = any(
-        quantity(name) == "acceleration" and column.file.suffix.lower() == ".wav" for name, column in columns.items()
-    )
-    recording = replace(recording, **dict[str, Any](stated_above(above)), microphone=microphone)
+    recording = replace(recording, **dict[str, Any](stated_above(above)), microphone=bool(sounds))
     return recording, list(dict.fromkeys(decisions))
 
 

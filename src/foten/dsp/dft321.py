@@ -18,7 +18,8 @@ def dft321(axes: Array, window: int | None = None) -> Array:
 
     Args:
         axes: acceleration [m/s²], shape (…, n_axes, n); the result has (…, n).
-        window: samples of sine windows that overlap by half, each transformed by itself; None transforms all n at once.
+        window: samples of sine windows that overlap by half, each transformed by itself; None transforms all n at once. Windows
+            cancel in part where their phases disagree: the result is up to 0.3 dB weaker than the axes.
 
     Source: Landin, Romano, McMahan, Kuchenbecker 2010; Sec. III-c.
     Differs from the paper: it does not say what is transformed at once. Where the axes cancel (|Σ A_k| ≈ 0), the phase is the

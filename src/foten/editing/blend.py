@@ -243,6 +243,7 @@ def _card(both: tuple[Texture, Texture], near: Texture, weights: Array) -> dict[
         "evidence": f"blended: {weights[0]:.3g} {parts[0]}, {weights[1]:.3g} {parts[1]}, {UNMEASURED}"[:500],
         "source": "; ".join(dict.fromkeys(credit for credit in credits if credit))[:500],
         "licence": licences[0] if licences[0] == licences[1] else "",
+        **({"microphone": True} if any(t.card.get("microphone") for t in both) else {}),
         "split": None,
         "metrics": {},
         "saturation": linear(*(t.card["saturation"] for t in both)),

@@ -201,7 +201,7 @@ def _listener(case: _Case, on_stage: Callable[[str], None]) -> dict[str, Any] | 
     strokes = [long_stroke(stroke) for stroke in case.simulated.strokes]
     recorded, *others = strokes or [long_stroke(case.trace, case.blocks)]
     try:
-        excluded = [] if strokes else neighbourhoods(case.split, case.trace.rate_hz, case.blocks)
+        excluded = [] if strokes else neighbourhoods(case.split, case.trace, case.blocks)
         rendered = partial(rendering, case.kernel, recorded, excluded=excluded)
         in_m_s2 = case.texture.unit != RELATIVE
         return listener_scores(recorded, rendered, others, case.seed, on_stage, in_m_s2)

@@ -48,7 +48,7 @@ def synthesize(
     m, channels = texture.info.window, trace.picked(blocks)
     _, speed, force = repeated = [np.tile(channel, (n_seeds if excitation else 1, 1)) for channel in channels]
     windows = [channel[:, :m] for channel in repeated]
-    excluded = neighbourhoods(split, trace.rate_hz, blocks, n_seeds if excitation else 1)
+    excluded = neighbourhoods(split, trace, blocks, n_seeds if excitation else 1)
     rendered, n_saturated = render_strokes(texture, seed, speed[:, m:], force[:, m:], 0, windows, excitation, excluded)
     return _after_recorded(channels[0][:, :m], rendered), n_saturated
 

@@ -79,7 +79,7 @@ def warm_start_runs(
     excitation = texture.has_excitation
     n_seeds = N_DRAWS if excitation else 1
     _, speed, force = (np.tile(channel, (n_seeds, 1)) for channel in trace.picked(blocks))
-    excluded = neighbourhoods(split, trace.rate_hz, blocks, n_seeds)
+    excluded = neighbourhoods(split, trace, blocks, n_seeds)
     starts: dict[str, list[Array]] = {"stored": stored_window(texture) if texture.predicts_samples else []}
     if window is not None and texture.predicts_samples:
         starts["synthesised"] = window

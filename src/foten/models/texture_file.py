@@ -275,6 +275,8 @@ def check_card(card: Any) -> None:
             raise ValueError(f"{key!r} in the card is {shortened(card[key])}, expected {MAX_CREDIT} characters at most")
     if not isinstance(card["training"].get("unfinished", False), bool):
         raise ValueError(f"'unfinished' of the training is {shortened(card['training']['unfinished'])}, expected true")
+    if not isinstance(card.get("microphone", False), bool):
+        raise ValueError(f"'microphone' in the card is {shortened(card['microphone'])}, expected true")
     takes = card.get("takes", [])
     if not isinstance(takes, list) or not all(_is_take(take) for take in takes):
         raise ValueError(f"the takes in the card are {shortened(takes)}, expected a name, seconds and blocks of each")

@@ -47,7 +47,7 @@ class PreprocessConfig:
     highpass_order: int = 2
     lowpass_hz: float = 20.0  # of speed and force in training; Sec. V-b
     render_lowpass_hz: float = 20.0  # of speed and force in rendering; Sec. V-b
-    dft321_ms: float = 64.0  # windows in which the axes of a block become one; 0: all of the block
+    dft321_ms: float = 64.0  # windows in which three axes become one; 0: each block at once, which leaves seams
     zero_phase: bool = False  # forwards and backwards; looks into the future
     force_units: bool = False  # take values beyond `LIMITS`
 
@@ -156,8 +156,8 @@ def preprocess(recording: Recording, config: PreprocessConfig | None = None, n_b
     """Trace of a recording: whole blocks of acceleration, speed and force at one rate.
 
     It has the stretch that every channel covers. The low-pass of speed and force is causal, as in rendering; its delay is
-    then cut off to a whole sample. DFT321 joins three axes in short windows of each block by itself. Of several takes the
-    blocks follow one another; each take is trimmed and filtered by itself.
+    then cut off to a whole sample. DFT321 joins three axes. Of several takes the blocks follow one another; each take is
+    trimmed and filtered by itself.
 
     Args:
         n_blocks: that a training needs; None, at the rate of an existing texture, takes one.
@@ -212,8 +212,7 @@ def preprocess(recording: Recording, config: PreprocessConfig | None = None, n_b
     vibration = np.stack([settled(highpass, samples, trim) for samples in decimated])
     acceleration = vibration[0]
     if len(axes) > 1:
-        blocks = vibration.reshape(len(axes), -1, config.block).swapaxes(0, 1)
-        acceleration = dft321(blocks, round(config.dft321_ms * rate / 1000) or None).ravel()
+        acceleration = joined_axes(vibration, config)
     velocities, normal_force = velocity_and_force(recording, rate)
     speed = speed_of(np.stack([settled(lowpass, row, trim + delay) for row in velocities]))
     force = np.maximum(settled(lowpass, normal_force, trim + delay), 0.0)
@@ -223,6 +222,13 @@ def preprocess(recording: Recording, config: PreprocessConfig | None = None, n_b
     n_uncovered = max(round(axis.duration_s * rate) for axis in axes) - (stop - start)
     source = recording.sha256(), asdict(config), n_dropped, n_uncovered
     return Trace(acceleration, speed, force, rate, config.block, *source)
+
+
+def joined_axes(vibration: Array, config: PreprocessConfig) -> Array:
+    """Axes (n_axes, n) of whole blocks as one (n,)."""
+    if config.dft321_ms:
+        return dft321(vibration, round(config.dft321_ms * config.rate_hz / 1000))
+    return dft321(vibration.reshape(len(vibration), -1, config.block).swapaxes(0, 1)).ravel()
 
 
 def _trace_of_takes(recording: Recording, config: PreprocessConfig, n_blocks: int | None) -> Trace:

@@ -250,7 +250,7 @@ class ClosedLoop:
 
     def _excluded(self, numbers: tuple[int, ...], n_runs: int) -> list[tuple[int, int]]:
         """Recorded moments that runs of blocks do not play: their own, and those within a second."""
-        return neighbourhoods(self.blocks.split, self.blocks.trace.rate_hz, numbers, n_runs)
+        return neighbourhoods(self.blocks.split, self.blocks.trace, numbers, n_runs)
 
     def terms(self, numbers: tuple[int, ...]) -> Array:
         """Terms of an equaliser under some blocks, after the history, (N_TERMS, k, n)."""

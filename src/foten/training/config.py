@@ -10,7 +10,7 @@ from typing import Any
 LOSSES, SCHEDULES, OPTIMISERS = ("huber", "mse", "mae"), ("one_cycle", "constant"), ("muon", "adamw")
 INITIAL_WEIGHTS = ("uniform", "glorot")
 STORED = ("auto", "always", "never")  # recorded innovations: auto, not of a microphone above 2 kHz; always, of any
-MAX_MICROPHONE_HZ = 2000.0  # rate above which speech could be understood
+MAX_MICROPHONE_HZ = 2000.0  # rate of a texture above which it holds more of speech than we dare to store unasked
 WITHHELD = "no recorded innovations are stored: speech near the microphone could be in them"
 WARM_START = (45.0, 0.8)  # mm/s, N: mean of early contacts; Sec. V-a
 

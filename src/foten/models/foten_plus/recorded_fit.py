@@ -11,10 +11,14 @@ from foten.models.foten_plus.recorded_innovations import RecordedInnovations, ru
 from foten.models.foten_plus.recorded_store import Run, stored
 from foten.training.job import ScaledBlocks
 
+SPREAD_MS = 64.0  # as far as filters and DFT321 carry a block into the next: of test blocks nothing is to be stored
+
 
 def recorded_innovations(model: LinearModel, sigma: Scale, blocks: ScaledBlocks) -> RecordedInnovations | None:
     """Innovations over σ of the training and validation blocks; None where no run of them is long enough for a candidate."""
-    return stored([_analysed(model, sigma, blocks, run) for run in runs_of(blocks.split)], blocks.trace.rate_hz)
+    return stored(
+        [_analysed(model, sigma, blocks, run) for run in runs_of(blocks.split, blocks.trace)], blocks.trace.rate_hz
+    )
 
 
 def _analysed(model: LinearModel, sigma: Scale, blocks: ScaledBlocks, run: NDArray[np.int64]) -> Run:
@@ -23,4 +27,6 @@ def _analysed(model: LinearModel, sigma: Scale, blocks: ScaledBlocks, run: NDArr
     condition = blocks.samples[run, :, 1:].reshape(-1, 2)
     before = np.concatenate([condition[:1], condition[:-1]])
     speed, force = model.level.physical(before).T
-    return Run(e[0] / sigma(before), x[0], speed, force, model.excited_lattice.order)
+    spread_ms = max(SPREAD_MS, blocks.trace.preprocess.get("dft321_ms", 0.0))
+    n_apart = max(model.excited_lattice.order, round(spread_ms * blocks.trace.rate_hz / 1000))
+    return Run(e[0] / sigma(before), x[0], speed, force, n_apart)

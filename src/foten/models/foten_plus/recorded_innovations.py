@@ -12,7 +12,7 @@ a linear predictor (Un & Magill, 1975).
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 
 from foten.dsp import Array
 from foten.recording.split import Split
+from foten.recording.trace import Trace
 
 Integers = NDArray[np.int64]
 
@@ -186,25 +187,24 @@ class RecordedInnovations:
         return float(self.innovations[around] @ self.taps[phase])
 
 
-def neighbourhood(split: Split, rate_hz: float, block: int) -> tuple[int, int]:
+def neighbourhood(split: Split, trace: Trace, block: int) -> tuple[int, int]:
     """Moments, the first and the one after the last, that are not played where a block is rendered beside its recording."""
-    step, away = control_step(rate_hz), NEIGHBOUR_S * rate_hz
-    times = [run[0] * split.block + step * np.arange(len(run) * split.block // step) for run in runs_of(split)]
+    step, away = control_step(trace.rate_hz), NEIGHBOUR_S * trace.rate_hz
+    times = [run[0] * split.block + step * np.arange(len(run) * split.block // step) for run in runs_of(split, trace)]
     first, end = np.searchsorted(np.concatenate(times), [block * split.block - away, (block + 1) * split.block + away])
     return int(first), int(end)
 
 
-def neighbourhoods(
-    split: Split | None, rate_hz: float, blocks: Sequence[int], n_times: int = 1
-) -> list[tuple[int, int]]:
+def neighbourhoods(split: Split | None, trace: Trace, blocks: Sequence[int], n_times: int = 1) -> list[tuple[int, int]]:
     """`neighbourhood` of each block, all of them so many times; none of another recording, which has no split."""
-    return [] if split is None else [neighbourhood(split, rate_hz, block) for block in blocks] * n_times
+    return [] if split is None else [neighbourhood(split, trace, block) for block in blocks] * n_times
 
 
-def runs_of(split: Split) -> Iterator[NDArray[np.int64]]:
-    """Numbers of the training and validation blocks, those that follow one another together."""
+def runs_of(split: Split, trace: Trace) -> list[Integers]:
+    """Numbers of the training and validation blocks, those that follow one another in a take together."""
     numbers = np.array(sorted((*split.train, *split.validation)))
-    yield from np.split(numbers, np.flatnonzero(np.diff(numbers) > 1) + 1)
+    begins = [i for i in range(1, len(numbers)) if numbers[i] > numbers[i - 1] + 1 or not trace.follows(numbers[i])]
+    return np.split(numbers, begins)
 
 
 def encoded(

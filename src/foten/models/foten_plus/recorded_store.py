@@ -43,27 +43,32 @@ class Run:
     signal: Array  # what they excite, over the level
     speed: Array  # [mm/s]
     force: Array  # [N]
-    n_settling: int = 0  # samples at the beginning of which the innovations are not known well
+    n_apart: int = 0  # samples at either end that are not stored: not known well, or not of this run alone
 
 
 def stored(runs: Sequence[Run], rate_hz: float) -> RecordedInnovations | None:
     """Runs as a texture file holds them; None where none of them is long enough for a candidate."""
     step = control_step(rate_hz)
-    innovations = [run.innovations[: len(run.innovations) // step * step].reshape(-1, step) for run in runs]
-    joined = np.concatenate(innovations)
+    joined = np.concatenate([_innovations(run, step) for run in runs])
     moments = thinned(np.concatenate([_moments(run, step, rate_hz) for run in runs]))
     if not (moments[:, 4] & CANDIDATE).any():
         return None
     return encoded(joined, moments, float(np.quantile(np.abs(joined), 1 - OUTLIER_SHARE)))
 
 
+def _innovations(run: Run, step: int) -> Array:
+    n = len(run.innovations)
+    kept = np.zeros(n)
+    kept[run.n_apart : n - run.n_apart] = run.innovations[run.n_apart : n - run.n_apart]
+    return kept[: n // step * step].reshape(-1, step)
+
+
 def _moments(run: Run, step: int, rate_hz: float) -> NDArray[np.uint8]:
-    n = len(run.innovations) // step
-    j, at = np.arange(n), np.arange(n) * step
+    n, n_apart = len(run.innovations) // step, -(-run.n_apart // step)
+    j, at, end = np.arange(n), np.arange(n) * step, n - n_apart
     flags = np.zeros(n, dtype=np.uint8)
-    first = N_GROWTH - (-run.n_settling // step)
-    flags[(j >= first) & (n - j >= N_AHEAD) & (run.speed[at] > MIN_SPEED)] = CANDIDATE
-    flags[:1] |= RUN_START
+    flags[(j >= n_apart + N_GROWTH) & (end - j >= N_AHEAD) & (run.speed[at] > MIN_SPEED)] = CANDIDATE
+    flags[[0, max(end, 0)] if n_apart and n else slice(1)] |= RUN_START  # no stretch reads on into the end
     logs = [
         _byte(logarithm(channel[at], floor) - origin >> STORED_SHIFT)
         for channel, floor, origin in ((run.speed, SPEED_FLOOR, SPEED_ORIGIN), (run.force, FORCE_FLOOR, FORCE_ORIGIN))
