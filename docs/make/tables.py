@@ -494,6 +494,7 @@ VERSIONS = {
     "2a974bd7": {"29401e15b6d05a20", "7d77f7c7239854cc"},
     "214eeaf5": {"738830bef19dd066", "0ace9ef399e18463"},
     "7f9c20f6": {"41cfd2eadd7b0421", "0eb6489a5b1c9a5e"},
+    "de196384": {"76b8bfeda814ed1e", "6b16428f170112c5", "9ba591cf4608b851"},
 }
 """Commits that runs are of, and their digests; a digest covers what a model's runs import, so commits may share some."""
 
