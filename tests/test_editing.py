@@ -201,6 +201,15 @@ def test_a_texture_and_itself_begun_elsewhere_on_the_path_blend_into_it(textures
     np.testing.assert_allclose(blended, values, atol=1e-6 * np.abs(values).max())  # float32
 
 
+@pytest.mark.parametrize("at", [0.3, 0.7])
+def test_a_blend_with_what_a_microphone_heard_says_so(textures: dict[str, Texture], at: float) -> None:
+    """Also where the other texture is nearer."""
+    plain, other = textures[WITHOUT_TONES], textures[WITH_TONES]
+    heard = replace(other, card={**other.card, "microphone": True})
+    assert blending._blended(plain, heard, at).card["microphone"] is True
+    assert "microphone" not in blending._blended(plain, other, at).card
+
+
 @pytest.mark.parametrize(("first", "second"), [(WITHOUT_TONES, WITH_TONES)])
 def test_a_blend_lies_between(
     textures: dict[str, Texture], descriptions: dict[str, Description], first: str, second: str
