@@ -478,7 +478,7 @@ def listener(arguments: argparse.Namespace) -> None:
     panels[0].set_ylabel("AUC of the listener")
     handles, labels = panels[2].get_legend_handles_labels()
     add_legend(figure, STYLE, handles=handles, labels=labels, ncols=4, loc="outside upper right")
-    save(figure, "listener", 24)
+    save(figure, "listener", 12)
 
 
 def lengths(arguments: argparse.Namespace) -> None:
