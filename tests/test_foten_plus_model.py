@@ -302,6 +302,26 @@ def test_what_filters_carry_out_of_a_test_block_is_not_stored() -> None:
     np.testing.assert_allclose(of_run[64:-64], first[64:-64], atol=0.1)
 
 
+def test_what_was_recorded_near_rest_is_no_louder_under_a_hand_that_leaves_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    """At 10 mm/s an innovation of a slower moment is as strong as it was when recorded."""
+    blocks, config = blocks_of(), recipe_of("foten-plus", max_order=10, table=False, gain_before_filter=False)
+    level, data = fit_level(blocks.flat[:, 0], FotenPlusSizes(), blocks, config)
+    model = fit_linear_models(level, data, FotenPlusSizes(), config)[0]
+    run = runs_of(blocks.split, blocks.trace)[0]
+    of_slow = recorded_fit._analysed(model, level, blocks, run)
+    monkeypatch.setattr(recorded_fit, "SLOW_SPEED", 0.0)
+    plain = recorded_fit._analysed(model, level, blocks, run).innovations
+    slow = of_slow.speed < 10
+    np.testing.assert_array_equal(of_slow.innovations[~slow], plain[~slow])
+    speed, force = of_slow.speed[slow], of_slow.force[slow]
+    then, at_10 = (
+        np.square(level(blocks.scaling.scale(np.stack([0 * speed, of, force], axis=1))[:, 1:]))
+        for of in (speed, np.full(speed.shape, 10.0))
+    )
+    assert slow.sum() > 100
+    np.testing.assert_allclose(of_slow.innovations[slow] * at_10, plain[slow] * then, rtol=1e-5)  # the level is float32
+
+
 def test_moments_are_those_of_the_recording() -> None:
     """Runs of neighbouring blocks; speed and force before each moment, within a step of what is stored."""
     blocks = blocks_of()

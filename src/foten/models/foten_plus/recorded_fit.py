@@ -11,6 +11,9 @@ from foten.models.foten_plus.recorded_innovations import RecordedInnovations, ru
 from foten.models.foten_plus.recorded_store import Run, stored
 from foten.training.job import ScaledBlocks
 
+# Near rest the recording is the hand's and the sensor's, and not as weak as σ. Innovations below this speed [mm/s] are over σ at
+# it, or a hand that leaves rest would play them many times as loud as they were.
+SLOW_SPEED = 10.0
 SPREAD_MS = 64.0  # as far as filters and DFT321 carry a block into the next: of test blocks nothing is to be stored
 
 
@@ -27,6 +30,9 @@ def _analysed(model: LinearModel, sigma: Scale, blocks: ScaledBlocks, run: NDArr
     condition = blocks.samples[run, :, 1:].reshape(-1, 2)
     before = np.concatenate([condition[:1], condition[:-1]])
     speed, force = model.level.physical(before).T
+    sd, mean, lattice = model.level.sd[0], model.level.mean[0], model.excited_lattice
+    raised = np.stack([np.maximum(before[:, 0], (SLOW_SPEED - mean) / sd), before[:, 1]], axis=1)
+    gain, raised_gain = (lattice.level(at) * sigma(at) for at in (before, raised))
     spread_ms = max(SPREAD_MS, blocks.trace.preprocess.get("dft321_ms", 0.0))
-    n_apart = max(model.excited_lattice.order, round(spread_ms * blocks.trace.rate_hz / 1000))
-    return Run(e[0] / sigma(before), x[0], speed, force, n_apart)
+    n_apart = max(lattice.order, round(spread_ms * blocks.trace.rate_hz / 1000))
+    return Run(e[0] / sigma(before) * np.minimum(1.0, gain / raised_gain), x[0], speed, force, n_apart)
