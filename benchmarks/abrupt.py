@@ -31,7 +31,6 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import numpy as np
 
 from foten.atomic_write import atomic_write
-from foten.baselines.sizes import trainable_sizes
 from foten.dsp import Array
 from foten.dsp.distance import log_spectral_distance, scored_bins, welch
 from foten.dsp.filters import butterworth, filter_recorded
@@ -39,6 +38,7 @@ from foten.dsp.level import FLOOR_DB
 from foten.dsp.resample import decimate
 from foten.evaluate.free_run import render_strokes
 from foten.models.texture_file import Texture, read_texture, write_texture
+from foten.models.trainable import recipe_of, train, trainable_sizes
 from foten.recording.preprocess import PreprocessConfig, condition
 from foten.recording.recording import AXES
 from foten.runtime.native import NativeTexture
@@ -47,9 +47,7 @@ from foten.simulation.linear_family import LINEAR_FAMILY, linear_signal
 from foten.simulation.simulate import ACCELEROMETER_NOISE, TEXTURES, simulate, vibration
 from foten.simulation.stroking import Stroking, stepped_stroking
 from foten.simulation.two_mass_contact import TWO_MASS, two_mass_surface, two_mass_vibrations
-from foten.training.config import recipe_of
 from foten.training.job import TrainingJob
-from foten.training.pipeline import train
 from result_table import write_rows
 
 SURFACES = {

@@ -35,12 +35,14 @@ import torch
 from foten.baselines.dftnet import Dftnet
 from foten.baselines.fit import log_spectra
 from foten.baselines.gan import STEPS, Gan, fit_adversarial
-from foten.baselines.graph import build, graph_of
-from foten.baselines.sizes import TRAINABLE, HapinfSizes, NoiseModelSizes
+from foten.baselines.networks import build
+from foten.baselines.sizes import HapinfSizes, NoiseModelSizes
 from foten.experiments.provenance import Provenance, processor, sources_of
 from foten.models.foten.transformer import EncoderLayer
+from foten.models.graph import graph_of
 from foten.models.registry import GraphSizes
 from foten.models.texture_file import Texture
+from foten.models.trainable import TRAINABLE, recipe_of
 from foten.recording.preprocess import PreprocessConfig, preprocess
 from foten.recording.recording import Recording
 from foten.recording.split import split_blocks
@@ -48,10 +50,10 @@ from foten.runtime.native import NativeState, NativeTexture
 from foten.runtime.onnx_predictor import GRAPH, OnnxPredictor
 from foten.runtime.proof import proved
 from foten.simulation.simulate import simulate
-from foten.training.config import OWN_RECIPES, RECIPES
+from foten.training.config import PAPER as PAPER_RECIPE
 from foten.training.job import ScaledBlocks, TrainingJob, scaled_blocks
 from foten.training.loop import Monitor
-from foten.training.pipeline import reproducible
+from foten.training.reproducible import reproducible
 from foten.training.texture_builder import tensors_of
 from foten.training.window_fit import fit_windows, one_step_windows
 from result_table import add_csv, report, write_rows
@@ -100,21 +102,21 @@ def in_pytorch() -> AbstractContextManager[object]:
 
 def has_encoder(model: str) -> bool:
     """Whether a model, or what it is distilled from, has encoder layers."""
-    network = build(model, TRAINABLE[model]())
+    network = build(TRAINABLE[model].sizes())
     return model == "ldhtd" or any(isinstance(module, EncoderLayer) for module in network.modules())
 
 
 def epochs_s(model: str, blocks: ScaledBlocks, device: str = "cpu") -> tuple[float, float | None]:
     """How long an epoch takes, and that of the teacher of a model that has one [s]."""
-    teacher_s = epoch_s("hapinf", blocks, TRAINABLE[model]().window, device) if model == "ldhtd" else None
+    teacher_s = epoch_s("hapinf", blocks, TRAINABLE[model].sizes().window, device) if model == "ldhtd" else None
     return epoch_s(model, blocks, device=device) + (teacher_s or 0.0), teacher_s
 
 
 def steps(model: str, n: int, texture: Texture | None) -> dict[str, list[float]]:
     """How long each of n steps takes in each runtime [µs]."""
     torch.manual_seed(0)
-    sizes = TRAINABLE[model]()
-    network = build(model, sizes).eval()
+    sizes = TRAINABLE[model].sizes()
+    network = build(sizes).eval()
     window = torch.randn(1, sizes.history, 3)
     predictor = OnnxPredictor(sizes, {GRAPH: graph_of(network, sizes.history)})
     array = window.numpy()
@@ -132,8 +134,8 @@ def steps(model: str, n: int, texture: Texture | None) -> dict[str, list[float]]
 def steps_on_gpu(model: str, n: int) -> list[float]:
     """How long each of n steps takes in PyTorch on a GPU, its result read back [µs]."""
     torch.manual_seed(0)
-    sizes = TRAINABLE[model]()
-    network, window = build(model, sizes).eval().cuda(), torch.randn(1, sizes.history, 3).cuda()
+    sizes = TRAINABLE[model].sizes()
+    network, window = build(sizes).eval().cuda(), torch.randn(1, sizes.history, 3).cuda()
     with torch.no_grad():
         return times_us(lambda: network(window).cpu(), n)
 
@@ -145,13 +147,13 @@ def epoch_s(model: str, blocks: ScaledBlocks, window: int | None = None, device:
         window: samples; by default the model's.
         device: on which it trains, the GAN aside, which does so on the CPU.
     """
-    changed = {**OWN_RECIPES.get(model, {}), "epochs": 1, "threads": 1, "batch": RECIPES["paper"].batch}
-    sizes = TRAINABLE[model]() if window is None else HapinfSizes(window=window, n_start=min(10, window))
-    config = dataclasses.replace(RECIPES["paper"], **changed)
+    recipe = "paper" if "paper" in TRAINABLE[model].recipes else "default"
+    sizes = TRAINABLE[model].sizes() if window is None else HapinfSizes(window=window, n_start=min(10, window))
+    config = recipe_of(model, recipe, epochs=1, batch=PAPER_RECIPE["batch"])
     windows = one_step_windows(blocks, sizes.window)
     with reproducible():
         torch.manual_seed(0)
-        network = build(model, sizes).to(device)
+        network = build(sizes).to(device)
         if isinstance(network, Gan):
             # Epoch 0 is a validation and no more.
             before, line = fit_adversarial(network, sizes.window, blocks, config, Monitor()).epochs
@@ -163,12 +165,12 @@ def epoch_s(model: str, blocks: ScaledBlocks, window: int | None = None, device:
 
 def untrained(model: str, recording: Recording, blocks: ScaledBlocks, config: PreprocessConfig) -> Texture:
     """A texture that the kernel runs, its network untrained."""
-    sizes = TRAINABLE[model]()
-    card = TrainingJob(recording, model, sizes, RECIPES["default"], config, texture_name="towel").card(blocks, "cpu")
+    sizes = TRAINABLE[model].sizes()
+    card = TrainingJob(recording, model, sizes, recipe_of(model), config, texture_name="towel").card(blocks, "cpu")
     card |= {"warm_start": {}, "metrics": {"validation_mae_scaled": 1.0}}
     windows = np.random.default_rng(0).standard_normal((64, sizes.window, 3))
     torch.manual_seed(0)
-    tensors = tensors_of(build(model, sizes))
+    tensors = tensors_of(build(sizes))
     return proved(model, sizes, tensors, blocks.scaling, windows, windows[0], card).texture
 
 
@@ -208,15 +210,15 @@ def measured(arguments: argparse.Namespace, recording: Recording, blocks: Scaled
     config = PreprocessConfig()
     models: dict[str, Any] = {}
     for model in arguments.models:
-        sizes = TRAINABLE[model]()
+        sizes = TRAINABLE[model].sizes()
         models[model] = {
             "input": sizes.window,
-            "n_parameters": sum(parameter.numel() for parameter in build(model, sizes).parameters()),
+            "n_parameters": sum(parameter.numel() for parameter in build(sizes).parameters()),
         }
     times: dict[tuple[str, str], list[float]] = defaultdict(list)
     for i in range(ROUNDS):
         for model in arguments.models:
-            sizes = TRAINABLE[model]()
+            sizes = TRAINABLE[model].sizes()
             by_graph = isinstance(sizes, GraphSizes | NoiseModelSizes)
             texture = None if by_graph else untrained(model, recording, blocks, config)
             for runtime, of in steps(model, -(-arguments.steps // ROUNDS), texture).items():
@@ -298,7 +300,7 @@ def main() -> None:
         head, *rows = per_model
         named = [dict(zip(head, row, strict=True)) | {"machine": machine, "code": code_of(row[0])} for row in rows]
         write_rows(named, arguments.csv)
-    n_windows = len(blocks.targets(TRAINABLE[arguments.models[-1]]().window)[0])
+    n_windows = len(blocks.targets(TRAINABLE[arguments.models[-1]].sizes().window)[0])
     print(f"{machine}; {n_windows:,} training windows an epoch", file=sys.stderr)
 
 

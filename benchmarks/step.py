@@ -160,7 +160,7 @@ def frameworks(texture: Any, file: Path) -> dict[str, Any]:
     """What times PyTorch, eager and compiled, ONNX Runtime and OpenVINO on the same window."""
     import torch
 
-    from foten.baselines.graph import build
+    from foten.baselines.networks import build
 
     torch.set_num_threads(1)
     network = build(texture.card["model"], texture.sizes)

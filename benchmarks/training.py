@@ -33,28 +33,28 @@ os.environ.setdefault("OMP_NUM_THREADS", "2")
 
 import torch
 
-from foten.baselines.graph import build
-from foten.baselines.sizes import TRAINABLE
+from foten.baselines.networks import build
 from foten.datasets.hdf5 import write_recording
+from foten.models.trainable import TRAINABLE, recipe_of
 from foten.recording.preprocess import preprocess
 from foten.recording.recording import Recording
 from foten.recording.split import split_blocks
 from foten.simulation.simulate import simulate
-from foten.training.config import RECIPES, TrainConfig
+from foten.training.config import WindowConfig
 from foten.training.job import scaled_blocks
 from foten.training.loop import Epoch, Monitor, pick_device
-from foten.training.pipeline import reproducible
+from foten.training.reproducible import reproducible
 from foten.training.window_fit import TrainingWindows, fit_windows, one_step_windows
 from result_table import add_csv, report
 
 FOTEN = Path(sys.executable).with_name("foten")
 
 
-def history(name: str, model: str, windows: TrainingWindows, config: TrainConfig) -> list[Epoch]:
+def history(name: str, model: str, windows: TrainingWindows, config: WindowConfig) -> list[Epoch]:
     """The log of one training from the same initial weights."""
     with reproducible():
         torch.manual_seed(config.seed)
-        network = build(model, TRAINABLE[model]()).to(pick_device())
+        network = build(TRAINABLE[model].sizes()).to(pick_device())
 
         def say(line: Epoch) -> None:
             print(
@@ -92,12 +92,14 @@ def main() -> None:
         report(commands_table(recording, [FOTEN, *arguments.commands] * arguments.times), arguments.csv)
         return
     trace = preprocess(recording)
-    blocks, m = scaled_blocks(trace, split_blocks(trace)), TRAINABLE[arguments.model]().window
+    blocks, m = scaled_blocks(trace, split_blocks(trace)), TRAINABLE[arguments.model].sizes().window
     windows = one_step_windows(blocks, m)
-    paper = dataclasses.replace(RECIPES["paper"], epochs=arguments.paper_epochs)
+    ours, paper = recipe_of(arguments.model), recipe_of(arguments.model, "paper", epochs=arguments.paper_epochs)
+    assert isinstance(ours, WindowConfig)
+    assert isinstance(paper, WindowConfig)
     arms = {
-        "ours": RECIPES["default"],
-        f"ours with dropout {paper.dropout:g}": dataclasses.replace(RECIPES["default"], dropout=paper.dropout),
+        "ours": ours,
+        f"ours with dropout {paper.dropout:g}": dataclasses.replace(ours, dropout=paper.dropout),
         "paper": paper,
     }
     command = command_seconds(recording, FOTEN).done[0]
@@ -107,7 +109,7 @@ def main() -> None:
     print(f"{len(windows.train)} windows, {pick_device().type}; foten train: {command:.0f} s", file=sys.stderr)
 
 
-def table(arms: dict[str, TrainConfig], logs: dict[str, list[Epoch]]) -> list[list[str]]:
+def table(arms: dict[str, WindowConfig], logs: dict[str, list[Epoch]]) -> list[list[str]]:
     """The seconds of each recipe, and those to the lowest loss of the paper's."""
     lowest = min(line.validation_loss for line in logs["paper"])
     cells = [["recipe", "threads", "s an epoch", "s in all", "lowest loss", "s to the paper's lowest", "paper's ÷ its"]]

@@ -38,7 +38,6 @@ os.environ.setdefault("MKL_NUM_THREADS", "1")
 import numpy as np
 
 from foten.atomic_write import atomic_write
-from foten.baselines.sizes import trainable_sizes
 from foten.datasets.hdf5 import load_recording, write_recording
 from foten.dsp import Array
 from foten.dsp.bands import BAND_FRAME_MS, N_BANDS, band_energies
@@ -50,6 +49,7 @@ from foten.evaluate.listener_network import listener_auc
 from foten.models.conditions import MOVING_FORCE, MOVING_SPEED
 from foten.models.foten_plus import fit
 from foten.models.texture_file import read_texture, write_texture
+from foten.models.trainable import recipe_of, train, trainable_sizes
 from foten.recording.preprocess import PreprocessConfig, fitting_cut, preprocess
 from foten.recording.recording import Recording
 from foten.recording.trace import Trace
@@ -59,9 +59,7 @@ from foten.simulation.linear_family import LINEAR_FAMILY, OTHER_LINEAR
 from foten.simulation.simulate import LINEAR_RATE_HZ, TEXTURES, simulate, simulate_stroke
 from foten.simulation.stroking import Stroking, stepped_stroking, stroking
 from foten.simulation.two_mass_contact import TWO_MASS
-from foten.training.config import recipe_of
 from foten.training.job import TrainingJob, shortest_block
-from foten.training.pipeline import train
 from result_table import write_rows
 
 SECONDS, LONG_S = 64.0, 240.0

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 import torch
 
-from foten.baselines.sizes import TRAINABLE, NoiseModelSizes
+from foten.baselines.sizes import NoiseModelSizes
 from foten.dsp.bands import N_BANDS
 from foten.dsp.equaliser import N_TERMS, Equaliser
 from foten.models.excitation import Excitation, Scale
@@ -38,9 +38,11 @@ from foten.models.model_sizes import ModelSizes
 from foten.models.piecewise_ar.sizes import PiecewiseArSizes
 from foten.models.registry import GraphSizes
 from foten.models.texture_file import Texture
+from foten.models.trainable import TRAINABLE, recipe_of
 from foten.recording.preprocess import PreprocessConfig
 from foten.recording.scaling import Scaling
 from foten.recording.split import Split
+from foten.training.config import TrainConfig
 
 if TYPE_CHECKING:
     from foten.models.piecewise_ar.local_models import LocalModels
@@ -66,8 +68,13 @@ PLUS: dict[str, Any] = {"window": 12, "n_hidden": 6, "head_width": 5, "n_compone
 
 def sizes_with(model: str, wanted: dict[str, Any]) -> ModelSizes:
     """A model's sizes with those that are wanted and that it has."""
-    has = {field.name for field in fields(TRAINABLE[model])}
-    return TRAINABLE[model](**{name: value for name, value in wanted.items() if name in has})
+    has = {field.name for field in fields(TRAINABLE[model].sizes)}
+    return TRAINABLE[model].sizes(**{name: value for name, value in wanted.items() if name in has})
+
+
+def config_of(model: str, **wanted: Any) -> TrainConfig:
+    """A model's default recipe with those settings that are wanted and that it has."""
+    return recipe_of(model, **{name: value for name, value in wanted.items() if name in TRAINABLE[model].settings})
 
 
 SCALING = Scaling(mean=(0.1, 100.0, 1.0), sd=(2.0, 60.0, 0.5))
@@ -110,10 +117,10 @@ def untrained(model: str, sizes: ModelSizes | None = None, seed: int = 0) -> Any
     """A seeded network in PyTorch whose every parameter matters."""
     import torch
 
-    from foten.baselines.graph import build
+    from foten.baselines.networks import build
 
     torch.manual_seed(seed)
-    return perturbed(build(model, sizes or TRAINABLE[model]()))
+    return perturbed(build(sizes or TRAINABLE[model].sizes()))
 
 
 def perturbed(network: Any) -> Any:
@@ -226,10 +233,10 @@ def exported(
     from foten.runtime.proof import proved
 
     if model == "ar":
-        sizes = sizes or TRAINABLE[model](n_models=9, n_triangles=8)  # type: ignore[call-arg]
+        sizes = sizes or TRAINABLE[model].sizes(n_models=9, n_triangles=8)  # type: ignore[call-arg]
         assert isinstance(sizes, PiecewiseArSizes)
         return local_texture(local_models(sizes), SCALING, {**CARD, **card}).texture
-    sizes = sizes or TRAINABLE[model]()
+    sizes = sizes or TRAINABLE[model].sizes()
     network = untrained(model, sizes)
     all_tensors = {**untrained_tensors(model, sizes, network), **(tensors or {})}
     rng = np.random.default_rng(1)
@@ -253,13 +260,13 @@ def packed(network: Any, sizes: GraphSizes | NoiseModelSizes) -> Packed:
 @pytest.fixture(scope="session")
 def texture() -> Texture:
     """A foten-plus texture: rings at 120 Hz, excited, trained for 8–220 mm/s and 0.3–2.5 N."""
-    return exported("foten-plus", TRAINABLE["foten-plus"](**PLUS, order=6, n_speed=3, n_force=2))
+    return exported("foten-plus", TRAINABLE["foten-plus"].sizes(**PLUS, order=6, n_speed=3, n_force=2))
 
 
 @pytest.fixture(scope="session")
 def plain_texture() -> Texture:
     """A texture of the paper's network, without excitation."""
-    return exported("foten", TRAINABLE["foten"](**SMALL))
+    return exported("foten", TRAINABLE["foten"].sizes(**SMALL))
 
 
 TINY = """

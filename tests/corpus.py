@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 
 from conftest import exported, recorded
-from foten.baselines.sizes import TRAINABLE
 from foten.models.texture_file import Texture
+from foten.models.trainable import TRAINABLE
 
 TINY = {"window": 3, "d_model": 1, "n_heads": 1, "n_layers": 1, "d_feedforward": 1, "head": (1, 1), "spectral_width": 1}
 PLUS = {"window": 3, "n_hidden": 1, "head_width": 1, "n_components": 2, "excitation_width": 1, "order": 2}
@@ -43,7 +43,7 @@ def write_corpus(folder: Path) -> list[Path]:
     paths = []
     for name, (key, sizes) in KINDS.items():
         stored = recorded(n=40).tensors() if "recorded" in sizes else None
-        texture = exported(key, TRAINABLE[key](**sizes), stored)
+        texture = exported(key, TRAINABLE[key].sizes(**sizes), stored)
         if "graph" in texture.tensors:  # which the kernel does not read
             texture = Texture(texture.card, {**texture.tensors, "graph": np.zeros(4, dtype=np.uint8)})
         paths.append(folder / f"{name}.foten")

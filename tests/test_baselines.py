@@ -13,13 +13,14 @@ from scipy.signal import welch
 from foten.baselines.fit import distilled, log_spectra
 from foten.baselines.fnn import EDGES, lagged_bands
 from foten.baselines.gan import Gan, fit_adversarial
-from foten.baselines.graph import build, multiply_adds
+from foten.baselines.networks import build
 from foten.baselines.noise_filter import NoiseFilter, log_magnitudes
 from foten.baselines.sizes import BASELINES, DftnetSizes, GanSizes, TenMfccSizes, TenWaveletSizes
 from foten.baselines.ten_variants import MfccBranch, WaveletBranch, cosine_transform, mel_bands, wavelet_transform
+from foten.models.graph import multiply_adds
 from foten.recording.split import Split
 from foten.recording.trace import Trace
-from foten.training.config import TrainConfig
+from foten.training.config import WindowConfig
 from foten.training.job import ScaledBlocks, scaled_blocks
 from foten.training.loop import Checkpoint, Epoch, Monitor, Progress
 from foten.training.window_fit import TrainingWindows, fit_windows
@@ -83,8 +84,8 @@ def test_wavelets_keep_what_is_smooth_out_of_the_details() -> None:
 def test_coefficients_pass_an_encoder_layer_as_the_magnitude_does(model: str) -> None:
     """Else rows of Table II would differ by layers: wavelet coefficients were a linear function of the window."""
     torch.manual_seed(0)
-    branch = build(model, BASELINES[model]()).double().eval().spectral
-    magnitude = build("foten-d", BASELINES["foten-d"]()).spectral.get_submodule("magnitude_layer")
+    branch = build(BASELINES[model].sizes()).double().eval().spectral
+    magnitude = build(BASELINES["foten-d"].sizes()).spectral.get_submodule("magnitude_layer")
     assert {n: p.shape for n, p in branch.layer.named_parameters()} == {
         n: p.shape for n, p in magnitude.named_parameters()
     }
@@ -98,8 +99,8 @@ def test_coefficients_pass_an_encoder_layer_as_the_magnitude_does(model: str) ->
 def test_every_window_is_predicted_by_itself(model: str) -> None:
     """No window's prediction depends on the others in its batch, nor on dropout once trained."""
     torch.manual_seed(0)
-    sizes = BASELINES[model]()
-    network = build(model, sizes).double().eval()
+    sizes = BASELINES[model].sizes()
+    network = build(sizes).double().eval()
     # Nothing that its sizes give is stored.
     assert network.state_dict().keys() == dict(network.named_parameters()).keys()
     windows = torch.from_numpy(np.random.default_rng(4).standard_normal((6, sizes.history, 3)))
@@ -115,7 +116,7 @@ def test_the_student_learns_half_from_its_teacher() -> None:
     rng = np.random.default_rng(5)
     samples = rng.standard_normal((400, 3))
     windows = TrainingWindows(samples, np.arange(20, 300), np.arange(320, 400), 20)
-    config = TrainConfig(epochs=1, batch=64, threads=1, loss="mse")
+    config = WindowConfig(epochs=1, batch=64, threads=1, loss="mse")
     target = distilled(windows, 20, config, Monitor())[0].target
     assert target is not None
     np.testing.assert_array_equal(target[windows.validation], samples[windows.validation, 0])
@@ -143,7 +144,7 @@ def test_an_interrupted_teacher_ends_the_training(monkeypatch: pytest.MonkeyPatc
     monkeypatch.setattr("foten.baselines.fit.fit_windows", lambda *_: Progress(interrupted=True))
     windows = TrainingWindows(np.zeros((100, 3)), np.arange(20, 60), np.arange(60, 100), 20)
     with pytest.raises(KeyboardInterrupt):
-        distilled(windows, 20, TrainConfig(), Monitor())
+        distilled(windows, 20, WindowConfig(), Monitor())
 
 
 @pytest.mark.parametrize(("n", "level"), [(15, 3.5), (16, -4.0), (16, 3.5), (64, 0.0)])
@@ -169,7 +170,7 @@ def test_a_generator_plays_sample_by_sample_what_it_was_judged_by() -> None:
     """A spectrum that stands still for a stride: its first sample is that of the rendering, the others nearly."""
     torch.manual_seed(4)
     sizes = GanSizes()
-    network, m = build("gan", sizes).double(), sizes.window
+    network, m = build(sizes).double(), sizes.window
     with torch.no_grad():
         for parameter in network.parameters():
             parameter += 0.05 * torch.randn_like(parameter)
@@ -204,9 +205,9 @@ def test_spectra_follow_the_hand() -> None:
     blocks = noise_blocks(n_blocks=40, block=200)
     windows = TrainingWindows(blocks.flat, *blocks.targets(40), 40)
     torch.manual_seed(0)
-    network = build("dftnet", DftnetSizes(window=40, n_conditions=4, first=16, second=16, third=16))
+    network = build(DftnetSizes(window=40, n_conditions=4, first=16, second=16, third=16))
     before = network.spectrum(torch.zeros(1, 40, 3)).detach()
-    config = TrainConfig(epochs=12, patience=12, batch=32, threads=1, loss="mse", learning_rate=3e-3)
+    config = WindowConfig(epochs=12, patience=12, batch=32, threads=1, loss="mse", learning_rate=3e-3)
     fit_windows(network.spectrum, log_spectra(windows, blocks), config, Monitor())
     hand = torch.zeros(2, 40, 3)
     hand[0, :, 1], hand[1, :, 1] = -1.0, 1.0
@@ -226,7 +227,7 @@ def small_gan() -> Gan:
 def test_an_adversarial_training_goes_on_where_it_stopped(tmp_path: Path) -> None:
     """Discriminator and optimiser in the checkpoint; the crops, the noise and the loss are those of each epoch."""
     blocks, path = noise_blocks(n_blocks=5, block=200), tmp_path / "checkpoint.pt"
-    config = TrainConfig(epochs=3, batch=2, threads=1, learning_rate=1e-3)
+    config = WindowConfig(epochs=3, batch=2, threads=1, learning_rate=1e-3)
 
     def fitted(seed: int, monitor: Monitor) -> tuple[Gan, Progress]:
         network = small_gan()
@@ -252,7 +253,7 @@ def test_an_adversarial_training_goes_on_where_it_stopped(tmp_path: Path) -> Non
 def test_blocks_too_short_for_spectrograms_are_refused() -> None:
     blocks = noise_blocks(n_blocks=5, block=60)
     with pytest.raises(ValueError, match="expected 65 or more: use a longer --block"):
-        fit_adversarial(small_gan(), 42, blocks, TrainConfig(epochs=1, threads=1), Monitor())
+        fit_adversarial(small_gan(), 42, blocks, WindowConfig(epochs=1, threads=1), Monitor())
 
 
 def noise_blocks(n_blocks: int, block: int) -> ScaledBlocks:

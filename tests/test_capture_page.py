@@ -17,6 +17,7 @@ import pytest
 import scipy.io.wavfile
 import scipy.signal
 
+from foten.cli.train_capture import train_recording
 from foten.datasets.hdf5 import load_recording
 from foten.datasets.importing import read_stroke
 from foten.dsp import Array
@@ -26,7 +27,6 @@ from foten.recording.inspection import inspect_recording
 from foten.recording.recording import Recording
 from foten.simulation.simulated_capture import BEGIN_S, CUE_S, FULL_SCALE, SOUND_HZ, SimulatedCapture, simulate_capture
 from foten.studio.capture_server import in_order
-from foten.training.train_capture import train_recording
 from test_studio_page import CHROMIUM, SHOTS, chromium, look, until
 from test_studio_server import serving
 

@@ -1,4 +1,4 @@
-"""The server's side of a capture: what it takes and keeps; a subprocess, `foten.training.train_capture`, learns of it."""
+"""The server's side of a capture: what it takes and keeps; a subprocess, `foten.cli.train_capture`, learns of it."""
 
 from __future__ import annotations
 
@@ -21,8 +21,10 @@ import scipy.io.wavfile
 from starlette.testclient import TestClient
 
 from conftest import exported
+from foten.cli import train_capture
 from foten.datasets.hdf5 import load_recording
 from foten.dsp import Array
+from foten.models.foten_plus.config import WITHHELD
 from foten.models.texture_file import read_texture
 from foten.recording.capture_folder import About
 from foten.recording.recording import RELATIVE
@@ -34,8 +36,6 @@ from foten.studio.capture_server import CaptureSession, in_order
 from foten.studio.messages import MAX_BYTES, RefusedError
 from foten.studio.shelf import Shelf
 from foten.studio.studio_server import Studio
-from foten.training import train_capture
-from foten.training.config import WITHHELD
 from test_messages import BEGIN
 from test_studio_server import HERE, LOCAL, until
 

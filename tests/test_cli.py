@@ -17,14 +17,14 @@ from rich.text import Text
 from typer.main import get_command
 
 from foten.atomic_write import atomic_write
-from foten.baselines.sizes import TRAINABLE
 from foten.cli.command_line import _status, app
 from foten.cli.evaluate import network_summary, random_part_summary
 from foten.cli.train import TrainOptions
 from foten.console import JsonOption, options_from, print_result
 from foten.datasets.hdf5 import load_recording, write_recording
+from foten.models.foten_plus.config import WITHHELD
 from foten.models.texture_file import read_texture, write_texture
-from foten.training.config import WITHHELD
+from foten.models.trainable import TRAINABLE
 
 FAST = ["--trim", "0", "--block", "500", "--epochs", "1", "--threads", "1", "--window", "12"]
 TINY = [f"--set={size}" for size in ("n_hidden=6", "head_width=5", "n_components=2")]
@@ -297,7 +297,7 @@ def test_every_training_says_the_problems_of_its_recording(recording: Path, tmp_
 def test_the_windows_in_the_help_are_those_of_the_models() -> None:
     text = TrainOptions.__dataclass_fields__["window"].default.show_default
     said = {key: int(n) for keys, _, n in (p.partition(": ") for p in text.split("; ")) for key in keys.split(", ")}
-    assert said == {key: sizes().window for key, sizes in TRAINABLE.items() if key != "ar"}
+    assert said == {key: model.sizes().window for key, model in TRAINABLE.items() if key != "ar"}
 
 
 def test_initial_weights_are_those_that_are_asked_for(recording: Path, tmp_path: Path) -> None:

@@ -12,15 +12,16 @@ import onnx
 import pytest
 from torch import Tensor, nn
 
-from conftest import sizes_with
-from foten.baselines.graph import graph_of
-from foten.baselines.sizes import BASELINES, TRAINABLE, NoiseModelSizes
+from conftest import config_of, sizes_with
+from foten.baselines.sizes import BASELINES
 from foten.cli.command_line import _status
 from foten.datasets.hdf5 import write_recording
 from foten.evaluate.evaluate import evaluate
 from foten.evaluate.report.rows import to_text
 from foten.models.definitions import render
+from foten.models.graph import graph_of
 from foten.models.texture_file import CLOSED_LOOP_TOLERANCE, Texture, write_texture
+from foten.models.trainable import TRAINABLE, train
 from foten.recording.preprocess import PreprocessConfig
 from foten.recording.recording import Recording
 from foten.runtime.bench import INSTRUCTION_SETS, time_all
@@ -29,11 +30,9 @@ from foten.runtime.onnx_predictor import OnnxPredictor, model_of_graph
 from foten.runtime.renderer import Renderer
 from foten.simulation.simulate import simulate
 from foten.training import calibration
-from foten.training.config import OWN_RECIPES, TrainConfig
 from foten.training.job import TrainingJob
-from foten.training.pipeline import train
 
-FROM_NOISE = [key for key, kind in BASELINES.items() if issubclass(kind, NoiseModelSizes)]
+FROM_NOISE = [key for key, model in BASELINES.items() if not model.sizes.predicts_samples]
 
 SMALL = {
     **{"d_model": 8, "n_heads": 2, "n_layers": 1, "d_feedforward": 16, "head": (16, 8), "spectral_width": 8},
@@ -59,7 +58,7 @@ def textures(recording: Recording) -> dict[str, Texture]:
             short = {"epochs": 1, "batch": 64, "threads": 1, "max_order": 8, "tones": False}
             short |= {"gan": {"batch": 8}, "ldhtd": {"epochs": 2}}.get(key, {})
             sizes = {"window": 42, "frame": 16, "stride": 1} if key == "gan" else SMALL
-            config = TrainConfig(**(OWN_RECIPES.get(key, {}) | short))
+            config = config_of(key, **short)
             trained[key] = train(TrainingJob(recording, key, sizes_with(key, sizes), config, SHORT)).texture
     return trained
 

@@ -18,8 +18,8 @@ import pytest
 
 from foten.baselines.sizes import DstnSizes, FnnSizes, GanSizes, LdhtdSizes
 from foten.models.foten.sizes import FotenSizes
+from foten.models.foten_plus.config import FotenPlusConfig
 from foten.models.foten_plus.sizes import FotenPlusSizes
-from foten.training.config import TrainConfig
 
 ROOT = Path(__file__).parents[1]
 PAGES = [
@@ -190,7 +190,7 @@ def test_what_documents_say_of_sizes_is_what_the_systems_have() -> None:
         f"a decoder layer of width {ours.d_model} that",
         f"speed and force of the last {ours.window} samples",
         f"| {ours.n_heads} heads, feed-forward {ours.d_feedforward} |\n",
-        f"up to {FotenPlusSizes(order=TrainConfig().max_order).history} samples and the state",
+        f"up to {FotenPlusSizes(order=FotenPlusConfig().max_order).history} samples and the state",
         f"the others see {FotenSizes().window} to {FnnSizes().window} (the GAN {GanSizes().window})",
     ):
         assert sentence in text, sentence

@@ -10,7 +10,6 @@ import pytest
 
 from conftest import PLUS as SMALL_PLUS
 from conftest import exported, resonance, scale
-from foten.baselines.sizes import TRAINABLE
 from foten.cli.command_line import _status
 from foten.dsp.lattice import reflections_of
 from foten.dsp.speed_force_table import SpeedForceTable
@@ -20,6 +19,7 @@ from foten.editing.edit import Edit, edited
 from foten.editing.envelope import STRENGTHS, EnvelopeCurve, with_envelope
 from foten.editing.warp import Warp, reflections_for, spectra_of, warped_reflections, warped_tones
 from foten.models.texture_file import Texture, read_texture
+from foten.models.trainable import TRAINABLE
 from foten.recording.scaling import Scaling
 from foten.runtime.renderer import EXAMPLE, Renderer
 
@@ -295,7 +295,7 @@ def test_what_cannot_be_is_refused_in_a_line(
 
 
 def test_noise_keeps_its_envelope() -> None:
-    texture = exported("foten-plus", TRAINABLE["foten-plus"](**SMALL_PLUS, order=2))
+    texture = exported("foten-plus", TRAINABLE["foten-plus"].sizes(**SMALL_PLUS, order=2))
     assert with_envelope(texture, 0.7) is texture
 
 

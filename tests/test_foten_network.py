@@ -12,7 +12,7 @@ from torch.nn import TransformerEncoderLayer
 from torch.nn.functional import layer_norm, linear
 
 from conftest import SMALL, untrained
-from foten.baselines.graph import build
+from foten.baselines.networks import build
 from foten.models.foten.definition import Network
 from foten.models.foten.sizes import FotenSizes
 from foten.training.texture_builder import tensors_of
@@ -125,7 +125,7 @@ def test_it_has_the_papers_sizes() -> None:
     temporal = dense(1, 32) + 3 * layer + 64  # embedding, three layers, the last norm
     spectral = 2 * (dense(1, 32) + layer + dense(32, 1)) + dense(1, 32)
     head = dense(2 * 32 + 2, 256) + dense(256, 64) + dense(64, 1)
-    n = n_parameters(build("foten", FotenSizes()))
+    n = n_parameters(build(FotenSizes()))
     assert n == temporal + spectral + head
     assert n == pytest.approx(97_500, rel=0.005)
     assert n == sum(math.prod(shape) for shape in FotenSizes().tensor_shapes().values())

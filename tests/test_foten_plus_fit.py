@@ -10,10 +10,11 @@ import pytest
 import torch
 
 import foten.models.foten_plus.fit as foten_plus
-from conftest import PLUS, SMALL, perturbed, sizes_with
+from conftest import PLUS, SMALL, config_of, perturbed, sizes_with
 from foten.dsp.distance import area_under_curve
 from foten.dsp.lattice import predict, push
 from foten.models.excitation import Excitation
+from foten.models.foten_plus.config import FotenPlusConfig
 from foten.models.foten_plus.fit import LAW, Candidate, FitContext, FittedNetwork, best_candidate
 from foten.models.foten_plus.linear_model import LinearModel, fit_level, fit_linear_models
 from foten.models.foten_plus.network import InnovationNetwork
@@ -21,6 +22,7 @@ from foten.models.foten_plus.recorded_fit import recorded_innovations
 from foten.models.foten_plus.recorded_innovations import FORCE_FLOOR, SPEED_FLOOR, runs_of
 from foten.models.foten_plus.sizes import FotenPlusSizes
 from foten.models.texture_file import Texture
+from foten.models.trainable import train
 from foten.recording.preprocess import PreprocessConfig
 from foten.recording.recording import Recording
 from foten.recording.split import Split
@@ -30,14 +32,12 @@ from foten.runtime.native import NativeTexture, PredictionPart
 from foten.runtime.renderer import Renderer
 from foten.simulation.simulate import simulate
 from foten.training.calibration import Calibrated, FreeRunErrors, constant_scale
-from foten.training.config import TrainConfig
 from foten.training.excerpt_classifier import N_RUNS, _scores
 from foten.training.job import TrainingJob, scaled_blocks
 from foten.training.loop import Epoch, Monitor
-from foten.training.pipeline import train
 from foten.training.texture_builder import tensors_of
 
-QUICK = TrainConfig(epochs=0, batch=32, threads=1, max_order=20, table=False, tones=False)
+QUICK = FotenPlusConfig(epochs=0, batch=32, threads=1, max_order=20, table=False, tones=False)
 SHORT = PreprocessConfig(trim_ms=0, block_ms=500)
 PARTS: tuple[PredictionPart, ...] = ("linear", "model")
 
@@ -286,7 +286,7 @@ def test_the_growth_of_foten_plus_is_in_its_card_and_the_papers_network_clamps(
     exponents = fitted.finish(network).card["extrapolation_exponents"]
     assert exponents == foten_plus.extrapolation_exponents(fitted.run.blocks)
     assert exponents != {"speed": 0.0, "force": 0.0}
-    job = TrainingJob(recording, "foten", sizes_with("foten", SMALL), QUICK, SHORT)
+    job = TrainingJob(recording, "foten", sizes_with("foten", SMALL), config_of("foten", epochs=0, batch=32), SHORT)
     assert train(job).texture.card["extrapolation_exponents"] == {"speed": 0.0, "force": 0.0}
 
 
@@ -306,7 +306,9 @@ on_gpu = pytest.mark.skipif(not torch.cuda.is_available(), reason="no GPU that P
 
 def gpu_job(texture: str, epochs: int) -> TrainingJob:
     preprocess = PreprocessConfig(block_ms=1000)
-    return TrainingJob(simulate(texture, 24.0), "foten-plus", FotenPlusSizes(), TrainConfig(epochs=epochs), preprocess)
+    return TrainingJob(
+        simulate(texture, 24.0), "foten-plus", FotenPlusSizes(), FotenPlusConfig(epochs=epochs), preprocess
+    )
 
 
 @pytest.mark.gpu

@@ -40,6 +40,7 @@ from foten.models.foten_plus.recorded_innovations import (
 from foten.models.foten_plus.recorded_store import MIN_SPEED, thinned
 from foten.models.foten_plus.sizes import FotenPlusSizes
 from foten.models.texture_file import Texture, texture_from_bytes
+from foten.models.trainable import recipe_of
 from foten.recording.preprocess import PreprocessConfig, preprocess
 from foten.recording.recording import Channel, Recording
 from foten.recording.split import Split
@@ -48,7 +49,6 @@ from foten.runtime.native import NativeState, NativeTexture
 from foten.runtime.proof import Tensors
 from foten.simulation.linear_family import LINEAR_FAMILY, linear_signal
 from foten.simulation.stroking import stroking
-from foten.training.config import recipe_of
 from foten.training.job import ScaledBlocks, scaled_blocks
 
 RATE = 1000.0

@@ -13,9 +13,9 @@ from PIL import Image
 from safetensors.numpy import save
 
 from conftest import exported
-from foten.baselines.sizes import TRAINABLE
 from foten.cli.command_line import _status
 from foten.models.texture_file import Texture
+from foten.models.trainable import TRAINABLE
 from hostile import DEEP, Generator
 
 N_ALWAYS, N_SLOW, BATCH = 60, 2000, 200
@@ -24,7 +24,7 @@ MAX_S = 60  # of one command, on a busy machine; without one, none takes 5
 
 @pytest.fixture(scope="module")
 def generator(texture: Texture, plain_texture: Texture, tmp_path_factory: pytest.TempPathFactory) -> Generator:
-    local = exported("ar", TRAINABLE["ar"](n_models=9, n_triangles=8))
+    local = exported("ar", TRAINABLE["ar"].sizes(n_models=9, n_triangles=8))
     return Generator([texture, plain_texture, local], tmp_path_factory.mktemp("valid"))
 
 

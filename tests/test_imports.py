@@ -39,8 +39,10 @@ FOR_ALL = {"atomic_write", "untrusted"}
 EVERYTHING = {"", *(package for package, names in MAY_IMPORT.items() if names is None)}  # "": foten itself, lazily
 WITH_TORCH = {"training", "baselines", "experiments", "cli"}
 TRAINED = re.compile(
-    r"foten\.models\.\w+\.(?!definition$|sizes$|recorded_innovations$|recorded_store$)\w+"
+    r"foten\.models\.(graph|\w+\.(?!definition$|sizes$|config$|recorded_innovations$|recorded_store$)\w+)"
 )  # by PyTorch
+SETTINGS = re.compile(r"foten\.models\.(trainable|\w+\.config)")  # of trainings, without PyTorch
+SHARED = {f"foten.models.{name}" for name in ("conditions", "excitation", "model_sizes", "texture_file")}
 NO_TORCH = {"foten.training", "foten.baselines", "foten.baselines.sizes", "foten.training.config", "foten.experiments"}
 LISTENER = re.compile(r"foten\.evaluate\.listener(_network)?")  # loads PyTorch when it is asked
 WITHOUT_SCIPY = {"atomic_write", "untrusted", "dsp", "recording", "models", "runtime", ""}  # at import
@@ -51,7 +53,7 @@ def may_train(module: str) -> bool:
     """Whether a module is of what may import PyTorch as soon as it is imported."""
     if module in NO_TORCH:
         return False
-    trained = TRAINED.fullmatch(module) or LISTENER.fullmatch(module)
+    trained = TRAINED.fullmatch(module) or LISTENER.fullmatch(module) or module == "foten.cli.train_capture"
     return bool(trained) or package(module) in {"training", "baselines", "experiments"}
 
 
@@ -116,10 +118,17 @@ def test_a_module_imports_what_its_layer_may(module: str) -> None:
         MAY_IMPORT[layer]
         | FOR_ALL
         | {layer}
-        | ({"training", "baselines", "datasets", "runtime"} if may_train(module) else set())
+        | ({"training", "datasets", "runtime"} if may_train(module) else set())
+        | ({"training", "baselines"} if SETTINGS.fullmatch(module) else set())
     )
     beyond = of_project(imported(source(module))) - allowed
     assert not beyond, f"{module} imports {', '.join(sorted(beyond))}"
+
+
+@pytest.mark.parametrize("module", [m for m in MODULES if package(m) == "training"])
+def test_training_knows_no_model(module: str) -> None:
+    of_models = {name for name in imported(source(module)) if name.startswith("foten.models")}
+    assert of_models <= SHARED
 
 
 @pytest.mark.parametrize("module", [m for m in MODULES if package(m) in EXTERNAL and not may_train(m)])

@@ -14,6 +14,7 @@ from scipy.stats import norm
 
 from conftest import PLUS, untrained, untrained_tensors
 from foten.models.foten_plus import network as innovation
+from foten.models.foten_plus.config import FotenPlusConfig
 from foten.models.foten_plus.definition import NetworkDefinition, innovation_inputs
 from foten.models.foten_plus.linear_model import LinearModel
 from foten.models.foten_plus.network import (
@@ -33,7 +34,6 @@ from foten.models.foten_plus.network import (
 from foten.models.foten_plus.sizes import FotenPlusSizes
 from foten.recording.split import Split
 from foten.recording.trace import Trace
-from foten.training.config import OWN_RECIPES, TrainConfig
 from foten.training.job import ScaledBlocks, scaled_blocks
 from foten.training.loop import Loop, Monitor, Progress, run_loop
 from foten.training.texture_builder import tensors_of
@@ -70,7 +70,7 @@ def test_the_likelihood_is_that_of_a_mixture_of_normals() -> None:
     np.testing.assert_allclose(nll, expected, rtol=1e-9)
 
 
-CONFIG = TrainConfig(**{**OWN_RECIPES["foten-plus"], "epochs": 2, "threads": 1, "batch": 32})
+CONFIG = FotenPlusConfig(epochs=2, threads=1, batch=32)
 CPU = torch.device("cpu")
 
 
@@ -97,7 +97,7 @@ def new_network() -> InnovationNetwork:
     return InnovationNetwork(FotenPlusSizes(n_hidden=16, head_width=16, window=20))
 
 
-def fitted(blocks: ScaledBlocks, data: Innovations, config: TrainConfig = CONFIG) -> Progress:
+def fitted(blocks: ScaledBlocks, data: Innovations, config: FotenPlusConfig = CONFIG) -> Progress:
     return fit_innovation_network(new_network(), data, blocks, 20, config, Monitor())
 
 

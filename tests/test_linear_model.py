@@ -10,6 +10,7 @@ import pytest
 
 from conftest import PLUS, SCALING, exported, untrained, untrained_tensors
 from foten.dsp.tones import tone
+from foten.models.foten_plus.config import FotenPlusConfig
 from foten.models.foten_plus.definition import Tones
 from foten.models.foten_plus.linear_model import LinearModel, fit_level, fit_linear_models
 from foten.models.foten_plus.sizes import FotenPlusSizes
@@ -20,7 +21,6 @@ from foten.recording.trace import Trace
 from foten.runtime.loops import predict_blocks
 from foten.runtime.native import NativeTexture
 from foten.simulation.simulate import TEXTURES, simulate
-from foten.training.config import TrainConfig
 from foten.training.job import ScaledBlocks, scaled_blocks
 
 
@@ -102,7 +102,7 @@ def test_a_steady_power_is_that_of_excitation_and_tones() -> None:
 @pytest.mark.parametrize(("name", "precision"), [("steel-mesh-1", 2e-3), ("linear-cloth", None), ("linear-hum", None)])
 def test_a_surface_that_repeats_is_fitted_once_more_with_its_tones(name: str, precision: float | None) -> None:
     """Simulated wires are a known distance apart; a linear process, though it rings, repeats nothing."""
-    sizes, config = FotenPlusSizes(**PLUS), TrainConfig(max_order=20, table=False)
+    sizes, config = FotenPlusSizes(**PLUS), FotenPlusConfig(max_order=20, table=False)
     trace = preprocess(simulate(name, 10.0, seed=1), PreprocessConfig(trim_ms=0, block_ms=1000))
     blocks = scaled_blocks(trace, split_blocks(trace, "regrouped", 0))
     level, data = fit_level(blocks.flat[:, 0], sizes, blocks, config)

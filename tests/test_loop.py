@@ -20,10 +20,10 @@ import torch
 from torch import Tensor, nn
 
 import foten.training.loop as training_loop
-from foten.training.config import RECIPES, TrainConfig
+from foten.training.config import WindowConfig
 from foten.training.loop import Checkpoint, Epoch, Loop, Monitor, Optimiser, Progress, run_loop
 
-CONFIG = replace(RECIPES["default"], epochs=6, trial_epochs=100)
+CONFIG = WindowConfig(epochs=6)
 
 
 class Counter(nn.Module):
@@ -60,7 +60,10 @@ def noisy(name: str, seed: int, averaging: float = 0.9) -> Loop:
     """A small regression whose data each epoch draws, by an optimiser that has a state."""
     torch.manual_seed(seed)
     network = nn.Linear(6, 6)
-    optimiser, generator = Optimiser(dict(network.named_parameters()), CONFIG), torch.Generator()
+    optimiser, generator = (
+        Optimiser(dict(network.named_parameters()), CONFIG, CONFIG.matrix_learning_rate),
+        torch.Generator(),
+    )
 
     def gradients(epoch: int, number: int) -> tuple[Tensor, tuple[Tensor, ...]]:
         if number == 0:
@@ -275,7 +278,7 @@ def progress_of(errors: list[float]) -> Progress:
 )
 def test_trial_and_patience_end_a_training(errors: list[float], on: bool, noted: bool) -> None:
     progress = progress_of(errors)
-    assert training_loop.should_continue(progress, replace(CONFIG, trial_epochs=3, min_gain=1e-3, patience=4)) == on
+    assert training_loop.should_continue(progress, 4, (3, 1e-3)) == on
     note = "the network gains 0.05 % on the validation blocks in 3 epochs, less than 0.1 %: its training stops there"
     assert progress.notes == [note] * noted
 
@@ -329,15 +332,12 @@ def test_shares_are_added_in_their_order_whichever_thread_is_first() -> None:
 
 
 def test_the_rate_rises_over_a_tenth_and_falls_by_half_a_cosine() -> None:
-    config = TrainConfig(epochs=5)
+    config = WindowConfig(epochs=5)
     rate = training_loop.schedule(config, 4)
     rates = [rate(epoch, number) for epoch in range(1, 6) for number in range(4)]
     fall = [0.5 * (1 + math.cos(math.pi * n / 18)) for n in range(18)]
     assert rates == pytest.approx([0.5, 1.0, *fall])
     assert {training_loop.schedule(replace(config, schedule="constant"), 4)(epoch, 0) for epoch in range(1, 6)} == {1.0}
-
-
-UNDECAYED = replace(RECIPES["default"], weight_decay=0.0)
 
 
 def parameters(seed: int = 0) -> dict[str, nn.Parameter]:
@@ -363,13 +363,13 @@ def test_a_matrix_without_a_gradient_decays() -> None:
     before = of["square"].detach().clone()
     for parameter in of.values():
         parameter.grad = torch.zeros_like(parameter)
-    Optimiser(of, replace(RECIPES["default"], optimiser="muon", learning_rate=0.1, weight_decay=0.5)).step(0.5)
+    Optimiser(of, WindowConfig(learning_rate=0.1, weight_decay=0.5), 3e-3).step(0.5)
     torch.testing.assert_close(of["square"].detach(), 0.975 * before)
 
 
 def test_steps_without_matrices_are_those_of_pytorchs_adamw() -> None:
     """Oracle: torch.optim.AdamW, at a rate that changes, with decay; and a state that goes on where it was."""
-    config = replace(RECIPES["default"], optimiser="adamw", weight_decay=0.2)
+    config = WindowConfig(weight_decay=0.2)
     of, expected = parameters(), parameters()
     ours, theirs = Optimiser(of, config), torch.optim.AdamW(expected.values(), weight_decay=0.2)
     for number in range(30):
@@ -390,8 +390,8 @@ def test_steps_without_matrices_are_those_of_pytorchs_adamw() -> None:
 def test_no_compiler_is_loaded_for_an_optimiser() -> None:
     """It takes longer than an epoch."""
     code = (
-        "import sys, torch; from foten.training.config import RECIPES; from foten.training.loop import Optimiser; "
-        "p = torch.nn.Parameter(torch.zeros(3)); o = Optimiser({'p': p}, RECIPES['paper']); p.grad = torch.ones(3); o.step(1.0); "
+        "import sys, torch; from foten.training.config import WindowConfig; from foten.training.loop import Optimiser; "
+        "p = torch.nn.Parameter(torch.zeros(3)); o = Optimiser({'p': p}, WindowConfig()); p.grad = torch.ones(3); o.step(1.0); "
         "print([name for name in ('torch._dynamo', 'sympy') if name in sys.modules])"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
@@ -401,9 +401,9 @@ def test_no_compiler_is_loaded_for_an_optimiser() -> None:
 @pytest.mark.parametrize("kind", ["muon", "adamw"])
 def test_matrices_move_alike_in_every_direction_and_the_rest_by_adam(kind: str) -> None:
     """A gradient with singular values a hundredfold apart moves a matrix about as far along each; AdamW alone has none."""
-    of, config = parameters(), replace(UNDECAYED, optimiser=kind)
+    of, config = parameters(), WindowConfig(weight_decay=0.0)
     before = {name: parameter.detach().clone() for name, parameter in of.items()}
-    optimiser = Optimiser(of, config)
+    optimiser = Optimiser(of, config, config.matrix_learning_rate if kind == "muon" else 0.0)
     u, _, v = torch.linalg.svd(torch.randn(12, 12))
     for parameter in of.values():
         parameter.grad = torch.ones_like(parameter)

@@ -7,13 +7,15 @@ from typing import Any
 import pytest
 
 from conftest import exported, sizes_with, untrained, untrained_tensors
-from foten.baselines.graph import NETWORKS, multiply_adds
-from foten.baselines.sizes import BASELINES, TRAINABLE, trainable_sizes
+from foten.baselines.networks import NETWORKS
+from foten.baselines.sizes import BASELINES
 from foten.models.foten.sizes import FotenSizes
 from foten.models.foten_plus.sizes import FotenPlusSizes
+from foten.models.graph import multiply_adds
 from foten.models.model_sizes import MAX_WINDOW
 from foten.models.piecewise_ar.sizes import PiecewiseArSizes
 from foten.models.registry import MAX_GRAPH_WINDOW, MODELS
+from foten.models.trainable import TRAINABLE, trainable_sizes
 
 VARIANTS: dict[str, dict[str, Any]] = {
     "default": {},
@@ -28,7 +30,7 @@ VARIANTS: dict[str, dict[str, Any]] = {
 
 
 def test_every_model_but_the_piecewise_has_a_network() -> None:
-    assert set(NETWORKS) == set(TRAINABLE) - {"ar"}
+    assert set(NETWORKS) == {model.sizes for model in TRAINABLE.values() if model.has_network}
 
 
 @pytest.mark.parametrize("key", [key for key in MODELS if key != "ar"])
@@ -95,11 +97,11 @@ def test_impossible_sizes_are_refused(model: str, change: dict[str, Any], match:
 
 def test_no_window_is_longer_than_what_renders_it_takes() -> None:
     assert sizes_with("fnn", {"window": 96}).history == 96  # the shortest
-    for key, kind in TRAINABLE.items():
+    for key, model in TRAINABLE.items():
         longest = MAX_GRAPH_WINDOW if key in BASELINES else MAX_WINDOW
         window = {"frame": longest - 26 * 8 + 8, "stride": 8} if key == "gan" else {}
         with pytest.raises(ValueError, match=f"window is {longest + 8}, expected .*{longest}"):
-            kind(window=longest + 8, **window)
+            model.sizes(window=longest + 8, **window)
 
 
 def test_a_rendering_of_ours_costs_a_thousandth_of_the_papers() -> None:
@@ -107,13 +109,13 @@ def test_a_rendering_of_ours_costs_a_thousandth_of_the_papers() -> None:
     assert paper == pytest.approx(1.05e6, rel=0.01)  # summed by hand, layer by layer
     assert FotenPlusSizes(n_tones=6, residual_order=40).multiply_adds() < 1000
     assert FotenPlusSizes(order=40).multiply_adds() < 1000
-    assert TRAINABLE["fnn"]().multiply_adds() is None  # its card alone knows
+    assert TRAINABLE["fnn"].sizes().multiply_adds() is None  # its card alone knows
 
 
 def test_what_a_network_costs_is_near_what_pytorch_counts() -> None:
     """Oracle: PyTorch's own counter, which counts all of Eq. 9 and no symmetry of the magnitudes, so more."""
     for key in ("foten", "ten"):
-        sizes = TRAINABLE[key]()
+        sizes = TRAINABLE[key].sizes()
         counted = multiply_adds(untrained(key, sizes), sizes.window)
         assert 0.6 * counted < sizes.multiply_adds() <= counted, key
 

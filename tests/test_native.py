@@ -28,7 +28,6 @@ from scipy.signal import butter, lfilter, lfilter_zi
 
 import foten
 from conftest import PLUS, SCALING, SMALL, exported
-from foten.baselines.sizes import TRAINABLE
 from foten.dsp.noise import gaussian
 from foten.models import definitions as reference
 from foten.models.definitions import model_of
@@ -36,6 +35,7 @@ from foten.models.foten.sizes import FotenSizes
 from foten.models.foten_plus.sizes import FotenPlusSizes
 from foten.models.stream import run
 from foten.models.texture_file import CLOSED_LOOP_TOLERANCE, Texture
+from foten.models.trainable import TRAINABLE
 from foten.runtime.binding import _SIGNATURES, NativeActuator, Options, library
 from foten.runtime.native import NativeState, NativeTexture
 from foten.runtime.renderer import Renderer

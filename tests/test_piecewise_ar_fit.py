@@ -17,6 +17,7 @@ from foten.experiments.simulator_reference import reference_for
 from foten.models.piecewise_ar.fit import ORDERS, local_models
 from foten.models.piecewise_ar.sizes import PiecewiseArSizes
 from foten.models.texture_file import read_texture
+from foten.models.trainable import train
 from foten.recording.preprocess import PreprocessConfig, preprocess
 from foten.recording.recording import Channel, Recording
 from foten.recording.split import split_blocks
@@ -25,7 +26,6 @@ from foten.runtime.native import NativeState, NativeTexture
 from foten.simulation.simulate import simulate
 from foten.training.config import TrainConfig
 from foten.training.job import Trained, TrainingJob, scaled_blocks
-from foten.training.pipeline import train
 
 SHORT = PreprocessConfig(trim_ms=0, block_ms=1000)
 

@@ -11,24 +11,23 @@ from typing import Any
 import numpy as np
 import pytest
 
-from conftest import PLUS, sizes_with
-from foten.baselines.sizes import TRAINABLE
+from conftest import PLUS, config_of, sizes_with
 from foten.models.foten.sizes import FotenSizes
 from foten.models.foten_plus import fit as foten_plus
 from foten.models.foten_plus import network as innovation
 from foten.models.texture_file import Texture, texture_from_bytes
+from foten.models.trainable import TRAINABLE, train
 from foten.recording.preprocess import PreprocessConfig
 from foten.recording.recording import Recording
 from foten.runtime.renderer import Renderer
 from foten.simulation.simulate import simulate
-from foten.training.config import TrainConfig
+from foten.training.config import LoopConfig
 from foten.training.job import ScaledBlocks, Trained, TrainingJob
 from foten.training.loop import Checkpoint, Monitor, Progress
-from foten.training.pipeline import FITS, train
 
 SMALL = {"d_model": 8, "n_heads": 2, "n_layers": 2, "d_feedforward": 16, "head": (16, 8), "spectral_width": 8, **PLUS}
 # A lattice of one set of reflection coefficients is fitted in a fraction of the time that a table takes.
-QUICK = TrainConfig(epochs=2, batch=32, threads=1, max_order=20, table=False, tones=False)
+QUICK = {"epochs": 2, "batch": 32, "threads": 1, "max_order": 20, "table": False, "tones": False}
 SHORT = PreprocessConfig(trim_ms=0, block_ms=500)
 SECONDS = PreprocessConfig(trim_ms=0, block_ms=1000)
 
@@ -48,7 +47,7 @@ def recording() -> Recording:
 
 def job_of(recording: Recording, model: str = "foten-plus", **changed: Any) -> TrainingJob:
     """A quick job, with other settings of its training where they are given."""
-    return TrainingJob(recording, model, sizes_with(model, SMALL), replace(QUICK, **changed), SHORT)
+    return TrainingJob(recording, model, sizes_with(model, SMALL), config_of(model, **(QUICK | changed)), SHORT)
 
 
 @pytest.fixture(scope="module")
@@ -62,12 +61,8 @@ def rendered(texture: Texture) -> np.ndarray:
     return Renderer(texture, seed=3).render(100 + 60 * np.sin(n / 200), 1 + 0.3 * np.sin(n / 300))
 
 
-def test_every_model_has_a_fit() -> None:
-    assert set(FITS) == set(TRAINABLE)
-
-
 def test_the_papers_network_learns(recording: Recording) -> None:
-    config = TrainConfig(epochs=3, batch=128, learning_rate=2e-3, threads=1)
+    config = config_of("foten", epochs=3, batch=128, learning_rate=2e-3, threads=1)
     trained = train(TrainingJob(recording, "foten", sizes_with("foten", SMALL), config, SHORT))
     errors = [line.validation_mae for line in trained.progress.epochs]
     assert min(errors) < 0.9 * errors[0]
@@ -140,7 +135,7 @@ def test_where_the_network_gains_nothing_the_texture_renders_as_the_playable_one
 class InterruptedCheckpoint(Checkpoint):
     """One after an epoch of a loop somebody presses Ctrl-C."""
 
-    def __init__(self, path: Path, config: TrainConfig, loop: str, n: int = 1) -> None:
+    def __init__(self, path: Path, config: LoopConfig, loop: str, n: int = 1) -> None:
         super().__init__(path, config)
         self._loop, self._n = loop, n
         self.saved = list[str]()
@@ -214,7 +209,7 @@ def test_the_card_says_how_it_came_about(trained: Trained) -> None:
 def test_blocks_shorter_than_five_windows_are_refused(recording: Recording) -> None:
     preprocess = PreprocessConfig(trim_ms=0, block_ms=40)
     with pytest.raises(ValueError, match="longer --block or a shorter --window"):
-        train(TrainingJob(recording, "foten", FotenSizes(), QUICK, preprocess))
+        train(TrainingJob(recording, "foten", FotenSizes(), config_of("foten", **QUICK), preprocess))
 
 
 @pytest.mark.parametrize("model", ["foten-plus", "ar", "fnn", "dftnet"])
@@ -223,8 +218,8 @@ def test_the_test_blocks_have_no_say(recording: Recording, monkeypatch: pytest.M
 
     And only foten-plus is playable before a network is fitted.
     """
-    sizes = sizes_with(model, SMALL) if model == "foten-plus" else TRAINABLE[model]()
-    job = TrainingJob(recording, model, sizes, replace(QUICK, epochs=1), SECONDS)
+    sizes = sizes_with(model, SMALL) if model == "foten-plus" else TRAINABLE[model].sizes()
+    job = TrainingJob(recording, model, sizes, config_of(model, **(QUICK | {"epochs": 1})), SECONDS)
     playable: list[Texture] = []
     expected = train(job, Monitor(on_playable=playable.append)).texture
     assert bool(playable) == (model == "foten-plus")

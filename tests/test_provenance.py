@@ -11,13 +11,13 @@ import pytest
 
 import foten
 from conftest import TINY, experiment
-from foten.baselines.sizes import TRAINABLE
 from foten.cli.command_line import _status
 from foten.experiments import sweep as sweeping
 from foten.experiments.experiment import read_experiment
 from foten.experiments.provenance import KERNEL, Provenance, closure, platform_here, provenance_of, sources_of
 from foten.experiments.results import check_alike, joined, mixture, read_records, read_results, records_of, runs_table
 from foten.experiments.sweep import lacking, planned
+from foten.models.trainable import TRAINABLE
 
 ROOT = Path(foten.__file__).parent
 PACKAGE = {

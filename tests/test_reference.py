@@ -10,12 +10,12 @@ import pytest
 import torch
 
 from conftest import PLUS, SMALL, exported, sizes_with, untrained
-from foten.baselines.sizes import TRAINABLE
 from foten.models.definitions import model_of
 from foten.models.foten.definition import Network
 from foten.models.foten.sizes import TransformerSizes
 from foten.models.foten_plus.sizes import FotenPlusSizes
 from foten.models.stream import run
+from foten.models.trainable import TRAINABLE
 from foten.training.texture_builder import tensors_of
 
 VARIANTS: dict[str, dict[str, Any]] = {
@@ -55,7 +55,7 @@ def cases() -> list[tuple[str, str]]:
     """Each family that the kernel runs but the piecewise one, with each variant that it has."""
     pairs = []
     for key in ("foten", "ten"):
-        known = {one.name for one in fields(TRAINABLE[key])}
+        known = {one.name for one in fields(TRAINABLE[key].sizes)}
         pairs += [(key, name) for name, wanted in VARIANTS.items() if set(wanted) - set(SMALL) <= known]
     pairs = [(key, name) for key, name in pairs if key != "ten" or "literal" not in name]
     return [*pairs, *(("foten-plus", name) for name in ("default", *PLUS_VARIANTS))]

@@ -14,7 +14,8 @@ from matplotlib.figure import Figure
 
 from conftest import check_figures
 from foten.models.foten.sizes import FotenSizes
-from foten.training.config import RECIPES, TrainConfig, check_used, recipe_of
+from foten.models.trainable import check_used, recipe_of
+from foten.training.config import WindowConfig
 from foten.training.loop import Epoch
 from foten.training.run_folder import RunFolder, TrainingDisplay, _draw_curves
 
@@ -108,7 +109,8 @@ def test_what_is_not_a_terminal_sees_a_line_for_each_stage_and_epoch(capsys: pyt
 
 
 def test_the_papers_recipe_is_the_papers() -> None:
-    paper = RECIPES["paper"]
+    paper = recipe_of("foten", "paper")
+    assert isinstance(paper, WindowConfig)
     assert (paper.epochs, paper.patience, paper.batch, paper.learning_rate) == (100, 10, 16, 1e-3)
     assert (paper.loss, paper.delta, paper.schedule) == ("huber", 1.6, "constant")
     assert (paper.weight_decay, paper.clip_norm, paper.dropout) == (0.0, 0.0, 0.2)
@@ -125,11 +127,11 @@ def test_the_papers_recipe_is_the_papers() -> None:
         ({"schedule": "step"}, "one_cycle"),
         ({"optimiser": "sgd"}, "expected one of muon, adamw"),
         ({"initial_weights": "he"}, "expected one of uniform, glorot"),
-        ({"adam_epsilon": 0.0}, "must be positive"),
+        ({"adam_epsilon": 0.0}, "adam_epsilon is 0.0, expected more than 0"),
         ({"batch": 0}, "batch is 0"),
         ({"epochs": -1}, "epochs is -1"),
         ({"dropout": 1.0}, "dropout is 1.0"),
-        ({"learning_rate": 0.0}, "must be positive"),
+        ({"learning_rate": 0.0}, "learning_rate is 0.0, expected more than 0"),
         ({"batch": 2.5}, "batch is 2.5, expected a whole number"),
         ({"epochs": True}, "epochs is True, expected a whole number"),
         ({"seed": "1"}, "seed is '1', expected a whole number"),
@@ -138,8 +140,9 @@ def test_the_papers_recipe_is_the_papers() -> None:
     ],
 )
 def test_what_cannot_be_is_refused(change: dict[str, object], match: str) -> None:
+    model = "foten-plus" if "tones" in change else "foten"
     with pytest.raises(ValueError, match=match):
-        TrainConfig(**change)  # type: ignore[arg-type]
+        recipe_of(model, **change)
 
 
 @pytest.mark.parametrize("model", ["foten-plus", "gan"])

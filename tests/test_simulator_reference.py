@@ -19,15 +19,15 @@ from foten.experiments.simulator_reference import (
     reference_for,
     validation_listener,
 )
+from foten.models.foten_plus.config import FotenPlusConfig
 from foten.models.foten_plus.sizes import FotenPlusSizes
 from foten.models.texture_file import Texture, texture_from_bytes
+from foten.models.trainable import train
 from foten.recording.preprocess import PreprocessConfig, preprocess
 from foten.recording.recording import Recording
 from foten.recording.split import split_blocks
 from foten.simulation.simulate import simulate
-from foten.training.config import TrainConfig
 from foten.training.job import TrainingJob
-from foten.training.pipeline import train
 
 CUT = PreprocessConfig(block_ms=1000)
 
@@ -41,7 +41,7 @@ def untrained() -> Texture:
 def linear() -> tuple[Recording, Texture]:
     """A linear process, and what a linear fit learns of it."""
     recording = simulate("linear-cloth", 24.0, seed=1)
-    config = TrainConfig(epochs=0, batch=64, threads=1, max_order=20, tones=False)
+    config = FotenPlusConfig(epochs=0, batch=64, threads=1, max_order=20, tones=False)
     return recording, train(TrainingJob(recording, "foten-plus", FotenPlusSizes(**PLUS), config, CUT)).texture
 
 

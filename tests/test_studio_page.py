@@ -25,11 +25,11 @@ import scipy.io.wavfile
 from PIL import Image
 
 from conftest import exported
-from foten.baselines.sizes import TRAINABLE
 from foten.cli.command_line import _status
 from foten.datasets.importing import read_stroke
 from foten.dsp import Array
 from foten.models.texture_file import read_texture, write_texture
+from foten.models.trainable import TRAINABLE
 from foten.runtime.actuator import ActuatorProfile, write_profile
 from foten.runtime.renderer import EXAMPLE, Renderer
 from foten.runtime.stroke import tabled_stroke
@@ -740,7 +740,7 @@ def test_it_is_accessible_and_one_tap_is_enough_to_hear_a_texture(browser: Any, 
 
 def test_a_network_that_only_the_server_runs_is_heard_in_the_page(browser: Any, tmp_path: Path) -> None:
     pytest.importorskip("onnxruntime")
-    sizes = TRAINABLE["dstn"](excitation=True)
+    sizes = TRAINABLE["dstn"].sizes(excitation=True)
     write_texture(exported("dstn", sizes, texture="network"), tmp_path / "network.foten")
     with serving(str(tmp_path)) as (_, link), opened(browser, link, tap=False) as page:
         page.click("#begin")

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from conftest import exported
-from foten.baselines.sizes import TRAINABLE
 from foten.cli.command_line import _status
 from foten.editing.describe import describe, rendered, spectrum
 from foten.editing.envelope import STRENGTHS, EnvelopeCurve
@@ -23,6 +22,7 @@ from foten.editing.user import (
     write_user,
 )
 from foten.models.texture_file import read_texture
+from foten.models.trainable import TRAINABLE
 from foten.runtime.actuator import ActuatorProfile, write_profile
 from foten.runtime.renderer import EXAMPLE
 from foten.studio.adapt_server import largest_tones_db, reachable
@@ -344,6 +344,6 @@ def test_a_response_is_not_taken_off_twice(tmp_path: Path, capsys: pytest.Captur
 
 
 def test_a_texture_of_noise_is_adapted_too() -> None:
-    sizes = TRAINABLE["foten-plus"](window=12, n_hidden=6, head_width=5, n_components=3, order=6)
+    sizes = TRAINABLE["foten-plus"].sizes(window=12, n_hidden=6, head_width=5, n_components=3, order=6)
     out = adapted(exported("foten-plus", sizes), replace(GAINS, moves=(2.0, 0.0, 0.0, 0.3), moves_sd=(0.0,) * 4))
     assert out.card["sizes"]["recorded"] is False

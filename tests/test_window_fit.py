@@ -11,17 +11,17 @@ import pytest
 import torch
 from torch import nn
 
-from foten.baselines.graph import build
-from foten.baselines.sizes import TRAINABLE
+from foten.baselines.networks import build
 from foten.models.foten.sizes import FotenSizes
-from foten.training.config import TrainConfig
+from foten.models.trainable import TRAINABLE
+from foten.training.config import WindowConfig
 from foten.training.dropout import Dropout, set_dropout
 from foten.training.initial_weights import draw_glorot
 from foten.training.loop import Checkpoint, Epoch, Monitor
 from foten.training.window_fit import DeviceWindows, TrainingWindows, fit_windows, loss_of, predict
 
 SIZES = FotenSizes(window=12, d_model=8, n_heads=2, n_layers=2, d_feedforward=16, head=(16, 8), spectral_width=8)
-QUICK = TrainConfig(epochs=3, batch=64, threads=1)
+QUICK = WindowConfig(epochs=3, batch=64, threads=1)
 
 
 def windows_of(samples: np.ndarray, m: int = 12) -> TrainingWindows:
@@ -31,7 +31,7 @@ def windows_of(samples: np.ndarray, m: int = 12) -> TrainingWindows:
 
 def untrained() -> torch.nn.Module:
     torch.manual_seed(0)
-    return build("foten", SIZES)
+    return build(SIZES)
 
 
 def white(n: int = 600, seed: int = 4) -> TrainingWindows:
@@ -42,7 +42,7 @@ def test_losses_are_those_of_equation_14() -> None:
     r = torch.linspace(-5, 5, 101, dtype=torch.float64)
     huber = torch.where(r.abs() <= 1.6, r**2 / 2, 1.6 * r.abs() - 1.6**2 / 2).mean()
     for name, expected in {"huber": huber, "mae": r.abs().mean(), "mse": (r**2).mean()}.items():
-        loss = loss_of(TrainConfig(delta=1.6, loss=name))(r, torch.zeros_like(r))
+        loss = loss_of(WindowConfig(delta=1.6, loss=name))(r, torch.zeros_like(r))
         assert float(loss) == pytest.approx(float(expected), rel=1e-12)
 
 
@@ -57,7 +57,7 @@ def test_a_target_of_its_own_is_learned_and_reported_in_its_unit() -> None:
     samples = np.random.default_rng(3).standard_normal((400, 3))
     network = untrained()
     windows = dataclasses.replace(windows_of(samples), target=samples[:, 1])
-    line = fit_windows(network, windows, TrainConfig(epochs=0, loss="mae", threads=1), Monitor()).epochs[0]
+    line = fit_windows(network, windows, WindowConfig(epochs=0, loss="mae", threads=1), Monitor()).epochs[0]
     error = np.abs(samples[windows.validation, 1] - predict(network, windows, windows.validation)).mean()
     assert line.validation_loss == pytest.approx(error, rel=1e-5)
     assert line.validation_mae == pytest.approx(error, rel=1e-5)
@@ -67,7 +67,7 @@ def test_two_threads_learn_what_one_does_and_give_the_same_network_twice() -> No
     """Without dropout, of which each share draws its own, they differ by the rounding of another sum."""
     losses = []
     for threads, dropout in ((1, 0.0), (2, 0.0), (2, 0.5), (2, 0.5)):
-        config = TrainConfig(epochs=2, batch=64, dropout=dropout, threads=threads)
+        config = WindowConfig(epochs=2, batch=64, dropout=dropout, threads=threads)
         last = fit_windows(untrained(), white(), config, Monitor()).epochs[2]
         losses.append([last.train_loss, last.validation_loss])
     assert losses[1] == pytest.approx(losses[0], rel=1e-4)
@@ -107,7 +107,7 @@ def test_a_resumed_training_draws_the_same_order_and_the_same_dropout(tmp_path: 
 @pytest.fixture(scope="module")
 def foten() -> nn.Module:
     torch.manual_seed(3)
-    network = build("foten", FotenSizes())
+    network = build(FotenSizes())
     draw_glorot(network)
     return network
 
@@ -142,7 +142,7 @@ def test_a_kernel_is_uniform_within_glorots_limit(foten: nn.Module, name: str, i
 )
 def test_a_decoders_attention_is_counted_as_an_encoders(name: str, inputs_and_outputs: int) -> None:
     torch.manual_seed(6)
-    network = build("foten-d", TRAINABLE["foten-d"]())
+    network = build(TRAINABLE["foten-d"].sizes())
     draw_glorot(network)
     limit = math.sqrt(6 / inputs_and_outputs)
     assert 0.98 * limit < limit_of(network.get_submodule(f"decoder.{name}").get_parameter("weight")) <= limit
@@ -156,7 +156,7 @@ def test_normalisations_stay_as_they_are(foten: nn.Module) -> None:
 
 def test_recurrent_layers_are_orthogonal_and_forget_gates_open() -> None:
     torch.manual_seed(4)
-    network = build("dstn", TRAINABLE["dstn"]())
+    network = build(TRAINABLE["dstn"].sizes())
     draw_glorot(network)
     lstm = network.get_submodule("decoder")
     assert isinstance(lstm, nn.LSTM)
@@ -176,8 +176,8 @@ def test_recurrent_layers_are_orthogonal_and_forget_gates_open() -> None:
 @pytest.mark.parametrize(("initial_weights", "is_zero"), [("glorot", True), ("uniform", False)])
 def test_a_training_begins_with_the_weights_that_it_is_asked_for(initial_weights: str, is_zero: bool) -> None:
     torch.manual_seed(5)
-    network = build("foten", FotenSizes(window=8))
+    network = build(FotenSizes(window=8))
     n = np.arange(8, 40)
     windows = TrainingWindows(np.random.default_rng(0).standard_normal((40, 3)), n[:16], n[16:], 8)
-    fit_windows(network, windows, TrainConfig(epochs=0, initial_weights=initial_weights), Monitor())
+    fit_windows(network, windows, WindowConfig(epochs=0, initial_weights=initial_weights), Monitor())
     assert (not network.get_submodule("head_1").get_parameter("bias").any()) == is_zero

@@ -28,6 +28,7 @@ from foten.dsp.level import frame_means
 from foten.models.foten_plus.fit import LAW
 from foten.models.foten_plus.sizes import FotenPlusSizes
 from foten.models.texture_file import Texture
+from foten.models.trainable import recipe_of, train
 from foten.recording.preprocess import PreprocessConfig, fitting_cut, preprocess
 from foten.recording.recording import Channel, Recording
 from foten.recording.trace import Trace
@@ -37,9 +38,7 @@ from foten.simulation.contact_mechanics import CONTACT, contact_vibration, surfa
 from foten.simulation.linear_family import LINEAR_FAMILY, linear_signal
 from foten.simulation.simulate import ACCELEROMETER_NOISE, TEXTURES, vibration
 from foten.simulation.stroking import Stroking, stroking
-from foten.training.config import recipe_of
 from foten.training.job import TrainingJob
-from foten.training.pipeline import train
 
 CSV = Path(__file__).resolve().parents[1] / "results" / "few-strokes.csv"
 RECORDED = (100.0, 0.7)  # mm/s and N

@@ -25,6 +25,7 @@ import numpy as np
 from foten.dsp.level import FRAME_MS, frame_levels, frame_means
 from foten.models.foten_plus.sizes import FotenPlusSizes
 from foten.models.texture_file import Texture
+from foten.models.trainable import recipe_of, train
 from foten.recording.preprocess import PreprocessConfig, preprocess
 from foten.recording.recording import Channel, Recording
 from foten.recording.trace import Trace
@@ -33,9 +34,7 @@ from foten.runtime.loops import render_strokes
 from foten.runtime.native import NativeTexture
 from foten.simulation.simulate import ACCELEROMETER_NOISE, TEXTURES, vibration
 from foten.simulation.stroking import Stroking, stroking
-from foten.training.config import recipe_of
 from foten.training.job import TrainingJob
-from foten.training.pipeline import train
 
 CSV = Path(__file__).resolve().parents[1] / "results" / "outside.csv"
 RATE_HZ = 10_000.0

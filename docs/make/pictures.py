@@ -30,7 +30,6 @@ from PIL import Image
 from scipy.signal import welch
 
 from csv_records import ONE_STEP
-from foten.baselines.sizes import TRAINABLE
 from foten.datasets.hdf5 import load_recording
 from foten.dsp.distance import log_spectral_distance, scored_bins, segment_length
 from foten.dsp.distance import welch as spectra
@@ -44,6 +43,7 @@ from foten.experiments.experiment import Run, experiment_path, read_experiment, 
 from foten.experiments.results import VALIDATION, chosen_results, read_records, read_results
 from foten.experiments.simulator_reference import linear_bounds
 from foten.models.texture_file import Texture, read_texture, write_texture
+from foten.models.trainable import TRAINABLE, recipe_of, train
 from foten.recording.preprocess import PreprocessConfig, preprocess
 from foten.recording.scaling import fit_scaling
 from foten.recording.split import Split, split_blocks
@@ -58,9 +58,7 @@ from foten.simulation.linear_family import LINEAR_FAMILY
 from foten.simulation.simulate import TEXTURES, second_realisation, simulate
 from foten.simulation.simulated_capture import PLAN_HZ, simulate_capture
 from foten.simulation.simulated_capture import SOUND_HZ as CAPTURED_HZ
-from foten.training.config import recipe_of
 from foten.training.job import TrainingJob
-from foten.training.pipeline import train
 from paper_tables import PAPER_CELL, by_window, of_seeds
 
 DOCS = Path(__file__).resolve().parents[1]
@@ -104,7 +102,9 @@ def texture_of(key: str, model: str = OURS_KEY, **changed: Any) -> Texture:
     if not path.exists():
         path.parent.mkdir(parents=True, exist_ok=True)
         recording, recipe = simulate(key, 64.0, seed=SEED), recipe_of(model, **changed)
-        write_texture(train(TrainingJob(recording, model, TRAINABLE[model](), recipe, split_seed=SEED)).texture, path)
+        write_texture(
+            train(TrainingJob(recording, model, TRAINABLE[model].sizes(), recipe, split_seed=SEED)).texture, path
+        )
     return read_texture(path)
 
 

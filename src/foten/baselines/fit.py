@@ -10,18 +10,19 @@ import numpy as np
 import torch
 from torch import nn
 
-from foten.baselines.gan import fit_adversarial
-from foten.baselines.graph import build, graph_of, in_float64, multiply_adds
+from foten.baselines.gan import Gan, fit_adversarial
+from foten.baselines.networks import build
 from foten.baselines.noise_filter import log_magnitudes
 from foten.baselines.sizes import HapinfSizes, NoiseModelSizes
 from foten.models.excitation import Excitation
+from foten.models.graph import graph_of, in_float64, multiply_adds
 from foten.models.model_sizes import ModelSizes
 from foten.models.registry import GRAPH, GraphSizes
 from foten.models.stream import Model
 from foten.models.window_model import NoiseModel, WindowModel
 from foten.runtime.onnx_predictor import INPUT, NOISE
 from foten.runtime.proof import Tensors
-from foten.training.config import TrainConfig
+from foten.training.config import LoopConfig, WindowConfig
 from foten.training.job import ScaledBlocks, Trained, TrainingJob, check_block
 from foten.training.loop import Monitor, Progress, pick_device
 from foten.training.window_fit import Packed, TrainingWindows, fit_windows, one_step_texture, one_step_windows, predict
@@ -29,8 +30,41 @@ from foten.training.window_fit import Packed, TrainingWindows, fit_windows, one_
 _AT_ONCE = 65536  # frames
 
 
-def fit(job: TrainingJob, monitor: Monitor) -> Trained:
-    """A texture of a baseline learned from a recording.
+def fit_one_step(job: TrainingJob, monitor: Monitor) -> Trained:
+    """A texture of a network that predicts the next sample from a window."""
+    blocks, windows, config = _windows_of(job)
+    return _fitted_one_step(job, blocks, windows, config, monitor, Progress())
+
+
+def fit_distilled(job: TrainingJob, monitor: Monitor) -> Trained:
+    """A texture of a network that a teacher is trained for first."""
+    blocks, windows, config = _windows_of(job)
+    windows, teacher = distilled(windows, job.sizes.window, config, monitor)
+    monitor.on_stage(f"training the student, {job.model}")
+    return _fitted_one_step(job, blocks, windows, config, monitor, teacher)
+
+
+def fit_spectra(job: TrainingJob, monitor: Monitor) -> Trained:
+    """A texture of a network that is fitted to spectra of short frames."""
+    blocks, windows, config = _windows_of(job)
+    network = build(job.sizes).to(pick_device())
+    progress = fit_windows(network.spectrum, log_spectra(windows, blocks), config, monitor)
+    packed = noise_graph(network, job.sizes, progress.best.validation_mae)
+    return one_step_texture(job, blocks, network, progress, packed, monitor)
+
+
+def fit_generator(job: TrainingJob, monitor: Monitor) -> Trained:
+    """A texture of a generator of spectra, trained on the CPU against a discriminator."""
+    assert isinstance(job.config, LoopConfig)
+    blocks, network = _prepared(job, job.config.seed), build(job.sizes)
+    assert isinstance(network, Gan)
+    progress = fit_adversarial(network, job.sizes.window, blocks, job.config, monitor)
+    packed = noise_graph(network, job.sizes, progress.best.validation_mae)
+    return one_step_texture(job, blocks, network, progress, packed, monitor)
+
+
+def _prepared(job: TrainingJob, seed: int) -> ScaledBlocks:
+    """The recording in blocks, with PyTorch's seed set.
 
     Raises:
         ImportError: before training, where ONNX or ONNX Runtime is not installed.
@@ -38,26 +72,30 @@ def fit(job: TrainingJob, monitor: Monitor) -> Trained:
     import onnx  # noqa: F401
     import onnxruntime  # noqa: F401
 
-    blocks, m, teacher = job.blocks(), job.sizes.window, Progress()
-    check_block(blocks, m)
-    torch.manual_seed(job.config.seed)
-    windows = one_step_windows(blocks, m)
-    if job.model == "ldhtd":
-        windows, teacher = distilled(windows, m, job.config, monitor)
-        monitor.on_stage("training the student, ldhtd")
-    network = build(job.model, job.sizes)
-    if job.model == "gan":  # stays on the CPU
-        progress = fit_adversarial(network, m, blocks, job.config, monitor)
-        packed = noise_graph(network, job.sizes, progress.best.validation_mae)
-    elif job.model == "dftnet":
-        network.to(pick_device())
-        progress = fit_windows(network.spectrum, log_spectra(windows, blocks), job.config, monitor)
-        packed = noise_graph(network, job.sizes, progress.best.validation_mae)
-    else:
-        progress = fit_windows(network.to(pick_device()), windows, job.config, monitor)
-        packed = one_step_graph(network, job.sizes)
+    blocks = job.blocks()
+    check_block(blocks, job.sizes.window)
+    torch.manual_seed(seed)
+    return blocks
+
+
+def _windows_of(job: TrainingJob) -> tuple[ScaledBlocks, TrainingWindows, WindowConfig]:
+    assert isinstance(job.config, WindowConfig)
+    blocks = _prepared(job, job.config.seed)
+    return blocks, one_step_windows(blocks, job.sizes.window), job.config
+
+
+def _fitted_one_step(
+    job: TrainingJob,
+    blocks: ScaledBlocks,
+    windows: TrainingWindows,
+    config: WindowConfig,
+    monitor: Monitor,
+    teacher: Progress,
+) -> Trained:
+    network = build(job.sizes).to(pick_device())
+    progress = fit_windows(network, windows, config, monitor)
     progress.include(teacher)
-    return one_step_texture(job, blocks, network, progress, packed, monitor)
+    return one_step_texture(job, blocks, network, progress, one_step_graph(network, job.sizes), monitor)
 
 
 def one_step_graph(network: nn.Module, sizes: ModelSizes) -> Packed:
@@ -88,14 +126,14 @@ def noise_graph(network: nn.Module, sizes: ModelSizes, spectrum_error_nat: float
 
 
 def distilled(
-    windows: TrainingWindows, m: int, config: TrainConfig, monitor: Monitor
+    windows: TrainingWindows, m: int, config: WindowConfig, monitor: Monitor
 ) -> tuple[TrainingWindows, Progress]:
     """Windows whose training targets are the means of the recording and a teacher's predictions, and its training.
 
     0.5 (y − s)² + 0.5 (t − s)² differs from the squared error against that mean by a constant.
     """
     monitor.on_stage("training the teacher, hapinf")
-    teacher = build("hapinf", HapinfSizes(window=m, n_start=min(10, m))).to(pick_device())
+    teacher = build(HapinfSizes(window=m, n_start=min(10, m))).to(pick_device())
     progress = fit_windows(teacher, windows, config, monitor, "teacher")
     if progress.interrupted:
         raise KeyboardInterrupt

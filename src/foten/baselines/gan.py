@@ -13,7 +13,7 @@ from torch.optim import Adam
 
 from foten.baselines.noise_filter import NoiseFilter, log_magnitudes
 from foten.baselines.sizes import GanSizes
-from foten.training.config import TrainConfig
+from foten.training.config import LoopConfig
 from foten.training.job import ScaledBlocks
 from foten.training.loop import Loop, Monitor, Progress, epoch_seed, run_loop
 
@@ -136,7 +136,7 @@ def rendered_spectra(network: nn.Module, windows: Tensor, n_frames: int) -> Tens
     return log_magnitudes(network.played(windows).unfold(1, network.frame, network.stride)[:, :n_frames])
 
 
-def fit_adversarial(network: Gan, m: int, blocks: ScaledBlocks, config: TrainConfig, monitor: Monitor) -> Progress:
+def fit_adversarial(network: Gan, m: int, blocks: ScaledBlocks, config: LoopConfig, monitor: Monitor) -> Progress:
     """Train a generator in place, on the CPU; see `run_loop`.
 
     The loss of the discriminator is the hinge loss. That of the generator adds the difference of mean log magnitudes from the

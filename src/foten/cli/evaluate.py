@@ -158,7 +158,7 @@ def network_summary(card: Mapping[str, Any]) -> str:
 
 def random_part_summary(card: Mapping[str, Any]) -> str:
     """Random part of a foten-plus texture's renderings, in words."""
-    from foten.training.config import WITHHELD, withholds_recording
+    from foten.models.foten_plus.config import WITHHELD, withholds_recording
 
     sizes, stored = card["sizes"], card["training"].get("recorded_innovations", "")
     if not sizes["recorded"]:

@@ -136,8 +136,8 @@ def _write_header(texture: Texture, output: Path) -> tuple[dict[str, Any], str]:
 
 
 def _write_onnx(texture: Texture, output: Path) -> tuple[dict[str, Any], str]:
-    from foten.baselines.graph import graph_of_texture
     from foten.export import onnx
+    from foten.models.graph import graph_of_texture
 
     onnx.write_onnx(texture, graph_of_texture(texture), output)
     return {}, onnx.KEEPS

@@ -170,16 +170,16 @@ def _imagine(
 ) -> None:
     from dataclasses import replace
 
-    from foten.baselines.sizes import trainable_sizes
     from foten.datasets.isolated import read_isolated
     from foten.editing.describe import describe
     from foten.editing.edit import UNMEASURED
     from foten.editing.height_map import heights_of, imagined, tool_of
+    from foten.models.foten_plus.config import FotenPlusConfig
+    from foten.models.foten_plus.sizes import FotenPlusSizes
     from foten.models.texture_file import Texture, write_texture
-    from foten.training.config import recipe_of
+    from foten.models.trainable import train
     from foten.training.job import TrainingJob
     from foten.training.loop import Monitor
-    from foten.training.pipeline import train
 
     pixels = read_isolated("picture", picture)[1][0]
     try:
@@ -190,9 +190,7 @@ def _imagine(
     contact = tool_of(**{name: value for name, value in tool.items() if value is not None})
     recording = imagined(heights, scale, contact, tiles, seconds, seed)
     recording = replace(recording, texture=picture.stem)
-    job = TrainingJob(
-        recording, "foten-plus", trainable_sizes("foten-plus", {}), recipe_of("foten-plus", "default", seed=seed)
-    )
+    job = TrainingJob(recording, "foten-plus", FotenPlusSizes(), FotenPlusConfig(seed=seed))
     trained = train(job, Monitor(lambda stage: say(f"{stage} …"))).texture
     evidence = f"height map {picture.name}, {scale:g} mm a pixel, {depth:g} mm deep, {recording.tool}, {UNMEASURED}"
     texture = Texture({**trained.card, "evidence": evidence}, trained.tensors)

@@ -13,7 +13,9 @@ from typer import Argument, Exit, Option
 
 from foten.cli.evaluate import network_summary, random_part_summary, validation_summary
 from foten.console import JsonOption, check_files, options_from, preload, print_result, refuse
-from foten.training.config import FILTERS, RECIPES, TrainConfig, check_used, recipe_of
+from foten.models.trainable import recipe_of, trainable, trainable_sizes
+from foten.models.trainable import train as train_texture
+from foten.training.config import FILTERS, LoopConfig, TrainConfig
 
 if TYPE_CHECKING:
     from foten.recording.inspection.values import Inspection
@@ -29,7 +31,7 @@ Anyway = Annotated[
 
 def _of(name: str) -> str:
     """Default of a setting for help: ours, and the paper's where it differs."""
-    ours, paper = (getattr(RECIPES[recipe], name) for recipe in ("default", "paper"))
+    ours, paper = (getattr(recipe_of("foten", recipe), name) for recipe in FILTERS)
     return f"{ours}" if ours == paper else f"{ours}; paper {paper}"
 
 
@@ -140,12 +142,7 @@ class TrainOptions:
     as_json: JsonOption = False
 
     def __post_init__(self) -> None:
-        from foten.baselines.sizes import TRAINABLE
-
-        if self.model not in TRAINABLE:
-            raise ValueError(f"unknown model {self.model!r}, expected one of {', '.join(TRAINABLE)}")
-        if self.recipe not in RECIPES:
-            raise ValueError(f"unknown recipe {self.recipe!r}, expected one of {', '.join(RECIPES)}")
+        trainable(self.model)
         if self.output.suffix != ".foten":
             raise ValueError(f"a texture file is written as .foten, got -o {self.output.name}")
         check_files([self.output, self.run_folder or self.output])
@@ -160,19 +157,17 @@ class TrainOptions:
             raise ValueError(f"--doi is {self.doi!r}, expected 10.NUMBER/NAME, without https://doi.org/")
         if self.split == "contiguous":
             refuse("is for the regrouped split, and --split is contiguous", split_seed=self.split_seed or None)
-        check_used(self.model, self.changes(), self.config().loss)
+        self.config()
 
     @property
     def has_network(self) -> bool:
         """Whether there is a run folder, with a log and a checkpoint."""
-        return self.model != "ar"
+        return trainable(self.model).has_network
 
     @property
     def of_spectra(self) -> bool:
         """Whether the model is fitted to spectra, and not to samples."""
-        from foten.baselines.sizes import TRAINABLE, NoiseModelSizes
-
-        return issubclass(TRAINABLE[self.model], NoiseModelSizes)
+        return not trainable(self.model).sizes.predicts_samples
 
     def changes(self) -> dict[str, Any]:
         """Settings of `TrainConfig` that differ from the recipe's, by name."""
@@ -182,11 +177,11 @@ class TrainOptions:
 
     def config(self) -> TrainConfig:
         """The recipe with the changes."""
-        return recipe_of(self.model, self.recipe, seed=self.seed, **self.changes())
+        changes = self.changes() | ({"seed": self.seed} if self.has_network else {})
+        return recipe_of(self.model, self.recipe, **changes)
 
     def job(self, recording: Recording) -> TrainingJob:
         """Training job of a recording."""
-        from foten.baselines.sizes import trainable_sizes
         from foten.recording.preprocess import PreprocessConfig, fitting_cut
         from foten.training.job import TrainingJob, shortest_block
 
@@ -227,11 +222,12 @@ def train(options: TrainOptions) -> None:
     if not options.anyway:
         check_usable(unusable(inspection, besides=("refused", "short")))  # which the training says itself
     from foten.training.loop import Checkpoint, Epoch, Monitor
-    from foten.training.pipeline import train as train_texture
     from foten.training.run_folder import RunFolder, TrainingDisplay
 
     notes = list(_notes(inspection, job.preprocess.rate_hz))
-    display = TrainingDisplay(config.epochs, "nat" if options.of_spectra else "sd")
+    display = TrainingDisplay(
+        config.epochs if isinstance(config, LoopConfig) else 0, "nat" if options.of_spectra else "sd"
+    )
     folder = RunFolder(options.run_folder or output.with_suffix(".run"), display.note)
     if options.has_network:
         folder.open(_settled(job), options.resume)

@@ -9,18 +9,18 @@ from foten.datasets.hdf5 import write_recording
 from foten.evaluate.evaluate import evaluate
 from foten.evaluate.report.page import write_report
 from foten.experiments.simulator_reference import reference_for
+from foten.models.foten_plus.config import FotenPlusConfig
 from foten.models.foten_plus.sizes import FotenPlusSizes
 from foten.models.texture_file import write_texture
+from foten.models.trainable import train
 from foten.recording.inspection import inspect_recording
 from foten.reporting.recording_pictures import write_pictures
 from foten.runtime.live.sinks import write_audible, write_rendered
 from foten.runtime.renderer import Renderer
 from foten.runtime.stroke import recorded_stroke
 from foten.simulation.simulate import simulate
-from foten.training.config import recipe_of
 from foten.training.job import TrainingJob
 from foten.training.loop import Epoch, Monitor
-from foten.training.pipeline import train
 
 
 def run_demo(
@@ -38,7 +38,7 @@ def run_demo(
     (directory / "inspect").mkdir(exist_ok=True)
     write_pictures(recording, inspect_recording(recording), directory / "inspect")
     say(f"3/5 training foten-plus, at most {epochs} epochs")
-    config = recipe_of("foten-plus", epochs=epochs, seed=seed, threads=threads)
+    config = FotenPlusConfig(epochs=epochs, seed=seed, threads=threads)
 
     def on_epoch(line: Epoch) -> None:
         say(f"    epoch {line.epoch}: one-step validation error {line.validation_mae:.4f} sd, {line.seconds:.1f} s")

@@ -13,12 +13,12 @@ from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
 
-from foten.baselines.sizes import TRAINABLE, trainable_sizes
 from foten.datasets.hdf5 import load_recording
+from foten.models.trainable import TRAINABLE, check_used, recipe_of, trainable_sizes
 from foten.recording.preprocess import PreprocessConfig
 from foten.recording.recording import Recording
 from foten.simulation.simulate import CONTACT, LINEAR_FAMILY, OTHER_LINEAR, TEXTURES, TWO_MASS, check_seconds, simulate
-from foten.training.config import FILTERS, OWN_RECIPES, RECIPES, TrainConfig, check_recipe, check_used
+from foten.training.config import FILTERS
 from foten.untrusted import MAX_TOML, parse_toml, read_whole
 
 RECORDED = (".h5", ".hdf5")
@@ -36,7 +36,7 @@ KINDS: dict[str, tuple[Any, str]] = {
     "Mapping": (dict, "a table"),
 }
 """Types of the fields below, and what they are in TOML."""
-OF_TRAINING = {setting.name for setting in fields(TrainConfig)} - {"recipe"}
+OF_TRAINING = {name for entry in TRAINABLE.values() for name in entry.settings}
 KEYS: dict[str, Collection[str]] = {
     "train": OF_TRAINING,
     "preprocess": [setting.name for setting in fields(PreprocessConfig)],
@@ -157,7 +157,7 @@ class Experiment:
             for method in self.methods
             if method.split_seeds is None or split_seed in method.split_seeds
             for recipe in self._recipes(method) or [""]
-            for cell in (self._cells() if method.model != "ar" else [{}])
+            for cell in (self._cells() if TRAINABLE[method.model].has_network else [{}])
         )
         if len(runs := list(itertools.islice(every_run, MAX_RUNS + 1))) > MAX_RUNS:
             raise ValueError(f"it has more than {MAX_RUNS} runs (textures × splits × methods × settings): split it")
@@ -168,7 +168,7 @@ class Experiment:
         return (dict(zip(grid, values, strict=True)) for grid, values in cells)
 
     def _recipes(self, method: Method) -> Mapping[str, Mapping[str, Any]]:
-        return method.recipes or ({} if method.model == "ar" else self.recipes)
+        return method.recipes or (self.recipes if TRAINABLE[method.model].has_network else {})
 
     def _resolved(self, texture: str, method: Method, split_seed: int, cell: Mapping[str, Any], recipe: str) -> Run:
         name, model = method.title, method.model
@@ -180,14 +180,14 @@ class Experiment:
         try:
             recipe_filter = FILTERS["paper" if "paper" in (base, self.recipe) else base]
             preprocess = asdict(PreprocessConfig(**{**recipe_filter, **self.preprocess}))
-            if model != "ar":
-                check_recipe(model, base)
+            if TRAINABLE[model].has_network:
                 sizes = trainable_sizes(model, sizes).to_card()
-                settings = {"threads": 1, "seed": split_seed, **OWN_RECIPES.get(model, {}), **self.train, **changed}
-                check_used(model, changed, settings.get("loss", RECIPES[base].loss))
-                train = asdict(replace(RECIPES[base], **settings))
+                config, settings = recipe_of(model, base), {"threads": 1, "seed": split_seed, **self.train, **changed}
+                check_used(model, changed, settings.get("loss", getattr(config, "loss", None)))
+                used = {name: value for name, value in settings.items() if name in TRAINABLE[model].settings}
+                train = asdict(replace(config, **used))
             elif sizes or changed or method.recipe or method.recipes:
-                raise ValueError("'ar' is fitted without a recipe and finds its sizes: leave them out")
+                raise ValueError(f"{model!r} is fitted without a recipe and finds its sizes: leave them out")
         except (TypeError, ValueError) as error:
             raise ValueError(f"method {name!r}: {error}") from error
         seconds = None if texture.endswith(RECORDED) else float(self.seconds)
@@ -260,8 +260,8 @@ def _experiment(content: dict[str, Any], folder: Path) -> Experiment:
     for what, names in (("methods", titles), ("textures", list(map(texture_name, textures)))):
         if len(set(names)) < len(names):
             raise ValueError(f"two {what} have the same name, which tables could not tell apart")
-    networks = [method.model for method in methods if method.model != "ar"]  # which finds its sizes
-    sizes = {size.name for model in networks for size in fields(TRAINABLE[model])}
+    networks = [method.model for method in methods if TRAINABLE[method.model].has_network]
+    sizes = {size.name for model in networks for size in fields(TRAINABLE[model].sizes)}
     _check_recipes(values.get("recipes", {}), "the file")
     for grid in values.get("grid", ()):
         if not isinstance(grid, dict):
@@ -298,7 +298,7 @@ def _check_recipes(recipes: Mapping[str, Any], where: str) -> None:
         if not isinstance(changes, dict):
             raise ValueError(f"recipe {name!r} of {where} is {changes!r}, expected a table")
         _check_known("key", changes, OF_TRAINING | {"recipe"}, f" in recipe {name!r} of {where}")
-        _check_known("recipe", [changes.get("recipe", "default")], [*RECIPES])
+        _check_known("recipe", [changes.get("recipe", "default")], FILTERS)
 
 
 def _texture(content: object, folder: Path) -> str:
@@ -323,7 +323,7 @@ def _checked(content: Mapping[str, Any], configuration: type, where: str) -> dic
     seeds = content.get("split_seeds", [1])
     if not seeds or not all(type(seed) is int and seed >= 0 for seed in seeds) or len(set(seeds)) < len(seeds):
         raise ValueError(f"split_seeds is {seeds!r}, expected a list of whole numbers, each once")
-    _check_known("recipe", [content.get("recipe", "default")], RECIPES)
+    _check_known("recipe", [content.get("recipe", "default")], FILTERS)
     return {name: tuple(value) if isinstance(value, list) else value for name, value in content.items()}
 
 

@@ -16,8 +16,8 @@ import torch
 
 import foten
 from foten.experiments.experiment import MEASURES, Run
+from foten.models.trainable import TRAINABLE
 from foten.runtime.binding import LIBRARIES, isa, kernel_file
-from foten.training.pipeline import FITS
 
 EXECUTES = "foten.experiments.run"  # any run
 KERNEL = "kernel/"  # before the names of its libraries: beside modules all that a run reads of the package
@@ -66,8 +66,9 @@ def provenance_of(run: Run, recording_sha256: str) -> Provenance:
 @cache
 def sources_of(model: str, measures: tuple[str, ...]) -> dict[str, str]:
     """Digests of the modules that a run of a model executes, by name, and of the kernel's libraries."""
-    entries = {EXECUTES, FITS[model], *(MEASURES[name] for name in measures)}
-    others = {*FITS.values(), *MEASURES.values()} - entries
+    fits = {key: entry.fit.partition(":")[0] for key, entry in TRAINABLE.items()}
+    entries = {EXECUTES, fits[model], *(MEASURES[name] for name in measures)}
+    others = {*fits.values(), *MEASURES.values()} - entries
     modules = closure(entries, Path(foten.__file__).parent, others)
     beside = kernel_file(*LIBRARIES).parent.iterdir()
     libraries = {KERNEL + path.name: path for path in beside if path.suffix in (".so", ".dylib", ".dll")}

@@ -9,7 +9,6 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from foten.baselines.sizes import trainable_sizes
 from foten.dsp import Array
 from foten.dsp.distance import scored_bins, segment_length, welch
 from foten.evaluate.evaluate import Judgement, evaluate
@@ -19,12 +18,11 @@ from foten.experiments.experiment import MEASURES, OF_FIRST_SPLIT, Run
 from foten.experiments.simulator_reference import reference_for, validation_listener
 from foten.models.foten_plus.sizes import FotenPlusSizes
 from foten.models.texture_file import Texture
+from foten.models.trainable import TRAINABLE, train, trainable_sizes
 from foten.recording.preprocess import PreprocessConfig
 from foten.recording.recording import Recording
-from foten.training.config import TrainConfig
 from foten.training.job import TrainingJob
 from foten.training.loop import Checkpoint, Monitor
-from foten.training.pipeline import train
 
 
 def execute(
@@ -38,7 +36,7 @@ def execute(
     """
     started, earlier = time.perf_counter(), None
     sizes, preprocess = trainable_sizes(run.model, run.sizes), PreprocessConfig(**run.preprocess)
-    config = TrainConfig(**run.train)
+    config = type(TRAINABLE[run.model].recipes["default"])(**run.train)
     if checkpoint is not None:
         earlier = Checkpoint.going_on(checkpoint, config, about or {})
     job = TrainingJob(recording, run.model, sizes, config, preprocess, split_seed=run.split_seed)

@@ -20,6 +20,9 @@ class ModelSizes:
 
     window: int = 20  # m, samples that its network or filter is given
     max_window: ClassVar[int] = MAX_WINDOW
+    predicts_samples: ClassVar[bool] = True  # False where a network filters noise
+    editable: ClassVar[bool] = False  # whether its level, spectrum and tones can be changed (`foten.editing`)
+    learns_growth: ClassVar[bool] = False  # whether its fit learns how the level grows beyond the trained range
 
     def __post_init__(self) -> None:
         for field in fields(self):

@@ -145,8 +145,9 @@ class Texture:
         powers, model = {name: self.extrapolation_exponent(name) for name in ("speed", "force")}, self.card["model"]
         grows = " and ".join(f"{name}^{power:.2g}" for name, power in powers.items() if power)
         held = " and ".join(name for name, power in powers.items() if not power)
-        learns = model == "foten-plus"
-        why = "no growth could be learned from the recording" if learns else f"{model} learns no growth"
+        why = (
+            "no growth could be learned from the recording" if self.sizes.learns_growth else f"{model} learns no growth"
+        )
         if not grows:
             return f"the level is held: {why}"
         text = f"the level follows {grows}, up to twice the range or {REACH_SPEED:g} mm/s and {REACH_FORCE:g} N"

@@ -31,7 +31,7 @@ MAX_ALL_CAPTURES_BYTES = 4 * MAX_CAPTURE_BYTES  # of all pages
 MAX_BACK_S, MAX_LATE_SHARE = 0.1, 0.01  # of an event, in time; of all events: with more the pen has no clock
 MAX_LINE_BYTES = 1 << 16  # of what a training prints
 MAX_CAPTURE_MESSAGES_PER_S = 12_000.0  # after a pause of a page that goes on recording
-COMMAND = (sys.executable, "-m", "foten.training.train_capture")  # and a folder
+COMMAND = (sys.executable, "-m", "foten.cli.train_capture")  # and a folder
 
 
 def why_not() -> str:

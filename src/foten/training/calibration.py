@@ -20,9 +20,8 @@ from foten.dsp.level import frame_levels, frame_means
 from foten.dsp.noise import gaussian, innovation_likelihood
 from foten.models.conditions import MOVING_SPEED
 from foten.models.excitation import MAX_SIGMA, N_FEATURES, N_POWERS, Excitation, Scale, powers
-from foten.models.foten_plus.recorded_innovations import neighbourhoods
 from foten.recording.scaling import Scaling
-from foten.runtime.loops import render_streams, render_strokes
+from foten.runtime.loops import Excluded, render_streams, render_strokes
 from foten.runtime.native import NativeTexture
 from foten.training.job import ScaledBlocks
 
@@ -189,6 +188,8 @@ class ClosedLoop:
     limit: float = math.inf  # that samples are cut to; infinite for what is bounded by itself
     as_heard: bool = False  # whether free runs fade near rest, and go through the equaliser
     equaliser: Equaliser | None = None
+    # Recorded moments that runs of blocks do not play, so many runs of each: `runtime.loops.Excluded`.
+    excluded: Callable[[tuple[int, ...], int], Excluded] = lambda numbers, n_runs: ()
     unit_sigma: bool = False  # whether the kernel's σ is 1 whatever the excitation, which scales the noise instead
 
     def with_unit_sigma(self, width: int, innovation_limit: float) -> ClosedLoop:
@@ -229,7 +230,7 @@ class ClosedLoop:
         _, speed, force = (np.tile(x[:, m:], (n_runs, 1)) for x in channels)
         windows = [np.tile(x[:, :m], (n_runs, 1)) for x in channels]
         rendered, _ = render_strokes(
-            self.kernel(excitation), seed, speed, force, first_stream, windows, excluded=self._excluded(numbers, n_runs)
+            self.kernel(excitation), seed, speed, force, first_stream, windows, excluded=self.excluded(numbers, n_runs)
         )
         return np.asarray(self.blocks.scaling.scale_channel(0, rendered)).reshape(n_runs, len(numbers), -1)
 
@@ -244,13 +245,9 @@ class ClosedLoop:
             sigma = excitation.sigma(self.blocks.samples[chosen, m - 1 : -1, 1:].reshape(-1, 2))
             in_sigma = excitation.innovation_limit[0]
             noise = np.clip(noise, -in_sigma, in_sigma) * np.tile(sigma.reshape(len(chosen), -1), (n_runs, 1))
-        excluded = self._excluded(numbers, n_runs)
+        excluded = self.excluded(numbers, n_runs)
         rendered = render_streams(self.kernel(excitation), starts, conditions, noise, self.limit, excluded)
         return rendered.reshape(n_runs, len(chosen), -1)
-
-    def _excluded(self, numbers: tuple[int, ...], n_runs: int) -> list[tuple[int, int]]:
-        """Recorded moments that runs of blocks do not play: their own, and those within a second."""
-        return neighbourhoods(self.blocks.split, self.blocks.trace, numbers, n_runs)
 
     def terms(self, numbers: tuple[int, ...]) -> Array:
         """Terms of an equaliser under some blocks, after the history, (N_TERMS, k, n)."""

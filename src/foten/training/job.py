@@ -20,7 +20,7 @@ from foten.recording.scaling import Scaling, fit_scaling
 from foten.recording.split import MIN_BLOCKS, Split, split_blocks
 from foten.recording.trace import Trace
 from foten.recording.windows import targets
-from foten.training.config import TrainConfig, unused_settings
+from foten.training.config import TrainConfig
 
 if TYPE_CHECKING:
     from foten.training.loop import Progress
@@ -116,7 +116,6 @@ class TrainingJob:
         """The card's entries of recording and configuration; no growth beyond the trained range."""
         recording, trace, split = self.recording, blocks.trace, blocks.split
         low, high = (end(blocks.training_blocks(), axis=(0, 1)).tolist() for end in (np.min, np.max))
-        settings = {key: value for key, value in asdict(self.config).items() if key not in unused_settings(self.model)}
         return {
             "rate_hz": trace.rate_hz,
             "trained_range": {"speed": [low[1], high[1]], "force": [low[2], high[2]]},
@@ -134,7 +133,7 @@ class TrainingJob:
             "preprocess": dict(trace.preprocess),
             "split": asdict(split),
             "split_sha256": split.sha256(),
-            "training": {**settings, "versions": versions(), "device": device},
+            "training": {**asdict(self.config), "versions": versions(), "device": device},
         }
 
 

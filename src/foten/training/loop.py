@@ -17,7 +17,7 @@ import torch
 from torch import Tensor, nn
 
 from foten.atomic_write import atomic_write, reason
-from foten.training.config import TrainConfig
+from foten.training.config import GradientConfig, LoopConfig, TrainConfig
 
 MOMENTUM = 0.95
 BETAS = 0.9, 0.999  # of Adam, as published
@@ -35,12 +35,15 @@ class Optimiser:
     Loshchilov & Hutter, "Decoupled weight decay regularization" (ICLR 2019), AdamW; for the paper's recipe Adam, Sec. IV-e.
     """
 
-    def __init__(self, parameters: Mapping[str, nn.Parameter], config: TrainConfig) -> None:
-        self._config = config
+    def __init__(
+        self, parameters: Mapping[str, nn.Parameter], config: GradientConfig, matrix_learning_rate: float = 0.0
+    ) -> None:
+        """Matrices are moved as the others where their learning rate is 0."""
+        self._config, self._matrix_learning_rate = config, matrix_learning_rate
         self._matrices = {
             name: matrix
             for name, matrix in parameters.items()
-            if config.optimiser == "muon" and matrix.ndim == 2 and min(matrix.shape) > MIN_SIDE
+            if matrix_learning_rate and matrix.ndim == 2 and min(matrix.shape) > MIN_SIDE
         }
         self._momentum = {name: torch.zeros_like(matrix) for name, matrix in self._matrices.items()}
         self._others = [parameter for name, parameter in parameters.items() if name not in self._matrices]
@@ -64,7 +67,7 @@ class Optimiser:
             for matrix, direction in zip(self._matrices.values(), orthogonalised(directions), strict=True):
                 tall = max(1.0, matrix.shape[-2] / matrix.shape[-1]) ** 0.5
                 matrix.mul_(1 - config.learning_rate * rate * config.weight_decay)
-                matrix.sub_(direction, alpha=config.matrix_learning_rate * rate * tall)
+                matrix.sub_(direction, alpha=self._matrix_learning_rate * rate * tall)
 
     @torch.no_grad()
     def _step_of_others(self, rate: float) -> None:
@@ -169,6 +172,7 @@ class Loop:
     parts: Mapping[str, Any]  # of a checkpoint, beside the network: what has a `state_dict`
     # Decay of the exponential moving average of the weights, which is what is validated and kept; 0 for none.
     averaging: float = 0.0
+    trial: tuple[int, float] | None = None  # epochs in which the error has to fall by at least this share
 
 
 @dataclass(frozen=True)
@@ -181,7 +185,7 @@ class Monitor:
     checkpoint: Checkpoint | None = None  # to go on from, and written after each epoch
 
 
-def run_loop(loop: Loop, config: TrainConfig, monitor: Monitor) -> Progress:
+def run_loop(loop: Loop, config: LoopConfig, monitor: Monitor) -> Progress:
     """Epochs until there are enough, none gains, or Ctrl-C; the network is left at its best, epoch 0 included.
 
     Raises:
@@ -215,7 +219,7 @@ def run_loop(loop: Loop, config: TrainConfig, monitor: Monitor) -> Progress:
         if not progress.epochs:
             finish(0, math.nan, time.perf_counter())
         for epoch in range(len(progress.epochs), config.epochs + 1):
-            if not progress.best_state or not should_continue(progress, config):
+            if not progress.best_state or not should_continue(progress, config.patience, loop.trial):
                 break
             started = time.perf_counter()
             finish(epoch, train(epoch), started)
@@ -234,17 +238,17 @@ def run_loop(loop: Loop, config: TrainConfig, monitor: Monitor) -> Progress:
     return progress
 
 
-def should_continue(progress: Progress, config: TrainConfig) -> bool:
-    """False after `patience` epochs without a better loss, or, with a note, where `trial_epochs` gained less than `min_gain`."""
+def should_continue(progress: Progress, patience: int, trial: tuple[int, float] | None = None) -> bool:
+    """False after `patience` epochs without a better loss, or, with a note, after a trial that failed (`Loop.trial`)."""
     epoch, first = progress.epochs[-1].epoch, progress.epochs[0].validation_mae
-    if epoch - progress.best.epoch >= config.patience:
+    if epoch - progress.best.epoch >= patience:
         return False
     gain = 1 - min(line.validation_mae for line in progress.epochs) / first if first > 0 else 0.0
-    if epoch != config.trial_epochs or gain >= config.min_gain:
+    if trial is None or epoch != trial[0] or gain >= trial[1]:
         return True
     progress.notes.append(
         f"the network gains {100 * gain:.2f} % on the validation blocks in {epoch} epochs, less than "
-        f"{100 * config.min_gain:g} %: its training stops there"
+        f"{100 * trial[1]:g} %: its training stops there"
     )
     return False
 
@@ -298,7 +302,7 @@ def shared_gradients(
     return torch.stack(losses).sum(), [sum(others, start=first) for first, *others in zip(*pieces, strict=True)]
 
 
-def schedule(config: TrainConfig, n_steps: int) -> Callable[[int, int], float]:
+def schedule(config: GradientConfig, n_steps: int) -> Callable[[int, int], float]:
     """Learning rate over its highest at an epoch's step: a linear rise over the first tenth of all steps, then half a cosine."""
     n_all = n_steps * config.epochs
     rise = max(1, n_all // 10)

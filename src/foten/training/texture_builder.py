@@ -9,16 +9,15 @@ import numpy as np
 from torch import nn
 
 from foten.dsp import Array
-from foten.models.definitions import model_of
 from foten.models.excitation import Excitation
 from foten.models.model_sizes import ModelSizes
 from foten.models.texture_file import MIN_GOLDEN
 from foten.recording.windows import windows
 from foten.runtime.native import NativeTexture
 from foten.runtime.proof import MakeModel, ProvedTexture, Tensors, proved
-from foten.training.config import WARM_START
 from foten.training.job import ScaledBlocks
 
+WARM_START = (45.0, 0.8)  # mm/s, N: mean of early contacts; Sec. V-a
 N_GOLDEN = 12  # windows of the validation blocks
 NEAR_SHARE = 100  # of so many training windows one is near enough to begin from
 WARM_START_RINGS_MS = 20.0  # the end of a window, which rings on into what comes after
@@ -31,7 +30,7 @@ class TextureBuilder:
     model: str
     blocks: ScaledBlocks
     card: dict[str, Any]  # entries beyond model, sizes and scaling
-    definition: MakeModel = model_of
+    definition: MakeModel
 
     def kernel(self, sizes: ModelSizes, tensors: Tensors, excitation: Excitation) -> NativeTexture:
         """The kernel of a texture with an excitation that is being fitted."""

@@ -15,13 +15,12 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from foten.dsp import Array
-from foten.models.definitions import model_of
 from foten.models.excitation import WithExcitation
 from foten.models.model_sizes import ModelSizes
 from foten.recording.windows import first_scored, window_indices
 from foten.runtime.proof import MakeModel, Tensors
 from foten.training.calibration import ClosedLoop, Residuals, calibrate_excitation
-from foten.training.config import TrainConfig
+from foten.training.config import LoopConfig, WindowConfig
 from foten.training.dropout import bits_from, random_bits, set_dropout
 from foten.training.initial_weights import draw_glorot
 from foten.training.job import ScaledBlocks, Trained, TrainingJob
@@ -74,7 +73,7 @@ class DeviceWindows:
         return self.train[torch.randperm(len(self.train), generator=generator).to(self.device)]
 
 
-def loss_of(config: TrainConfig) -> Callable[[Tensor, Tensor], Tensor]:
+def loss_of(config: WindowConfig) -> Callable[[Tensor, Tensor], Tensor]:
     """The loss that a configuration names. Source: Eq. 14."""
     if config.loss == "huber":
         return nn.HuberLoss(delta=config.delta)
@@ -82,7 +81,7 @@ def loss_of(config: TrainConfig) -> Callable[[Tensor, Tensor], Tensor]:
 
 
 def fit_windows(
-    network: nn.Module, data: TrainingWindows, config: TrainConfig, monitor: Monitor, name: str = "network"
+    network: nn.Module, data: TrainingWindows, config: WindowConfig, monitor: Monitor, name: str = "network"
 ) -> Progress:
     """Train a new network in place, windows (b, m, 3) → (b,) or (b, k); see `run_loop`. `name` is that in a checkpoint."""
     if config.initial_weights == "glorot":
@@ -92,7 +91,7 @@ def fit_windows(
     n_threads = config.threads if on_device.device.type == "cpu" else 1
     n_steps = math.ceil(len(data.train) / config.batch)
     parameters = dict(network.named_parameters())
-    optimiser = Optimiser(parameters, config)
+    optimiser = Optimiser(parameters, config, config.matrix_learning_rate if config.optimiser == "muon" else 0.0)
     criterion = loss_of(config)
     batches: tuple[Tensor, ...] = ()
 
@@ -119,7 +118,9 @@ def fit_windows(
     with ThreadPoolExecutor(n_threads) as pool:
         step = gradient_step(network, optimiser, gradients, config.clip_norm, schedule(config, n_steps))
         validate = partial(validated, data=on_device, criterion=criterion, over=pool.map)
-        return run_loop(Loop(name, network, n_steps, step, validate, {"optimiser": optimiser}), config, monitor)
+        trial = config.trial_epochs, config.min_gain
+        loop = Loop(name, network, n_steps, step, validate, {"optimiser": optimiser}, trial=trial)
+        return run_loop(loop, config, monitor)
 
 
 def predict(network: nn.Module, data: TrainingWindows, n: NDArray[np.int64]) -> NDArray[np.float64]:
@@ -159,7 +160,7 @@ class Packed:
 
     sizes: ModelSizes
     tensors: Tensors
-    definition: MakeModel = model_of
+    definition: MakeModel
     metrics: dict[str, Any] = field(default_factory=dict)
 
 
@@ -176,6 +177,7 @@ def one_step_texture(
     job: TrainingJob, blocks: ScaledBlocks, network: nn.Module, progress: Progress, packed: Packed, monitor: Monitor
 ) -> Trained:
     """A texture of a trained network, with an excitation where one is asked for."""
+    assert isinstance(job.config, LoopConfig)
     best, sizes, tensors = progress.best, packed.sizes, packed.tensors
     card = job.card(blocks, next(network.parameters()).device.type)
     builder = TextureBuilder(job.model, blocks, card, packed.definition)

@@ -16,6 +16,8 @@ from foten.dsp import Array
 from foten.dsp.equaliser import Equaliser
 from foten.dsp.level import FRAME_MS, frame_levels, frame_means
 from foten.models.conditions import MOVING_FORCE, MOVING_SPEED
+from foten.models.definitions import model_of
+from foten.models.foten_plus.config import FotenPlusConfig, withholds_recording
 from foten.models.foten_plus.equaliser_fit import fit_equaliser
 from foten.models.foten_plus.linear_model import MIN_SAMPLES_PER_SECTION, LinearModel, fit_level, fit_linear_models
 from foten.models.foten_plus.network import (
@@ -27,6 +29,7 @@ from foten.models.foten_plus.network import (
     with_mean_share,
 )
 from foten.models.foten_plus.recorded_fit import recorded_innovations
+from foten.models.foten_plus.recorded_innovations import neighbourhoods
 from foten.models.foten_plus.sizes import FotenPlusSizes
 from foten.models.foten_plus.tones_fit import fit_residual, tonal_model
 from foten.models.texture_file import Texture
@@ -39,7 +42,6 @@ from foten.training.calibration import (
     calibrate_excitation,
     calibrate_level,
 )
-from foten.training.config import TrainConfig, withholds_recording
 from foten.training.excerpt_classifier import classified_area
 from foten.training.job import ScaledBlocks, Trained, TrainingJob, check_block
 from foten.training.loop import Monitor, Progress, pick_device
@@ -59,7 +61,7 @@ class FitContext:
     """Arguments of every stage after the linear model."""
 
     builder: TextureBuilder
-    config: TrainConfig
+    config: FotenPlusConfig
     monitor: Monitor
 
     @property
@@ -96,7 +98,8 @@ def fit(job: TrainingJob, monitor: Monitor) -> Trained:
     """
     sizes, config = job.sizes, job.config
     assert isinstance(sizes, FotenPlusSizes)
-    blocks = checked_blocks(job, sizes.window)
+    assert isinstance(config, FotenPlusConfig)
+    blocks = checked_blocks(job, sizes.window, config.max_order)
     monitor.on_stage("fitting level, lattices and tones")
     level, data = fit_level(blocks.flat[:, 0], sizes, blocks, config)
     run = FitContext(texture_builder(job, blocks), config, monitor)
@@ -128,12 +131,12 @@ def fit(job: TrainingJob, monitor: Monitor) -> Trained:
     return Trained(texture, blocks.trace, blocks.split, fitted.progress, mae)
 
 
-def checked_blocks(job: TrainingJob, window: int) -> ScaledBlocks:
+def checked_blocks(job: TrainingJob, window: int, max_order: int) -> ScaledBlocks:
     """The recording in blocks; ValueError where they are too short for windows, or for a frame to calibrate on."""
     blocks = job.blocks()
     check_block(blocks, window)
     rate, block = blocks.trace.rate_hz, blocks.trace.block
-    frame, history = FRAME_MS * rate / 1000, window + 1 + min(job.config.max_order, block // MIN_SAMPLES_PER_SECTION)
+    frame, history = FRAME_MS * rate / 1000, window + 1 + min(max_order, block // MIN_SAMPLES_PER_SECTION)
     if block - max(UNSCORED_SHARE * block, history) < frame:
         enough = max(frame / (1 - UNSCORED_SHARE), (frame + window + 1) / (1 - 1 / MIN_SAMPLES_PER_SECTION))
         raise ValueError(
@@ -146,7 +149,8 @@ def checked_blocks(job: TrainingJob, window: int) -> ScaledBlocks:
 def texture_builder(job: TrainingJob, blocks: ScaledBlocks) -> TextureBuilder:
     """Builder of textures of the recording."""
     card = job.card(blocks, pick_device().type)
-    return TextureBuilder(job.model, blocks, {**card, "extrapolation_exponents": extrapolation_exponents(blocks)})
+    card = {**card, "extrapolation_exponents": extrapolation_exponents(blocks)}
+    return TextureBuilder(job.model, blocks, card, model_of)
 
 
 def best_linear_model(
@@ -301,7 +305,8 @@ def equalised(candidate: Candidate, loop: ClosedLoop, run: FitContext) -> Candid
 def _closed_loop(model: LinearModel, networks: Tensors, run: FitContext) -> ClosedLoop:
     kernel = partial(run.builder.kernel, model.sizes, {**model.tensors, **networks})
     history, block = model.sizes.history, run.blocks.trace.block
-    return ClosedLoop(run.blocks, history, kernel, model.power, model.response(block - history))
+    excluded = partial(neighbourhoods, run.blocks.split, run.blocks.trace)
+    return ClosedLoop(run.blocks, history, kernel, model.power, model.response(block - history), excluded=excluded)
 
 
 def extrapolation_exponents(blocks: ScaledBlocks) -> dict[str, float]:

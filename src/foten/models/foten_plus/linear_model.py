@@ -20,11 +20,11 @@ from foten.dsp.lattice import LEAK, MAX_REFLECTION, polynomial
 from foten.dsp.speed_force_table import SpeedForceTable, spanning
 from foten.dsp.tones import tone
 from foten.models.excitation import Scale
+from foten.models.foten_plus.config import FotenPlusConfig
 from foten.models.foten_plus.definition import Lattice, Tones, lattice_tensors
 from foten.models.foten_plus.sizes import FotenPlusSizes
 from foten.runtime.proof import Tensors
 from foten.training.calibration import fit_scale
-from foten.training.config import TrainConfig
 from foten.training.job import ScaledBlocks
 from foten.training.training_kernel import Deviations, LatticeBlocks, pointer, run_in_c, structure_of
 
@@ -388,7 +388,7 @@ class LinearModel:
 
 
 def fit_level(
-    signal: Array, sizes: FotenPlusSizes, blocks: ScaledBlocks, config: TrainConfig
+    signal: Array, sizes: FotenPlusSizes, blocks: ScaledBlocks, config: FotenPlusConfig
 ) -> tuple[Scale, LatticeData]:
     """The level of a signal (n,) over speed and force, by likelihood, and the signal over it."""
     train, validation = blocks.targets(sizes.window)
@@ -401,7 +401,9 @@ def fit_level(
     return level, LatticeData(x, gain, speed, force, blocks.split.train, blocks.split.validation)
 
 
-def fit_linear_models(level: Scale, data: LatticeData, sizes: FotenPlusSizes, config: TrainConfig) -> list[LinearModel]:
+def fit_linear_models(
+    level: Scale, data: LatticeData, sizes: FotenPlusSizes, config: FotenPlusConfig
+) -> list[LinearModel]:
     """Level and lattices of the vibration: that of the least one-step error, then those that are near it."""
     models = []
     for fitted in selected_lattices(data, config):
@@ -412,7 +414,7 @@ def fit_linear_models(level: Scale, data: LatticeData, sizes: FotenPlusSizes, co
     return models
 
 
-def selected_lattices(data: LatticeData, config: TrainConfig) -> list[FittedReflections]:
+def selected_lattices(data: LatticeData, config: FotenPlusConfig) -> list[FittedReflections]:
     """Lattices of levelled data, of the kinds that a configuration allows: `select_lattices`."""
     max_order = max(1, min(data.x.shape[1] // MIN_SAMPLES_PER_SECTION, config.max_order))
     return select_lattices(data, max_order, config.table, config.gain_before_filter)

@@ -13,10 +13,10 @@ from scipy.special import stdtrit
 from torch import Tensor, nn
 
 from foten.dsp import Array
+from foten.models.foten_plus.config import FotenPlusConfig
 from foten.models.foten_plus.definition import innovation_inputs
 from foten.models.foten_plus.linear_model import LinearModel
 from foten.models.foten_plus.sizes import N_INPUTS, FotenPlusSizes
-from foten.training.config import TrainConfig
 from foten.training.job import ScaledBlocks
 from foten.training.loop import (
     Loop,
@@ -152,7 +152,7 @@ class Batches:
     """Batches of chunks of innovations, on a device."""
 
     def __init__(
-        self, data: Innovations, blocks: ScaledBlocks, warm_up: int, config: TrainConfig, device: torch.device
+        self, data: Innovations, blocks: ScaledBlocks, warm_up: int, config: FotenPlusConfig, device: torch.device
     ) -> None:
         self._data, self._size, self._device = data, config.batch, device
         self.tensors = data.tensors(device)
@@ -176,7 +176,7 @@ def fit_innovation_network(
     data: Innovations,
     blocks: ScaledBlocks,
     warm_up: int,
-    config: TrainConfig,
+    config: FotenPlusConfig,
     monitor: Monitor,
 ) -> Progress:
     """Train a network in place by likelihood; its weights are averaged over some hundred steps. See `run_loop`."""

@@ -48,6 +48,8 @@ class FotenPlusSizes(ModelSizes):
     recorded: bool = False  # whether a rendering plays recorded innovations
     along_path: bool = False  # and reads them at the pace of the hand
     excited: ClassVar[bool] = True
+    editable: ClassVar[bool] = True
+    learns_growth: ClassVar[bool] = True
 
     @property
     def history(self) -> int:

@@ -15,6 +15,7 @@ from foten.dsp.lattice import polynomial
 from foten.dsp.speed_force_table import SpeedForceTable, spanning
 from foten.dsp.tones import tone, tone_slope
 from foten.models.excitation import Scale
+from foten.models.foten_plus.config import FotenPlusConfig
 from foten.models.foten_plus.definition import lattice_tensors, table_tensors
 from foten.models.foten_plus.linear_model import (
     FittedReflections,
@@ -29,7 +30,6 @@ from foten.models.foten_plus.linear_model import (
 )
 from foten.models.foten_plus.sizes import FotenPlusSizes
 from foten.runtime.proof import Tensors
-from foten.training.config import TrainConfig
 from foten.training.job import ScaledBlocks
 
 MIN_WAVELENGTH_MM = 0.2
@@ -256,7 +256,7 @@ class FittedResidual:
 
 
 def fit_residual(
-    data: LatticeData, sizes: FotenPlusSizes, blocks: ScaledBlocks, config: TrainConfig
+    data: LatticeData, sizes: FotenPlusSizes, blocks: ScaledBlocks, config: FotenPlusConfig
 ) -> FittedResidual | None:
     """Tones of levelled data and their residual; None where no wavelength stands out."""
     rate = blocks.trace.rate_hz

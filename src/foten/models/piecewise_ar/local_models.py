@@ -20,9 +20,8 @@ from foten.models.texture_file import MIN_GOLDEN, Texture
 from foten.recording.preprocess import PreprocessConfig
 from foten.recording.scaling import Scaling
 from foten.runtime.proof import ProvedTexture, with_golden
-from foten.training.config import WARM_START
 from foten.training.job import versions
-from foten.training.texture_builder import warm_start_entry
+from foten.training.texture_builder import WARM_START, warm_start_entry
 
 _SETTLED = 1000  # samples before a golden window
 _WITH_ZEROS = 256  # samples that innovations are inferred from, where there are zeros

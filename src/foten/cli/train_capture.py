@@ -1,4 +1,4 @@
-"""A captured folder to a texture, in a process of its own: `python -m foten.training.train_capture FOLDER`.
+"""A captured folder to a texture, in a process of its own: `python -m foten.cli.train_capture FOLDER`.
 
 It writes a JSON object a line to stdout: `joined`, `notes`, `stage` with `share`, `playable`, `done` or `refused`.
 """
@@ -19,18 +19,18 @@ from foten.datasets.hdf5 import write_recording
 from foten.datasets.importing import import_capture
 from foten.datasets.options import ImportOptions
 from foten.dsp.perception import smallest_rate
+from foten.models.foten_plus.config import WITHHELD, FotenPlusConfig, withholds_recording
 from foten.models.foten_plus.sizes import FotenPlusSizes
 from foten.models.texture_file import Texture, write_texture
+from foten.models.trainable import train
 from foten.recording.capture_folder import ABOUT, PEN, SOUND, About, file_name
 from foten.recording.inspection import inspect_recording
 from foten.recording.inspection.values import counted
 from foten.recording.preprocess import PreprocessConfig, blocks_of
 from foten.recording.recording import Recording
 from foten.runtime.stylus import PressureCalibration
-from foten.training.config import WITHHELD, recipe_of, withholds_recording
 from foten.training.job import TrainingJob, shortest_block
 from foten.training.loop import Epoch, Monitor
-from foten.training.pipeline import train
 
 MODEL = "foten-plus"
 NICENESS = 5  # below what renders: sound that somebody strokes comes first
@@ -84,7 +84,7 @@ def train_recording(recording: Recording, carried: Mapping[float, float], output
     usable_ms = 1000 * recording.duration_s
     blocks_ms = blocks_of(1000 * shortest_block(FotenPlusSizes().window) / rate_hz)
     block_ms = next((ms for ms in blocks_ms if usable_ms >= ENOUGH_BLOCKS * ms), blocks_ms[-1])
-    config = recipe_of(MODEL)
+    config = FotenPlusConfig()
     # Nothing is to be trimmed: what lies before the first stroke and after the last was left out with the taps.
     preprocess = PreprocessConfig(rate_hz=rate_hz, trim_ms=0.0, block_ms=block_ms)
     job = TrainingJob(recording, MODEL, FotenPlusSizes(), config, preprocess, texture_name=recording.texture)

@@ -1,4 +1,4 @@
-"""Networks in PyTorch by model, as ONNX graphs, with their cost."""
+"""Networks in PyTorch as ONNX graphs, with their cost."""
 
 from __future__ import annotations
 
@@ -14,15 +14,9 @@ from numpy.typing import NDArray
 from torch import nn
 from torch.utils.flop_counter import FlopCounterMode
 
-from foten.baselines.dftnet import Dftnet
-from foten.baselines.dstn import Dstn
-from foten.baselines.fnn import Fnn
-from foten.baselines.gan import Gan
-from foten.baselines.hapinf import Hapinf
-from foten.baselines.ldhtd import Ldhtd
-from foten.baselines.ten_variants import EncodedBranch, FotenD, MfccBranch, WaveletBranch
 from foten.dsp import Array
 from foten.models.foten.network import Foten
+from foten.models.foten.sizes import FotenSizes, TenSizes
 from foten.models.foten_plus.network import InnovationNetwork, NextInnovation
 from foten.models.foten_plus.sizes import N_INPUTS, FotenPlusSizes
 from foten.models.model_sizes import ModelSizes
@@ -30,25 +24,12 @@ from foten.models.registry import GRAPH
 from foten.models.texture_file import Texture
 from foten.runtime.onnx_predictor import INPUT, OUTPUT
 
-NETWORKS: dict[str, Callable[[Any], nn.Module]] = {
-    "foten-plus": InnovationNetwork,
-    "foten": Foten,
-    "ten": Foten,
-    "ten-mfcc": lambda sizes: Foten(sizes, EncodedBranch(MfccBranch(sizes), sizes)),
-    "ten-wavelet": lambda sizes: Foten(sizes, EncodedBranch(WaveletBranch(sizes), sizes)),
-    "foten-d": FotenD,
-    "fnn": Fnn,
-    "dstn": Dstn,
-    "hapinf": Hapinf,
-    "ldhtd": Ldhtd,
-    "dftnet": Dftnet,
-    "gan": Gan,
+NETWORKS: dict[type[ModelSizes], Callable[[Any], nn.Module]] = {
+    FotenPlusSizes: InnovationNetwork,
+    FotenSizes: Foten,
+    TenSizes: Foten,
 }
-
-
-def build(model: str, sizes: ModelSizes) -> nn.Module:
-    """A new network of the given model and sizes, drawn from PyTorch's current seed."""
-    return NETWORKS[model](sizes)
+"""Networks of the models that the kernel runs."""
 
 
 def in_float64(network: nn.Module) -> Callable[[Array], Array]:
@@ -68,12 +49,13 @@ def graph_of_texture(texture: Texture) -> bytes:
     Raises:
         ValueError: the model has no network.
     """
-    model, sizes, tensors = texture.card["model"], texture.sizes, texture.tensors
+    sizes, tensors = texture.sizes, texture.tensors
     if GRAPH in tensors:
         return tensors[GRAPH].tobytes()
-    if model not in NETWORKS:
-        raise ValueError(f"{model} has no network, expected one of {', '.join(NETWORKS)}")
-    network, prefix = build(model, sizes), "network." if isinstance(sizes, FotenPlusSizes) else ""
+    if type(sizes) not in NETWORKS:
+        raise ValueError(f"{texture.card['model']} has no network to export")
+    network = NETWORKS[type(sizes)](sizes)
+    prefix = "network." if isinstance(network, InnovationNetwork) else ""
     network.load_state_dict({k: torch.from_numpy(np.array(tensors[f"{prefix}{k}"])) for k in network.state_dict()})
     if isinstance(network, InnovationNetwork):
         return graph_of(NextInnovation(network), sizes.window, N_INPUTS).tobytes()
