@@ -283,7 +283,7 @@ MUTANTS = (
     *of_python(
         "training/calibration.py",
         ("no level is calibrated", "calibrate_excitation", "Call calibrate_level", "it.args[1], [0.0, 0.0, 0.0]"),
-        ("the level is calibrated the wrong way", "calibrate_level", "Call _shrunk", "-it"),
+        ("the level is calibrated the wrong way", "calibrate_level", "Call empirical_bayes", "-it"),
         ("only the constant of the level is calibrated", "_adjusted", "BinOp Add 1", "it.left"),
         ("the excitation has no bound", "calibrate_excitation", "Call Excitation", "it.func(it.args[0], (1e6, 1e6))"),
         ("the likelihood counts rest", "calibrate_excitation", "Call mean", "it.func.value.value.mean()"),

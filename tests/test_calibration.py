@@ -199,13 +199,10 @@ def test_the_nll_is_that_of_the_validation_samples_where_the_hand_moves(halved: 
         np.testing.assert_array_equal(rested.excitation.tensors()[name], tensor, name)
 
 
-def test_the_jackknife_of_a_mean_is_its_standard_error_and_chance_is_taken_off() -> None:
+def test_the_jackknife_of_a_mean_is_its_standard_error() -> None:
     values = np.random.default_rng(0).standard_normal(30)
     result = calibration._jackknifed(np.stack([values, np.ones(30)]), np.divide)
     assert result == pytest.approx((values.mean(), values.std(ddof=1) / math.sqrt(30)), rel=1e-9)
-    # Known to within 0.2, an error of 0.4 counts three quarters: 1 − (0.2/0.4)².
-    taken = [calibration._beyond_chance(value, 0.2) for value in (0.4, -0.4, 0.15, 0.0)]
-    assert taken == pytest.approx([0.3, -0.3, 0.0, 0.0])
 
 
 def test_a_still_hand_or_one_in_the_air_does_not_count() -> None:
@@ -349,18 +346,3 @@ def test_it_nowhere_exceeds_the_97th_percentile_of_where_it_was_trained() -> Non
     expected = np.quantile((within[:, 0] * 60 + 102) / 102, 0.97)
     assert bounded.sigma_max == pytest.approx([expected], rel=1e-9)
     np.testing.assert_allclose(bounded(np.array([[3.0, 0.0], [50.0, 0.0]])), expected, rtol=1e-9)
-
-
-def test_adjustments_are_taken_as_far_as_blocks_agree() -> None:
-    """Of errors by chance, alike within a block, less than half is taken; of a term that all blocks show, nearly all."""
-    taken, plain = [], []
-    for seed in range(8):
-        rng = np.random.default_rng(seed)
-        slopes = np.concatenate([np.ones((24, 40, 1)), rng.standard_normal((24, 40, 5))], axis=2)
-        slopes[..., 1] += rng.standard_normal((24, 1))  # a block's speeds are alike
-        chance = rng.standard_normal((24, 1)) * 0.5 + rng.standard_normal((24, 40)) * 2.0
-        plain.append(np.linalg.lstsq(slopes.reshape(-1, 6), chance.ravel())[0][1:])
-        taken.append(calibration._shrunk(chance, slopes)[1:])
-        found = calibration._shrunk(chance + 1.5 * slopes[..., 1], slopes)
-        assert found[1] == pytest.approx(1.5, abs=0.4)
-    assert np.square(taken).sum() < 0.5 * np.square(plain).sum()

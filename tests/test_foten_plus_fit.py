@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -17,7 +16,6 @@ from foten.models.excitation import Excitation
 from foten.models.foten_plus.config import FotenPlusConfig
 from foten.models.foten_plus.fit import LAW, Candidate, FitContext, FittedNetwork, best_candidate
 from foten.models.foten_plus.linear_model import LinearModel, fit_level, fit_linear_models
-from foten.models.foten_plus.network import InnovationNetwork
 from foten.models.foten_plus.recorded_fit import recorded_innovations
 from foten.models.foten_plus.recorded_innovations import FORCE_FLOOR, SPEED_FLOOR, runs_of
 from foten.models.foten_plus.sizes import FotenPlusSizes
@@ -35,7 +33,6 @@ from foten.training.calibration import Calibrated, FreeRunErrors, constant_scale
 from foten.training.excerpt_classifier import N_RUNS, _scores
 from foten.training.job import TrainingJob, scaled_blocks
 from foten.training.loop import Epoch, Monitor
-from foten.training.texture_builder import tensors_of
 
 QUICK = FotenPlusConfig(epochs=0, batch=32, threads=1, max_order=20, table=False, tones=False)
 SHORT = PreprocessConfig(trim_ms=0, block_ms=500)
@@ -53,25 +50,21 @@ class Fitted:
 
     run: FitContext
     excited: Candidate
-    report: dict[str, Any]
-    network: InnovationNetwork
 
     def finish(self, network: FittedNetwork) -> Texture:
         """The texture with a network."""
-        return foten_plus.texture_of(self.excited, network.network, network, self.report, self.run)
+        return foten_plus.texture_of(self.excited, network, self.run)
 
 
 @pytest.fixture(scope="module")
 def fitted(recording: Recording) -> Fitted:
     sizes = FotenPlusSizes(**PLUS)
     job = TrainingJob(recording, "foten-plus", sizes, QUICK, SHORT)
-    blocks = job.blocks()
-    run = FitContext(foten_plus.texture_builder(job, blocks), QUICK, Monitor())
-    linear = fit_linear_models(*fit_level(blocks.flat[:, 0], sizes, blocks, QUICK), sizes, QUICK)[0]
+    run = foten_plus.fit_context(job, Monitor())
+    linear = fit_linear_models(*fit_level(run.blocks.flat[:, 0], sizes, run.blocks, QUICK), sizes, QUICK)[0]
     torch.manual_seed(0)
-    initial = perturbed(InnovationNetwork(sizes))
-    excited, report = foten_plus.best_linear_model([linear], lambda: None, initial, run)
-    return Fitted(run, excited, report, initial)
+    perturbed(run.network)
+    return Fitted(run, foten_plus.best_linear_model([linear], lambda: None, run))
 
 
 def test_a_block_too_short_to_calibrate_its_level_is_refused_before_anything_is_fitted(recording: Recording) -> None:
@@ -96,7 +89,7 @@ def test_a_prediction_takes_a_share_of_the_networks_mean(
         with monkeypatch.context() as patch:
             if taken is not None:
                 patch.setattr(foten_plus, "mean_share", lambda *_: taken)
-            return fitted.finish(foten_plus.fit_network(fitted.network, fitted.excited.model, fitted.run))
+            return fitted.finish(foten_plus.fit_network(fitted.excited.model, fitted.run))
 
     shrunk, full = finished(share), finished(1.0)
     metrics = shrunk.card["metrics"]
@@ -135,20 +128,20 @@ def test_no_rendered_sample_changes_once_the_random_part_is_chosen(
 
 def test_a_microphones_recording_is_not_stored_above_2_khz_unless_asked(fitted: Fitted) -> None:
     """Speech nearby could be in it; one of an accelerometer is stored, as it was and along the path, unless that is refused."""
-    run, networks = fitted.run, tensors_of(fitted.network, "network.")
-    played = foten_plus.recorded_candidates(fitted.excited, networks, run)
+    run = fitted.run
+    played = foten_plus.recorded_candidates(fitted.excited, run)
     assert [one.model.sizes.along_path for one in played] == [False, True]
     assert all(one.model.sizes.recorded and "recorded.moments" in one.model.tensors for one in played)
     faster = replace(run.blocks, trace=replace(run.blocks.trace, rate_hz=2500.0))
     builder = replace(run.builder, blocks=faster, card={**run.builder.card, "microphone": True})
     of_microphone = replace(run, builder=builder)
-    assert foten_plus.recorded_candidates(fitted.excited, networks, of_microphone) == []
+    assert foten_plus.recorded_candidates(fitted.excited, of_microphone) == []
     never, always = (replace(QUICK, recorded_innovations=stored) for stored in ("never", "always"))
-    assert foten_plus.recorded_candidates(fitted.excited, networks, replace(run, config=never)) == []
+    assert foten_plus.recorded_candidates(fitted.excited, replace(run, config=never)) == []
     asked: list[object] = []
     with pytest.MonkeyPatch.context() as patch:  # it gets as far as the recording
         patch.setattr(foten_plus, "recorded_innovations", lambda *_: asked.append(1))
-        assert foten_plus.recorded_candidates(fitted.excited, networks, replace(of_microphone, config=always)) == []
+        assert foten_plus.recorded_candidates(fitted.excited, replace(of_microphone, config=always)) == []
     assert asked
 
 
@@ -216,10 +209,10 @@ def candidate(name: str, errors: tuple[float, float]) -> Candidate:
 def test_tones_are_taken_where_the_free_run_has_less_error_and_the_same_colour(
     tones: tuple[float, float], chosen: str
 ) -> None:
-    best, report = best_candidate([candidate("without", (2.0, 1.0)), candidate("with", tones)])
+    best = best_candidate([candidate("without", (2.0, 1.0)), candidate("with", tones)])
     assert best.model.report["lattices"] == chosen
-    assert report["free_run"] == best.random_part.free_run._asdict()
-    (rejected,) = report["rejected"]
+    assert best.report()["free_run"] == best.random_part.free_run._asdict()
+    (rejected,) = best.rejected
     assert rejected["lattices"] == {"with": "without", "without": "with"}[chosen]
 
 
@@ -266,23 +259,10 @@ def test_a_recordings_own_exponent_takes_over_from_the_law(
     assert foten_plus.extrapolation_exponents(blocks)["speed"] == pytest.approx(expected, abs=0.1)
 
 
-def test_a_law_and_a_recording_are_weighed_by_how_well_they_are_known() -> None:
-    """The posterior mean of one slope, in closed form; independent noise, so that nothing is discounted."""
-    rng = np.random.default_rng(3)
-    logs, prior = rng.normal(0, 0.1, (400, 1)), np.array([[0.95, 0.28]])
-    levels = 0.2 * logs[:, 0] + rng.normal(0, 0.5, 400)
-    precision = np.square(logs - logs.mean()).sum() / 0.25
-    own = float(np.linalg.lstsq(logs - logs.mean(), levels - levels.mean(), rcond=None)[0][0])
-    expected = (precision * own + 0.95 / 0.28**2) / (precision + 1 / 0.28**2)
-    slope = foten_plus.posterior_slopes(logs, levels, prior)[0]
-    assert slope == pytest.approx(expected, abs=0.06)  # the noise is estimated
-    assert abs(own - expected) > 0.1
-
-
 def test_the_growth_of_foten_plus_is_in_its_card_and_the_papers_network_clamps(
     recording: Recording, fitted: Fitted
 ) -> None:
-    network = foten_plus.fit_network(fitted.network, fitted.excited.model, fitted.run)
+    network = foten_plus.fit_network(fitted.excited.model, fitted.run)
     exponents = fitted.finish(network).card["extrapolation_exponents"]
     assert exponents == foten_plus.extrapolation_exponents(fitted.run.blocks)
     assert exponents != {"speed": 0.0, "force": 0.0}

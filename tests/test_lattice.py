@@ -232,9 +232,11 @@ def test_deviations_are_shrunk_by_the_prior_of_the_greatest_evidence() -> None:
     prior = sum(scale**2 * part for scale, part in zip(scales, parts, strict=True))
     noise = np.linalg.inv(information)
     expected = prior @ np.linalg.solve(prior + noise, noise @ score)
-    np.testing.assert_allclose(linear_model._shrunk(information, score, parts), expected, rtol=1e-6, atol=1e-9)
+    np.testing.assert_allclose(
+        linear_model.posterior_deviations(information, score, parts), expected, rtol=1e-6, atol=1e-9
+    )
     np.testing.assert_array_equal(
-        linear_model._shrunk(information[:1, :1], score[:1], linear_model._covariances(1, 1)), [0.0]
+        linear_model.posterior_deviations(information[:1, :1], score[:1], linear_model._covariances(1, 1)), [0.0]
     )
 
 

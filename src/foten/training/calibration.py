@@ -18,6 +18,7 @@ from foten.dsp.distance import log_spectral_distance, scored_bins, segment_lengt
 from foten.dsp.equaliser import Equaliser, terms_of
 from foten.dsp.level import frame_levels, frame_means
 from foten.dsp.noise import gaussian, innovation_likelihood
+from foten.dsp.shrinkage import empirical_bayes, james_stein
 from foten.models.conditions import MOVING_SPEED
 from foten.models.excitation import MAX_SIGMA, N_FEATURES, N_POWERS, Excitation, Scale, powers
 from foten.recording.scaling import Scaling
@@ -32,7 +33,6 @@ WEIGHT_PENALTY = 1e-4
 MAX_ITERATIONS = 60
 BIN_WIDTH = 0.05  # of log speed and log force, within which σ is taken as one in the fit
 N_CALIBRATION_RUNS = (1, 2, 4)  # free runs of a block, of each adjustment: the first need only come near
-PRIOR_SDS_DB = (0.0, 0.05, 0.1, 0.2, 0.4, 0.8, 1.6)  # of what a term does to the level, tried
 N_RUNS = 5  # free runs of a block that errors are means of
 # The judge's streams begin at 0: what is calibrated or chosen on is other noise than what is judged.
 CALIBRATION_STREAM, ERROR_STREAM = 2**32, 2**33
@@ -309,8 +309,8 @@ def calibrate_level(loop: ClosedLoop, excitation: Excitation, seed: int) -> tupl
 
     The loop runs under the speed and force of the training and validation blocks, and log σ is adjusted three times.
     Its terms in log speed and log force follow a regression of the level errors of frames on the derivatives of their levels by
-    each term, as far as they are beyond what differs between blocks (`_shrunk`); its constant follows the level error of all
-    frames, as far as that is beyond chance.
+    each term, as far as they are beyond what differs between blocks (`empirical_bayes`); its constant follows the level error of
+    all frames, as far as that is beyond chance.
 
     Returns:
         The excitation, and by how much the loop was louder than the recording before each adjustment [dB].
@@ -345,44 +345,18 @@ def calibrate_level(loop: ClosedLoop, excitation: Excitation, seed: int) -> tupl
         # What the terms have taken of the error already counts as error again, so that it is shrunk as a whole.
         whole = -np.concatenate([[0.0], taken[1:]]) * 20 / math.log(10)
         of_terms = counts[:, None] * slopes
-        step = -_shrunk(
+        step = -empirical_bayes(
             (counts * error + of_terms @ whole).reshape(len(known), -1), of_terms.reshape(len(known), -1, 6)
         )
         # The constant follows the power of all frames, as far as it is beyond chance: two seconds give it to a dB only.
         loud = 10 ** (level.ravel() / 10)
         slope = (loud[:, None] * slopes).sum(axis=0) / loud.sum()
         change = step[1:] + whole[1:]
-        constant = -(_beyond_chance(louder, standard_error) + float(slope[1:] @ change)) / slope[0]
+        constant = -(james_stein(louder, standard_error) + float(slope[1:] @ change)) / slope[0]
         step = np.concatenate([[taken[0] + constant * math.log(10) / 20], step[1:] * math.log(10) / 20])
         taken = np.clip(step, -MAX_ADJUSTMENT, MAX_ADJUSTMENT)
         excitation = Excitation(_adjusted(uncalibrated.sigma, taken, within), excitation.innovation_limit)
     return excitation, errors
-
-
-def _shrunk(error: Array, slopes: Array) -> Array:
-    """Posterior mean of the coefficients of a regression of errors (k, n) on slopes (k, n, p) over k blocks; (p,).
-
-    Errors of near frames depend on each other: the noise of the coefficients is the sandwich estimate over blocks. All but the
-    first have a normal prior about zero, of a common standard deviation in units of what they do to an error, which maximises
-    the evidence: where blocks differ as much as the coefficients say, they are zero.
-    """
-    k, _, p = slopes.shape
-    gram = np.einsum("bni,bnj->ij", slopes, slopes)
-    inverse = np.linalg.pinv(gram)
-    fitted = inverse @ np.einsum("bni,bn->i", slopes, error)
-    scores = np.einsum("bni,bn->bi", slopes, error - slopes @ fitted)
-    noise = inverse @ (scores.T @ scores) @ inverse * k / max(1, k - p)
-    unit = np.diag(1 / np.maximum(np.square(slopes).mean(axis=(0, 1))[1:], 1e-12))
-    found, noise_of_found = fitted[1:], noise[1:, 1:] + 1e-9 * unit
-
-    def evidence(sd: float) -> float:
-        covariance = noise_of_found + sd**2 * unit
-        return -float(np.linalg.slogdet(covariance)[1] + found @ np.linalg.solve(covariance, found))
-
-    sd = max(PRIOR_SDS_DB, key=evidence)
-    shrunk = sd**2 * unit @ np.linalg.solve(noise_of_found + sd**2 * unit, found)
-    # The first goes with the others as the regression has it.
-    return np.concatenate([[fitted[0] - gram[0, 1:] @ (shrunk - found) / max(gram[0, 0], 1e-12)], shrunk])
 
 
 def _adjusted(sigma: Scale, step: NDArray[np.floating], within: Array) -> Scale:
@@ -405,8 +379,3 @@ def _jackknifed(parts: Array, figure: Callable[..., Array]) -> tuple[float, floa
     total, n = parts.sum(axis=1, keepdims=True), parts.shape[1]
     without = figure(*(total - parts))
     return figure(*total).item(), float(np.sqrt((n - 1) / n * np.square(without - without.mean()).sum()))
-
-
-def _beyond_chance(value: float, standard_error: float) -> float:
-    """A value less the share of it that chance explains, 0 where that is all."""
-    return value * max(0.0, 1 - (standard_error / value) ** 2) if value else 0.0

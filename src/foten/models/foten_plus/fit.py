@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import math
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -15,6 +16,7 @@ import torch
 from foten.dsp import Array
 from foten.dsp.equaliser import Equaliser
 from foten.dsp.level import FRAME_MS, frame_levels, frame_means
+from foten.dsp.shrinkage import regression_with_prior
 from foten.models.conditions import MOVING_FORCE, MOVING_SPEED
 from foten.models.definitions import model_of
 from foten.models.foten_plus.config import FotenPlusConfig, withholds_recording
@@ -31,9 +33,8 @@ from foten.models.foten_plus.network import (
 from foten.models.foten_plus.recorded_fit import recorded_innovations
 from foten.models.foten_plus.recorded_innovations import neighbourhoods
 from foten.models.foten_plus.sizes import FotenPlusSizes
-from foten.models.foten_plus.tones_fit import fit_residual, tonal_model
+from foten.models.foten_plus.tones_fit import FittedResidual, fit_residual, tonal_model
 from foten.models.texture_file import Texture
-from foten.runtime.proof import Tensors
 from foten.training.calibration import (
     UNSCORED_SHARE,
     Calibrated,
@@ -53,21 +54,31 @@ MAX_EXPONENT = 1.5  # of speed or force, that the level grows with outside the t
 # Mean and standard deviation of these powers over textures: 100 measured AR models (0.97 ± 0.28, 0.32 ± 0.19), and the simulated
 # ones (1.00, 0.33).
 LAW = {"speed": (0.95, 0.28), "force": (0.33, 0.19)}
-N_REGRESSIONS = 3
 
 
 @dataclass(frozen=True)
 class FitContext:
-    """Arguments of every stage after the linear model."""
+    """Arguments of every stage."""
 
-    builder: TextureBuilder
+    sizes: FotenPlusSizes
     config: FotenPlusConfig
+    builder: TextureBuilder
+    network: InnovationNetwork  # before its training
     monitor: Monitor
 
     @property
     def blocks(self) -> ScaledBlocks:
         """The recording."""
         return self.builder.blocks
+
+    def closed_loop(self, model: LinearModel) -> ClosedLoop:
+        """Free runs of a linear model, which play no recorded moment near their own block."""
+        tensors = {**model.tensors, **tensors_of(self.network, "network.")}
+        kernel = partial(self.builder.kernel, model.sizes, tensors)
+        history, trace = model.sizes.history, self.blocks.trace
+        excluded = partial(neighbourhoods, self.blocks.split, trace)
+        response = model.response(trace.block - history)
+        return ClosedLoop(self.blocks, history, kernel, model.power, response, excluded=excluded)
 
 
 @dataclass(frozen=True)
@@ -78,6 +89,13 @@ class Candidate:
     random_part: Calibrated
     equaliser: Equaliser | None = None
     area: float | None = None  # `classified_area`; None where there are too few excerpts
+    rejected: tuple[dict[str, Any], ...] = ()  # reports of linear models that were tried beside it
+
+    def report(self) -> dict[str, Any]:
+        """What the linear model is, and the errors of its free runs."""
+        sizes = self.model.sizes
+        kind = {"order": sizes.order, "n_speed": sizes.n_speed, "gain_before_filter": sizes.gain_before_filter}
+        return {**self.model.report, "free_run": self.random_part.free_run._asdict(), "kind": kind}
 
 
 @dataclass(frozen=True)
@@ -96,39 +114,36 @@ def fit(job: TrainingJob, monitor: Monitor) -> Trained:
     A first texture is playable before the linear models are compared. What is rendered is final before the network, which only
     predicts recorded samples, is fitted.
     """
+    run = fit_context(job, monitor)
+    level, data = fit_level(run.blocks.flat[:, 0], run.sizes, run.blocks, run.config)
+    with ThreadPoolExecutor() as executor:  # tones take as long as lattices
+        residual = executor.submit(fit_residual, data, run.sizes, run.blocks, run.config)
+        linear_models = fit_linear_models(level, data, run.sizes, run.config)
+        excited = best_linear_model(linear_models, residual.result, run)
+    chosen = fit_random_part(excited, run)
+    play(chosen, run)
+    network = fit_network(chosen.model, run)
+    texture = texture_of(chosen, network, run)
+    mae = texture.card["metrics"]["validation_mae_scaled_lattice"]
+    return Trained(texture, run.blocks.trace, run.blocks.split, network.progress, mae)
+
+
+def fit_context(job: TrainingJob, monitor: Monitor) -> FitContext:
+    """Blocks of the recording, a builder of textures, and a new network.
+
+    Raises:
+        ValueError: blocks are too short for windows, or for a frame to calibrate on.
+    """
     sizes, config = job.sizes, job.config
     assert isinstance(sizes, FotenPlusSizes)
     assert isinstance(config, FotenPlusConfig)
     blocks = checked_blocks(job, sizes.window, config.max_order)
     monitor.on_stage("fitting level, lattices and tones")
-    level, data = fit_level(blocks.flat[:, 0], sizes, blocks, config)
-    run = FitContext(texture_builder(job, blocks), config, monitor)
+    device = pick_device()
+    card = {**job.card(blocks, device.type), "extrapolation_exponents": extrapolation_exponents(blocks)}
     torch.manual_seed(config.seed)
-    network = InnovationNetwork(sizes).to(pick_device())
-
-    def playable(candidate: Candidate) -> None:
-        early = texture_of(candidate, network, None, linear_report(candidate), run)
-        unfinished = {**early.card, "training": {**early.card["training"], "unfinished": True}}
-        monitor.on_playable(replace(early, card=unfinished))
-
-    with ThreadPoolExecutor() as beside:
-        residual = beside.submit(fit_residual, data, sizes, blocks, config)
-        linear_models = fit_linear_models(level, data, sizes, config)
-
-        def with_tones() -> LinearModel | None:
-            fitted = residual.result()
-            return None if fitted is None else tonal_model(linear_models[0], fitted, blocks.trace.rate_hz)
-
-        monitor.on_stage("fitting the excitation and calibrating its level in the closed loop")
-        excited, report = best_linear_model(linear_models, with_tones, network, run, playable)
-    chosen = fit_random_part(excited, tensors_of(network, "network."), run)
-    playable(chosen)
-    monitor.on_stage("renderings are final; training the network for one-step predictions")
-    fitted = fit_network(network, chosen.model, run)
-    monitor.on_stage("proving the texture file")
-    texture = texture_of(chosen, fitted.network, fitted, report, run)
-    mae = texture.card["metrics"]["validation_mae_scaled_lattice"]
-    return Trained(texture, blocks.trace, blocks.split, fitted.progress, mae)
+    network = InnovationNetwork(sizes).to(device)
+    return FitContext(sizes, config, TextureBuilder(job.model, blocks, card, model_of), network, monitor)
 
 
 def checked_blocks(job: TrainingJob, window: int, max_order: int) -> ScaledBlocks:
@@ -146,75 +161,64 @@ def checked_blocks(job: TrainingJob, window: int, max_order: int) -> ScaledBlock
     return blocks
 
 
-def texture_builder(job: TrainingJob, blocks: ScaledBlocks) -> TextureBuilder:
-    """Builder of textures of the recording."""
-    card = job.card(blocks, pick_device().type)
-    card = {**card, "extrapolation_exponents": extrapolation_exponents(blocks)}
-    return TextureBuilder(job.model, blocks, card, model_of)
+def play(candidate: Candidate, run: FitContext) -> None:
+    """Hand on a texture of a candidate, which is marked as unfinished, to whoever wants to stroke it already."""
+    early = texture_of(candidate, None, run)
+    unfinished = {**early.card, "training": {**early.card["training"], "unfinished": True}}
+    run.monitor.on_playable(replace(early, card=unfinished))
 
 
 def best_linear_model(
-    linear: Sequence[LinearModel],
-    tonal: Callable[[], LinearModel | None],
-    network: InnovationNetwork,
-    run: FitContext,
-    playable: Callable[[Candidate], None] = lambda candidate: None,
-) -> tuple[Candidate, dict[str, Any]]:
-    """The linear model, with tones or without, that `best_candidate` chooses once excited; and what was tried.
+    linear: Sequence[LinearModel], residual: Callable[[], FittedResidual | None], run: FitContext
+) -> Candidate:
+    """The linear model, with tones or without, that `best_candidate` chooses once excited.
 
-    The first is `playable` before it is compared. Those without tones are excited while that with tones, if there is one, is
-    being fitted.
+    The first is playable before it is compared. Those without tones are excited while tones, if there are any, are being fitted.
     """
-    networks = tensors_of(network, "network.")
-
-    def calibrated(model: LinearModel) -> Candidate:
-        _, e, gain = model.innovations(run.blocks, residual=True)
-        train, validation = run.blocks.targets(model.sizes.history)
-        n = np.concatenate([train, validation])
-        condition, moving = run.blocks.flat[n - 1, 1:], run.blocks.moving().ravel()[n]
-        residuals = Residuals(condition, e.ravel()[n], gain.ravel()[n], len(train), moving)
-        width = model.sizes.excitation_width
-        loop = _closed_loop(model, networks, run).with_unit_sigma(width, residuals.largest)
-        return Candidate(model, calibrate_excitation(width, residuals, loop, run.config.seed))
-
-    first = calibrated(linear[0])
-    playable(first)
+    run.monitor.on_stage("fitting the excitation and calibrating its level in the closed loop")
+    first = excited(linear[0], run)
+    play(first, run)
     with ThreadPoolExecutor() as pool:
-        others = [pool.submit(calibrated, model) for model in linear[1:]]
-        with_tones = tonal()
-        candidates = [] if with_tones is None else [calibrated(with_tones)]
-        return best_candidate([first, *(candidate.result() for candidate in others), *candidates])
+        others = [pool.submit(excited, model, run) for model in linear[1:]]
+        fitted = residual()
+        tonal = [] if fitted is None else [excited(tonal_model(linear[0], fitted, run.blocks.trace.rate_hz), run)]
+        return best_candidate([first, *(candidate.result() for candidate in others), *tonal])
 
 
-def best_candidate(candidates: Sequence[Candidate]) -> tuple[Candidate, dict[str, Any]]:
-    """The candidate of the least log-spectral distance × level error, and what was tried.
+def excited(model: LinearModel, run: FitContext) -> Candidate:
+    """A linear model with an excitation of its residuals, calibrated in the closed loop."""
+    _, e, gain = model.innovations(run.blocks, residual=True)
+    train, validation = run.blocks.targets(model.sizes.history)
+    n = np.concatenate([train, validation])
+    condition, moving = run.blocks.flat[n - 1, 1:], run.blocks.moving().ravel()[n]
+    residuals = Residuals(condition, e.ravel()[n], gain.ravel()[n], len(train), moving)
+    width = model.sizes.excitation_width
+    loop = run.closed_loop(model).with_unit_sigma(width, residuals.largest)
+    return Candidate(model, calibrate_excitation(width, residuals, loop, run.config.seed))
+
+
+def best_candidate(candidates: Sequence[Candidate]) -> Candidate:
+    """The candidate of the least log-spectral distance × level error, with reports of the others.
 
     One whose log-spectral distance is not within `MAX_DISTORTION` of the first's is not taken.
     """
     allowed = MAX_DISTORTION * candidates[0].random_part.free_run.lsd_db
     eligible = [one for one in candidates if one is candidates[0] or one.random_part.free_run.lsd_db <= allowed]
     best = min(eligible, key=lambda candidate: math.prod(candidate.random_part.free_run))
-    rejected = [linear_report(candidate) for candidate in candidates if candidate is not best]
-    return best, {**linear_report(best), **({"rejected": rejected} if rejected else {})}
+    return replace(best, rejected=tuple(one.report() for one in candidates if one is not best))
 
 
-def linear_report(candidate: Candidate) -> dict[str, Any]:
-    """What a candidate's linear model is, and the errors of its free runs."""
-    sizes = candidate.model.sizes
-    kind = {"order": sizes.order, "n_speed": sizes.n_speed, "gain_before_filter": sizes.gain_before_filter}
-    return {**candidate.model.report, "free_run": candidate.random_part.free_run._asdict(), "kind": kind}
-
-
-def fit_random_part(excited: Candidate, networks: Tensors, run: FitContext) -> Candidate:
+def fit_random_part(excited: Candidate, run: FitContext) -> Candidate:
     """The candidate behind its equaliser, or one with recorded innovations that is told from the recording less often."""
-    excited = equalised(excited, _closed_loop(excited.model, networks, run), run)
-    playing = recorded_candidates(excited, networks, run) if is_distinguishable(excited) else []
+    excited = equalised(excited, run.closed_loop(excited.model), run)
+    playing = recorded_candidates(excited, run) if is_distinguishable(excited) else []
     return best_random_part([excited, *playing])
 
 
-def fit_network(network: InnovationNetwork, model: LinearModel, run: FitContext) -> FittedNetwork:
+def fit_network(model: LinearModel, run: FitContext) -> FittedNetwork:
     """The network that predicts a recorded sample over the linear model's lattice."""
-    warm_up, blocks = model.sizes.window, run.blocks
+    run.monitor.on_stage("renderings are final; training the network for one-step predictions")
+    warm_up, blocks, network = model.sizes.window, run.blocks, copy.deepcopy(run.network)
     data = innovations_of(model, blocks, model.n_transient)
     progress = fit_innovation_network(network, data, blocks, warm_up, run.config, run.monitor)
     tensors = data.tensors(next(network.parameters()).device)
@@ -228,7 +232,7 @@ def fit_network(network: InnovationNetwork, model: LinearModel, run: FitContext)
     return FittedNetwork(predictor, share, float(np.abs((innovation - mean) * gain).mean()), progress)
 
 
-def recorded_candidates(excited: Candidate, networks: Tensors, run: FitContext) -> list[Candidate]:
+def recorded_candidates(excited: Candidate, run: FitContext) -> list[Candidate]:
     """Candidates that play recorded innovations over the excited one's σ, as they were and along the path, each calibrated."""
     random_part, stored = excited.random_part, run.config.recorded_innovations
     microphone = run.builder.card.get("microphone", False)
@@ -243,7 +247,7 @@ def recorded_candidates(excited: Candidate, networks: Tensors, run: FitContext) 
     def calibrated(along_path: bool) -> Candidate:
         sizes = replace(excited.model.sizes, recorded=True, along_path=along_path)
         model = replace(excited.model, sizes=sizes, tensors={**excited.model.tensors, **recorded.tensors()})
-        loop = _closed_loop(model, networks, run)
+        loop = run.closed_loop(model)
         excitation, errors = calibrate_level(
             loop, replace(random_part.excitation, innovation_limit=limit), run.config.seed
         )
@@ -264,23 +268,24 @@ def is_distinguishable(candidate: Candidate) -> bool:
     return candidate.area is not None and candidate.area > MAX_NOISE_AREA
 
 
-def texture_of(
-    chosen: Candidate, network: InnovationNetwork, fitted: FittedNetwork | None, report: dict[str, Any], run: FitContext
-) -> Texture:
+def texture_of(chosen: Candidate, fitted: FittedNetwork | None, run: FitContext) -> Texture:
     """Proved texture of a candidate; `fitted` is None before the network is."""
     _, e, gain = chosen.model.innovations(run.blocks)
     first = chosen.model.n_transient + 1 + chosen.model.sizes.window
     linear_mae = float(np.abs((e * gain)[list(run.blocks.split.validation), first:]).mean())
     metrics: dict[str, Any] = {"best_epoch": 0, "n_epochs": 0, "validation_loss": None}
     metrics["validation_mae_scaled"] = linear_mae
+    network = run.network
     if fitted is not None:
+        run.monitor.on_stage("proving the texture file")
+        network = fitted.network
         best, last = fitted.progress.best, fitted.progress.epochs[-1]
         metrics = {"best_epoch": best.epoch, "n_epochs": last.epoch, "validation_loss": best.validation_loss}
         metrics |= {"validation_mae_scaled": fitted.mae, "mean_share": fitted.mean_share}
     metrics |= {
         **chosen.random_part.metrics(),
         "validation_mae_scaled_lattice": linear_mae,
-        "linear_model": report,
+        "linear_model": {**chosen.report(), **({"rejected": list(chosen.rejected)} if chosen.rejected else {})},
         "area": chosen.area,
         "recorded_peak_sd": run.blocks.peak_sd,
     }
@@ -302,13 +307,6 @@ def equalised(candidate: Candidate, loop: ClosedLoop, run: FitContext) -> Candid
     return replace(candidate, random_part=random_part, equaliser=equaliser, area=area)
 
 
-def _closed_loop(model: LinearModel, networks: Tensors, run: FitContext) -> ClosedLoop:
-    kernel = partial(run.builder.kernel, model.sizes, {**model.tensors, **networks})
-    history, block = model.sizes.history, run.blocks.trace.block
-    excluded = partial(neighbourhoods, run.blocks.split, run.blocks.trace)
-    return ClosedLoop(run.blocks, history, kernel, model.power, model.response(block - history), excluded=excluded)
-
-
 def extrapolation_exponents(blocks: ScaledBlocks) -> dict[str, float]:
     """Powers of speed and force that the level follows outside the trained range.
 
@@ -328,20 +326,6 @@ def extrapolation_exponents(blocks: ScaledBlocks) -> dict[str, float]:
     exponents = {}
     for row, name in enumerate(LAW):
         upper = logs[row] >= np.median(logs[row])
-        posterior = posterior_slopes(logs[:, upper].T, levels[upper] * math.log(10) / 20, law)
+        posterior = regression_with_prior(logs[:, upper].T, levels[upper] * math.log(10) / 20, law)
         exponents[name] = float(np.clip(posterior[row], 0.0, MAX_EXPONENT))
     return exponents
-
-
-def posterior_slopes(logs: Array, levels: Array, prior: Array) -> Array:
-    """Posterior mean of slopes: logarithms (n, k), log levels (n,), prior means and standard deviations (k, 2) → (k,)."""
-    logs, levels = logs - logs.mean(axis=0), levels - levels.mean()
-    precision = np.diag(1 / np.square(prior[:, 1]))
-    slopes: Array = prior[:, 0]
-    for _ in range(N_REGRESSIONS):  # the noise is what the slopes leave
-        residual = levels - logs @ slopes
-        correlation = float(np.clip(residual[1:] @ residual[:-1] / max(float(residual @ residual), 1e-12), 0.0, 0.95))
-        noise = float(np.square(residual).mean()) * (1 + correlation) / (1 - correlation) + 1e-12
-        moment = logs.T @ levels / noise + precision @ prior[:, 0]
-        slopes = np.asarray(np.linalg.solve(logs.T @ logs / noise + precision, moment), dtype=np.float64)
-    return slopes

@@ -11,12 +11,12 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import sparse
 from scipy.ndimage import uniform_filter1d
 from scipy.signal import lfilter
 
 from foten.dsp import Array
 from foten.dsp.lattice import LEAK, MAX_REFLECTION, polynomial
+from foten.dsp.shrinkage import wiener_gain
 from foten.dsp.speed_force_table import SpeedForceTable, spanning
 from foten.dsp.tones import tone
 from foten.models.excitation import Scale
@@ -39,7 +39,6 @@ SCALES = (0.0, 0.01, 0.03, 0.1, 0.3, 1.0)  # prior standard deviations of a refl
 N_FOLDS = 8  # of the cross-validation over training and validation blocks, at most one for each block
 N_FOLDS_OF_MANY, MANY_BLOCKS = 4, 16  # folds where there are more blocks than that
 LEVEL_SAMPLES = 241  # samples that a level is averaged over for the gain before the filter
-NEIGHBOURS = 10  # sections on each side from which the variance of a reflection is estimated
 NEAR = 0.015  # share by which the error of a kind may be larger for it to be tried in the closed loop
 MIN_GAIN = 1e-3  # share by which a longer order, the gain before the filter or a table must lower the error
 # Least share of the amplitude that a knot leaves to the innovation. A knot of ribbed plastic, where next to nothing was recorded,
@@ -101,7 +100,7 @@ def select_lattices(
 
         def of_fold(number: int) -> list[list[float]]:
             fold = {gain: of_gain[number] for gain, of_gain in folds.items()}
-            shares = {gain: share_beyond_chance(fold[gain], longest) for gain in {gain for _, gain in among}}
+            shares = {gain: reflection_gains(fold[gain], longest) for gain in {gain for _, gain in among}}
             return [
                 validation_errors(fit_reflections(fold[gain], longest, *knots, shares[gain]), fold[gain], shorter)
                 for knots, gain in among
@@ -162,14 +161,14 @@ def fit_reflections(
 
     Section i minimises Σ w ((f_{i−1} + k b)² + (b + k f_{i−1})²) over k at the knots: Burg's method. Differences of knots
     have a Gaussian prior in three parts, over speed, over force and over both, exponentially correlated, whose standard
-    deviations maximise the evidence. `shares` are those of `share_beyond_chance`, where they are known.
+    deviations maximise the evidence. `shares` are those of `reflection_gains`, where they are known.
 
     Source: Burg's criterion; the time-varying extension after Grenier, IEEE Trans. ASSP 31 (1983); the prior is ours.
     """
     chosen = list(data.train)
     table = spanning(data.speed[chosen], data.force[chosen], n_speed, n_force)
     parts = _covariances(len(table.speed_knots), len(table.force_knots))
-    shares = share_beyond_chance(data, order) if shares is None else shares
+    shares = reflection_gains(data, order) if shares is None else shares
     sections = Sections(data, chosen, table)
     reflections = np.zeros((len(table.values), order))
     left = np.ones(len(table.values))  # to the innovation
@@ -179,7 +178,7 @@ def fit_reflections(
         everywhere = shares[i] * moment.sum() / gram.sum()
         # In units of a section's own error: a reflection is known to within √((1 − k²)/n).
         noise = max(1e-4, 1 - everywhere**2) * gram.sum() / sections.forward[:, i + 1 :].size
-        k = everywhere + _shrunk(gram / noise, (moment - gram.sum(axis=1) * everywhere) / noise, parts)
+        k = everywhere + posterior_deviations(gram / noise, (moment - gram.sum(axis=1) * everywhere) / noise, parts)
         largest = np.sqrt(np.maximum(0.0, 1 - np.square(MIN_INNOVATION / left))).clip(max=MAX_REFLECTION)
         reflections[:, i] = np.clip(k, -largest, largest)
         left *= np.sqrt(1 - np.square(reflections[:, i]))
@@ -227,42 +226,10 @@ class Sections:
         run_in_c("foten_train_section", byref(self._blocks), pointer(of_vertices))
 
 
-@dataclass(frozen=True)
-class KnotWeights:
-    """Weights of a table's k knots at n samples, (k, n), and products of knots i ≤ j in row i·k + j, (k², n); sparse."""
+def reflection_gains(data: LatticeData, order: int) -> Array:
+    """Factor of each section's common reflection by its variance between blocks, (order,).
 
-    by_knot: sparse.csc_array
-    by_pair: sparse.csc_array
-
-
-def knot_weights(table: SpeedForceTable, speed: Array, force: Array) -> KnotWeights:
-    """The weights of a table's knots at the samples of blocks, speed and force (n_blocks, block) each."""
-    by_block = [sparse.csr_array(table.weights(*block)) for block in zip(speed, force, strict=True)]
-    by_pair = [_pairs(block) for block in by_block]
-    return KnotWeights(sparse.vstack(by_block, format="csr").T, sparse.vstack(by_pair, format="csr").T)
-
-
-def _pairs(weights: sparse.csr_array) -> sparse.csr_array:
-    """The products of each row's weights, (n, k) → (n, k²): of knots i ≤ j, in column i·k + j."""
-    n, k = weights.shape
-    counts = np.diff(weights.indptr)
-    rows = np.repeat(np.arange(n), counts)
-    place = np.arange(weights.nnz) - weights.indptr[rows]
-    knot, weight = np.zeros((2, n, int(counts.max())))
-    knot[rows, place], weight[rows, place] = weights.indices, weights.data
-    first, second = np.triu_indices(knot.shape[1])
-    columns = knot[:, first] * k + knot[:, second]
-    products = weight[:, first] * weight[:, second]
-    nonzero = products != 0
-    at = np.repeat(np.arange(n), nonzero.sum(axis=1))
-    return sparse.csr_array((products[nonzero], (at, columns[nonzero].astype(np.int64))), shape=(n, k * k))
-
-
-def share_beyond_chance(data: LatticeData, order: int) -> Array:
-    """Factor that shrinks each section's common reflection, shape (order,).
-
-    Wiener's τ²/(τ² + v): v is the variance between blocks, τ² the excess of the neighbours' squares over it. Unshrunk, far
-    sections draw ripples into the spectrum of a free run.
+    Unshrunk, far sections draw ripples into the spectrum of a free run.
     """
     common, spread = np.zeros(order), np.zeros(order)
     sections = Sections(data, data.train, SpeedForceTable(np.zeros(1), np.zeros(1), np.zeros((1, 0))))
@@ -276,15 +243,7 @@ def share_beyond_chance(data: LatticeData, order: int) -> Array:
         common[i] = np.clip(k, -MAX_REFLECTION, MAX_REFLECTION)
         spread[i] = (share_of**2 * (each - k) ** 2).sum() * n_blocks / max(1, n_blocks - 1)
         sections.rotate_back(common[i : i + 1])
-    share = np.ones(order)
-    for i in range(NEIGHBOURS, order):  # the first sections are the shape of the spectrum, and none of them chance
-        near = slice(i - NEIGHBOURS, i + NEIGHBOURS + 1)
-        # The median of squares, since one strong reflection says nothing of its neighbours; 0.455 is that of χ² of one.
-        noise = spread[near].mean()
-        if noise > 0:
-            signal = max(0.0, np.median(np.square(common[near])) / 0.455 - noise)
-            share[i] = signal / (signal + noise)
-    return share
+    return wiener_gain(common, spread)
 
 
 def _covariances(n_speed: int, n_force: int) -> Array:
@@ -296,8 +255,8 @@ def _covariances(n_speed: int, n_force: int) -> Array:
     return np.stack([np.kron(speed, np.ones_like(force)), np.kron(np.ones_like(speed), force), np.kron(speed, force)])
 
 
-def _shrunk(information: Array, score: Array, parts: Array) -> Array:
-    """The posterior mean of deviations with likelihood exp(score·d − d·information·d/2), prior scales by evidence."""
+def posterior_deviations(information: Array, score: Array, parts: Array) -> Array:
+    """Posterior mean of deviations with likelihood exp(score·d − d·information·d/2), prior scales by evidence."""
     mean = np.zeros_like(score)
     if len(parts):
         counts = {"n": len(score), "n_parts": len(parts), "n_scales": len(SCALES)}

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy import sparse
 from scipy.signal import lfilter
 from scipy.special import gammainccinv
 
@@ -19,13 +20,11 @@ from foten.models.foten_plus.config import FotenPlusConfig
 from foten.models.foten_plus.definition import lattice_tensors, table_tensors
 from foten.models.foten_plus.linear_model import (
     FittedReflections,
-    KnotWeights,
     LatticeData,
     LinearModel,
     counts_of,
     fit_level,
     fit_reflections,
-    knot_weights,
     selected_lattices,
 )
 from foten.models.foten_plus.sizes import FotenPlusSizes
@@ -114,6 +113,37 @@ def n_multiples(wavelength_mm: float, speed: Array, rate_hz: float) -> int:
     """Multiples that the rate holds at the median speed [mm/s], at least one."""
     fundamental_hz = float(np.median(speed)) / wavelength_mm
     return int(np.clip(USABLE_BAND * rate_hz / max(fundamental_hz, 1e-9), 1, MAX_TONES))
+
+
+@dataclass(frozen=True)
+class KnotWeights:
+    """Weights of a table's k knots at n samples, (k, n), and products of knots i ≤ j in row i·k + j, (k², n); sparse."""
+
+    by_knot: sparse.csc_array
+    by_pair: sparse.csc_array
+
+
+def knot_weights(table: SpeedForceTable, speed: Array, force: Array) -> KnotWeights:
+    """The weights of a table's knots at the samples of blocks, speed and force (n_blocks, block) each."""
+    by_block = [sparse.csr_array(table.weights(*block)) for block in zip(speed, force, strict=True)]
+    by_pair = [_pairs(block) for block in by_block]
+    return KnotWeights(sparse.vstack(by_block, format="csr").T, sparse.vstack(by_pair, format="csr").T)
+
+
+def _pairs(weights: sparse.csr_array) -> sparse.csr_array:
+    """The products of each row's weights, (n, k) → (n, k²): of knots i ≤ j, in column i·k + j."""
+    n, k = weights.shape
+    counts = np.diff(weights.indptr)
+    rows = np.repeat(np.arange(n), counts)
+    place = np.arange(weights.nnz) - weights.indptr[rows]
+    knot, weight = np.zeros((2, n, int(counts.max())))
+    knot[rows, place], weight[rows, place] = weights.indices, weights.data
+    first, second = np.triu_indices(knot.shape[1])
+    columns = knot[:, first] * k + knot[:, second]
+    products = weight[:, first] * weight[:, second]
+    nonzero = products != 0
+    at = np.repeat(np.arange(n), nonzero.sum(axis=1))
+    return sparse.csr_array((products[nonzero], (at, columns[nonzero].astype(np.int64))), shape=(n, k * k))
 
 
 @dataclass(frozen=True)
