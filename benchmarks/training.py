@@ -40,9 +40,10 @@ from foten.recording.preprocess import preprocess
 from foten.recording.recording import Recording
 from foten.recording.split import split_blocks
 from foten.simulation.simulate import simulate
+from foten.training.checkpoint import Epoch
 from foten.training.config import WindowConfig
 from foten.training.job import scaled_blocks
-from foten.training.loop import Epoch, Monitor, pick_device
+from foten.training.loop import Monitor, pick_device
 from foten.training.reproducible import reproducible
 from foten.training.window_fit import TrainingWindows, fit_windows, one_step_windows
 from result_table import add_csv, report

@@ -335,15 +335,19 @@ MUTANTS = (
         tests="export",
     ),
     *of_python(
-        "training/loop.py",
+        "training/checkpoint.py",
         ("the last network is kept, not the best", "Progress.add", "Compare Lt", "True"),
+        ("a checkpoint forgets the loops before", "Checkpoint.save", "Attribute _loops 1", "{name: it[name]}"),
+        ("a full disk ends a training", "Checkpoint.save", "Name OSError", "ZeroDivisionError"),
+        tests="loop",
+    ),
+    *of_python(
+        "training/loop.py",
         ("a training that gains nothing goes on", "should_continue", "BoolOp Or", "True"),
         ("the network of the last step is validated", "run_loop.finish", "Call validate", "it.func(network)"),
         ("an average is of all steps alike", "run_loop.train", "Call min", "it.args[1]"),
         ("gradients are not clipped", "gradient_step", "Compare Gt", "False"),
         ("the averaged weights are not in the checkpoint", "run_loop", "IfExp 1", "{}"),
-        ("a checkpoint forgets the loops before", "Checkpoint.save", "Attribute _loops 1", "{name: it[name]}"),
-        ("a full disk ends a training", "Checkpoint.save", "Name OSError", "ZeroDivisionError"),
     ),
     *of_python("training/loop.py", ("no orthogonalisation", "Optimiser.step", "Call orthogonalised", "it.args[0]")),
     *of_python(

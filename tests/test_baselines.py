@@ -20,9 +20,10 @@ from foten.baselines.ten_variants import MfccBranch, WaveletBranch, cosine_trans
 from foten.models.graph import multiply_adds
 from foten.recording.split import Split
 from foten.recording.trace import Trace
+from foten.training.checkpoint import Checkpoint, Epoch, Progress
 from foten.training.config import WindowConfig
 from foten.training.job import ScaledBlocks, scaled_blocks
-from foten.training.loop import Checkpoint, Epoch, Monitor, Progress
+from foten.training.loop import Monitor
 from foten.training.window_fit import TrainingWindows, fit_windows
 
 

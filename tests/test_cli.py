@@ -131,7 +131,7 @@ def test_ctrl_c_in_a_teacher_says_how_to_go_on(
     recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """There is no texture before there is a student."""
-    from foten.training.loop import Checkpoint
+    from foten.training.checkpoint import Checkpoint
 
     save, out = Checkpoint.save, tmp_path / "o.foten"
 

@@ -30,9 +30,10 @@ from foten.runtime.native import NativeTexture, PredictionPart
 from foten.runtime.renderer import Renderer
 from foten.simulation.simulate import simulate
 from foten.training.calibration import Calibrated, FreeRunErrors, constant_scale
+from foten.training.checkpoint import Epoch
 from foten.training.excerpt_classifier import N_RUNS, _scores
 from foten.training.job import TrainingJob, scaled_blocks
-from foten.training.loop import Epoch, Monitor
+from foten.training.loop import Monitor
 
 QUICK = FotenPlusConfig(epochs=0, batch=32, threads=1, max_order=20, table=False, tones=False)
 SHORT = PreprocessConfig(trim_ms=0, block_ms=500)

@@ -34,8 +34,9 @@ from foten.models.foten_plus.network import (
 from foten.models.foten_plus.sizes import FotenPlusSizes
 from foten.recording.split import Split
 from foten.recording.trace import Trace
+from foten.training.checkpoint import Progress
 from foten.training.job import ScaledBlocks, scaled_blocks
-from foten.training.loop import Loop, Monitor, Progress, run_loop
+from foten.training.loop import Loop, Monitor, run_loop
 from foten.training.texture_builder import tensors_of
 
 SIZES = FotenPlusSizes(**PLUS)

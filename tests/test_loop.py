@@ -20,8 +20,9 @@ import torch
 from torch import Tensor, nn
 
 import foten.training.loop as training_loop
+from foten.training.checkpoint import Checkpoint, Epoch, Progress
 from foten.training.config import WindowConfig
-from foten.training.loop import Checkpoint, Epoch, Loop, Monitor, Optimiser, Progress, run_loop
+from foten.training.loop import Loop, Monitor, Optimiser, run_loop
 
 CONFIG = WindowConfig(epochs=6)
 

@@ -21,9 +21,10 @@ from foten.recording.preprocess import PreprocessConfig
 from foten.recording.recording import Recording
 from foten.runtime.renderer import Renderer
 from foten.simulation.simulate import simulate
+from foten.training.checkpoint import Checkpoint, Progress
 from foten.training.config import LoopConfig
 from foten.training.job import ScaledBlocks, Trained, TrainingJob
-from foten.training.loop import Checkpoint, Monitor, Progress
+from foten.training.loop import Monitor
 
 SMALL = {"d_model": 8, "n_heads": 2, "n_layers": 2, "d_feedforward": 16, "head": (16, 8), "spectral_width": 8, **PLUS}
 # A lattice of one set of reflection coefficients is fitted in a fraction of the time that a table takes.

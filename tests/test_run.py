@@ -15,8 +15,8 @@ from matplotlib.figure import Figure
 from conftest import check_figures
 from foten.models.foten.sizes import FotenSizes
 from foten.models.trainable import check_used, recipe_of
+from foten.training.checkpoint import Epoch
 from foten.training.config import WindowConfig
-from foten.training.loop import Epoch
 from foten.training.run_folder import RunFolder, TrainingDisplay, _draw_curves
 
 

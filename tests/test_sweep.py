@@ -35,7 +35,7 @@ from foten.experiments.sweep import _stoppable, lacking, planned, sweep
 from foten.models.texture_file import read_texture
 from foten.reporting.table import Number
 from foten.simulation.simulate import simulate
-from foten.training.loop import Checkpoint, Progress
+from foten.training.checkpoint import Checkpoint, Progress
 from test_cli import foten
 
 

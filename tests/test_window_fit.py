@@ -14,10 +14,11 @@ from torch import nn
 from foten.baselines.networks import build
 from foten.models.foten.sizes import FotenSizes
 from foten.models.trainable import TRAINABLE
+from foten.training.checkpoint import Checkpoint, Epoch
 from foten.training.config import WindowConfig
 from foten.training.dropout import Dropout, set_dropout
 from foten.training.initial_weights import draw_glorot
-from foten.training.loop import Checkpoint, Epoch, Monitor
+from foten.training.loop import Monitor
 from foten.training.window_fit import DeviceWindows, TrainingWindows, fit_windows, loss_of, predict
 
 SIZES = FotenSizes(window=12, d_model=8, n_heads=2, n_layers=2, d_feedforward=16, head=(16, 8), spectral_width=8)

@@ -22,9 +22,10 @@ from foten.models.stream import Model
 from foten.models.window_model import NoiseModel, WindowModel
 from foten.runtime.onnx_predictor import INPUT, NOISE
 from foten.runtime.proof import Tensors
+from foten.training.checkpoint import Progress
 from foten.training.config import LoopConfig, WindowConfig
 from foten.training.job import ScaledBlocks, Trained, TrainingJob, check_block
-from foten.training.loop import Monitor, Progress, pick_device
+from foten.training.loop import Monitor, pick_device
 from foten.training.window_fit import Packed, TrainingWindows, fit_windows, one_step_texture, one_step_windows, predict
 
 _AT_ONCE = 65536  # frames

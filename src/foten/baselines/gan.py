@@ -13,9 +13,10 @@ from torch.optim import Adam
 
 from foten.baselines.noise_filter import NoiseFilter, log_magnitudes
 from foten.baselines.sizes import GanSizes
+from foten.training.checkpoint import Progress
 from foten.training.config import LoopConfig
 from foten.training.job import ScaledBlocks
-from foten.training.loop import Loop, Monitor, Progress, epoch_seed, run_loop
+from foten.training.loop import Loop, Monitor, epoch_seed, run_loop
 
 LATENTS = 5  # numbers of noise that a frame is made from
 FRAMES = 56  # of a spectrogram; Table III

@@ -221,7 +221,8 @@ def train(options: TrainOptions) -> None:
     inspection = inspect_recording(recording, is_trained=True)
     if not options.anyway:
         check_usable(unusable(inspection, besides=("refused", "short")))  # which the training says itself
-    from foten.training.loop import Checkpoint, Epoch, Monitor
+    from foten.training.checkpoint import Checkpoint, Epoch
+    from foten.training.loop import Monitor
     from foten.training.run_folder import RunFolder, TrainingDisplay
 
     notes = list(_notes(inspection, job.preprocess.rate_hz))

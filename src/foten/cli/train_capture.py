@@ -29,8 +29,9 @@ from foten.recording.inspection.values import counted
 from foten.recording.preprocess import PreprocessConfig, blocks_of
 from foten.recording.recording import Recording
 from foten.runtime.stylus import PressureCalibration
+from foten.training.checkpoint import Epoch
 from foten.training.job import TrainingJob, shortest_block
-from foten.training.loop import Epoch, Monitor
+from foten.training.loop import Monitor
 
 MODEL = "foten-plus"
 NICENESS = 5  # below what renders: sound that somebody strokes comes first

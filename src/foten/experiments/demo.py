@@ -19,8 +19,9 @@ from foten.runtime.live.sinks import write_audible, write_rendered
 from foten.runtime.renderer import Renderer
 from foten.runtime.stroke import recorded_stroke
 from foten.simulation.simulate import simulate
+from foten.training.checkpoint import Epoch
 from foten.training.job import TrainingJob
-from foten.training.loop import Epoch, Monitor
+from foten.training.loop import Monitor
 
 
 def run_demo(

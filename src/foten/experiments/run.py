@@ -21,8 +21,9 @@ from foten.models.texture_file import Texture
 from foten.models.trainable import TRAINABLE, train, trainable_sizes
 from foten.recording.preprocess import PreprocessConfig
 from foten.recording.recording import Recording
+from foten.training.checkpoint import Checkpoint
 from foten.training.job import TrainingJob
-from foten.training.loop import Checkpoint, Monitor
+from foten.training.loop import Monitor
 
 
 def execute(

@@ -23,7 +23,7 @@ from foten.recording.windows import targets
 from foten.training.config import TrainConfig
 
 if TYPE_CHECKING:
-    from foten.training.loop import Progress
+    from foten.training.checkpoint import Progress
 
 
 @dataclass(frozen=True)

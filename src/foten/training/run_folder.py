@@ -14,8 +14,8 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from foten.atomic_write import atomic_write, reason
+from foten.training.checkpoint import Epoch
 from foten.training.job import Trained
-from foten.training.loop import Epoch
 
 
 class RunFolder:

@@ -20,6 +20,7 @@ from foten.models.model_sizes import ModelSizes
 from foten.recording.windows import first_scored, window_indices
 from foten.runtime.proof import MakeModel, Tensors
 from foten.training.calibration import ClosedLoop, Residuals, calibrate_excitation
+from foten.training.checkpoint import Progress
 from foten.training.config import LoopConfig, WindowConfig
 from foten.training.dropout import bits_from, random_bits, set_dropout
 from foten.training.initial_weights import draw_glorot
@@ -28,7 +29,6 @@ from foten.training.loop import (
     Loop,
     Monitor,
     Optimiser,
-    Progress,
     epoch_seed,
     gradient_step,
     run_loop,

@@ -43,9 +43,10 @@ from foten.training.calibration import (
     calibrate_excitation,
     calibrate_level,
 )
+from foten.training.checkpoint import Progress
 from foten.training.excerpt_classifier import classified_area
 from foten.training.job import ScaledBlocks, Trained, TrainingJob, check_block
-from foten.training.loop import Monitor, Progress, pick_device
+from foten.training.loop import Monitor, pick_device
 from foten.training.texture_builder import TextureBuilder, tensors_of
 
 MAX_DISTORTION = 1.05  # times the log-spectral distance of the first linear model, on the validation blocks

@@ -17,12 +17,12 @@ from foten.models.foten_plus.config import FotenPlusConfig
 from foten.models.foten_plus.definition import innovation_inputs
 from foten.models.foten_plus.linear_model import LinearModel
 from foten.models.foten_plus.sizes import N_INPUTS, FotenPlusSizes
+from foten.training.checkpoint import Progress
 from foten.training.job import ScaledBlocks
 from foten.training.loop import (
     Loop,
     Monitor,
     Optimiser,
-    Progress,
     epoch_seed,
     gradient_step,
     run_loop,

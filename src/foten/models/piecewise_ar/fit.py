@@ -20,8 +20,9 @@ from foten.models.piecewise_ar.local_models import LocalModels, local_texture
 from foten.runtime.loops import predict_blocks
 from foten.runtime.native import NativeTexture
 from foten.runtime.proof import ProvedTexture
+from foten.training.checkpoint import Progress
 from foten.training.job import ScaledBlocks, Trained, TrainingJob, versions
-from foten.training.loop import Monitor, Progress
+from foten.training.loop import Monitor
 
 ORDERS = (4, 6, 8, 10, 12, 14, 16, 18, 20)  # tried for all models of a texture alike
 GRID_S, MAX_PIECE_S = 0.05, 1.0  # between places that a cut is tried at; of a piece, over which speed and force change
