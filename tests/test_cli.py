@@ -190,7 +190,7 @@ def test_a_disk_that_fills_up_while_training_costs_no_more_than_the_run_folder(
     recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """From the first checkpoint on nothing can be written into the run folder: a line each for checkpoint, log and the rest."""
-    from foten.training import loop
+    from foten.training import checkpoint
     from foten.training import run_folder as run
 
     def full(path: Path, *_: object) -> None:
@@ -202,7 +202,7 @@ def test_a_disk_that_fills_up_while_training_costs_no_more_than_the_run_folder(
             full(path)
         return atomic_write(path)
 
-    monkeypatch.setattr(loop, "atomic_write", write)
+    monkeypatch.setattr(checkpoint, "atomic_write", write)
     out, folder = tmp_path / "d.foten", tmp_path / "d.run"
     said = foten("train", recording, "-o", out, *FAST, *TINY, "--epochs", "3")[1]
     shown = [line for line in said.splitlines() if "no space left" in line]

@@ -82,7 +82,7 @@ NONE = "no growth could be learned from the recording"
     ],
 )
 def test_it_says_how_the_level_goes_on_above_its_range(model: str, speed: float, force: float, words: str) -> None:
-    card = {"model": model, "extrapolation_exponents": {"force": force, "speed": speed}}
+    card = {"model": model, "sizes": {}, "extrapolation_exponents": {"force": force, "speed": speed}}
     assert Texture(card=card, tensors={}).extrapolation_in_words() == words
 
 
@@ -180,7 +180,7 @@ def test_every_key_of_the_card_is_needed_and_has_its_type(texture: Texture) -> N
         ({"units": {**UNITS, "force": ["N"]}}, r"force is in \['N'\], expected N"),
         ({"units": {**UNITS, "acceleration": "g"}}, r"acceleration is in 'g', expected m/s\^2 or relative"),
         ({"units": {}}, "acceleration is in None, expected"),
-        ({"training": {"unfinished": "no"}}, "'unfinished' of the training is 'no', expected true"),
+        ({"training": {"unfinished": "no"}}, "'unfinished' in the card is 'no', expected true"),
         ({"microphone": None}, "'microphone' in the card is None, expected true"),
         ({"scaling": {"mean": [0, 0, 0]}}, "three means and three standard deviations"),
         ({"scaling": {"mean": [0, 0], "sd": [1, 1]}}, "three means"),

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from foten.recording.inspection.values import Inspection
     from foten.recording.recording import Recording
     from foten.training.job import Trained, TrainingJob
+    from foten.training.run_folder import RunFolder, TrainingDisplay
 
 GO_ON = "the same command with --resume, which continues from here"
 
@@ -211,7 +212,7 @@ class TrainOptions:
 def train(options: TrainOptions) -> None:
     """Train a texture on a recording. Ctrl-C stops it and keeps the best model so far."""
     from foten.datasets.hdf5 import load_takes
-    from foten.models.texture_file import Texture, write_texture
+    from foten.models.texture_file import write_texture
     from foten.recording.inspection import inspect_recording
 
     output, config = options.output, options.config()
@@ -221,40 +222,15 @@ def train(options: TrainOptions) -> None:
     inspection = inspect_recording(recording, is_trained=True)
     if not options.anyway:
         check_usable(unusable(inspection, besides=("refused", "short")))  # which the training says itself
-    from foten.training.checkpoint import Checkpoint, Epoch
-    from foten.training.loop import Monitor
     from foten.training.run_folder import RunFolder, TrainingDisplay
 
-    notes = list(_notes(inspection, job.preprocess.rate_hz))
-    display = TrainingDisplay(
-        config.epochs if isinstance(config, LoopConfig) else 0, "nat" if options.of_spectra else "sd"
-    )
+    n_epochs, unit = (config.epochs if isinstance(config, LoopConfig) else 0), "nat" if options.of_spectra else "sd"
+    display = TrainingDisplay(n_epochs, unit)
     folder = RunFolder(options.run_folder or output.with_suffix(".run"), display.note)
     if options.has_network:
         folder.open(_settled(job), options.resume)
     with display:
-        early = [f"wrote {output}: playable already; training will replace it"]
-
-        def on_playable(playable: Texture) -> None:
-            write_texture(playable, output)
-            while early:  # another linear model may be nearer
-                display.note(early.pop())
-
-        def on_epoch(epoch: Epoch) -> None:
-            while notes:  # once the recording was taken: a refusal is one line
-                display.note(notes.pop(0))
-            display.show(epoch)
-            folder.log(epoch)
-
-        checkpoint = Checkpoint(folder.checkpoint, config, options.resume)
-        try:
-            trained = train_texture(job, Monitor(display.stage, on_epoch, on_playable, checkpoint))
-        except KeyboardInterrupt:  # before there was a network to write
-            if folder.checkpoint.exists():
-                display.note(f"next: {GO_ON}")
-            raise
-        for note in (*notes, *trained.progress.notes):
-            display.note(note)
+        trained = _shown(job, list(_notes(inspection, job.preprocess.rate_hz)), options, folder, display)
     write_texture(trained.texture, output)
     outputs = str(output)
     if options.has_network:
@@ -267,6 +243,39 @@ def train(options: TrainOptions) -> None:
     print_result({"output": str(output), **_document(trained)}, text, options.as_json)
     if trained.progress.interrupted:
         raise Exit(130)
+
+
+def _shown(
+    job: TrainingJob, notes: list[str], options: TrainOptions, folder: RunFolder, display: TrainingDisplay
+) -> Trained:
+    """Result of a training that is shown and logged as it goes, with notes on its recording."""
+    from foten.models.texture_file import Texture, write_texture
+    from foten.training.checkpoint import Checkpoint, Epoch
+    from foten.training.loop import Monitor
+
+    early = [f"wrote {options.output}: playable already; training will replace it"]
+
+    def on_playable(playable: Texture) -> None:
+        write_texture(playable, options.output)
+        while early:  # another linear model may be nearer
+            display.note(early.pop())
+
+    def on_epoch(epoch: Epoch) -> None:
+        while notes:  # once the recording was taken: a refusal is one line
+            display.note(notes.pop(0))
+        display.show(epoch)
+        folder.log(epoch)
+
+    checkpoint = Checkpoint(folder.checkpoint, job.config, options.resume)
+    try:
+        trained = train_texture(job, Monitor(display.stage, on_epoch, on_playable, checkpoint))
+    except KeyboardInterrupt:  # before there was a network to write
+        if folder.checkpoint.exists():
+            display.note(f"next: {GO_ON}")
+        raise
+    for note in (*notes, *trained.progress.notes):
+        display.note(note)
+    return trained
 
 
 def _settled(job: TrainingJob) -> dict[str, Any]:

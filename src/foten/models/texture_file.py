@@ -245,6 +245,26 @@ def check_card(card: Any) -> None:
         raise ValueError(f"the sizes in the card do not fit together ({error})") from error
     if sizes.history != card["window"]:
         raise ValueError(f"the card has window {shortened(card['window'])} and the network {sizes.history}")
+    _check_numbers(card)
+    _check_units(card["units"])
+    try:
+        preprocess = PreprocessConfig.of_card(card["preprocess"])
+        if card["split"] is not None:
+            Split.from_fields(card["split"])
+    except (TypeError, KeyError, AttributeError, OverflowError) as error:
+        raise ValueError(f"the preprocessing or the split in the card is incomplete ({error})") from error
+    if preprocess.rate_hz != card["rate_hz"]:
+        raise ValueError(f"the card has a rate of {card['rate_hz']} Hz and preprocessing to {preprocess.rate_hz} Hz")
+    _check_optional(card)
+    metrics = card["metrics"]
+    if card["split"] is not None and not any(_are_numbers([metrics.get(name)], 1) for name in _VALIDATED):
+        raise ValueError(f"the card has none of {', '.join(_VALIDATED)} among its metrics")
+    for name in ("validation_mae_scaled", "validation_mae_scaled_lattice"):
+        if metrics.get(name) is not None and not _are_numbers([metrics[name]], 1):
+            raise ValueError(f"{name!r} among the card's metrics is no number")
+
+
+def _check_numbers(card: Mapping[str, Any]) -> None:
     for key in ("rate_hz", "saturation", "lowpass_hz"):
         if not (_are_numbers([card[key]], 1) and card[key] > 0):
             raise ValueError(f"{key!r} in the card is {card[key]}, expected a positive number")
@@ -253,7 +273,6 @@ def check_card(card: Any) -> None:
             f"the card has a rate of {card['rate_hz']} Hz and a low-pass of {card['lowpass_hz']} Hz, expected up to "
             f"{MAX_RATE_HZ:g} Hz, and from 0.001 Hz to half of that"
         )
-    _check_units(card["units"])
     for channel in ("speed", "force"):
         bounds, exponent = card["trained_range"].get(channel), card["extrapolation_exponents"].get(channel)
         if not (_are_numbers(bounds, 2) and 0 <= bounds[0] <= bounds[1]):
@@ -263,30 +282,18 @@ def check_card(card: Any) -> None:
     if not all(_are_numbers(card["scaling"].get(key), 3) for key in ("mean", "sd")):
         raise ValueError("the scaling in the card is not three means and three standard deviations")
     Scaling(mean=tuple(card["scaling"]["mean"]), sd=tuple(card["scaling"]["sd"]))
-    try:
-        preprocess = PreprocessConfig.of_card(card["preprocess"])
-        if card["split"] is not None:
-            Split.from_fields(card["split"])
-    except (TypeError, KeyError, AttributeError, OverflowError) as error:
-        raise ValueError(f"the preprocessing or the split in the card is incomplete ({error})") from error
-    if preprocess.rate_hz != card["rate_hz"]:
-        raise ValueError(f"the card has a rate of {card['rate_hz']} Hz and preprocessing to {preprocess.rate_hz} Hz")
+
+
+def _check_optional(card: Mapping[str, Any]) -> None:
     for key in (*CREDIT, EVIDENCE):
         if not isinstance(card.get(key, ""), str) or len(card.get(key, "")) > MAX_CREDIT:
             raise ValueError(f"{key!r} in the card is {shortened(card[key])}, expected {MAX_CREDIT} characters at most")
-    if not isinstance(card["training"].get("unfinished", False), bool):
-        raise ValueError(f"'unfinished' of the training is {shortened(card['training']['unfinished'])}, expected true")
-    if not isinstance(card.get("microphone", False), bool):
-        raise ValueError(f"'microphone' in the card is {shortened(card['microphone'])}, expected true")
+    for key, entries in (("unfinished", card["training"]), ("microphone", card)):
+        if not isinstance(entries.get(key, False), bool):
+            raise ValueError(f"{key!r} in the card is {shortened(entries[key])}, expected true")
     takes = card.get("takes", [])
     if not isinstance(takes, list) or not all(_is_take(take) for take in takes):
         raise ValueError(f"the takes in the card are {shortened(takes)}, expected a name, seconds and blocks of each")
-    metrics = card["metrics"]
-    if card["split"] is not None and not any(_are_numbers([metrics.get(name)], 1) for name in _VALIDATED):
-        raise ValueError(f"the card has none of {', '.join(_VALIDATED)} among its metrics")
-    for name in ("validation_mae_scaled", "validation_mae_scaled_lattice"):
-        if metrics.get(name) is not None and not _are_numbers([metrics[name]], 1):
-            raise ValueError(f"{name!r} among the card's metrics is no number")
 
 
 def _check_units(units: Mapping[str, Any]) -> None:
