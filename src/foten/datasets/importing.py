@@ -9,14 +9,16 @@ import hashlib
 import shlex
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from foten.datasets.binary import read_hdf5, read_matlab, read_numpy, read_tdms, read_wav
+from foten.datasets.binary import read_hdf5, read_numpy, read_wav
 from foten.datasets.bounds import check_channel, check_overlap
 from foten.datasets.columns import MAX_NAME_CHARACTERS, Column, check_width
+from foten.datasets.isolated import isolated_columns
 from foten.datasets.mapping import (
     added_mapping,
     by_unit,
@@ -28,7 +30,7 @@ from foten.datasets.mapping import (
 )
 from foten.datasets.options import ImportOptions
 from foten.datasets.pen import PenClock, joined, pen_channels
-from foten.datasets.tabular import read_delimited, read_excel, stated_above
+from foten.datasets.tabular import read_delimited, stated_above
 from foten.datasets.timing import filled, irregular, of_slower_sensor, rate_and_source, times_of
 from foten.datasets.units import factor_of, quantity, split_header
 from foten.dsp import Array
@@ -41,11 +43,11 @@ from foten.untrusted import check_content, check_regular
 
 DATASETS: dict[str, Callable[[Path], list[Column]]] = {
     **dict.fromkeys((".csv", ".tsv", ".txt", ".dat"), read_delimited),
-    ".xlsx": read_excel,
+    ".xlsx": partial(isolated_columns, ".xlsx"),
     **dict.fromkeys((".npz", ".npy"), read_numpy),
-    ".mat": read_matlab,
+    ".mat": partial(isolated_columns, "MATLAB"),
     **dict.fromkeys((".h5", ".hdf5"), read_hdf5),
-    ".tdms": read_tdms,
+    ".tdms": partial(isolated_columns, "TDMS"),
     ".wav": read_wav,
 }
 """Readers by extension."""
@@ -312,7 +314,7 @@ def read_stroke(path: Path, units: Mapping[str, str]) -> dict[str, Array]:
 
     They are time [s], which increases, speed [mm/s] or position_x and position_y [mm], and force [N] or pressure [0 … 1].
     """
-    if DATASETS.get(path.suffix.lower()) not in (read_delimited, read_excel):
+    if path.suffix.lower() not in (".csv", ".tsv", ".txt", ".dat", ".xlsx"):
         raise ValueError(f"{path.name} is no table (.csv, .tsv, .txt, .dat, .xlsx), expected one of {STROKE}")
     there = read_columns(path)
     columns = stroke_columns(there)

@@ -24,7 +24,7 @@ Contents = tuple[Any, list[Array]]
 READERS = {
     "HDF5": "foten.datasets.contents:hdf5_contents",
     "MATLAB": "foten.datasets.contents:matlab_contents",
-    "TDMS": "foten.datasets.binary:tdms_contents",
+    "TDMS": "foten.datasets.contents:tdms_contents",
     ".xlsx": "foten.datasets.tabular:excel_contents",
     "picture": "foten.editing.height_map:picture_contents",
 }

@@ -15,7 +15,7 @@ import numpy as np
 
 from foten.datasets.clock_times import clock_seconds
 from foten.datasets.columns import MAX_COLUMNS, Column, check_width, reading
-from foten.datasets.isolated import Contents, contents_of, isolated_columns
+from foten.datasets.isolated import Contents, contents_of
 from foten.datasets.units import CLOCK, is_unit
 from foten.recording.inspection.values import counted
 from foten.untrusted import brief, check_content, read_whole
@@ -84,13 +84,8 @@ def _has_decimal_commas(rows: list[list[str]], quoted: bool) -> bool:
     return anywhere or has(_DECIMAL_COMMA, ",", rows[len(rows) // 2 :][:1])
 
 
-def read_excel(path: Path) -> list[Column]:
-    """Columns of an .xlsx workbook; with several filled sheets each name begins with `SHEET.`."""
-    return isolated_columns(".xlsx", path)
-
-
 def excel_contents(path: Path) -> Contents:
-    """Columns of a workbook, as `contents_of` them."""
+    """Columns of an .xlsx workbook, as `contents_of` them; with several filled sheets each name begins with `SHEET.`."""
     import openpyxl
 
     with reading(path, ".xlsx workbook"), zipfile.ZipFile(path) as archive:
