@@ -13,10 +13,19 @@ FRAME_MS = 40.0
 FLOOR_DB = -30.0  # re the reference; levels below it count as it: a texture at rest is not judged by its sensor's noise
 
 
+def rms(samples: Array) -> float:
+    """Root mean square of all samples."""
+    return float(np.sqrt(np.square(samples).mean()))
+
+
+def decibels(power: Array, lowest: float = 1e-30) -> Array:
+    """Powers in dB re 1, those below the lowest as that."""
+    return 10 * np.log10(np.maximum(power, lowest))
+
+
 def frame_levels(blocks: Array, rate_hz: float, reference: float) -> Array:
     """RMS in whole frames of 40 ms [dB re `reference`], not below −30 dB: blocks (…, n) → (…, frames)."""
-    power = frame_means(np.square(blocks), rate_hz) / reference**2
-    return 10 * np.log10(np.maximum(power, 10 ** (FLOOR_DB / 10)))
+    return decibels(frame_means(np.square(blocks), rate_hz) / reference**2, 10 ** (FLOOR_DB / 10))
 
 
 def frame_means(blocks: Array, rate_hz: float) -> Array:
