@@ -21,9 +21,9 @@ _CLOCK = re.compile(
 def clock_seconds(texts: Sequence[str]) -> Array | None:
     """Seconds from the first of some times of a clock, shape (n,), NaN where one is blank; None where they are something else.
 
-    Three fields are hours, minutes and seconds. Two are hours and minutes beside a date or AM and PM, else minutes and seconds.
-    Without a date the clock may pass midnight once a day. A date that is not written as `2026-05-01` has to be the same
-    throughout, since its day and month cannot be told apart; so has a time zone.
+    Three fields are hours, minutes and seconds; two, hours and minutes beside a date or AM and PM, else minutes and seconds.
+    Without a date the clock may pass midnight once a day. A time zone, and a date not written as `2026-05-01`, whose day and
+    month cannot be told apart, have to be the same throughout.
     """
     seconds, days = np.full(len(texts), np.nan), np.zeros(len(texts))
     dates, zones = set[str | None](), set[str | None]()

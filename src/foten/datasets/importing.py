@@ -267,12 +267,8 @@ def import_capture(
 ) -> tuple[Recording, PenClock, list[str]]:
     """Recording of a microphone on a pen and the pen's events, the clock that joins them, and sentences on what was decided.
 
-    Without a unit for the acceleration it is in relative units: 1 is its RMS while the pen strokes.
-
-    Args:
-        sound: a file with one channel, or several of which the first counts.
-        pen: a table of t, x, y and pressure.
-        force: of pressures 0 … 1, shape (n,) → (n,) [N].
+    Of several channels of the sound the first counts; the pen's table has t, x, y and pressure. `force` is of pressures 0 … 1,
+    shape (n,) → (n,) [N]. Without a unit for the acceleration it is in relative units: 1 is its RMS while the pen strokes.
     """
     columns = [column for column in read_columns(sound) if column.rate_hz]
     if not columns:

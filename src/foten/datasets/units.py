@@ -147,11 +147,8 @@ def _ends_a_name(text: str, kind: str) -> bool:
 def factor_of(channel: str, header: str, stated: str = "", by_user: str | None = None) -> tuple[float, str]:
     """Factor from a column to the unit of `UNITS`, and a sentence on it; ValueError for the unit of another quantity.
 
-    Args:
-        channel: or `time`.
-        header: the column's name.
-        stated: unit in the file beside the header: in a row of units, or as an attribute.
-        by_user: unit, `*FACTOR` or `LABEL*FACTOR`; before all others.
+    Of a `channel` or `time`, the column's name, and the unit `stated` beside it in the file, in a row of units or as an
+    attribute. `by_user`, before both, is a unit, `*FACTOR` or `LABEL*FACTOR`.
     """
     kind, target = quantity(channel), UNITS.get(channel, "s")
     known = FACTORS[kind]

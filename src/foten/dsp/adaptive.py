@@ -64,13 +64,8 @@ class LevelSearch:
         level = search.stimulus()        # show it in one of three places
         search.answer(level, yes=True)   # which was named; until search.sd is small enough
 
-    Slope and lapse are unknown too.
-
-    Args:
-        low, high: of levels [dB], a step of 1 apart for what is searched for and 2 for what is shown.
-        answers: probability of a yes.
-        expected: mean and standard deviation over people [dB]; None for all alike.
-        above_db: how far above `high`, which is the loudest that can be shown, the searched level may lie.
+    Slope and lapse are unknown too. Levels from `low` to `high` are a step of 1 dB apart for what is searched for and 2 for what
+    is shown; what is searched for may lie `above_db` over `high`. `expected` is mean and standard deviation over people [dB].
     """
 
     def __init__(
@@ -117,19 +112,15 @@ class LevelSearch:
 
 
 class PreferenceSearch:
-    """The point of a box that someone likes best, by choices between two.
+    """The point of a box of n dimensions that someone likes best, by choices between two.
 
         search = PreferenceSearch(4, seed=0)
         first, second = search.pair()                  # points, (d,), −1 … 1 each
         search.answer(first, second, chose_first=True)
 
-    P(first) = lapse/2 + (1 − lapse) · logistic(β (|second − x| − |first − x|)), x the ideal point, distances in units of `jnd`.
+    P(first) = lapse/2 + (1 − lapse) · logistic(β (|second − x| − |first − x|)), x the ideal point, distances in units of `jnd`: a
+    just noticeable difference of all dimensions or of each, (n,), as a share of half of its range.
     The searches are ours, since of the libraries for them questplus is under the GPL and AEPsych needs NumPy below 2.
-
-    Args:
-        n: dimensions.
-        jnd: a just noticeable difference of all dimensions or of each, (n,), as a share of half of its range.
-        seed: of the particles and the pairs.
     """
 
     def __init__(self, n: int, jnd: float | Array = 0.2, seed: int = 0) -> None:

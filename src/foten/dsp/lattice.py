@@ -31,11 +31,10 @@ def check_reflections(reflections: Array) -> None:
 
 
 def analyse(x: Array, reflections: Array) -> tuple[Array, Array, Array]:
-    """Innovations of signals x (s, n) that begin from rest, under the reflections (s, n, p) of each sample.
+    """Innovations (s, n) of signals x (s, n) that begin from rest, under the reflections (s, n, p) of each sample.
 
-    Returns:
-        Innovations e (s, n), of unit variance where the reflections fit; Π c_i (s, n), with which the prediction of each sample
-        from those before it is x − e · Π c_i; and b₀ … b_{p−1} after the last sample (p, s).
+    They have unit variance where the reflections fit. Also Π c_i (s, n), with which the prediction of each sample from those
+    before it is x − e · Π c_i; and b₀ … b_{p−1} after the last sample (p, s).
     """
     f, b, gain = x, x, np.ones_like(x)
     states = np.empty((reflections.shape[2], len(x)))

@@ -22,13 +22,10 @@ def rate_ratio(target_hz: float, source_hz: float, tolerance: float = 1e-9) -> F
 
 
 def decimate(samples: Array, source_hz: float, target_hz: float) -> Array:
-    """Signal at a lower rate, aligned with the input (linear phase, no delay), shape (n,).
+    """Signal at a lower rate, aligned with the input (linear phase, no delay), shape (n,); ValueError at a higher one.
 
     The low-pass is flat to 0.45 of the new rate and 80 dB down at 0.55, so only frequencies above 0.45 of the rate hold
     aliases. It leaves no empty band below half the rate, which would make the signal predictable by the filter.
-
-    Raises:
-        ValueError: the target rate is higher than the source rate.
     """
     from scipy import signal
 

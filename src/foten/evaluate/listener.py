@@ -62,6 +62,9 @@ def listener_scores(
 ) -> dict[str, Any]:
     """Areas under the curves of listeners that tell renderings from a recording: 0.5 is chance, 1 certainty.
 
+    `listener_auc…` of each of `KINDS`, means over listeners, and `…_control`, the same of two true vibrations, None where there
+    is too little; `listener_control_of`; `listener_s`. ValueError where the recording, or a piece of it, is too short.
+
     Args:
         recorded: at least `MIN_LISTENED_S` of it, in pieces (`long_stroke`).
         rendered: seed → a rendering under the recorded speed and force [m/s²], shape (n,).
@@ -69,14 +72,6 @@ def listener_scores(
             recording beside the other, where they are long enough.
         seed: of the first listener and rendering; those of the others follow.
         in_m_s2: whether accelerations are in m/s², so that a person's threshold is known.
-
-    Returns:
-        `listener_auc`, `listener_auc_waveform` and `listener_auc_person`, of bands alone, with the waveform and with a person's
-        limits, means over listeners; `…_control`, the same of two true vibrations, None where there is too little;
-        `listener_control_of`; `listener_s`.
-
-    Raises:
-        ValueError: the recording is too short, or a piece of it.
     """
     from foten.evaluate.listener_network import EXCERPT, listener_auc
 
@@ -112,9 +107,8 @@ def vibrations(
 ) -> dict[str, tuple[Vibration, Vibration]]:
     """Two vibrations as the listeners of `KINDS` are shown them, standardised by both in the part that they learn from.
 
-    Excerpts have so many frames, half a second by default.
-
-    A person feels energies above a threshold: of held tools where they are in m/s², and 40 dB below the mean in any unit.
+    Excerpts have so many frames, half a second by default. A person feels energies above a threshold: of held tools where they
+    are in m/s², and 40 dB below the mean in any unit.
     """
     from foten.evaluate.listener_network import EXCERPT, Limits, Vibration
 

@@ -26,16 +26,12 @@ _HALF, _NINE_TENTHS = 0.6744897501960817, 1.6448536269514722  # quantiles of a s
 
 
 def one_step(recorded: Array, predicted: Array, sd: float, linear: Array | None = None) -> dict[str, Any]:
-    """One-step figures of a predictor over the scored samples of some blocks.
+    """One-step figures of a predictor: `mae_scaled`, `mae_m_s2`, `gfc` (Eq. 13 on raw bins, mean over blocks), `intervals`.
 
     Args:
         recorded, predicted: scaled acceleration, shape (n_blocks, k); the same samples for every method that is compared.
         sd: training standard deviation of the acceleration [m/s²].
-        linear: what AR(20) predicts of the same samples, scaled.
-
-    Returns:
-        `mae_scaled`, `mae_m_s2`, `gfc` (Eq. 13 on raw bins, mean over blocks), `intervals`; with `linear` also `mae_to_ar`, the
-        error over AR(20)'s.
+        linear: what AR(20) predicts of the same samples, scaled; with it also `mae_to_ar`, the error over AR(20)'s.
     """
     error, fit = np.abs(recorded - predicted).mean(axis=1), goodness_of_fit(recorded, predicted)
     beside = np.zeros(len(error)) if linear is None else np.abs(recorded - linear).mean(axis=1)
@@ -58,16 +54,13 @@ def excitation_scores(
 ) -> dict[str, Any]:
     """Fit of the excitation's scale to the error of the prediction that a rendering uses, without the network of foten-plus.
 
-    Unknown where a rendering has tones (`dsp.tones`).
+    `nll`: mean negative log-likelihood [nat, scaled]; `coverage_50`, `coverage_90`: the share of samples inside the central 50
+    and 90 % of the predicted distribution; `standardised_sd`: of the errors as standard normal numbers, 1 where the distribution
+    is right; `intervals`. Unknown where a rendering has tones (`dsp.tones`).
 
     Args:
         samples, n: scaled, shape (t, 3), and the indices to score, rows of consecutive ones, shape (n_blocks, k).
         counted: which of them lie where the rendering does not fade, shape (n_blocks, k).
-
-    Returns:
-        `nll`: mean negative log-likelihood [nat, scaled]; `coverage_50`, `coverage_90`: the share of samples inside the
-        central 50 and 90 % of the predicted distribution; `standardised_sd`: of the errors as standard normal
-        numbers, 1 where the distribution is right; `intervals`.
     """
     unknown = dict.fromkeys(("nll", "coverage_50", "coverage_90", "standardised_sd"))
     predicted = predict(texture, samples, n, "linear")

@@ -40,13 +40,9 @@ def stored_window(texture: Texture) -> list[Array]:
 def synthesised_window(linear: Linear, trace: Trace, train: tuple[int, ...], texture: Texture) -> list[Array]:
     """Window of noise through an AR filter, at the level of the training samples nearest to the warm start's condition.
 
-    Deterministic: acceleration [m/s²], speed [mm/s] and force [N], shape (window,) each, the last two constant.
-
-    Args:
-        linear: AR(20) of the training blocks.
-        train: numbers of the training blocks.
-
-    Source: Sec. V-a, 45 mm/s and 0.8 N. The paper does not say what it synthesised the window from: the filter is our choice.
+    Deterministic: acceleration [m/s²], speed [mm/s] and force [N], shape (window,) each, the last two constant. `linear` is
+    AR(20) of the training blocks `train`. Source: Sec. V-a, 45 mm/s and 0.8 N; what the paper's was synthesised from it does not
+    say.
     """
     from scipy.signal import lfilter
 
@@ -135,9 +131,7 @@ def warm_start_scores(recorded: Array, runs: Mapping[str, Array], rate_hz: float
 def over_time(recorded: Array, run: Array, rate_hz: float) -> tuple[Array, Array]:
     """Error over that of silence, and level over the recorded one [dB], in frames of 10 ms of the first 400 ms, shape (k,) each.
 
-    Args:
-        recorded: [m/s²], shape (n_blocks, block).
-        run: [m/s²], shape (n_seeds, n_blocks, block).
+    Of recorded blocks (n_blocks, block) and of runs (n_seeds, n_blocks, block) [m/s²].
     """
     n = round(SHOWN_MS * rate_hz / 1000)
 

@@ -35,9 +35,8 @@ WRONG_SIGN = (5.0, 0.5)  # mm/s, N; what noise takes a magnitude below zero at m
 class PreprocessConfig:
     """How a recording becomes a trace.
 
-    Differs from the paper: its band of 20 to 1000 Hz cannot exist at 1 kHz; what remains is the high-pass. Speed and
-    force pass one low-pass of 20 Hz in training and in rendering, where the paper trains with 25 and renders with 20; the
-    recipe `paper` does as the paper.
+    Differs from the paper: its band of 20 to 1000 Hz cannot exist at 1 kHz; what remains is the high-pass. Speed and force pass
+    one low-pass of 20 Hz in training and rendering, where the paper has 25 and 20 Hz, as has the recipe `paper`.
     """
 
     rate_hz: float = 1000.0  # of the trace; Sec. III-c
@@ -126,10 +125,7 @@ def fitting_cut(recording: Recording, shortest_ms: float = SHORTEST_MS) -> tuple
 
     Nothing is trimmed where that would cost more than a tenth. Each take gives `BLOCKS_OF_TAKE` blocks where it can; one of less
     than a quarter of the usual length is no measure for the others. A single recording of less than `MIN_ALONE_S` needs options
-    that a user chooses (`fitting_options`).
-
-    Args:
-        shortest_ms: block that holds enough windows of the model.
+    that a user chooses (`fitting_options`). `shortest_ms` is the block that holds enough windows of the model.
     """
     lengths_ms, config = np.array([1000 * take.duration_s for take in recording.takes]), PreprocessConfig()
     if lengths_ms.size == 1 and lengths_ms[0] < 1000 * MIN_ALONE_S:
@@ -153,20 +149,15 @@ def cut_in_words(trim_ms: float, block_ms: float) -> str:
 
 
 def preprocess(recording: Recording, config: PreprocessConfig | None = None, n_blocks: int | None = None) -> Trace:
-    """Trace of a recording: whole blocks of acceleration, speed and force at one rate.
+    """Trace of a recording: whole blocks of acceleration, speed and force at one rate, of the stretch that every channel covers.
 
-    It has the stretch that every channel covers. The low-pass of speed and force is causal, as in rendering; its delay is
-    then cut off to a whole sample. DFT321 joins three axes. Of several takes the blocks follow one another; each take is
-    trimmed and filtered by itself.
-
-    Args:
-        n_blocks: that a training needs; None, at the rate of an existing texture, takes one.
+    The low-pass of speed and force is causal, as in rendering; its delay is then cut off to a whole sample. DFT321 joins three
+    axes. Of several takes the blocks follow one another; each take is trimmed and filtered by itself. A training needs
+    `n_blocks`; None, at the rate of an existing texture, takes one. Source: Sec. III-c, Sec. VI.
 
     Raises:
         ValueError: a quantity is missing or beyond what a hand can do, the acceleration is slower than the rate or irregular
             in time, speed or force has holes or the wrong sign, or the recording is too short for the trim and the blocks.
-
-    Source: Sec. III-c, Sec. VI.
     """
     config = config or PreprocessConfig()
     if recording.later_takes:

@@ -190,10 +190,8 @@ class Recording:
 def joined_takes(recordings: Sequence[Recording]) -> Recording:
     """One recording of several of the same surface, each a take or more; tool and texts are those of the first.
 
-    The texture is named as all are: `clip1` and `clip2` are `clip`.
-
-    ValueError where their channels or units differ, or one is there twice. The simulator's parameters hold for one take alone
-    and are left out.
+    The texture is named as all are: `clip1` and `clip2` are `clip`. The simulator's parameters hold for one take alone and are
+    left out. ValueError where channels or units differ, or one is there twice.
     """
     first, *others = (replace(take, simulation=None) for recording in recordings for take in recording.takes)
     digests = [take.sha256() for take in (first, *others)]

@@ -50,12 +50,9 @@ class Split:
 def split_blocks(trace: Trace, method: str = "regrouped", seed: int = 0) -> Split:
     """60/20/20 split of a trace's blocks; ValueError where they are fewer than `MIN_BLOCKS`.
 
-    `regrouped`: blocks are grouped by mean speed, then by mean force, and drawn 60/20/20 within the groups; the blocks that
-    hold the extremes of speed and force train, so that the test conditions lie inside the trained range.
-
-    `contiguous`: first 60 %, next 20 %, last 20 % in time. A model that does much worse here was helped by leakage.
-
-    Source: Sec. VI ("divided into 2000 samples and regrouped based on speed and force regions").
+    `regrouped`: blocks are grouped by mean speed, then by mean force, and drawn within the groups; those that hold the extremes
+    of speed and force train, so that the test conditions lie inside the trained range. `contiguous`: first 60 %, next 20 %, last
+    20 % in time; a model that does much worse here was helped by leakage. Source: Sec. VI.
     Differs from the paper: how [14] groups is not stated; terciles of speed and of force within them are ours.
     """
     n = trace.n_blocks

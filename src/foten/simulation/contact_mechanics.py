@@ -207,7 +207,7 @@ def joined_pieces(
         integrate: places [mm], speeds [mm/s] and forces [N] of pieces, (k, m) each → series from equilibrium (any, k, m), the
             force of the contact last.
         places: of each realisation, (n_realisations, n).
-        needed: where series are, (n,), all by default; elsewhere they are zero and the force is the hand's.
+        needed: where series are, (n,), all by default; elsewhere they may be zero, and the force is the hand's.
     """
     n, piece, overlap, fade = len(stroke.force), *(round(s * stroke.rate_hz) for s in (PIECE_S, OVERLAP_S, FADE_S))
     starts = np.arange(0, n, piece)

@@ -95,23 +95,14 @@ def linear_truth(recording: Recording) -> LinearParameters:
 def one_step_bounds(
     truth: LinearParameters, speed: Array, force: Array, highpass_b: Array, highpass_a: Array, window: int
 ) -> tuple[Array, Array]:
-    """Least expected absolute one-step error that the past of the high-passed signal allows.
+    """Least expected absolute one-step errors [m/s²] of the high-passed signal, from its infinite past and from a window.
 
     The high-passed signal is x = B(z) / (A_h(z) A(z)) σe. Its zeros lie on the unit circle at worst, so the whole past
     predicts all of x[n] but b₀ σ e[n], however σ varies. A window of m leaves s_m > b₀, the residual of the best linear
     predictor of m samples, for a σ that is constant over the window; that of a stroke costs 0.1 to 0.4 % (six seeds).
 
-    Args:
-        truth: of the recording; the signal is at the recording's rate.
-        speed, force: at the predicted samples [mm/s], [N], shape (n,).
-        highpass_b, highpass_a: numerator and denominator of the high-pass that preprocessing used; highpass_a[0] = 1.
-        window: m, samples.
-
-    Returns:
-        Expected absolute errors [m/s²] given the infinite past and given the window, each of shape (n,).
-
-    Raises:
-        ValueError: the filter is not minimum-phase or not stable.
+    Speed [mm/s] and force [N] are at the predicted samples, (n,), as both errors are; the high-pass, b and a with a₀ = 1, is that
+    of preprocessing. ValueError where it is not minimum-phase or not stable.
     """
     from scipy.linalg import solve_toeplitz
     from scipy.signal import lfilter

@@ -111,13 +111,11 @@ def simulate(
 ) -> Recording:
     """Simulated recording of one texture, of either simulator, or of one member of the linear family.
 
-    A texture comes as raw sensors (Sec. III): acceleration with gravity, force and position, three axes each.
-    A linear process comes as acceleration, speed and force at the model's rate, one axis, without noise.
-
-    ValueError for an unknown key, or lengths, seeds and rates out of range.
+    A texture comes as raw sensors (Sec. III): acceleration with gravity, force and position, three axes each. A linear process
+    comes as acceleration, speed and force at its rate, without noise. ValueError for an unknown key, or lengths, seeds and rates
+    out of range.
 
     Args:
-        key: one of TEXTURES, CONTACT, TWO_MASS, LINEAR_FAMILY or OTHER_LINEAR.
         seconds: length; the default leaves 60 s once 2 s are cut at each end.
         seed: of everything random that the next two leave out.
         noise_seed: of the surface, the impacts and the sensors; another one is a second realisation.
@@ -149,14 +147,9 @@ def simulate_stroke(key: str, stroke: Stroking, noise_seed: int) -> Recording:
     return _recordings(parameters, key, stroke, [noise_seed], None, default_hz)[0]
 
 
-def second_realisation(
-    recording: Recording, noise_seed: int, *, stroke_seed: int | None = None, seconds: float | None = None
-) -> Recording:
-    """Stroke and texture of a simulated recording with fresh surface and noise, under another stroke where one is given.
-
-    The recording's own `noise_seed` gives the recording back. ValueError where it is not simulated by this version.
-    """
-    return realisations(recording, [noise_seed], stroke_seed=stroke_seed, seconds=seconds)[0]
+def second_realisation(recording: Recording, noise_seed: int) -> Recording:
+    """Stroke and texture of a simulated recording with fresh surface and noise; its own seed gives the recording back."""
+    return realisations(recording, [noise_seed])[0]
 
 
 def realisations(
@@ -167,7 +160,10 @@ def realisations(
     seconds: float | None = None,
     spans_s: Sequence[tuple[float, float]] = (),
 ) -> list[Recording]:
-    """`second_realisation` by several seeds, at once; with spans of time the vibration elsewhere may be left out."""
+    """`second_realisation` by several seeds, at once, under another stroke where one is given.
+
+    With spans of time the vibration elsewhere may be left out. ValueError where it is not simulated by this version.
+    """
     simulation = recording.simulation
     if simulation is None:
         raise ValueError("only a simulated recording has a second realisation; this one is not simulated")

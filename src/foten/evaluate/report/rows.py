@@ -10,7 +10,7 @@ from typing import Any
 from foten.evaluate.evaluate import RUNS
 from foten.evaluate.report.signals import LABELS
 from foten.evaluate.report.verdict import ar_name, reason
-from foten.reporting.table import Cell, Heading, Number, Table, minus
+from foten.reporting.table import Cell, Heading, Number, Table
 
 REFERENCES = {
     "lattice": ("the model without its network", "the lattice; what the network adds is the difference to it"),
@@ -101,29 +101,6 @@ def _free_run_number(document: Mapping[str, Any], run: str, key: str) -> Number:
     return Number(value, spec, interval=interval, why=why)
 
 
-def one_step_section(document: Mapping[str, Any]) -> str:
-    """Section of the page: one-step errors, and how well the excitation fits them."""
-    return (
-        '<section id="one-step"><h2>One step</h2><p>Predicts each sample from recorded history. Errors are mean '
-        f"absolute errors; 1 sd is {document['sd_m_s2']:.4g} {document['unit']}. "
-        f"The first {document['first_scored']} samples of each block are history for all. Small print: 95 % interval over "
-        "blocks (Student's t). The blocks are the same for all, so "
-        "two rows can differ for certain though the intervals of their errors overlap: see the one to AR(20).</p>"
-        f"{one_step_table(document).html('a')}{_excitation(document['one_step'])}</section>"
-    )
-
-
-def free_run_section(document: Mapping[str, Any]) -> str:
-    """Section of the page: figures of the free runs."""
-    return (
-        '<section id="free-run"><h2>Free run</h2><p>Synthesized under the recorded speed and force, after a recorded '
-        "window its own output as history, and compared with what was recorded. The first fifth of each block, or the window "
-        "where that is longer, is not scored. "
-        f"The ceiling says what a true vibration of the same texture reaches.</p>{free_run_table(document).html('b')}"
-        f"<p>{waveform_error(document)}</p></section>"
-    )
-
-
 def waveform_error(document: Mapping[str, Any]) -> str:
     """Sentence on the waveform error of the free run, that of silence, and why the smaller one is not the better one."""
     key = "free_run" if document["free_run"].get("mae_scaled") is not None else "free_run_deterministic"
@@ -141,18 +118,6 @@ def waveform_error(document: Mapping[str, Any]) -> str:
     return (
         f"Waveform: the free run's mean absolute error is {error:.2f} sd; {silence}{another}. Two true vibrations differ sample "
         f"by sample, so silence wins by this figure: it is here since papers print it, and says nothing of likeness.{beginning}"
-    )
-
-
-def _excitation(one_step: Mapping[str, Any]) -> str:
-    if one_step.get("nll") is None:
-        return ""
-    return (
-        "<p>The random part against the error of what a rendering expects of the next sample: "
-        f"<b>{100 * one_step['coverage_50']:.0f} %</b> of "
-        f"the samples inside its central 50 %, <b>{100 * one_step['coverage_90']:.0f} %</b> inside its 90 %; errors as "
-        f"standard normal numbers have standard deviation <b>{one_step['standardised_sd']:.2f}</b> (1 where the "
-        f"distribution is right); negative log-likelihood {minus(format(one_step['nll'], '.3f'))} nat.</p>"
     )
 
 

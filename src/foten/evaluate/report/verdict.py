@@ -40,9 +40,8 @@ def _finding(
 ) -> Finding:
     """Finding, unless it praises what the data do not bear.
 
-    Args:
-        interval: of its number, None with too few blocks for one.
-        holds: whether a number at an end of the interval would not contradict a good mark.
+    `interval` is of its number, None with too few blocks for one; `holds` is whether a number at an end of it would not
+    contradict a good mark.
     """
     borne = tone not in ("good", "even") if interval is None else tone != "good" or all(map(holds, interval))
     if borne:
