@@ -14,11 +14,11 @@ from scipy.io import savemat, wavfile
 
 from foten.cli.command_line import _status
 from foten.datasets.binary import read_wav
-from foten.datasets.clock_times import clock_seconds
 from foten.datasets.hdf5 import load_recording
 from foten.datasets.importing import DATASETS, import_recording, read_columns, read_stroke
 from foten.datasets.isolated import isolated_columns
 from foten.datasets.options import ImportOptions, parse_pairs, parse_rates
+from foten.datasets.tabular import clock_seconds
 from foten.datasets.timing import irregular, rate_of
 from foten.datasets.units import FULL_SCALE
 

@@ -7,9 +7,8 @@ import numpy as np
 import openpyxl
 import pytest
 
-from foten.datasets.clock_times import clock_seconds
 from foten.datasets.isolated import isolated_columns
-from foten.datasets.tabular import read_delimited
+from foten.datasets.tabular import clock_seconds, read_delimited
 
 
 def _columns(path, text, encoding="utf-8"):

@@ -21,8 +21,7 @@ from foten.datasets.columns import Column
 from foten.datasets.importing import read_columns
 from foten.datasets.units import G
 from foten.dsp import Array
-from foten.recording.inspection.values import counted
-from foten.recording.recording import Channel, Recording, joined_takes
+from foten.recording.recording import Channel, Recording, counted, joined_takes
 
 SENSORS = "accelerometer IIS3DWB, load cell SC616C, position of the machine"
 TOOL = "urethane rubber fingertip on a three-axis machine"

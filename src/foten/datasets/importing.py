@@ -37,8 +37,7 @@ from foten.dsp import Array
 from foten.recording.capture_folder import PenEvents
 from foten.recording.inspection.one_channel import check_units
 from foten.recording.inspection.sampling import check_missing
-from foten.recording.inspection.values import counted
-from foten.recording.recording import AXES, UNITS, Channel, Recording
+from foten.recording.recording import AXES, UNITS, Channel, Recording, counted
 from foten.untrusted import check_content, check_regular
 
 DATASETS: dict[str, Callable[[Path], list[Column]]] = {

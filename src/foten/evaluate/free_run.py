@@ -8,9 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from foten.dsp import Array
-from foten.dsp.bands import band_energies
 from foten.dsp.distance import earth_mover_octaves, log_spectral_distance, scored_bins, segment_length, welch
-from foten.dsp.level import frame_levels, rms
+from foten.dsp.level import band_energies, frame_levels, rms
 from foten.dsp.noise import gaussian
 from foten.dsp.perception import LEVEL_JND_DB
 from foten.evaluate import metrics

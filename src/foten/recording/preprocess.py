@@ -15,7 +15,7 @@ from foten.dsp.filters import Biquads, Sections, butterworth, delay_s, filter_re
 from foten.dsp.kinematics import at_rate, speed_of, velocity
 from foten.dsp.perception import RATES_HZ
 from foten.dsp.resample import decimate
-from foten.recording.recording import LIMITS, UNITS, Channel, Recording, common_span_s
+from foten.recording.recording import LIMITS, UNITS, Channel, Recording, common_span_s, counted
 from foten.recording.split import MIN_BLOCKS
 from foten.recording.trace import CHANNELS, Trace
 
@@ -191,7 +191,7 @@ def preprocess(recording: Recording, config: PreprocessConfig | None = None, n_b
         options = fitting_options(covered_s, rate, axes[0].rate_hz if n_blocks else None)
         raise ValueError(
             f"{covered_s:.3g} s are covered by every channel; a trim of {config.trim_ms:g} ms at both ends leaves "
-            f"{max(0, usable) / rate:.3g} s, less than {n_blocks or 'a'} block{'s' * bool(n_blocks)} of {config.block_ms:g} ms; "
+            f"{max(0, usable) / rate:.3g} s, less than {counted(n_blocks or 1, 'block')} of {config.block_ms:g} ms; "
             + (f"use {options}" if options else "that is too short: record for longer")
         )
     n_dropped = usable % config.block
@@ -265,7 +265,7 @@ def velocity_and_force(recording: Recording, rate_hz: float) -> tuple[Array, Arr
         if holes.size:
             longest_ms = 1000 * float(np.diff(recording[name].times)[holes].max())
             raise ValueError(
-                f"{name} has {holes.size} hole{'s' * (holes.size > 1)} in its times, the longest {longest_ms:.4g} ms; import the "
+                f"{name} has {counted(holes.size, 'hole')} in its times, the longest {longest_ms:.4g} ms; import the "
                 "recording again with --fill-gaps MS, or cut it"
             )
     rows = np.stack([_slow(recording[name], rate_hz, stop)[start:] for name in recording.movement])

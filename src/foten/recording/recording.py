@@ -36,6 +36,11 @@ def range_in_words(channel: str, low: float, high: float) -> str:
     return f"{first:g} to {last:g} {UNITS[channel]}"
 
 
+def counted(count: int, what: str) -> str:
+    """Number with its noun: "1 gap", "2 gaps"."""
+    return f"{count} {what}{'' if count == 1 else 's'}"
+
+
 HOLE = 1.5  # median steps between two times; more, and samples were lost
 
 

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from foten.atomic_write import write_json
+from foten.recording.recording import counted
 from foten.recording.trace import Trace
 
 METHODS = ("regrouped", "contiguous")
@@ -59,7 +60,7 @@ def split_blocks(trace: Trace, method: str = "regrouped", seed: int = 0) -> Spli
     if method not in METHODS:
         raise ValueError(f"split is {method!r}, expected one of {', '.join(METHODS)}")
     if n < MIN_BLOCKS:
-        some = f"{n} block{'s' * (n > 1)} of {trace.block / trace.rate_hz * 1000:g} ms"
+        some = f"{counted(n, 'block')} of {trace.block / trace.rate_hz * 1000:g} ms"
         raise ValueError(f"the trace has {some}, expected {MIN_BLOCKS} or more; use a shorter --block and --trim")
     n_held = max(1, round(0.2 * n))  # of validation and of test
     if method == "contiguous":

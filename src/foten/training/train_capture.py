@@ -23,9 +23,8 @@ from foten.models.foten_plus.sizes import FotenPlusSizes
 from foten.models.texture_file import Texture, write_texture
 from foten.recording.capture_folder import ABOUT, PEN, SOUND, About, file_name
 from foten.recording.inspection import inspect_recording
-from foten.recording.inspection.values import counted
 from foten.recording.preprocess import PreprocessConfig, blocks_of
-from foten.recording.recording import Recording
+from foten.recording.recording import Recording, counted
 from foten.runtime.stylus import PressureCalibration
 from foten.training.config import WITHHELD, recipe_of, withholds_recording
 from foten.training.job import TrainingJob, shortest_block

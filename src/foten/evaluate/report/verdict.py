@@ -13,7 +13,7 @@ from foten.evaluate.evaluate import Judgement
 from foten.evaluate.report.signals import frame_errors, scored_conditions, shown_run
 from foten.models.conditions import MOVING_FORCE, MOVING_SPEED
 from foten.recording.inspection.speed_force import EXTREMES
-from foten.recording.recording import range_in_words
+from foten.recording.recording import counted, range_in_words
 from foten.reporting.table import minus, signed
 
 
@@ -175,11 +175,11 @@ def cautions(document: Mapping[str, Any]) -> list[str]:
     if (n_blocks := document["n_blocks"]) < FEW_BLOCKS:
         few = "too few for intervals, so no mark says that anything is good"
         few = "intervals are coarse" if n_blocks == 4 else few
-        notes.append(f"Only {n_blocks} block{'s' * (n_blocks != 1)} judged: {few}.")
+        notes.append(f"Only {counted(n_blocks, 'block')} judged: {few}.")
     if document["ceiling"]["lsd_db"] is not None and "training block" in str(document["ceiling"].get("of")):
         notes.append("The ceiling is a recorded training block under a similar, not the same, hand: a run can pass it.")
     if cut := document["free_run"].get("n_saturated"):
-        notes.append(f"The saturator cut {cut} sample{'s' * (cut != 1)} of the free run: the loop bursts.")
+        notes.append(f"The saturator cut {counted(cut, 'sample')} of the free run: the loop bursts.")
     return notes
 
 
