@@ -49,10 +49,7 @@ def cluster_surfaces(folder: Path) -> dict[int, list[str]]:
 
 @np.errstate(over="ignore", invalid="ignore", divide="ignore")  # absurd times and values are refused, in a sentence
 def read_cluster(folder: Path, surface: int | None) -> tuple[Recording, list[str]]:
-    """Recording of a surface, a take for each clip, and sentences on what was decided.
-
-    ValueError where no surface is named, or there is no clip of it, or a clip is damaged.
-    """
+    """Recording of a surface, a take for each clip, and sentences on what was decided; ValueError where there is none."""
     place = cluster_folder(folder)
     if place is None:
         expected = f"sensor_data with {', '.join(PARTS)}, as the Cluster Haptic Texture Dataset has them"

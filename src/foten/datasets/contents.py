@@ -140,10 +140,7 @@ def matlab_contents(path: Path) -> Contents:
 
 
 def tdms_contents(path: Path) -> Contents:
-    """Channels of a TDMS file as `contents_of` columns: by their names, or `GROUP/CHANNEL` where two groups share a name.
-
-    The rate is the waveform's (`wf_increment`).
-    """
+    """Channels of a TDMS file as `contents_of` columns: by their names, or `GROUP/CHANNEL` where two groups share a name."""
     from nptdms import TdmsFile
     from nptdms.log import log_manager
 

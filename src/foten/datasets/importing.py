@@ -161,10 +161,7 @@ def import_recording(paths: Sequence[Path], options: ImportOptions) -> tuple[Rec
 def _converted(
     name: str, column: Column, clocks: Sequence[Column], beside: Sequence[Column], options: ImportOptions
 ) -> tuple[Channel, list[str], list[str], str]:
-    """Channel of a column, with the mapped time columns and all columns of its file.
-
-    And its history, sentences on a rate that is not used, and one on a sensor slower than the rows.
-    """
+    """Channel of a column, its history, sentences on a rate that is not used, and one on a sensor slower than the rows."""
     path = column.file
     history = []
     factor, on_unit = factor_of(name, column.name, column.unit, options.units.get(name))
@@ -220,10 +217,7 @@ def _on_one_clock(
 
 
 def along_normal(channels: Mapping[str, Channel], normal: tuple[float, float, float]) -> Channel:
-    """Force along the surface's normal, of the three axes of a sensor.
-
-    Source: Sec. III-c. Raises ValueError where the axes are not all there, or not of the same instants.
-    """
+    """Force along the surface's normal, of the three axes of a sensor; ValueError where they are not all there (Sec. III-c)."""
     names = [f"force_{axis}" for axis in AXES]
     missing = [name for name in names if name not in channels]
     if missing or "force" in channels:

@@ -115,10 +115,7 @@ def added_mapping(files: Files, mapping: Sequence[tuple[str, str]]) -> tuple[tup
 
 
 def guesses_of_missing(files: Files, mapping: Sequence[tuple[str, str]]) -> dict[str, str]:
-    """Columns that may be acceleration, speed or force, by quantity, each with the --map to add.
-
-    By their units, the columns of one name and several axes together; else by how their names begin.
-    """
+    """Columns that may be acceleration, speed or force by their units or else names, by quantity, each with the --map to add."""
     taken = {id(column) for channel, reference in mapping for column in columns_of(files, channel, reference)}
     others = [c for columns in files.values() for c in columns if id(c) not in taken and c.n_rows > 1 and not c.fault]
     guesses = {}

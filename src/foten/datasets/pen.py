@@ -136,10 +136,7 @@ def _line(taps: Array, knocks: Array) -> tuple[float, float]:
 
 
 def _centre(landings: Array, knocks: Array, off_by: Array) -> tuple[float, float]:
-    """Drift and delay in the middle of all lines that pass each touch within its largest error.
-
-    The errors of sampled events are uniform, so the middle of the possible lines is nearer than the line of least squares.
-    """
+    """Drift and delay in the middle of all lines that pass each touch within its largest error, which is uniform."""
     usual = landings.mean()
     drifts = np.arange(-MAX_DRIFT, MAX_DRIFT, 2e-6) if np.ptp(landings) >= 2.0 else np.zeros(1)
     off = (knocks - landings)[None, :] - drifts[:, None] * (landings - usual)[None, :]

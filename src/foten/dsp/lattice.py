@@ -107,10 +107,7 @@ def polynomial(reflections: Array, leak: float = LEAK) -> Array:
 
 
 def reflections_of(polynomials: Array) -> Array:
-    """The reflections with which a lattice, its leak included, is 1/A, stable or made so: (b, p + 1), 1 first → (b, p).
-
-    The inverse of `polynomial`. Zeros of A nearer to the unit circle than the leak allows come out a little further inside.
-    """
+    """Reflections with which a lattice, its leak included, is 1/A, stable or made so: (b, p + 1), 1 first → (b, p)."""
     b, p = polynomials.shape[0], polynomials.shape[1] - 1
     a = polynomials / LEAK ** np.arange(p + 1)
     reflections = np.empty((b, p))

@@ -55,10 +55,7 @@ def envelope_edges(rate_hz: float) -> Array:
 
 
 def band_energies(signals: Array, rate_hz: float) -> Array:
-    """Mean square of each band in each frame: signals (…, n) → (…, N_BANDS, n_frames), in their unit squared.
-
-    Butterworth band-passes of order 2, causal, from rest; a last part that fills no frame is left out.
-    """
+    """Mean square of each band in each frame, by causal Butterworth band-passes: signals (…, n) → (…, N_BANDS, n_frames)."""
     from scipy.signal import sosfilt
 
     bands = [sosfilt(sections, signals, axis=-1) for sections in _band_passes(rate_hz)]

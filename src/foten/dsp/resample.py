@@ -44,8 +44,7 @@ def decimate(samples: Array, source_hz: float, target_hz: float) -> Array:
 def interpolate(samples: Array, factor: Fraction) -> Array:
     """Signal (n,) at `factor` times its rate, 1 or more, by a windowed sinc, shape (ceil(n × factor),).
 
-    Polyphase: the output at time t takes the inputs around floor(t) with one of `factor.numerator` kernels, so a
-    constant is kept exactly by normalising each kernel to sum 1.
+    Polyphase: one of `factor.numerator` kernels, each normalised to sum 1, so that a constant is kept exactly.
     """
     if factor < 1:
         raise ValueError(f"interpolation by {float(factor):g}, expected 1 or more")

@@ -55,10 +55,7 @@ def synthesize(
 def synthesize_linear(
     predictor: Linear, trace: Trace, blocks: tuple[int, ...], scaling: Scaling, seed: int = 0, n_seeds: int = N_SEEDS
 ) -> Array:
-    """Free run of a linear predictor [m/s²], shape (n_seeds, n_blocks, block): white noise through 1/A.
-
-    Started from the recorded window of each block; the reference that a model has to beat.
-    """
+    """Free run of a linear predictor [m/s²], (n_seeds, n_blocks, block), from recorded windows: white noise through 1/A."""
     from scipy.signal import lfilter, lfiltic
 
     stable = predictor.stable()
@@ -78,10 +75,7 @@ def _after_recorded(history: Array, rendered: Array) -> Array:
 
 
 def nearest_training_blocks(trace: Trace, blocks: tuple[int, ...], train: tuple[int, ...]) -> Array:
-    """Acceleration of the training block nearest to each block in mean speed and force, (1, n_blocks, block).
-
-    Distances are in standard deviations of the training blocks' samples.
-    """
+    """Acceleration of the training block nearest to each in mean speed and force, by their deviations: (1, n_blocks, block)."""
     _, *judged = trace.picked(blocks)
     acceleration, *known = trace.picked(train)
     distance = np.zeros((len(blocks), len(train)))

@@ -60,10 +60,7 @@ def band_errors(recorded: Array, synthesized: Array, frequencies: Array, edges: 
 
 
 def modulation_spectra(blocks: Array, rate_hz: float) -> tuple[Array, Array] | None:
-    """Frequencies [Hz], 1 to 50, and the power spectrum of each block's envelope: blocks (…, n) → (k,), (…, k).
-
-    The envelope is divided by its mean in each block. None where less than 1 s is given.
-    """
+    """Frequencies [Hz], 1 to 50, and spectra of envelopes over their mean: blocks (…, n) → (k,), (…, k); None below 1 s."""
     if blocks.shape[-1] < rate_hz:
         return None
     from scipy import signal

@@ -172,10 +172,7 @@ def _design(block: Array, order: int, scheduled: bool) -> Array:
 
 
 def best_linear(samples: Array, train: tuple[int, ...], validation: tuple[int, ...], block: int) -> Linear | None:
-    """AR of any of `ORDERS` up to `first_scored`, scheduled or not, with the lowest absolute error on the validation blocks.
-
-    The sums of the longest hold those of all others, but for the first targets of a block.
-    """
+    """AR of any of `ORDERS` up to `first_scored`, scheduled or not, with the lowest absolute error on the validation blocks."""
     first = first_scored(block)
     if not validation or block <= first:
         return None

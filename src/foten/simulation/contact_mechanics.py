@@ -150,10 +150,7 @@ def under_ball(height: Array, tip_mm: float) -> Array:
 def contact_vibration(
     parameters: ContactParameters, surface: Array, stroke: Stroking, rng: np.random.Generator
 ) -> tuple[Array, Array]:
-    """Vibration of the tool before any sensor [m/s²], axes x, y, z, (n, 3), and the force of the contact [N], (n,).
-
-    The surface is what the ball rests at, as of `surface_of` or `under_ball`.
-    """
+    """Vibration of the tool before any sensor [m/s²], axes x, y, z, (n, 3), and the force of the contact [N], (n,)."""
     return contact_vibrations(parameters, surface, stroke, [rng])[0]
 
 

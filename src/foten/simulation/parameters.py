@@ -34,10 +34,7 @@ def parameter_table(name: str, lists: tuple[str, ...] = ()) -> tuple[Ranges, dic
 
 
 def check_parameters(parameters: Any, ranges: Ranges) -> None:
-    """Check that the fields of a simulated texture, but for `description`, are numbers or short rows of numbers in their range.
-
-    Fields without a range lie within ±`MAX_PARAMETER`.
-    """
+    """Check that the fields of a simulated texture, but for `description`, are numbers, or short rows of them, in their range."""
     for name, value in vars(parameters).items():
         if name == "description":
             continue

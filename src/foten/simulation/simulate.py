@@ -326,10 +326,7 @@ def sensor_channels(
     rng: np.random.Generator,
     own_motion: bool = True,
 ) -> dict[str, Channel]:
-    """Raw channels of Sec. III: from the tool's vibration [m/s²], (n, 3), and the surface's normal force [N], (n,).
-
-    Without `own_motion` the hand's own acceleration is left out.
-    """
+    """Raw channels of Sec. III, from the tool's vibration [m/s²], (n, 3), the surface's normal force [N], (n,), and the hand."""
     from scipy.signal import butter, sosfilt
 
     if own_motion:

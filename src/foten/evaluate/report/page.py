@@ -29,10 +29,7 @@ _MARKS = {"good": "✓", "even": "≈", "bad": "✗", "unknown": "–"}
 
 
 def write_report(judgement: Judgement, texture: Texture, directory: Path) -> Path:
-    """Write `report.html` and `evaluation.json` into a directory, made where there is none, and return the path of the former.
-
-    The page loads nothing and has no scripts. The same judgement gives the same bytes.
-    """
+    """Write `report.html`, which loads nothing, and `evaluation.json` into a directory, and return the path of the former."""
     directory.mkdir(parents=True, exist_ok=True)
     document = json.dumps({"foten": __version__, **judgement.document}, indent=1, allow_nan=False)
     for name, text in (("evaluation.json", f"{document}\n"), ("report.html", f"{page(judgement, texture)}\n")):
