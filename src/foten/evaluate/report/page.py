@@ -32,7 +32,7 @@ def write_report(judgement: Judgement, texture: Texture, directory: Path) -> Pat
     """Write `report.html`, which loads nothing, and `evaluation.json` into a directory, and return the path of the former."""
     directory.mkdir(parents=True, exist_ok=True)
     document = json.dumps({"foten": __version__, **judgement.document}, indent=1, allow_nan=False)
-    for name, text in (("evaluation.json", f"{document}\n"), ("report.html", f"{page(judgement, texture)}\n")):
+    for name, text in (("evaluation.json", f"{document}\n"), ("report.html", page(judgement, texture))):
         with atomic_write(directory / name) as part:
             part.write_text(text, encoding="utf-8", newline="\n")
     return directory / "report.html"
@@ -44,7 +44,7 @@ def page(judgement: Judgement, texture: Texture) -> str:
     findings = verdict(document)
     notes = "".join(f"<li>{html.escape(note)}</li>" for note in cautions(document))
     raw = {"All figures (JSON)": document, "The texture's card (JSON)": texture.card}
-    return _part(
+    whole = _part(
         "page",
         name=html.escape(shown(document["texture"], LONGEST_TEXT) or "unnamed texture"),
         style=Path(__file__).with_name("style.css").read_text(encoding="utf-8"),
@@ -63,6 +63,7 @@ def page(judgement: Judgement, texture: Texture) -> str:
         about=_about(document, texture),
         raw="".join(_details(title, dict(value)) for title, value in raw.items()),
     )
+    return f"{whole}\n"
 
 
 def _part(name: str, /, **texts: Any) -> str:
