@@ -16,7 +16,7 @@ import numpy as np
 
 from foten.datasets.columns import MAX_COLUMNS, Column, check_width, reading
 from foten.datasets.isolated import Contents, contents_of
-from foten.datasets.units import CLOCK, is_unit
+from foten.datasets.units import CLOCK, WORDS, is_unit
 from foten.dsp import Array
 from foten.recording.recording import counted
 from foten.untrusted import brief, check_content, read_whole
@@ -26,11 +26,6 @@ _DECIMAL_COMMA = re.compile(r"[-+]?\d*,\d+([eE][-+]?\d+)?")
 _NO_THOUSANDS = re.compile(r"[-+]?(?:0|\d{4,}|\d*(?=,\d{1,2}$)|\d*(?=,\d{4,}$)),\d+([eE][-+]?\d+)?")
 _DECIMAL_POINT = re.compile(r"[-+]?\d*\.\d+([eE][-+]?\d+)?")
 _STATED = re.compile(r"(?:^|; )(\w+) ?[:=] *([^;]*[^;\s])")
-_FIELDS = {
-    "texture": "surface texture material oberfläche textur superficie textura",
-    "tool": "tool werkzeug outil herramienta",
-}
-"""Fields of a recording, and the words of a line above the table that state them."""
 MAX_CELLS = 20_000_000  # of a workbook, blank ones among them
 MAX_ROWS = 2_000_000  # of a sheet; a program of tables has 1,048,576
 MAX_BLANK_LINES = 1_000_000  # more than there are other lines
@@ -212,7 +207,7 @@ def _table(rows: list[list[Any]], where: str, comments: Collection[int] = ()) ->
 def stated_above(preamble: str) -> dict[str, str]:
     """Texture and tool, where lines above a table state them: `Surface: walnut board`, `Tool: steel ball`."""
     stated = {key.lower(): text for key, text in _STATED.findall(preamble)}
-    found = {key: next((stated[w] for w in words.split() if w in stated), "") for key, words in _FIELDS.items()}
+    found = {key: next((stated[w] for w in words.split() if w in stated), "") for key, words in WORDS["fields"].items()}
     return {field: text for field, text in found.items() if text}
 
 

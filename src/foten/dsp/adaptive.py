@@ -148,7 +148,8 @@ class PreferenceSearch:
         pairs = np.concatenate([drawn, wide])
         some = self._rng.choice(N_PARTICLES, N_ASKED, p=self._weight)
         chosen = self._first(pairs[:, :1], pairs[:, 1:], some)
-        first, second = pairs[np.argmax(_information(chosen, np.full(len(some), 1 / len(some))))]
+        weight = np.full(len(some), 1 / len(some))
+        first, second = pairs[np.argmax(_entropy(chosen @ weight) - _entropy(chosen) @ weight)]
         return first, second
 
     def _first(self, first: Array, second: Array, rows: Any = slice(None)) -> Array:
@@ -175,11 +176,6 @@ class PreferenceSearch:
         self._points = np.clip(SHRINK * self._points[rows] + (1 - SHRINK) * mean + jitter, -1, 1)
         self._beta, self._lapse = self._beta[rows], self._lapse[rows]
         self._weight = np.full(N_PARTICLES, 1 / N_PARTICLES)
-
-
-def _information(yes: Array, weight: Array) -> Array:
-    """Mutual information of yes–no answers with probabilities (s, θ) and what is asked for, weights (θ,): (s,) [nat]."""
-    return _entropy(yes @ weight) - _entropy(yes) @ weight
 
 
 def _entropy(p: Array) -> Array:

@@ -187,11 +187,11 @@ def preprocess(recording: Recording, config: PreprocessConfig | None = None, n_b
     trim = round(config.trim_ms * rate / 1000)
     usable = stop - start - trim - max(trim, delay)
     if usable < (n_blocks or 1) * config.block:
-        covered_s = (stop - start) / rate
+        covered_s, needed = (stop - start) / rate, counted(n_blocks, "block") if n_blocks else "a block"
         options = fitting_options(covered_s, rate, axes[0].rate_hz if n_blocks else None)
         raise ValueError(
             f"{covered_s:.3g} s are covered by every channel; a trim of {config.trim_ms:g} ms at both ends leaves "
-            f"{max(0, usable) / rate:.3g} s, less than {counted(n_blocks, 'block') if n_blocks else 'a block'} of {config.block_ms:g} ms; "
+            f"{max(0, usable) / rate:.3g} s, less than {needed} of {config.block_ms:g} ms; "
             + (f"use {options}" if options else "that is too short: record for longer")
         )
     n_dropped = usable % config.block

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import json
 import threading
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass, replace
 from functools import partial
@@ -52,7 +52,7 @@ TIP_PER_MM = 4.0  # cycles/mm: the ball of 2 mm bridges finer structure
 AXIS_GAINS = np.array([[0.45, 0.55], [0.35, -0.25], [0.82, 0.80]])
 """Share of the two tool modes in x, y, z; each column has about unit norm, so that DFT321 keeps the level."""
 
-RANGES, _ROWS = parameter_table("twelve.csv", ("harmonics", "modes_hz", "damping"))
+RANGES, _ROWS = parameter_table("twelve.csv", ("harmonics", "modes_hz", "damping", "phases"))
 
 
 @dataclass(frozen=True)
@@ -88,14 +88,7 @@ class TextureParameters:
                 raise ValueError(f"{name} is {getattr(self, name)}, expected two numbers")
 
 
-def _phases(key: str, n: int) -> tuple[float, ...]:
-    """Phases of a texture's harmonics [rad], drawn by its key: every realisation has the same waveform."""
-    return tuple(np.random.default_rng([*key.encode()]).uniform(0, 2 * np.pi, n).round(3).tolist())
-
-
-TEXTURES: Mapping[str, TextureParameters] = {
-    key: TextureParameters(**row, phases=_phases(key, len(row["harmonics"]))) for key, row in _ROWS.items()
-}
+TEXTURES: Mapping[str, TextureParameters] = {key: TextureParameters(**row) for key, row in _ROWS.items()}
 Parameters = TextureParameters | ContactParameters | TwoMassParameters | LinearParameters
 _ALL: Mapping[str, Parameters] = {**TEXTURES, **CONTACT, **TWO_MASS, **LINEAR_FAMILY, **OTHER_LINEAR}
 
@@ -216,54 +209,43 @@ def _recordings(
     needed: NDArray[np.bool_] | None,
     rate_hz: float,
 ) -> list[Recording]:
-    """Recording of each realisation of a stroke, by noise-free sensors for a linear process."""
+    """Recording of each realisation of a stroke, by raw sensors over a texture, free of noise for a linear process."""
     # The key's bytes keep two textures of one seed apart, under one stroke.
     rngs = [np.random.default_rng([noise_seed, 2, *key.encode()]) for noise_seed in noise_seeds]
-    with ThreadPoolExecutor() as pool:  # filters and transforms release the interpreter's lock
-        if isinstance(parameters, LinearParameters):
-            tool, sensors = "", "noise-free, one axis"
-            captures = pool.map(partial(_linear_channels, parameters, stroke), rngs)
-        else:
-            tool, sensors = (
-                "simulated rigid tool, 2 mm steel ball",
-                "simulated ADXL335, force at 10 kHz, position at 120 Hz",
-            )
-            captures = _captures(parameters, key, stroke, rngs, needed, rate_hz, pool)
-        return [Recording(channels, key, tool, sensors, notes="simulated") for channels in captures]
-
-
-def _linear_channels(parameters: LinearParameters, stroke: Stroking, rng: np.random.Generator) -> dict[str, Channel]:
-    acceleration = linear_signal(parameters, stroke.speed, stroke.force, rng)
-    signals = {"acceleration": acceleration, "speed": stroke.speed, "force": stroke.force}
-    return {name: Channel(samples, stroke.rate_hz) for name, samples in signals.items()}
-
-
-def _captures(
-    parameters: TextureParameters | ContactParameters | TwoMassParameters,
-    key: str,
-    stroke: Stroking,
-    rngs: Sequence[np.random.Generator],
-    needed: NDArray[np.bool_] | None,
-    rate_hz: float,
-    pool: ThreadPoolExecutor,
-) -> Iterator[dict[str, Channel]]:
-    """What the raw sensors record of each realisation of a stroke over a texture."""
     decimation = round(RATE_HZ / rate_hz)
-    if RATE_HZ / decimation != rate_hz:
-        raise ValueError(f"{rate_hz:g} Hz is not {RATE_HZ:g} Hz divided by a whole number")
-    vibrations: Iterable[tuple[Array, Array]]
-    if isinstance(parameters, ContactParameters):
-        vibrations = contact_vibrations(parameters, surface_of(parameters, key), stroke, rngs, needed)
-    elif isinstance(parameters, TwoMassParameters):
-        vibrations = two_mass_vibrations(parameters, two_mass_surface(parameters, key), stroke, rngs, needed)
-    else:
-        vibrations = ((vibrated, stroke.force) for vibrated in pool.map(partial(vibration, parameters, stroke), rngs))
+
+    def of_process(rng: np.random.Generator) -> dict[str, Channel]:
+        assert isinstance(parameters, LinearParameters)
+        acceleration = linear_signal(parameters, stroke.speed, stroke.force, rng)
+        signals = {"acceleration": acceleration, "speed": stroke.speed, "force": stroke.force}
+        return {name: Channel(samples, rate_hz) for name, samples in signals.items()}
 
     def of_sensors(vibrated: tuple[Array, Array], rng: np.random.Generator) -> dict[str, Channel]:
+        assert not isinstance(parameters, LinearParameters)
         own_motion = not isinstance(parameters, TwoMassParameters)
         return sensor_channels(*vibrated, parameters.friction, stroke, decimation, rng, own_motion)
 
-    return pool.map(of_sensors, vibrations, rngs)
+    with ThreadPoolExecutor() as pool:  # filters and transforms release the interpreter's lock
+        if isinstance(parameters, LinearParameters):
+            return [
+                Recording(channels, texture=key, sensors="noise-free, one axis", notes="simulated")
+                for channels in pool.map(of_process, rngs)
+            ]
+        if RATE_HZ / decimation != rate_hz:
+            raise ValueError(f"{rate_hz:g} Hz is not {RATE_HZ:g} Hz divided by a whole number")
+        vibrations: Iterable[tuple[Array, Array]]
+        if isinstance(parameters, ContactParameters):
+            vibrations = contact_vibrations(parameters, surface_of(parameters, key), stroke, rngs, needed)
+        elif isinstance(parameters, TwoMassParameters):
+            vibrations = two_mass_vibrations(parameters, two_mass_surface(parameters, key), stroke, rngs, needed)
+        else:
+            vibrated = pool.map(partial(vibration, parameters, stroke), rngs)
+            vibrations = ((acceleration, stroke.force) for acceleration in vibrated)
+        sensors = "simulated ADXL335, force at 10 kHz, position at 120 Hz"
+        return [
+            Recording(channels, key, "simulated rigid tool, 2 mm steel ball", sensors, notes="simulated")
+            for channels in pool.map(of_sensors, vibrations, rngs)
+        ]
 
 
 def _roughness(parameters: TextureParameters, length_mm: float, rng: np.random.Generator) -> Array:

@@ -102,12 +102,9 @@ def _good_for(judgement: Judgement) -> str:
         return "Not this surface, or other sensors: a step ahead it is worse than silence, so the rest says little."
     biases = [bias for *_, bias in ranges]
     if max(biases) < SILENT_DB:
-        others = (
-            ""
-            if document["model"] in ("foten-plus", "ar")
-            else ". foten-plus does not, nor a network with --excitation"
-        )
-        return f"Not usable: left to itself it falls silent{others}."
+        others = ". foten-plus does not, nor a network with --excitation"
+        is_other = document["model"] not in ("foten-plus", "ar")
+        return f"Not usable: left to itself it falls silent{others * is_other}."
     right = [abs(bias) <= MAX_LEVEL_DB for bias in biases]
     if spectrum.tone == "bad" or not any(right):
         why = f"its spectrum is {_distance(document, key)}" if any(right) else "its level is off at every speed"
