@@ -117,18 +117,6 @@ def fit_linear(
     return _solved(_sums(samples, blocks, block, order, scheduled), len(blocks) * (block - order), order, scheduled)
 
 
-@dataclass(frozen=True)
-class _Sums:
-    """Sums of least squares over some targets, of p coefficients."""
-
-    gram: Array  # shape (p, p)
-    moment: Array  # shape (p,)
-    power: float
-
-    def __add__(self, other: _Sums) -> _Sums:
-        return _Sums(self.gram + other.gram, self.moment + other.moment, self.power + other.power)
-
-
 def _is_determined(blocks: tuple[int, ...], block: int, order: int, scheduled: bool) -> bool:
     n_coefficients = (order + 1) * (3 if scheduled else 1)
     return block > order and len(blocks) * (block - order) >= 2 * n_coefficients
@@ -142,21 +130,26 @@ def _sums(
     scheduled: bool,
     first: int | None = None,
     last: int | None = None,
-) -> _Sums:
-    """Sums of AR(order) over the targets of blocks from `first`, the order by default, to before `last`, the end by default."""
+) -> Array:
+    """Sums of the products of each two of p coefficients' terms and the target, which is last: (p + 1, p + 1).
+
+    Of AR(order) over the targets of blocks from `first`, the order by default, to before `last`, the end by default.
+    """
     n_coefficients = (order + 1) * (3 if scheduled else 1)
     first, last = order if first is None else first, block if last is None else last
-    sums = _Sums(np.zeros((n_coefficients,) * 2), np.zeros(n_coefficients), 0.0)
+    sums = np.zeros((n_coefficients + 1,) * 2)
     for number in blocks:
         rows = samples[number * block + first - order : number * block + last]
         design, target = _design(rows, order, scheduled), rows[order:, 0]
-        sums += _Sums(design.T @ design, design.T @ target, float(target @ target))
+        moment = (design.T @ target)[:, None]
+        sums += np.block([[design.T @ design, moment], [moment.T, target @ target]])
     return sums
 
 
-def _solved(sums: _Sums, n: int, order: int, scheduled: bool) -> Linear:
-    coefficients = solved(sums.gram, sums.moment)
-    residual = float(sums.power - 2 * coefficients @ sums.moment + coefficients @ sums.gram @ coefficients)
+def _solved(sums: Array, n: int, order: int, scheduled: bool) -> Linear:
+    gram, moment = np.ascontiguousarray(sums[:-1, :-1]), sums[:-1, -1].copy()
+    coefficients = solved(gram, moment)
+    residual = float(sums[-1, -1] - 2 * coefficients @ moment + coefficients @ gram @ coefficients)
     shaped = coefficients.reshape(3, order + 1) if scheduled else coefficients
     return Linear(shaped, math.sqrt(max(0.0, residual) / n))
 
@@ -189,8 +182,8 @@ def best_linear(samples: Array, train: tuple[int, ...], validation: tuple[int, .
     def judged(kind: tuple[int, bool]) -> tuple[float, Linear]:
         order, scheduled = kind
         latest = np.arange(longest - order, longest + 1)
-        columns = np.concatenate([latest + group * (longest + 1) for group in range(3 if scheduled else 1)])
-        sums = _Sums(whole.gram[np.ix_(columns, columns)], whole.moment[columns], whole.power)
+        columns = np.concatenate([*(latest + group * (longest + 1) for group in range(3 if scheduled else 1)), [-1]])
+        sums = whole[np.ix_(columns, columns)]
         if order < longest:
             sums += _sums(samples, train, block, order, scheduled, order, longest)
         fitted = _solved(sums, len(train) * (block - order), order, scheduled)
