@@ -31,12 +31,6 @@ PARTS = ("accel", "force", "position")
 _CLIP = re.compile(r"(?P<surface>\d+)_(?P<direction>\d+)_(?P<speed>\d+)_(?P<force>\d+)_(?P<repeat>\d+)\.csv")
 
 
-def cluster_folder(folder: Path) -> Path | None:
-    """Folder of the sensors' data below a folder that someone fetched; None where it is none of this dataset's."""
-    places = (folder, folder / "sensor_data", folder / "texture_dataset" / "sensor_data")
-    return next((place for place in places if all((place / part).is_dir() for part in PARTS)), None)
-
-
 def cluster_surfaces(folder: Path) -> dict[int, list[str]]:
     """Names of the clips by surface; a clip counts whose acceleration, force and position are all there."""
     names = set.intersection(*({path.name for path in (folder / part).glob("*.csv")} for part in PARTS))
@@ -50,7 +44,8 @@ def cluster_surfaces(folder: Path) -> dict[int, list[str]]:
 @np.errstate(over="ignore", invalid="ignore", divide="ignore")  # absurd times and values are refused, in a sentence
 def read_cluster(folder: Path, surface: int | None) -> tuple[Recording, list[str]]:
     """Recording of a surface, a take for each clip, and sentences on what was decided; ValueError where there is none."""
-    place = cluster_folder(folder)
+    places = (folder, folder / "sensor_data", folder / "texture_dataset" / "sensor_data")
+    place = next((place for place in places if all((place / part).is_dir() for part in PARTS)), None)
     if place is None:
         expected = f"sensor_data with {', '.join(PARTS)}, as the Cluster Haptic Texture Dataset has them"
         raise ValueError(f"{folder} is a folder of nothing that is known, expected {expected}")

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from foten.datasets.bounds import MAX_FILLED
 from foten.dsp import Array
 from foten.dsp.filters import butterworth, filter_recorded
+from foten.dsp.level import rms
 from foten.recording.capture_folder import PenEvents
 from foten.recording.recording import Channel
 
@@ -113,7 +114,7 @@ def joined(events: PenEvents, sound: Array, rate_hz: float) -> PenClock:
         raise ValueError(f"{on_line}, expected {n_required} or more: was one of the clocks stopped in between?")
     drift, delay = _centre(landings[best[0]][near], knocks[best[1]][near], off_by[best[0]][near])
     off = knocks[best[1]] - (landings[best[0]] * (1 + drift) + delay)
-    return PenClock(delay, drift, int(n_taps), 1000 * float(np.sqrt(np.square(off).mean())))
+    return PenClock(delay, drift, int(n_taps), 1000 * rms(off))
 
 
 def _pairs(expected: Array, knocks: Array, within: Array) -> Pairs:

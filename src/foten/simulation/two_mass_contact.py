@@ -169,11 +169,7 @@ def two_mass_vibrations(
     rngs: Sequence[np.random.Generator],
     needed: NDArray[np.bool_] | None = None,
 ) -> list[tuple[Array, Array]]:
-    """Vibrations of the tool's body before any sensor [m/s²], axes x, y, z, (n, 3), and the contact's force [N], (n,).
-
-    Of realisations of a stroke; as at rest where they are not `needed`, (n,). The surface is what the ball rests at, as of
-    `two_mass_surface`.
-    """
+    """Vibrations and forces of realisations of a stroke, as of `contact_vibrations`, over what `two_mass_surface` gives."""
     integrate = partial(_integrate, parameters, surface, stroke.rate_hz)
     return [
         (np.column_stack([tangential[:, None] * DIRECTION, normal]), force)
