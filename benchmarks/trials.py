@@ -40,11 +40,10 @@ import numpy as np
 from foten.atomic_write import atomic_write
 from foten.datasets.hdf5 import load_recording, write_recording
 from foten.dsp import Array
-from foten.dsp.bands import BAND_FRAME_MS, N_BANDS, band_energies
 from foten.dsp.distance import log_spectral_distance, scored_bins, segment_length, welch
 from foten.dsp.equaliser import terms_of
-from foten.dsp.level import frame_levels, frame_means, framed
-from foten.evaluate.listener import FLOOR, rendering, vibrations
+from foten.dsp.level import BAND_FRAME_MS, ENERGY_FLOOR, N_BANDS, band_energies, frame_levels, frame_means, framed
+from foten.evaluate.listener import rendering, vibrations
 from foten.evaluate.listener_network import listener_auc
 from foten.models.conditions import MOVING_FORCE, MOVING_SPEED
 from foten.models.foten_plus import fit
@@ -249,7 +248,7 @@ def known_levels(trial: Trial, true: Sequence[Trace], rendered: Sequence[Trace])
     first, second = vibrations(true[0], rendered[0])[""]
     moving = second.frames[:N_BANDS].any(axis=0)
     energies = [[band_energies(trace.acceleration, trace.rate_hz) for trace in some] for some in (true, rendered)]
-    floor = FLOOR * np.mean([some[0].mean(axis=-1) for some in energies], axis=0)[:, None]
+    floor = ENERGY_FLOOR * np.mean([some[0].mean(axis=-1) for some in energies], axis=0)[:, None]
     logs = [[np.log(energy + floor) for energy in some] for some in energies]
     unit = (logs[1][0][:, moving].std(axis=1) / second.frames[:N_BANDS, moving].std(axis=1))[:, None]
     phi = framed(terms_of(true[0].speed, true[0].force, true[0].rate_hz), BAND_FRAME_MS, true[0].rate_hz).mean(axis=-1)

@@ -17,8 +17,8 @@ import pytest
 import torch
 
 from foten.baselines.sizes import NoiseModelSizes
-from foten.dsp.bands import N_BANDS
 from foten.dsp.equaliser import N_TERMS, Equaliser
+from foten.dsp.level import N_BANDS
 from foten.models.excitation import Excitation, Scale
 from foten.models.foten_plus.recorded_innovations import (
     CANDIDATE,

@@ -448,7 +448,7 @@ MUTANTS = (
         ("particles that are drawn anew spread too little", "PreferenceSearch._draw_anew", "Call sqrt", "1 - SHRINK"),
     ),
     *of_python(
-        "datasets/clock_times.py",
+        "datasets/tabular.py",
         ("every step back is midnight", "clock_seconds", "UnaryOp USub 0", "0"),
         tests="importing",
     ),

@@ -6,10 +6,19 @@ from scipy.interpolate import LinearNDInterpolator
 from scipy.signal import lfilter
 from scipy.spatial import Delaunay
 
-from foten.dsp.ar import burg, levinson, solved, spectral_radius, stabilised
+from foten.dsp.ar import (
+    MIN_GAP_RAD,
+    burg,
+    levinson,
+    line_spectral_frequencies,
+    polynomial_of,
+    solved,
+    spectral_radius,
+    spread_out,
+    stabilised,
+)
 from foten.dsp.lattice import LEAK, polynomial, reflections_of
-from foten.dsp.lsf import MIN_GAP_RAD, line_spectral_frequencies, polynomial_of, spread_out
-from foten.dsp.mesh import Mesh
+from foten.dsp.speed_force_table import Mesh
 
 
 def taps_of(poles: list[complex]) -> np.ndarray:

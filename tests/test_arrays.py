@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 import scipy.io
 
-from foten.datasets.binary import read_hdf5, read_matlab, read_numpy
+from foten.datasets.binary import read_hdf5, read_numpy
 from foten.datasets.hdf5 import write_recording
+from foten.datasets.isolated import isolated_columns
 from foten.recording.recording import Channel, Recording
 
 FORCE = np.linspace(0, 3, 40)
@@ -42,7 +43,7 @@ def test_arrays_without_a_meaning_carry_a_fault(tmp_path):
 def test_matlab_v5_with_a_struct(tmp_path):
     variables = {"trial": {"acc": AXES, "force": FORCE[:, None], "note": "two strokes"}, "fs": 10_000.0}
     scipy.io.savemat(tmp_path / "a.mat", variables)
-    columns = read_matlab(tmp_path / "a.mat")
+    columns = isolated_columns("MATLAB", tmp_path / "a.mat")
     by_name = _by_name(columns)
     np.testing.assert_array_equal(by_name["trial.acc.1"], AXES[:, 1])
     np.testing.assert_array_equal(by_name["trial.force"], FORCE)
@@ -57,7 +58,7 @@ def test_matlab_v73(tmp_path):
             dataset.attrs["MATLAB_class"] = np.bytes_("double")
     with (tmp_path / "a.mat").open("r+b") as raw:  # the block before the HDF5 part says what it is
         raw.write(b"MATLAB 7.3 MAT-file".ljust(124) + b"\x00\x02IM")
-    by_name = _by_name(read_matlab(tmp_path / "a.mat"))
+    by_name = _by_name(isolated_columns("MATLAB", tmp_path / "a.mat"))
     assert list(by_name) == ["acc.0", "acc.1", "acc.2", "force"]  # in every run: a column may go by its number
     np.testing.assert_array_equal(by_name["acc.2"], AXES[:, 2])
     np.testing.assert_array_equal(by_name["force"], FORCE)

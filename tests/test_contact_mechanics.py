@@ -45,8 +45,8 @@ def forces(
     n = round(seconds * RATE_HZ)
     speed = np.repeat(np.array(speeds)[:, None], n, axis=1)
     place = speed * np.arange(1, n + 1) / RATE_HZ
-    both = contact_mechanics._integrate(parameters, surface, place, speed, np.full_like(speed, force), RATE_HZ)
-    return both[0], both[1]
+    both = contact_mechanics._integrate(parameters, surface, RATE_HZ, place, speed, np.full_like(speed, force))
+    return both[1], both[0]
 
 
 def wave(amplitude_um: float, wavelength_mm: float) -> np.ndarray:
@@ -222,12 +222,10 @@ def test_pieces_side_by_side_are_one_long_integration() -> None:
     place = 7.0 + np.cumsum(stroke.speed) / RATE_HZ
 
     def integrate(*piece: np.ndarray) -> np.ndarray:
-        return contact_mechanics._integrate(p, surface_of(p, key), *piece, RATE_HZ)
+        return contact_mechanics._integrate(p, surface_of(p, key), RATE_HZ, *piece)
 
     (pieces,) = contact_mechanics.joined_pieces(integrate, place[None], stroke)
-    long_piece = contact_mechanics._integrate(
-        p, surface_of(p, key), place[None], stroke.speed[None], stroke.force[None], RATE_HZ
-    )
+    long_piece = integrate(place[None], stroke.speed[None], stroke.force[None])
     for joined, expected in zip(pieces, long_piece, strict=True):
         apart = np.abs(joined - expected[0])[3000:]
         assert apart.max() < 0.02 * expected[0].std()

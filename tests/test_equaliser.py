@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from conftest import PLUS, exported
-from foten.dsp.bands import N_BANDS, band_energies, envelope_edges
 from foten.dsp.equaliser import MAX_LOG_GAIN, N_TERMS, Equaliser, EqualiserStream, in_bands, logarithms, terms_of
+from foten.dsp.level import N_BANDS, band_energies, envelope_edges
 from foten.editing.blend import blend
 from foten.models.foten_plus.equaliser_fit import best_penalty, fit_equaliser, regression
 from foten.models.foten_plus.sizes import FotenPlusSizes

@@ -13,11 +13,12 @@ from nptdms import ChannelObject, TdmsWriter
 from scipy.io import savemat, wavfile
 
 from foten.cli.command_line import _status
-from foten.datasets.binary import read_tdms, read_wav
-from foten.datasets.clock_times import clock_seconds
+from foten.datasets.binary import read_wav
 from foten.datasets.hdf5 import load_recording
 from foten.datasets.importing import DATASETS, import_recording, read_columns, read_stroke
+from foten.datasets.isolated import isolated_columns
 from foten.datasets.options import ImportOptions, parse_pairs, parse_rates
+from foten.datasets.tabular import clock_seconds
 from foten.datasets.timing import irregular, rate_of
 from foten.datasets.units import FULL_SCALE
 
@@ -633,7 +634,7 @@ def test_channels_with_their_rates_and_units(tmp_path):
     ]
     with TdmsWriter(tmp_path / "a.tdms") as writer:
         writer.write_segment(channels)
-    columns = {column.name: column for column in read_tdms(tmp_path / "a.tdms")}
+    columns = {column.name: column for column in isolated_columns("TDMS", tmp_path / "a.tdms")}
     assert list(columns) == ["acc", "fast/force", "slow/force"]
     np.testing.assert_array_equal(columns["acc"].samples, ACC)
     assert (columns["acc"].rate_hz, columns["acc"].unit) == (10_000, "g")

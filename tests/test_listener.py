@@ -12,8 +12,8 @@ import pytest
 from scipy.signal import butter, freqz_sos, lfilter
 from scipy.stats import spearmanr
 
-from foten.dsp.bands import N_BANDS, envelope_edges
 from foten.dsp.distance import area_under_curve, earth_mover_octaves, log_spectral_distance
+from foten.dsp.level import N_BANDS, envelope_edges
 from foten.dsp.perception import THRESHOLD_M_S2, internal_noise_db
 from foten.evaluate.listener import listener_scores, long_stroke, vibrations
 from foten.recording.trace import Trace

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from conftest import CARD, SCALING, exported, local_models
+from foten.dsp.ar import line_spectral_frequencies, polynomial_of
 from foten.dsp.lattice import LEAK, predict, push, reflections_of
-from foten.dsp.lsf import line_spectral_frequencies, polynomial_of
 from foten.models.definitions import render
 from foten.models.piecewise_ar.definition import PiecewiseAr
 from foten.models.piecewise_ar.local_models import LocalModels, local_texture

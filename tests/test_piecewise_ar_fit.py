@@ -10,7 +10,7 @@ import pytest
 
 from foten.cli.command_line import _status
 from foten.datasets.hdf5 import write_recording
-from foten.dsp.lsf import MIN_GAP_RAD
+from foten.dsp.ar import MIN_GAP_RAD
 from foten.dsp.segmentation import MAX_ORDER
 from foten.evaluate.evaluate import evaluate
 from foten.experiments.simulator_reference import reference_for

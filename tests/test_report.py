@@ -261,7 +261,7 @@ def test_the_figures_draw_what_was_scored(judged):
     for name in RUNS:
         ratio = 10 * np.log10(pooled["recorded"] / np.maximum(pooled[name], floor))
         assert np.sqrt(np.square(ratio).mean()) == pytest.approx(judged.document[name]["lsd_long_db"])
-        assert signals.level_errors(judged, name).mean() == pytest.approx(judged.document[name]["level_bias_db"])
+        assert signals.frame_errors(judged, name).mean() == pytest.approx(judged.document[name]["level_bias_db"])
     axes = plots.bands(judged).axes[0]
     errors = [x for name in ("free_run", "free_run_ar", "ceiling") for x in judged.document[name]["band_errors_db"]]
     assert [bar.get_height() for bar in axes.patches] == pytest.approx(errors)

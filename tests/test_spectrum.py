@@ -8,9 +8,9 @@ from scipy import signal
 from scipy.signal import butter, sosfilt
 
 from foten.dsp import distance
-from foten.dsp.bands import N_BANDS, band_energies, envelope_edges
 from foten.dsp.dft321 import dft321
 from foten.dsp.distance import earth_mover_octaves, welch
+from foten.dsp.level import N_BANDS, band_energies, envelope_edges
 from foten.dsp.perception import (
     JND_CORRECT,
     LEVEL_JND_DB,

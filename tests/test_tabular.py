@@ -7,8 +7,8 @@ import numpy as np
 import openpyxl
 import pytest
 
-from foten.datasets.clock_times import clock_seconds
-from foten.datasets.tabular import read_delimited, read_excel
+from foten.datasets.isolated import isolated_columns
+from foten.datasets.tabular import clock_seconds, read_delimited
 
 
 def _columns(path, text, encoding="utf-8"):
@@ -167,14 +167,17 @@ def _workbook(path, **sheets):
 
 def test_an_excel_sheet_with_a_header(tmp_path):
     _workbook(tmp_path / "a.xlsx", data=[["time", "force"], [0, 1.5], [1, 2.5], [2, None]], empty=[])
-    time, force = read_excel(tmp_path / "a.xlsx")
+    time, force = isolated_columns(".xlsx", tmp_path / "a.xlsx")
     assert (time.name, time.samples.tolist()) == ("time", [0, 1, 2])
     assert (force.name, force.samples.tolist(), force.n_blank) == ("force", [1.5, 2.5], 1)
 
 
 def test_several_sheets_name_their_columns(tmp_path):
     _workbook(tmp_path / "a.xlsx", fast=[["a"], [1], [2], [3]], slow=[["f"], [4], [5]])
-    assert [(c.name, c.samples.size) for c in read_excel(tmp_path / "a.xlsx")] == [("fast.a", 3), ("slow.f", 2)]
+    assert [(c.name, c.samples.size) for c in isolated_columns(".xlsx", tmp_path / "a.xlsx")] == [
+        ("fast.a", 3),
+        ("slow.f", 2),
+    ]
 
 
 @pytest.mark.parametrize("cell", ["\x1b[31m", "9" * 5000 + "x", "1e400"])
@@ -206,8 +209,8 @@ def test_a_sheet_that_says_it_is_larger_than_memory_is_refused(tmp_path):
             for part, data in (parts | {"xl/worksheets/sheet1.xml": wrong}).items():
                 archive.writestr(part, data)
     with pytest.raises(ValueError, match=r"rows.xlsx, sheet Sheet has more than 2,000,000 rows or"):
-        read_excel(tmp_path / "rows.xlsx")
-    assert read_excel(tmp_path / "digits.xlsx")[0].fault.endswith("expected a number")
+        isolated_columns(".xlsx", tmp_path / "rows.xlsx")
+    assert isolated_columns(".xlsx", tmp_path / "digits.xlsx")[0].fault.endswith("expected a number")
 
 
 @pytest.mark.parametrize(

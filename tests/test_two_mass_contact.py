@@ -20,7 +20,7 @@ def integrated(parameters: TwoMassParameters, surface: np.ndarray, speeds: list[
     n = round(seconds * RATE_HZ)
     speed = np.repeat(np.array(speeds)[:, None], n, axis=1)
     place = np.cumsum(speed, axis=1) / RATE_HZ
-    return two_mass_contact._integrate(parameters, surface, place, speed, np.ones_like(speed), RATE_HZ)
+    return two_mass_contact._integrate(parameters, surface, RATE_HZ, place, speed, np.ones_like(speed))
 
 
 def profile_of(**changed: float) -> np.ndarray:
@@ -65,7 +65,7 @@ def test_a_tip_that_nothing_presses_stays_bounded_at_rest() -> None:
     pressed = np.interp(np.arange(2000), [0, 300, 600], [1.0, 1.0, 0.0])[None]  # and slower, too
     speed = 100.0 * pressed
     place = np.cumsum(speed, axis=1) / RATE_HZ
-    moved = two_mass_contact._integrate(TWO_MASS["linen"], FLAT, place, speed, pressed, RATE_HZ)
+    moved = two_mass_contact._integrate(TWO_MASS["linen"], FLAT, RATE_HZ, place, speed, pressed)
     assert np.isfinite(moved).all()
     assert np.abs(moved[2, :, -500:]).max() == 0.0
 

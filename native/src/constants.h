@@ -45,8 +45,8 @@ static inline double clip(double x, double limit) { return x > limit ? limit : x
 #define FOTEN_REACH_SPEED 400.0       /* foten.models.conditions.REACH_SPEED */
 #define FOTEN_REACH_FORCE 6.0         /* foten.models.conditions.REACH_FORCE */
 #define FOTEN_FORCE_FLOOR 0.05        /* foten.dsp.speed_force_table.FORCE_FLOOR */
-#define FOTEN_MIN_TRIANGLE_AREA 1e-9  /* foten.dsp.mesh.MIN_TRIANGLE_AREA */
-#define FOTEN_INSIDE -1e-12           /* foten.dsp.mesh._INSIDE */
+#define FOTEN_MIN_TRIANGLE_AREA 1e-9  /* foten.dsp.speed_force_table.MIN_TRIANGLE_AREA */
+#define FOTEN_INSIDE -1e-12           /* foten.dsp.speed_force_table._INSIDE */
 #define FOTEN_STYLUS_NEWTONS 0.13     /* foten.runtime.stylus.PressureCalibration.a */
 #define FOTEN_STYLUS_STEEPNESS 3.32   /* foten.runtime.stylus.PressureCalibration.b */
 #define FOTEN_ACTUATOR_LOWEST_HZ 20.0 /* foten.runtime.actuator.ActuatorProfile.lowest_hz */
@@ -105,7 +105,7 @@ static inline double clip(double x, double limit) { return x > limit ? limit : x
 #define FOTEN_WEIGHT_5 3                /* foten.models.foten_plus.recorded_innovations.WEIGHTS[5] */
 
 /* The equaliser. */
-#define FOTEN_N_BANDS 8             /* foten.dsp.bands.N_BANDS */
+#define FOTEN_N_BANDS 8             /* foten.dsp.level.N_BANDS */
 #define FOTEN_N_LOWPASSES 3         /* foten.dsp.equaliser.N_LOWPASSES */
 #define FOTEN_REFERENCE_SPEED 100.0 /* foten.dsp.equaliser.REFERENCE_SPEED */
 #define FOTEN_REFERENCE_FORCE 1.0   /* foten.dsp.equaliser.REFERENCE_FORCE */

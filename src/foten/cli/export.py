@@ -145,7 +145,7 @@ def _write_onnx(texture: Texture, output: Path) -> tuple[dict[str, Any], str]:
 
 def _write_site(files: list[Path], output: Path) -> tuple[dict[str, Any], str]:
     from foten.export import web
-    from foten.recording.inspection.values import counted
+    from foten.recording.recording import counted
     from foten.studio.page_files import page_files
     from foten.studio.shelf import Shelf
 

@@ -325,7 +325,7 @@ def _document_of(played: Played) -> dict[str, Any]:
 
 def _lines_of(played: Played, lead_ms: float, scale: float) -> list[str]:
     """What was played, for people, and what to do where something went wrong."""
-    from foten.recording.inspection.values import counted
+    from foten.recording.recording import counted
 
     statistics = played.statistics
     delays = ", ".join(f"{ms:.1f} ms {name}" for name, ms in played.delays_ms.items())
@@ -432,7 +432,7 @@ def _print_rendered(
     document: dict[str, Any], lines: list[str], counts: dict[str, int], texture: Texture, as_json: bool
 ) -> None:
     """Print a result, with how much of it lay outside of the recorded range, and say what the kernel found wrong."""
-    from foten.recording.inspection.values import counted
+    from foten.recording.recording import counted
 
     print_result(document, "\n".join([*lines, *_outside_range(counts, texture)]), as_json)
     if n := counts["n_saturated"]:

@@ -51,7 +51,7 @@ def serve(
 
     foten serve --to daq:Dev1/ao0 --actuator coil.json: with a voice coil on an NI-DAQ of this machine.
     """
-    from foten.recording.inspection.values import counted
+    from foten.recording.recording import counted
     from foten.runtime.actuator import read_profile
     from foten.studio.players import OutputDevice
     from foten.studio.shelf import SUFFIX, Shelf

@@ -312,8 +312,8 @@ def _document(trained: Trained) -> dict[str, Any]:
 
 def _summary(trained: Trained) -> str:
     """Result of a training, in lines."""
-    from foten.recording.inspection.values import counted
     from foten.recording.preprocess import cut_in_words
+    from foten.recording.recording import counted
 
     card, trace = trained.texture.card, trained.trace
     metrics, sizes, condition = card["metrics"], card["sizes"], card["warm_start"]["recorded"]

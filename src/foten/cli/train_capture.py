@@ -25,9 +25,8 @@ from foten.models.texture_file import Texture, write_texture
 from foten.models.trainable import train
 from foten.recording.capture_folder import ABOUT, PEN, SOUND, About, file_name
 from foten.recording.inspection import inspect_recording
-from foten.recording.inspection.values import counted
 from foten.recording.preprocess import PreprocessConfig, blocks_of
-from foten.recording.recording import Recording
+from foten.recording.recording import Recording, counted
 from foten.runtime.stylus import PressureCalibration
 from foten.training.checkpoint import Epoch
 from foten.training.job import TrainingJob, shortest_block

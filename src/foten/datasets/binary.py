@@ -1,8 +1,7 @@
-"""NumPy, MATLAB, HDF5, TDMS and WAV files as columns; ValueError where one is truncated, foreign, or holds pickled objects."""
+"""NumPy, HDF5 and WAV files as columns; ValueError where one is truncated, foreign, or holds pickled objects."""
 
 from __future__ import annotations
 
-import logging
 import math
 import warnings
 import zipfile
@@ -15,13 +14,11 @@ from numpy.typing import NDArray
 
 from foten.datasets.columns import Column, check_width, columns_of_array, reading, with_units
 from foten.datasets.hdf5 import FORMAT
-from foten.datasets.isolated import Contents, contents_of, isolated_columns, read_isolated
+from foten.datasets.isolated import read_isolated
 from foten.datasets.units import FULL_SCALE
 from foten.untrusted import check_content
 
 _PICKLE = "holds pickled objects, which can run code when opened; save plain arrays of numbers instead"
-_UNITS = ("unit_string", "NI_UnitDescription", "NI_Unit", "unit", "units", "Unit", "Units")
-"""Properties in which programs state the unit of a TDMS channel; LabVIEW's waveforms have the first."""
 
 
 def read_numpy(path: Path) -> list[Column]:
@@ -69,13 +66,6 @@ def _item_bytes(dtype: np.dtype[Any]) -> int:
     return math.prod(dtype.shape) * (sum(fields) or max(8, dtype.base.itemsize))
 
 
-def read_matlab(path: Path) -> list[Column]:
-    """Variables of a .mat file, v5 to v7.3; fields of structs are `struct.field`."""
-    contents, arrays = read_isolated("MATLAB", path)
-    columns = [Column(samples=samples, **of_file) for of_file, samples in zip(contents["columns"], arrays, strict=True)]
-    return with_units(columns, contents["texts"])
-
-
 def read_hdf5(path: Path) -> list[Column]:
     """Datasets of a foreign HDF5 file, by their paths in it; a recording of ours is refused."""
     contents, arrays = read_isolated("HDF5", path)
@@ -94,50 +84,6 @@ def read_hdf5(path: Path) -> list[Column]:
         elif "fault" in entry:
             columns.append(Column(name, fault=entry["fault"]))
     return with_units(columns, texts)
-
-
-def read_tdms(path: Path) -> list[Column]:
-    """Channels of a TDMS file: by their names, or `GROUP/CHANNEL` where two groups share a name.
-
-    The rate is the waveform's (`wf_increment`), the unit the channel's (`unit_string` or the like).
-    """
-    return isolated_columns("TDMS", path)
-
-
-def tdms_contents(path: Path) -> Contents:
-    """Channels of a TDMS file, as `contents_of` columns."""
-    from nptdms import TdmsFile
-    from nptdms.log import log_manager
-
-    log_manager.set_level(logging.CRITICAL)  # what it warns of is refused below, in one line
-    with reading(path, "TDMS file"):
-        file = TdmsFile.read(path)
-    status = file.file_status
-    lengths = (status.channel_statuses or {}).values()
-    if status.incomplete_final_segment or any(status.read_length < status.expected_length for status in lengths):
-        raise ValueError(f"{path.name} is truncated: its last segment is incomplete")
-    channels = [channel for group in file.groups() for channel in group.channels()]
-    check_width(path.name, len(channels))
-    names = [channel.name for channel in channels]
-    columns = []
-    for channel in channels:
-        name = channel.name if names.count(channel.name) == 1 else f"{channel.group_name}/{channel.name}"
-        samples, stated = np.asarray(channel[:]), channel.properties
-        if samples.dtype.kind in "biuf":
-            unit = next((str(stated[key]) for key in _UNITS if stated.get(key)), "").strip()
-            columns.append(Column(name, samples.astype(np.float64), _rate(stated.get("wf_increment")), unit))
-        else:
-            columns.append(Column(name, fault="holds text or times, expected numbers"))
-    return contents_of(columns)
-
-
-def _rate(increment_s: Any) -> float | None:
-    """Rate of a waveform [Hz]; none where the file states no step or an absurd one."""
-    if not isinstance(increment_s, int | float | np.number) or not 1e-12 < increment_s < 1e12:
-        return None
-    rate = 1 / float(increment_s)
-    # The increment is a rounded double: 1/(1/10000) need not be 10000.
-    return float(round(rate)) if abs(rate - round(rate)) < 1e-9 * rate else rate
 
 
 def read_wav(path: Path) -> list[Column]:

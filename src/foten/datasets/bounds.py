@@ -9,8 +9,7 @@ import numpy as np
 from foten.datasets.units import quantity
 from foten.dsp import Array
 from foten.recording.inspection.one_channel import unit_doubt
-from foten.recording.inspection.values import counted
-from foten.recording.recording import LIMITS, UNITS, Channel
+from foten.recording.recording import LIMITS, UNITS, Channel, counted
 
 MAX_SAMPLE = 1e12  # of a sample in any unit; a converter of 32 bits counts to 4e9
 MAX_DURATION_S = 7200.0  # of a channel: two hours

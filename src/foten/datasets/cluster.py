@@ -21,8 +21,7 @@ from foten.datasets.columns import Column
 from foten.datasets.importing import read_columns
 from foten.datasets.units import G
 from foten.dsp import Array
-from foten.recording.inspection.values import counted
-from foten.recording.recording import Channel, Recording, joined_takes
+from foten.recording.recording import Channel, Recording, counted, joined_takes
 
 SENSORS = "accelerometer IIS3DWB, load cell SC616C, position of the machine"
 TOOL = "urethane rubber fingertip on a three-axis machine"
@@ -30,12 +29,6 @@ NOTES = "Cluster Haptic Texture Dataset, CC BY 4.0, doi 10.6084/m9.figshare.2943
 STEP_HZ = 500.0  # rates of the grid are its multiples: any that a model may have divides them
 PARTS = ("accel", "force", "position")
 _CLIP = re.compile(r"(?P<surface>\d+)_(?P<direction>\d+)_(?P<speed>\d+)_(?P<force>\d+)_(?P<repeat>\d+)\.csv")
-
-
-def cluster_folder(folder: Path) -> Path | None:
-    """Folder of the sensors' data below a folder that someone fetched; None where it is none of this dataset's."""
-    places = (folder, folder / "sensor_data", folder / "texture_dataset" / "sensor_data")
-    return next((place for place in places if all((place / part).is_dir() for part in PARTS)), None)
 
 
 def cluster_surfaces(folder: Path) -> dict[int, list[str]]:
@@ -50,11 +43,9 @@ def cluster_surfaces(folder: Path) -> dict[int, list[str]]:
 
 @np.errstate(over="ignore", invalid="ignore", divide="ignore")  # absurd times and values are refused, in a sentence
 def read_cluster(folder: Path, surface: int | None) -> tuple[Recording, list[str]]:
-    """Recording of a surface, a take for each clip, and sentences on what was decided.
-
-    ValueError where no surface is named, or there is no clip of it, or a clip is damaged.
-    """
-    place = cluster_folder(folder)
+    """Recording of a surface, a take for each clip, and sentences on what was decided; ValueError where there is none."""
+    places = (folder, folder / "sensor_data", folder / "texture_dataset" / "sensor_data")
+    place = next((place for place in places if all((place / part).is_dir() for part in PARTS)), None)
     if place is None:
         expected = f"sensor_data with {', '.join(PARTS)}, as the Cluster Haptic Texture Dataset has them"
         raise ValueError(f"{folder} is a folder of nothing that is known, expected {expected}")

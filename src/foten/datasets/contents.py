@@ -1,21 +1,24 @@
-"""Contents of HDF5 and MATLAB files, as plain values and arrays; `isolated` runs this in a process of its own."""
+"""Contents of HDF5, MATLAB and TDMS files, as plain values and arrays; `isolated` runs this in a process of its own."""
 
 from __future__ import annotations
 
 import contextlib
+import logging
 from pathlib import Path
 from typing import Any
 
 import h5py
 import numpy as np
 
-from foten.datasets.columns import Column, check_width, columns_of_array
-from foten.datasets.isolated import Contents
+from foten.datasets.columns import Column, check_width, columns_of_array, reading, with_units
+from foten.datasets.isolated import Contents, contents_of
 from foten.dsp import Array
 from foten.untrusted import check_content, max_content, printable, too_much
 
 MAX_OBJECTS, MAX_DEPTH = 10_000, 32  # groups and datasets of a file; groups in one another
 MAX_TEXTS = 64  # of an attribute or a dataset; those of units have one for each column
+_UNITS = ("unit_string", "NI_UnitDescription", "NI_Unit", "unit", "units", "Unit", "Units")
+"""Properties in which programs state the unit of a TDMS channel; LabVIEW's waveforms have the first."""
 
 
 def hdf5_contents(path: Path) -> Contents:
@@ -104,10 +107,7 @@ def _plain(value: Any) -> Any:
 
 
 def matlab_contents(path: Path) -> Contents:
-    """Variables of a .mat file as `{"columns": [{"name", "fault"}, …], "texts": {name: text}}`.
-
-    Arrays are the columns' samples, in their order; fields of structs are `struct.field`.
-    """
+    """Variables of a .mat file, v5 to v7.3, as `contents_of` columns; fields of structs are `struct.field`."""
     from pymatreader import read_mat
     from scipy.io import whosmat
 
@@ -136,5 +136,40 @@ def matlab_contents(path: Path) -> Contents:
             columns += columns_of_array(name, np.asarray(value))
             check_width(path.name, len(columns))
     check_content(path, sum(column.samples.nbytes for column in columns))  # of structs too, whose sizes are not listed
-    faults = [{"name": column.name, "fault": column.fault} for column in columns]
-    return {"columns": faults, "texts": texts}, [column.samples for column in columns]
+    return contents_of(with_units(columns, texts))
+
+
+def tdms_contents(path: Path) -> Contents:
+    """Channels of a TDMS file as `contents_of` columns: by their names, or `GROUP/CHANNEL` where two groups share a name."""
+    from nptdms import TdmsFile
+    from nptdms.log import log_manager
+
+    log_manager.set_level(logging.CRITICAL)  # what it warns of is refused below, in one line
+    with reading(path, "TDMS file"):
+        file = TdmsFile.read(path)
+    status = file.file_status
+    lengths = (status.channel_statuses or {}).values()
+    if status.incomplete_final_segment or any(status.read_length < status.expected_length for status in lengths):
+        raise ValueError(f"{path.name} is truncated: its last segment is incomplete")
+    channels = [channel for group in file.groups() for channel in group.channels()]
+    check_width(path.name, len(channels))
+    names = [channel.name for channel in channels]
+    columns = []
+    for channel in channels:
+        name = channel.name if names.count(channel.name) == 1 else f"{channel.group_name}/{channel.name}"
+        samples, stated = np.asarray(channel[:]), channel.properties
+        if samples.dtype.kind in "biuf":
+            unit = next((str(stated[key]) for key in _UNITS if stated.get(key)), "").strip()
+            columns.append(Column(name, samples.astype(np.float64), _rate(stated.get("wf_increment")), unit))
+        else:
+            columns.append(Column(name, fault="holds text or times, expected numbers"))
+    return contents_of(columns)
+
+
+def _rate(increment_s: Any) -> float | None:
+    """Rate of a waveform [Hz]; none where the file states no step or an absurd one."""
+    if not isinstance(increment_s, int | float | np.number) or not 1e-12 < increment_s < 1e12:
+        return None
+    rate = 1 / float(increment_s)
+    # The increment is a rounded double: 1/(1/10000) need not be 10000.
+    return float(round(rate)) if abs(rate - round(rate)) < 1e-9 * rate else rate

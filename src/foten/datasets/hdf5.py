@@ -19,8 +19,7 @@ from numpy.typing import NDArray
 from foten.atomic_write import atomic_write
 from foten.datasets.bounds import check_length, check_size
 from foten.datasets.isolated import read_isolated
-from foten.recording.inspection.values import counted
-from foten.recording.recording import RELATIVE, UNITS, Channel, Recording, joined_takes
+from foten.recording.recording import RELATIVE, UNITS, Channel, Recording, counted, joined_takes
 from foten.untrusted import check_numbers, parse_json
 
 FORMAT = "foten-recording"

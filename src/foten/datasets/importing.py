@@ -9,14 +9,16 @@ import hashlib
 import shlex
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from foten.datasets.binary import read_hdf5, read_matlab, read_numpy, read_tdms, read_wav
+from foten.datasets.binary import read_hdf5, read_numpy, read_wav
 from foten.datasets.bounds import check_channel, check_overlap
 from foten.datasets.columns import MAX_NAME_CHARACTERS, Column, check_width
+from foten.datasets.isolated import isolated_columns
 from foten.datasets.mapping import (
     added_mapping,
     by_unit,
@@ -28,24 +30,23 @@ from foten.datasets.mapping import (
 )
 from foten.datasets.options import ImportOptions
 from foten.datasets.pen import PenClock, joined, pen_channels
-from foten.datasets.tabular import read_delimited, read_excel, stated_above
+from foten.datasets.tabular import read_delimited, stated_above
 from foten.datasets.timing import filled, irregular, of_slower_sensor, rate_and_source, times_of
 from foten.datasets.units import factor_of, quantity, split_header
 from foten.dsp import Array
 from foten.recording.capture_folder import PenEvents
 from foten.recording.inspection.one_channel import check_units
 from foten.recording.inspection.sampling import check_missing
-from foten.recording.inspection.values import counted
-from foten.recording.recording import AXES, UNITS, Channel, Recording
+from foten.recording.recording import AXES, UNITS, Channel, Recording, counted
 from foten.untrusted import check_content, check_regular
 
 DATASETS: dict[str, Callable[[Path], list[Column]]] = {
     **dict.fromkeys((".csv", ".tsv", ".txt", ".dat"), read_delimited),
-    ".xlsx": read_excel,
+    ".xlsx": partial(isolated_columns, ".xlsx"),
     **dict.fromkeys((".npz", ".npy"), read_numpy),
-    ".mat": read_matlab,
+    ".mat": partial(isolated_columns, "MATLAB"),
     **dict.fromkeys((".h5", ".hdf5"), read_hdf5),
-    ".tdms": read_tdms,
+    ".tdms": partial(isolated_columns, "TDMS"),
     ".wav": read_wav,
 }
 """Readers by extension."""
@@ -160,10 +161,7 @@ def import_recording(paths: Sequence[Path], options: ImportOptions) -> tuple[Rec
 def _converted(
     name: str, column: Column, clocks: Sequence[Column], beside: Sequence[Column], options: ImportOptions
 ) -> tuple[Channel, list[str], list[str], str]:
-    """Channel of a column, with the mapped time columns and all columns of its file.
-
-    And its history, sentences on a rate that is not used, and one on a sensor slower than the rows.
-    """
+    """Channel of a column, its history, sentences on a rate that is not used, and one on a sensor slower than the rows."""
     path = column.file
     history = []
     factor, on_unit = factor_of(name, column.name, column.unit, options.units.get(name))
@@ -219,10 +217,7 @@ def _on_one_clock(
 
 
 def along_normal(channels: Mapping[str, Channel], normal: tuple[float, float, float]) -> Channel:
-    """Force along the surface's normal, of the three axes of a sensor.
-
-    Source: Sec. III-c. Raises ValueError where the axes are not all there, or not of the same instants.
-    """
+    """Force along the surface's normal, of the three axes of a sensor; ValueError where they are not all there (Sec. III-c)."""
     names = [f"force_{axis}" for axis in AXES]
     missing = [name for name in names if name not in channels]
     if missing or "force" in channels:
@@ -265,12 +260,8 @@ def import_capture(
 ) -> tuple[Recording, PenClock, list[str]]:
     """Recording of a microphone on a pen and the pen's events, the clock that joins them, and sentences on what was decided.
 
-    Without a unit for the acceleration it is in relative units: 1 is its RMS while the pen strokes.
-
-    Args:
-        sound: a file with one channel, or several of which the first counts.
-        pen: a table of t, x, y and pressure.
-        force: of pressures 0 … 1, shape (n,) → (n,) [N].
+    Of several channels of the sound the first counts; the pen's table has t, x, y and pressure. `force` is of pressures 0 … 1,
+    shape (n,) → (n,) [N]. Without a unit for the acceleration it is in relative units: 1 is its RMS while the pen strokes.
     """
     columns = [column for column in read_columns(sound) if column.rate_hz]
     if not columns:
@@ -312,7 +303,7 @@ def read_stroke(path: Path, units: Mapping[str, str]) -> dict[str, Array]:
 
     They are time [s], which increases, speed [mm/s] or position_x and position_y [mm], and force [N] or pressure [0 … 1].
     """
-    if DATASETS.get(path.suffix.lower()) not in (read_delimited, read_excel):
+    if path.suffix.lower() not in (".csv", ".tsv", ".txt", ".dat", ".xlsx"):
         raise ValueError(f"{path.name} is no table (.csv, .tsv, .txt, .dat, .xlsx), expected one of {STROKE}")
     there = read_columns(path)
     columns = stroke_columns(there)

@@ -24,7 +24,7 @@ Contents = tuple[Any, list[Array]]
 READERS = {
     "HDF5": "foten.datasets.contents:hdf5_contents",
     "MATLAB": "foten.datasets.contents:matlab_contents",
-    "TDMS": "foten.datasets.binary:tdms_contents",
+    "TDMS": "foten.datasets.contents:tdms_contents",
     ".xlsx": "foten.datasets.tabular:excel_contents",
     "picture": "foten.editing.height_map:picture_contents",
 }
@@ -91,7 +91,11 @@ def answer(kind: str, name: str, max_cpu_s: str, max_memory: str) -> None:
     """Write contents of a file to the standard output, as one line of JSON and the arrays after it."""
     path = Path(name)
     with contextlib.suppress(ModuleNotFoundError):  # on Windows
-        _limit(int(max_cpu_s), int(max_memory))
+        import resource
+
+        for limited, limit in ((resource.RLIMIT_CPU, int(max_cpu_s)), (resource.RLIMIT_AS, int(max_memory))):
+            with contextlib.suppress(ValueError, OSError):  # a lower limit stands already
+                resource.setrlimit(limited, (limit, limit + 1))  # the first one can be told from a crash
     pipe = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)  # whatever a library prints is no answer
     arrays: list[Array] = []
@@ -109,12 +113,3 @@ def answer(kind: str, name: str, max_cpu_s: str, max_memory: str) -> None:
     for array in arrays:
         pipe.write(np.ascontiguousarray(array, dtype=np.float64).data)
     pipe.flush()
-
-
-def _limit(max_cpu_s: int, max_memory: int) -> None:
-    """Limit this process, so that no file takes all time or memory of the machine."""
-    import resource
-
-    for resource_kind, limit in ((resource.RLIMIT_CPU, max_cpu_s), (resource.RLIMIT_AS, max_memory)):
-        with contextlib.suppress(ValueError, OSError):  # a lower limit stands already
-            resource.setrlimit(resource_kind, (limit, limit + 1))  # the first one can be told from a crash

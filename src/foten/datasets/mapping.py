@@ -6,6 +6,7 @@ import difflib
 import re
 import shlex
 from collections.abc import Mapping, Sequence
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
@@ -13,31 +14,15 @@ import numpy as np
 from foten.datasets.columns import Column
 from foten.datasets.options import ImportOptions
 from foten.datasets.timing import rate_of, rises
-from foten.datasets.units import CLOCK, FACTORS, canonical, factor_of, quantity, split_header
+from foten.datasets.units import CLOCK, FACTORS, WORDS, canonical, factor_of, quantity, split_header
 from foten.recording.recording import AXES, UNITS
 
 Files = Mapping[Path, list[Column]]
 
-# In English, German, French and Spanish.
-_TIMES = (
-    "time t times timestamp time_s seconds clock zeit uhrzeit zeitstempel zeitpunkt temps heure horodatage tiempo hora"
-)
-_ACCELERATIONS = (
-    "acceleration accel acc a vibration beschleunigung beschl. beschl schwingung accélération vibración aceleración"
-)
-_SPEEDS = "speed velocity vel v geschwindigkeit geschw. geschw tempo vorschub vitesse velocidad"
-_FORCES = "force f kraft fuerza"
-_NORMAL_FORCES = (
-    "normal_force normalforce fn contact_force normalkraft anpresskraft andruckkraft force_normale fuerza_normal"
-)
-_POSITIONS = "position pos pos. p weg posición"
-_AXES: Mapping[str, str] = {
-    "x": "x längs longitudinal",
-    "y": "y quer lateral transversal",
-    "z": "z hoch vertikal vertical",
-}
+_HEADERS = {kind: words.split() for kind, words in WORDS["headers"].items()}
+_AXES = {axis: words.split() for axis, words in WORDS["axes"].items()}
 _OF_AXIS = re.compile(
-    rf"(?P<name>|.*[ _.-]|.*[a-z](?=[XYZ]$))(?P<axis>(?i:{'|'.join(map(re.escape, ' '.join(_AXES.values()).split()))}))"
+    rf"(?P<name>|.*[ _.-]|.*[a-z](?=[XYZ]$))(?P<axis>(?i:{'|'.join(map(re.escape, chain(*_AXES.values())))}))"
 )
 _NOT_NORMAL = ("fric", "reib", "frott", "tang", "shear", "scher", "later", "quer")
 """Beginnings of words, of a force that is not the normal one."""
@@ -45,18 +30,18 @@ _IN_ORDER = (("acceleration", 3), ("position", 2))
 """Columns of a quantity that are its axes in order where none names an axis."""
 
 _GUESSES: Mapping[str, frozenset[str]] = {
-    "time": frozenset(_TIMES.split()),
-    "acceleration": frozenset(_ACCELERATIONS.split()),
-    "speed": frozenset(_SPEEDS.split()),
-    "force": frozenset(f"{_FORCES} {_NORMAL_FORCES}".split()),
-} | {
-    f"{quantity}_{axis}": frozenset(
-        {f"{name}{mark}{word}" for name in names.split() for mark in ("_", "", ".") for word in _AXES[axis].split()}
-        | {f"{name}.{AXES.index(axis)}" for name in names.split() if len(name) > 1}
-    )
-    for quantity, names in {"acceleration": _ACCELERATIONS, "position": _POSITIONS, "force": _FORCES}.items()
-    for axis in AXES
+    **{kind: frozenset(_HEADERS[kind]) for kind in ("time", "acceleration", "speed")},
+    "force": frozenset(_HEADERS["force"] + _HEADERS["normal_force"]),
+    **{
+        f"{kind}_{axis}": frozenset(
+            {f"{name}{mark}{word}" for name in _HEADERS[kind] for mark in ("_", "", ".") for word in _AXES[axis]}
+            | {f"{name}.{AXES.index(axis)}" for name in _HEADERS[kind] if len(name) > 1}
+        )
+        for kind in ("acceleration", "position", "force")
+        for axis in AXES
+    },
 }
+"""Headers in small letters, by channel."""
 
 _STROKE: Mapping[str, frozenset[str]] = {
     **{channel: _GUESSES[channel] for channel in ("time", "speed", "force")},
@@ -115,24 +100,17 @@ def added_mapping(files: Files, mapping: Sequence[tuple[str, str]]) -> tuple[tup
 
 
 def guesses_of_missing(files: Files, mapping: Sequence[tuple[str, str]]) -> dict[str, str]:
-    """Columns that may be acceleration, speed or force, by quantity, each with the --map to add.
-
-    By their units, the columns of one name and several axes together; else by how their names begin.
-    """
+    """Columns that may be acceleration, speed or force by their units or else names, by quantity, each with the --map to add."""
     taken = {id(column) for channel, reference in mapping for column in columns_of(files, channel, reference)}
     others = [c for columns in files.values() for c in columns if id(c) not in taken and c.n_rows > 1 and not c.fault]
     guesses = {}
-    for kind, beginnings in {
-        "acceleration": _ACCELERATIONS,
-        "speed": _SPEEDS,
-        "force": f"{_FORCES} {_NORMAL_FORCES}",
-    }.items():
+    for kind in ("acceleration", "speed", "force"):
         could = _candidates(others, kind)
         if kind == "speed":
             could += _candidates(others, "position")
             named = {column.name.lower(): column for column in others if not column.unit}
             could += [{f"position_{axis}": named[axis] for axis in "xy"}] if {"x", "y"} <= named.keys() else []
-        known = tuple(word for word in beginnings.split() if len(word) > 1 or kind == "force")
+        known = tuple(word for word in _GUESSES[kind] if len(word) > 1 or kind == "force")
         normal = [c for c in others if not any(word in c.name.lower() for word in _NOT_NORMAL)]
         could = could or [{kind: column} for column in normal if column.name.lower().startswith(known)]
         if could:
@@ -150,7 +128,7 @@ def _axis(column: Column, kind: str) -> tuple[str, str]:
     """Name without its axis, and x, y or z: `Load X [gf]`, `LoadX`, `load_x` → `load`, `x`; no axis where the name has none."""
     name = split_header(column.name, kind)[0]
     match = _OF_AXIS.fullmatch(name)
-    axis = match and next((axis for axis in AXES if match["axis"].lower() in _AXES[axis].split()), None)
+    axis = match and next((axis for axis in AXES if match["axis"].lower() in _AXES[axis]), None)
     return (match["name"].strip(" _.-").lower(), axis) if match and axis else (name.lower(), "")
 
 

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from foten.datasets.bounds import MAX_FILLED
 from foten.dsp import Array
 from foten.dsp.filters import butterworth, filter_recorded
+from foten.dsp.level import rms
 from foten.recording.capture_folder import PenEvents
 from foten.recording.recording import Channel
 
@@ -113,7 +114,7 @@ def joined(events: PenEvents, sound: Array, rate_hz: float) -> PenClock:
         raise ValueError(f"{on_line}, expected {n_required} or more: was one of the clocks stopped in between?")
     drift, delay = _centre(landings[best[0]][near], knocks[best[1]][near], off_by[best[0]][near])
     off = knocks[best[1]] - (landings[best[0]] * (1 + drift) + delay)
-    return PenClock(delay, drift, int(n_taps), 1000 * float(np.sqrt(np.square(off).mean())))
+    return PenClock(delay, drift, int(n_taps), 1000 * rms(off))
 
 
 def _pairs(expected: Array, knocks: Array, within: Array) -> Pairs:
@@ -136,10 +137,7 @@ def _line(taps: Array, knocks: Array) -> tuple[float, float]:
 
 
 def _centre(landings: Array, knocks: Array, off_by: Array) -> tuple[float, float]:
-    """Drift and delay in the middle of all lines that pass each touch within its largest error.
-
-    The errors of sampled events are uniform, so the middle of the possible lines is nearer than the line of least squares.
-    """
+    """Drift and delay in the middle of all lines that pass each touch within its largest error, which is uniform."""
     usual = landings.mean()
     drifts = np.arange(-MAX_DRIFT, MAX_DRIFT, 2e-6) if np.ptp(landings) >= 2.0 else np.zeros(1)
     off = (knocks - landings)[None, :] - drifts[:, None] * (landings - usual)[None, :]

@@ -8,16 +8,17 @@ import re
 import zipfile
 from collections.abc import Collection, Iterable, Sequence
 from dataclasses import replace
+from datetime import date
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from foten.datasets.clock_times import clock_seconds
 from foten.datasets.columns import MAX_COLUMNS, Column, check_width, reading
-from foten.datasets.isolated import Contents, contents_of, isolated_columns
-from foten.datasets.units import CLOCK, is_unit
-from foten.recording.inspection.values import counted
+from foten.datasets.isolated import Contents, contents_of
+from foten.datasets.units import CLOCK, WORDS, is_unit
+from foten.dsp import Array
+from foten.recording.recording import counted
 from foten.untrusted import brief, check_content, read_whole
 
 COMMENTS = ("#", "%", "//")  # that a line of comment begins with
@@ -25,14 +26,15 @@ _DECIMAL_COMMA = re.compile(r"[-+]?\d*,\d+([eE][-+]?\d+)?")
 _NO_THOUSANDS = re.compile(r"[-+]?(?:0|\d{4,}|\d*(?=,\d{1,2}$)|\d*(?=,\d{4,}$)),\d+([eE][-+]?\d+)?")
 _DECIMAL_POINT = re.compile(r"[-+]?\d*\.\d+([eE][-+]?\d+)?")
 _STATED = re.compile(r"(?:^|; )(\w+) ?[:=] *([^;]*[^;\s])")
-_FIELDS = {
-    "texture": "surface texture material oberfläche textur superficie textura",
-    "tool": "tool werkzeug outil herramienta",
-}
-"""Fields of a recording, and the words of a line above the table that state them."""
 MAX_CELLS = 20_000_000  # of a workbook, blank ones among them
 MAX_ROWS = 2_000_000  # of a sheet; a program of tables has 1,048,576
 MAX_BLANK_LINES = 1_000_000  # more than there are other lines
+DAY_S = 86400.0
+_CLOCK = re.compile(
+    r"(?:(?P<date>\d{4}-\d\d-\d\d|\d{1,2}[./]\d{1,2}[./]\d{4})[T ]\s*)?"
+    r"(?P<first>\d+):(?P<second>[0-5]\d(?:[.,]\d+)?)(?::(?P<third>[0-5]\d(?:[.,]\d+)?))?"
+    r"\s*(?P<half>[AaPp][Mm])?\s*(?P<zone>Z|[+-]\d\d:?\d\d)?"
+)
 
 
 def read_delimited(path: Path) -> list[Column]:
@@ -84,13 +86,8 @@ def _has_decimal_commas(rows: list[list[str]], quoted: bool) -> bool:
     return anywhere or has(_DECIMAL_COMMA, ",", rows[len(rows) // 2 :][:1])
 
 
-def read_excel(path: Path) -> list[Column]:
-    """Columns of an .xlsx workbook; with several filled sheets each name begins with `SHEET.`."""
-    return isolated_columns(".xlsx", path)
-
-
 def excel_contents(path: Path) -> Contents:
-    """Columns of a workbook, as `contents_of` them."""
+    """Columns of an .xlsx workbook, as `contents_of` them; with several filled sheets each name begins with `SHEET.`."""
     import openpyxl
 
     with reading(path, ".xlsx workbook"), zipfile.ZipFile(path) as archive:
@@ -210,7 +207,7 @@ def _table(rows: list[list[Any]], where: str, comments: Collection[int] = ()) ->
 def stated_above(preamble: str) -> dict[str, str]:
     """Texture and tool, where lines above a table state them: `Surface: walnut board`, `Tool: steel ball`."""
     stated = {key.lower(): text for key, text in _STATED.findall(preamble)}
-    found = {key: next((stated[w] for w in words.split() if w in stated), "") for key, words in _FIELDS.items()}
+    found = {key: next((stated[w] for w in words.split() if w in stated), "") for key, words in WORDS["fields"].items()}
     return {field: text for field, text in found.items() if text}
 
 
@@ -241,3 +238,46 @@ def _column(empty: Column, cells: Sequence[Any]) -> Column:
         bad = next((i for i, cell in enumerate(numbers) if not _is_number(cell)), 0)
         fault = f"row {empty.row_numbers[bad]} is {str(cells[bad])[:60]!r}, expected a number"
         return replace(empty, n_blank=n, fault=fault)
+
+
+def clock_seconds(texts: Sequence[str]) -> Array | None:
+    """Seconds from the first of some times of a clock, shape (n,), NaN where one is blank; None where they are something else.
+
+    Three fields are hours, minutes and seconds; two, hours and minutes beside a date or AM and PM, else minutes and seconds.
+    Without a date the clock may pass midnight once a day. A time zone, and a date not written as `2026-05-01`, whose day and
+    month cannot be told apart, have to be the same throughout.
+    """
+    seconds, days = np.full(len(texts), np.nan), np.zeros(len(texts))
+    dates, zones = set[str | None](), set[str | None]()
+    for i, text in enumerate(texts):
+        match = _CLOCK.fullmatch(text.strip())
+        if match is None:
+            if text.strip():
+                return None
+            continue
+        fields = [float(field.replace(",", ".")) for field in match.group("first", "second", "third") if field]
+        if match["half"]:
+            if not 1 <= fields[0] <= 12:
+                return None
+            fields[0] = fields[0] % 12 + 12 * (match["half"][0] in "Pp")
+        if len(fields) == 2 and (match["date"] or match["half"]):
+            fields.append(0.0)
+        seconds[i] = sum(field * 60**power for power, field in enumerate(reversed(fields)))
+        dates.add(match["date"])
+        zones.add(match["zone"])
+        if match["date"]:
+            try:
+                days[i] = date.fromisoformat(match["date"]).toordinal()
+            except ValueError:
+                days[i] = np.nan
+    known = np.flatnonzero(~np.isnan(seconds))
+    if not known.size or len(zones) > 1:
+        return None
+    of_day = seconds[known]
+    if dates == {None}:
+        days[known] = np.cumsum(np.diff(of_day, prepend=of_day[0]) < -0.5 * DAY_S)
+    elif len(dates) == 1:
+        days[known] = 0.0
+    if np.isnan(days[known]).any() or (None in dates and len(dates) > 1):
+        return None
+    return seconds - of_day[0] + DAY_S * (days - days[known[0]])

@@ -13,8 +13,7 @@ from foten.datasets.columns import Column
 from foten.datasets.options import ImportOptions
 from foten.datasets.units import factor_of, quantity
 from foten.dsp import Array
-from foten.recording.inspection.values import counted
-from foten.recording.recording import Channel
+from foten.recording.recording import Channel, counted
 
 MAX_JITTER = 0.01  # of a period, in regular times
 MIN_VALUES = 10  # of a sensor slower than the rows

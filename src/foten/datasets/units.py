@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import contextlib
 import re
+import tomllib
 import unicodedata
 from collections.abc import Mapping
+from pathlib import Path
 
 import numpy as np
 
@@ -38,26 +40,14 @@ _MASSES: Mapping[str, str] = {"g": "gf", "gram": "gf", "kg": "kgf", "lb": "lbf",
 _RAW = frozenset(["V", "mV", "uV", "A", "mA", "uA", "V/V", "mV/V", "count", "LSB", "ADC", "bit", "digit", "%"])
 """Units of converters and amplifiers, which need a sensitivity."""
 
-_SPELLINGS = """
-    s: sec secs second seconds; ms: msec msecs millisecond milliseconds; us: usec usecs microsecond microseconds;
-    ns: nsec nsecs nanosecond nanoseconds; min: mins minute minutes; h: hr hrs hour hours;
-    m: meter meters metre metres; mm: millimeter millimeters millimetre millimetres; in: inch inches; ft: foot feet;
-    cm: centimeter centimeters centimetre centimetres; um: micron microns micrometer micrometers micrometre micrometres;
-    m/s^2: mps2; g: gn g0 gee gees gs g's; mg: milli-g millig milligee milligees; Gal: gals;
-    m/s: mps; mm/s: mmps; in/s: ips; km/h: kmh kph;
-    N: newton newtons; cN: centinewton centinewtons;
-    mN: millinewton millinewtons; daN: decanewton decanewtons; kN: kilonewton kilonewtons; dyn: dyne dynes;
-    gf: gram-force grams-force; kgf: kp kilopond kiloponds kilogram-force kilograms-force;
-    lbf: lb-f lbsf pound-force pounds-force; ozf: oz-f ounce-force ounces-force;
-    gram: grams; kg: kgs kilogram kilograms; lb: lbs pound pounds; oz: ounce ounces;
-    V: volt volts; mV: millivolt millivolts; A: amp amps ampere amperes; mA: milliamp milliamps;
-    count: counts; bit: bits; digit: digits
-"""
+WORDS: Mapping[str, Mapping[str, str]] = tomllib.loads(
+    Path(__file__).with_name("words.toml").read_text(encoding="utf-8")
+)
+"""Words of headers, axes and units, each with blanks between them."""
+
 _UNITS = frozenset(unit for known in FACTORS.values() for unit in known) | set(_MASSES) | _RAW
-_WORDS = {unit.lower(): unit for unit in _UNITS} | {
-    spelling: unit.strip()
-    for unit, spellings in (row.split(":") for row in _SPELLINGS.split(";"))
-    for spelling in spellings.split()
+_CALLED = {unit.lower(): unit for unit in _UNITS} | {
+    word: unit for unit, words in WORDS["units"].items() for word in words.split()
 }
 """What a word in small letters stands for; case counts only where M may be mega, not milli."""
 
@@ -100,7 +90,7 @@ def canonical(text: str) -> str:
 
 def _word(text: str) -> str:
     small = text.lower()
-    return text if small not in _WORDS or text in ("MN", "MV", "MA") else _WORDS[small]
+    return text if small not in _CALLED or text in ("MN", "MV", "MA") else _CALLED[small]
 
 
 def is_unit(text: str) -> bool:
@@ -147,11 +137,8 @@ def _ends_a_name(text: str, kind: str) -> bool:
 def factor_of(channel: str, header: str, stated: str = "", by_user: str | None = None) -> tuple[float, str]:
     """Factor from a column to the unit of `UNITS`, and a sentence on it; ValueError for the unit of another quantity.
 
-    Args:
-        channel: or `time`.
-        header: the column's name.
-        stated: unit in the file beside the header: in a row of units, or as an attribute.
-        by_user: unit, `*FACTOR` or `LABEL*FACTOR`; before all others.
+    Of a `channel` or `time`, the column's name, and the unit `stated` beside it in the file, in a row of units or as an
+    attribute. `by_user`, before both, is a unit, `*FACTOR` or `LABEL*FACTOR`.
     """
     kind, target = quantity(channel), UNITS.get(channel, "s")
     known = FACTORS[kind]

@@ -64,13 +64,8 @@ class LevelSearch:
         level = search.stimulus()        # show it in one of three places
         search.answer(level, yes=True)   # which was named; until search.sd is small enough
 
-    Slope and lapse are unknown too.
-
-    Args:
-        low, high: of levels [dB], a step of 1 apart for what is searched for and 2 for what is shown.
-        answers: probability of a yes.
-        expected: mean and standard deviation over people [dB]; None for all alike.
-        above_db: how far above `high`, which is the loudest that can be shown, the searched level may lie.
+    Slope and lapse are unknown too. Levels from `low` to `high` are a step of 1 dB apart for what is searched for and 2 for what
+    is shown; what is searched for may lie `above_db` over `high`. `expected` is mean and standard deviation over people [dB].
     """
 
     def __init__(
@@ -117,19 +112,15 @@ class LevelSearch:
 
 
 class PreferenceSearch:
-    """The point of a box that someone likes best, by choices between two.
+    """The point of a box of n dimensions that someone likes best, by choices between two.
 
         search = PreferenceSearch(4, seed=0)
         first, second = search.pair()                  # points, (d,), −1 … 1 each
         search.answer(first, second, chose_first=True)
 
-    P(first) = lapse/2 + (1 − lapse) · logistic(β (|second − x| − |first − x|)), x the ideal point, distances in units of `jnd`.
+    P(first) = lapse/2 + (1 − lapse) · logistic(β (|second − x| − |first − x|)), x the ideal point, distances in units of `jnd`: a
+    just noticeable difference of all dimensions or of each, (n,), as a share of half of its range.
     The searches are ours, since of the libraries for them questplus is under the GPL and AEPsych needs NumPy below 2.
-
-    Args:
-        n: dimensions.
-        jnd: a just noticeable difference of all dimensions or of each, (n,), as a share of half of its range.
-        seed: of the particles and the pairs.
     """
 
     def __init__(self, n: int, jnd: float | Array = 0.2, seed: int = 0) -> None:
@@ -157,7 +148,8 @@ class PreferenceSearch:
         pairs = np.concatenate([drawn, wide])
         some = self._rng.choice(N_PARTICLES, N_ASKED, p=self._weight)
         chosen = self._first(pairs[:, :1], pairs[:, 1:], some)
-        first, second = pairs[np.argmax(_information(chosen, np.full(len(some), 1 / len(some))))]
+        weight = np.full(len(some), 1 / len(some))
+        first, second = pairs[np.argmax(_entropy(chosen @ weight) - _entropy(chosen) @ weight)]
         return first, second
 
     def _first(self, first: Array, second: Array, rows: Any = slice(None)) -> Array:
@@ -184,11 +176,6 @@ class PreferenceSearch:
         self._points = np.clip(SHRINK * self._points[rows] + (1 - SHRINK) * mean + jitter, -1, 1)
         self._beta, self._lapse = self._beta[rows], self._lapse[rows]
         self._weight = np.full(N_PARTICLES, 1 / N_PARTICLES)
-
-
-def _information(yes: Array, weight: Array) -> Array:
-    """Mutual information of yes–no answers with probabilities (s, θ) and what is asked for, weights (θ,): (s,) [nat]."""
-    return _entropy(yes @ weight) - _entropy(yes) @ weight
 
 
 def _entropy(p: Array) -> Array:

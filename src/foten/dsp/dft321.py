@@ -9,17 +9,13 @@ from foten.dsp import Array
 
 
 def dft321(axes: Array, window: int | None = None) -> Array:
-    """One signal whose energy spectrum is the sum of the axes' and whose phase is that of their sum.
+    """One signal whose energy spectrum is the sum of the axes' and whose phase is that of their sum: (…, n_axes, n) → (…, n).
 
         |A_s(f)| = √Σ_k |A_k(f)|²,   arg A_s(f) = arg Σ_k A_k(f)
 
-    One transform of a long signal spreads each moment's energy over all of it: a slow moment near a fast one comes out several
-    decibels too strong. Short windows keep energy where it was.
-
-    Args:
-        axes: acceleration [m/s²], shape (…, n_axes, n); the result has (…, n).
-        window: samples of sine windows that overlap by half, each transformed by itself; None transforms all n at once. Windows
-            cancel in part where their phases disagree: the result is up to 0.3 dB weaker than the axes.
+    One transform of a long signal spreads each moment's energy over all of it: slow moments near fast ones come out several
+    decibels too strong. Sine windows of `window` samples that overlap by half keep energy where it was; they cancel in part where
+    their phases disagree, which makes the result up to 0.3 dB weaker than the axes. None transforms all n at once.
 
     Source: Landin, Romano, McMahan, Kuchenbecker 2010; Sec. III-c.
     Differs from the paper: it does not say what is transformed at once. Where the axes cancel (|Σ A_k| ≈ 0), the phase is the

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from foten.dsp import Array
-from foten.dsp.bands import N_BANDS, envelope_edges
+from foten.dsp.level import N_BANDS, envelope_edges
 
 LOWPASS_MS = (8.0, 32.0, 80.0)  # behind which log speed is compared with itself
 N_LOWPASSES = len(LOWPASS_MS)

@@ -15,8 +15,7 @@ Sections = tuple[tuple[float, float, float, float, float], ...]
 def butterworth(kind: str, cutoff_hz: float, rate_hz: float, order: int = 2) -> Sections:
     """Butterworth `lowpass` or `highpass` by its −3 dB frequency; ValueError above half the rate or for an odd order.
 
-    Bilinear transform with the cutoff prewarped, one biquad for each pair of poles at angle θ from the
-    negative real axis, whose damping is 1/Q = 2 cos θ.
+    Bilinear, prewarped; one biquad for each pair of poles at angle θ from the negative real axis, whose damping is 1/Q = 2 cos θ.
     """
     if not 0 < cutoff_hz < rate_hz / 2:
         raise ValueError(f"cutoff is {cutoff_hz:g} Hz, expected between 0 and half the rate, {rate_hz / 2:g} Hz")

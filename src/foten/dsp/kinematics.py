@@ -8,10 +8,9 @@ from foten.dsp import Array
 
 
 def at_rate(values: Array, times_s: Array, rate_hz: float, n: int) -> Array:
-    """Signal at `n` samples of a rate from time 0, linearly interpolated, ends held.
+    """Signal at `n` samples of a rate from time 0: values and rising times (k,) → (n,), linearly interpolated, ends held.
 
     Where the signal is denser than the rate, each sample is the mean over one period around it, which averages noise.
-    Values and rising times are of shape (k,), the result is of (n,).
     """
     grid = np.arange(n) / rate_hz
     if times_s.size < 2 or np.median(np.diff(times_s)) >= 0.75 / rate_hz:

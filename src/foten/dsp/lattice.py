@@ -31,11 +31,10 @@ def check_reflections(reflections: Array) -> None:
 
 
 def analyse(x: Array, reflections: Array) -> tuple[Array, Array, Array]:
-    """Innovations of signals x (s, n) that begin from rest, under the reflections (s, n, p) of each sample.
+    """Innovations (s, n) of signals x (s, n) that begin from rest, under the reflections (s, n, p) of each sample.
 
-    Returns:
-        Innovations e (s, n), of unit variance where the reflections fit; Π c_i (s, n), with which the prediction of each sample
-        from those before it is x − e · Π c_i; and b₀ … b_{p−1} after the last sample (p, s).
+    They have unit variance where the reflections fit. Also Π c_i (s, n), with which the prediction of each sample from those
+    before it is x − e · Π c_i; and b₀ … b_{p−1} after the last sample (p, s).
     """
     f, b, gain = x, x, np.ones_like(x)
     states = np.empty((reflections.shape[2], len(x)))
@@ -108,10 +107,7 @@ def polynomial(reflections: Array, leak: float = LEAK) -> Array:
 
 
 def reflections_of(polynomials: Array) -> Array:
-    """The reflections with which a lattice, its leak included, is 1/A, stable or made so: (b, p + 1), 1 first → (b, p).
-
-    The inverse of `polynomial`. Zeros of A nearer to the unit circle than the leak allows come out a little further inside.
-    """
+    """Reflections with which a lattice, its leak included, is 1/A, stable or made so: (b, p + 1), 1 first → (b, p)."""
     b, p = polynomials.shape[0], polynomials.shape[1] - 1
     a = polynomials / LEAK ** np.arange(p + 1)
     reflections = np.empty((b, p))

@@ -21,11 +21,10 @@ THRESHOLD_M_S2 = 0.03  # RMS of a vibration that is just felt through a held too
 def sensitivity(hertz: Array) -> Array:
     """Weight of acceleration power at frequencies [Hz] (k,): the inverse square of the threshold, 1 up to 250 Hz.
 
-    The displacement threshold falls by 12 dB per octave from 40 Hz to its minimum near 250 Hz, so that of acceleration is
-    flat there. Above, it is taken to rise by the same 12 dB, which makes 24 dB per octave of acceleration. Below 40 Hz, where
-    much is the hand's movement, the weight is 1 too. Outside 20 to 1000 Hz it is 0.
-
-    Source: Verrillo, J. Acoust. Soc. Am. 35 (1963), for large contactors; the slope above 250 Hz is ours.
+    The displacement threshold falls by 12 dB per octave from 40 Hz to 250 Hz, so that of acceleration is flat there. Above, it is
+    taken to rise by the same 12 dB: 24 dB per octave of acceleration. Below 40 Hz, much of which is the hand's movement, the
+    weight is 1 too; outside 20 to 1000 Hz 0. Source: Verrillo, J. Acoust. Soc. Am. 35 (1963), large contactors; above 250 Hz
+    ours.
     """
     steep = np.minimum(BEST_FREQUENCY_HZ / np.maximum(hertz, 1e-9), 1.0) ** 8
     return np.where((hertz >= MIN_SCORED_HZ) & (hertz <= MAX_SCORED_HZ), steep, 0.0)
@@ -34,10 +33,8 @@ def sensitivity(hertz: Array) -> Array:
 def band_thresholds(edges: Array) -> Array:
     """Mean squares [(m/s²)²] of vibrations that are just felt in bands between edges [Hz] (k + 1,): shape (k,).
 
-    Of a tool held in the hand, at the middle of each band on a logarithmic scale. Measured of a grasped cylinder that moves
-    along its axis: lowest from 150 to 200 Hz, there some hundredths of a micrometre, less than 0.01 µm for some people; 0.03 µm
-    are 0.03 m/s². With a probe of 1 mm on the skin thresholds are higher by 10 to 18 dB.
-
+    Of a tool held in the hand, at the middle of each band on a logarithmic scale: of a grasped cylinder lowest from 150 to 200
+    Hz, some hundredths of a micrometre; 0.03 µm are 0.03 m/s². With a probe of 1 mm on the skin they are higher by 10 to 18 dB.
     Source: Brisben, Hsiao & Johnson, J. Neurophysiol. 81 (1999); that they are equal up to 250 Hz is `sensitivity`'s.
     """
     return np.asarray(THRESHOLD_M_S2**2 / sensitivity(np.sqrt(edges[1:] * edges[:-1])))

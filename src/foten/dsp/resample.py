@@ -22,13 +22,10 @@ def rate_ratio(target_hz: float, source_hz: float, tolerance: float = 1e-9) -> F
 
 
 def decimate(samples: Array, source_hz: float, target_hz: float) -> Array:
-    """Signal at a lower rate, aligned with the input (linear phase, no delay), shape (n,).
+    """Signal at a lower rate, aligned with the input (linear phase, no delay), shape (n,); ValueError at a higher one.
 
     The low-pass is flat to 0.45 of the new rate and 80 dB down at 0.55, so only frequencies above 0.45 of the rate hold
     aliases. It leaves no empty band below half the rate, which would make the signal predictable by the filter.
-
-    Raises:
-        ValueError: the target rate is higher than the source rate.
     """
     from scipy import signal
 
@@ -47,8 +44,7 @@ def decimate(samples: Array, source_hz: float, target_hz: float) -> Array:
 def interpolate(samples: Array, factor: Fraction) -> Array:
     """Signal (n,) at `factor` times its rate, 1 or more, by a windowed sinc, shape (ceil(n × factor),).
 
-    Polyphase: the output at time t takes the inputs around floor(t) with one of `factor.numerator` kernels, so a
-    constant is kept exactly by normalising each kernel to sum 1.
+    Polyphase: one of `factor.numerator` kernels, each normalised to sum 1, so that a constant is kept exactly.
     """
     if factor < 1:
         raise ValueError(f"interpolation by {float(factor):g}, expected 1 or more")

@@ -26,13 +26,10 @@ _PASSES = 5  # over all cuts, at most, when they are moved
 
 
 def pieces_of(x: Array, max_order: int = MAX_ORDER, grid: int = 50, longest: int | None = None) -> tuple[Index, float]:
-    """Cuts of the shortest description, rising, and its length in nats.
+    """Cuts of the shortest description of x (n,), of mean zero, rising, and its length in nats.
 
-    Args:
-        x: shape (n,), of mean zero; two steps of the grid or more.
-        max_order: of a piece, `MAX_ORDER` at most.
-        grid: samples between places that are tried for a cut, 10 or more; a cut is moved by single samples afterwards.
-        longest: samples that a piece may have, two steps of the grid or more; None for any number.
+    Places `grid` samples apart, 10 or more, are tried for a cut, which is moved by single samples afterwards. A piece has an
+    order up to `max_order`, `MAX_ORDER` at most, and up to `longest` samples, two steps of the grid or more; None for any number.
     """
     longest = x.size if longest is None else longest
     description = _Description(x, max_order)

@@ -12,8 +12,7 @@ WEAKEST_BIN = 1e-10  # of a window's energy; float32 rounding leaves about 1e-13
 def dft_matrices(m: int) -> tuple[Array, Array]:
     """Real and imaginary part of Eq. 6 as matrices: Z = a @ real + i · a @ imaginary, each (m, m).
 
-    Entries that are zero in exact arithmetic are exactly zero, so that the phase of a real bin is 0 or π everywhere
-    and not ±π as rounding falls.
+    Entries that are zero in exact arithmetic are exactly zero, so that the phase of a real bin is 0 or π and not ±π by rounding.
     """
     # Reducing k·n mod m before the division keeps the angles exact.
     turns = np.outer(np.arange(m), np.arange(m)) % m

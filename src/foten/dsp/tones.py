@@ -45,11 +45,7 @@ def _waves(coefficients: Array, phase: Array) -> tuple[Array, Array, NDArray[np.
 
 
 def fitted_phase(samples: Array, coefficients: Array, travelled: Array) -> Array:
-    """Phase [rad] (s,), of `N_CANDIDATES`, at which the tone is nearest a window.
-
-    Samples (s, n) and coefficients (s, n, 2 n_tones) are in one unit; `travelled` is the phase that the
-    path alone adds [rad], shape (s, n).
-    """
+    """Phase [rad] (s,) at which tones (s, n, 2 n_tones) along `travelled` [rad] (s, n) are nearest samples (s, n)."""
     candidates = 2 * np.pi * np.arange(N_CANDIDATES) / N_CANDIDATES
     errors = [np.square(samples - tone(coefficients, travelled + phase)).sum(axis=1) for phase in candidates]
     return candidates[np.argmin(errors, axis=0)]

@@ -67,8 +67,7 @@ def trace_for(
 ) -> Trace:
     """Recording preprocessed as the texture's was, with another trim and block [ms] where they are not None.
 
-    Raises:
-        ValueError: they are given of the recording that the texture was trained on, whose blocks are those of its split.
+    ValueError where they are given of the recording that the texture was trained on, whose blocks are those of its split.
     """
     config = PreprocessConfig.of_card(texture.card["preprocess"])
     cut: dict[str, Any] = {k: v for k, v in {"trim_ms": trim_ms, "block_ms": block_ms}.items() if v is not None}
@@ -90,14 +89,13 @@ def evaluate(
 ) -> Judgement:
     """All figures of a texture on the test blocks of the recording it was trained on, or on all blocks of another.
 
+    ValueError where the recording is too short, the split does not fit it, or one of the two alone is in relative units.
+
     Args:
         simulated: what a simulator knows, or what gives it once linear predictors are fitted.
         seed: of the excitation.
         trim_ms, block_ms: of another recording, as of `trace_for`.
         listener: train listeners too, which needs PyTorch and a minute.
-
-    Raises:
-        ValueError: the recording is too short, the split does not fit it, or one of the two alone is in relative units.
     """
     units = {texture.card["units"].get("acceleration"), recording.unit("acceleration")}
     if RELATIVE in units and len(units) > 1:

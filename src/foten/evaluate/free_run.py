@@ -8,9 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from foten.dsp import Array
-from foten.dsp.bands import band_energies
 from foten.dsp.distance import earth_mover_octaves, log_spectral_distance, scored_bins, segment_length, welch
-from foten.dsp.level import frame_levels
+from foten.dsp.level import band_energies, frame_levels, rms
 from foten.dsp.noise import gaussian
 from foten.dsp.perception import LEVEL_JND_DB
 from foten.evaluate import metrics
@@ -56,10 +55,7 @@ def synthesize(
 def synthesize_linear(
     predictor: Linear, trace: Trace, blocks: tuple[int, ...], scaling: Scaling, seed: int = 0, n_seeds: int = N_SEEDS
 ) -> Array:
-    """Free run of a linear predictor [m/s²], shape (n_seeds, n_blocks, block): white noise through 1/A.
-
-    Started from the recorded window of each block; the reference that a model has to beat.
-    """
+    """Free run of a linear predictor [m/s²], (n_seeds, n_blocks, block), from recorded windows: white noise through 1/A."""
     from scipy.signal import lfilter, lfiltic
 
     stable = predictor.stable()
@@ -79,10 +75,7 @@ def _after_recorded(history: Array, rendered: Array) -> Array:
 
 
 def nearest_training_blocks(trace: Trace, blocks: tuple[int, ...], train: tuple[int, ...]) -> Array:
-    """Acceleration of the training block nearest to each block in mean speed and force, (1, n_blocks, block).
-
-    Distances are in standard deviations of the training blocks' samples.
-    """
+    """Acceleration of the training block nearest to each in mean speed and force, by their deviations: (1, n_blocks, block)."""
     _, *judged = trace.picked(blocks)
     acceleration, *known = trace.picked(train)
     distance = np.zeros((len(blocks), len(train)))
@@ -94,7 +87,7 @@ def nearest_training_blocks(trace: Trace, blocks: tuple[int, ...], train: tuple[
 def free_run(
     recorded: Array, synthesized: Array, rate_hz: float, sd: float, n_history: int = 0, window: int = 0
 ) -> dict[str, Any]:
-    """Free-run figures of synthesized blocks beside recorded ones.
+    """Free-run figures of synthesized blocks beside recorded ones, as `report/figures.csv` explains them, and a few more.
 
     Args:
         recorded: [m/s²], shape (n_blocks, block), whole blocks, of which the part of `scored` counts.
@@ -104,13 +97,8 @@ def free_run(
         window: the longest of these of all runs that are compared.
 
     Returns:
-        `lsd_db`: log-spectral distance, mean over blocks and seeds, `lsd_long_db` on spectra pooled over all of them;
-        `gfc_raw`, `gfc_welch`: Eq. 13 on raw and on Welch amplitudes, means; `level_bias_db`, `level_error_db`, `level_corr`: of
-        levels in frames of 40 ms, `level_jnd`: the level error in just noticeable differences; `kurtosis` of all samples, and
-        `kurtosis_recorded`; `max_sd`: largest synthesized sample over `sd`, the first fifth included; `band_errors_db`;
-        `modulation_db`: distance of envelope spectra, 1 to 50 Hz; `emd_octaves`: earth-mover distance of power over log
-        frequency; `mae_scaled`: of the waveform, in `sd`, and that of silence, `mae_scaled_silence`; `band_correlation_error`:
-        RMS difference of the correlations between the envelopes of bands; `intervals`.
+        Also `band_errors_db`; `level_jnd`, the level error in just noticeable differences; `mae_scaled`, of the waveform in
+        `sd`, and `mae_scaled_silence`; `kurtosis_recorded`; `intervals`. `max_sd` is of the first fifth too.
     """
     n_segment, part = segment_length(recorded.shape[-1]), scored(recorded.shape[-1], window)
     worst = np.abs(synthesized[:, :, n_history:]).max(axis=(0, 2)) / sd
@@ -120,8 +108,7 @@ def free_run(
     bins = scored_bins(frequencies, rate_hz)
     p, q = p[:, bins], q[:, :, bins]
     distance, octaves = log_spectral_distance(p[None], q), earth_mover_octaves(frequencies[bins], p[None], q)
-    reference = float(np.sqrt(np.square(recorded).mean()))
-    level_p, level_q = (frame_levels(x, rate_hz, reference) for x in (recorded, synthesized))
+    level_p, level_q = (frame_levels(x, rate_hz, rms(recorded)) for x in (recorded, synthesized))
     raw, smooth = metrics.goodness_of_fit(recorded, synthesized), metrics.cosine(np.sqrt(p), np.sqrt(q))
     envelope_p, envelope_q = (metrics.modulation_spectra(x, rate_hz) for x in (recorded, synthesized))
     energy_p, energy_q = (band_energies(x, rate_hz) for x in (recorded, synthesized))

@@ -13,8 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from foten.dsp import Array
-from foten.dsp.bands import BAND_FRAME_MS, N_BANDS, band_energies, envelope_edges
-from foten.dsp.level import framed
+from foten.dsp.level import BAND_FRAME_MS, ENERGY_FLOOR, N_BANDS, band_energies, envelope_edges, framed
 from foten.dsp.perception import band_thresholds, internal_noise_db
 from foten.models.conditions import MOVING_FORCE, MOVING_SPEED
 from foten.recording.trace import Trace
@@ -28,7 +27,6 @@ N_LISTENERS = 3  # each with a seed of its own, and another rendering
 TRAIN_SHARE, TEST_SHARE = 0.6, 0.3  # the first and the last part of a stroke; what lies between keeps them apart
 STREAM = 2**35  # of noise, the first that listeners are played
 MIN_LISTENED_S = 40.0  # of a stroke: 24 s to learn from, and 12 s to score, in 100 excerpts that overlap
-FLOOR = 1e-4  # of the mean energy of a band: what is 40 dB below it counts as that
 NOTHING = 1e-12  # of a threshold, an energy that is not felt
 SOFTENING = np.array([[2.0], [0.05]])  # added to speed [mm/s] and force [N] before their logarithm
 KINDS = {"": "", "_waveform": ", with the waveform", "_person": ", with a person's limits"}  # of listeners
@@ -62,6 +60,9 @@ def listener_scores(
 ) -> dict[str, Any]:
     """Areas under the curves of listeners that tell renderings from a recording: 0.5 is chance, 1 certainty.
 
+    `listener_auc…` of each of `KINDS`, means over listeners, and `…_control`, the same of two true vibrations, None where there
+    is too little; `listener_control_of`; `listener_s`. ValueError where the recording, or a piece of it, is too short.
+
     Args:
         recorded: at least `MIN_LISTENED_S` of it, in pieces (`long_stroke`).
         rendered: seed → a rendering under the recorded speed and force [m/s²], shape (n,).
@@ -69,14 +70,6 @@ def listener_scores(
             recording beside the other, where they are long enough.
         seed: of the first listener and rendering; those of the others follow.
         in_m_s2: whether accelerations are in m/s², so that a person's threshold is known.
-
-    Returns:
-        `listener_auc`, `listener_auc_waveform` and `listener_auc_person`, of bands alone, with the waveform and with a person's
-        limits, means over listeners; `…_control`, the same of two true vibrations, None where there is too little;
-        `listener_control_of`; `listener_s`.
-
-    Raises:
-        ValueError: the recording is too short, or a piece of it.
     """
     from foten.evaluate.listener_network import EXCERPT, listener_auc
 
@@ -112,9 +105,8 @@ def vibrations(
 ) -> dict[str, tuple[Vibration, Vibration]]:
     """Two vibrations as the listeners of `KINDS` are shown them, standardised by both in the part that they learn from.
 
-    Excerpts have so many frames, half a second by default.
-
-    A person feels energies above a threshold: of held tools where they are in m/s², and 40 dB below the mean in any unit.
+    Excerpts have so many frames, half a second by default. A person feels energies above a threshold: of held tools where they
+    are in m/s², and 40 dB below the mean in any unit.
     """
     from foten.evaluate.listener_network import EXCERPT, Limits, Vibration
 
@@ -122,7 +114,7 @@ def vibrations(
     both = (first, second)
     # Shapes are (n_pieces, channels, frames) from here on.
     energies = [band_energies(stroke.blocks(stroke.acceleration), stroke.rate_hz) for stroke in both]
-    floor = FLOOR * np.mean([energy.mean(axis=(0, 2)) for energy in energies], axis=0)[:, None]
+    floor = ENERGY_FLOOR * np.mean([energy.mean(axis=(0, 2)) for energy in energies], axis=0)[:, None]
     conditions = [_conditions(stroke) for stroke in both]
     # Where a rendering does not fade, (n_pieces, frames).
     moving = [((lowest[:, 0] >= MOVING_SPEED) & (lowest[:, 1] >= MOVING_FORCE)) for _, lowest in conditions]

@@ -14,8 +14,8 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from foten.dsp import Array
-from foten.dsp.bands import N_BANDS
 from foten.dsp.distance import area_under_curve
+from foten.dsp.level import N_BANDS
 
 EXCERPT = 62  # frames of 8 ms: half a second
 N_STEPS, BATCH = 500, 96  # the budget: four seconds on one core, seven with the waveform

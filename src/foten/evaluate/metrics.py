@@ -17,11 +17,9 @@ N_BANDS = 9
 
 
 def goodness_of_fit(recorded: Array, synthesized: Array) -> Array:
-    """Cosine similarity of DFT amplitude spectra (GFC) of accelerations [m/s²], (…, n) → (…): 1 where they are proportional.
+    """Cosine similarity of DFT amplitude spectra (GFC, Eq. 13) of accelerations, (…, n) → (…): 1 where they are proportional.
 
     Blind to gain and phase: report it beside an absolute error. Two realisations of one noise reach π/4.
-
-    Source: Eq. 13.
     """
     return cosine(np.abs(np.fft.rfft(recorded)), np.abs(np.fft.rfft(synthesized)))
 
@@ -62,10 +60,7 @@ def band_errors(recorded: Array, synthesized: Array, frequencies: Array, edges: 
 
 
 def modulation_spectra(blocks: Array, rate_hz: float) -> tuple[Array, Array] | None:
-    """Frequencies [Hz], 1 to 50, and the power spectrum of each block's envelope: blocks (…, n) → (k,), (…, k).
-
-    The envelope is divided by its mean in each block. None where less than 1 s is given.
-    """
+    """Frequencies [Hz], 1 to 50, and spectra of envelopes over their mean: blocks (…, n) → (k,), (…, k); None below 1 s."""
     if blocks.shape[-1] < rate_hz:
         return None
     from scipy import signal
@@ -81,7 +76,6 @@ def band_correlations(energies: Array) -> Array:
     """Correlations of the envelopes of each pair of bands: energies (n_blocks, bands, frames) → (pairs,).
 
     Over all frames of all blocks, of amplitudes to the power of 0.3; 0 where one does not vary. Impacts raise all bands at once.
-
     Source: McDermott & Simoncelli, "Sound texture perception via statistics of the auditory periphery", Neuron 71 (2011).
     """
     envelopes = np.moveaxis(energies, 1, 0).reshape(energies.shape[1], -1) ** 0.15
@@ -94,12 +88,8 @@ def band_correlations(energies: Array) -> Array:
 def with_intervals(figures: Callable[[NDArray[np.int64]], Mapping[str, Any]], n_blocks: int) -> dict[str, Any]:
     """Figures of all blocks, and `intervals`: 95 % confidence, [low, high] each, by Student's t and the jackknife.
 
-    No intervals with fewer than 4 blocks. Resampling blocks with replacement would cover the mean of 4 normal blocks in 80 %.
-
-    Args:
-        figures: block numbers → figures; those that are a number have an interval.
-
-    Source: Efron & Stein (1981), the standard error.
+    `figures` are of block numbers; those that are a number have an interval, from 4 blocks on. Resampling blocks with replacement
+    would cover the mean of 4 normal blocks in 80 %. Source: Efron & Stein (1981), the standard error.
     """
     all_blocks, bounds = np.arange(n_blocks), dict[str, list[float]]()
     of_all = figures(all_blocks)

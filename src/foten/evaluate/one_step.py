@@ -26,16 +26,12 @@ _HALF, _NINE_TENTHS = 0.6744897501960817, 1.6448536269514722  # quantiles of a s
 
 
 def one_step(recorded: Array, predicted: Array, sd: float, linear: Array | None = None) -> dict[str, Any]:
-    """One-step figures of a predictor over the scored samples of some blocks.
+    """One-step figures of a predictor: `mae_scaled`, `mae_m_s2`, `gfc` (Eq. 13 on raw bins, mean over blocks), `intervals`.
 
     Args:
         recorded, predicted: scaled acceleration, shape (n_blocks, k); the same samples for every method that is compared.
         sd: training standard deviation of the acceleration [m/s²].
-        linear: what AR(20) predicts of the same samples, scaled.
-
-    Returns:
-        `mae_scaled`, `mae_m_s2`, `gfc` (Eq. 13 on raw bins, mean over blocks), `intervals`; with `linear` also `mae_to_ar`, the
-        error over AR(20)'s.
+        linear: what AR(20) predicts of the same samples, scaled; with it also `mae_to_ar`, the error over AR(20)'s.
     """
     error, fit = np.abs(recorded - predicted).mean(axis=1), goodness_of_fit(recorded, predicted)
     beside = np.zeros(len(error)) if linear is None else np.abs(recorded - linear).mean(axis=1)
@@ -58,16 +54,13 @@ def excitation_scores(
 ) -> dict[str, Any]:
     """Fit of the excitation's scale to the error of the prediction that a rendering uses, without the network of foten-plus.
 
-    Unknown where a rendering has tones (`dsp.tones`).
+    `nll`: mean negative log-likelihood [nat, scaled]; `coverage_50`, `coverage_90`: the share of samples inside the central 50
+    and 90 % of the predicted distribution; `standardised_sd`: of the errors as standard normal numbers, 1 where the distribution
+    is right; `intervals`. Unknown where a rendering has tones (`dsp.tones`).
 
     Args:
         samples, n: scaled, shape (t, 3), and the indices to score, rows of consecutive ones, shape (n_blocks, k).
         counted: which of them lie where the rendering does not fade, shape (n_blocks, k).
-
-    Returns:
-        `nll`: mean negative log-likelihood [nat, scaled]; `coverage_50`, `coverage_90`: the share of samples inside the
-        central 50 and 90 % of the predicted distribution; `standardised_sd`: of the errors as standard normal
-        numbers, 1 where the distribution is right; `intervals`.
     """
     unknown = dict.fromkeys(("nll", "coverage_50", "coverage_90", "standardised_sd"))
     predicted = predict(texture, samples, n, "linear")
@@ -124,18 +117,6 @@ def fit_linear(
     return _solved(_sums(samples, blocks, block, order, scheduled), len(blocks) * (block - order), order, scheduled)
 
 
-@dataclass(frozen=True)
-class _Sums:
-    """Sums of least squares over some targets, of p coefficients."""
-
-    gram: Array  # shape (p, p)
-    moment: Array  # shape (p,)
-    power: float
-
-    def __add__(self, other: _Sums) -> _Sums:
-        return _Sums(self.gram + other.gram, self.moment + other.moment, self.power + other.power)
-
-
 def _is_determined(blocks: tuple[int, ...], block: int, order: int, scheduled: bool) -> bool:
     n_coefficients = (order + 1) * (3 if scheduled else 1)
     return block > order and len(blocks) * (block - order) >= 2 * n_coefficients
@@ -149,21 +130,26 @@ def _sums(
     scheduled: bool,
     first: int | None = None,
     last: int | None = None,
-) -> _Sums:
-    """Sums of AR(order) over the targets of blocks from `first`, the order by default, to before `last`, the end by default."""
+) -> Array:
+    """Sums of the products of each two of p coefficients' terms and the target, which is last: (p + 1, p + 1).
+
+    Of AR(order) over the targets of blocks from `first`, the order by default, to before `last`, the end by default.
+    """
     n_coefficients = (order + 1) * (3 if scheduled else 1)
     first, last = order if first is None else first, block if last is None else last
-    sums = _Sums(np.zeros((n_coefficients,) * 2), np.zeros(n_coefficients), 0.0)
+    sums = np.zeros((n_coefficients + 1,) * 2)
     for number in blocks:
         rows = samples[number * block + first - order : number * block + last]
         design, target = _design(rows, order, scheduled), rows[order:, 0]
-        sums += _Sums(design.T @ design, design.T @ target, float(target @ target))
+        moment = (design.T @ target)[:, None]
+        sums += np.block([[design.T @ design, moment], [moment.T, target @ target]])
     return sums
 
 
-def _solved(sums: _Sums, n: int, order: int, scheduled: bool) -> Linear:
-    coefficients = solved(sums.gram, sums.moment)
-    residual = float(sums.power - 2 * coefficients @ sums.moment + coefficients @ sums.gram @ coefficients)
+def _solved(sums: Array, n: int, order: int, scheduled: bool) -> Linear:
+    gram, moment = np.ascontiguousarray(sums[:-1, :-1]), sums[:-1, -1].copy()
+    coefficients = solved(gram, moment)
+    residual = float(sums[-1, -1] - 2 * coefficients @ moment + coefficients @ gram @ coefficients)
     shaped = coefficients.reshape(3, order + 1) if scheduled else coefficients
     return Linear(shaped, math.sqrt(max(0.0, residual) / n))
 
@@ -179,10 +165,7 @@ def _design(block: Array, order: int, scheduled: bool) -> Array:
 
 
 def best_linear(samples: Array, train: tuple[int, ...], validation: tuple[int, ...], block: int) -> Linear | None:
-    """AR of any of `ORDERS` up to `first_scored`, scheduled or not, with the lowest absolute error on the validation blocks.
-
-    The sums of the longest hold those of all others, but for the first targets of a block.
-    """
+    """AR of any of `ORDERS` up to `first_scored`, scheduled or not, with the lowest absolute error on the validation blocks."""
     first = first_scored(block)
     if not validation or block <= first:
         return None
@@ -199,8 +182,8 @@ def best_linear(samples: Array, train: tuple[int, ...], validation: tuple[int, .
     def judged(kind: tuple[int, bool]) -> tuple[float, Linear]:
         order, scheduled = kind
         latest = np.arange(longest - order, longest + 1)
-        columns = np.concatenate([latest + group * (longest + 1) for group in range(3 if scheduled else 1)])
-        sums = _Sums(whole.gram[np.ix_(columns, columns)], whole.moment[columns], whole.power)
+        columns = np.concatenate([*(latest + group * (longest + 1) for group in range(3 if scheduled else 1)), [-1]])
+        sums = whole[np.ix_(columns, columns)]
         if order < longest:
             sums += _sums(samples, train, block, order, scheduled, order, longest)
         fitted = _solved(sums, len(train) * (block - order), order, scheduled)

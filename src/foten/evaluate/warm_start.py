@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from foten.dsp import Array
+from foten.dsp.level import decibels, framed
 from foten.dsp.noise import gaussian
 from foten.evaluate.metrics import goodness_of_fit
 from foten.evaluate.one_step import Linear
@@ -39,13 +40,9 @@ def stored_window(texture: Texture) -> list[Array]:
 def synthesised_window(linear: Linear, trace: Trace, train: tuple[int, ...], texture: Texture) -> list[Array]:
     """Window of noise through an AR filter, at the level of the training samples nearest to the warm start's condition.
 
-    Deterministic: acceleration [m/s²], speed [mm/s] and force [N], shape (window,) each, the last two constant.
-
-    Args:
-        linear: AR(20) of the training blocks.
-        train: numbers of the training blocks.
-
-    Source: Sec. V-a, 45 mm/s and 0.8 N. The paper does not say what it synthesised the window from: the filter is our choice.
+    Deterministic: acceleration [m/s²], speed [mm/s] and force [N], shape (window,) each, the last two constant. `linear` is
+    AR(20) of the training blocks `train`. Source: Sec. V-a, 45 mm/s and 0.8 N; what the paper's was synthesised from it does not
+    say.
     """
     from scipy.signal import lfilter
 
@@ -92,7 +89,7 @@ def warm_start_runs(
 
 
 def warm_start_scores(recorded: Array, runs: Mapping[str, Array], rate_hz: float, sd: float) -> dict[str, Any]:
-    """Figures of whole blocks beside those of silence.
+    """Figures of whole blocks beside those of silence, whose GFC is undefined.
 
     Args:
         recorded: [m/s²], shape (n_blocks, block).
@@ -101,15 +98,17 @@ def warm_start_scores(recorded: Array, runs: Mapping[str, Array], rate_hz: float
         sd: training standard deviation of the acceleration [m/s²].
 
     Returns:
-        `silence_mae_scaled`: error of silence, whose GFC is undefined; for each run `mae_scaled`; `gfc`, mean of Eq. 13 on raw
-        bins of blocks, blind to gain; `error_to_silence_0_100_ms` and `error_to_silence_100_400_ms`, errors over those of
-        silence, None where blocks are shorter; `level_db`, over the recorded one, from 100 ms on. `forgotten_ms`: after how
-        long the runs from two windows differ by no more than a hundredth of `sd`, root mean square over blocks; None where that
-        is never, and where the run is silent, since silence forgets everything.
+        `silence_mae_scaled`; for each run `mae_scaled`, `gfc`, `error_to_silence_0_100_ms` and `…_100_400_ms`, None where blocks
+        are shorter, and `level_db`, over the recorded one, from 100 ms on. `forgotten_ms`: after how long the runs from two
+        windows differ by no more than `FORGOTTEN`, root mean square over blocks; None where never, or where the run is silent.
     """
     converged, shown = (round(ms * rate_hz / 1000) for ms in (CONVERGED_MS, SHOWN_MS))
     n = recorded.shape[-1]
     spans = {"0_100_ms": slice(0, converged), "100_400_ms": slice(converged, shown)}
+
+    def to_silence(error: Array, span: slice) -> float | None:
+        return float(error[..., span].mean() / np.abs(recorded[..., span]).mean()) if n >= span.stop else None
+
     scores: dict[str, Any] = {"silence_mae_scaled": float(np.abs(recorded).mean() / sd), "forgotten_ms": None}
     for name, run in runs.items():
         error = np.abs(run - recorded)
@@ -118,13 +117,8 @@ def warm_start_scores(recorded: Array, runs: Mapping[str, Array], rate_hz: float
         scores[name] = {
             "mae_scaled": float(error.mean() / sd),
             "gfc": float(goodness_of_fit(recorded, run).mean()),
-            **{
-                f"error_to_silence_{key}": float(error[..., span].mean() / np.abs(recorded[..., span]).mean())
-                if n >= span.stop
-                else None
-                for key, span in spans.items()
-            },
-            "level_db": float(10 * np.log10(max(power / of_recorded, 1e-30))),
+            **{f"error_to_silence_{key}": to_silence(error, span) for key, span in spans.items()},
+            "level_db": float(decibels(power / of_recorded)),
         }
     if {"stored", "synthesised"} <= runs.keys() and scores["stored"]["level_db"] > SILENT_DB:
         difference = np.sqrt(np.square(runs["stored"] - runs["synthesised"]).mean(axis=(0, 1))) / sd
@@ -137,16 +131,14 @@ def warm_start_scores(recorded: Array, runs: Mapping[str, Array], rate_hz: float
 def over_time(recorded: Array, run: Array, rate_hz: float) -> tuple[Array, Array]:
     """Error over that of silence, and level over the recorded one [dB], in frames of 10 ms of the first 400 ms, shape (k,) each.
 
-    Args:
-        recorded: [m/s²], shape (n_blocks, block).
-        run: [m/s²], shape (n_seeds, n_blocks, block).
+    Of recorded blocks (n_blocks, block) and of runs (n_seeds, n_blocks, block) [m/s²].
     """
-    frame = max(1, round(ERROR_FRAME_MS * rate_hz / 1000))
-    n = min(recorded.shape[-1], round(SHOWN_MS * rate_hz / 1000)) // frame * frame
+    n = round(SHOWN_MS * rate_hz / 1000)
 
-    def framed(signal: Array) -> Array:
-        return signal[..., :n].reshape(-1, n // frame, frame)
+    def of_frames(signal: Array) -> Array:
+        frames = framed(signal[..., :n], ERROR_FRAME_MS, rate_hz)
+        return frames.reshape(-1, *frames.shape[-2:])
 
-    errors, silence = (np.abs(framed(signal)).mean(axis=(0, 2)) for signal in (run - recorded, recorded))
-    power, of_recorded = (np.square(framed(signal)).mean(axis=(0, 2)) for signal in (run, recorded))
-    return errors / silence, 10 * np.log10(np.maximum(power / of_recorded, 1e-30))
+    errors, silence = (np.abs(of_frames(signal)).mean(axis=(0, 2)) for signal in (run - recorded, recorded))
+    power, of_recorded = (np.square(of_frames(signal)).mean(axis=(0, 2)) for signal in (run, recorded))
+    return errors / silence, decibels(power / of_recorded)

@@ -15,7 +15,7 @@ from foten.dsp.filters import Biquads, Sections, butterworth, delay_s, filter_re
 from foten.dsp.kinematics import at_rate, speed_of, velocity
 from foten.dsp.perception import RATES_HZ
 from foten.dsp.resample import decimate
-from foten.recording.recording import LIMITS, UNITS, Channel, Recording, common_span_s
+from foten.recording.recording import LIMITS, UNITS, Channel, Recording, common_span_s, counted
 from foten.recording.split import MIN_BLOCKS
 from foten.recording.trace import CHANNELS, Trace
 
@@ -35,9 +35,8 @@ WRONG_SIGN = (5.0, 0.5)  # mm/s, N; what noise takes a magnitude below zero at m
 class PreprocessConfig:
     """How a recording becomes a trace.
 
-    Differs from the paper: its band of 20 to 1000 Hz cannot exist at 1 kHz; what remains is the high-pass. Speed and
-    force pass one low-pass of 20 Hz in training and in rendering, where the paper trains with 25 and renders with 20; the
-    recipe `paper` does as the paper.
+    Differs from the paper: its band of 20 to 1000 Hz cannot exist at 1 kHz; what remains is the high-pass. Speed and force pass
+    one low-pass of 20 Hz in training and rendering, where the paper has 25 and 20 Hz, as has the recipe `paper`.
     """
 
     rate_hz: float = 1000.0  # of the trace; Sec. III-c
@@ -126,10 +125,7 @@ def fitting_cut(recording: Recording, shortest_ms: float = SHORTEST_MS) -> tuple
 
     Nothing is trimmed where that would cost more than a tenth. Each take gives `BLOCKS_OF_TAKE` blocks where it can; one of less
     than a quarter of the usual length is no measure for the others. A single recording of less than `MIN_ALONE_S` needs options
-    that a user chooses (`fitting_options`).
-
-    Args:
-        shortest_ms: block that holds enough windows of the model.
+    that a user chooses (`fitting_options`). `shortest_ms` is the block that holds enough windows of the model.
     """
     lengths_ms, config = np.array([1000 * take.duration_s for take in recording.takes]), PreprocessConfig()
     if lengths_ms.size == 1 and lengths_ms[0] < 1000 * MIN_ALONE_S:
@@ -153,20 +149,15 @@ def cut_in_words(trim_ms: float, block_ms: float) -> str:
 
 
 def preprocess(recording: Recording, config: PreprocessConfig | None = None, n_blocks: int | None = None) -> Trace:
-    """Trace of a recording: whole blocks of acceleration, speed and force at one rate.
+    """Trace of a recording: whole blocks of acceleration, speed and force at one rate, of the stretch that every channel covers.
 
-    It has the stretch that every channel covers. The low-pass of speed and force is causal, as in rendering; its delay is
-    then cut off to a whole sample. DFT321 joins three axes. Of several takes the blocks follow one another; each take is
-    trimmed and filtered by itself.
-
-    Args:
-        n_blocks: that a training needs; None, at the rate of an existing texture, takes one.
+    The low-pass of speed and force is causal, as in rendering; its delay is then cut off to a whole sample. DFT321 joins three
+    axes. Of several takes the blocks follow one another; each take is trimmed and filtered by itself. A training needs
+    `n_blocks`; None, at the rate of an existing texture, takes one. Source: Sec. III-c, Sec. VI.
 
     Raises:
         ValueError: a quantity is missing or beyond what a hand can do, the acceleration is slower than the rate or irregular
             in time, speed or force has holes or the wrong sign, or the recording is too short for the trim and the blocks.
-
-    Source: Sec. III-c, Sec. VI.
     """
     config = config or PreprocessConfig()
     if recording.later_takes:
@@ -196,11 +187,11 @@ def preprocess(recording: Recording, config: PreprocessConfig | None = None, n_b
     trim = round(config.trim_ms * rate / 1000)
     usable = stop - start - trim - max(trim, delay)
     if usable < (n_blocks or 1) * config.block:
-        covered_s = (stop - start) / rate
+        covered_s, needed = (stop - start) / rate, counted(n_blocks, "block") if n_blocks else "a block"
         options = fitting_options(covered_s, rate, axes[0].rate_hz if n_blocks else None)
         raise ValueError(
             f"{covered_s:.3g} s are covered by every channel; a trim of {config.trim_ms:g} ms at both ends leaves "
-            f"{max(0, usable) / rate:.3g} s, less than {n_blocks or 'a'} block{'s' * bool(n_blocks)} of {config.block_ms:g} ms; "
+            f"{max(0, usable) / rate:.3g} s, less than {needed} of {config.block_ms:g} ms; "
             + (f"use {options}" if options else "that is too short: record for longer")
         )
     n_dropped = usable % config.block
@@ -274,7 +265,7 @@ def velocity_and_force(recording: Recording, rate_hz: float) -> tuple[Array, Arr
         if holes.size:
             longest_ms = 1000 * float(np.diff(recording[name].times)[holes].max())
             raise ValueError(
-                f"{name} has {holes.size} hole{'s' * (holes.size > 1)} in its times, the longest {longest_ms:.4g} ms; import the "
+                f"{name} has {counted(holes.size, 'hole')} in its times, the longest {longest_ms:.4g} ms; import the "
                 "recording again with --fill-gaps MS, or cut it"
             )
     rows = np.stack([_slow(recording[name], rate_hz, stop)[start:] for name in recording.movement])

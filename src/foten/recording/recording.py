@@ -36,6 +36,11 @@ def range_in_words(channel: str, low: float, high: float) -> str:
     return f"{first:g} to {last:g} {UNITS[channel]}"
 
 
+def counted(count: int, what: str) -> str:
+    """Number with its noun: "1 gap", "2 gaps"."""
+    return f"{count} {what}{'' if count == 1 else 's'}"
+
+
 HOLE = 1.5  # median steps between two times; more, and samples were lost
 
 
@@ -190,10 +195,8 @@ class Recording:
 def joined_takes(recordings: Sequence[Recording]) -> Recording:
     """One recording of several of the same surface, each a take or more; tool and texts are those of the first.
 
-    The texture is named as all are: `clip1` and `clip2` are `clip`.
-
-    ValueError where their channels or units differ, or one is there twice. The simulator's parameters hold for one take alone
-    and are left out.
+    The texture is named as all are: `clip1` and `clip2` are `clip`. The simulator's parameters hold for one take alone and are
+    left out. ValueError where channels or units differ, or one is there twice.
     """
     first, *others = (replace(take, simulation=None) for recording in recordings for take in recording.takes)
     digests = [take.sha256() for take in (first, *others)]

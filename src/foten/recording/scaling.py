@@ -36,10 +36,7 @@ class Scaling:
 
 
 def fit_scaling(trace: Trace, blocks: tuple[int, ...]) -> Scaling:
-    """Scaling of the training blocks; ValueError where the acceleration is constant.
-
-    A speed or force that never varies is scaled by its magnitude.
-    """
+    """Scaling of the training blocks, a constant speed or force by its size; ValueError where the acceleration is constant."""
     picked = trace.stacked().reshape(trace.n_blocks, trace.block, 3)[list(blocks)].reshape(-1, 3)
     mean, sd = picked.mean(axis=0), picked.std(axis=0)
     if sd[0] <= 1e-12 * max(1.0, abs(float(mean[0]))):

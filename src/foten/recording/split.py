@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from foten.atomic_write import write_json
+from foten.recording.recording import counted
 from foten.recording.trace import Trace
 
 METHODS = ("regrouped", "contiguous")
@@ -50,19 +51,16 @@ class Split:
 def split_blocks(trace: Trace, method: str = "regrouped", seed: int = 0) -> Split:
     """60/20/20 split of a trace's blocks; ValueError where they are fewer than `MIN_BLOCKS`.
 
-    `regrouped`: blocks are grouped by mean speed, then by mean force, and drawn 60/20/20 within the groups; the blocks that
-    hold the extremes of speed and force train, so that the test conditions lie inside the trained range.
-
-    `contiguous`: first 60 %, next 20 %, last 20 % in time. A model that does much worse here was helped by leakage.
-
-    Source: Sec. VI ("divided into 2000 samples and regrouped based on speed and force regions").
+    `regrouped`: blocks are grouped by mean speed, then by mean force, and drawn within the groups; those that hold the extremes
+    of speed and force train, so that the test conditions lie inside the trained range. `contiguous`: first 60 %, next 20 %, last
+    20 % in time; a model that does much worse here was helped by leakage. Source: Sec. VI.
     Differs from the paper: how [14] groups is not stated; terciles of speed and of force within them are ours.
     """
     n = trace.n_blocks
     if method not in METHODS:
         raise ValueError(f"split is {method!r}, expected one of {', '.join(METHODS)}")
     if n < MIN_BLOCKS:
-        some = f"{n} block{'s' * (n > 1)} of {trace.block / trace.rate_hz * 1000:g} ms"
+        some = f"{counted(n, 'block')} of {trace.block / trace.rate_hz * 1000:g} ms"
         raise ValueError(f"the trace has {some}, expected {MIN_BLOCKS} or more; use a shorter --block and --trim")
     n_held = max(1, round(0.2 * n))  # of validation and of test
     if method == "contiguous":

@@ -111,10 +111,7 @@ def write_figure(figure: Figure, path: Path, dpi: float = 140.0) -> None:
 
 
 def inline_svg(figure: Figure, name: str, description: str) -> str:
-    """Figure in the style `PAGE` as an SVG element for an HTML page.
-
-    The name, of letters and unique on the page, is the prefix of its identifiers; the description is for screen readers.
-    """
+    """Figure in the style `PAGE` as an SVG element whose identifiers begin with a name, with a description for screen readers."""
     import matplotlib
 
     # The layout alone, at the resolution of SVG: savefig would draw everything once more for it.

@@ -12,13 +12,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from foten.dsp import Array
-from foten.simulation.linear_family import NOT_NEGATIVE, POSITIVE, check_parameters
+from foten.simulation.parameters import check_parameters, parameter_table
 from foten.simulation.stroking import Stroking
 
 GRID_MM = 0.01  # of a profile
@@ -35,27 +35,7 @@ DIRECTION = np.array([0.8, 0.6])  # of tangential motion in the sensor's x and y
 _SHARES = (np.arange(SUBSTEPS)[:, None] + 1.0) / SUBSTEPS  # of the way from a sample to the next
 STRIBECK_MM_S = 15.0  # speed over which friction falls from static to kinetic
 
-# A profile has a point every `GRID_MM`, and holds no finer parts.
-RANGES: Mapping[str, tuple[float, float]] = {
-    "roughness_um": NOT_NEGATIVE,
-    "corner_per_mm": POSITIVE,
-    "grains_per_mm": (0.0, 1 / GRID_MM),
-    "grain_spread": (-2.0, 2.0),
-    "grain_mm": (4 * GRID_MM, 5.0),
-    "wavelength_mm": (10 * GRID_MM, 100.0),
-    "depth_um": NOT_NEGATIVE,
-    "sharpness": (1e-3, 20.0),
-    "period_jitter": NOT_NEGATIVE,
-    "tip_mm": (1e-3, 10.0),
-    "modulus_mpa": POSITIVE,
-    "damping_s_m": NOT_NEGATIVE,
-    "tip_mass_g": POSITIVE,
-    "hand_damping_n_s_m": NOT_NEGATIVE,
-    "friction": NOT_NEGATIVE,
-    "stick": NOT_NEGATIVE,
-    "shaft_hz": POSITIVE,
-}
-"""Lowest and highest value of a texture's parameters."""
+RANGES, _ROWS = parameter_table("contact.csv")
 
 
 @dataclass(frozen=True)
@@ -103,45 +83,7 @@ class ContactParameters:
         return float(4 / 3 * self.modulus_mpa * 1e6 * np.sqrt(self.tip_mm * 1e-3))
 
 
-# fmt: off
-CONTACT: Mapping[str, ContactParameters] = {
-    key: ContactParameters(*row) for key, row in {
-        #   description,
-        #       roughness, corner, hurst,  grains a mm, height, spread, width,  wavelength, depth, sharpness, jitter, alternating,
-        #       tip, modulus, damping, mass, hand,  friction, stick, shaft, damping
-        "sandpaper-coarse": ("grains of 0.3 mm glued to paper: sharp, few stand out far",
-                4.0, 2.0, 0.7,  2.0, 20.0, 0.5, 0.30,  1.0, 0.0, 1.0, 0.0, 0.0,
-                0.5, 800.0, 0.6, 12.0, 6.0,  0.55, 0.1, 170.0, 0.20),
-        "sandpaper-fine": ("grains of 0.08 mm: dense and even",
-                2.0, 4.0, 0.7,  9.0, 9.0, 0.4, 0.09,  1.0, 0.0, 1.0, 0.0, 0.0,
-                0.5, 800.0, 0.6, 12.0, 6.0,  0.50, 0.1, 170.0, 0.20),
-        "sawn-wood": ("marks of a saw, every 1.6 mm or so, on fibres with pores",
-                5.0, 0.8, 0.6,  1.2, -18.0, 0.5, 0.20,  1.6, 22.0, 1.5, 0.12, 0.0,
-                0.7, 300.0, 1.0, 14.0, 7.0,  0.40, 0.2, 150.0, 0.25),
-        "brushed-metal": ("fine scratches across the stroke, hard",
-                1.6, 6.0, 0.4,  1.0, 2.5, 0.6, 0.06,  1.0, 0.0, 1.0, 0.0, 0.0,
-                0.5, 2000.0, 0.4, 12.0, 6.0,  0.20, 0.1, 190.0, 0.15),
-        "ribbed-plastic": ("moulded ribs every 1.2 mm, even to 1 %",
-                0.8, 2.0, 0.8,  0.0, 1.0, 0.0, 0.10,  1.2, 28.0, 2.0, 0.01, 0.0,
-                0.7, 400.0, 0.8, 14.0, 7.0,  0.30, 0.1, 160.0, 0.20),
-        "canvas": ("plain weave, 0.8 mm: every second thread lower, fibres between",
-                5.0, 3.0, 0.5,  2.0, 5.0, 0.5, 0.12,  0.8, 20.0, 1.2, 0.06, 0.35,
-                0.8, 25.0, 2.5, 14.0, 9.0,  0.40, 0.2, 140.0, 0.30),
-        "wire-mesh": ("wires every 2 mm with gaps between: the tip falls in and climbs out",
-                0.8, 2.0, 0.7,  0.0, 1.0, 0.0, 0.10,  2.0, 60.0, 4.0, 0.015, 0.15,
-                1.0, 1000.0, 0.6, 14.0, 7.0,  0.25, 0.1, 160.0, 0.20),
-        "leather": ("pebbles about 1.8 mm apart, soft",
-                3.0, 1.5, 0.7,  1.0, -14.0, 0.4, 0.35,  1.8, 24.0, 1.5, 0.30, 0.0,
-                0.8, 15.0, 3.0, 15.0, 10.0,  0.55, 0.3, 120.0, 0.30),
-        "rubber-sheet": ("smooth and sticky: the tip sticks and slips where it is slow",
-                1.5, 1.0, 0.8,  0.0, 1.0, 0.0, 0.10,  1.0, 0.0, 1.0, 0.0, 0.0,
-                0.8, 8.0, 4.0, 15.0, 10.0,  0.80, 0.6, 90.0, 0.10),
-        "cork": ("pressed granules of 2 to 3 mm with gaps, springy",
-                6.0, 0.6, 0.5,  0.7, -40.0, 0.6, 0.40,  2.6, 12.0, 1.0, 0.35, 0.0,
-                0.7, 30.0, 2.5, 14.0, 9.0,  0.50, 0.2, 130.0, 0.30),
-    }.items()
-}
-# fmt: on
+CONTACT: Mapping[str, ContactParameters] = {key: ContactParameters(**row) for key, row in _ROWS.items()}
 
 
 @lru_cache(maxsize=2)
@@ -208,10 +150,7 @@ def under_ball(height: Array, tip_mm: float) -> Array:
 def contact_vibration(
     parameters: ContactParameters, surface: Array, stroke: Stroking, rng: np.random.Generator
 ) -> tuple[Array, Array]:
-    """Vibration of the tool before any sensor [m/s²], axes x, y, z, (n, 3), and the force of the contact [N], (n,).
-
-    The surface is what the ball rests at, as of `surface_of` or `under_ball`.
-    """
+    """Vibration of the tool before any sensor [m/s²], axes x, y, z, (n, 3), and the force of the contact [N], (n,)."""
     return contact_vibrations(parameters, surface, stroke, [rng])[0]
 
 
@@ -226,13 +165,9 @@ def contact_vibrations(
     from scipy.signal import lfilter
 
     rate = stroke.rate_hz
-
-    def integrate(places: Array, speed: Array, force: Array) -> Array:
-        return _integrate(parameters, surface, places, speed, force, rate)
-
+    integrate = partial(_integrate, parameters, surface, rate)
     vibrations = []
-    for force, friction in joined_pieces(integrate, places_along(stroke, rngs), stroke, needed):
-        force = force if needed is None else np.where(needed, force, stroke.force)
+    for friction, force in joined_pieces(integrate, places_along(stroke, rngs), stroke, needed):
         pushed = np.stack([force - stroke.force, friction], axis=1) / (BODY_G * 1e-3)
         acceleration = STIFF_SHARE * pushed
         for hz, damping, share in zip(MODES_HZ, MODES_DAMPING, MODES_SHARE, strict=True):
@@ -267,9 +202,9 @@ def joined_pieces(
 
     Args:
         integrate: places [mm], speeds [mm/s] and forces [N] of pieces, (k, m) each → series from equilibrium (any, k, m), the
-            force of the contact among them.
+            force of the contact last.
         places: of each realisation, (n_realisations, n).
-        needed: where series are, (n,); elsewhere they may be zero. All by default.
+        needed: where series are, (n,), all by default; elsewhere they may be zero, and the force is the hand's.
     """
     n, piece, overlap, fade = len(stroke.force), *(round(s * stroke.rate_hz) for s in (PIECE_S, OVERLAP_S, FADE_S))
     starts = np.arange(0, n, piece)
@@ -286,14 +221,17 @@ def joined_pieces(
             settled = np.zeros((len(parts), len(starts), piece + fade))
             settled[:, chosen] = part[:, :, overlap:]  # a piece, and how it would go on
             settled[:, 1:, :fade] = ramp * settled[:, 1:, :fade] + (1 - ramp) * settled[:, :-1, piece:]
-            joined.append(settled[:, :, :piece].reshape(len(parts), -1)[:, :n])
+            series = settled[:, :, :piece].reshape(len(parts), -1)[:, :n]
+            if needed is not None:
+                series[-1] = np.where(needed, series[-1], stroke.force)
+            joined.append(series)
     return joined
 
 
 def _integrate(
-    parameters: ContactParameters, surface: Array, place: Array, speed: Array, force: Array, rate_hz: float
+    parameters: ContactParameters, surface: Array, rate_hz: float, place: Array, speed: Array, force: Array
 ) -> Array:
-    """Contact force and friction [N] of pieces (k, n), each from equilibrium at its first sample: (2, k, n).
+    """Friction and contact force [N] of pieces (k, n), each from equilibrium at its first sample: (2, k, n).
 
     Semi-implicit steps; the friction of a step is at most what stops the tip in it, which is sticking.
     """
@@ -324,7 +262,7 @@ def _integrate(
                 sliding = towards[i] + u
                 held += stopped
             total += contact
-        outputs[0, i], outputs[1, i] = total / SUBSTEPS, held * (mass / dt / SUBSTEPS)
+        outputs[0, i], outputs[1, i] = held * (mass / dt / SUBSTEPS), total / SUBSTEPS
     return outputs.transpose(0, 2, 1)
 
 

@@ -13,7 +13,7 @@ import json
 import threading
 from collections.abc import Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from typing import Any
 
@@ -30,16 +30,8 @@ from foten.simulation.contact_mechanics import (
     mode_filter,
     surface_of,
 )
-from foten.simulation.linear_family import (
-    LINEAR_FAMILY,
-    MAX_PARAMETER,
-    OTHER_LINEAR,
-    POSITIVE,
-    REFERENCE_SPEED,
-    LinearParameters,
-    check_parameters,
-    linear_signal,
-)
+from foten.simulation.linear_family import LINEAR_FAMILY, OTHER_LINEAR, REFERENCE_SPEED, LinearParameters, linear_signal
+from foten.simulation.parameters import check_parameters, parameter_table
 from foten.simulation.stroking import Stroking, stroking
 from foten.simulation.two_mass_contact import TWO_MASS, TwoMassParameters, two_mass_surface, two_mass_vibrations
 
@@ -60,17 +52,7 @@ TIP_PER_MM = 4.0  # cycles/mm: the ball of 2 mm bridges finer structure
 AXIS_GAINS = np.array([[0.45, 0.55], [0.35, -0.25], [0.82, 0.80]])
 """Share of the two tool modes in x, y, z; each column has about unit norm, so that DFT321 keeps the level."""
 
-RANGES: Mapping[str, tuple[float, float]] = {
-    "level": POSITIVE,
-    "wavelength_mm": (GRID_MM, MAX_PARAMETER),
-    "lattice_share": (0.0, 1.0),
-    "corner_per_mm": POSITIVE,
-    "impacts_per_mm": POSITIVE,
-    "contact_hz": (1e-6, 0.499 * RATE_HZ),  # a filter's cutoff lies below half the rate
-    "modes_hz": (1e-6, 0.499 * RATE_HZ),
-    "damping": POSITIVE,
-}
-"""Lowest and highest value of a texture's parameters."""
+RANGES, _ROWS = parameter_table("twelve.csv", ("harmonics", "modes_hz", "damping", "phases"))
 
 
 @dataclass(frozen=True)
@@ -106,47 +88,9 @@ class TextureParameters:
                 raise ValueError(f"{name} is {getattr(self, name)}, expected two numbers")
 
 
+TEXTURES: Mapping[str, TextureParameters] = {key: TextureParameters(**row) for key, row in _ROWS.items()}
 Parameters = TextureParameters | ContactParameters | TwoMassParameters | LinearParameters
-
-
-def _phases(key: str, n: int) -> tuple[float, ...]:
-    """Phases of a texture's harmonics [rad], drawn by its key: every realisation has the same waveform."""
-    return tuple(np.random.default_rng([*key.encode()]).uniform(0, 2 * np.pi, n).round(3).tolist())
-
-
-# fmt: off
-TEXTURES: Mapping[str, TextureParameters] = {
-    key: TextureParameters(*row, phases=_phases(key, len(row[6]))) for key, row in {
-        #       description, level, speed and force exponent,
-        #       wavelength, lattice share, harmonics, jitter, corner, hurst, impacts per mm, impacts ratio, contact, modes,
-        #       damping, friction
-        "steel-mesh-1": ("coarse woven wire, 2.5 mm: tones and harmonics that move with speed", 4.5, 0.7, 0.35,
-                2.5, 0.90, (1.0, 0.6, 0.35, 0.2), 0.010, 1.0, 0.6, 20.0, 0.15, 900.0, (110.0, 330.0), (0.30, 0.20), 0.25),
-        "steel-mesh-2": ("fine woven wire, 1.2 mm: one strong tone that moves with speed", 4.0, 0.8, 0.30,
-                1.2, 0.85, (1.0, 0.35, 0.15), 0.015, 1.5, 0.6, 20.0, 0.20, 900.0, (140.0, 400.0), (0.30, 0.20), 0.22),
-        "plastic-mesh": ("moulded mesh, 1.8 mm, less regular and softer", 3.0, 0.7, 0.45,
-                1.8, 0.75, (1.0, 0.5, 0.2), 0.050, 0.8, 0.7, 10.0, 0.25, 500.0, (95.0, 250.0), (0.35, 0.25), 0.30),
-        "artificial-grass": ("blades that catch and let go: sparse strong impacts", 1.6, 0.6, 0.40,
-                5.0, 0.00, (1.0,), 0.000, 0.3, 0.5, 0.8, 1.40, 500.0, (80.0, 230.0), (0.40, 0.35), 0.45),
-        "cardboard": ("fine fibres, faint flutes of 6 mm, hard contact", 1.0, 0.6, 0.40,
-                6.0, 0.10, (1.0, 0.4), 0.050, 1.2, 0.4, 40.0, 0.50, 550.0, (120.0, 350.0), (0.35, 0.30), 0.30),
-        "plain-cloth": ("plain weave, 0.6 mm, loosely periodic", 1.2, 0.7, 0.30,
-                0.6, 0.50, (1.0, 0.2), 0.080, 1.5, 0.5, 40.0, 0.40, 350.0, (90.0, 240.0), (0.45, 0.40), 0.35),
-        "textured-rubber": ("moulded bumps of 2.0 mm on soft rubber", 2.2, 0.5, 0.50,
-                2.0, 0.65, (1.0, 0.3), 0.030, 0.6, 0.8, 5.0, 0.40, 220.0, (65.0, 170.0), (0.30, 0.35), 0.80),
-        "smooth-rubber": ("almost nothing but friction noise", 0.28, 0.5, 0.60,
-                3.0, 0.00, (1.0,), 0.000, 0.8, 0.8, 15.0, 0.80, 200.0, (70.0, 160.0), (0.35, 0.40), 0.95),
-        "jeans": ("twill of 0.9 mm, irregular", 2.0, 0.8, 0.35,
-                0.9, 0.55, (1.0, 0.4, 0.1), 0.060, 1.2, 0.6, 20.0, 0.40, 450.0, (100.0, 280.0), (0.40, 0.30), 0.40),
-        "soft-fabric": ("low pile: faint and dull", 1.0, 0.6, 0.50,
-                1.5, 0.00, (1.0,), 0.000, 0.5, 0.8, 10.0, 0.30, 110.0, (60.0, 130.0), (0.50, 0.50), 0.40),
-        "towel": ("loops about 2 mm apart, soft: strong and low", 2.8, 0.6, 0.45,
-                2.2, 0.35, (1.0, 0.3), 0.150, 0.4, 0.9, 3.0, 0.40, 140.0, (60.0, 150.0), (0.45, 0.45), 0.50),
-        "styrofoam": ("beads that squeak and crackle: broadband, heavy-tailed", 2.0, 0.5, 0.40,
-                4.0, 0.10, (1.0, 0.5), 0.200, 0.5, 0.3, 1.2, 1.30, 550.0, (130.0, 320.0), (0.30, 0.30), 0.40),
-    }.items()
-}
-# fmt: on
+_ALL: Mapping[str, Parameters] = {**TEXTURES, **CONTACT, **TWO_MASS, **LINEAR_FAMILY, **OTHER_LINEAR}
 
 
 def simulate(
@@ -160,23 +104,20 @@ def simulate(
 ) -> Recording:
     """Simulated recording of one texture, of either simulator, or of one member of the linear family.
 
-    A texture comes as raw sensors (Sec. III): acceleration with gravity, force and position, three axes each.
-    A linear process comes as acceleration, speed and force at the model's rate, one axis, without noise.
-
-    ValueError for an unknown key, or lengths, seeds and rates out of range.
+    A texture comes as raw sensors (Sec. III): acceleration with gravity, force and position, three axes each. A linear process
+    comes as acceleration, speed and force at its rate, without noise. ValueError for an unknown key, or lengths, seeds and rates
+    out of range.
 
     Args:
-        key: one of TEXTURES, CONTACT, TWO_MASS, LINEAR_FAMILY or OTHER_LINEAR.
         seconds: length; the default leaves 60 s once 2 s are cut at each end.
         seed: of everything random that the next two leave out.
         noise_seed: of the surface, the impacts and the sensors; another one is a second realisation.
         stroke_seed: of the hand.
         accelerometer_hz: 10 000 (by default) divided by a whole number; for the linear family, its rate, 1000 by default.
     """
-    known = _known()
-    if key not in known:
-        raise ValueError(f"unknown texture {key!r}, expected one of {', '.join(known)}")
-    default_hz = LINEAR_RATE_HZ if isinstance(known[key], LinearParameters) else RATE_HZ
+    if key not in _ALL:
+        raise ValueError(f"unknown texture {key!r}, expected one of {', '.join(_ALL)}")
+    default_hz = LINEAR_RATE_HZ if isinstance(_ALL[key], LinearParameters) else RATE_HZ
     simulation = {
         "key": key,
         "seconds": float(seconds),
@@ -185,31 +126,23 @@ def simulate(
         "stroke_seed": seed if stroke_seed is None else stroke_seed,
         "accelerometer_hz": float(default_hz if accelerometer_hz is None else accelerometer_hz),
         "version": VERSION,
-        "parameters": json.loads(json.dumps(asdict(known[key]))),  # lists, as they come back from a file
+        "parameters": json.loads(json.dumps(asdict(_ALL[key]))),  # lists, as they come back from a file
     }
     return _simulated(simulation, [int(simulation["noise_seed"])])[0]
 
 
 def simulate_stroke(key: str, stroke: Stroking, noise_seed: int) -> Recording:
     """Simulated recording under a stroke at 10 kHz, or at any rate for a linear process: raw sensors as of `simulate`."""
-    parameters = _known()[key]
+    parameters = _ALL[key]
     default_hz = stroke.rate_hz if isinstance(parameters, LinearParameters) else RATE_HZ
     if stroke.rate_hz != default_hz:
         raise ValueError(f"the stroke is at {stroke.rate_hz:g} Hz, expected {default_hz:g}")
-    rng = np.random.default_rng([noise_seed, 2, *key.encode()])
-    with ThreadPoolExecutor() as pool:
-        tool, sensors, captures = _captures(parameters, key, stroke, [rng], None, default_hz, pool)
-        return Recording(next(iter(captures)), texture=key, tool=tool, sensors=sensors, notes="simulated")
+    return _recordings(parameters, key, stroke, [noise_seed], None, default_hz)[0]
 
 
-def second_realisation(
-    recording: Recording, noise_seed: int, *, stroke_seed: int | None = None, seconds: float | None = None
-) -> Recording:
-    """Stroke and texture of a simulated recording with fresh surface and noise, under another stroke where one is given.
-
-    The recording's own `noise_seed` gives the recording back. ValueError where it is not simulated by this version.
-    """
-    return realisations(recording, [noise_seed], stroke_seed=stroke_seed, seconds=seconds)[0]
+def second_realisation(recording: Recording, noise_seed: int) -> Recording:
+    """Stroke and texture of a simulated recording with fresh surface and noise; its own seed gives the recording back."""
+    return realisations(recording, [noise_seed])[0]
 
 
 def realisations(
@@ -220,7 +153,10 @@ def realisations(
     seconds: float | None = None,
     spans_s: Sequence[tuple[float, float]] = (),
 ) -> list[Recording]:
-    """`second_realisation` by several seeds, at once; with spans of time the vibration elsewhere may be left out."""
+    """`second_realisation` by several seeds, at once, under another stroke where one is given.
+
+    With spans of time the vibration elsewhere may be left out. ValueError where it is not simulated by this version.
+    """
     simulation = recording.simulation
     if simulation is None:
         raise ValueError("only a simulated recording has a second realisation; this one is not simulated")
@@ -234,16 +170,8 @@ def realisations(
         raise ValueError(f"its parameters are those of another simulator ({error}): simulate it again") from error
 
 
-def _known() -> dict[str, Parameters]:
-    return {**TEXTURES, **CONTACT, **TWO_MASS, **LINEAR_FAMILY, **OTHER_LINEAR}
-
-
 def check_seconds(seconds: float) -> None:
-    """Refuse a length that nothing is simulated for.
-
-    Raises:
-        ValueError: it is not from 1 s to an hour.
-    """
+    """Refuse, by a ValueError, a length that nothing is simulated for: it is not from 1 s to an hour."""
     if not 1 <= seconds <= 3600:
         raise ValueError(f"{seconds:g} s asked for, expected 1 to 3600")
 
@@ -252,78 +180,72 @@ def _simulated(
     simulation: Mapping[str, Any], noise_seeds: Sequence[int], spans_s: Sequence[tuple[float, float]] = ()
 ) -> list[Recording]:
     seconds, rate_hz = float(simulation["seconds"]), float(simulation["accelerometer_hz"])
-    _, stroke_seed = (int(simulation[name]) for name in ("seed", "stroke_seed"))
     key = str(simulation["key"])
-    kinds: Mapping[str, type[Parameters]] = {
-        **{"coefficients": LinearParameters, "relaxation_ms": TwoMassParameters},
-        "stick": ContactParameters,
-    }
-    # By a field that only they have.
-    kind = next((kind for name, kind in kinds.items() if name in simulation["parameters"]), TextureParameters)
-    parameters = kind(**simulation["parameters"])
+    _, stroke_seed = (int(simulation[name]) for name in ("seed", "stroke_seed"))
+    parameters = type(_ALL[key])(**simulation["parameters"])
     check_seconds(seconds)
     if not 100 <= rate_hz <= RATE_HZ:
         raise ValueError(f"the accelerometer is at {rate_hz:g} Hz, expected 100 to {RATE_HZ:g}")
     if min(*noise_seeds, stroke_seed) < 0:
         raise ValueError("a seed is negative, expected 0 or more")
-    # The key's bytes keep two textures of one seed apart, under one stroke.
-    rngs = [np.random.default_rng([noise_seed, 2, *key.encode()]) for noise_seed in noise_seeds]
     with _LOCK:  # recordings of one stroke are simulated at once, and share it
-        stroke = stroking(seconds, stroke_seed, rate_hz if kind is LinearParameters else RATE_HZ)
+        stroke = stroking(seconds, stroke_seed, rate_hz if isinstance(parameters, LinearParameters) else RATE_HZ)
     needed = None
     if spans_s:
         times = np.arange(len(stroke.force)) / stroke.rate_hz
         needed = np.logical_or.reduce([(start <= times) & (times < end) for start, end in spans_s])
-    with ThreadPoolExecutor() as pool:  # filters and transforms release the interpreter's lock
-        tool, sensors, captures = _captures(parameters, key, stroke, rngs, needed, rate_hz, pool)
-        return [
-            Recording(
-                channels,
-                texture=key,
-                tool=tool,
-                sensors=sensors,
-                notes="simulated",
-                simulation={**simulation, "noise_seed": noise_seed},
-            )
-            for channels, noise_seed in zip(captures, noise_seeds, strict=True)
-        ]
+    recordings = _recordings(parameters, key, stroke, noise_seeds, needed, rate_hz)
+    return [
+        replace(recording, simulation={**simulation, "noise_seed": noise_seed})
+        for recording, noise_seed in zip(recordings, noise_seeds, strict=True)
+    ]
 
 
-def _captures(
+def _recordings(
     parameters: Parameters,
     key: str,
     stroke: Stroking,
-    rngs: Sequence[np.random.Generator],
+    noise_seeds: Sequence[int],
     needed: NDArray[np.bool_] | None,
     rate_hz: float,
-    pool: ThreadPoolExecutor,
-) -> tuple[str, str, Iterable[dict[str, Channel]]]:
-    """Tool, sensors, and what these record of each realisation of a stroke."""
-    if isinstance(parameters, LinearParameters):
-
-        def of_process(rng: np.random.Generator) -> dict[str, Channel]:
-            acceleration = linear_signal(parameters, stroke.speed, stroke.force, rng)
-            signals = {"acceleration": acceleration, "speed": stroke.speed, "force": stroke.force}
-            return {name: Channel(samples, rate_hz) for name, samples in signals.items()}
-
-        return "", "noise-free, one axis", pool.map(of_process, rngs)
+) -> list[Recording]:
+    """Recording of each realisation of a stroke, by raw sensors over a texture, free of noise for a linear process."""
+    # The key's bytes keep two textures of one seed apart, under one stroke.
+    rngs = [np.random.default_rng([noise_seed, 2, *key.encode()]) for noise_seed in noise_seeds]
     decimation = round(RATE_HZ / rate_hz)
-    if RATE_HZ / decimation != rate_hz:
-        raise ValueError(f"{rate_hz:g} Hz is not {RATE_HZ:g} Hz divided by a whole number")
-    vibrations: Iterable[tuple[Array, Array]]
-    if isinstance(parameters, ContactParameters):
-        vibrations = contact_vibrations(parameters, surface_of(parameters, key), stroke, rngs, needed)
-    elif isinstance(parameters, TwoMassParameters):
-        vibrations = two_mass_vibrations(parameters, two_mass_surface(parameters, key), stroke, rngs, needed)
-    else:
-        vibrations = ((vibrated, stroke.force) for vibrated in pool.map(partial(vibration, parameters, stroke), rngs))
+
+    def of_process(rng: np.random.Generator) -> dict[str, Channel]:
+        assert isinstance(parameters, LinearParameters)
+        acceleration = linear_signal(parameters, stroke.speed, stroke.force, rng)
+        signals = {"acceleration": acceleration, "speed": stroke.speed, "force": stroke.force}
+        return {name: Channel(samples, rate_hz) for name, samples in signals.items()}
 
     def of_sensors(vibrated: tuple[Array, Array], rng: np.random.Generator) -> dict[str, Channel]:
+        assert not isinstance(parameters, LinearParameters)
         own_motion = not isinstance(parameters, TwoMassParameters)
         return sensor_channels(*vibrated, parameters.friction, stroke, decimation, rng, own_motion)
 
-    sensors = "simulated ADXL335, force at 10 kHz, position at 120 Hz"
-    return "simulated rigid tool, 2 mm steel ball", sensors, pool.map(of_sensors, vibrations, rngs)
+    with ThreadPoolExecutor() as pool:  # filters and transforms release the interpreter's lock
+        if isinstance(parameters, LinearParameters):
+            return [
+                Recording(channels, texture=key, sensors="noise-free, one axis", notes="simulated")
+                for channels in pool.map(of_process, rngs)
+            ]
+        if RATE_HZ / decimation != rate_hz:
+            raise ValueError(f"{rate_hz:g} Hz is not {RATE_HZ:g} Hz divided by a whole number")
+        vibrations: Iterable[tuple[Array, Array]]
+        if isinstance(parameters, ContactParameters):
+            vibrations = contact_vibrations(parameters, surface_of(parameters, key), stroke, rngs, needed)
+        elif isinstance(parameters, TwoMassParameters):
+            vibrations = two_mass_vibrations(parameters, two_mass_surface(parameters, key), stroke, rngs, needed)
+        else:
+            vibrated = pool.map(partial(vibration, parameters, stroke), rngs)
+            vibrations = ((acceleration, stroke.force) for acceleration in vibrated)
+        sensors = "simulated ADXL335, force at 10 kHz, position at 120 Hz"
+        return [
+            Recording(channels, key, "simulated rigid tool, 2 mm steel ball", sensors, notes="simulated")
+            for channels in pool.map(of_sensors, vibrations, rngs)
+        ]
 
 
 def _roughness(parameters: TextureParameters, length_mm: float, rng: np.random.Generator) -> Array:
@@ -386,10 +308,7 @@ def sensor_channels(
     rng: np.random.Generator,
     own_motion: bool = True,
 ) -> dict[str, Channel]:
-    """Raw channels of Sec. III: from the tool's vibration [m/s²], (n, 3), and the surface's normal force [N], (n,).
-
-    Without `own_motion` the hand's own acceleration is left out.
-    """
+    """Raw channels of Sec. III, from the tool's vibration [m/s²], (n, 3), the surface's normal force [N], (n,), and the hand."""
     from scipy.signal import butter, sosfilt
 
     if own_motion:

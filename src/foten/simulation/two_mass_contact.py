@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,41 +34,14 @@ from foten.simulation.contact_mechanics import (
     surface_height,
     under_ball,
 )
-from foten.simulation.linear_family import NOT_NEGATIVE, POSITIVE, check_parameters
+from foten.simulation.parameters import check_parameters, parameter_table
 from foten.simulation.stroking import Stroking
 
 MAX_IMPACT_N = 40.0  # of an impact, for which steps must be short enough
 LONGEST_MM = 40.0  # wavelength of the noise
 REFERENCE_MM_S = 1.0  # V₀ of the friction
 N_NEWTON = 6  # steps of Newton's method: it begins on the side from which it converges without a swing
-RANGES: Mapping[str, tuple[float, float]] = {
-    "roughness_um": NOT_NEGATIVE,
-    "hurst": (-0.5, 1.0),
-    "grains_per_mm": (0.0, 1 / GRID_MM),
-    "grain_shape": (0.1, 20.0),
-    "grain_mm": (4 * GRID_MM, 5.0),
-    "thread_mm": (10 * GRID_MM, 100.0),
-    "thread_um": NOT_NEGATIVE,
-    "thread_spread": (0.0, 1.0),
-    "defects_per_mm": (0.0, 10.0),
-    "wave_mm": (0.5, 100.0),
-    "wave_nepers": (0.0, 3.0),
-    "wave_spread": (0.0, 1.0),
-    "tip_mm": (1e-3, 10.0),
-    "modulus_mpa": POSITIVE,
-    "relaxation_ms": NOT_NEGATIVE,
-    "tip_g": POSITIVE,
-    "body_g": POSITIVE,
-    "hand_g": POSITIVE,
-    "neck_hz": POSITIVE,
-    "flesh_hz": POSITIVE,
-    "shaft_hz": POSITIVE,
-    "friction": NOT_NEGATIVE,
-    "direct": (1e-4, 1.0),
-    "evolution": (0.0, 1.0),
-    "memory_mm": (1e-4, 10.0),
-}
-"""Lowest and highest value of a texture's parameters."""
+RANGES, _ROWS = parameter_table("two_mass.csv")
 
 
 @dataclass(frozen=True)
@@ -120,76 +93,7 @@ class TwoMassParameters:
         return float(4 / 3 * self.modulus_mpa * 1e6 * np.sqrt(self.tip_mm * 1e-3))
 
 
-# fmt: off
-TWO_MASS: Mapping[str, TwoMassParameters] = {
-    key: TwoMassParameters(*row) for key, row in {
-        #   description,
-        #       roughness, hurst,  grains a mm, height, shape, length,  thread, height, spread, defects,  wave, nepers, spread,
-        #       tip, modulus, relaxation,  masses of tip, body and hand,  neck, flesh, shaft, each with its damping,
-        #       friction, direct, evolution, memory
-        "sandstone": ("fractional Brownian, persistent, hard",
-                14.0, 0.55,  0.0, 1.0, 1.0, 0.1,  1.0, 0.0, 0.0, 0.0,  5.0, 0.0, 0.0,
-                0.6, 600.0, 0.02,  5.0, 45.0, 250.0,  210.0, 0.06, 32.0, 0.45, 260.0, 0.10,
-                0.45, 0.012, 0.008, 0.02),
-        "glitter-paper": ("grains in a Poisson process, few of them high, on a smooth ground",
-                2.0, 0.5,  1.6, 9.0, 0.8, 0.18,  1.0, 0.0, 0.0, 0.0,  5.0, 0.0, 0.0,
-                0.6, 500.0, 0.03,  6.0, 50.0, 250.0,  180.0, 0.08, 28.0, 0.50, 230.0, 0.12,
-                0.40, 0.012, 0.008, 0.02),
-        "linen": ("threads of 0.7 mm, uneven, with thick and missing ones",
-                3.0, 0.4,  0.0, 1.0, 1.0, 0.1,  0.7, 16.0, 0.10, 0.05,  5.0, 0.0, 0.0,
-                0.8, 40.0, 0.10,  7.0, 60.0, 300.0,  150.0, 0.10, 25.0, 0.60, 190.0, 0.15,
-                0.45, 0.015, 0.010, 0.05),
-        "ring-porous-wood": ("fibres and pits that swell and fade with the growth rings, every 3.5 mm or so",
-                6.0, 0.35,  1.5, -10.0, 1.0, 0.15,  1.0, 0.0, 0.0, 0.0,  3.5, 0.75, 0.25,
-                0.7, 250.0, 0.04,  6.0, 55.0, 280.0,  170.0, 0.08, 30.0, 0.50, 220.0, 0.12,
-                0.35, 0.012, 0.009, 0.03),
-        "varnish": ("smooth and tacky: it sticks and slips by rate and state where the hand is slow",
-                2.5, 0.6,  0.0, 1.0, 1.0, 0.1,  1.0, 0.0, 0.0, 0.0,  9.0, 0.3, 0.3,
-                0.9, 20.0, 0.20,  8.0, 60.0, 300.0,  130.0, 0.12, 22.0, 0.60, 75.0, 0.05,
-                0.70, 0.020, 0.045, 0.01),
-        "slate": ("fractional Brownian, rough in the small, hard and ringing",
-                7.0, 0.25,  0.0, 1.0, 1.0, 0.1,  1.0, 0.0, 0.0, 0.0,  12.0, 0.25, 0.4,
-                0.5, 900.0, 0.015,  5.5, 40.0, 220.0,  250.0, 0.05, 35.0, 0.40, 300.0, 0.08,
-                0.35, 0.010, 0.006, 0.01),
-        "roughcast": ("dense grains of exponential height",
-                3.0, 0.5,  3.5, 12.0, 1.0, 0.30,  1.0, 0.0, 0.0, 0.0,  5.0, 0.0, 0.0,
-                1.0, 400.0, 0.03,  7.0, 70.0, 320.0,  160.0, 0.07, 24.0, 0.55, 200.0, 0.10,
-                0.55, 0.014, 0.009, 0.03),
-        "window-screen": ("wires of 1.5 mm, even, some bent or broken",
-                1.0, 0.5,  0.0, 1.0, 1.0, 0.1,  1.5, 30.0, 0.04, 0.03,  5.0, 0.0, 0.0,
-                0.8, 300.0, 0.03,  6.5, 50.0, 260.0,  190.0, 0.07, 30.0, 0.50, 240.0, 0.10,
-                0.30, 0.010, 0.006, 0.01),
-        "planed-board": ("grain under the marks of a planer, waves of 7 mm that come and go",
-                9.0, 0.45,  0.8, -8.0, 0.7, 0.25,  1.0, 0.0, 0.0, 0.0,  7.0, 0.6, 0.35,
-                0.7, 350.0, 0.03,  5.5, 48.0, 260.0,  220.0, 0.07, 28.0, 0.45, 250.0, 0.10,
-                0.40, 0.012, 0.008, 0.02),
-        "soft-pvc": ("a skin that clings: rate and state, with a finer grain",
-                3.0, 0.4,  0.5, 6.0, 1.0, 0.40,  1.0, 0.0, 0.0, 0.0,  6.0, 0.2, 0.3,
-                0.8, 30.0, 0.15,  7.0, 55.0, 280.0,  140.0, 0.10, 26.0, 0.55, 95.0, 0.06,
-                0.60, 0.018, 0.036, 0.008),
-        "denim": ("twill of 0.9 mm, uneven, fibrous, pulled in places",
-                4.0, 0.3,  0.0, 1.0, 1.0, 0.1,  0.9, 22.0, 0.15, 0.06,  8.0, 0.3, 0.4,
-                0.7, 60.0, 0.08,  6.0, 52.0, 280.0,  165.0, 0.09, 27.0, 0.55, 205.0, 0.12,
-                0.50, 0.014, 0.010, 0.04),
-        "latex": ("a glove that clings: rate and state, hardly rough",
-                2.0, 0.5,  0.3, 4.0, 1.0, 0.30,  1.0, 0.0, 0.0, 0.0,  7.0, 0.3, 0.4,
-                0.8, 25.0, 0.18,  7.5, 58.0, 290.0,  145.0, 0.11, 24.0, 0.60, 85.0, 0.06,
-                0.75, 0.020, 0.042, 0.012),
-        "spruce": ("growth rings of 2.2 mm, early wood smooth, late wood hard",
-                8.0, 0.5,  0.6, -6.0, 0.8, 0.20,  1.0, 0.0, 0.0, 0.0,  2.2, 0.9, 0.3,
-                0.6, 180.0, 0.04,  5.5, 46.0, 260.0,  195.0, 0.07, 31.0, 0.50, 235.0, 0.10,
-                0.38, 0.012, 0.008, 0.02),
-        "bark": ("soft, with deep pits that crowd and thin out",
-                5.0, 0.45,  1.2, -25.0, 0.6, 0.50,  1.0, 0.0, 0.0, 0.0,  4.0, 0.6, 0.4,
-                0.8, 30.0, 0.10,  6.5, 54.0, 290.0,  155.0, 0.10, 26.0, 0.55, 195.0, 0.13,
-                0.50, 0.014, 0.010, 0.05),
-        "pumice": ("hard walls of bubbles of all sizes",
-                8.0, 0.4,  2.0, -30.0, 0.7, 0.35,  1.0, 0.0, 0.0, 0.0,  3.0, 0.5, 0.5,
-                0.6, 450.0, 0.03,  5.5, 47.0, 250.0,  205.0, 0.07, 29.0, 0.50, 245.0, 0.10,
-                0.50, 0.012, 0.008, 0.02),
-    }.items()
-}
-# fmt: on
+TWO_MASS: Mapping[str, TwoMassParameters] = {key: TwoMassParameters(**row) for key, row in _ROWS.items()}
 
 
 @lru_cache(maxsize=2)
@@ -265,27 +169,16 @@ def two_mass_vibrations(
     rngs: Sequence[np.random.Generator],
     needed: NDArray[np.bool_] | None = None,
 ) -> list[tuple[Array, Array]]:
-    """Vibrations of the tool's body before any sensor [m/s²], axes x, y, z, (n, 3), and the contact's force [N], (n,).
-
-    Of realisations of a stroke; as at rest where they are not `needed`, (n,). The surface is what the ball rests at, as of
-    `two_mass_surface`.
-    """
-    rate = stroke.rate_hz
-
-    def integrate(places: Array, speed: Array, force: Array) -> Array:
-        return _integrate(parameters, surface, places, speed, force, rate)
-
+    """Vibrations and forces of realisations of a stroke, as of `contact_vibrations`, over what `two_mass_surface` gives."""
+    integrate = partial(_integrate, parameters, surface, stroke.rate_hz)
     return [
-        (
-            np.column_stack([tangential[:, None] * DIRECTION, normal]),
-            force if needed is None else np.where(needed, force, stroke.force),
-        )
+        (np.column_stack([tangential[:, None] * DIRECTION, normal]), force)
         for normal, tangential, force in joined_pieces(integrate, places_along(stroke, rngs), stroke, needed)
     ]
 
 
 def _integrate(
-    parameters: TwoMassParameters, surface: Array, place: Array, speed: Array, force: Array, rate_hz: float
+    parameters: TwoMassParameters, surface: Array, rate_hz: float, place: Array, speed: Array, force: Array
 ) -> Array:
     """Normal and tangential acceleration of the body [m/s²] and force of the contact [N] of pieces (k, n): (3, k, n).
 

@@ -61,7 +61,7 @@ def new(
     foten study new similarity.toml denim-ar.foten denim.foten mesh-ar.foten mesh.foten
     """
     from foten.atomic_write import atomic_write
-    from foten.recording.inspection.values import counted
+    from foten.recording.recording import counted
     from foten.study.choosers import EFFECTS, participants_for
     from foten.study.design import QUESTIONS, TASKS, files_by_method, study_text
     from foten.study.languages import read_language
@@ -93,7 +93,7 @@ def new(
 @app.command()
 def check(study: StudyFile, as_json: JsonOption = False) -> None:
     """Check a study file: texture files, levels, balance of the trial orders, devices, and duration."""
-    from foten.recording.inspection.values import counted
+    from foten.recording.recording import counted
     from foten.study.loading import load_study
     from foten.study.orders import balance
 
@@ -198,7 +198,7 @@ def run(
 @app.command()
 def status(database: Database, as_json: JsonOption = False) -> None:
     """Print the progress of each participant, and check the database; works while the study runs."""
-    from foten.recording.inspection.values import counted
+    from foten.recording.recording import counted
 
     with _store(database) as store:
         counts, faults, log = store.counts(), store.check(), store.log()
@@ -241,7 +241,7 @@ def simulate(
 
     foten study simulate similarity.toml -o simulated.db --difference 10
     """
-    from foten.recording.inspection.values import counted
+    from foten.recording.recording import counted
     from foten.study.choosers import DEFAULT_EFFECTS, simulate_study
     from foten.study.loading import load_study
     from foten.study.raters import raters_for
@@ -305,7 +305,7 @@ def power(
 
     foten study power --difference 9
     """
-    from foten.recording.inspection.values import counted
+    from foten.recording.recording import counted
     from foten.reporting.table import Table
     from foten.study.choosers import DEFAULT_EFFECTS, threshold_raters
     from foten.study.design import Task, read_design
@@ -354,7 +354,7 @@ def power(
 def _print_power_of_choices(
     task: str, methods: int, per_pair: int, effect: float | None, studies: int, seed: int, as_json: bool
 ) -> None:
-    from foten.recording.inspection.values import counted
+    from foten.recording.recording import counted
     from foten.reporting.table import Table
     from foten.study.choosers import DEFAULT_EFFECTS, Choosers, needed
 
@@ -427,7 +427,7 @@ def export(
 
     foten study export similarity.db -o dataset
     """
-    from foten.recording.inspection.values import counted
+    from foten.recording.recording import counted
     from foten.study.record import FORMATS, write_record
 
     check_folder(output)
@@ -455,7 +455,7 @@ def strokes(
     import numpy as np
 
     from foten.atomic_write import atomic_write
-    from foten.recording.inspection.values import counted
+    from foten.recording.recording import counted
 
     check_files([output])
     with _store(database) as store:
@@ -536,7 +536,7 @@ def backup(
     database: Database, output: Path = Option(..., "-o", "--output", metavar="COPY.db", help="Copy to write (.db).")
 ) -> None:
     """Copy a study's database; works while the study runs."""
-    from foten.recording.inspection.values import counted
+    from foten.recording.recording import counted
 
     check_files([output])
     with _store(database) as store:

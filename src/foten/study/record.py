@@ -18,7 +18,7 @@ import numpy as np
 import pandas
 
 from foten import __version__
-from foten.recording.inspection.values import counted
+from foten.recording.recording import counted
 from foten.study.analysis import Ratings, read_ratings
 from foten.study.design import CHOICES, task_of
 from foten.study.orders import N_TARGETS, Trial

@@ -12,9 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from foten.dsp import Array
-from foten.dsp.bands import BAND_FRAME_MS, N_BANDS, band_energies
 from foten.dsp.distance import area_under_curve
-from foten.dsp.level import framed
+from foten.dsp.level import BAND_FRAME_MS, ENERGY_FLOOR, N_BANDS, band_energies, framed
 from foten.models.excitation import Excitation
 from foten.training.calibration import ERROR_STREAM, FLOOR, ClosedLoop
 
@@ -25,7 +24,6 @@ N_FOLDS = 8  # of blocks
 PENALTY = (
     100.0  # of squared weights of standardised features, in excerpts; 10 and 1000 gave the same order of candidates
 )
-ENERGY_FLOOR = 1e-4  # of the mean energy of a band
 MIN_EXCERPTS = 16  # recorded
 MOVING_SHARE = 0.9  # of an excerpt's frames in which a rendering does not fade, at least
 

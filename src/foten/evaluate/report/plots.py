@@ -10,7 +10,7 @@ import numpy as np
 
 from foten.dsp import Array
 from foten.dsp.distance import MIN_SCORED_HZ, highest_with_power, max_scored_hz
-from foten.dsp.level import FRAME_MS, frame_levels
+from foten.dsp.level import FRAME_MS, decibels, frame_levels, frame_means, rms
 from foten.evaluate.evaluate import Judgement
 from foten.evaluate.metrics import band_edges
 from foten.evaluate.report import signals
@@ -66,7 +66,7 @@ def spectrum(judgement: Judgement) -> Figure:
     """Pooled power spectral densities [dB re 1 (m/s²)²/Hz] of every run over log frequency, up to half the rate."""
     frequencies, pooled = signals.densities(judgement, unscored=True)
     rate_hz = judgement.trace.rate_hz
-    in_db = {name: 10 * np.log10(np.maximum(density, 1e-30)) for name, density in pooled.items()}
+    in_db = {name: decibels(density) for name, density in pooled.items()}
     figure, axes = new_figure(9.6, 3.7, PAGE)
     top = max(float(line.max()) for line in in_db.values())
     lowest = min(float(line.min()) for name, line in in_db.items() if name != "free_run_deterministic")
@@ -125,7 +125,7 @@ def conditions(judgement: Judgement, texture: Texture) -> Figure | None:
     name = shown_run(judgement)
     if name is None:
         return None
-    errors = signals.level_errors(judgement, name)
+    errors = signals.frame_errors(judgement, name).mean(axis=(0, 2))
     figure, axes = new_figure(4.9, 3.4, PAGE)
     if judgement.document["split"] != "foreign":
         _, *speed_force = judgement.trace.picked(texture.card["split"]["train"])
@@ -154,11 +154,8 @@ def reach(judgement: Judgement, texture: Texture) -> Figure | None:
     if not texture.has_excitation or renderer.native_texture.info.asks_predictor:
         return None
     trace = judgement.trace
-    frame = round(FRAME_MS * trace.rate_hz / 1000)
-    n = len(trace.acceleration) // frame * frame
-    of_frames = [channel[:n].reshape(-1, frame) for channel in (trace.speed, trace.force)]
-    recorded = np.stack([channel.mean(axis=1) for channel in of_frames], axis=1)  # (frames, 2)
-    level = 10 * np.log10(np.maximum(np.square(trace.acceleration[:n].reshape(-1, frame)).mean(axis=1), 1e-12))
+    recorded = np.stack([frame_means(channel, trace.rate_hz) for channel in (trace.speed, trace.force)], axis=1)
+    level = decibels(frame_means(np.square(trace.acceleration), trace.rate_hz), 1e-12)
     moving = (recorded > (MOVING_SPEED, MOVING_FORCE)).all(axis=1)
     centre = np.median(recorded[moving], axis=0) if moving.any() else np.array([100.0, 0.7])
     figure, panels = new_figure(9.6, 3.2, PAGE, ncols=2, sharey=True)
@@ -192,7 +189,7 @@ def _steady_level(renderer: Renderer, speed_mm_s: float, force_n: float) -> floa
     renderer.reset(0)
     n, settle = round(2.0 * renderer.rate), round(0.5 * renderer.rate)
     samples = renderer.render(speed_mm_s, force_n, settle + n)[settle:].astype(np.float64)
-    return 10 * math.log10(max(float(np.square(samples).mean()), 1e-12))
+    return float(decibels(np.square(samples).mean(), 1e-12))
 
 
 def over_time(judgement: Judgement) -> Figure:
@@ -212,7 +209,7 @@ def over_time(judgement: Judgement) -> Figure:
     label, beside = f"dB re 1 ({judgement.document['unit']})²/Hz", list(panels[:n])
     add_colour_bar(figure, panels[0].images[0], label, PAGE, ax=beside, pad=0.01, aspect=15 * n)
     lines = {key: runs[key] for key in ("recorded", name, "free_run_ar") if key in runs}
-    _draw_levels(panels[n], lines, rate_hz, borders, float(np.sqrt(np.square(every["recorded"]).mean())))
+    _draw_levels(panels[n], lines, rate_hz, borders, rms(every["recorded"]))
     times = _with_gaps(borders[:-1, None] + np.arange(runs["recorded"].shape[2]) / rate_hz)
     step = max(1, len(times) // 4000)
     labels = "speed\n[mm/s]", "force\n[N]"
@@ -241,9 +238,9 @@ def _draw_spectrograms(
     panels[0].set_title(f"drawn up to {limit}", loc="right", color=INK, fontsize=8.5)
     loudest = float(cells["recorded"][1].max())
     scale = {"cmap": "magma", "vmin": loudest - _SPECTROGRAM_DB, "vmax": loudest}
-    for axes, (key, (edges, decibels)) in zip(panels, cells.items(), strict=True):
+    for axes, (key, (edges, density)) in zip(panels, cells.items(), strict=True):
         extent = (0, borders[-1], *edges)
-        axes.imshow(decibels, origin="lower", aspect="auto", interpolation="none", extent=extent, **scale)
+        axes.imshow(density, origin="lower", aspect="auto", interpolation="none", extent=extent, **scale)
         axes.grid(visible=False)
         axes.set_ylabel("frequency\n[Hz]")
         axes.set_title(LABELS[key], loc="left", color=COLOURS[key], fontsize=10)
@@ -279,9 +276,8 @@ def _spectrogram(blocks: Array, rate_hz: float, highest_hz: float) -> tuple[tupl
     frequencies, _, density = signal.spectrogram(padded, rate_hz, "hann", n_segment, n_segment - hop, detrend=False)
     shown = frequencies <= highest_hz
     density = density[:, shown, : -(-n // hop)].swapaxes(0, 1).reshape(int(shown.sum()), -1)
-    decibels = 10 * np.log10(np.maximum(density, 1e-30))
     half = frequencies[1] / 2
-    return (-half, float(frequencies[shown][-1]) + half), decibels
+    return (-half, float(frequencies[shown][-1]) + half), decibels(density)
 
 
 def _with_gaps(blocks: Array) -> Array:

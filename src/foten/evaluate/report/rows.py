@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import csv
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
 from foten.evaluate.evaluate import RUNS
 from foten.evaluate.report.signals import LABELS
 from foten.evaluate.report.verdict import ar_name, reason
-from foten.reporting.table import Cell, Heading, Number, Table, minus
+from foten.reporting.table import Cell, Heading, Number, Table
 
 REFERENCES = {
     "lattice": ("the model without its network", "the lattice; what the network adds is the difference to it"),
@@ -21,35 +23,9 @@ REFERENCES = {
     "bound_window": ("bound of a window", "the best of any predictor that sees as many samples as the model"),
 }
 """One-step references: name and explanation."""
-FREE_RUN_FIGURES = {
-    "lsd_db": ("log-spectral distance", "dB", "lower"),
-    "lsd_long_db": ("… of pooled spectra", "dB", "lower"),
-    "gfc_raw": ("GFC, raw bins", "0 to 1", "higher"),
-    "gfc_welch": ("GFC, smoothed", "0 to 1", "higher"),
-    "level_bias_db": ("level bias", "dB", "nearer 0"),
-    "level_error_db": ("level error", "dB", "lower"),
-    "level_corr": ("level correlation", "−1 to 1", "higher"),
-    "kurtosis": ("kurtosis", "", "nearer recorded"),
-    "max_sd": ("largest sample", "sd", "no outlier"),
-    "modulation_db": ("envelope spectrum", "dB", "lower"),
-    "emd_octaves": ("earth-mover distance", "octave", "lower"),
-    "band_correlation_error": ("correlations of bands", "0 to 2", "lower"),
-}
-"""Figures of a free run: name, unit, and what is better."""
-_MEANINGS = {
-    "lsd_db": "RMS over frequency of the difference in dB, mean of blocks; sees gain",
-    "lsd_long_db": "the same on spectra pooled over all blocks: bias without scatter",
-    "gfc_raw": "cosine of amplitude spectra (Eq. 13); two true realisations reach π/4 = 0.785; blind to gain",
-    "gfc_welch": "the same on Welch spectra: the shape of the spectrum; blind to gain",
-    "level_bias_db": "mean level difference in frames of 40 ms: too loud (+) or too soft (−)",
-    "level_error_db": "mean absolute level difference of the same frames",
-    "level_corr": "whether the level rises and falls with the recording's",
-    "kurtosis": "3 for a Gaussian, more for a spiky vibration",
-    "max_sd": "peak over the training standard deviation: shows a loop that bursts",
-    "modulation_db": "log-spectral distance of the envelope, 1 to 50 Hz: roughness and rhythm",
-    "emd_octaves": "power moved along log frequency; people notice 0.25 to 0.3 octave; blind to gain",
-    "band_correlation_error": "whether bands rise and fall in step, as under impacts; RMS difference of correlations",
-}
+with Path(__file__).with_name("figures.csv").open(encoding="utf-8", newline="") as _file:
+    FREE_RUN_FIGURES = list(csv.DictReader(_file))
+"""Figures of a free run: key, name, unit, what is better, and meaning."""
 
 
 def one_step_table(document: Mapping[str, Any]) -> Table:
@@ -107,10 +83,10 @@ def free_run_table(document: Mapping[str, Any]) -> Table:
     kurtosis = (document[run].get("kurtosis_recorded") for run in RUNS)
     recorded = next((f" Recorded: {value:.2f}." for value in kurtosis if value is not None), "")
     rows: list[tuple[Cell, ...]] = []
-    for key, (name, unit, better) in FREE_RUN_FIGURES.items():
-        note = f"{_MEANINGS[key]}.{recorded if key == 'kurtosis' else ''}"
+    for figure in FREE_RUN_FIGURES:
+        key, note = figure["key"], f"{figure['meaning']}.{recorded if figure['key'] == 'kurtosis' else ''}"
         numbers = (_free_run_number(document, run, key) for run in notes)
-        rows.append((Heading(name, unit, note, f"free_run.{key}"), better, *numbers))
+        rows.append((Heading(figure["name"], figure["unit"], note, f"free_run.{key}"), figure["better"], *numbers))
     columns = (Heading("figure", words=True), Heading("better", words=True))
     return Table((*columns, *(Heading(LABELS[run], note=note) for run, note in notes.items())), tuple(rows))
 
@@ -125,29 +101,6 @@ def _free_run_number(document: Mapping[str, Any], run: str, key: str) -> Number:
     return Number(value, spec, interval=interval, why=why)
 
 
-def one_step_section(document: Mapping[str, Any]) -> str:
-    """Section of the page: one-step errors, and how well the excitation fits them."""
-    return (
-        '<section id="one-step"><h2>One step</h2><p>Predicts each sample from recorded history. Errors are mean '
-        f"absolute errors; 1 sd is {document['sd_m_s2']:.4g} {document['unit']}. "
-        f"The first {document['first_scored']} samples of each block are history for all. Small print: 95 % interval over "
-        "blocks (Student's t). The blocks are the same for all, so "
-        "two rows can differ for certain though the intervals of their errors overlap: see the one to AR(20).</p>"
-        f"{one_step_table(document).html('a')}{_excitation(document['one_step'])}</section>"
-    )
-
-
-def free_run_section(document: Mapping[str, Any]) -> str:
-    """Section of the page: figures of the free runs."""
-    return (
-        '<section id="free-run"><h2>Free run</h2><p>Synthesized under the recorded speed and force, after a recorded '
-        "window its own output as history, and compared with what was recorded. The first fifth of each block, or the window "
-        "where that is longer, is not scored. "
-        f"The ceiling says what a true vibration of the same texture reaches.</p>{free_run_table(document).html('b')}"
-        f"<p>{waveform_error(document)}</p></section>"
-    )
-
-
 def waveform_error(document: Mapping[str, Any]) -> str:
     """Sentence on the waveform error of the free run, that of silence, and why the smaller one is not the better one."""
     key = "free_run" if document["free_run"].get("mae_scaled") is not None else "free_run_deterministic"
@@ -156,32 +109,15 @@ def waveform_error(document: Mapping[str, Any]) -> str:
         return ""
     silence = f"silence has {document[key]['mae_scaled_silence']:.2f}"
     another = "" if ceiling is None else f", a true vibration ({document['ceiling']['of']}) {ceiling:.2f}"
+    scores, beginning = document["warm_start"]["stored"], ""
+    if scores["error_to_silence_100_400_ms"] is not None:  # Fig. 6
+        beginning = (
+            f" From the warm start it is {scores['error_to_silence_0_100_ms']:.2f} times that of silence in the first 100 ms, "
+            f"and {scores['error_to_silence_100_400_ms']:.2f} times in the 300 ms after them."
+        )
     return (
         f"Waveform: the free run's mean absolute error is {error:.2f} sd; {silence}{another}. Two true vibrations differ sample "
-        "by sample, so silence wins by this figure: it is here since papers print it, and says nothing of likeness."
-        + _from_warm_start(document["warm_start"]["stored"])
-    )
-
-
-def _from_warm_start(scores: Mapping[str, Any]) -> str:
-    """Sentence on the beginning of a free run (Fig. 6); nothing of blocks that are too short for it."""
-    if scores["error_to_silence_100_400_ms"] is None:
-        return ""
-    return (
-        f" From the warm start it is {scores['error_to_silence_0_100_ms']:.2f} times that of silence in the first 100 ms, and "
-        f"{scores['error_to_silence_100_400_ms']:.2f} times in the 300 ms after them."
-    )
-
-
-def _excitation(one_step: Mapping[str, Any]) -> str:
-    if one_step.get("nll") is None:
-        return ""
-    return (
-        "<p>The random part against the error of what a rendering expects of the next sample: "
-        f"<b>{100 * one_step['coverage_50']:.0f} %</b> of "
-        f"the samples inside its central 50 %, <b>{100 * one_step['coverage_90']:.0f} %</b> inside its 90 %; errors as "
-        f"standard normal numbers have standard deviation <b>{one_step['standardised_sd']:.2f}</b> (1 where the "
-        f"distribution is right); negative log-likelihood {minus(format(one_step['nll'], '.3f'))} nat.</p>"
+        f"by sample, so silence wins by this figure: it is here since papers print it, and says nothing of likeness.{beginning}"
     )
 
 
@@ -192,12 +128,9 @@ def to_text(document: Mapping[str, Any]) -> str:
     lines = [f"{document['texture'] or 'texture'}, {document['model']} at {document['rate_hz']:g} Hz: {judged}"]
     sd = f"1 sd is {document['sd_m_s2']:.4g} {document['unit']}"
     ceiling = f"; the ceiling is {document['ceiling']['of']}" if document["ceiling"].get("of") else ""
-    tables = {
-        f"One step: each sample from recorded history; mean absolute errors, lower is better; {sd}": one_step_table(
-            document
-        ),
-        f"Free run: its own output is its history{ceiling}": free_run_table(document),
-    }
+    one_step = f"One step: each sample from recorded history; mean absolute errors, lower is better; {sd}"
+    free_run = f"Free run: its own output is its history{ceiling}"
+    tables = {one_step: one_step_table(document), free_run: free_run_table(document)}
     missing = []
     for title, table in tables.items():
         if (known := table.known()).rows:

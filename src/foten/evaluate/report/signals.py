@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from foten.dsp import Array
 from foten.dsp.distance import MIN_SCORED_HZ, scored_bins, segment_length, welch
-from foten.dsp.level import frame_levels
+from foten.dsp.level import frame_levels, rms
 from foten.dsp.resample import decimate, interpolate
 from foten.evaluate.evaluate import Judgement
 from foten.runtime.live.sinks import pcm_wav
@@ -61,16 +61,10 @@ def typical_block(judgement: Judgement) -> int:
     return int(np.argsort(levels, kind="stable")[(len(levels) - 1) // 2])
 
 
-def level_errors(judgement: Judgement, name: str) -> Array:
-    """Mean level errors of a run [dB] in each judged block, over frames of 40 ms and seeds, shape (n_blocks,)."""
-    return np.asarray(frame_errors(judgement, name).mean(axis=(0, 2)))
-
-
 def frame_errors(judgement: Judgement, name: str) -> Array:
     """Level errors of a run [dB] in frames of 40 ms of the scored samples, shape (n_seeds, n_blocks, n_frames)."""
-    runs = scored_runs(judgement)
-    reference = float(np.sqrt(np.square(runs["recorded"]).mean()))
-    recorded, synthesized = (frame_levels(runs[key], judgement.trace.rate_hz, reference) for key in ("recorded", name))
+    runs, rate_hz = scored_runs(judgement), judgement.trace.rate_hz
+    recorded, synthesized = (frame_levels(runs[key], rate_hz, rms(runs["recorded"])) for key in ("recorded", name))
     return np.asarray(synthesized - recorded)
 
 

@@ -13,7 +13,7 @@ from foten.evaluate.evaluate import Judgement
 from foten.evaluate.report.signals import frame_errors, scored_conditions, shown_run
 from foten.models.conditions import MOVING_FORCE, MOVING_SPEED
 from foten.recording.inspection.speed_force import EXTREMES
-from foten.recording.recording import range_in_words
+from foten.recording.recording import counted, range_in_words
 from foten.reporting.table import minus, signed
 
 
@@ -40,9 +40,8 @@ def _finding(
 ) -> Finding:
     """Finding, unless it praises what the data do not bear.
 
-    Args:
-        interval: of its number, None with too few blocks for one.
-        holds: whether a number at an end of the interval would not contradict a good mark.
+    `interval` is of its number, None with too few blocks for one; `holds` is whether a number at an end of it would not
+    contradict a good mark.
     """
     borne = tone not in ("good", "even") if interval is None else tone != "good" or all(map(holds, interval))
     if borne:
@@ -103,12 +102,9 @@ def _good_for(judgement: Judgement) -> str:
         return "Not this surface, or other sensors: a step ahead it is worse than silence, so the rest says little."
     biases = [bias for *_, bias in ranges]
     if max(biases) < SILENT_DB:
-        others = (
-            ""
-            if document["model"] in ("foten-plus", "ar")
-            else ". foten-plus does not, nor a network with --excitation"
-        )
-        return f"Not usable: left to itself it falls silent{others}."
+        others = ". foten-plus does not, nor a network with --excitation"
+        is_other = document["model"] not in ("foten-plus", "ar")
+        return f"Not usable: left to itself it falls silent{others * is_other}."
     right = [abs(bias) <= MAX_LEVEL_DB for bias in biases]
     if spectrum.tone == "bad" or not any(right):
         why = f"its spectrum is {_distance(document, key)}" if any(right) else "its level is off at every speed"
@@ -176,11 +172,11 @@ def cautions(document: Mapping[str, Any]) -> list[str]:
     if (n_blocks := document["n_blocks"]) < FEW_BLOCKS:
         few = "too few for intervals, so no mark says that anything is good"
         few = "intervals are coarse" if n_blocks == 4 else few
-        notes.append(f"Only {n_blocks} block{'s' * (n_blocks != 1)} judged: {few}.")
+        notes.append(f"Only {counted(n_blocks, 'block')} judged: {few}.")
     if document["ceiling"]["lsd_db"] is not None and "training block" in str(document["ceiling"].get("of")):
         notes.append("The ceiling is a recorded training block under a similar, not the same, hand: a run can pass it.")
     if cut := document["free_run"].get("n_saturated"):
-        notes.append(f"The saturator cut {cut} sample{'s' * (cut != 1)} of the free run: the loop bursts.")
+        notes.append(f"The saturator cut {counted(cut, 'sample')} of the free run: the loop bursts.")
     return notes
 
 

@@ -6,9 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from foten.dsp import Array
-from foten.dsp.bands import BAND_FRAME_MS, N_BANDS, band_energies
 from foten.dsp.equaliser import N_TERMS, Equaliser, in_bands
-from foten.dsp.level import framed
+from foten.dsp.level import BAND_FRAME_MS, ENERGY_FLOOR, N_BANDS, band_energies, framed
 from foten.models.excitation import Excitation
 from foten.training.calibration import ClosedLoop
 
@@ -18,7 +17,6 @@ N_STEPS = 3  # of the gains: neighbouring bands overlap
 N_FOLDS = 8  # of blocks, by which the penalty is chosen
 MIN_BLOCKS = 8
 PENALTIES = (30.0, 100.0, 300.0, 1e3, 3e3, 1e4, 3e4, 1e5)  # of squared weights, in frames, tried
-FLOOR = 1e-4  # of the mean energy of a band, as a listener's
 
 
 def fit_equaliser(loop: ClosedLoop, excitation: Excitation, seed: int) -> Equaliser | None:
@@ -48,7 +46,7 @@ def fit_equaliser(loop: ClosedLoop, excitation: Excitation, seed: int) -> Equali
         return np.moveaxis(band_energies(signals, trace.rate_hz), -2, 0)[..., first:]
 
     of_recording = energies(recorded)
-    floor = FLOOR * of_recording.mean(axis=(1, 2), keepdims=True)
+    floor = ENERGY_FLOOR * of_recording.mean(axis=(1, 2), keepdims=True)
     truth = 0.5 * np.log(of_recording + floor)
     equaliser = Equaliser.of_weights(np.zeros((N_BANDS, N_TERMS)), trace.rate_hz)
     bands = in_bands(runs, equaliser.filters)

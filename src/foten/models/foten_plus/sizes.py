@@ -16,8 +16,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
-from foten.dsp.bands import N_BANDS
 from foten.dsp.equaliser import N_LOWPASSES, N_TERMS
+from foten.dsp.level import N_BANDS
 from foten.models.excitation import excitation_shapes, linear_shapes, scale_cost, scale_shapes
 from foten.models.model_sizes import ModelSizes, Shapes
 

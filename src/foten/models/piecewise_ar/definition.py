@@ -17,9 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from foten.dsp import Array
+from foten.dsp.ar import polynomial_of
 from foten.dsp.lattice import predict, push, reflections_of
-from foten.dsp.lsf import polynomial_of
-from foten.dsp.mesh import Mesh
+from foten.dsp.speed_force_table import Mesh
 from foten.models.piecewise_ar.sizes import PiecewiseArSizes
 from foten.models.stream import Prediction, Weights
 

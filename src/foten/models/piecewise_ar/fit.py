@@ -10,11 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from foten.dsp import Array
-from foten.dsp.ar import MAX_POLE, burg, stabilised
+from foten.dsp.ar import MAX_POLE, burg, line_spectral_frequencies, spread_out, stabilised
 from foten.dsp.lattice import polynomial
-from foten.dsp.lsf import line_spectral_frequencies, spread_out
-from foten.dsp.mesh import MIN_TRIANGLE_AREA
 from foten.dsp.segmentation import MAX_ORDER, pieces_of
+from foten.dsp.speed_force_table import MIN_TRIANGLE_AREA
 from foten.models.conditions import MOVING_FORCE, MOVING_SPEED
 from foten.models.piecewise_ar.local_models import LocalModels, local_texture
 from foten.runtime.loops import predict_blocks

@@ -11,9 +11,8 @@ from scipy.signal import lfilter, lfiltic
 
 from foten.datasets.hatt import HattModels
 from foten.dsp import Array
-from foten.dsp.ar import MAX_POLE, stabilised
+from foten.dsp.ar import MAX_POLE, line_spectral_frequencies, polynomial_of, spread_out, stabilised
 from foten.dsp.lattice import LEAK
-from foten.dsp.lsf import line_spectral_frequencies, polynomial_of, spread_out
 from foten.dsp.noise import gaussian
 from foten.models.piecewise_ar.sizes import MAX_AR_ORDER, PiecewiseArSizes
 from foten.models.texture_file import MIN_GOLDEN, Texture

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from foten.dsp import perception
+from foten.dsp.level import rms
 from foten.recording.inspection import one_channel, sampling
 from foten.recording.inspection.speed_force import (
     SpeedForce,
@@ -163,6 +164,5 @@ def _refused(recording: Recording, rate_hz: float) -> Iterable[Finding]:
 def _report(name: str, channel: Channel, unit: str, speed_force: SpeedForce | None) -> ChannelReport:
     x = channel.samples
     about = name, unit, channel.rate_hz, channel.times_s is None, x.size, channel.duration_s
-    rms = float(np.sqrt(np.mean(x**2)))
-    size = float(x.min()), float(x.max()), float(x.mean()), rms
+    size = float(x.min()), float(x.max()), float(x.mean()), rms(x)
     return ChannelReport(*about, *size, *one_channel.noise_floor(name, channel, speed_force))

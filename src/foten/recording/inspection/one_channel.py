@@ -9,8 +9,8 @@ import numpy as np
 from foten.dsp import Array
 from foten.dsp.distance import welch
 from foten.recording.inspection.speed_force import CONTACT_N, HAND_HZ, MOVING_MM_S, SpeedForce
-from foten.recording.inspection.values import NOTE, PROBLEM, UNUSABLE, ChannelReport, Finding, counted, places, swing
-from foten.recording.recording import UNITS, Channel, Recording
+from foten.recording.inspection.values import NOTE, PROBLEM, UNUSABLE, ChannelReport, Finding, places, swing
+from foten.recording.recording import UNITS, Channel, Recording, counted
 
 MIN_FLAT, MIN_FLAT_ALONE = 3, 5  # equal samples at an extreme that are clipped: in several places, and in a single one
 FEW = 1e-3  # of the samples, that may be clipped or a spike

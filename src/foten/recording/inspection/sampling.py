@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 
 from foten.recording.inspection.one_channel import slow_noise
 from foten.recording.inspection.speed_force import HAND_HZ
-from foten.recording.inspection.values import NOTE, PROBLEM, UNUSABLE, Finding, counted, places, swing
+from foten.recording.inspection.values import NOTE, PROBLEM, UNUSABLE, Finding, places, swing
 from foten.recording.preprocess import MIN_ALONE_S, PreprocessConfig
-from foten.recording.recording import UNITS, Channel, Recording
+from foten.recording.recording import UNITS, Channel, Recording, counted
 from foten.recording.split import MIN_BLOCKS
 
 MIN_STILL_S = 0.1  # of a position, that a hand which turns round does not take

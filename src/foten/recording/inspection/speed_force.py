@@ -10,9 +10,9 @@ import numpy as np
 from foten.dsp import Array
 from foten.dsp.filters import butterworth, filter_recorded
 from foten.dsp.kinematics import speed_of
-from foten.recording.inspection.values import NOTE, UNUSABLE, Coverage, Finding, counted, places, runs
+from foten.recording.inspection.values import NOTE, UNUSABLE, Coverage, Finding, places, runs
 from foten.recording.preprocess import PreprocessConfig, pressing, velocity_and_force
-from foten.recording.recording import Recording, common_span_s
+from foten.recording.recording import Recording, common_span_s, counted
 
 CONTACT_N = 0.05  # less force is lift-off
 MOVING_MM_S = 5.0  # less speed is rest

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from foten.dsp import Array, perception
 from foten.recording.preprocess import cut_in_words
-from foten.recording.recording import Channel, range_in_words
+from foten.recording.recording import Channel, counted, range_in_words
 
 UNUSABLE, PROBLEM, NOTE = "unusable", "problem", "note"
 N_PLACES = 200  # that a finding lists
@@ -189,8 +189,3 @@ def swing(samples: Array, tail: float) -> float:
     """Range of a signal without a share of its samples at either end."""
     low, high = np.quantile(samples, [tail, 1 - tail])
     return float(high - low)
-
-
-def counted(count: int, what: str) -> str:
-    """Number with its noun: "1 gap", "2 gaps"."""
-    return f"{count} {what}{'' if count == 1 else 's'}"
