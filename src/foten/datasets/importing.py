@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import hashlib
 import shlex
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -92,32 +92,16 @@ def import_recording(paths: Sequence[Path], options: ImportOptions) -> tuple[Rec
         if list(paths).count(path) > 1:
             raise ValueError(f"{path} is given twice")
     files = {path: read_columns(path) for path in paths}
-    decisions: list[str] = []
     added = added_mapping(files, options.mapping) if options.mapping else guessed_mapping(files, options)
     mapping = (*options.mapping, *added)
-    if added:
-        pairs = shlex.quote(",".join(f"{channel}={name}" for channel, name in added))
-        units = f" ({', '.join(measured)} by unit)" if (measured := by_unit(files, added)) else ""
-        decisions.append(f"{'also ' * bool(options.mapping)}taken from the headers{units}: --map {pairs}")
     above = "; ".join({column.preamble: "" for there in files.values() for column in there if column.preamble})
-    if not options.mapping:
-        left_out = [name for name in names_of(files) if name not in {reference for _, reference in mapping}]
-        decisions += [f"left out: {', '.join(left_out)}"] if left_out else []
-        keep = "--tool, --sensors and --notes keep such things"
-        decisions += [f"above the table: {above[:MAX_NAME_CHARACTERS]}; {keep}"] if above else []
+    decisions = list(_on_mapping(files, options.mapping, added, above))
     guesses = guesses_of_missing(files, mapping)
     options = replace(options, mapping=mapping)
     clocks = [clock for channel, name in mapping if channel == "time" for clock in columns_of(files, channel, name)]
     columns = {channel: columns_of(files, channel, name)[0] for channel, name in mapping if channel != "time"}
-    if not columns:
-        raise ValueError("only time is mapped, expected a channel as well, e.g. --map time=0,acceleration=1")
-    for channel, column in columns.items():
-        if twice := [other for other in columns if other != channel and columns[other] is column]:
-            raise ValueError(f"{channel} and {twice[0]} are both mapped to {column.name}, expected a column each")
     options = _for_axes(options, columns)
-    for channel in (*options.units, *options.rates_hz):
-        if channel not in columns and channel != "time":
-            raise ValueError(f"{channel} has a unit or rate but is not mapped; mapped are {', '.join(columns)}")
+    _check_mapped(columns, options)
     digests = {}
     for path in {column.file for column in columns.values()}:
         with path.open("rb") as file:
@@ -143,11 +127,7 @@ def import_recording(paths: Sequence[Path], options: ImportOptions) -> tuple[Rec
         decisions.append("the normal force is force_z; --normal x,y,z states another normal of the surface")
     recording = _checked(channels, history, options.force_units)
     decisions += _on_units(recording, columns, clocks, options)
-    sounds = {
-        column.file.name
-        for name, column in columns.items()
-        if quantity(name) == "acceleration" and column.file.suffix.lower() == ".wav"
-    }
+    sounds = _sounds(columns)
     if sounds:
         asked = "unless foten train --recorded-innovations always asks for them"
         decisions.append(f"{min(sounds)} may hold speech: above 2 kHz a texture stores no innovations of it, {asked}")
@@ -156,6 +136,39 @@ def import_recording(paths: Sequence[Path], options: ImportOptions) -> tuple[Rec
         decisions.append(f"{finding.text}{'; ' * bool(guess)}{guess}")
     recording = replace(recording, **dict[str, Any](stated_above(above)), microphone=bool(sounds))
     return recording, list(dict.fromkeys(decisions))
+
+
+def _on_mapping(
+    files: Mapping[Path, list[Column]], stated: Sequence[Any], added: Sequence[tuple[str, str]], above: str
+) -> Iterator[str]:
+    """Sentences on what was taken from the headers, and on what was not."""
+    if added:
+        pairs = shlex.quote(",".join(f"{channel}={name}" for channel, name in added))
+        units = f" ({', '.join(measured)} by unit)" if (measured := by_unit(files, added)) else ""
+        yield f"{'also ' * bool(stated)}taken from the headers{units}: --map {pairs}"
+    if not stated:
+        left_out = [name for name in names_of(files) if name not in {reference for _, reference in added}]
+        if left_out:
+            yield f"left out: {', '.join(left_out)}"
+        if above:
+            yield f"above the table: {above[:MAX_NAME_CHARACTERS]}; --tool, --sensors and --notes keep such things"
+
+
+def _sounds(columns: Mapping[str, Column]) -> set[str]:
+    """Names of the files of sound that accelerations are from."""
+    of_acceleration = [column.file for name, column in columns.items() if quantity(name) == "acceleration"]
+    return {file.name for file in of_acceleration if file.suffix.lower() == ".wav"}
+
+
+def _check_mapped(columns: Mapping[str, Column], options: ImportOptions) -> None:
+    if not columns:
+        raise ValueError("only time is mapped, expected a channel as well, e.g. --map time=0,acceleration=1")
+    for channel, column in columns.items():
+        if twice := [other for other in columns if other != channel and columns[other] is column]:
+            raise ValueError(f"{channel} and {twice[0]} are both mapped to {column.name}, expected a column each")
+    for channel in (*options.units, *options.rates_hz):
+        if channel not in columns and channel != "time":
+            raise ValueError(f"{channel} has a unit or rate but is not mapped; mapped are {', '.join(columns)}")
 
 
 def _converted(

@@ -185,6 +185,18 @@ def _table(rows: list[list[Any]], where: str, comments: Collection[int] = ()) ->
         elif len(rows[i]) != width:
             cells = counted(len(rows[i]), "cell")
             raise ValueError(f"{where}, row {i + 1} has {cells}, expected {width}; was the file cut off?")
+    names, units, preamble = _named(rows, worded, start, width, comments)
+    row_numbers = [i + 1 for i in data]
+    return [
+        _column(Column(name, unit=unit, preamble=preamble, row_numbers=row_numbers), cells)
+        for name, unit, cells in zip(names, units, zip(*(rows[i] for i in data), strict=True), strict=True)
+    ]
+
+
+def _named(
+    rows: list[list[Any]], worded: list[int], start: int, width: int, comments: Collection[int]
+) -> tuple[list[str], list[str], str]:
+    """Names and units of columns from the rows of words above the data, and the lines above these."""
     names, units = [str(k) for k in range(width)], [""] * width
     heads = [rows[i] for i in worded[-2:] if all(between in comments for between in range(i + 1, worded[-1]))]
     if len(heads) == 2 and _are_units(list(map(_words, heads[1]))):
@@ -192,16 +204,11 @@ def _table(rows: list[list[Any]], where: str, comments: Collection[int] = ()) ->
         heads.pop()
     if heads:
         names = [_words(cell) or str(k) for k, cell in enumerate(heads[-1])]
-    row_numbers = [i + 1 for i in data]
     above = (
         " ".join(filter(None, map(_words, row)))
         for row in rows[: worded[-len(heads) - (units != [""] * width)] if heads else start]
     )
-    preamble = "; ".join(filter(None, above))
-    return [
-        _column(Column(name, unit=unit, preamble=preamble, row_numbers=row_numbers), cells)
-        for name, unit, cells in zip(names, units, zip(*(rows[i] for i in data), strict=True), strict=True)
-    ]
+    return names, units, "; ".join(filter(None, above))
 
 
 def stated_above(preamble: str) -> dict[str, str]:

@@ -97,24 +97,9 @@ def evaluate(
         trim_ms, block_ms: of another recording, as of `trace_for`.
         listener: train listeners too, which needs PyTorch and a minute.
     """
-    units = {texture.card["units"].get("acceleration"), recording.unit("acceleration")}
-    if RELATIVE in units and len(units) > 1:
-        which = "texture" if texture.unit == RELATIVE else "recording"
-        raise ValueError(
-            f"the {which} is in relative units and the other in m/s²: their levels cannot be compared; where the sensitivity is "
-            "known, import the sound with --unit acceleration=*FACTOR"
-        )
-    whole, known = texture.card["recording_sha256"], {take.get("sha256") for take in texture.card.get("takes", [])}
-    if recording.sha256() != whole and any(take.sha256() in {whole, *known} for take in recording.takes):
-        some = "some of it was trained on and some not, or in another order"
-        raise ValueError(f"{some}: give the recordings of the training, all of them in its order, or others alone")
+    _check_comparable(texture, recording)
     trace = trace_for(texture, recording, trim_ms, block_ms)
-    split: Split | None = None
-    if trace.recording_sha256 == texture.card["recording_sha256"]:
-        split = Split.from_fields(texture.card["split"])
-        if (split.n_blocks, split.block) != (trace.n_blocks, trace.block):
-            of_recording = f"the recording gives {trace.n_blocks} of {trace.block}"
-            raise ValueError(f"the split is of {split.n_blocks} blocks of {split.block}, {of_recording}")
+    split = _split_of(texture, trace)
     blocks = tuple(range(trace.n_blocks)) if split is None else split.test
     on_stage("one-step")
     samples = texture.scaling.scale(trace.stacked())
@@ -156,6 +141,32 @@ def evaluate(
         "validation": {name: texture.card["metrics"].get(f"validation_{name}") for name in validation},
     }
     return Judgement(document, trace, blocks, case.scored, synthesized, from_warm_start)
+
+
+def _check_comparable(texture: Texture, recording: Recording) -> None:
+    """Refuse other units than the texture's, and a recording that it was trained on in part."""
+    units = {texture.card["units"].get("acceleration"), recording.unit("acceleration")}
+    if RELATIVE in units and len(units) > 1:
+        which = "texture" if texture.unit == RELATIVE else "recording"
+        raise ValueError(
+            f"the {which} is in relative units and the other in m/s²: their levels cannot be compared; where the sensitivity is "
+            "known, import the sound with --unit acceleration=*FACTOR"
+        )
+    whole, known = texture.card["recording_sha256"], {take.get("sha256") for take in texture.card.get("takes", [])}
+    if recording.sha256() != whole and any(take.sha256() in {whole, *known} for take in recording.takes):
+        some = "some of it was trained on and some not, or in another order"
+        raise ValueError(f"{some}: give the recordings of the training, all of them in its order, or others alone")
+
+
+def _split_of(texture: Texture, trace: Trace) -> Split | None:
+    """The texture's split, where the trace is of its own recording."""
+    if trace.recording_sha256 != texture.card["recording_sha256"]:
+        return None
+    split = Split.from_fields(texture.card["split"])
+    if (split.n_blocks, split.block) != (trace.n_blocks, trace.block):
+        of_recording = f"the recording gives {trace.n_blocks} of {trace.block}"
+        raise ValueError(f"the split is of {split.n_blocks} blocks of {split.block}, {of_recording}")
+    return split
 
 
 @dataclass(frozen=True)

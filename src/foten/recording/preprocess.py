@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
@@ -166,20 +166,7 @@ def preprocess(recording: Recording, config: PreprocessConfig | None = None, n_b
     axes = recording.axes("acceleration")
     if not axes:
         raise ValueError("the recording has no acceleration channel")
-    if not config.force_units:
-        _check_size("acceleration", max(float(np.abs(axis.samples).max()) for axis in axes))
-    for axis in axes:
-        if axis.times_s is not None:
-            raise ValueError(
-                "the acceleration was captured at irregular times, expected a steady rate: if only its time stamps are unsteady, "
-                "import it again without time and with --rate; if samples were lost, cut the table there and import the pieces "
-                "as takes, with --append"
-            )
-        if axis.rate_hz < rate * (1 - 1e-9):
-            raise ValueError(
-                f"the acceleration was captured at {axis.rate_hz:g} Hz and {rate:g} Hz is asked for; it is never "
-                f"upsampled: train with --rate {axis.rate_hz:g} or lower"
-            )
+    _check_axes(axes, config)
     start, stop = _common(recording, rate)
     highpass = butterworth("highpass", config.highpass_hz, rate, config.highpass_order)
     lowpass = butterworth("lowpass", config.lowpass_hz, rate)
@@ -213,6 +200,23 @@ def preprocess(recording: Recording, config: PreprocessConfig | None = None, n_b
     n_uncovered = max(round(axis.duration_s * rate) for axis in axes) - (stop - start)
     source = recording.sha256(), asdict(config), n_dropped, n_uncovered
     return Trace(acceleration, speed, force, rate, config.block, *source)
+
+
+def _check_axes(axes: Sequence[Channel], config: PreprocessConfig) -> None:
+    if not config.force_units:
+        _check_size("acceleration", max(float(np.abs(axis.samples).max()) for axis in axes))
+    for axis in axes:
+        if axis.times_s is not None:
+            raise ValueError(
+                "the acceleration was captured at irregular times, expected a steady rate: if only its time stamps are unsteady, "
+                "import it again without time and with --rate; if samples were lost, cut the table there and import the pieces "
+                "as takes, with --append"
+            )
+        if axis.rate_hz < config.rate_hz * (1 - 1e-9):
+            raise ValueError(
+                f"the acceleration was captured at {axis.rate_hz:g} Hz and {config.rate_hz:g} Hz is asked for; it is never "
+                f"upsampled: train with --rate {axis.rate_hz:g} or lower"
+            )
 
 
 def joined_axes(vibration: Array, config: PreprocessConfig) -> Array:
