@@ -233,7 +233,7 @@ def _one_step(case: _Case, samples: Array, fitted: Mapping[str, Linear | None]) 
     n = targets(case.blocks, block, first).reshape(len(case.blocks), -1)
     recorded = samples[n, 0]
     predicted = {"zero": np.zeros(n.shape), "persistence": samples[n - 1, 0]}
-    if texture.card["model"] == "foten-plus":
+    if texture.sizes.has_linear_part:
         predicted["lattice"] = predict(kernel, samples, n, "linear").sample
     else:
         reasons["references.lattice"] = f"{texture.card['model']} has no linear part"

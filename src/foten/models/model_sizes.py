@@ -22,6 +22,7 @@ class ModelSizes:
     max_window: ClassVar[int] = MAX_WINDOW
     predicts_samples: ClassVar[bool] = True  # False where a network filters noise
     editable: ClassVar[bool] = False  # whether its level, spectrum and tones can be changed (`foten.editing`)
+    has_linear_part: ClassVar[bool] = False  # whether a prediction without its network can be asked for
     learns_growth: ClassVar[bool] = False  # whether its fit learns how the level grows beyond the trained range
 
     def __post_init__(self) -> None:

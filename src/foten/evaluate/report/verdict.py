@@ -103,7 +103,7 @@ def _good_for(judgement: Judgement) -> str:
     biases = [bias for *_, bias in ranges]
     if max(biases) < SILENT_DB:
         others = ". foten-plus does not, nor a network with --excitation"
-        is_other = document["model"] not in ("foten-plus", "ar")
+        is_other = key == "free_run_deterministic"
         return f"Not usable: left to itself it falls silent{others * is_other}."
     right = [abs(bias) <= MAX_LEVEL_DB for bias in biases]
     if spectrum.tone == "bad" or not any(right):

@@ -49,6 +49,7 @@ class FotenPlusSizes(ModelSizes):
     along_path: bool = False  # and reads them at the pace of the hand
     excited: ClassVar[bool] = True
     editable: ClassVar[bool] = True
+    has_linear_part: ClassVar[bool] = True
     learns_growth: ClassVar[bool] = True
 
     @property
