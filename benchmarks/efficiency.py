@@ -37,7 +37,7 @@ from foten.baselines.fit import log_spectra
 from foten.baselines.gan import STEPS, Gan, fit_adversarial
 from foten.baselines.graph import build, graph_of
 from foten.baselines.sizes import TRAINABLE, HapinfSizes, NoiseModelSizes
-from foten.experiments.provenance import Provenance, processor, sources_of
+from foten.experiments.provenance import code_here, processor
 from foten.models.foten.transformer import EncoderLayer
 from foten.models.registry import GraphSizes
 from foten.models.texture_file import Texture
@@ -262,11 +262,6 @@ def epoch_table(models: dict[str, Any]) -> list[list[str]]:
     return cells
 
 
-def code_of(model: str) -> str:
-    """Digest of the code that trains and runs a model, as in the CSV files of sweeps."""
-    return Provenance(sources_of(model, ()), "", "", {}).code
-
-
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--models", type=lambda text: tuple(text.split(",")), default=MODELS)
@@ -296,7 +291,7 @@ def main() -> None:
         per_model = [[*first, *second[1:]] for first, second in zip(per_step, per_epoch, strict=True)]
     if arguments.csv is not None:
         head, *rows = per_model
-        named = [dict(zip(head, row, strict=True)) | {"machine": machine, "code": code_of(row[0])} for row in rows]
+        named = [dict(zip(head, row, strict=True)) | {"machine": machine, "code": code_here()} for row in rows]
         write_rows(named, arguments.csv)
     n_windows = len(blocks.targets(TRAINABLE[arguments.models[-1]]().window)[0])
     print(f"{machine}; {n_windows:,} training windows an epoch", file=sys.stderr)
