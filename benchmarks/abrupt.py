@@ -17,8 +17,6 @@ anew.
 
 from __future__ import annotations
 
-import argparse
-import csv
 import json
 import os
 from collections.abc import Iterator, Mapping, Sequence
@@ -30,7 +28,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
 
-from foten.atomic_write import atomic_write
+from bench import parser_of, read_rows, stored, write_rows
 from foten.baselines.sizes import trainable_sizes
 from foten.dsp import Array
 from foten.dsp.distance import log_spectral_distance, scored_bins, welch
@@ -50,7 +48,6 @@ from foten.simulation.two_mass_contact import TWO_MASS, two_mass_surface, two_ma
 from foten.training.config import recipe_of
 from foten.training.job import TrainingJob
 from foten.training.pipeline import train
-from result_table import write_rows
 
 SURFACES = {
     **dict.fromkeys(("linear-hum", "linear-cloth"), "linear"),
@@ -166,9 +163,8 @@ def measured(signals: Array, begins: Sequence[float]) -> Measured:
 
 def truths(key: str, folder: Path, repeats: int) -> list[Measured]:
     """Two independent halves of the truth, `repeats` realisations each; simulated once."""
-    path = folder / "truth" / f"{key}-{repeats}.npz"
-    if not path.is_file():
-        path.parent.mkdir(parents=True, exist_ok=True)
+
+    def simulated() -> dict[str, Array]:
         _, begins = abrupt_stroke(MODEL_HZ)
         arrays: dict[str, Array] = {}
         for half in range(2):
@@ -179,10 +175,10 @@ def truths(key: str, folder: Path, repeats: int) -> list[Measured]:
             for name in Measured.__dataclass_fields__:
                 mean = np.average([getattr(each, name) for each in some], axis=0, weights=weights)
                 arrays[f"{name}{half}"] = mean
-        with atomic_write(path) as part, part.open("wb") as file:
-            np.savez(file, **arrays)
-    with np.load(path) as known:
-        return [Measured(*(known[f"{name}{half}"] for name in Measured.__dataclass_fields__)) for half in range(2)]
+        return arrays
+
+    arrays = stored(folder / "truth" / f"{key}-{repeats}.npz", simulated)
+    return [Measured(*(arrays[f"{name}{half}"] for name in Measured.__dataclass_fields__)) for half in range(2)]
 
 
 def texture_of(key: str, model: str, folder: Path) -> Texture:
@@ -297,17 +293,17 @@ def of_model(row: Mapping[str, str], key: str, model: str) -> bool:
 
 def main() -> None:
     """Measure what the table lacks, and print its means."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = parser_of(__doc__)
+    parser.set_defaults(csv=Path("docs/results/abrupt.csv"))
     parser.add_argument("--surfaces", nargs="+", default=list(SURFACES), choices=list(SURFACES))
     parser.add_argument("--models", nargs="+", default=list(MODELS), choices=MODELS)
     parser.add_argument("--again", nargs="+", default=[], choices=MODELS, help="models to train and measure anew")
     parser.add_argument(
         "--repeats", type=int, default=64, help="realisations of each change, of the truth twice as many"
     )
-    parser.add_argument("--csv", type=Path, default=Path("docs/results/abrupt.csv"))
     parser.add_argument("--folder", type=Path, default=Path("build/abrupt"))
     options = parser.parse_args()
-    rows: list[dict[str, str]] = list(csv.DictReader(options.csv.open())) if options.csv.is_file() else []
+    rows = read_rows(options.csv)
     for model in options.again:
         for key in options.surfaces:
             (options.folder / model / f"{key}.foten").unlink(missing_ok=True)

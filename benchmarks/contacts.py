@@ -11,7 +11,6 @@ time is the same. The loop, `native/tests/contacts.c`, is built here.
 
 from __future__ import annotations
 
-import argparse
 import json
 import os
 import shutil
@@ -21,8 +20,8 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
-from result_table import add_csv, report
-from step import INSTRUCTION_SETS, ROOT
+from bench import ROOT, parser_of, report
+from step import INSTRUCTION_SETS
 
 SHARE = 0.6  # of a millisecond
 
@@ -94,10 +93,9 @@ def rows_of(texture: Any, fast: Any, program: Path, file: Path, seconds: int) ->
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = parser_of(__doc__)
     parser.add_argument("--textures", nargs="+", type=Path, default=[], metavar="T.foten", help="at 1 kHz")
     parser.add_argument("--seconds", type=int, default=60)
-    add_csv(parser)
     arguments = parser.parse_args()
     textures = textures_of(arguments.textures)
     for texture, _ in textures:

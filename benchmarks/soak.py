@@ -11,7 +11,6 @@ grows.
 
 from __future__ import annotations
 
-import argparse
 import math
 import os
 import sys
@@ -25,12 +24,12 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
 
+from bench import ROOT, parser_of, report
 from foten.models.texture_file import read_texture
 from foten.runtime.live.live import Live
 from foten.runtime.live.paced import NullSink
 from foten.runtime.renderer import Renderer
 from foten.runtime.stylus import Stylus
-from result_table import add_csv, report
 
 EVENTS_HZ = 133.0
 WAITING = 256  # events that the kernel keeps, foten.h
@@ -200,14 +199,13 @@ def soaked(texture: Any, hours: float, ratio: float) -> dict[str, Any]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = parser_of(__doc__)
     parser.add_argument("--texture", type=Path, metavar="T.foten", help="by default an untrained foten-plus")
     parser.add_argument("--hours", type=float, default=1.0)
     parser.add_argument("--ratio", type=float, default=12.0, help="of simulated to real time; it has to keep 10")
-    add_csv(parser)
     arguments = parser.parse_args()
     if arguments.texture is None:
-        sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
+        sys.path.insert(0, str(ROOT / "tests"))
         from conftest import exported
 
         texture = exported("foten-plus")

@@ -8,11 +8,8 @@ server, on the same cores. Beside it the same for one page alone, in the same ru
 
 from __future__ import annotations
 
-import argparse
 import asyncio
 import json
-import signal
-import subprocess
 import sys
 import time
 import urllib.request
@@ -21,23 +18,10 @@ from typing import Any
 import numpy as np
 import websockets
 
-from result_table import add_csv, report
+from bench import parser_of, report, served
 
 TEXTURE = "steel-mesh-1.foten"
 RATE_HZ = 48_000
-
-
-def started() -> tuple[subprocess.Popen[str], str]:
-    """Start a server at any port and return it with its address."""
-    command = "from foten.cli import main; main()"
-    process = subprocess.Popen(
-        [sys.executable, "-c", command, "serve", "--no-open", "--port", "0"], stderr=subprocess.PIPE, text=True
-    )
-    assert process.stderr is not None
-    for line in process.stderr:
-        if " at http://" in line:
-            return process, line.split(" at ")[1].strip()
-    sys.exit("the server did not start")
 
 
 async def stroked(link: str, index: int, events_hz: float, seconds: float, begin: float) -> dict[str, Any]:
@@ -71,7 +55,7 @@ async def stroked(link: str, index: int, events_hz: float, seconds: float, begin
             x = 50.0 + 40.0 * np.sin(2 * np.pi * 0.7 * t + index)
             await socket.send(np.array([x, 20.0, 0.5, t]).astype("<f8").tobytes())
             sent += 1
-        await asyncio.sleep(1.6)  # until the server has pages_said once more
+        await asyncio.sleep(1.6)  # until the server has reported once more
         listening.cancel()
     return {"sent": sent, "late_ms": 1000 * latest, "received_s": received / RATE_HZ, **state}
 
@@ -100,22 +84,17 @@ def row(name: str, link: str, pages: int, events_hz: float, seconds: float) -> l
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = parser_of(__doc__)
     parser.add_argument("--pages", type=int, default=20)
     parser.add_argument("--events", type=float, default=200.0, help="of each page (1/s)")
     parser.add_argument("--seconds", type=float, default=60.0)
-    add_csv(parser)
     arguments = parser.parse_args()
-    process, link = started()
-    try:
-        cells = [
-            ["pages", "events sent", "lost", "deadlines missed", "block p50 [ms]", "block p99 [ms]", "blocks not sent"]
-        ]
+    cells = [
+        ["pages", "events sent", "lost", "deadlines missed", "block p50 [ms]", "block p99 [ms]", "blocks not sent"]
+    ]
+    with served("serve") as link:
         for pages in (1, arguments.pages):
             cells.append(row(str(pages), link, pages, arguments.events, arguments.seconds))
-    finally:
-        process.send_signal(signal.SIGTERM)
-        process.wait(timeout=30)
     report(cells, arguments.csv)
 
 

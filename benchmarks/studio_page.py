@@ -9,23 +9,18 @@ beside this machine's own kernel in the same run.
 
 from __future__ import annotations
 
-import argparse
-import shutil
-import signal
-import sys
 import time
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from playwright.sync_api import sync_playwright
 
+from bench import browser_page, parser_of, report, served
 from foten.runtime.renderer import EXAMPLE, Renderer
 from foten.runtime.stylus import Stylus
-from result_table import add_csv, report
-from studio_load import started
 
 RATE_HZ, QUANTUM, N = 48_000.0, 128, 20_000
+LARGEST = max(EXAMPLE.parent.glob("*.foten"), key=lambda path: path.stat().st_size)
 
 STROKE = """async ({ seconds, hz }) => {
   const { pad, sound } = window.studio, canvas = document.querySelector("#pad"), box = canvas.getBoundingClientRect();
@@ -111,34 +106,18 @@ def measured(page: Any, link: str, seconds: float) -> tuple[list[float], dict[st
         )
     page.evaluate("() => { window.studio.pad.ghost = null; }")
     latency = page.evaluate(STROKE, {"seconds": seconds, "hz": 240})
-    largest = max(EXAMPLE.parent.glob("*.foten"), key=lambda path: path.stat().st_size)
-    quanta = page.evaluate(QUANTA, {"rate": RATE_HZ, "quantum": QUANTUM, "n": N, "file": largest.name})
+    quanta = page.evaluate(QUANTA, {"rate": RATE_HZ, "quantum": QUANTUM, "n": N, "file": LARGEST.name})
     return first, latency, quanta
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = parser_of(__doc__)
     parser.add_argument("--seconds", type=float, default=20.0)
-    add_csv(parser)
     arguments = parser.parse_args()
-    chromium = next(
-        (path for name in ("chromium", "chromium-browser", "google-chrome") if (path := shutil.which(name))), None
-    )
-    if chromium is None:
-        sys.exit("Chromium is missing: apt install chromium")
-    process, link = started()
-    try:
-        with sync_playwright() as playwright:
-            flags = ["--no-sandbox", "--autoplay-policy=no-user-gesture-required"]
-            browser = playwright.chromium.launch(executable_path=chromium, args=flags)
-            first, latency, quanta = measured(browser.new_page(), link, arguments.seconds)
-            browser.close()
-    finally:
-        process.send_signal(signal.SIGTERM)
-        process.wait(timeout=30)
-    largest = max(EXAMPLE.parent.glob("*.foten"), key=lambda path: path.stat().st_size)
-    native = native_quanta(largest)
-    of_quantum = 1000 * QUANTUM / RATE_HZ
+    with served("serve") as link, browser_page("--autoplay-policy=no-user-gesture-required") as page:
+        first, latency, quanta = measured(page, link, arguments.seconds)
+    native, changes = native_quanta(LARGEST), first_changes(EXAMPLE)
+    longer = np.median(quanta) / np.median(native)
 
     def two(values: list[float]) -> list[str]:
         return [f"{np.percentile(values, share):.3f}" for share in (50, 99)]
@@ -146,17 +125,12 @@ def main() -> None:
     cells = [["", "median [ms]", "99 % [ms]", "of"]]
     cells.append(["tap to first sound", f"{np.median(first):.0f}", f"{max(first):.0f} (most)", f"{len(first)} loads"])
     for name, key in (("event to the graph", "own"), ("event to the speaker", "total")):
-        cells.append(
-            [name, *(f"{latency[f'{key}{share}']:.1f}" for share in ("P50", "P99")), f"{latency['n']:.0f} events"]
-        )
-    changes = first_changes(EXAMPLE)
-    cells.append(
-        ["graph to the first changed sample", *two(changes), f"{len(changes)} events, in the texture's own rate"]
-    )
-    cells.append(["a quantum in WebAssembly", *two(quanta), f"{of_quantum:.3f} ms that it plays"])
-    cells.append(
-        ["the same, native", *two(native), f"{np.median(quanta) / np.median(native):.2f} times as long in WebAssembly"]
-    )
+        shares = (f"{latency[f'{key}{share}']:.1f}" for share in ("P50", "P99"))
+        cells.append([name, *shares, f"{latency['n']:.0f} events"])
+    of_changes = f"{len(changes)} events, in the texture's own rate"
+    cells.append(["graph to the first changed sample", *two(changes), of_changes])
+    cells.append(["a quantum in WebAssembly", *two(quanta), f"{1000 * QUANTUM / RATE_HZ:.3f} ms that it plays"])
+    cells.append(["the same, native", *two(native), f"{longer:.2f} times as long in WebAssembly"])
     report(cells, arguments.csv)
 
 

@@ -7,24 +7,21 @@ Twelve textures by four methods, under other names those that come along, rated 
 
 from __future__ import annotations
 
-import argparse
-import re
-import shutil
-import signal
 import subprocess
-import sys
 import tempfile
 import time
 from pathlib import Path
 
-from playwright.sync_api import sync_playwright
-
+from bench import FOTEN, browser_page, parser_of, report, served
 from foten.models.texture_file import read_texture, write_texture
 from foten.runtime.renderer import EXAMPLE
-from result_table import add_csv, report
 
 TEXTURES, METHODS = 12, ("ar", "dstn", "ldhtd", "foten")
-FOTEN = (sys.executable, "-c", "from foten.cli import main; main()", "study")
+
+
+def foten(*arguments: str | Path) -> None:
+    """Run a command of `foten study`."""
+    subprocess.run([*FOTEN, "study", *arguments], check=True, capture_output=True)
 
 
 def prepared(folder: Path, participants: int) -> Path:
@@ -37,51 +34,33 @@ def prepared(folder: Path, participants: int) -> Path:
             write_texture(type(source)(card, source.tensors), folder / f"surface-{t + 1}-{method}.foten")
     study = folder / "study.toml"
     files = sorted(folder.glob("*.foten"))
-    subprocess.run([*FOTEN, "new", study, *files, "--participants", str(participants)], check=True, capture_output=True)
-    subprocess.run([*FOTEN, "simulate", study, "-o", folder / "study.db"], check=True, capture_output=True)
+    foten("new", study, *files, "--participants", str(participants))
+    foten("simulate", study, "-o", folder / "study.db")
     return study
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = parser_of(__doc__)
     parser.add_argument("--participants", type=int, default=100)
-    add_csv(parser)
     arguments = parser.parse_args()
-    chromium = next(
-        (path for name in ("chromium", "chromium-browser", "google-chrome") if (path := shutil.which(name))), None
-    )
-    if chromium is None:
-        sys.exit("Chromium is missing: apt install chromium")
     cells = [["", "seconds", "of"]]
-    with tempfile.TemporaryDirectory() as name, sync_playwright() as playwright:
+    with tempfile.TemporaryDirectory() as name, browser_page() as page:
         folder = Path(name)
         study = prepared(folder, arguments.participants)
         ratings = f"{arguments.participants * TEXTURES * len(METHODS):,} ratings"
         begin = time.perf_counter()
-        subprocess.run(
-            [*FOTEN, "analyze", folder / "study.db", "-o", folder / "results"], check=True, capture_output=True
-        )
+        foten("analyze", folder / "study.db", "-o", folder / "results")
         cells.append(["foten study analyze", f"{time.perf_counter() - begin:.1f}", ratings])
-        browser = playwright.chromium.launch(executable_path=chromium, args=["--no-sandbox"])
-        page = browser.new_page()
         begin = time.perf_counter()
         page.goto((folder / "results" / "report.html").as_uri(), wait_until="load")
         page.wait_for_selector("figure svg >> nth=1")
         cells.append(["the report, opened", f"{time.perf_counter() - begin:.2f}", ratings])
-        command = [*FOTEN, "run", str(study), "--simulated", "--no-open", "--port", "0"]
-        process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
-        try:
-            assert process.stderr is not None
-            link = next(found[0] for line in process.stderr if (found := re.search(r"http\S+operator\S+", line)))
+        with served("study", "run", study, "--simulated", link=r"http\S+operator\S+") as link:
             begin = time.perf_counter()
             page.goto(link)
             page.wait_for_selector(f"#people li >> nth={arguments.participants - 1}", state="attached")
             taken = time.perf_counter() - begin
-            cells.append(["the operator's page, opened", f"{taken:.2f}", f"{arguments.participants} participants"])
-        finally:
-            process.send_signal(signal.SIGTERM)
-            process.communicate(timeout=30)
-        browser.close()
+        cells.append(["the operator's page, opened", f"{taken:.2f}", f"{arguments.participants} participants"])
     report(cells, arguments.csv)
 
 

@@ -16,6 +16,7 @@ from foten.dsp.level import framed
 N_BANDS = 8
 MIN_BAND_HZ, MAX_BAND_HZ = 20.0, 450.0
 BAND_FRAME_MS = 8.0
+BAND_FLOOR = 1e-4  # of the mean energy of a band: what is 40 dB below it counts as that
 
 
 def envelope_edges(rate_hz: float) -> Array:

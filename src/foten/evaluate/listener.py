@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from foten.dsp import Array
-from foten.dsp.bands import BAND_FRAME_MS, N_BANDS, band_energies, envelope_edges
+from foten.dsp.bands import BAND_FLOOR, BAND_FRAME_MS, N_BANDS, band_energies, envelope_edges
 from foten.dsp.level import framed
 from foten.dsp.perception import band_thresholds, internal_noise_db
 from foten.models.conditions import MOVING_FORCE, MOVING_SPEED
@@ -28,7 +28,6 @@ N_LISTENERS = 3  # each with a seed of its own, and another rendering
 TRAIN_SHARE, TEST_SHARE = 0.6, 0.3  # the first and the last part of a stroke; what lies between keeps them apart
 STREAM = 2**35  # of noise, the first that listeners are played
 MIN_LISTENED_S = 40.0  # of a stroke: 24 s to learn from, and 12 s to score, in 100 excerpts that overlap
-FLOOR = 1e-4  # of the mean energy of a band: what is 40 dB below it counts as that
 NOTHING = 1e-12  # of a threshold, an energy that is not felt
 SOFTENING = np.array([[2.0], [0.05]])  # added to speed [mm/s] and force [N] before their logarithm
 KINDS = {"": "", "_waveform": ", with the waveform", "_person": ", with a person's limits"}  # of listeners
@@ -122,7 +121,7 @@ def vibrations(
     both = (first, second)
     # Shapes are (n_pieces, channels, frames) from here on.
     energies = [band_energies(stroke.blocks(stroke.acceleration), stroke.rate_hz) for stroke in both]
-    floor = FLOOR * np.mean([energy.mean(axis=(0, 2)) for energy in energies], axis=0)[:, None]
+    floor = BAND_FLOOR * np.mean([energy.mean(axis=(0, 2)) for energy in energies], axis=0)[:, None]
     conditions = [_conditions(stroke) for stroke in both]
     # Where a rendering does not fade, (n_pieces, frames).
     moving = [((lowest[:, 0] >= MOVING_SPEED) & (lowest[:, 1] >= MOVING_FORCE)) for _, lowest in conditions]

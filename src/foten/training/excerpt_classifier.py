@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from foten.dsp import Array
-from foten.dsp.bands import BAND_FRAME_MS, N_BANDS, band_energies
+from foten.dsp.bands import BAND_FLOOR, BAND_FRAME_MS, N_BANDS, band_energies
 from foten.dsp.distance import area_under_curve
 from foten.dsp.level import framed
 from foten.models.excitation import Excitation
@@ -25,7 +25,6 @@ N_FOLDS = 8  # of blocks
 PENALTY = (
     100.0  # of squared weights of standardised features, in excerpts; 10 and 1000 gave the same order of candidates
 )
-ENERGY_FLOOR = 1e-4  # of the mean energy of a band
 MIN_EXCERPTS = 16  # recorded
 MOVING_SHARE = 0.9  # of an excerpt's frames in which a rendering does not fade, at least
 
@@ -39,7 +38,7 @@ def classified_area(loop: ClosedLoop, excitation: Excitation, seed: int) -> floa
     recorded, runs = loop.free_runs(excitation, loop.blocks.known, seed, ERROR_STREAM, N_RUNS)
     signals = np.concatenate([recorded[None], runs])
     energies = band_energies(signals, trace.rate_hz)
-    logs = np.log(energies + ENERGY_FLOOR * energies[0].mean(axis=(0, 2))[:, None])
+    logs = np.log(energies + BAND_FLOOR * energies[0].mean(axis=(0, 2))[:, None])
     speed, force = (
         np.log(framed(trace.blocks(x)[known, first:], BAND_FRAME_MS, trace.rate_hz).mean(axis=-1) + floor)
         for x, floor in zip((trace.speed, trace.force), FLOOR, strict=True)

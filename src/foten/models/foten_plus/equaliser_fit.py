@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from foten.dsp import Array
-from foten.dsp.bands import BAND_FRAME_MS, N_BANDS, band_energies
+from foten.dsp.bands import BAND_FLOOR, BAND_FRAME_MS, N_BANDS, band_energies
 from foten.dsp.equaliser import N_TERMS, Equaliser, in_bands
 from foten.dsp.level import framed
 from foten.models.excitation import Excitation
@@ -18,7 +18,6 @@ N_STEPS = 3  # of the gains: neighbouring bands overlap
 N_FOLDS = 8  # of blocks, by which the penalty is chosen
 MIN_BLOCKS = 8
 PENALTIES = (30.0, 100.0, 300.0, 1e3, 3e3, 1e4, 3e4, 1e5)  # of squared weights, in frames, tried
-FLOOR = 1e-4  # of the mean energy of a band, as a listener's
 
 
 def fit_equaliser(loop: ClosedLoop, excitation: Excitation, seed: int) -> Equaliser | None:
@@ -48,7 +47,7 @@ def fit_equaliser(loop: ClosedLoop, excitation: Excitation, seed: int) -> Equali
         return np.moveaxis(band_energies(signals, trace.rate_hz), -2, 0)[..., first:]
 
     of_recording = energies(recorded)
-    floor = FLOOR * of_recording.mean(axis=(1, 2), keepdims=True)
+    floor = BAND_FLOOR * of_recording.mean(axis=(1, 2), keepdims=True)
     truth = 0.5 * np.log(of_recording + floor)
     equaliser = Equaliser.of_weights(np.zeros((N_BANDS, N_TERMS)), trace.rate_hz)
     bands = in_bands(runs, equaliser.filters)
