@@ -20,7 +20,7 @@ from PIL import Image
 
 from foten.experiments.experiment import experiment_path, read_experiment
 from foten.experiments.figures import convergence
-from foten.experiments.findings import BY_RECIPE, OF_BLOCKS, findings
+from foten.experiments.method_tables import BY_RECIPE, OF_BLOCKS, findings
 from foten.recording.preprocess import PreprocessConfig, preprocess
 from foten.simulation.simulate import simulate
 
@@ -45,7 +45,7 @@ def made_by(name: str) -> ModuleType:
         return importlib.import_module(name)
 
 
-PAPER_MODULES = ("csv_records", "paper_runs", "paper_findings", "paper_tables")
+PAPER_MODULES = ("csv_records", "paper_findings", "paper_tables")
 
 
 @pytest.fixture
@@ -58,7 +58,7 @@ def tables() -> SimpleNamespace:
 def runs(tables: SimpleNamespace, monkeypatch: pytest.MonkeyPatch) -> Runs:
     """Runs by experiment, none at first, which the tables are made of."""
     of: Runs = {name: [] for name in (*tables.FULL_LENGTH, *tables.OTHER_DATA.values())}
-    for name in PAPER_MODULES[1:]:
+    for name in PAPER_MODULES:
         for read in ("runs_of", "records_of"):
             monkeypatch.setattr(made_by(name), read, lambda name: of[name])
     return of

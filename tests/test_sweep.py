@@ -29,8 +29,7 @@ from foten.experiments import sweep as sweeping
 from foten.experiments.aggregate import PAPER, Row, compared, signed_rank
 from foten.experiments.experiment import Run, read_experiment, recording_of
 from foten.experiments.figures import figures, windows_and_losses
-from foten.experiments.findings import findings
-from foten.experiments.method_tables import PAPERS, WARM_START, ratios, summary, table, tables_of, warm_start
+from foten.experiments.method_tables import PAPERS, WARM_START, findings, ratios, summary, table, tables_of, warm_start
 from foten.experiments.provenance import platform_here, provenance_of
 from foten.experiments.results import by_recipe, chosen, read_records, read_results, records_of, runs_table, title_of
 from foten.experiments.sweep import _stoppable, lacking, planned, sweep

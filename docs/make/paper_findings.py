@@ -7,7 +7,7 @@ from itertools import pairwise
 
 import numpy as np
 
-import paper_runs as data
+import csv_records as data
 from csv_records import (
     AR_LSD,
     BEST_AR,
@@ -42,7 +42,7 @@ from foten.experiments.aggregate import (
     signed_rank,
 )
 from foten.experiments.experiment import experiment_path, read_experiment
-from foten.experiments.findings import BY_RECIPE, findings, same_blocks
+from foten.experiments.method_tables import BY_RECIPE, findings, same_blocks
 from foten.experiments.results import VALIDATION, WITHOUT, Record, Records, chosen
 from foten.recording.windows import first_scored
 

@@ -11,8 +11,8 @@ from itertools import product
 import numpy as np
 from scipy.stats import rankdata, spearmanr
 
+import csv_records as data
 import paper_findings as findings
-import paper_runs as data
 from csv_records import (
     BEST_AR,
     CONTACT,

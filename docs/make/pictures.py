@@ -18,15 +18,15 @@ from typing import Any
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-import diagrams
+import drawing
 import result_pictures as results
 import simulated_pictures as simulated
-from drawing import N_COLOURS, save
+from csv_records import parser_of
 
 PICTURES: dict[str, Callable[[argparse.Namespace], Any]] = {
     "stroke": simulated.stroke,
-    "foten": diagrams.foten_diagram,
-    "foten-plus": diagrams.foten_plus_diagram,
+    "foten": drawing.foten_diagram,
+    "foten-plus": drawing.foten_plus_diagram,
     "one-step": simulated.one_step,
     "silence": simulated.silence,
     "ceiling": results.ceiling,
@@ -49,7 +49,7 @@ FEW_COLOURS = {**dict.fromkeys(("one-step", "impact", "figure-6", "capture"), 24
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = parser_of(__doc__)
     parser.add_argument("--recordings", type=Path, default=Path("recordings"))
     tables = [Path("results") / name for name in ("table-1", "table-1-tuned")]
     parser.add_argument("--sweep", type=Path, nargs="+", default=tables)
@@ -57,7 +57,7 @@ def main() -> None:
     arguments = parser.parse_args()
     for name in arguments.only:
         if (picture := PICTURES[name](arguments)) is not None:
-            save(picture, name, FEW_COLOURS.get(name, N_COLOURS))
+            drawing.save(picture, name, FEW_COLOURS.get(name, drawing.N_COLOURS))
 
 
 if __name__ == "__main__":

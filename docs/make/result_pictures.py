@@ -11,7 +11,20 @@ import numpy as np
 from matplotlib.figure import Figure
 from PIL import Image
 
-from csv_records import AR_LSD, LSD, ONE_STEP, REAL, csv_rows, numbers, records_of, rows_with, runs
+from csv_records import (
+    AR_LSD,
+    LSD,
+    ONE_STEP,
+    PAPER_CELL,
+    REAL,
+    by_cell,
+    csv_rows,
+    numbers,
+    of_seeds,
+    records_of,
+    rows_with,
+    runs,
+)
 from csv_records import OURS as OURS_KEY
 from drawing import CEILING, INK, LINEAR, OURS, PAPER, STYLE, drawn, image_of, legend_of
 from foten.dsp.inference import standard_error
@@ -24,7 +37,6 @@ from foten.reporting.table import mean_number
 from foten.simulation.contact_mechanics import CONTACT
 from foten.simulation.linear_family import LINEAR_FAMILY
 from foten.simulation.simulate import TEXTURES
-from paper_runs import PAPER_CELL, by_cell, of_seeds
 
 COMPARED = ("steel-mesh-1", "cardboard", "towel")  # of the twelve of Table I
 

@@ -9,7 +9,6 @@ where a page is not what the CSV files give. A table without a CSV says so.
 
 from __future__ import annotations
 
-import argparse
 import sys
 from collections import Counter
 from collections.abc import Callable, Iterator
@@ -21,6 +20,7 @@ import paper_findings
 import paper_tables
 import trial_tables
 from csv_records import (
+    BEHIND_LOW_PASS,
     CONTACT,
     DOCS,
     FULL_LENGTH,
@@ -32,9 +32,11 @@ from csv_records import (
     REAL_TABLE_1,
     RESULTS,
     SIMULATED,
+    VARIANTS,
     csv_rows,
     listing,
     of_file,
+    parser_of,
     place_of,
     records_of,
     runs,
@@ -42,11 +44,9 @@ from csv_records import (
 )
 from foten.atomic_write import atomic_write
 from foten.experiments.experiment import experiment_path, read_experiment
-from foten.experiments.findings import same_blocks
-from foten.experiments.method_tables import brief
+from foten.experiments.method_tables import brief, same_blocks
 from foten.experiments.results import Records, read_records, runs_table
 from foten.reporting.table import Table
-from paper_runs import BEHIND_LOW_PASS, VARIANTS
 
 MAX_COLUMNS, MAX_ROWS = 8, 12  # of a table that people read, a row of means not counted; the rest is CSV
 NOT_RUN = "*Not measured yet with this version.*"
@@ -237,7 +237,7 @@ def add(folder: Path, recordings: Path | None) -> None:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = parser_of(__doc__)
     parser.add_argument("--check", action="store_true", help="exit 1 where a page is not what the CSV files give")
     parser.add_argument("--add", type=Path, metavar="DIR", help="first put the results of a sweep into their CSV")
     parser.add_argument(

@@ -103,7 +103,7 @@ FEW_STROKES: Mapping[str, str] = {
     "ours": "ours",
     "full": "64 s of a moving hand",
 }
-"""Policies of docs/make/few_strokes.py, as people read them."""
+"""Policies of docs/make/extrapolation.py, as people read them."""
 
 
 def few_strokes() -> Table:

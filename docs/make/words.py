@@ -10,7 +10,6 @@ dB, and octaves.
 
 from __future__ import annotations
 
-import argparse
 import os
 from itertools import product
 from pathlib import Path
@@ -20,7 +19,9 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
 
+from csv_records import RESULTS, parser_of
 from foten.dsp.distance import earth_mover_octaves
+from foten.dsp.inference import standard_error, student_quantile
 from foten.editing.describe import REFERENCE, rendered, spectrum
 from foten.editing.imagine import LAW, fit, values_of
 from foten.editing.texture_library import BANDS_HZ, Entry, bands_db, open_library
@@ -28,7 +29,6 @@ from foten.editing.words import encoder_of
 from foten.models.texture_file import read_texture
 from foten.reporting.table import Table
 
-CSV = Path(__file__).resolve().parents[1] / "results" / "words.csv"
 CONDITIONS = [REFERENCE, *product((30.0, 60.0, 150.0, 200.0), (0.3, 1.0, 2.0))]
 N_BANDS = len(BANDS_HZ)
 
@@ -81,16 +81,14 @@ def _by_sentences(entry: Entry, rest: list[Entry], encoder: str) -> np.ndarray:
 
 def interval(figures: np.ndarray) -> float:
     """Half of a 95 % interval of a mean, by Student's t."""
-    from scipy.special import stdtrit
-
-    return float(stdtrit(len(figures) - 1, 0.975) * figures.std(ddof=1) / np.sqrt(len(figures)))
+    return student_quantile(len(figures)) * (standard_error(figures) or 0.0)
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = parser_of(__doc__)
     parser.add_argument("--library", dest="folder", metavar="DIR", type=Path, required=True)
     parser.add_argument("--encoder", help="a sentence encoder to compare, a folder or a name")
-    parser.add_argument("--csv", type=Path, default=CSV)
+    parser.add_argument("--csv", type=Path, default=RESULTS / "words.csv")
     arguments = parser.parse_args()
     library = open_library(arguments.folder)
     entries = library.entries
@@ -106,23 +104,15 @@ def main() -> None:
             octaves = earth_mover_octaves(BANDS_HZ, *(p * BANDS_HZ for p in power)).mean()
             rows.setdefault(method, []).append((lsd, level, octaves))
         print(f"{i + 1}/{len(entries)} {entry.name}", flush=True)
-    heads = [
-        "method",
-        "textures",
-        "lsd_db",
-        "lsd_interval",
-        "level_error_db",
-        "level_interval",
-        "emd_octaves",
-        "emd_interval",
-    ]
     cells = []
     for method, each in rows.items():
         columns = np.array(each).T
         figures = [f"{x:.3f}" for column in columns for x in (column.mean(), interval(column))]
         cells.append([method, str(len(each)), *figures])
-    Table.of(heads, cells).write(arguments.csv)
-    print("\n".join(Table.of(heads, cells).text()))
+    names = ("lsd_db", "lsd_interval", "level_error_db", "level_interval", "emd_octaves", "emd_interval")
+    table = Table.of(("method", "textures", *names), cells)
+    table.write(arguments.csv)
+    print("\n".join(table.text()))
 
 
 if __name__ == "__main__":

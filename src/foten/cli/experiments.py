@@ -93,8 +93,7 @@ def tables(
     as_json: JsonOption = False,
 ) -> None:
     """Tabulate the results of a sweep beside reference methods and the paper's numbers."""
-    from foten.experiments.findings import findings
-    from foten.experiments.method_tables import brief, tables_of
+    from foten.experiments.method_tables import brief, findings, tables_of
     from foten.experiments.results import joined, read_records, runs_table, title_of
     from foten.reporting.table import FORMS
 
