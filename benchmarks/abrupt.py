@@ -28,7 +28,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
 
-from bench import parser_of, read_rows, stored, write_rows
+from bench import parser_of, read_rows, stored, trained, write_rows
 from foten.baselines.sizes import trainable_sizes
 from foten.dsp import Array
 from foten.dsp.distance import log_spectral_distance, scored_bins, welch
@@ -36,7 +36,7 @@ from foten.dsp.filters import butterworth, filter_recorded
 from foten.dsp.level import FLOOR_DB
 from foten.dsp.resample import decimate
 from foten.evaluate.free_run import render_strokes
-from foten.models.texture_file import Texture, read_texture, write_texture
+from foten.models.texture_file import Texture
 from foten.recording.preprocess import PreprocessConfig, condition
 from foten.recording.recording import AXES
 from foten.runtime.native import NativeTexture
@@ -47,7 +47,6 @@ from foten.simulation.stroking import Stroking, stepped_stroking
 from foten.simulation.two_mass_contact import TWO_MASS, two_mass_surface, two_mass_vibrations
 from foten.training.config import recipe_of
 from foten.training.job import TrainingJob
-from foten.training.pipeline import train
 
 SURFACES = {
     **dict.fromkeys(("linear-hum", "linear-cloth"), "linear"),
@@ -183,18 +182,14 @@ def truths(key: str, folder: Path, repeats: int) -> list[Measured]:
 
 def texture_of(key: str, model: str, folder: Path) -> Texture:
     """Texture of a surface by a model, trained once; a network with a random part, without which it falls silent."""
-    path = folder / model / f"{key}.foten"
-    if not path.is_file():
-        import torch
+    settings, sizes = (FOTEN_RECIPE, {"excitation": True}) if model == "foten" else ({}, {})
 
-        torch.set_num_threads(1)
-        path.parent.mkdir(parents=True, exist_ok=True)
-        paper = model == "foten"
-        config = recipe_of(model, threads=1, seed=SEED, **(FOTEN_RECIPE if paper else {}))
-        sizes = trainable_sizes(model, {"excitation": True} if paper else {})
-        job = TrainingJob(simulate(key, SECONDS, SEED), model, sizes, config, split_seed=SEED)
-        write_texture(train(job).texture, path)
-    return read_texture(path)
+    def job() -> TrainingJob:
+        config = recipe_of(model, threads=1, seed=SEED, **settings)
+        recording = simulate(key, SECONDS, SEED)
+        return TrainingJob(recording, model, trainable_sizes(model, sizes), config, split_seed=SEED)
+
+    return trained(folder / model / f"{key}.foten", job)
 
 
 def hands() -> dict[str, tuple[Array, Array]]:

@@ -13,12 +13,16 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from foten.atomic_write import atomic_write
+from foten.models.texture_file import Texture, read_texture, write_texture
 from foten.reporting.table import Table
+
+if TYPE_CHECKING:
+    from foten.training.job import TrainingJob
 
 ROOT = Path(__file__).parents[1]
 FOTEN = (sys.executable, "-c", "from foten.cli import main; main()")
@@ -64,6 +68,19 @@ def stored(path: Path, simulate: Callable[[], Mapping[str, Any]]) -> dict[str, n
             np.savez(file, **arrays)
     with np.load(path) as file:
         return dict(file)
+
+
+def trained(path: Path, job: Callable[[], TrainingJob]) -> Texture:
+    """Texture in a file, trained once, on one thread."""
+    if not path.is_file():
+        import torch
+
+        from foten.training.pipeline import train
+
+        torch.set_num_threads(1)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_texture(train(job()).texture, path)
+    return read_texture(path)
 
 
 def times_us(call: Callable[[], object], n: int, n_warm: int = 0) -> list[float]:

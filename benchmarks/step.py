@@ -140,7 +140,7 @@ def frameworks(texture: Any, file: Path) -> dict[str, Any]:
     """What times PyTorch, eager and compiled, ONNX Runtime and OpenVINO on the same window."""
     import torch
 
-    from foten.baselines.graph import build
+    from foten.baselines.graph import build, graph_of
 
     torch.set_num_threads(1)
     network = build(texture.card["model"], texture.sizes)
@@ -158,10 +158,10 @@ def frameworks(texture: Any, file: Path) -> dict[str, Any]:
         except Exception as error:  # a compiler that is missing, and much else: the row is left out and says so
             print(f"compiled: left out, {type(error).__name__}", file=sys.stderr)
     onnx = file.with_suffix(".onnx")
+    onnx.write_bytes(graph_of(network, texture.window).tobytes())
     try:
         import onnxruntime
 
-        torch.onnx.export(network, (tensor,), str(onnx), dynamo=True, external_data=False, verbose=False)
         options = onnxruntime.SessionOptions()
         options.intra_op_num_threads = options.inter_op_num_threads = 1
         options.add_session_config_entry("session.intra_op.allow_spinning", "0")

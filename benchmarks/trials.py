@@ -37,7 +37,7 @@ os.environ.setdefault("MKL_NUM_THREADS", "1")
 
 import numpy as np
 
-from bench import parser_of, read_rows, stored, write_rows
+from bench import parser_of, read_rows, stored, trained, write_rows
 from foten.atomic_write import atomic_write
 from foten.datasets.hdf5 import load_recording, write_recording
 from foten.dsp import Array
@@ -50,7 +50,7 @@ from foten.evaluate.listener_network import listener_auc
 from foten.models.conditions import MOVING_FORCE, MOVING_SPEED
 from foten.models.foten_plus import fit
 from foten.models.foten_plus.sizes import FotenPlusSizes
-from foten.models.texture_file import Texture, read_texture, write_texture
+from foten.models.texture_file import Texture
 from foten.recording.preprocess import PreprocessConfig, fitting_cut, preprocess
 from foten.recording.recording import Recording
 from foten.recording.trace import Trace
@@ -62,7 +62,6 @@ from foten.simulation.stroking import Stroking, stepped_stroking, stroking
 from foten.simulation.two_mass_contact import TWO_MASS
 from foten.training.config import recipe_of
 from foten.training.job import TrainingJob, shortest_block
-from foten.training.pipeline import train
 
 SECONDS, LONG_S = 64.0, 240.0
 SURFACES = {
@@ -200,24 +199,23 @@ def listener_area(trial: Trial, kind: str, true: Trace, other: Trace) -> float:
 
 def texture_of(trial: Trial) -> Texture:
     """Texture of a trial, trained unless it is in the folder already."""
-    path = trial.folder / trial.approach / f"{trial.surface}-{trial.fit}.foten"
-    if not path.is_file():
-        path.parent.mkdir(parents=True, exist_ok=True)
+
+    def job() -> TrainingJob:
         seed, *_ = SEEDS[trial.half, trial.fit]
         config = recipe_of("foten-plus", **{"threads": 1, "seed": seed, "epochs": 0, **json.loads(trial.settings)})
         recording, sizes = recording_of(trial), FotenPlusSizes()
         trim_ms, block_ms = fitting_cut(recording, shortest_block(sizes.window))
         cut = PreprocessConfig(trim_ms=trim_ms, block_ms=block_ms, dft321_ms=trial.dft321_ms)
-        job = TrainingJob(recording, "foten-plus", sizes, config, cut, split_seed=seed)
-        write_texture(train(job).texture, path)
-    return read_texture(path)
+        return TrainingJob(recording, "foten-plus", sizes, config, cut, split_seed=seed)
+
+    return trained(trial.folder / trial.approach / f"{trial.surface}-{trial.fit}.foten", job)
 
 
 def judge(trial: Trial, kinds: Sequence[str]) -> dict[str, str]:
     """The row of a trial by kinds of listeners."""
     import torch
 
-    torch.set_num_threads(1)
+    torch.set_num_threads(1)  # of listeners too
     for part in trial.without:
         for name, instead in PARTS[part].items():
             setattr(fit, name, instead)

@@ -11,10 +11,10 @@ real recordings the level alone is judged: --hands, a folder of .npz files (`spe
 from the slower; --pens, spectra at 15 conditions.
 
 `outside`: clamp, fade or grow, whichever is nearest the simulated truth. Each simulated texture is recorded under a hand that
-uses half of the range (0 to 175 mm/s, 0.05 to 2 N), trained without a network, and rendered under another hand that uses all of it
-and, once more, under speeds and forces that jump every half second. Frames of 40 ms of the rendering and of the truth are compared
-where the hand was: level bias, level error and the distance of the pooled spectra. `grow` is what a rendering does; `clamp` hands
-it the range's end, `fade` takes that down again by the factor that the range was exceeded by.
+uses half of the range (0 to 175 mm/s, 0.05 to 2 N), trained without a network, and rendered under another hand that uses all of
+it and, once more, under speeds and forces that jump every half second. Frames of 40 ms of the rendering and of the truth are
+compared where the hand was: level bias, level error and the distance of the pooled spectra. `grow` is what a rendering does;
+`clamp` hands it the range's end, `fade` takes that down again by the factor that the range was exceeded by.
 """
 
 from __future__ import annotations
