@@ -37,10 +37,9 @@ def by_texture(records: Iterable[Record], over: str, under: str = "", factor: fl
     """A figure, or a ratio of two, by texture: a number for each run that has it."""
     groups: dict[str, list[float]] = {}
     for record in records:
-        numbers = [record.get(path) for path in (over, under) if path]
-        if None not in numbers:
-            ratio = numbers[0] if len(numbers) == 1 else numbers[0] / numbers[1]
-            groups.setdefault(record["texture"], []).append(factor * ratio)
+        number, divisor = record.get(over), record.get(under) if under else 1.0
+        if number is not None and divisor is not None:
+            groups.setdefault(record["texture"], []).append(factor * number / divisor)
     return {texture: np.array(splits) for texture, splits in groups.items()}
 
 

@@ -282,8 +282,8 @@ def runs_table(records: Records, digits: int | None = None) -> Table:
     Args:
         digits: significant ones; None for all, so that a mean of them is rounded once.
     """
-    keys = dict.fromkeys(key for record in records for key in record)
-    keys = [key for key in keys if any(record.get(key) not in (None, "") for record in records)]
+    every_key = dict.fromkeys(key for record in records for key in record)
+    keys = [key for key in every_key if any(record.get(key) not in (None, "") for record in records)]
 
     def cell(value: Any) -> str:
         if isinstance(value, bool):
