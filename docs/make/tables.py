@@ -78,11 +78,11 @@ VERSIONS = {
     "7f9c20f6": {"41cfd2eadd7b0421", "0eb6489a5b1c9a5e"},
     "de196384": {"76b8bfeda814ed1e", "6b16428f170112c5", "9ba591cf4608b851"},
 }
-"""Commits that runs are of, and their digests; a digest covers what a model's runs import, so commits may share some."""
+"""Commits that runs are of, and their `code`; a digest of before covers what a model's runs import: commits may share some."""
 
 
 def commit_of(code: object) -> str:
-    """Commit that a digest of code, of 16 hexadecimal digits, is of; `other` where `VERSIONS` does not have it."""
+    """Commit that the `code` of a run is of; `other` where `VERSIONS` does not have it."""
     return next((commit for commit, codes in VERSIONS.items() if code in codes), "other")
 
 
