@@ -58,9 +58,8 @@ def tables() -> SimpleNamespace:
 def runs(tables: SimpleNamespace, monkeypatch: pytest.MonkeyPatch) -> Runs:
     """Runs by experiment, none at first, which the tables are made of."""
     of: Runs = {name: [] for name in (*tables.FULL_LENGTH, *tables.OTHER_DATA.values())}
-    for name in PAPER_MODULES:
-        for read in ("runs_of", "records_of"):
-            monkeypatch.setattr(made_by(name), read, lambda name: of[name])
+    for read in ("runs_of", "records_of"):
+        monkeypatch.setattr(made_by("csv_records"), read, lambda name: of[name])
     return of
 
 
@@ -374,11 +373,9 @@ def test_every_run_is_of_a_known_version_or_another(monkeypatch: pytest.MonkeyPa
     tables = made_by("tables")
     (first, codes), (second, later), *_ = tables.VERSIONS.items()
     runs = {"table-1": [{"code": code} for code in (*codes, *later)], "main-linear": [{"code": "of no version"}]}
-    for read in ("runs_of", "records_of"):
-        monkeypatch.setattr(tables, read, lambda name: runs.get(name, []))
-    monkeypatch.setattr(
-        tables, "csv_rows", lambda name: [{"code": code} for code in codes] if name == "efficiency" else []
-    )
+    monkeypatch.setattr(tables, "runs_of", lambda name: runs.get(name, []))
+    of_table_3 = {"efficiency": [{"code": code} for code in codes]}
+    monkeypatch.setattr(made_by("csv_records"), "csv_rows", lambda name: of_table_3.get(name, []))
     n = len(codes) + len(later)
     assert tables.versions().cells()[1:] == [
         [first, f"`table-1` ({len(codes)} of {n}), Table III on the CPU"],

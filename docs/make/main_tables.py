@@ -6,6 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
+import csv_records as data
 import paper_findings
 import paper_tables
 from csv_records import (
@@ -14,26 +15,16 @@ from csv_records import (
     BOUND,
     CEILING,
     CEILING_LEVEL,
-    CONTACT,
     ERROR,
-    FOTEN,
     LEVEL,
-    LINEAR,
     LSD,
     MAIN,
     ONE_STEP,
-    REAL_2_5,
-    REAL_10,
-    REAL_TABLE_1,
-    SIMULATED,
     Columns,
     average,
     mean,
-    playing,
-    records_of,
     runs,
     table,
-    textures_of,
 )
 from foten.experiments.aggregate import mean_of, over_textures
 from foten.experiments.results import Record, Records
@@ -65,10 +56,10 @@ def readme_systems() -> Table:
 def readme_notes() -> str:
     """Sentences on what the figures of the README rest on."""
     every = [one for name in MAIN for one in runs(name)]
-    network = f"A rendering plays recorded innovations in {playing(every)} runs."
+    network = f"A rendering plays recorded innovations in {data.playing(every)} runs."
     if before := sum(one["random_part"] == "network" for one in every):
         network += f" In {before}, which are of the version before, it draws from a network."
-    first, second = map(paper_findings.seconds_of_test, (REAL_10, REAL_TABLE_1))
+    first, second = map(paper_findings.seconds_of_test, (data.REAL_10, data.REAL_TABLE_1))
     lines = (network, f"First table: {first}", f"Second table: {second}", paper_findings.levels())
     return paper_findings.listed((*lines, *paper_findings.beside_dstn()))
 
@@ -76,15 +67,15 @@ def readme_notes() -> str:
 def meaning(records: Records) -> str:
     """What the figures of a kind of texture mean, in a line."""
     kind = records[0]["kind"]
-    if kind == LINEAR:
+    if kind == data.LINEAR:
         above = 100 * ((mean_of(records, ERROR, BOUND).value or 0.0) - 1)
         return f"{above:.1f} % above the least one-step error that is possible"
-    if kind == SIMULATED:
+    if kind == data.SIMULATED:
         further = 100 * ((mean_of(records, LSD, CEILING).value or 0.0) - 1)
         return f"The free run is {further:.0f} % further away than a second realisation of the same stroke"
     one_step, free_run = interval(records, ONE_STEP, BEST_AR), interval(records, LSD, AR_LSD)
     ratios = f"One-step error {one_step} times the best linear predictor's, free run {free_run} times AR(20)'s"
-    return f"{ratios} (95 %, n = {len(textures_of(records))})"
+    return f"{ratios} (95 %, n = {len(data.textures_of(records))})"
 
 
 def beside_foten(name: str) -> list[Record]:
@@ -93,9 +84,9 @@ def beside_foten(name: str) -> list[Record]:
     Without the ceiling of real recordings, a training block: a ratio to it means little.
     """
     errors = {(record["texture"], record["split"]): record[ONE_STEP] for record in runs(name, "foten")}
-    left_out = dict.fromkeys((CEILING, CEILING_LEVEL) if name in (REAL_10, REAL_2_5) else ())
+    left_out = dict.fromkeys((CEILING, CEILING_LEVEL) if name in (data.REAL_10, data.REAL_2_5) else ())
     places = ((record, (record["texture"], record["split"])) for record in runs(name))
-    return [{**record, **left_out, FOTEN: errors.get(place), "kind": name} for record, place in places]
+    return [{**record, **left_out, data.FOTEN: errors.get(place), "kind": name} for record, place in places]
 
 
 def by_kind() -> dict[str, Records]:
@@ -107,7 +98,7 @@ OF_TEXTURE: Columns = (
     ("LSD ÷ AR(20)", mean(LSD, AR_LSD)),
     ("÷ ceiling", mean(LSD, CEILING)),
     ("level error ÷ ceiling", mean(LEVEL, CEILING_LEVEL)),
-    ("plays recorded", playing),
+    ("plays recorded", data.playing),
 )
 
 
@@ -115,7 +106,7 @@ def short() -> Table:
     """Main figures by kind of texture."""
     columns: Columns = (
         ("one step ÷ best AR", mean(ONE_STEP, BEST_AR)),
-        ("÷ that of foten", mean(ONE_STEP, FOTEN)),
+        ("÷ that of foten", mean(ONE_STEP, data.FOTEN)),
         ("÷ bound", mean(ERROR, BOUND)),
         ("LSD ÷ AR(20)", mean(LSD, AR_LSD)),
         ("LSD ÷ ceiling", mean(LSD, CEILING)),
@@ -129,7 +120,7 @@ def of_each_texture(*names: str) -> Table:
     columns: Columns = (
         ("one step [sd]", mean(ONE_STEP)),
         ("÷ best AR", mean(ONE_STEP, BEST_AR)),
-        ("÷ foten", mean(ONE_STEP, FOTEN)),
+        ("÷ foten", mean(ONE_STEP, data.FOTEN)),
         *OF_TEXTURE,
     )
     rows: dict[str, list[Record]] = {}
@@ -220,8 +211,12 @@ def onset() -> Table:
 
 def listened() -> dict[str, Records]:
     """Runs with listeners, by what the textures are."""
-    kinds = {LINEAR: linear_family.LINEAR_FAMILY, SIMULATED: simulate.TEXTURES, CONTACT: contact_mechanics.CONTACT}
-    records = records_of("listener")
+    kinds = {
+        data.LINEAR: linear_family.LINEAR_FAMILY,
+        data.SIMULATED: simulate.TEXTURES,
+        data.CONTACT: contact_mechanics.CONTACT,
+    }
+    records = data.records_of("listener")
     return {MAIN[name]: [record for record in records if record["texture"] in keys] for name, keys in kinds.items()}
 
 

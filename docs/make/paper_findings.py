@@ -8,26 +8,7 @@ from itertools import pairwise
 import numpy as np
 
 import csv_records as data
-from csv_records import (
-    AR_LSD,
-    BEST_AR,
-    CONTACT,
-    EXCITED,
-    LEVEL,
-    LSD,
-    MAIN,
-    ONE_STEP,
-    OURS,
-    REAL_2_5,
-    REAL_10,
-    REAL_TABLE_1,
-    SIMULATED,
-    csv_rows,
-    of_file,
-    records_of,
-    runs_of,
-    textures_of,
-)
+from csv_records import AR_LSD, BEST_AR, EXCITED, LEVEL, LSD, MAIN, ONE_STEP, OURS
 from foten.dsp.inference import holm, student_quantile
 from foten.evaluate.warm_start import SILENT_DB
 from foten.experiments.aggregate import (
@@ -61,7 +42,7 @@ def listed(lines: Iterable[str]) -> str:
 
 def machine(name: str) -> str:
     """Sentence on what the costs in a CSV were measured on."""
-    machines = {row["machine"] for row in csv_rows(name) if row.get("machine")}
+    machines = {row["machine"] for row in data.csv_rows(name) if row.get("machine")}
     return f"Measured on: {', '.join(sorted(machines))}." if machines else ""
 
 
@@ -70,7 +51,7 @@ def quicker() -> str:
 
     And on how many models take longer on a GPU than on a CPU.
     """
-    cpu, gpu = ({row["model"]: row for row in csv_rows(name)} for name in ("efficiency", "efficiency-gpu"))
+    cpu, gpu = ({row["model"]: row for row in data.csv_rows(name)} for name in ("efficiency", "efficiency-gpu"))
     step, epoch = "PyTorch, mean [µs]", "epoch in PyTorch alone [s]"
 
     def those(times: Mapping[str, Mapping[str, str]], of: str) -> str:
@@ -95,7 +76,7 @@ def quicker() -> str:
 def so_far() -> str:
     """How much of Table I is done."""
     planned = len(read_experiment(experiment_path("table-1")).textures)
-    done = {recipe: len(textures_of(data.of_all_systems(recipe))) for recipe in data.TABLE_1}
+    done = {recipe: len(data.textures_of(data.of_all_systems(recipe))) for recipe in data.TABLE_1}
     parts = [f"{n} of {planned} textures by {recipe} recipes" for recipe, n in done.items() if n < planned]
     return f"Done so far: {'; '.join(parts)}." if parts else f"All {planned} textures have both recipes."
 
@@ -114,8 +95,8 @@ ON_A_PAR = {
 
 def difference_explained() -> str:
     """Sentence on DSTN's lead over FoTEN in one step, as tuned and with one difference less between the two."""
-    changed = runs_of("table-1-changed")
-    methods = by_place([*runs_of("table-1-tuned"), *changed])
+    changed = data.runs_of("table-1-changed")
+    methods = by_place([*data.runs_of("table-1-tuned"), *changed])
     places = sorted({(record["texture"], record["split"]) for record in changed})
     parts = []
     for name, changes in ON_A_PAR.items():
@@ -205,7 +186,7 @@ def ahead_of(model: str, records: Records) -> str:
 
 def on_contact() -> str:
     """Sentences on contact mechanics: where others are ahead of ours in one step, with p, and the best of each figure."""
-    if not (shown := chosen(data.tuned_on(CONTACT))):
+    if not (shown := chosen(data.tuned_on(data.CONTACT))):
         return ""
     lines = [
         line for line in findings(shown) if line.startswith(("one-step MAE", "free-run")) and "none of" not in line
@@ -215,7 +196,7 @@ def on_contact() -> str:
 
 def on_real() -> str:
     """Sentences on which splits of the real recordings are compared, and which of them are the same blocks."""
-    records, shared = records_of(REAL_TABLE_1), data.tuned_on(REAL_TABLE_1)
+    records, shared = data.records_of(data.REAL_TABLE_1), data.tuned_on(data.REAL_TABLE_1)
     n, of = (len({(record["texture"], record["split"]) for record in some}) for some in (shared, records))
     return " ".join([f"Means over the {n} of {of} splits that all systems have.", *same_blocks(shared)]) if n else ""
 
@@ -225,7 +206,7 @@ def near_neighbours() -> str:
     if not (shown := data.near()):
         return ""
     methods, textures = ({record[key] for record in shown} for key in ("method", "texture"))
-    single = [r for r in runs_of("table-1-tuned") if r["method"] in methods and r["texture"] not in textures]
+    single = [r for r in data.runs_of("table-1-tuned") if r["method"] in methods and r["texture"] not in textures]
     of_all = [*shown, *data.with_all(single, methods)]
     return listed(neighbours(records) for records in ((shown, of_all) if len(of_all) > len(shown) else (shown,)))
 
@@ -243,7 +224,7 @@ def failed(records: Records) -> list[str]:
     fails = [record for record in records if record[ONE_STEP] > FAILED * record[SILENCE]]
     if not fails:
         return []
-    textures = textures_of(fails)
+    textures = data.textures_of(fails)
     rest = [record for record in records if record["texture"] not in textures]
     figures = (
         f"{name} {mean_of([*of.values()], ONE_STEP)}, {100 * (mean_of([*of.values()], 'one_step.gfc').value or 0.0):.1f} %"
@@ -259,7 +240,7 @@ def failed(records: Records) -> list[str]:
 def grid_so_far() -> str:
     """How much of the grid is done."""
     records, missing = data.of_grid()
-    done = ", ".join(sorted(textures_of(records))) or "no texture"
+    done = ", ".join(sorted(data.textures_of(records))) or "no texture"
     return f"Done so far: {done}; not yet: {', '.join(missing)}." if missing else f"Means over {done}."
 
 
@@ -346,7 +327,7 @@ def levels() -> str:
 
 def beside_dstn() -> list[str]:
     """Sentences on our error of one step over DSTN's: an interval, and which textures carry the mean."""
-    both = (ours_over_others(chosen(data.EQUAL[MAIN[name]]()), ONE_STEP) for name in (SIMULATED, CONTACT))
+    both = (ours_over_others(chosen(data.EQUAL[MAIN[name]]()), ONE_STEP) for name in (data.SIMULATED, data.CONTACT))
     simulated, contact = (ratios["DSTN [15]"] for ratios in both)
     ordered = sorted(((one["ratio"], one["texture"]) for one in contact), reverse=True)
     percents, names = np.array([100 * (ratio - 1) for ratio, _ in ordered]), [name for _, name in ordered[:3]]
@@ -360,28 +341,30 @@ def beside_dstn() -> list[str]:
 def seconds_of_test(name: str) -> str:
     """Sentence on how many seconds of test blocks the figures of real recordings rest on."""
     blocks: dict[str, set[object]] = {}
-    if name == REAL_TABLE_1:  # one block for each split; silence's error tells two apart
-        for record in records_of(name):
+    if name == data.REAL_TABLE_1:  # one block for each split; silence's error tells two apart
+        for record in data.records_of(name):
             blocks.setdefault(record["texture"], set()).add(record[SILENCE])
-    for row in () if blocks else csv_rows("limits"):
+    for row in () if blocks else data.csv_rows("limits"):
         blocks.setdefault(row["texture"], set()).update(row["test blocks"].split())
-    block_s = of_file(name)["preprocess"]["block_ms"] / 1000
+    split_seeds, block_s = data.of_file(name)["split_seeds"], data.of_file(name)["preprocess"]["block_ms"] / 1000
     low, *_, high = sorted(block_s * len(numbers) for numbers in blocks.values())
-    of_split = (
-        f"{block_s * records_of(name)[0]['n_blocks']:.1f} s in each of {len(of_file(name)['split_seeds'])} splits"
+    in_all = (
+        f"The test blocks of a real recording hold {low:.1f} to {high:.1f} s in all, "
+        f"{block_s * data.records_of(name)[0]['n_blocks']:.1f} s in each of {len(split_seeds)} splits, which share them."
     )
-    rates = [of_file(one)["preprocess"]["rate_hz"] for one in ((REAL_10, REAL_2_5) if name == REAL_10 else (name,))]
-    scored = (1 - first_scored(round(block_s * rate)) / (block_s * rate) for rate in rates)
-    shares = (f"{100 * share:.0f} % at {rate / 1000:g} kHz" for share, rate in zip(scored, rates, strict=True))
-    in_all = f"The test blocks of a real recording hold {low:.1f} to {high:.1f} s in all, {of_split}, which share them."
+    shares = []
+    for one in (data.REAL_10, data.REAL_2_5) if name == data.REAL_10 else (name,):
+        rate = data.of_file(one)["preprocess"]["rate_hz"]
+        share = 1 - first_scored(round(block_s * rate)) / (block_s * rate)
+        shares.append(f"{100 * share:.0f} % at {rate / 1000:g} kHz")
     return f"{in_all} One step is scored on part of each: {', '.join(shares)}."
 
 
 def real_intervals() -> str:
     """Sentence on ours beside linear predictors on real recordings."""
-    ours = [record for record in chosen(data.tuned_on(REAL_TABLE_1)) if record["model"] == OURS]
+    ours = [record for record in chosen(data.tuned_on(data.REAL_TABLE_1)) if record["model"] == OURS]
     return (
-        f"{OURS} beside linear predictors (95 %, n = {len(textures_of(ours))}): one step ÷ best AR "
+        f"{OURS} beside linear predictors (95 %, n = {len(data.textures_of(ours))}): one step ÷ best AR "
         f"{interval(ours, ONE_STEP, BEST_AR)}, LSD ÷ AR(20) {interval(ours, LSD, AR_LSD)}, level error ÷ AR(20) "
         f"{interval(ours, LEVEL, LINEAR_LEVEL)}."
     )

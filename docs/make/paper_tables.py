@@ -13,26 +13,7 @@ from scipy.stats import rankdata, spearmanr
 
 import csv_records as data
 import paper_findings as findings
-from csv_records import (
-    BEST_AR,
-    CONTACT,
-    ERROR,
-    LEVEL,
-    LSD,
-    ONE_STEP,
-    OURS,
-    REAL_TABLE_1,
-    csv_rows,
-    listing,
-    mean,
-    numbers,
-    of_model,
-    place_of,
-    records_of,
-    rows_with,
-    runs_of,
-    textures_of,
-)
+from csv_records import BEST_AR, ERROR, LEVEL, LSD, ONE_STEP, OURS, mean
 from foten.evaluate.warm_start import CONVERGED_MS, SILENT_DB
 from foten.experiments.aggregate import PAPER, Place, by_place, by_texture, mean_of, over_textures
 from foten.experiments.experiment import experiment_path, read_experiment
@@ -114,7 +95,7 @@ def means_of(records: Records, path: str) -> dict[str, float]:
     """Means over textures of a figure of the paper's systems, by model, but for those that lack it in a run."""
     means = {}
     for model in PAPER_GFC:
-        runs = of_model(records, model)
+        runs = data.of_model(records, model)
         splits = by_texture(runs, path).values()
         if runs and sum(map(len, splits)) == len(runs):
             means[model] = float(np.mean([of_texture.mean() for of_texture in splits]))
@@ -217,13 +198,13 @@ def bands() -> Table:
 
     Of the systems that have all textures behind it.
     """
-    smooth = [{**run, "texture": run["texture"].rpartition("-")[0]} for run in runs_of(data.BEHIND_LOW_PASS)]
-    tuned = runs_of("table-1-tuned")
+    smooth = [{**run, "texture": run["texture"].rpartition("-")[0]} for run in data.runs_of(data.BEHIND_LOW_PASS)]
+    tuned = data.runs_of("table-1-tuned")
     behind = by_place(smooth)
     methods = {name for name in behind if len(behind[name]) == max(map(len, behind.values()))}
     methods &= {run["method"] for run in tuned}
     both = [data.with_all([run for run in part if run["method"] in methods], methods) for part in (tuned, smooth)]
-    shared = set.intersection(*map(textures_of, both))
+    shared = set.intersection(*map(data.textures_of, both))
     columns: dict[str, list[Cell]] = {}
     for part in both if shared else ():
         systems = by_place([run for run in part if run["texture"] in shared])
@@ -262,7 +243,7 @@ def by_threshold() -> Table:
 
 def over_best(others: Mapping[str, Records], n_textures: int) -> str:
     """Mean of a figure of foten-plus over that of the other system beside which it is worst on the test blocks."""
-    of_all = [name for name, ratios in others.items() if len(textures_of(ratios)) == n_textures]
+    of_all = [name for name, ratios in others.items() if len(data.textures_of(ratios)) == n_textures]
     worst = max(of_all, key=lambda name: mean_of(others[name], "ratio").value or 0.0, default="")
     return f"{over_textures(others[worst], 'ratio')} ({worst})" if worst else "–"
 
@@ -274,7 +255,7 @@ def equal_tuning() -> Table:
         runs = chosen(records())
         ours = [record for record in runs if record["method"].startswith(OURS)]
         if ours:
-            n = len(textures_of(ours))
+            n = len(data.textures_of(ours))
             cells: list[Cell] = [over_best(ours_over_others(runs, ONE_STEP), n), over_textures(ours, ONE_STEP, BEST_AR)]
             for path in (LSD, LEVEL):
                 others = ours_over_others(runs, path)
@@ -286,15 +267,15 @@ def equal_tuning() -> Table:
 
 def recipes() -> Table:
     """Best recipes on validation of each system whose runs are all done: error of scaled samples, of the GAN of spectra [dB]."""
-    records, rows = records_of("recipes"), []
+    records, rows = data.records_of("recipes"), []
     runs = read_experiment(experiment_path("recipes")).runs()
     caps = {run.place: run.train["epochs"] for run in runs}
-    planned, done = (Counter(place[0] for place in places) for places in (caps, map(place_of, records)))
+    planned, done = (Counter(place[0] for place in places) for places in (caps, map(data.place_of, records)))
     complete = [record for record in records if done[record["method"]] == planned[record["method"]]]
     for method, errors in by_recipe(complete).items():
         (best, lowest), (second, next_lowest), *_, (_, highest) = errors.items()
         of_method = [record for record in complete if record["method"] == method]
-        at_cap = sum(record["epochs"] == caps[place_of(record)] for record in of_method)
+        at_cap = sum(record["epochs"] == caps[data.place_of(record)] for record in of_method)
         figures = (best, f"{lowest:.4f}", second, f"{next_lowest:.4f}", f"{highest:.4f}")
         stops = any(run.train["patience"] < run.train["epochs"] for run in runs if run.method == method)
         rows.append([method, str(len(errors)), *figures, f"{at_cap} of {len(of_method)}" if stops else "–"])
@@ -303,11 +284,13 @@ def recipes() -> Table:
 
 def headline() -> Table:
     """AR(20)'s errors by band and regime, beside silence and a second realisation: means over the textures."""
-    rows = csv_rows("headline")
+    rows = data.csv_rows("headline")
     digits = {"silence [sd]": 3, "one step [sd]": 3, "one-step GFC [%]": 1, "free run [sd]": 3, "free run's GFC [%]": 1}
     digits |= {"second realisation [sd]": 3, "second realisation's GFC [%]": 1}
-    bands = {band: rows_with(rows, band=band) for band in dict.fromkeys(row["band"] for row in rows)}
-    cells = [(band, *(f"{numbers(of, name).mean():.{n}f}" for name, n in digits.items())) for band, of in bands.items()]
+    bands = {band: data.rows_with(rows, band=band) for band in dict.fromkeys(row["band"] for row in rows)}
+    cells = [
+        (band, *(f"{data.numbers(of, name).mean():.{n}f}" for name, n in digits.items())) for band, of in bands.items()
+    ]
     return Table.of(("acceleration", *digits), cells)
 
 
@@ -327,7 +310,7 @@ TABLES: dict[str, Callable[[], Table | str]] = {
     "convergence": convergence,
     "levels": findings.levels,
     "beside-dstn": lambda: " ".join(findings.beside_dstn()),
-    "seconds": partial(findings.seconds_of_test, REAL_TABLE_1),
+    "seconds": partial(findings.seconds_of_test, data.REAL_TABLE_1),
     "real-intervals": findings.real_intervals,
     "warm-start": lambda: warm_start(chosen(data.table_1())),
     "equal-tuning": equal_tuning,
@@ -342,18 +325,18 @@ TABLES: dict[str, Callable[[], Table | str]] = {
     "headline": headline,
     "pairs": pairs,
     "bands": bands,
-    "on-contact": partial(on_other_data, CONTACT),
+    "on-contact": partial(on_other_data, data.CONTACT),
     "contact-findings": findings.on_contact,
-    "table-1-real": partial(on_other_data, REAL_TABLE_1),
+    "table-1-real": partial(on_other_data, data.REAL_TABLE_1),
     "on-real": findings.on_real,
     "efficiency": partial(
-        listing, "efficiency", ("model", "input", "PyTorch", "median", "ONNX", "kernel", "paper's mean")
+        data.listing, "efficiency", ("model", "input", "PyTorch", "median", "ONNX", "kernel", "paper's mean")
     ),
     "machine": partial(findings.machine, "efficiency"),
     "gpu-machine": partial(findings.machine, "efficiency-gpu"),
-    "gpu": partial(listing, "efficiency-gpu", ("model", "step", "median", "the paper's", "epoch", "foten's")),
+    "gpu": partial(data.listing, "efficiency-gpu", ("model", "step", "median", "the paper's", "epoch", "foten's")),
     "epochs": partial(
-        listing, "efficiency", ("model", "param", "epoch [s]", "of it", "epoch in", "foten's", "the paper's")
+        data.listing, "efficiency", ("model", "param", "epoch [s]", "of it", "epoch in", "foten's", "the paper's")
     ),
     "quicker": findings.quicker,
 }

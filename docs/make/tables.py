@@ -15,33 +15,12 @@ from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
 
+import csv_records as data
 import main_tables
 import paper_findings
 import paper_tables
 import trial_tables
-from csv_records import (
-    BEHIND_LOW_PASS,
-    CONTACT,
-    DOCS,
-    FULL_LENGTH,
-    LINEAR,
-    MAIN,
-    ONE_STEP,
-    REAL_2_5,
-    REAL_10,
-    REAL_TABLE_1,
-    RESULTS,
-    SIMULATED,
-    VARIANTS,
-    csv_rows,
-    listing,
-    of_file,
-    parser_of,
-    place_of,
-    records_of,
-    runs,
-    runs_of,
-)
+from csv_records import FULL_LENGTH, MAIN, REAL_2_5, REAL_10, REAL_TABLE_1, place_of, runs_of
 from foten.atomic_write import atomic_write
 from foten.experiments.experiment import experiment_path, read_experiment
 from foten.experiments.method_tables import brief, same_blocks
@@ -60,12 +39,12 @@ def core_hours(records: Records) -> str:
 
 def note_of(name: str, runs: Records) -> str:
     """Note of an experiment: that of when it was run, where the CSV has it."""
-    return str((runs[0]["note"] if runs else "") or of_file(name)["note"]).rstrip(".")
+    return str((runs[0]["note"] if runs else "") or data.of_file(name)["note"]).rstrip(".")
 
 
 def experiments() -> Table:
     """What the other experiments are of, and what the runs in their CSV files took."""
-    of_each = {name: records_of(name) for name in (*MAIN, "listener")}
+    of_each = {name: data.records_of(name) for name in (*MAIN, "listener")}
     rows = [(f"`{name}`", note_of(name, runs), str(len(runs)), core_hours(runs)) for name, runs in of_each.items()]
     return Table.of(("experiment", "what", "runs", "core-hours"), rows)
 
@@ -93,7 +72,7 @@ def versions() -> Table:
         records = runs_of(name)
         for commit, n in Counter(commit_of(record["code"]) for record in records).items():
             runs[commit].append(f"`{name}`" + (f" ({n} of {len(records)})" if n < len(records) else ""))
-    for commit in dict.fromkeys(commit_of(row["code"]) for row in csv_rows("efficiency")):
+    for commit in dict.fromkeys(commit_of(row["code"]) for row in data.csv_rows("efficiency")):
         runs[commit].append("Table III on the CPU")
     return Table.of(("commit", "runs of"), [(commit, ", ".join(of)) for commit, of in runs.items() if of])
 
@@ -104,7 +83,7 @@ def spent() -> Table:
     for name in (*FULL_LENGTH, REAL_TABLE_1):
         records = runs_of(name)
         done = str(len(records))
-        if name not in (BEHIND_LOW_PASS, REAL_TABLE_1):  # which need recordings
+        if name not in (data.BEHIND_LOW_PASS, REAL_TABLE_1):  # which need recordings
             runs = read_experiment(experiment_path(name)).runs()
             # Those of the network in Table II are runs of Table I.
             done += f" of {sum((name, run.model) != ('table-2', 'foten') for run in runs)}"
@@ -118,14 +97,14 @@ def spent() -> Table:
 
 def made_anew() -> Table:
     """Cells of the paper's tables made again on another instruction set: one-step errors [sd] beside those of the tables."""
-    published = {(record["experiment"], *place_of(record)): record for record in records_of("paper")}
-    titles = {of_file(name)["title"]: name for name in FULL_LENGTH}
+    published = {(record["experiment"], *place_of(record)): record for record in data.records_of("paper")}
+    titles = {data.of_file(name)["title"]: name for name in FULL_LENGTH}
     rows = []
-    for record in records_of("made-anew"):
+    for record in data.records_of("made-anew"):
         cell = published[(record["experiment"], *place_of(record))]
         if record["platform"] != cell["platform"]:
-            here, there = record[ONE_STEP], cell[ONE_STEP]
-            method = VARIANTS.get(record["method"], record["method"])
+            here, there = record[data.ONE_STEP], cell[data.ONE_STEP]
+            method = data.VARIANTS.get(record["method"], record["method"])
             shown = f"`{titles[record['experiment']]}`", f"{method}, {record['texture']}"
             rows.append((*shown, f"{there:.4f}", f"{here:.4f}", f"{100 * (here / there - 1):+.1f}"))
     return Table.of(("experiment", "cell", "MAE [sd]", "again", "difference [%]"), rows)
@@ -152,10 +131,10 @@ TABLES: dict[str, dict[str, Callable[[], Table | str]]] = {
         "levels": paper_findings.levels,
         "seconds": partial(paper_findings.seconds_of_test, REAL_10),
         "real": partial(main_tables.of_each_texture, REAL_10, REAL_2_5),
-        "real-same": lambda: " ".join(dict.fromkeys(same_blocks([*runs(REAL_10), *runs(REAL_2_5)]))),
-        "linear": partial(main_tables.of_each_texture, LINEAR),
-        "simulated": partial(main_tables.of_each_texture, SIMULATED),
-        "contact": partial(main_tables.of_each_texture, CONTACT),
+        "real-same": lambda: " ".join(dict.fromkeys(same_blocks([*data.runs(REAL_10), *data.runs(REAL_2_5)]))),
+        "linear": partial(main_tables.of_each_texture, data.LINEAR),
+        "simulated": partial(main_tables.of_each_texture, data.SIMULATED),
+        "contact": partial(main_tables.of_each_texture, data.CONTACT),
         "stability": main_tables.stability,
         "chaotic": main_tables.chaotic,
         "onset": main_tables.onset,
@@ -181,14 +160,14 @@ TABLES: dict[str, dict[str, Callable[[], Table | str]]] = {
     },
     "compared.md": {**paper_tables.TABLES, "csv": partial(listed, *FULL_LENGTH, REAL_TABLE_1)},
     "reproduce.md": {"experiments": experiments, "versions": versions, "made-anew": made_anew, "spent": spent},
-    "runtime.md": {name: partial(listing, name) for name in BENCHMARKS},
+    "runtime.md": {name: partial(data.listing, name) for name in BENCHMARKS},
 }
 
 
 def pages() -> Iterator[tuple[Path, str, str]]:
     """Yield each page, what it says, and what it should."""
     for page, tables in TABLES.items():
-        path = (DOCS / page).resolve()
+        path = (data.DOCS / page).resolve()
         before = text = path.read_text(encoding="utf-8")
         for name, make in tables.items():
             begin, end = f"<!-- {name} -->", f"<!-- /{name} -->"
@@ -217,7 +196,7 @@ def add(folder: Path, recordings: Path | None) -> None:
     """Put the results of a sweep, all or a part, into the CSV of their experiment, beside what the CSV has of its other runs."""
     records = brief(read_records(folder))
     title = records[0]["experiment"]
-    name = next((name for name in JOINED if of_file(name)["title"] == title), None)
+    name = next((name for name in JOINED if data.of_file(name)["title"] == title), None)
     if name is None:
         sys.exit(f"{title!r} is none of {', '.join(JOINED)}: write its CSV by foten tables, as docs/reproduce.md says")
     if name in KEPT_FIGURES:
@@ -233,11 +212,11 @@ def add(folder: Path, recordings: Path | None) -> None:
     kept = [record for record in parts[name] if place_of(record) in others]  # not what the experiment has no more
     described = [one | {"note": experiment.note} for one in (*records, *kept)]  # as it is now, of earlier runs too
     parts[name] = sorted(described, key=lambda one: places.index(place_of(one)))
-    runs_table([record for part in parts.values() for record in part], 4).write(RESULTS / f"{file}.csv")
+    runs_table([record for part in parts.values() for record in part], 4).write(data.RESULTS / f"{file}.csv")
 
 
 def main() -> None:
-    parser = parser_of(__doc__)
+    parser = data.parser_of(__doc__)
     parser.add_argument("--check", action="store_true", help="exit 1 where a page is not what the CSV files give")
     parser.add_argument("--add", type=Path, metavar="DIR", help="first put the results of a sweep into their CSV")
     parser.add_argument(
@@ -246,7 +225,7 @@ def main() -> None:
     arguments = parser.parse_args()
     if arguments.add:
         add(arguments.add, arguments.recordings)
-        records_of.cache_clear()
+        data.records_of.cache_clear()
     stale = [(path, text) for path, before, text in pages() if before != text]
     if arguments.check and stale:
         sys.exit(f"{', '.join(path.name for path, _ in stale)}: run 'python docs/make/tables.py' and commit it")
