@@ -70,6 +70,14 @@ def stored(path: Path, simulate: Callable[[], Mapping[str, Any]]) -> dict[str, n
         return dict(file)
 
 
+def untrained(model: str, *arguments: Any, **card: Any) -> Texture:
+    """Texture of a network that nobody trained, as the tests make it: its time is the same."""
+    sys.path.insert(0, str(ROOT / "tests"))
+    from conftest import exported
+
+    return exported(model, *arguments, **card)
+
+
 def trained(path: Path, job: Callable[[], TrainingJob]) -> Texture:
     """Texture in a file, trained once, on one thread."""
     if not path.is_file():

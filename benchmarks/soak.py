@@ -24,7 +24,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
 
-from bench import ROOT, parser_of, report
+from bench import parser_of, report, untrained
 from foten.models.texture_file import read_texture
 from foten.runtime.live.live import Live
 from foten.runtime.live.paced import NullSink
@@ -194,13 +194,7 @@ def main() -> None:
     parser.add_argument("--hours", type=float, default=1.0)
     parser.add_argument("--ratio", type=float, default=12.0, help="of simulated to real time; it has to keep 10")
     arguments = parser.parse_args()
-    if arguments.texture is None:
-        sys.path.insert(0, str(ROOT / "tests"))
-        from conftest import exported
-
-        texture = exported("foten-plus")
-    else:
-        texture = read_texture(arguments.texture)
+    texture = read_texture(arguments.texture) if arguments.texture else untrained("foten-plus")
     result = soaked(texture, arguments.hours, arguments.ratio)
     print(
         f"{result['simulated_s'] / 3600:.2f} h at {result['ratio']:.1f} times real time: {result['n_not_finite']} of "

@@ -27,7 +27,8 @@ os.environ.setdefault("MKL_NUM_THREADS", "1")
 
 import numpy as np
 
-from bench import ROOT, parser_of, report, times_us
+from bench import ROOT, parser_of, report, times_us, untrained
+from foten.models.texture_file import Texture, read_texture
 
 INSTRUCTION_SETS = ("avx512", "avx2", "neon", "portable")
 ROUND = 200  # calls in a turn
@@ -97,21 +98,7 @@ class Child:
         return line
 
 
-def texture_of(path: Path | None) -> tuple[Any, bytes]:
-    """A texture of the paper's network with its default sizes, untrained unless one is given: its time is the same."""
-    from foten.models.texture_file import texture_from_bytes
-
-    if path is not None:
-        data = path.read_bytes()
-        return texture_from_bytes(data), data
-    sys.path.insert(0, str(ROOT / "tests"))
-    from conftest import exported
-
-    texture = exported("foten")
-    return texture, texture.to_bytes()
-
-
-def engines(texture: Any, file: Path) -> dict[str, Any]:
+def engines(texture: Texture, file: Path) -> dict[str, Any]:
     """What times each engine that is here, by name; None for one that is missing, which is told."""
     low, high = texture.trained_range("speed")
     condition = [f"{0.5 * (low + high):g}", f"{sum(texture.trained_range('force')) / 2:g}"]
@@ -136,7 +123,7 @@ def engines(texture: Any, file: Path) -> dict[str, Any]:
     return runners
 
 
-def frameworks(texture: Any, file: Path) -> dict[str, Any]:
+def frameworks(texture: Texture, file: Path) -> dict[str, Any]:
     """What times PyTorch, eager and compiled, ONNX Runtime and OpenVINO on the same window."""
     import torch
 
@@ -221,13 +208,13 @@ def peaks(folder: Path) -> dict[str, float]:
     return {name: float(rate) for name, rate in (line.split() for line in done.stdout.splitlines())}
 
 
-def measured(texture: Any, data: bytes, n: int) -> tuple[dict[str, list[float]], float | None]:
+def measured(texture: Texture, n: int) -> tuple[dict[str, list[float]], float | None]:
     """Times of each engine [µs], and the multiply-adds a second of this core; None without a compiler."""
     import torch
 
     with tempfile.TemporaryDirectory() as folder, torch.inference_mode():
         file = Path(folder) / "t.foten"
-        file.write_bytes(data)
+        file.write_bytes(texture.to_bytes())
         rates = [*peaks(Path(folder)).values()]
         runners = engines(texture, file)
         times: dict[str, list[float]] = {name: [] for name in runners}
@@ -264,8 +251,8 @@ def main() -> None:
     )
     parser.add_argument("--n", type=int, default=4000, help="calls of each engine")
     arguments = parser.parse_args()
-    texture, data = texture_of(arguments.texture)
-    times, peak = measured(texture, data, arguments.n)
+    texture = read_texture(arguments.texture) if arguments.texture else untrained("foten")
+    times, peak = measured(texture, arguments.n)
     report(table(times, texture.sizes.multiply_adds(), peak), arguments.csv)
 
 
