@@ -17,8 +17,6 @@ anew.
 
 from __future__ import annotations
 
-import argparse
-import csv
 import json
 import os
 from collections.abc import Iterator, Mapping, Sequence
@@ -30,15 +28,15 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
 
-from foten.atomic_write import atomic_write
+from bench import parser_of, read_rows, stored, trained, write_rows
 from foten.dsp import Array
 from foten.dsp.distance import log_spectral_distance, scored_bins, welch
 from foten.dsp.filters import butterworth, filter_recorded
 from foten.dsp.level import FLOOR_DB
 from foten.dsp.resample import decimate
 from foten.evaluate.free_run import render_strokes
-from foten.models.texture_file import Texture, read_texture, write_texture
-from foten.models.trainable import recipe_of, train, trainable_sizes
+from foten.models.texture_file import Texture
+from foten.models.trainable import recipe_of, trainable_sizes
 from foten.recording.preprocess import PreprocessConfig, condition
 from foten.recording.recording import AXES
 from foten.runtime.native import NativeTexture
@@ -48,7 +46,6 @@ from foten.simulation.simulate import ACCELEROMETER_NOISE, TEXTURES, simulate, v
 from foten.simulation.stroking import Stroking, stepped_stroking
 from foten.simulation.two_mass_contact import TWO_MASS, two_mass_surface, two_mass_vibrations
 from foten.training.job import TrainingJob
-from result_table import write_rows
 
 SURFACES = {
     **dict.fromkeys(("linear-hum", "linear-cloth"), "linear"),
@@ -164,9 +161,8 @@ def measured(signals: Array, begins: Sequence[float]) -> Measured:
 
 def truths(key: str, folder: Path, repeats: int) -> list[Measured]:
     """Two independent halves of the truth, `repeats` realisations each; simulated once."""
-    path = folder / "truth" / f"{key}-{repeats}.npz"
-    if not path.is_file():
-        path.parent.mkdir(parents=True, exist_ok=True)
+
+    def simulated() -> dict[str, Array]:
         _, begins = abrupt_stroke(MODEL_HZ)
         arrays: dict[str, Array] = {}
         for half in range(2):
@@ -177,26 +173,22 @@ def truths(key: str, folder: Path, repeats: int) -> list[Measured]:
             for name in Measured.__dataclass_fields__:
                 mean = np.average([getattr(each, name) for each in some], axis=0, weights=weights)
                 arrays[f"{name}{half}"] = mean
-        with atomic_write(path) as part, part.open("wb") as file:
-            np.savez(file, **arrays)
-    with np.load(path) as known:
-        return [Measured(*(known[f"{name}{half}"] for name in Measured.__dataclass_fields__)) for half in range(2)]
+        return arrays
+
+    arrays = stored(folder / "truth" / f"{key}-{repeats}.npz", simulated)
+    return [Measured(*(arrays[f"{name}{half}"] for name in Measured.__dataclass_fields__)) for half in range(2)]
 
 
 def texture_of(key: str, model: str, folder: Path) -> Texture:
     """Texture of a surface by a model, trained once; a network with a random part, without which it falls silent."""
-    path = folder / model / f"{key}.foten"
-    if not path.is_file():
-        import torch
+    settings, sizes = (FOTEN_RECIPE, {"excitation": True}) if model == "foten" else ({}, {})
 
-        torch.set_num_threads(1)
-        path.parent.mkdir(parents=True, exist_ok=True)
-        paper = model == "foten"
-        config = recipe_of(model, threads=1, seed=SEED, **(FOTEN_RECIPE if paper else {}))
-        sizes = trainable_sizes(model, {"excitation": True} if paper else {})
-        job = TrainingJob(simulate(key, SECONDS, SEED), model, sizes, config, split_seed=SEED)
-        write_texture(train(job).texture, path)
-    return read_texture(path)
+    def job() -> TrainingJob:
+        config = recipe_of(model, threads=1, seed=SEED, **settings)
+        recording = simulate(key, SECONDS, SEED)
+        return TrainingJob(recording, model, trainable_sizes(model, sizes), config, split_seed=SEED)
+
+    return trained(folder / model / f"{key}.foten", job)
 
 
 def hands() -> dict[str, tuple[Array, Array]]:
@@ -295,17 +287,17 @@ def of_model(row: Mapping[str, str], key: str, model: str) -> bool:
 
 def main() -> None:
     """Measure what the table lacks, and print its means."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = parser_of(__doc__)
+    parser.set_defaults(csv=Path("docs/results/abrupt.csv"))
     parser.add_argument("--surfaces", nargs="+", default=list(SURFACES), choices=list(SURFACES))
     parser.add_argument("--models", nargs="+", default=list(MODELS), choices=MODELS)
     parser.add_argument("--again", nargs="+", default=[], choices=MODELS, help="models to train and measure anew")
     parser.add_argument(
         "--repeats", type=int, default=64, help="realisations of each change, of the truth twice as many"
     )
-    parser.add_argument("--csv", type=Path, default=Path("docs/results/abrupt.csv"))
     parser.add_argument("--folder", type=Path, default=Path("build/abrupt"))
     options = parser.parse_args()
-    rows: list[dict[str, str]] = list(csv.DictReader(options.csv.open())) if options.csv.is_file() else []
+    rows = read_rows(options.csv)
     for model in options.again:
         for key in options.surfaces:
             (options.folder / model / f"{key}.foten").unlink(missing_ok=True)

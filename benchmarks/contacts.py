@@ -11,7 +11,6 @@ time is the same. The loop, `native/tests/contacts.c`, is built here.
 
 from __future__ import annotations
 
-import argparse
 import json
 import os
 import shutil
@@ -21,8 +20,10 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
-from result_table import add_csv, report
-from step import INSTRUCTION_SETS, ROOT
+from bench import ROOT, parser_of, report, untrained
+from foten.models.foten_plus.sizes import FotenPlusSizes
+from foten.models.texture_file import read_texture
+from step import INSTRUCTION_SETS
 
 SHARE = 0.6  # of a millisecond
 
@@ -41,21 +42,18 @@ def built(folder: Path) -> Path:
 
 def textures_of(paths: list[Path]) -> list[tuple[Any, Any]]:
     """The textures of files; without any an untrained one of each model, at 1 and at 10 kHz."""
-    from foten.models.foten_plus.sizes import FotenPlusSizes
-    from foten.models.texture_file import texture_from_bytes
-
     if paths:
-        return [(texture_from_bytes(path.read_bytes()), None) for path in paths]
-    sys.path.insert(0, str(ROOT / "tests"))
-    from conftest import CARD, exported, recorded
+        return [(read_texture(path), None) for path in paths]
+    network = untrained("foten")  # conftest can be imported from here on
+    from conftest import CARD, recorded
 
     table = {"n_speed": 12, "n_force": 3}  # lattices and tone as sawn wood gets them
     residual = {"residual_order": 40, **{f"n_residual_{name[2:]}": n for name, n in table.items()}}
     sizes = FotenPlusSizes(order=40, **table, n_tones=1, **residual, equalised=True, recorded=True)
     fast = {"rate_hz": 10_000.0, "preprocess": {**CARD["preprocess"], "rate_hz": 10_000.0}}
     stored = [recorded(n=8000, step=step).tensors() for step in (4, 40)]
-    plus = exported("foten-plus", sizes, stored[0]), exported("foten-plus", sizes, stored[1], **fast)
-    return [(exported("foten"), exported("foten", **fast)), plus]
+    plus = untrained("foten-plus", sizes, stored[0]), untrained("foten-plus", sizes, stored[1], **fast)
+    return [(network, untrained("foten", **fast)), plus]
 
 
 def measured(program: Path, file: Path, isa: str, share: float, seconds: int, tick_us: float) -> dict[str, Any]:
@@ -94,10 +92,9 @@ def rows_of(texture: Any, fast: Any, program: Path, file: Path, seconds: int) ->
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = parser_of(__doc__)
     parser.add_argument("--textures", nargs="+", type=Path, default=[], metavar="T.foten", help="at 1 kHz")
     parser.add_argument("--seconds", type=int, default=60)
-    add_csv(parser)
     arguments = parser.parse_args()
     textures = textures_of(arguments.textures)
     for texture, _ in textures:

@@ -15,15 +15,12 @@ costs depends on the texture: `foten bench T.foten`.
 
 from __future__ import annotations
 
-import argparse
 import dataclasses
 import os
 import sys
-import time
 from collections import defaultdict
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager
-from typing import Any
 from unittest.mock import patch
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
@@ -32,12 +29,13 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import numpy as np
 import torch
 
+from bench import parser_of, report, times_us, write_rows
 from foten.baselines.dftnet import Dftnet
 from foten.baselines.fit import log_spectra
 from foten.baselines.gan import STEPS, Gan, fit_adversarial
 from foten.baselines.networks import build
 from foten.baselines.sizes import HapinfSizes, NoiseModelSizes
-from foten.experiments.provenance import Provenance, processor, sources_of
+from foten.experiments.provenance import code_here, processor
 from foten.models.foten.transformer import EncoderLayer
 from foten.models.graph import graph_of
 from foten.models.registry import GraphSizes
@@ -56,7 +54,6 @@ from foten.training.loop import Monitor
 from foten.training.reproducible import reproducible
 from foten.training.texture_builder import tensors_of
 from foten.training.window_fit import fit_windows, one_step_windows
-from result_table import add_csv, report, write_rows
 
 MODELS = ("dstn", "ldhtd", "gan", "dftnet", "hapinf", "fnn", "ten", "ten-mfcc", "ten-wavelet", "foten", "foten-d")
 
@@ -65,34 +62,21 @@ MODELS = ("dstn", "ldhtd", "gan", "dftnet", "hapinf", "fnn", "ten", "ten-mfcc", 
 class Published:
     """A row of the paper's Table III."""
 
-    input_size: int  # samples
     gpu_ms: float  # of one inference, mean of 1000
     cpu_ms: float
     epoch_s: float
 
 
 PAPER = {
-    "dstn": Published(40, 1.38, 1.89, 44.35),
-    "ldhtd": Published(20, 1.13, 1.26, 27.45),
-    "gan": Published(56, 1.72, 2.37, 85.71),
-    "ten": Published(25, 0.87, 1.07, 8.92),
-    "foten": Published(20, 0.96, 1.11, 10.26),
-    "foten-d": Published(20, 1.16, 1.39, 14.81),
+    "dstn": Published(1.38, 1.89, 44.35),
+    "ldhtd": Published(1.13, 1.26, 27.45),
+    "gan": Published(1.72, 2.37, 85.71),
+    "ten": Published(0.87, 1.07, 8.92),
+    "foten": Published(0.96, 1.11, 10.26),
+    "foten-d": Published(1.16, 1.39, 14.81),
 }
 WARM = 50  # steps of a round that are not counted
 ROUNDS = 3
-
-
-def times_us(step: Callable[[], object], n: int) -> list[float]:
-    """How long each of n steps takes [µs]."""
-    for _ in range(WARM):
-        step()
-    times = []
-    for _ in range(n):
-        started = time.perf_counter_ns()
-        step()
-        times.append((time.perf_counter_ns() - started) / 1000)
-    return times
 
 
 def in_pytorch() -> AbstractContextManager[object]:
@@ -122,12 +106,12 @@ def steps(model: str, n: int, texture: Texture | None) -> dict[str, list[float]]
     array = window.numpy()
     times = {}
     with torch.no_grad(), in_pytorch():
-        times["pytorch"] = times_us(lambda: network(window), n)
-    times["onnxruntime"] = times_us(lambda: predictor.predict(array), n)
+        times["pytorch"] = times_us(lambda: network(window), n, WARM)
+    times["onnxruntime"] = times_us(lambda: predictor.predict(array), n, WARM)
     if texture is not None:
         state, out = NativeState(NativeTexture(texture.to_bytes()), excitation=False), np.empty(1, np.float32)
         state.set_condition(80.0, 0.8)
-        times["kernel"] = times_us(lambda: state.render(out), n)
+        times["kernel"] = times_us(lambda: state.render(out), n, WARM)
     return times
 
 
@@ -137,7 +121,7 @@ def steps_on_gpu(model: str, n: int) -> list[float]:
     sizes = TRAINABLE[model].sizes()
     network, window = build(sizes).eval().cuda(), torch.randn(1, sizes.history, 3).cuda()
     with torch.no_grad():
-        return times_us(lambda: network(window).cpu(), n)
+        return times_us(lambda: network(window).cpu(), n, WARM)
 
 
 def epoch_s(model: str, blocks: ScaledBlocks, window: int | None = None, device: str = "cpu") -> float:
@@ -163,10 +147,11 @@ def epoch_s(model: str, blocks: ScaledBlocks, window: int | None = None, device:
         return fit_windows(network, windows, config, Monitor()).epochs[1].seconds
 
 
-def untrained(model: str, recording: Recording, blocks: ScaledBlocks, config: PreprocessConfig) -> Texture:
+def untrained(model: str, recording: Recording, blocks: ScaledBlocks) -> Texture:
     """A texture that the kernel runs, its network untrained."""
     sizes = TRAINABLE[model].sizes()
-    card = TrainingJob(recording, model, sizes, recipe_of(model), config, texture_name="towel").card(blocks, "cpu")
+    job = TrainingJob(recording, model, sizes, recipe_of(model), PreprocessConfig(), texture_name="towel")
+    card = job.card(blocks, "cpu")
     card |= {"warm_start": {}, "metrics": {"validation_mae_scaled": 1.0}}
     windows = np.random.default_rng(0).standard_normal((64, sizes.window, 3))
     torch.manual_seed(0)
@@ -174,8 +159,8 @@ def untrained(model: str, recording: Recording, blocks: ScaledBlocks, config: Pr
     return proved(model, sizes, tensors, blocks.scaling, windows, windows[0], card).texture
 
 
-def measured_on_gpu(models: Sequence[str], n: int, blocks: ScaledBlocks) -> list[list[str]]:
-    """Steps in rounds and one epoch of each model on a GPU, beside the paper's."""
+def gpu_table(models: Sequence[str], n: int, blocks: ScaledBlocks) -> list[list[str]]:
+    """Steps in rounds [µs] and one epoch [s] of each model on a GPU, a teacher's with its student's, beside the paper's."""
     times: dict[str, list[float]] = defaultdict(list)
     for model in [*models] * ROUNDS:
         times[model] += steps_on_gpu(model, -(-n // ROUNDS))
@@ -184,97 +169,78 @@ def measured_on_gpu(models: Sequence[str], n: int, blocks: ScaledBlocks) -> list
         if model != "gan":  # which trains on the CPU
             epochs[model], _ = epochs_s(model, blocks, "cuda")
             print(f"{model}: an epoch takes {epochs[model]:.1f} s", file=sys.stderr, flush=True)
-    return gpu_table(times, epochs)
-
-
-def gpu_table(steps_us: Mapping[str, Sequence[float]], epochs: Mapping[str, float]) -> list[list[str]]:
-    """Times of steps [µs] and epochs [s] on a GPU, a teacher's with its student's, beside the paper's."""
     heads = ("step, mean [µs]", "median", "the paper's mean [µs]", "epoch [s]", "foten's ÷ its", "the paper's")
     cells = [["model", *heads]]
-    for model, of in steps_us.items():
+    for model, of in times.items():
         published = f"{1000 * PAPER[model].gpu_ms:.0f}" if model in PAPER else "–"
         epoch = f"{epochs[model]:.1f}" if model in epochs else "–"
-        ratio = f"{epochs['foten'] / epochs[model]:.2f}" if {"foten", model} <= epochs.keys() else "–"
         step = f"{np.mean(of):.0f}", f"{np.median(of):.0f}", published
-        cells.append([model, *step, epoch, ratio, published_ratio(model)])
+        cells.append([model, *step, epoch, *ratios_of(model, epochs)])
     return cells
 
 
-def published_ratio(model: str) -> str:
-    """The paper's epoch of FoTEN over that of a model."""
-    return f"{PAPER['foten'].epoch_s / PAPER[model].epoch_s:.2f}" if model in PAPER else "–"
+def ratios_of(model: str, epochs: Mapping[str, float]) -> tuple[str, str]:
+    """Epoch of FoTEN over that of a model, here and in the paper."""
+    ratio = f"{epochs['foten'] / epochs[model]:.2f}" if {"foten", model} <= epochs.keys() else "–"
+    return ratio, f"{PAPER['foten'].epoch_s / PAPER[model].epoch_s:.2f}" if model in PAPER else "–"
 
 
-def measured(arguments: argparse.Namespace, recording: Recording, blocks: ScaledBlocks) -> dict[str, Any]:
-    """All times of all models on the CPU: of steps the mean and the median, of epochs the quickest round."""
-    config = PreprocessConfig()
-    models: dict[str, Any] = {}
-    for model in arguments.models:
-        sizes = TRAINABLE[model].sizes()
-        models[model] = {
-            "input": sizes.window,
-            "n_parameters": sum(parameter.numel() for parameter in build(sizes).parameters()),
-        }
-    times: dict[tuple[str, str], list[float]] = defaultdict(list)
+Times = dict[str, dict[str, list[float]]]
+"""By runtime, or what an epoch is of, and model."""
+
+
+def measured(models: Sequence[str], n: int, recording: Recording, blocks: ScaledBlocks) -> tuple[Times, Times]:
+    """Steps of all models on the CPU [µs], and epochs, those of teachers, and epochs in PyTorch alone [s], in rounds."""
+    times: Times = defaultdict(lambda: defaultdict(list))
+    epochs: Times = defaultdict(lambda: defaultdict(list))
     for i in range(ROUNDS):
-        for model in arguments.models:
-            sizes = TRAINABLE[model].sizes()
-            by_graph = isinstance(sizes, GraphSizes | NoiseModelSizes)
-            texture = None if by_graph else untrained(model, recording, blocks, config)
-            for runtime, of in steps(model, -(-arguments.steps // ROUNDS), texture).items():
-                times[model, runtime] += of
-        for model in arguments.models:
+        for model in models:
+            by_graph = isinstance(TRAINABLE[model].sizes(), GraphSizes | NoiseModelSizes)
+            texture = None if by_graph else untrained(model, recording, blocks)
+            for runtime, of in steps(model, -(-n // ROUNDS), texture).items():
+                times[runtime][model] += of
+        for model in models:
             epoch, teacher = epochs_s(model, blocks)
             with in_pytorch():
                 in_own, _ = epochs_s(model, blocks) if has_encoder(model) else (epoch, teacher)
-            for key, seconds in {"epoch_s": epoch, "teacher_s": teacher, "pytorch_epoch_s": in_own}.items():
-                before = models[model].get(key)
-                models[model][key] = seconds if before is None or seconds is None else min(before, seconds)
+            epochs["epoch"][model].append(epoch)
+            epochs["PyTorch"][model].append(in_own)
+            if teacher is not None:
+                epochs["teacher"][model].append(teacher)
             print(f"round {i + 1} of {ROUNDS}, {model}: an epoch takes {epoch:.1f} s", file=sys.stderr, flush=True)
-    for model, of in models.items():
-        own = {runtime: lines for (name, runtime), lines in times.items() if name == model}
-        of["step_us"] = {runtime: (float(np.mean(us)), float(np.median(us))) for runtime, us in own.items()}
-    return models
+    return times, epochs
 
 
-def step_table(models: dict[str, Any]) -> list[list[str]]:
+def step_table(times: Times) -> list[list[str]]:
     """The cost of a step on a CPU, beside the paper's."""
-    steps = ["PyTorch, mean [µs]", "median", "ONNX Runtime, median", "kernel, median", "paper's mean [µs]"]
-    cells = [["model", "input [samples]", *steps]]
-    for key, of in models.items():
-        mean, median = of["step_us"]["pytorch"]
-        others = (
-            f"{of['step_us'][name][1]:.0f}" if name in of["step_us"] else "–" for name in ("onnxruntime", "kernel")
-        )
-        published = f"{1000 * PAPER[key].cpu_ms:.0f}" if key in PAPER else "–"
-        cells.append([key, str(of["input"]), f"{mean:.0f}", f"{median:.0f}", *others, published])
+    heads = ["PyTorch, mean [µs]", "median", "ONNX Runtime, median", "kernel, median", "paper's mean [µs]"]
+    cells = [["model", "input [samples]", *heads]]
+    for model, of in times["pytorch"].items():
+        others = (times[name].get(model) for name in ("onnxruntime", "kernel"))
+        medians = (f"{np.median(us):.0f}" if us else "–" for us in (of, *others))
+        published = f"{1000 * PAPER[model].cpu_ms:.0f}" if model in PAPER else "–"
+        cells.append([model, str(TRAINABLE[model].sizes().window), f"{np.mean(of):.0f}", *medians, published])
     return cells
 
 
-def epoch_table(models: dict[str, Any]) -> list[list[str]]:
-    """The cost of an epoch, and foten's over it, both in PyTorch alone, beside the paper's."""
+def epoch_table(epochs: Times) -> list[list[str]]:
+    """The cost of an epoch, of all rounds the quickest, and foten's over it, both in PyTorch alone, beside the paper's."""
     heads = ["model", "parameters that render", "epoch [s]", "of it the teacher's", "epoch in PyTorch alone [s]"]
     cells = [[*heads, "foten's ÷ its", "the paper's"]]
-    foten_s = models.get("foten", {}).get("pytorch_epoch_s")
-    for key, of in models.items():
-        ratio = "–" if foten_s is None else f"{foten_s / of['pytorch_epoch_s']:.2f}"
-        teacher = "" if of["teacher_s"] is None else f"{of['teacher_s']:.1f}"
-        times = f"{of['epoch_s']:.1f}", teacher, f"{of['pytorch_epoch_s']:.1f}"
-        cells.append([key, f"{of['n_parameters']:,}", *times, ratio, published_ratio(key)])
+    quickest = {kind: {model: min(rounds) for model, rounds in of.items()} for kind, of in epochs.items()}
+    for model, seconds in quickest["epoch"].items():
+        n_parameters = sum(parameter.numel() for parameter in build(TRAINABLE[model].sizes()).parameters())
+        teacher = f"{quickest['teacher'][model]:.1f}" if model in quickest.get("teacher", {}) else ""
+        times = f"{seconds:.1f}", teacher, f"{quickest['PyTorch'][model]:.1f}"
+        cells.append([model, f"{n_parameters:,}", *times, *ratios_of(model, quickest["PyTorch"])])
     return cells
-
-
-def code_of(model: str) -> str:
-    """Digest of the code that trains and runs a model, as in the CSV files of sweeps."""
-    return Provenance(sources_of(model, ()), "", "", {}).code
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = parser_of(__doc__)
     parser.add_argument("--models", type=lambda text: tuple(text.split(",")), default=MODELS)
     parser.add_argument("--steps", type=int, default=1000)
     parser.add_argument("--seconds", type=float, default=56.0)
-    add_csv(parser)
     parser.add_argument("--on", choices=("cpu", "gpu"), default="cpu")
     arguments = parser.parse_args()
     unknown = set(arguments.models) - set(MODELS)
@@ -285,21 +251,21 @@ def main() -> None:
     recording = simulate("towel", arguments.seconds + 4.0)
     trace = preprocess(recording, PreprocessConfig())
     blocks = scaled_blocks(trace, split_blocks(trace))
-    machine = torch.cuda.get_device_name() if arguments.on == "gpu" else f"{processor()}, {os.cpu_count()} cores"
     if arguments.on == "gpu":
-        per_model = measured_on_gpu(arguments.models, arguments.steps, blocks)
-        report(per_model, None)
+        machine, cells = torch.cuda.get_device_name(), gpu_table(arguments.models, arguments.steps, blocks)
+        report(cells)
     else:
-        models = measured(arguments, recording, blocks)
-        per_step, per_epoch = step_table(models), epoch_table(models)
-        report(per_step, None)
+        machine = f"{processor()}, {os.cpu_count()} cores"
+        times, epochs = measured(arguments.models, arguments.steps, recording, blocks)
+        per_step, per_epoch = step_table(times), epoch_table(epochs)
+        report(per_step)
         print()
-        report(per_epoch, None)
-        per_model = [[*first, *second[1:]] for first, second in zip(per_step, per_epoch, strict=True)]
+        report(per_epoch)
+        cells = [[*first, *second[1:]] for first, second in zip(per_step, per_epoch, strict=True)]
     if arguments.csv is not None:
-        head, *rows = per_model
-        named = [dict(zip(head, row, strict=True)) | {"machine": machine, "code": code_of(row[0])} for row in rows]
-        write_rows(named, arguments.csv)
+        head, *rows = cells
+        about = {"machine": machine, "code": code_here()}
+        write_rows([dict(zip(head, row, strict=True)) | about for row in rows], arguments.csv)
     n_windows = len(blocks.targets(TRAINABLE[arguments.models[-1]].sizes().window)[0])
     print(f"{machine}; {n_windows:,} training windows an epoch", file=sys.stderr)
 

@@ -9,7 +9,6 @@ The ratio is the median over pairs that follow each other.
 
 from __future__ import annotations
 
-import argparse
 import json
 import os
 import shutil
@@ -21,8 +20,7 @@ import time
 import venv
 from pathlib import Path
 
-from result_table import add_csv, report
-from step import ROOT
+from bench import ROOT, parser_of, report
 
 FIRST = {"numpy": "import numpy", "foten": "import foten; foten.Renderer(foten.EXAMPLE).render(80.0, 0.8, 1)"}
 
@@ -54,10 +52,9 @@ def seconds(environment: Path, wanted: str, first: str) -> float:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = parser_of(__doc__)
     parser.add_argument("wheel", type=Path, help="this system's, of 'make wheels'")
     parser.add_argument("--repeats", type=int, default=3)
-    add_csv(parser)
     arguments = parser.parse_args()
     wheel = arguments.wheel
     if not wheel.is_file():

@@ -11,7 +11,6 @@ grows.
 
 from __future__ import annotations
 
-import argparse
 import math
 import os
 import sys
@@ -25,12 +24,12 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
 
+from bench import parser_of, report, untrained
 from foten.models.texture_file import read_texture
 from foten.runtime.live.live import Live
 from foten.runtime.live.paced import NullSink
 from foten.runtime.renderer import Renderer
 from foten.runtime.stylus import Stylus
-from result_table import add_csv, report
 
 EVENTS_HZ = 133.0
 WAITING = 256  # events that the kernel keeps, foten.h
@@ -78,56 +77,46 @@ class Tablet:
             for name, due in self._next.items():
                 if t >= due:
                     self._next[name] = t + EVERY_S[name]
-                    self._good_since_fault = 0
-                    self.done[name] += 1
-                    getattr(self, "_" + name.replace(" ", "_"))(t, pressure)
-                    return
+                    return self._fault(name, t, pressure)
         for name, share in SHARES.items():
             if happens < share and self._good_since_fault > 1:
-                self._good_since_fault = 0
-                self.done[name] += 1
-                getattr(self, "_" + name.replace(" ", "_"))(t, pressure)
-                return
+                return self._fault(name, t, pressure)
             happens -= share
         self._good_since_fault += 1
         self._push(t, pressure)
 
-    def _push(self, t: float, pressure: float, x: float | None = None) -> None:
+    def _fault(self, name: str, t: float, pressure: float) -> None:
+        """What a fault makes of an event, or puts in its place."""
+        self._good_since_fault = 0
+        self.done[name] += 1
+        match name:
+            case "doubled":
+                self._push(t, pressure)
+                self._push(t, pressure)
+            case "not a number":
+                self._stylus.push(*self._draw.permutation([math.nan, math.inf, 0.5, t + self._clock]))
+            case "late":
+                self._push(t - 0.5, pressure)
+            case "too firm":
+                self._push(t, 1.0 + pressure)
+            case "clock begins anew":
+                self._clock = -t
+                for k in range(CLOCK_IS_BELIEVED):
+                    self._push(t + 0.0005 * k, pressure)
+            case "out of reach":
+                self._due += 0.5
+                self._at += 60.0
+                self._push(self._due, pressure)
+            case "flood":
+                for k in range(WAITING + 50):
+                    self._push(t + 1e-5 * k, pressure)
+
+    def _push(self, t: float, pressure: float) -> None:
         if self._waiting == WAITING:
             self.done["dropped"] += 1
         else:
             self._waiting += 1
-        self._stylus.push(self._at[0] if x is None else x, self._at[1], pressure, t + self._clock)
-
-    def _lost(self, t: float, pressure: float) -> None:
-        pass
-
-    def _doubled(self, t: float, pressure: float) -> None:
-        self._push(t, pressure)
-        self._push(t, pressure)
-
-    def _not_a_number(self, t: float, pressure: float) -> None:
-        self._stylus.push(*self._draw.permutation([math.nan, math.inf, 0.5, t + self._clock]))
-
-    def _late(self, t: float, pressure: float) -> None:
-        self._push(t - 0.5, pressure)
-
-    def _too_firm(self, t: float, pressure: float) -> None:
-        self._push(t, 1.0 + pressure)
-
-    def _clock_begins_anew(self, t: float, pressure: float) -> None:
-        self._clock = -t
-        for k in range(CLOCK_IS_BELIEVED):
-            self._push(t + 0.0005 * k, pressure)
-
-    def _out_of_reach(self, t: float, pressure: float) -> None:
-        self._due += 0.5
-        self._at += 60.0
-        self._push(self._due, pressure)
-
-    def _flood(self, t: float, pressure: float) -> None:
-        for k in range(WAITING + 50):
-            self._push(t + 1e-5 * k, pressure)
+        self._stylus.push(*self._at, pressure, t + self._clock)
 
     def expected(self) -> dict[str, int]:
         """What the stylus has to have counted, by the names of foten_stylus_stats."""
@@ -200,19 +189,12 @@ def soaked(texture: Any, hours: float, ratio: float) -> dict[str, Any]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = parser_of(__doc__)
     parser.add_argument("--texture", type=Path, metavar="T.foten", help="by default an untrained foten-plus")
     parser.add_argument("--hours", type=float, default=1.0)
     parser.add_argument("--ratio", type=float, default=12.0, help="of simulated to real time; it has to keep 10")
-    add_csv(parser)
     arguments = parser.parse_args()
-    if arguments.texture is None:
-        sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
-        from conftest import exported
-
-        texture = exported("foten-plus")
-    else:
-        texture = read_texture(arguments.texture)
+    texture = read_texture(arguments.texture) if arguments.texture else untrained("foten-plus")
     result = soaked(texture, arguments.hours, arguments.ratio)
     print(
         f"{result['simulated_s'] / 3600:.2f} h at {result['ratio']:.1f} times real time: {result['n_not_finite']} of "

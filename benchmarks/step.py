@@ -11,15 +11,13 @@ here.
 
 from __future__ import annotations
 
-import argparse
 import json
 import os
 import shutil
 import subprocess
 import sys
 import tempfile
-import time
-from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -29,16 +27,17 @@ os.environ.setdefault("MKL_NUM_THREADS", "1")
 
 import numpy as np
 
-from result_table import add_csv, report
+from bench import ROOT, parser_of, report, times_us, untrained
+from foten.models.texture_file import Texture, read_texture
 
-ROOT = Path(__file__).parents[1]
 INSTRUCTION_SETS = ("avx512", "avx2", "neon", "portable")
 ROUND = 200  # calls in a turn
-PERCENTILES = {"p50": 50.0, "p99": 99.0, "p999": 99.9}
+PERCENTILES = (50.0, 99.0, 99.9)
 
 CHILD = """
-import sys, time, json
+import sys, json
 import numpy as np
+from bench import times_us
 from foten.runtime.binding import isa
 from foten.runtime.native import NativeState, NativeTexture
 texture = NativeTexture(open(sys.argv[1], "rb").read())
@@ -46,12 +45,7 @@ state, out = NativeState(texture, excitation=False), np.empty(1, dtype=np.float3
 state.set_condition(*map(float, sys.argv[2:4]))
 print(isa(), flush=True)
 for line in sys.stdin:
-    times = []
-    for _ in range(int(line)):
-        begin = time.perf_counter_ns()
-        state.render(out)
-        times.append(time.perf_counter_ns() - begin)
-    print(json.dumps(times), flush=True)
+    print(json.dumps(times_us(lambda: state.render(out), int(line))), flush=True)
 """
 NODE = """
 import { readFileSync } from "node:fs";
@@ -67,7 +61,7 @@ for await (const line of createInterface({ input: process.stdin })) {
   for (let i = 0; i < Number(line); i++) {
     const begin = process.hrtime.bigint();
     renderer.render(out);
-    times.push(Number(process.hrtime.bigint() - begin));
+    times.push(Number(process.hrtime.bigint() - begin) / 1000);
   }
   console.log(JSON.stringify(times));
 }
@@ -84,7 +78,7 @@ class Child:
         self.isa = self._line()
 
     def __call__(self, n: int) -> list[float]:
-        """Times of n calls [ns]."""
+        """Times of n calls [µs]."""
         assert self._process.stdin is not None
         self._process.stdin.write(f"{n}\n")
         self._process.stdin.flush()
@@ -104,41 +98,14 @@ class Child:
         return line
 
 
-def timed(call: Callable[[], Any]) -> Callable[[int], list[float]]:
-    """What times a call n times [ns]."""
-
-    def times(n: int) -> list[float]:
-        times_ns = []
-        for _ in range(n):
-            begin = time.perf_counter_ns()
-            call()
-            times_ns.append(time.perf_counter_ns() - begin)
-        return times_ns
-
-    return times
-
-
-def texture_of(path: Path | None) -> tuple[Any, bytes]:
-    """A texture of the paper's network with its default sizes, untrained unless one is given: its time is the same."""
-    from foten.models.texture_file import texture_from_bytes
-
-    if path is not None:
-        data = path.read_bytes()
-        return texture_from_bytes(data), data
-    sys.path.insert(0, str(ROOT / "tests"))
-    from conftest import exported
-
-    texture = exported("foten")
-    return texture, texture.to_bytes()
-
-
-def engines(texture: Any, file: Path) -> dict[str, Any]:
+def engines(texture: Texture, file: Path) -> dict[str, Any]:
     """What times each engine that is here, by name; None for one that is missing, which is told."""
     low, high = texture.trained_range("speed")
     condition = [f"{0.5 * (low + high):g}", f"{sum(texture.trained_range('force')) / 2:g}"]
     runners: dict[str, Any] = {}
+    path = os.pathsep.join([str(ROOT / "benchmarks"), *filter(None, [os.environ.get("PYTHONPATH")])])
     for name in INSTRUCTION_SETS:
-        child = Child([sys.executable, "-c", CHILD, str(file), *condition], {"FOTEN_ISA": name})
+        child = Child([sys.executable, "-c", CHILD, str(file), *condition], {"FOTEN_ISA": name, "PYTHONPATH": path})
         if child.isa == name:
             runners[name] = child
         else:
@@ -156,39 +123,40 @@ def engines(texture: Any, file: Path) -> dict[str, Any]:
     return runners
 
 
-def frameworks(texture: Any, file: Path) -> dict[str, Any]:
+def frameworks(texture: Texture, file: Path) -> dict[str, Any]:
     """What times PyTorch, eager and compiled, ONNX Runtime and OpenVINO on the same window."""
     import torch
 
     from foten.baselines.networks import build
+    from foten.models.graph import graph_of
 
     torch.set_num_threads(1)
-    network = build(texture.card["model"], texture.sizes)
+    network = build(texture.sizes)
     network.load_state_dict({name: torch.from_numpy(texture.tensors[name].copy()) for name in network.state_dict()})
     network = network.float().eval()
     window = _plain(texture.tensors["golden.windows"])[None].astype(np.float32)
     tensor = torch.from_numpy(window)
     runners: dict[str, Any] = {}
     with torch.inference_mode():
-        runners["eager"] = timed(lambda: network(tensor))
+        runners["eager"] = partial(times_us, lambda: network(tensor))
         try:
             compiled = torch.compile(network)
             compiled(tensor)
-            runners["compiled"] = timed(lambda: compiled(tensor))
+            runners["compiled"] = partial(times_us, lambda: compiled(tensor))
         except Exception as error:  # a compiler that is missing, and much else: the row is left out and says so
             print(f"compiled: left out, {type(error).__name__}", file=sys.stderr)
     onnx = file.with_suffix(".onnx")
+    onnx.write_bytes(graph_of(network, texture.window).tobytes())
     try:
         import onnxruntime
 
-        torch.onnx.export(network, (tensor,), str(onnx), dynamo=True, external_data=False, verbose=False)
         options = onnxruntime.SessionOptions()
         options.intra_op_num_threads = options.inter_op_num_threads = 1
         options.add_session_config_entry("session.intra_op.allow_spinning", "0")
         session = onnxruntime.InferenceSession(str(onnx), options, providers=["CPUExecutionProvider"])
         inputs = {session.get_inputs()[0].name: window}
         _agrees("ONNX Runtime", session.run(None, inputs)[0], network, tensor)
-        runners["onnxruntime"] = timed(lambda: session.run(None, inputs))
+        runners["onnxruntime"] = partial(times_us, lambda: session.run(None, inputs))
     except ImportError as error:
         print(f"onnxruntime: left out, {error}; pip install 'foten[bench]'", file=sys.stderr)
     try:
@@ -201,7 +169,7 @@ def frameworks(texture: Any, file: Path) -> dict[str, Any]:
         )
         request = model.create_infer_request()
         _agrees("OpenVINO", request.infer([window])[0], network, tensor)
-        runners["openvino"] = timed(lambda: request.infer([window]))
+        runners["openvino"] = partial(times_us, lambda: request.infer([window]))
     except ImportError as error:
         print(f"openvino: left out, {error}; pip install 'foten[bench]'", file=sys.stderr)
     return runners
@@ -241,15 +209,14 @@ def peaks(folder: Path) -> dict[str, float]:
     return {name: float(rate) for name, rate in (line.split() for line in done.stdout.splitlines())}
 
 
-def measured(path: Path | None, n: int) -> dict[str, Any]:
-    """The document: times by engine [µs], ratios of the best native build, and what it was measured on."""
+def measured(texture: Texture, n: int) -> tuple[dict[str, list[float]], float | None]:
+    """Times of each engine [µs], and the multiply-adds a second of this core; None without a compiler."""
     import torch
 
-    texture, data = texture_of(path)
     with tempfile.TemporaryDirectory() as folder, torch.inference_mode():
         file = Path(folder) / "t.foten"
-        file.write_bytes(data)
-        rates = [peaks(Path(folder))]
+        file.write_bytes(texture.to_bytes())
+        rates = [*peaks(Path(folder)).values()]
         runners = engines(texture, file)
         times: dict[str, list[float]] = {name: [] for name in runners}
         for run in runners.values():
@@ -257,59 +224,37 @@ def measured(path: Path | None, n: int) -> dict[str, Any]:
         while min(map(len, times.values())) < n:
             for name, run in runners.items():
                 times[name] += run(ROUND)
-        rates.append(peaks(Path(folder)))
+        rates += peaks(Path(folder)).values()
         for run in runners.values():
             if isinstance(run, Child):
                 run.close()
-    us = {
-        name: {p: float(np.percentile(values, q)) / 1000 for p, q in PERCENTILES.items()}
-        for name, values in times.items()
-    }
-    cost = texture.sizes.multiply_adds()
-    native = [name for name in INSTRUCTION_SETS if name in us]
-    best = min(native, key=lambda name: us[name]["p50"])
-    # The faster of before and after: what the core can do.
-    peak = max((rate for by_name in rates for rate in by_name.values()), default=None)
-    ratios = {name: us[name]["p50"] / us[best]["p50"] for name in us if name not in native}
-    document: dict[str, Any] = {
-        "n": n,
-        "multiply_adds": cost,
-        "best_native": best,
-        "p50_us": {name: of["p50"] for name, of in us.items()},
-        "p99_us": {name: of["p99"] for name, of in us.items()},
-        "p999_us": {name: of["p999"] for name, of in us.items()},
-        "ratios": ratios,
-    }
-    if peak:
-        document["peak_per_second"] = peak
-        document["p50_us"]["floor"] = 1e6 * cost / peak
-        ratios["floor"] = us[best]["p50"] / document["p50_us"]["floor"]
-    return document
+    return times, max(rates, default=None)  # the faster of before and after: what the core can do
 
 
-def table(document: dict[str, Any]) -> list[list[str]]:
-    """The engines, the fastest first."""
-    best = document["best_native"]
-    cells = [["engine", "p50 [µs]", "p99", "p99.9", f"÷ {best}"]]
-    for name, p50 in sorted(document["p50_us"].items(), key=lambda item: item[1]):
-        if name == "floor":
-            of = f"floor, {document['multiply_adds']:,} multiply-adds"
-            cells.append([of, f"{p50:.1f}", "", "", f"{1 / document['ratios']['floor']:.2f}"])
-            continue
-        tails = [f"{document[key][name]:.1f}" for key in ("p99_us", "p999_us")]
-        cells.append([name, f"{p50:.1f}", *tails, f"{p50 / document['p50_us'][best]:.2f}"])
-    return cells
+def table(times: dict[str, list[float]], multiply_adds: int, peak: float | None) -> list[list[str]]:
+    """The engines, the fastest first, beside the best native one, and the floor."""
+    us = {name: np.percentile(values, PERCENTILES).tolist() for name, values in times.items()}
+    best = min((name for name in INSTRUCTION_SETS if name in us), key=lambda name: us[name][0])
+    rows = {name: (name, *(f"{value:.1f}" for value in of), f"{of[0] / us[best][0]:.2f}") for name, of in us.items()}
+    order = {name: of[0] for name, of in us.items()}
+    if peak is not None:
+        order["floor"] = floor = 1e6 * multiply_adds / peak
+        of_floor = f"floor, {multiply_adds:,} multiply-adds"
+        rows["floor"] = (of_floor, f"{floor:.1f}", "", "", f"{floor / us[best][0]:.2f}")
+    heads = ["engine", "p50 [µs]", "p99", "p99.9", f"÷ {best}"]
+    return [heads, *(list(rows[name]) for name in sorted(order, key=order.__getitem__))]
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = parser_of(__doc__)
     parser.add_argument(
         "--texture", type=Path, metavar="T.foten", help="of the paper's network; an untrained one by default"
     )
     parser.add_argument("--n", type=int, default=4000, help="calls of each engine")
-    add_csv(parser)
     arguments = parser.parse_args()
-    report(table(measured(arguments.texture, arguments.n)), arguments.csv)
+    texture = read_texture(arguments.texture) if arguments.texture else untrained("foten")
+    times, peak = measured(texture, arguments.n)
+    report(table(times, texture.sizes.multiply_adds(), peak), arguments.csv)
 
 
 if __name__ == "__main__":

@@ -1,12 +1,9 @@
-"""What a sweep costs beside a plain loop, and whether it survives the loss of a node.
+"""Does a sweep survive the loss of a node, and are its results those of an undisturbed one?
 
-    python benchmarks/sweep.py overhead [--runs 4] [--epochs 6]
-    python benchmarks/sweep.py nodes [--runs 24]
+    python benchmarks/sweep.py [--runs 24]
 
-`overhead` executes the same runs one after the other in this process, then in a sweep with one worker, and prints the ratio of a
-run's time, and how much of the difference is Ray's start and how much the worker's. `nodes` starts two Ray nodes of one core each
-on this machine, sweeps once undisturbed and once with a node killed half-way, and compares the results: all of them there, and
-equal but for the seconds.
+Starts two Ray nodes of one core each on this machine, sweeps once undisturbed and once with a node killed half-way, and compares
+the results: all of them there, and equal but for the seconds.
 """
 
 from __future__ import annotations
@@ -32,15 +29,14 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 os.environ.setdefault("RAY_AUTH_MODE", "token")
 os.environ.setdefault("RAY_AUTH_TOKEN", secrets.token_hex(32))
 
-from foten.experiments.experiment import Experiment, Method, recording_of
-from foten.experiments.run import execute
+from foten.experiments.experiment import Experiment, Method
 from foten.experiments.sweep import sweep
 
 RAY = shutil.which("ray", path=str(Path(sys.executable).parent)) or "ray"
 HOST, PORT = "127.0.0.2", 6399  # of the loopback, where Ray does not take it for the machine's own address
 
 
-def experiment(n_runs: int, epochs: int) -> Experiment:
+def experiment(n_runs: int) -> Experiment:
     """Quick runs, a split each."""
     return Experiment(
         title="quick runs",
@@ -48,38 +44,8 @@ def experiment(n_runs: int, epochs: int) -> Experiment:
         methods=(Method("fnn"), Method("fnn", name="excited", sizes={"excitation": True})),
         seconds=8,
         split_seeds=tuple(range(1, (n_runs + 1) // 2 + 1)),
-        train={"epochs": epochs},
+        train={"epochs": 2},
         preprocess={"trim_ms": 0.0, "block_ms": 1000.0},
-    )
-
-
-def overhead(arguments: argparse.Namespace) -> None:
-    """Print the time of a run in a plain loop and in a sweep."""
-    long = Experiment(
-        title="runs of some half a minute",
-        textures=("linear-cloth",),
-        methods=(Method("foten"),),
-        seconds=24,
-        split_seeds=tuple(range(1, arguments.runs + 1)),
-        train={"epochs": arguments.epochs},
-        preprocess={"trim_ms": 0.0, "block_ms": 1000.0},
-    )
-    runs = long.runs()
-    execute(runs[0], recording_of(runs[0]))  # what is loaded once is not a run's
-    started = time.perf_counter()
-    for run in runs:
-        execute(run, recording_of(run))
-    plain = (time.perf_counter() - started) / len(runs)
-    with tempfile.TemporaryDirectory() as folder:
-        started = time.perf_counter()
-        done, failed = sweep(long, Path(folder), workers=1)
-        swept = (time.perf_counter() - started) / len(runs)
-        assert (done, failed) == (len(runs), 0)
-        results = (json.loads(path.read_text()) for path in Path(folder).glob("*.json"))
-        within = sum(sum(result["seconds"].values()) for result in results) / len(runs)
-    print(
-        f"{len(runs)} runs: plain loop {plain:.1f} s a run, sweep {swept:.1f} s a run: {swept / plain:.3f} of it; "
-        f"in the worker {within:.1f} s a run, around them {(swept - within) * len(runs):.1f} s in all"
     )
 
 
@@ -103,17 +69,19 @@ def kill(process: subprocess.Popen[bytes]) -> None:
 
 def results_of(folder: Path) -> dict[str, dict[str, Any]]:
     """The results by name, without what no two runs share."""
-    found = {path.name: json.loads(path.read_text()) for path in folder.glob("*.json")}
-    for result in found.values():
+    results = {path.name: json.loads(path.read_text()) for path in folder.glob("*.json")}
+    for result in results.values():
         del result["seconds"]
-    return found
+    return results
 
 
-def nodes(arguments: argparse.Namespace) -> None:
+def main() -> None:
     """Compare a sweep over two nodes with one that loses a node half-way."""
-    asked = experiment(arguments.runs, 2)
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--runs", type=int, default=24)
+    asked = experiment(parser.parse_args().runs)
     n = len(asked.runs())
-    found = []
+    results = []
     for lost in (False, True):
         with (
             tempfile.TemporaryDirectory() as folder,
@@ -131,27 +99,13 @@ def nodes(arguments: argparse.Namespace) -> None:
                 started = time.perf_counter()
                 done, failed = sweep(asked, Path(folder), address=f"{HOST}:{PORT}", say=say)
                 seconds = time.perf_counter() - started
-            found.append(results_of(Path(folder)))
+            results.append(results_of(Path(folder)))
         print(
             f"{'a node lost half-way' if lost else 'undisturbed'}: {done} of {n} runs done, {failed} failed, {seconds:.0f} s"
         )
-    equal = found[0] == found[1]
-    print(f"results {'equal' if equal else 'differ'}, {len(found[1])} of {n} there")
-    sys.exit(0 if equal and len(found[1]) == n else 1)
-
-
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    commands = parser.add_subparsers(required=True)
-    cost = commands.add_parser("overhead")
-    cost.add_argument("--runs", type=int, default=4)
-    cost.add_argument("--epochs", type=int, default=6)
-    cost.set_defaults(command=overhead)
-    loss = commands.add_parser("nodes")
-    loss.add_argument("--runs", type=int, default=24)
-    loss.set_defaults(command=nodes)
-    arguments = parser.parse_args()
-    arguments.command(arguments)
+    equal = results[0] == results[1]
+    print(f"results {'equal' if equal else 'differ'}, {len(results[1])} of {n} there")
+    sys.exit(0 if equal and len(results[1]) == n else 1)
 
 
 if __name__ == "__main__":

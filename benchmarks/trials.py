@@ -21,12 +21,12 @@ its first row in the CSV, another approach is refused; but for the default befor
 from __future__ import annotations
 
 import argparse
-import csv
 import json
 import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass, replace
+from itertools import product
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
@@ -37,6 +37,7 @@ os.environ.setdefault("MKL_NUM_THREADS", "1")
 
 import numpy as np
 
+from bench import parser_of, read_rows, stored, trained, write_rows
 from foten.atomic_write import atomic_write
 from foten.datasets.hdf5 import load_recording, write_recording
 from foten.dsp import Array
@@ -47,8 +48,9 @@ from foten.evaluate.listener import rendering, vibrations
 from foten.evaluate.listener_network import listener_auc
 from foten.models.conditions import MOVING_FORCE, MOVING_SPEED
 from foten.models.foten_plus import fit
-from foten.models.texture_file import read_texture, write_texture
-from foten.models.trainable import recipe_of, train, trainable_sizes
+from foten.models.foten_plus.sizes import FotenPlusSizes
+from foten.models.texture_file import Texture
+from foten.models.trainable import recipe_of
 from foten.recording.preprocess import PreprocessConfig, fitting_cut, preprocess
 from foten.recording.recording import Recording
 from foten.recording.trace import Trace
@@ -59,7 +61,6 @@ from foten.simulation.simulate import LINEAR_RATE_HZ, TEXTURES, simulate, simula
 from foten.simulation.stroking import Stroking, stepped_stroking, stroking
 from foten.simulation.two_mass_contact import TWO_MASS
 from foten.training.job import TrainingJob, shortest_block
-from result_table import write_rows
 
 SECONDS, LONG_S = 64.0, 240.0
 SURFACES = {
@@ -158,21 +159,21 @@ def still_hand(seed: int, rate_hz: float) -> Stroking:
 
 def strokes_of(trial: Trial, still: bool = False) -> list[Trace]:
     """The true realisations of the long stroke of a trial's hand, preprocessed; simulated once."""
-    path = trial.path("held" if still else "strokes", ".npz")
-    if not path.is_file():
+
+    def simulated() -> dict[str, Any]:
         _, hand, noise, _ = SEEDS[trial.half, trial.fit]
         rate = LINEAR_RATE_HZ if trial.surface.startswith("linear-") else RATE_HZ
         stroke = still_hand(hand, rate) if still else quickened(trial, hand, rate)
-        made = [
+        traces = [
             preprocess(simulate_stroke(trial.surface, stroke, seed), PreprocessConfig(dft321_ms=trial.dft321_ms))
             for seed in range(noise, noise + N_TRUE * SEED_STEP, SEED_STEP)
         ]
-        arrays = {f"{name}{k}": getattr(trace, name) for k, trace in enumerate(made) for name in CHANNELS}
-        with atomic_write(path) as part, part.open("wb") as file:
-            np.savez(file, rate_hz=made[0].rate_hz, **arrays)
-    with np.load(path) as known:
-        channels = ([known[f"{name}{k}"] for name in CHANNELS] for k in range(N_TRUE))
-        return [Trace(*channel, float(known["rate_hz"]), len(channel[0])) for channel in channels]
+        arrays = {f"{name}{k}": getattr(trace, name) for k, trace in enumerate(traces) for name in CHANNELS}
+        return {"rate_hz": traces[0].rate_hz, **arrays}
+
+    arrays = stored(trial.path("held" if still else "strokes", ".npz"), simulated)
+    channels = ([arrays[f"{name}{k}"] for name in CHANNELS] for k in range(N_TRUE))
+    return [Trace(*channel, float(arrays["rate_hz"]), len(channel[0])) for channel in channels]
 
 
 def control_of(trial: Trial, kind: str, true: Sequence[Trace]) -> float:
@@ -195,49 +196,48 @@ def listener_area(trial: Trial, kind: str, true: Trace, other: Trace) -> float:
     return listener_auc(*shown, seed=SEEDS[trial.half, trial.fit][-1])
 
 
+def texture_of(trial: Trial) -> Texture:
+    """Texture of a trial, trained unless it is in the folder already."""
+
+    def job() -> TrainingJob:
+        seed, *_ = SEEDS[trial.half, trial.fit]
+        config = recipe_of("foten-plus", **{"threads": 1, "seed": seed, "epochs": 0, **json.loads(trial.settings)})
+        recording, sizes = recording_of(trial), FotenPlusSizes()
+        trim_ms, block_ms = fitting_cut(recording, shortest_block(sizes.window))
+        cut = PreprocessConfig(trim_ms=trim_ms, block_ms=block_ms, dft321_ms=trial.dft321_ms)
+        return TrainingJob(recording, "foten-plus", sizes, config, cut, split_seed=seed)
+
+    return trained(trial.folder / trial.approach / f"{trial.surface}-{trial.fit}.foten", job)
+
+
 def judge(trial: Trial, kinds: Sequence[str]) -> dict[str, str]:
-    """The row of a trial by kinds of listeners: trained, unless its texture is in the folder already, and judged."""
+    """The row of a trial by kinds of listeners."""
     import torch
 
-    torch.set_num_threads(1)
+    torch.set_num_threads(1)  # of listeners too
     for part in trial.without:
         for name, instead in PARTS[part].items():
             setattr(fit, name, instead)
-    seed, *_, listener_seed = SEEDS[trial.half, trial.fit]
-    path = trial.folder / trial.approach / f"{trial.surface}-{trial.fit}.foten"
-    if not path.is_file():
-        path.parent.mkdir(parents=True, exist_ok=True)
-        config = recipe_of("foten-plus", **{"threads": 1, "seed": seed, "epochs": 0, **json.loads(trial.settings)})
-        recording, sizes = recording_of(trial), trainable_sizes("foten-plus", {})
-        trim_ms, block_ms = fitting_cut(recording, shortest_block(sizes.window))
-        cut = PreprocessConfig(trim_ms=trim_ms, block_ms=block_ms, dft321_ms=trial.dft321_ms)
-        job = TrainingJob(recording, "foten-plus", sizes, config, cut, split_seed=seed)
-        write_texture(train(job).texture, path)
-    texture, true = read_texture(path), strokes_of(trial)
-    kernel = NativeTexture(texture.to_bytes())
+    texture, true = texture_of(trial), strokes_of(trial)
+    kernel, seed = NativeTexture(texture.to_bytes()), SEEDS[trial.half, trial.fit][-1]
 
     def rendered(under: Trace, k: int = 0) -> Trace:
-        return replace(under, acceleration=rendering(kernel, under, listener_seed + 10 * k))
+        return replace(under, acceleration=rendering(kernel, under, seed + 10 * k))
 
     runs = [rendered(true[0], k) for k in range(N_RENDERED)]
     figures = level_figures(true, runs)
     for kind in kinds:
-        of_kind, run = (
-            (true, runs[0]) if kind != "still" else ((held := strokes_of(trial, still=True)), rendered(held[0]))
-        )
-        figures |= {
-            kind: listener_area(trial, kind, of_kind[0], run),
-            f"{kind}_control": control_of(trial, kind, of_kind),
-        }
+        of_kind = strokes_of(trial, still=True) if kind == "still" else true
+        run = rendered(of_kind[0]) if kind == "still" else runs[0]
+        figures[kind] = listener_area(trial, kind, of_kind[0], run)
+        figures[f"{kind}_control"] = control_of(trial, kind, of_kind)
     if set(kinds) == set(LISTENERS):
         figures["known_levels"] = known_levels(trial, true, runs)
     columns = {name: f"{value:.{2 if name.endswith('_db') else 3}f}" for name, value in figures.items()}
     sizes = texture.sizes
-    return {
-        **trial.row,
-        **columns,
-        "recorded": ("path" if sizes.along_path else "time") if getattr(sizes, "recorded", False) else "no",
-    }
+    assert isinstance(sizes, FotenPlusSizes)
+    played = "no" if not sizes.recorded else "path" if sizes.along_path else "time"
+    return {**trial.row, **columns, "recorded": played}
 
 
 def known_levels(trial: Trial, true: Sequence[Trace], rendered: Sequence[Trace]) -> float:
@@ -293,14 +293,38 @@ def level_figures(true: Sequence[Trace], rendered: Sequence[Trace]) -> dict[str,
     return figures
 
 
+def trials_of(options: argparse.Namespace, rows: Sequence[Mapping[str, str]]) -> list[Trial]:
+    """The trials that the rows lack.
+
+    Raises:
+        ValueError: the half was judged already.
+    """
+    changes = {
+        f"hand of {options.quickness:g} times the speed": options.quickness != 1,
+        f"DFT321 in windows of {options.dft321_ms:g} ms": options.dft321_ms,
+        f"{options.seconds:g} s": options.seconds != SECONDS,
+    }
+    name = ", ".join([options.approach, *(text for text, is_changed in changes.items() if is_changed)])
+    judged = {row["approach"] for row in rows if row["half"] == options.half} - {name}
+    if options.half == "new kept":
+        judged = judged - {BEFORE} if name != BEFORE else set()
+    if options.half.endswith("kept") and judged:
+        raise ValueError(f"the {options.half} half was judged already, with {', '.join(judged)}: it can be judged once")
+    changed = tuple(options.without), options.settings, options.seconds, options.dft321_ms, options.quickness
+    surfaces = options.surfaces or SURFACES[options.half]
+    trials = (Trial(name, options.half, key, n, options.folder, *changed) for n in options.fits for key in surfaces)
+    done = [{key: row[key] for key in KEYS} for row in rows]
+    return [trial for trial in trials if trial.row not in done]
+
+
 def main() -> None:
     """Run the trials that the table lacks, and print its means."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = parser_of(__doc__)
+    parser.set_defaults(csv=Path("docs/results/trials.csv"))
     parser.add_argument("approach", help="its name in the table")
     parser.add_argument("--half", choices=tuple(SURFACES), default="choosing")
     parser.add_argument("--fits", type=int, nargs="+", default=[1, 2], choices=(1, 2))
     parser.add_argument("--surfaces", nargs="+", help="some of the half's")
-    parser.add_argument("--csv", type=Path, default=Path("docs/results/trials.csv"))
     parser.add_argument("--folder", type=Path, default=Path("build/trials"))
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--without", nargs="+", default=[], choices=tuple(PARTS))
@@ -312,46 +336,27 @@ def main() -> None:
     parser.add_argument("--quickness", type=float, default=1.0, help="of the hand that listens")
     parser.add_argument("--listeners", nargs="+", default=list(LISTENERS), choices=tuple(LISTENERS))
     options = parser.parse_args()
-    changes = {
-        f"hand of {options.quickness:g} times the speed": options.quickness != 1,
-        f"DFT321 in windows of {options.dft321_ms:g} ms": options.dft321_ms,
-        f"{options.seconds:g} s": options.seconds != SECONDS,
-    }
-    name = ", ".join([options.approach, *(text for text, is_changed in changes.items() if is_changed)])
-    rows: list[dict[str, str]] = list(csv.DictReader(options.csv.open())) if options.csv.is_file() else []
-    judged = {row["approach"] for row in rows if row["half"] == options.half} - {name}
-    if options.half == "new kept":
-        judged = judged - {BEFORE} if name != BEFORE else set()
-    if options.half.endswith("kept") and judged:
-        parser.error(f"the {options.half} half was judged already, with {', '.join(judged)}: it can be judged once")
-    done = [{name: row[name] for name in KEYS} for row in rows]
-    surfaces = options.surfaces or SURFACES[options.half]
-    changed = options.settings, options.seconds, options.dft321_ms, options.quickness
-    trials = [
-        Trial(name, options.half, key, fit, options.folder, tuple(options.without), *changed)
-        for fit in options.fits
-        for key in surfaces
-    ]
-    trials = [trial for trial in trials if trial.row not in done]
+    rows = read_rows(options.csv)
+    try:
+        trials = trials_of(options, rows)
+    except ValueError as error:
+        parser.error(str(error))
     with ProcessPoolExecutor(options.workers, get_context("spawn")) as pool:
-        for n, ready in enumerate(
-            as_completed([pool.submit(judge, trial, options.listeners) for trial in trials]), start=1
-        ):
+        for n, ready in enumerate(as_completed([pool.submit(judge, one, options.listeners) for one in trials]), 1):
             rows.append(ready.result())
             print(f"{n}/{len(trials)} {json.dumps(rows[-1])}", flush=True)
             write_rows(rows, options.csv)
-    for approach in dict.fromkeys(row["approach"] for row in rows if row["half"] == options.half):
-        of_it = [row for row in rows if (row["approach"], row["half"]) == (approach, options.half)]
-        for linear in (False, True):
-            some = [row for row in of_it if row["surface"].startswith("linear-") == linear]
-            if some:
-                print(f"{approach:24s} {'linear' if linear else 'contact':8s} n {len(some):2d}", *means(some))
+    print_means([row for row in rows if row["half"] == options.half])
 
 
-def means(rows: Sequence[dict[str, str]]) -> list[str]:
-    """Means of the figures of some rows."""
-    named = [name for name in rows[0] if name not in (*KEYS, "recorded")]
-    return [f"{name} {np.mean([float(row[name]) for row in rows if row[name]]):.3f}" for name in named]
+def print_means(rows: Sequence[Mapping[str, str]]) -> None:
+    """Print the means of the figures of each approach, over surfaces of contact and over linear processes."""
+    named = [name for name in (rows[0] if rows else ()) if name not in (*KEYS, "recorded")]
+    for approach, linear in product(dict.fromkeys(row["approach"] for row in rows), (False, True)):
+        of_it = [row for row in rows if row["approach"] == approach and row["surface"].startswith("linear-") == linear]
+        if of_it:
+            means = (f"{name} {np.mean([float(row[name]) for row in of_it if row[name]]):.3f}" for name in named)
+            print(f"{approach:24s} {'linear' if linear else 'contact':8s} n {len(of_it):2d}", *means)
 
 
 if __name__ == "__main__":

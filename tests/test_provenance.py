@@ -1,9 +1,10 @@
-"""Results know their code: whose source counts, what is run again, and what is not put into one table."""
+"""Results know their code: its version, what is run again, and what is not put into one table."""
 
 from __future__ import annotations
 
-import copy
 import json
+import subprocess
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -14,94 +15,55 @@ from conftest import TINY, experiment
 from foten.cli.command_line import _status
 from foten.experiments import sweep as sweeping
 from foten.experiments.experiment import read_experiment
-from foten.experiments.provenance import KERNEL, Provenance, closure, platform_here, provenance_of, sources_of
+from foten.experiments.provenance import SOURCES, code_here, platform_here
 from foten.experiments.results import check_alike, joined, mixture, read_records, read_results, records_of, runs_table
 from foten.experiments.sweep import lacking, planned
-from foten.models.trainable import TRAINABLE
-
-ROOT = Path(foten.__file__).parent
-PACKAGE = {
-    "__init__": "",
-    "run": "from package.dispatch import fit\n",
-    "dispatch": "from package import filters\ndef fit(model):\n    if model == 'a':\n        import package.models.a\n"
-    "    else:\n        import package.models.b\n",
-    "filters": "import typing\nif typing.TYPE_CHECKING:\n    import package.drawing\nelse:\n    import package.values\n"
-    "def resample():\n    import package.rates\n",
-    "models/__init__": "",
-    "models/a": "import package.lattice\n",
-    "models/b": "import package.network\n",
-    **dict.fromkeys(("drawing", "values", "rates", "lattice", "network"), "SIZE = 1\n"),
-}
 
 
 @pytest.fixture
-def root(tmp_path: Path) -> Path:
-    """A package whose runs load one of two models when they are asked to."""
-    for name, text in PACKAGE.items():
-        path = tmp_path / "package" / f"{name}.py"
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(text)
-    return tmp_path / "package"
+def checkout(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """A repository that the package lies in."""
+    for folder in SOURCES:
+        (tmp_path / folder).mkdir(parents=True)
+        (tmp_path / folder / "__init__.py").write_text("SIZE = 1\n")
+    for command in (["init", "--quiet"], ["add", "."], ["commit", "--quiet", "--message", "A version"]):
+        subprocess.run(["git", "-C", tmp_path, "-c", "user.name=a", "-c", "user.email=a@b", *command], check=True)
+    monkeypatch.setattr(foten, "__file__", str(tmp_path / SOURCES[0] / "__init__.py"))
+    code_here.cache_clear()
+    yield tmp_path
+    code_here.cache_clear()
 
 
-def test_a_closure_has_what_a_run_imports_and_no_other_model(root: Path) -> None:
-    modules = closure(["package.run", "package.models.a"], root, others={"package.models.b"})
-    names = ("", ".run", ".dispatch", ".filters", ".values", ".rates", ".models", ".models.a", ".lattice")
-    assert set(modules) == {f"package{name}" for name in names}  # not what type checkers alone see
-    both = closure(["package.run"], root)
-    assert {"package.models.a", "package.models.b", "package.network"} <= set(both)
-    assert modules["package.models"] == root / "models" / "__init__.py"
+def code() -> str:
+    code_here.cache_clear()
+    return code_here()
 
 
-def test_what_is_imported_at_once_counts_whoever_it_belongs_to(root: Path) -> None:
-    (root / "dispatch.py").write_text("from package.models import a, b\n")
-    assert "package.network" in closure(["package.run"], root, others={"package.models.b"})
+def test_the_code_of_a_result_is_what_git_says_of_its_folders(checkout: Path) -> None:
+    command = ["git", "-C", checkout, "rev-parse", *(f"HEAD:{folder}" for folder in SOURCES)]
+    trees = subprocess.run(command, check=True, capture_output=True, text=True).stdout.split()
+    committed = code()
+    assert committed == ", ".join(f"{folder} {tree[:12]}" for folder, tree in zip(SOURCES, trees, strict=True))
+    (checkout / "README.md").write_text("Not of a result.")
+    assert code() == committed
+    codes = {committed}
+    for name, text in (("__init__.py", "SIZE = 2\n"), ("__init__.py", "SIZE = 3\n"), ("other.py", "SIZE = 2\n")):
+        (checkout / SOURCES[1] / name).write_text(text)
+        assert code().startswith(f"{committed}, modified ")
+        codes.add(code())
+    assert len(codes) == 4  # a sweep in a changed checkout does not go on as if nothing had changed since
 
 
-def test_a_run_depends_on_its_measures_and_not_on_rest() -> None:
-    sources = sources_of("foten", ())
-    assert {"foten", "foten.experiments.run", "foten.models.foten.network", "foten.dsp.filters"} <= set(sources)
-    assert [name.partition(".")[0] for name in sources if name.startswith(KERNEL)] == [
-        "kernel/libfoten",
-        "kernel/libfoten_training",
-    ]
-    rest = {"foten.experiments.stability", "foten.evaluate.listener_network"}
-    rest |= {"foten.experiments.sweep", "foten.experiments.method_tables", "foten.reporting.table", "foten.study.store"}
-    assert not rest & set(sources)
-    assert set(sources_of("foten", ("stability",))) - set(sources) == {"foten.experiments.stability"}
-    assert "foten.evaluate.listener_network" in sources_of("foten", ("listener",))
-    for model in TRAINABLE:
-        assert "foten.evaluate.listener_network" not in sources_of(model, ())
-
-
-def test_a_run_reads_no_file_of_the_package_but_sources_and_the_kernel() -> None:
-    """A module that names a file beside it would be one more dependency; this one lists experiments."""
-    sources = sources_of("foten-plus", ("stability", "onset", "listener"))
-    modules = closure((name for name in sources if not name.startswith(KERNEL)), ROOT)
-    reading = {name for name, path in modules.items() if "__file__" in path.read_text(encoding="utf-8")}
-    assert reading == {"foten.experiments.experiment"}
-
-
-def test_a_source_within_the_closure_changes_the_digest_and_one_outside_does_not(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
-    run = read_experiment(experiment(tmp_path)).runs()[0]
-    changed: set[Path] = set()
-    read = Path.read_bytes
-    monkeypatch.setattr(Path, "read_bytes", lambda path: read(path) + b"\n# changed" * (path in changed))
-
-    def provenance() -> Provenance:
-        sources_of.cache_clear()
-        return provenance_of(run, "0" * 64)
-
-    before = provenance()
-    changed.add(ROOT / "experiments" / "method_tables.py")
-    assert provenance() == before
-    changed.add(ROOT / "dsp" / "filters.py")
-    after = provenance()
-    assert (after.code != before.code, after.name) == (True, before.name)
-    assert after.differences(before.to_json()) == ["code (foten.dsp.filters)"]
-    sources_of.cache_clear()
+def test_what_is_installed_has_a_version_and_no_checkout(checkout: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Within another repository too, as in an environment that lies in one; and where there is no git."""
+    expected = f"{foten.__version__}, no checkout"
+    (checkout / "site" / "foten").mkdir(parents=True)
+    monkeypatch.setattr(foten, "__file__", str(checkout / "site" / "foten" / "__init__.py"))
+    assert code() == expected
+    monkeypatch.setattr(foten, "__file__", str(checkout / SOURCES[0] / "__init__.py"))
+    assert code() != expected
+    monkeypatch.setenv("PATH", "")
+    assert code() == expected
 
 
 @pytest.fixture(scope="module")
@@ -133,7 +95,7 @@ def changed(path: Path, **provenance: Any) -> None:
     path.write_text(json.dumps(content))
 
 
-OTHER = {"code": "0", "sources": {"foten.dsp.filters": "0"}}
+OTHER = {"code": "src/foten 0, native 0"}
 
 
 def test_a_sweep_goes_on_with_what_is_alike_in_all_and_says_why_the_rest_is_run_again(folder: Path) -> None:
@@ -141,14 +103,13 @@ def test_a_sweep_goes_on_with_what_is_alike_in_all_and_says_why_the_rest_is_run_
     lines: list[str] = []
     assert lacking(plan, folder, [platform_here()], lines.append) == []
     assert lines == []
-    sources = {**plan[0].provenance.sources, "foten.dsp.filters": "0"}
-    changed(plan[0].path, sources=sources)
-    changed(plan[2].path, sources=sources)
+    changed(plan[0].path, **OTHER)
+    changed(plan[2].path, **OTHER)
     abacus = {**plan[1].provenance.platform, "kernel": "abacus"}
     changed(plan[1].path, platform=abacus)
     assert lacking(plan, folder, [platform_here()], lines.append) == plan[:3]
     assert lines == [
-        "FNN [13], linear-cloth, split 1 and 1 more: run again, as the result is of other code (foten.dsp.filters)",
+        "FNN [13], linear-cloth, split 1 and 1 more: run again, as the result is of other code",
         "excited, linear-cloth, split 1: run again, as the result is of other platform (kernel)",
     ]
     # On a cluster a result of the platform of any node may stay.
@@ -206,7 +167,7 @@ def test_a_result_of_other_data_or_settings_stays_until_the_new_one_is_there(
     assert [item.replaces for item in waiting] == [None] * 4  # what is of another experiment is not deleted
 
 
-@pytest.mark.parametrize(("other", "what"), [(OTHER, "code (foten.dsp.filters)"), ({"platform": {}}, "platform")])
+@pytest.mark.parametrize(("other", "what"), [(OTHER, "code"), ({"platform": {}}, "platform")])
 def test_results_of_different_code_or_platform_are_mixed_only_when_allowed(
     folder: Path, capsys: pytest.CaptureFixture[str], other: dict[str, Any], what: str
 ) -> None:
@@ -221,28 +182,29 @@ def test_results_of_different_code_or_platform_are_mixed_only_when_allowed(
     assert _status(["tables", str(folder), "--mixed", "-o", str(tables)]) == 0
     assert f"differ in {what}." in (tables / "findings.md").read_text()
     capsys.readouterr()
-    # What was written of them is refused too, for one model and the same measures have one digest.
     assert _status(["tables", str(tables / "runs.csv")]) == 2
     assert "allow it by --mixed" in capsys.readouterr().err
     assert len(results) == 4
 
 
-def test_runs_of_two_models_have_different_digests_and_are_alike(folder: Path) -> None:
-    """Modules that both import are compared, and of a `runs.csv` the digests of one model; documents of before have none."""
+def test_runs_of_before_are_compared_with_those_of_their_model(folder: Path) -> None:
+    """Whose digests are of what one model and its measures import; a version is of all, and documents of before have none."""
     records = records_of(read_results(folder))
-    other = copy.deepcopy(records[0]) | {"model": "foten", "method": "FoTEN", "code": "other"}
-    other["sources"] = {"foten.of_another_model": "1"}
-    check_alike([*records, other])
-    other["sources"]["foten.dsp.filters"] = "2"
-    with pytest.raises(ValueError, match=r"'FNN .*' and 'FoTEN .*' differ in code \(foten\.dsp\.filters\)"):
-        check_alike([*records, other])
+    foten_run = {**records[0], "model": "foten", "method": "FoTEN"}
+    with pytest.raises(ValueError, match=r"'FNN .*' and 'FoTEN .*' differ in code: run the sweep again"):
+        check_alike([*records, {**foten_run, **OTHER}])
+    before = [record | {"code": "0123456789abcdef"} for record in records]
+    other = {**foten_run, "code": "fedcba9876543210"}
+    check_alike([*before, other])
+    with pytest.raises(ValueError, match=r"differ in code \(of fnn\)"):
+        check_alike([*before[:3], records[3]])
     path = folder.parent / "runs.csv"
-    runs_table([*records, other]).write(path)
+    runs_table([*before, other]).write(path)
     again = read_records(path)
     assert len(joined([again])) == 5
     with pytest.raises(ValueError, match=r"differ in code \(of fnn\)"):
-        joined([[*again[:3], {**again[3], "code": "3"}]])
-    both = [*again, *({**one, "code": "3"} for one in again[2:])]
+        joined([[*again[:3], {**again[3], "code": "3" * 16}]])
+    both = [*again, *({**one, "code": "3" * 16} for one in again[2:])]
     assert mixture(both) == "runs of other code than most of their model: fnn 2 of 6, foten 1 of 2"
     assert mixture(both[::-1]) == "runs of other code than most of their model: foten 1 of 2, fnn 2 of 6"
     with pytest.raises(ValueError, match=r"FNN .* on .*, split 1, is there of two recordings"):

@@ -10,7 +10,7 @@ import importlib
 from collections.abc import Sequence
 from itertools import permutations
 from pathlib import Path
-from types import ModuleType
+from types import ModuleType, SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -20,7 +20,7 @@ from PIL import Image
 
 from foten.experiments.experiment import experiment_path, read_experiment
 from foten.experiments.figures import convergence
-from foten.experiments.method_tables import OF_BLOCKS
+from foten.experiments.method_tables import BY_RECIPE, OF_BLOCKS, findings
 from foten.recording.preprocess import PreprocessConfig, preprocess
 from foten.simulation.simulate import simulate
 
@@ -45,17 +45,21 @@ def made_by(name: str) -> ModuleType:
         return importlib.import_module(name)
 
 
-@pytest.fixture
-def tables() -> ModuleType:
-    return made_by("paper_tables")
+PAPER_MODULES = ("csv_records", "paper_findings", "paper_tables")
 
 
 @pytest.fixture
-def runs(tables: ModuleType, monkeypatch: pytest.MonkeyPatch) -> Runs:
+def tables() -> SimpleNamespace:
+    """Functions of the modules that make *Compared systems*."""
+    return SimpleNamespace(**{name: value for of in map(made_by, PAPER_MODULES) for name, value in vars(of).items()})
+
+
+@pytest.fixture
+def runs(tables: SimpleNamespace, monkeypatch: pytest.MonkeyPatch) -> Runs:
     """Runs by experiment, none at first, which the tables are made of."""
-    of: Runs = {name: [] for name in (*made_by("csv_records").FULL_LENGTH, *tables.OTHER_DATA.values())}
-    monkeypatch.setattr(tables, "runs_of", lambda name: of[name])
-    monkeypatch.setattr(tables, "records_of", lambda name: of[name])
+    of: Runs = {name: [] for name in (*tables.FULL_LENGTH, *tables.OTHER_DATA.values())}
+    for read in ("runs_of", "records_of"):
+        monkeypatch.setattr(made_by("csv_records"), read, lambda name: of[name])
     return of
 
 
@@ -85,7 +89,9 @@ def tuned(textures: Sequence[str], by: float = 1.0, **more: Any) -> list[dict[st
     return [*of_systems(textures, by, **more), *of_excited]
 
 
-def test_tuned_runs_are_no_rows_of_table_1_before_they_have_all_its_textures(tables: ModuleType, runs: Runs) -> None:
+def test_tuned_runs_are_no_rows_of_table_1_before_they_have_all_its_textures(
+    tables: SimpleNamespace, runs: Runs
+) -> None:
     """Else the table would be of fewer textures than were measured."""
     runs["table-1"] = of_systems(TEXTURES[:3])
     runs["table-1-tuned"] = tuned(TEXTURES[:2], by=0.5)
@@ -107,7 +113,7 @@ def test_tuned_runs_are_no_rows_of_table_1_before_they_have_all_its_textures(tab
     assert {record["recipe"] for record in shown} == {"the paper's", "its own"}
 
 
-def test_a_texture_that_a_system_lacks_is_in_no_row(tables: ModuleType, runs: Runs) -> None:
+def test_a_texture_that_a_system_lacks_is_in_no_row(tables: SimpleNamespace, runs: Runs) -> None:
     runs["table-1"] = of_systems(TEXTURES[:3])[:-1]
     assert {record["texture"] for record in tables.table_1()} == {*TEXTURES[:2]}
     runs["table-1"] = [one for one in of_systems(TEXTURES) if one["model"] != "dstn"]  # whose runs come later
@@ -117,7 +123,7 @@ def test_a_texture_that_a_system_lacks_is_in_no_row(tables: ModuleType, runs: Ru
     assert tables.so_far() == "All 12 textures have both recipes."
 
 
-def test_ranks_agree_with_the_papers_or_are_its_reverse(tables: ModuleType, runs: Runs) -> None:
+def test_ranks_agree_with_the_papers_or_are_its_reverse(tables: SimpleNamespace, runs: Runs) -> None:
     """Errors are in the paper's order, and a GFC of 1 − error too; errors in m/s² are the other way round."""
     runs["table-1"] = of_systems(TEXTURES)
     for one in runs["table-1"]:
@@ -137,7 +143,7 @@ def test_ranks_agree_with_the_papers_or_are_its_reverse(tables: ModuleType, runs
     assert tables.orders().rows[-1] == ("one-step GFC", "5", "4", "2", "2", "–", "2", "+0.9")
 
 
-def test_systems_have_one_order_by_whichever_recipe_they_are_shown(tables: ModuleType, runs: Runs) -> None:
+def test_systems_have_one_order_by_whichever_recipe_they_are_shown(tables: SimpleNamespace, runs: Runs) -> None:
     runs["table-1"] = of_systems(TEXTURES)
     better = ("FNN [13]", "FoTEN")
     runs["table-1-tuned"] = [
@@ -148,11 +154,11 @@ def test_systems_have_one_order_by_whichever_recipe_they_are_shown(tables: Modul
     assert [*shown] == [*others, "FoTEN with excitation", "foten-plus (ours)"]
     assert {name for name, recipe in shown.items() if recipe == "tuned"} == {*better, "FoTEN with excitation"}
     runs["table-1-tuned"] = tuned(TEXTURES)  # as with piecewise AR, which has no recipe
-    assert not [line for line in tables.findings(tables.table_1()) if tables.BY_RECIPE in line]
+    assert not [line for line in findings(tables.table_1()) if BY_RECIPE in line]
 
 
 def test_systems_stand_beside_the_best_ar_and_their_neighbours_with_what_chance_does(
-    tables: ModuleType, runs: Runs
+    tables: SimpleNamespace, runs: Runs
 ) -> None:
     """The exact p of twelve differences of one sign is 2/2¹²; after Holm it is as many times that as there are systems."""
     linear = {"references.ar_best.mae_scaled": 0.28}
@@ -187,7 +193,7 @@ def test_systems_stand_beside_the_best_ar_and_their_neighbours_with_what_chance_
     assert tables.neighbours(of_systems(TEXTURES[:5])) == ""  # no p of five textures is below 0.05
 
 
-def test_near_systems_are_compared_on_all_recordings_of_a_texture(tables: ModuleType, runs: Runs) -> None:
+def test_near_systems_are_compared_on_all_recordings_of_a_texture(tables: SimpleNamespace, runs: Runs) -> None:
     def of_split(split: int) -> list[dict[str, Any]]:
         pairs = (("FNN [13]", 0.3 + 0.2 * (split == 3)), ("LDHTD [20]", 0.4))
         return [
@@ -214,7 +220,7 @@ def test_near_systems_are_compared_on_all_recordings_of_a_texture(tables: Module
     assert "FNN [13] is ahead of LDHTD [20] on 12 (p 0.031)" in text  # of six means of one sign, 2 / 2⁶
 
 
-def test_systems_with_a_change_stand_beside_the_same_recordings_before(tables: ModuleType, runs: Runs) -> None:
+def test_systems_with_a_change_stand_beside_the_same_recordings_before(tables: SimpleNamespace, runs: Runs) -> None:
     runs["table-1-tuned"] = tuned(TEXTURES)
     assert tables.changed().rows == ()
     changes = {"FoTEN, twice the epochs": 48, "FoTEN, DSTN's window": 24}
@@ -247,7 +253,7 @@ def test_systems_with_a_change_stand_beside_the_same_recordings_before(tables: M
     )
 
 
-def test_real_recordings_are_compared_on_splits_that_all_systems_have(tables: ModuleType, runs: Runs) -> None:
+def test_real_recordings_are_compared_on_splits_that_all_systems_have(tables: SimpleNamespace, runs: Runs) -> None:
     assert tables.on_real() == ""
     systems = [(name, recipe) for name in ERRORS for recipe in ("paper", "tuned") if not name.startswith("GAN")]
     systems = [(name, "" if MODELS[name] in ("ar", "foten-plus") else recipe) for name, recipe in systems]
@@ -273,7 +279,7 @@ def test_real_recordings_are_compared_on_splits_that_all_systems_have(tables: Mo
     assert tables.on_real() == "Means over the 7 of 8 splits that all systems have."
 
 
-def test_cells_that_were_made_anew_have_every_figure_of_the_table(tables: ModuleType) -> None:
+def test_cells_that_were_made_anew_have_every_figure_of_the_table(tables: SimpleNamespace) -> None:
     """Ten runs of `table-1`, from a clone, by somebody who had only the page *Reproduce*: equal to four digits."""
     published = {(one["experiment"], *tables.place_of(one)): one for one in tables.records_of("paper")}
     anew = [one for one in tables.records_of("made-anew") if "avx512" in one["platform"]]  # as the table
@@ -288,7 +294,7 @@ def test_cells_that_were_made_anew_have_every_figure_of_the_table(tables: Module
 
 
 @pytest.mark.parametrize("name", ["table-1", "table-1-tuned", "table-1-near", "table-2", "main-contact"])
-def test_all_runs_of_a_texture_and_a_split_are_of_the_same_recording(tables: ModuleType, name: str) -> None:
+def test_all_runs_of_a_texture_and_a_split_are_of_the_same_recording(tables: SimpleNamespace, name: str) -> None:
     """Its hash may differ, as between instruction sets; what does not depend on the method is equal to four digits."""
     places: dict[tuple[str, float], dict[str, float]] = {}
     n_compared = 0
@@ -303,7 +309,7 @@ def test_all_runs_of_a_texture_and_a_split_are_of_the_same_recording(tables: Mod
     assert n_compared > 5 * (len(tables.runs_of(name)) - len(places))
 
 
-def test_a_linear_predictor_counts_once_for_all_runs_on_a_recording(tables: ModuleType, runs: Runs) -> None:
+def test_a_linear_predictor_counts_once_for_all_runs_on_a_recording(tables: SimpleNamespace, runs: Runs) -> None:
     linear = {"references.ar.mae_scaled": 0.9, "references.ar.gfc": 0.99}
     runs["table-1"] = of_systems(TEXTURES)
     runs["table-1"][0] |= linear
@@ -312,7 +318,7 @@ def test_a_linear_predictor_counts_once_for_all_runs_on_a_recording(tables: Modu
     assert tables.pairs().rows == once
 
 
-def test_a_start_is_forgotten_by_runs_that_are_heard(tables: ModuleType) -> None:
+def test_a_start_is_forgotten_by_runs_that_are_heard(tables: SimpleNamespace) -> None:
     def shown(*of: tuple[float, float | None]) -> str:
         row = {"warm_start.synthesised.mae_scaled": 0.5}
         records = [
@@ -327,7 +333,7 @@ def test_a_start_is_forgotten_by_runs_that_are_heard(tables: ModuleType) -> None
 
 
 def test_what_is_quicker_is_quicker_by_a_tenth_and_measured(
-    tables: ModuleType, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+    tables: SimpleNamespace, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     monkeypatch.setattr(made_by("csv_records"), "RESULTS", tmp_path)
     on_cpu = {"dstn": "91,5", "ldhtd": "89,20", "gan": "10,8.9", "foten": "100,10"}
@@ -345,7 +351,7 @@ def test_what_is_quicker_is_quicker_by_a_tenth_and_measured(
 
 
 def test_what_does_not_forget_is_named_with_its_network(monkeypatch: pytest.MonkeyPatch) -> None:
-    tables = made_by("tables")
+    tables = made_by("main_tables")
     watched = {"stability.max_sd": 9.0, "random_part": "recorded"}
     of = {
         "main-contact": [
@@ -367,11 +373,9 @@ def test_every_run_is_of_a_known_version_or_another(monkeypatch: pytest.MonkeyPa
     tables = made_by("tables")
     (first, codes), (second, later), *_ = tables.VERSIONS.items()
     runs = {"table-1": [{"code": code} for code in (*codes, *later)], "main-linear": [{"code": "of no version"}]}
-    for read in ("runs_of", "records_of"):
-        monkeypatch.setattr(tables, read, lambda name: runs.get(name, []))
-    monkeypatch.setattr(
-        tables, "csv_rows", lambda name: [{"code": code} for code in codes] if name == "efficiency" else []
-    )
+    monkeypatch.setattr(tables, "runs_of", lambda name: runs.get(name, []))
+    of_table_3 = {"efficiency": [{"code": code} for code in codes]}
+    monkeypatch.setattr(made_by("csv_records"), "csv_rows", lambda name: of_table_3.get(name, []))
     n = len(codes) + len(later)
     assert tables.versions().cells()[1:] == [
         [first, f"`table-1` ({len(codes)} of {n}), Table III on the CPU"],
@@ -380,7 +384,7 @@ def test_every_run_is_of_a_known_version_or_another(monkeypatch: pytest.MonkeyPa
     ]
 
 
-def test_an_order_by_the_papers_recipe_stands_beside_that_by_the_better(tables: ModuleType, runs: Runs) -> None:
+def test_an_order_by_the_papers_recipe_stands_beside_that_by_the_better(tables: SimpleNamespace, runs: Runs) -> None:
     """Tuned errors are all lower, and in the reverse order."""
     runs["table-1"] = of_systems(TEXTURES)
     runs["table-1-tuned"] = [
@@ -391,7 +395,9 @@ def test_an_order_by_the_papers_recipe_stands_beside_that_by_the_better(tables: 
     assert (of["one step, the paper's recipe for all [sd]"], of["one step [sd]"]) == ("+1.0", "-1.0")
 
 
-def test_an_error_that_is_a_power_of_the_gfcs_lack_is_found_at_the_papers_gfc(tables: ModuleType, runs: Runs) -> None:
+def test_an_error_that_is_a_power_of_the_gfcs_lack_is_found_at_the_papers_gfc(
+    tables: SimpleNamespace, runs: Runs
+) -> None:
     runs["table-1"] = of_systems(TEXTURES)
     for one in runs["table-1"]:
         if "one_step.gfc" in one:
@@ -404,7 +410,7 @@ def test_an_error_that_is_a_power_of_the_gfcs_lack_is_found_at_the_papers_gfc(ta
 
 
 def test_ours_stands_beside_the_best_other_system_on_the_textures_that_both_recipes_have(
-    tables: ModuleType, runs: Runs
+    tables: SimpleNamespace, runs: Runs
 ) -> None:
     linear = {"references.ar_best.mae_scaled": 0.4}
     runs["table-1"] = of_systems(TEXTURES, **linear)
@@ -422,7 +428,9 @@ def test_ours_stands_beside_the_best_other_system_on_the_textures_that_both_reci
     assert {str(cell) for cell in lacking} == {"–"}
 
 
-def test_other_data_are_compared_once_all_systems_have_all_their_recipes_there(tables: ModuleType, runs: Runs) -> None:
+def test_other_data_are_compared_once_all_systems_have_all_their_recipes_there(
+    tables: SimpleNamespace, runs: Runs
+) -> None:
     """Contact by tuned recipes, real recordings by the better of two on validation; with an order of their own."""
     runs["table-1"] = of_systems(TEXTURES)
     of_contact = tuned(tables.of_file("main-contact")["textures"])
@@ -445,7 +453,7 @@ def test_other_data_are_compared_once_all_systems_have_all_their_recipes_there(t
     assert [row[0] for row in tables.equal_tuning().rows] == ["contact mechanics"]
     runs["table-1-real"].append(last)
     contact, of_real = ([str(cell) for cell in row[:3]] for row in tables.equal_tuning().rows)
-    lines = tables.contact_findings().splitlines()
+    lines = tables.on_contact().splitlines()
     heads = [str(column) for column in tables.on_other_data("main-contact").columns]
     assert heads == ["", "MAE [sd]", "p", "GFC [%]", "training [s]"]  # not the paper's figures, which are of other data
     p = f"{5 * 2 / 2**10:.3f}"  # of ten differences of one sign and five other systems
@@ -461,7 +469,7 @@ def test_other_data_are_compared_once_all_systems_have_all_their_recipes_there(t
     assert rows["one step, real recordings [sd]"] == ("5", "1", "3", "4", "–", "2", "+0.3")
 
 
-def test_convergence_counts_runs_by_when_they_forget_their_start(tables: ModuleType, runs: Runs) -> None:
+def test_convergence_counts_runs_by_when_they_forget_their_start(tables: SimpleNamespace, runs: Runs) -> None:
     early, late = ("warm_start.{}.error_to_silence_" + part for part in ("0_100_ms", "100_400_ms"))
     times = {"a": 100.0, "b": 100.1, "c": None, "d": 50.0}
     for one in of_systems(TEXTURES[:4]):
@@ -485,7 +493,7 @@ def test_convergence_counts_runs_by_when_they_forget_their_start(tables: ModuleT
     assert rows["ceiling"] == ("", "", "", "", "1.30", "1.40")
 
 
-def test_systems_behind_a_low_pass_stand_beside_the_same_textures_without(tables: ModuleType, runs: Runs) -> None:
+def test_systems_behind_a_low_pass_stand_beside_the_same_textures_without(tables: SimpleNamespace, runs: Runs) -> None:
     linear = {"references.ar_best.mae_scaled": 0.4}
     runs["table-1-tuned"] = tuned(TEXTURES, **linear)
     assert tables.bands().rows == ()
@@ -506,22 +514,22 @@ def test_systems_behind_a_low_pass_stand_beside_the_same_textures_without(tables
 
 
 def test_table_2_has_the_network_of_table_1_on_the_textures_that_all_variants_have(
-    tables: ModuleType, runs: Runs
+    tables: SimpleNamespace, runs: Runs
 ) -> None:
     silent = {"references.zero.mae_scaled": 0.5}
     runs["table-1"] = of_systems(TEXTURES, **silent)
-    assert tables.table_2_findings() == ""
+    assert tables.of_table_2() == ""
     errors = {"ten": 0.3, "ten-mfcc": 0.1, "ten-wavelet": 0.25, "foten-d": 0.15}
     runs["table-2"] = [
         run(name, texture, error, model=name, experiment="Table II", **silent)
         for name, error in errors.items()
         for texture in TEXTURES[: 8 if name == "ten" else 7]
     ]
-    rows = {str(row[0]): row for row in tables.table_2().rows}
+    rows = {str(row[0]): row for row in tables.by_variant().rows}
     assert [*rows] == ["TEN", "TEN + MFCC", "TEN + wavelets", "FoTEN", "FoTEN-D"]
     assert "0.200" in str(rows["FoTEN"][1])
     assert "0.300" in str(rows["TEN"][1])
-    first, *others = tables.table_2_findings().splitlines()
+    first, *others = tables.of_table_2().splitlines()
     # Of seven pairs with one sign, 2 / 2⁷, four times.
     assert "Of 7 textures" in first
     for name, n in {"TEN": 0, "TEN + MFCC": 7, "TEN + wavelets": 0, "FoTEN-D": 7}.items():
@@ -529,7 +537,7 @@ def test_table_2_has_the_network_of_table_1_on_the_textures_that_all_variants_ha
     assert not [line for line in others if "silence" in line]
     for one, (error, gfc) in zip(runs["table-2"], ((0.491, 0.2), (0.49, 0.2)), strict=False):  # 98 % of silence's
         one |= {"one_step.mae_scaled": error, "one_step.gfc": gfc}
-    *_, failed, without = tables.table_2_findings().splitlines()
+    *_, failed, without = tables.of_table_2().splitlines()
     assert failed == f"- Within 2 % of silence's one-step error, or above: TEN on {TEXTURES[0]}."
     assert f"Without {TEXTURES[0]}: Of 6 textures, the one-step error is below that of FoTEN on" in without
     # Five of 0.7 and one of 0.2.
@@ -541,11 +549,11 @@ def test_table_2_has_the_network_of_table_1_on_the_textures_that_all_variants_ha
         in order
     )
     silent = [{**record, "excitation": "no"} for record in tables.of_variants() if record["texture"] != TEXTURES[7]]
-    assert any("TEN + MFCC, FoTEN-D, FoTEN" in line for line in tables.findings(silent))  # the same names
+    assert any("TEN + MFCC, FoTEN-D, FoTEN" in line for line in findings(silent))  # the same names
 
 
 @pytest.mark.parametrize("n_splits", [1, 10])
-def test_a_mean_has_its_interval_over_textures(tables: ModuleType, n_splits: int) -> None:
+def test_a_mean_has_its_interval_over_textures(tables: SimpleNamespace, n_splits: int) -> None:
     """Of three textures Student's is 4.30 standard errors; more splits of the same ones say no more."""
     for spread, words in ((0.05, "0.83 to 1.07"), (0.01, "0.93 to 0.97")):
         ratios = {"a": 0.95 - spread, "b": 0.95, "c": 0.95 + spread}  # standard error 0.58 of the spread
@@ -553,7 +561,7 @@ def test_a_mean_has_its_interval_over_textures(tables: ModuleType, n_splits: int
         assert tables.interval(records, "x", "y") == words
 
 
-def test_few_textures_may_carry_a_mean_of_ratios(tables: ModuleType, runs: Runs) -> None:
+def test_few_textures_may_carry_a_mean_of_ratios(tables: SimpleNamespace, runs: Runs) -> None:
     """Ours over DSTN's on contact mechanics: 1.9, 1.5, 1.4 and seven times 1.02; on simulated textures a third, always."""
     runs["table-1"], runs["table-1-tuned"] = of_systems(TEXTURES), tuned(TEXTURES)
     textures = tables.of_file("main-contact")["textures"]
@@ -569,7 +577,7 @@ def test_few_textures_may_carry_a_mean_of_ratios(tables: ModuleType, runs: Runs)
     assert contact.endswith(f"; {textures[2]}, {textures[1]}, {textures[3]} carry it: without them it is 2 %.")
 
 
-def test_a_silent_run_is_counted_by_either_recipe(tables: ModuleType, runs: Runs) -> None:
+def test_a_silent_run_is_counted_by_either_recipe(tables: SimpleNamespace, runs: Runs) -> None:
     figures = dict.fromkeys(("free_run.level_error_db", "free_run_ar.level_error_db", "ceiling.level_error_db"), 1.25)
     figures |= {"free_run_deterministic.level_error_db": 9.0}
     levels = dict(zip(TEXTURES, [-20.1, -20.0, -41.0, *[-1.0] * 9], strict=True))
@@ -579,7 +587,7 @@ def test_a_silent_run_is_counted_by_either_recipe(tables: ModuleType, runs: Runs
     assert "FoTEN, tuned, 9.0; AR(20), whose noise is constant, 1.2; " in tables.levels()
 
 
-def test_test_blocks_count_once_whatever_splits_share_them(tables: ModuleType, runs: Runs) -> None:
+def test_test_blocks_count_once_whatever_splits_share_them(tables: SimpleNamespace, runs: Runs) -> None:
     silence = {"references.zero.mae_scaled": 0.5, "n_blocks": 1}
     runs["table-1-real"] = [run("FoTEN", name, 0.4, split=split, **silence) for name in "ab" for split in (1, 2)]
     runs["table-1-real"][0] |= {"references.zero.mae_scaled": 0.6}
@@ -588,14 +596,14 @@ def test_test_blocks_count_once_whatever_splits_share_them(tables: ModuleType, r
 
 
 def test_real_recordings_have_no_ratio_to_a_training_block() -> None:
-    made = made_by("tables")
+    made = made_by("main_tables")
     for table, column in ((made.readme(), 3), (made.short(), 5), (made.short(), 6)):
         assert [str(row[column]) == "–" for row in table.rows] == [True, True, False, False, False]
-    heads = [str(column) for column in made.by_texture("main-real-10khz", "main-real-2500hz").columns]
+    heads = [str(column) for column in made.of_each_texture("main-real-10khz", "main-real-2500hz").columns]
     assert not [head for head in heads if "ceiling" in head]
 
 
-def test_sentences_on_compared_systems_hold_in_the_csv_files(tables: ModuleType) -> None:
+def test_sentences_on_compared_systems_hold_in_the_csv_files(tables: SimpleNamespace) -> None:
     """Those that no script writes: what a reader would look up in a column."""
     early_and_late = [path.format("stored") for path in tables.EARLY_AND_LATE]
     low = [one for one in tables.chosen(tables.table_1()) if all((one.get(p) or 1.0) < 0.9 for p in early_and_late)]
@@ -622,7 +630,7 @@ def test_sentences_on_compared_systems_hold_in_the_csv_files(tables: ModuleType)
 
 def test_a_part_is_worth_what_is_lost_without_it(monkeypatch: pytest.MonkeyPatch) -> None:
     """A fit that it does not change has no row without it, and counts as no gain."""
-    tables = made_by("tables")
+    tables = made_by("trial_tables")
     areas = {"a": (0.6, 0.7), "b": (0.5, 0.5), "linear-c": (0.5, 0.6)}
     rows = [
         {"approach": approach, "half": "choosing", "surface": surface, "fit": "1", "ideal": f"{area}"}
@@ -679,7 +687,7 @@ def test_a_run_that_is_added_replaces_the_one_in_its_place(monkeypatch: pytest.M
         tables.add(tmp_path, None)
 
 
-def test_every_run_of_figure_5_is_in_a_cell(tables: ModuleType, runs: Runs) -> None:
+def test_every_run_of_figure_5_is_in_a_cell(tables: SimpleNamespace, runs: Runs) -> None:
     """Errors of a grid by window, loss and threshold, each where it belongs."""
     planned = read_experiment(experiment_path("figure-5")).runs()
     losses = {"mae": 0.1, "mse": 0.2, "huber": 0.3}
@@ -701,7 +709,7 @@ def test_every_run_of_figure_5_is_in_a_cell(tables: ModuleType, runs: Runs) -> N
         "0.2000",
     )
     # Of 5 samples and MAE; of 20 samples and Huber loss, which both other seeds have here as 1.6 / 10.
-    found = tables.grid_findings().splitlines()
+    found = tables.of_the_grid().splitlines()
     assert "Best on validation: 5 samples and loss mae, with 0.1050 on test." in found[0]
     assert "has 0.3200; its 3 seeds range from 0.1600 to 0.3200." in found[0]
     windows = np.array([5, 10, 15, 20, 25, 30]) / 1000
@@ -713,9 +721,9 @@ def test_every_run_of_figure_5_is_in_a_cell(tables: ModuleType, runs: Runs) -> N
     assert tables.grid_so_far() == "Means over cardboard, steel-mesh-1, towel."
     runs["figure-5"].pop()  # of the last texture, of which nothing is shown then
     assert tables.grid_so_far() == "Done so far: cardboard, steel-mesh-1; not yet: towel."
-    assert "no dropout 0.500 (2 of 2)" in tables.grid_findings()
+    assert "no dropout 0.500 (2 of 2)" in tables.of_the_grid()
     runs["figure-5"] = runs["figure-5"][:3]
-    assert tables.grid_findings() == ""
+    assert tables.of_the_grid() == ""
     assert tables.windows_by_loss().rows == ()
 
 
@@ -734,12 +742,8 @@ def test_recordings_behind_a_low_pass_become_the_traces_that_ar_is_measured_on()
     assert "350 Hz" in written.history[-1]
 
 
-def picture(name: str, monkeypatch: pytest.MonkeyPatch) -> Figure:
-    pictures, drawn = made_by("pictures"), dict[str, Figure]()
-    monkeypatch.setattr(pictures, "save", lambda figure, name, **_: drawn.update({name: figure}))
-    pictures.PICTURES[name](argparse.Namespace())
-    assert list(drawn) == [name]
-    return drawn[name]
+def picture(name: str) -> Figure:
+    return made_by("pictures").PICTURES[name](argparse.Namespace())
 
 
 def test_more_methods_than_colours_are_dashed(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -754,14 +758,14 @@ def test_more_methods_than_colours_are_dashed(monkeypatch: pytest.MonkeyPatch) -
 
 
 @pytest.mark.parametrize("name", ["ceiling", "limits", "abrupt"])
-def test_a_picture_can_be_drawn_from_the_csv_files(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_picture_can_be_drawn_from_the_csv_files(name: str) -> None:
     """They hold every figure that it shows."""
-    assert all(axes.has_data() for axes in picture(name, monkeypatch).axes)
+    assert all(axes.has_data() for axes in picture(name).axes)
 
 
-def test_figure_5_shows_every_run_by_window_and_the_range_of_seeds(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_figure_5_shows_every_run_by_window_and_the_range_of_seeds() -> None:
     records = made_by("csv_records").runs_of("figure-5")
-    panels = picture("figure-5", monkeypatch).axes
+    panels = picture("figure-5").axes
     assert [axes.get_title(loc="left") for axes in panels] == [*dict.fromkeys(record["texture"] for record in records)]
     for axes in panels:
         runs = {one["method"]: one for one in records if one["texture"] == axes.get_title(loc="left")}
@@ -777,7 +781,7 @@ def test_figure_5_shows_every_run_by_window_and_the_range_of_seeds(monkeypatch: 
 
 
 def test_a_picture_keeps_the_colour_of_a_line_that_is_rare(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    pictures = made_by("pictures")
+    pictures = made_by("drawing")
     monkeypatch.setattr(pictures, "DOCS", tmp_path)
     many = np.random.default_rng(0).integers(0, 64, (100, 400, 3)).astype(np.uint8)  # shades of what is drawn most
     many[50, :20] = 230, 40, 200
@@ -788,8 +792,8 @@ def test_a_picture_keeps_the_colour_of_a_line_that_is_rare(tmp_path: Path, monke
     assert np.abs(shown[50, 10] - [230, 40, 200]).max() < 25
 
 
-def test_an_abrupt_change_is_drawn_at_zero(monkeypatch: pytest.MonkeyPatch) -> None:
-    axes = picture("abrupt", monkeypatch).axes[0]
+def test_an_abrupt_change_is_drawn_at_zero() -> None:
+    axes = picture("abrupt").axes[0]
     truth = next(line for line in axes.lines if line.get_label() == "truth")
     ms, levels_db = map(np.asarray, truth.get_data())
     steepest = np.argmax(np.abs(np.diff(levels_db)))

@@ -20,8 +20,9 @@ import pytest
 from scipy import stats
 
 import foten.study.statistics as statistics
+from foten.dsp.inference import holm
 from foten.study.raters import PAPER_PARTICIPANTS, Raters, needed, paper_raters, power, raters_for
-from foten.study.statistics import Array, anova, friedman, holm, paired_tests, wilcoxon_tests
+from foten.study.statistics import Array, anova, friedman, paired_tests, wilcoxon_tests
 
 
 def data(n: int, a: int, b: int) -> Array:

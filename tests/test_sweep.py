@@ -22,13 +22,14 @@ import numpy as np
 import pytest
 from scipy.stats import false_discovery_control
 
-import foten.experiments.method_tables as method_tables
 from conftest import TINY, experiment
 from foten.datasets.hdf5 import write_recording
+from foten.dsp.inference import holm
 from foten.experiments import sweep as sweeping
+from foten.experiments.aggregate import PAPER, Row, compared, signed_rank
 from foten.experiments.experiment import Run, read_experiment, recording_of
 from foten.experiments.figures import figures, windows_and_losses
-from foten.experiments.method_tables import PAPER, PAPERS, Row, findings, summary, table, tables_of
+from foten.experiments.method_tables import PAPERS, WARM_START, findings, ratios, summary, table, tables_of, warm_start
 from foten.experiments.provenance import platform_here, provenance_of
 from foten.experiments.results import by_recipe, chosen, read_records, read_results, records_of, runs_table, title_of
 from foten.experiments.sweep import _stoppable, lacking, planned, sweep
@@ -258,10 +259,10 @@ def test_methods_of_equal_figures_are_one_hypothesis() -> None:
         Row(name, "fnn", {t: np.array([level + 0.01 * k]) for k, t in enumerate(textures)})
         for name, level in (("first", 0.0), ("other", 0.5), ("copy", 0.5))
     )
-    alone = method_tables.signed_rank(first, [other], textures)
+    alone = signed_rank(first, [other], textures)
     assert alone == {"other": pytest.approx(2 / 2**8)}  # all eight of one sign, two-sided
-    assert method_tables.signed_rank(first, [other, copy_], textures) == {**alone, "copy": alone["other"]}
-    assert method_tables.signed_rank(first, [other], textures[:5]) == {}
+    assert signed_rank(first, [other, copy_], textures) == {**alone, "copy": alone["other"]}
+    assert signed_rank(first, [other], textures[:5]) == {}
 
 
 def test_note_and_platform_stand_once_in_the_csv_of_an_experiment(records: list[dict], tmp_path: Path) -> None:
@@ -285,8 +286,8 @@ def test_a_table_says_what_was_reduced_and_what_a_figure_is_blind_to(records: li
 
 
 def test_the_warm_starts_columns_are_errors_per_cent_and_decibels(records: list[dict]) -> None:
-    same = [one | {path: 2.0 for _, path, *_ in method_tables.WARM_START} for one in records]
-    row = method_tables.warm_start(same).cells()[1]
+    same = [one | {path: 2.0 for _, path, *_ in WARM_START} for one in records]
+    row = warm_start(same).cells()[1]
     assert [cell.split()[0] for cell in row[-7:-1]] == ["2.000", "2.000", "2.000", "200.0", "200.0", "2.0"]
 
 
@@ -413,7 +414,7 @@ def test_ratios_are_of_the_same_texture_and_split(records: list[dict]) -> None:
         records[k]["one_step.mae_scaled"] = factor * records[k - 1]["one_step.mae_scaled"]
     for k, one in enumerate(records):
         one["validation_listener.area"] = 0.9 - 0.1 * (k % 2) * (1 + k // 2)
-    heading, row = method_tables.ratios(records).cells()
+    heading, row = ratios(records).cells()
     line = dict(zip(heading, row, strict=True))
     assert (line[""], line["beside"], line["pairs"]) == ("excited", "FNN [13]", "2")
     assert line["test: one step"] == "3.000 ± 1.000"  # sd of 2 and 4 over √2
@@ -699,11 +700,11 @@ def test_a_folder_without_results_is_said(tmp_path: Path) -> None:
 
 def test_holm_is_at_least_as_strict_as_the_false_discovery_rate_and_never_above_bonferroni() -> None:
     """By hand for three; beside SciPy's Benjamini–Hochberg, which is always more lenient."""
-    assert method_tables.holm([0.01, 0.04, 0.03]) == pytest.approx([0.03, 0.06, 0.06])
-    p = np.random.default_rng(0).uniform(size=9).tolist()
-    corrected = np.array(method_tables.holm(p))
+    assert holm(np.array([0.01, 0.04, 0.03])) == pytest.approx([0.03, 0.06, 0.06])
+    p = np.random.default_rng(0).uniform(size=9)
+    corrected = holm(p)
     assert (corrected >= false_discovery_control(p) - 1e-12).all()
-    assert (corrected <= np.minimum(1, 9 * np.array(p)) + 1e-12).all()
+    assert (corrected <= np.minimum(1, 9 * p) + 1e-12).all()
 
 
 def test_methods_that_are_equal_as_shown_are_both_the_best(records: list[dict]) -> None:
@@ -721,8 +722,8 @@ def test_what_is_never_better_differs_and_what_is_the_same_does_not() -> None:
     base = rng.uniform(0.2, 0.6, 12)
     values = {"best": base, "same": base + rng.normal(0, 0.01, 12) + 0.001, "worse": base + 0.1}
     rows = [Row(name, "m", dict(zip(textures, v[:, None], strict=True))) for name, v in values.items()]
-    best, p = method_tables.compared(rows, textures, -1)
+    best, p = compared(rows, textures, -1)
     assert best == "best"
     assert p["worse"] < 0.01
     assert p["same"] > 0.05
-    assert method_tables.compared(rows, textures[:5], -1)[1] == {}
+    assert compared(rows, textures[:5], -1)[1] == {}

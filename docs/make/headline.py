@@ -12,7 +12,6 @@ With --recordings nothing is measured: recordings of three of the textures behin
 
 from __future__ import annotations
 
-import argparse
 import os
 from dataclasses import replace
 from pathlib import Path
@@ -22,6 +21,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
 
+from csv_records import RESULTS, parser_of
 from foten.datasets.hdf5 import write_recording
 from foten.dsp import Array
 from foten.dsp.filters import butterworth, filter_recorded
@@ -39,7 +39,6 @@ from foten.recording.windows import first_scored, targets
 from foten.reporting.table import Table
 from foten.simulation.simulate import second_realisation
 
-CSV = Path(__file__).resolve().parents[1] / "results" / "headline.csv"
 ORDER = 20  # of the predictor, as long as the paper's window
 FILTER_ORDER = 4  # of the low-pass
 BANDS_HZ = (None, 350.0, 250.0)  # cutoffs of a further low-pass of the acceleration
@@ -105,8 +104,8 @@ def smoothed(recording: Recording, config: PreprocessConfig, cutoff_hz: float) -
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--csv", type=Path, default=CSV, metavar="FILE")
+    parser = parser_of(__doc__)
+    parser.add_argument("--csv", type=Path, default=RESULTS / "headline.csv", metavar="FILE")
     parser.add_argument(
         "--recordings", type=Path, metavar="DIR", help="write recordings behind a low-pass there instead"
     )

@@ -11,7 +11,6 @@ each test block, noise with the mean spectrum of the test blocks, and with each 
 
 from __future__ import annotations
 
-import argparse
 import os
 from pathlib import Path
 
@@ -21,6 +20,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import numpy as np
 from scipy import ndimage, signal
 
+from csv_records import REAL, RESULTS, parser_of
 from foten.datasets.hdf5 import load_recording
 from foten.dsp.distance import log_spectral_distance, scored_bins, segment_length, welch
 from foten.evaluate.free_run import scored, synthesize_linear
@@ -30,8 +30,7 @@ from foten.recording.scaling import fit_scaling
 from foten.recording.split import split_blocks
 from foten.reporting.table import Table
 
-REAL, SEEDS = ("copper", "fabric", "leather", "wood"), (1, 2, 3, 4, 5)
-CSV = Path(__file__).resolve().parents[1] / "results" / "limits.csv"
+SEEDS = (1, 2, 3, 4, 5)
 
 N_RUNS = 20
 SMOOTHED = 5  # bins
@@ -102,7 +101,7 @@ def judge(path: Path, rate_hz: float, seed: int) -> tuple[tuple[int, ...], dict[
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = parser_of(__doc__)
     parser.add_argument(
         "--recordings", type=Path, required=True, metavar="DIR", help="of copper.h5 and the other three"
     )
@@ -112,10 +111,9 @@ def main() -> None:
     for texture in REAL:
         for seed in SEEDS:
             test, distances = judge(arguments.recordings / f"{texture}.h5", arguments.rate, seed)
-            cells = cells or [["texture", "split", "test blocks", *distances]]
             blocks = " ".join(map(str, test))
             cells.append([texture, str(seed), blocks, *(f"{value:.4f}" for value in distances.values())])
-    Table.of(cells[0], cells[1:]).write(CSV)
+    Table.of(["texture", "split", "test blocks", *distances], cells).write(RESULTS / "limits.csv")
 
 
 if __name__ == "__main__":

@@ -11,7 +11,6 @@ errors, by leaving out a pen or a surface with all its pairs; dB.
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Iterator
 from dataclasses import replace
 from itertools import permutations
@@ -19,7 +18,8 @@ from pathlib import Path
 
 import numpy as np
 
-from few_strokes import FULL_SECONDS, compared, learned, steady
+from csv_records import RESULTS, parser_of
+from extrapolation import FULL_SECONDS, compared, learned, steady
 from foten.dsp import Array
 from foten.editing.edit import with_level
 from foten.editing.tool import PER_OCTAVE, fitted_transfer, transferred
@@ -37,7 +37,6 @@ from foten.simulation.contact_mechanics import (
 from foten.simulation.simulate import sensor_channels
 from foten.simulation.stroking import Stroking, stroking
 
-CSV = Path(__file__).resolve().parents[1] / "results" / "tools.csv"
 SURFACES = ("sawn-wood", "sandpaper-coarse", "ribbed-plastic", "canvas", "leather", "cork")
 CONDITIONS = ((50.0, 0.5), (50.0, 1.5), (100.0, 0.5), (100.0, 1.5), (200.0, 0.5), (200.0, 1.5))
 MEASURED_SECONDS, JUDGED_SECONDS = 24.0, 8.0
@@ -125,14 +124,13 @@ def standard_error(pairs: list[tuple[str, str]], figures: Array) -> Array:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = parser_of(__doc__)
     parser.add_argument("--pens", type=Path, help="spectra of pens on paper")
     parser.add_argument(
         "--surfaces", type=lambda text: text.split(","), default=["sawn-wood", "canvas"], help="measured on"
     )
     arguments = parser.parse_args()
-    heads = ["tools", "method", "cases", "level_error_db", "level_se", "lsd_db", "lsd_se"]
-    cells = [heads]
+    cells = []
     rows = {"simulated": [row for key in arguments.surfaces for row in simulated(key)]}
     rows |= {"pens on paper": list(pens(arguments.pens))} if arguments.pens else {}
     for kind, each in rows.items():
@@ -142,8 +140,9 @@ def main() -> None:
             error = standard_error([row[:2] for row in of_method], figures)
             values = [f"{x:.3f}" for pair in zip(figures.mean(axis=0), error, strict=True) for x in pair]
             cells.append([kind, method, str(len(figures)), *values])
-    Table.of(cells[0], cells[1:]).write(CSV)
-    print("\n".join(Table.of(cells[0], cells[1:]).text()))
+    table = Table.of(["tools", "method", "cases", "level_error_db", "level_se", "lsd_db", "lsd_se"], cells)
+    table.write(RESULTS / "tools.csv")
+    print("\n".join(table.text()))
 
 
 if __name__ == "__main__":

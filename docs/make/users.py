@@ -11,19 +11,18 @@ the other, keeping the better. The last row is the whole session of `foten adapt
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Callable
-from pathlib import Path
 
 import numpy as np
 
+from csv_records import RESULTS, parser_of
 from foten.dsp import Array
 from foten.dsp.adaptive import Comparison, Detection, LevelSearch, PreferenceSearch
+from foten.dsp.inference import standard_error
 from foten.editing.user import MOVES, TONES_HZ, UserProfile
 from foten.reporting.table import Table
 from foten.studio.adapt_session import Question, Session, answered_by
 
-CSV = Path(__file__).resolve().parents[1] / "results" / "users.csv"
 WRONG = 0.1
 JND = 0.2  # of half of a range
 N_DIMENSIONS = len(MOVES)
@@ -133,7 +132,7 @@ def session_of(person: int) -> tuple[UserProfile, Array, Array, Array]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = parser_of(__doc__)
     parser.add_argument("--people", type=int, default=200)
     n_people = parser.parse_args().people
     cells = []
@@ -141,7 +140,7 @@ def main() -> None:
     def row(what: str, procedure: str, answers: float, errors: Array, signed: bool) -> None:
         size = np.abs(errors)  # (people,), or (people, tones)
         spread = [f"{errors.mean():.3f}", f"{errors.std(ddof=1):.3f}"] if signed else ["", ""]
-        se = size.reshape(len(errors), -1).mean(axis=1).std(ddof=1) / np.sqrt(len(errors))
+        se = standard_error(size.reshape(len(errors), -1).mean(axis=1))
         cells.append([what, procedure, f"{answers:g}", *spread, f"{size.mean():.3f}", f"{se:.3f}"])
 
     for what, kind, sd_db in (("threshold [dB]", Detection(), 8.0), ("equal strength [dB]", Comparison(), 6.0)):
@@ -169,10 +168,9 @@ def main() -> None:
     row("session: equal strength [dB]", "", n["compare"], gains, signed=True)
     row("session: time of these two, a second an answer [min]", "", n["detect"] + n["compare"], minutes, signed=False)
     row("session: preference [JND]", "", n["match"], np.linalg.norm(points, axis=1) / JND, signed=False)
-    Table.of(["what", "procedure", "answers", "bias", "spread", "distance", "distance_se"], cells).write(CSV)
-    print(
-        "\n".join(Table.of(["what", "procedure", "answers", "bias", "spread", "distance", "distance_se"], cells).text())
-    )
+    table = Table.of(["what", "procedure", "answers", "bias", "spread", "distance", "distance_se"], cells)
+    table.write(RESULTS / "users.csv")
+    print("\n".join(table.text()))
 
 
 if __name__ == "__main__":

@@ -1,17 +1,23 @@
 """What words are worth: each texture of a library predicted from its name, its namesakes left out.
 
     python docs/make/words.py --library DIR [--encoder NAME] [--csv FILE]
+    python docs/make/words.py --vectors glove.6B.50d.txt
 
 Spectra in thirds of an octave, at the described condition and, by the powers of speed and force that go with each, at twelve more
 (30 to 200 mm/s, 0.3 to 2 N). `sliders` is a parabola in dB over octaves, down to 30 dB below its peak, with the truth's level,
 centroid and width: what a user who knows them can set without a library. Figures are means over textures with 95 % intervals;
 dB, and octaves.
+
+With --vectors nothing is measured: the word vectors that come along, src/foten/editing/words.npz, are trimmed from GloVe 6B of 50
+numbers. The file is in https://nlp.stanford.edu/data/glove.6B.zip (J. Pennington, R. Socher and C. D. Manning, "GloVe: Global
+vectors for word representation", 2014), under the Public Domain Dedication and License 1.0. Kept are the most frequent words of
+letters, and words of surfaces that are rarer; each vector as 8 bits and a scale.
 """
 
 from __future__ import annotations
 
-import argparse
 import os
+import re
 from itertools import product
 from pathlib import Path
 
@@ -20,17 +26,35 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
 
+from csv_records import RESULTS, parser_of
+from foten.atomic_write import atomic_write
 from foten.dsp.distance import earth_mover_octaves
+from foten.dsp.inference import standard_error, student_quantile
 from foten.editing.describe import REFERENCE, rendered, spectrum
 from foten.editing.imagine import LAW, fit, values_of
 from foten.editing.texture_library import BANDS_HZ, Entry, bands_db, open_library
-from foten.editing.words import encoder_of
+from foten.editing.words import TABLE, encoder_of
 from foten.models.texture_file import read_texture
 from foten.reporting.table import Table
 
-CSV = Path(__file__).resolve().parents[1] / "results" / "words.csv"
 CONDITIONS = [REFERENCE, *product((30.0, 60.0, 150.0, 200.0), (0.3, 1.0, 2.0))]
 N_BANDS = len(BANDS_HZ)
+N_FREQUENT = 20_000
+SURFACES = """
+acrylic asphalt bamboo bark barkcloth basketry birch bristly brocade brushed bubble bumpy burlap calico cambric canvas
+cardboard carpet cashmere chenille chiffon clay coarse cobblestone coir concrete corduroy cork corrugated crepe damask denim
+dimpled doormat emery engraved etched felt felted fibreboard fiberboard fibrous flannel fleece flocked fluffy foam fretted
+fur furry fuzzy gauze gauzy glazed glossy grainy granite granular gravel gravelly gritty grooved hairy hardboard hemp hessian
+jagged jeans jersey jute knit knitted knobby knurled lace laminate laminated leatherette limestone linen linoleum linty
+loofah lumpy mahogany marble matte melamine mesh mohair mosaic mottled muslin napped neoprene netting nubby nylon oak organza
+oxford parchment patterned pebble pebbled pebbly perforated pine pitted plaid plaster pleated plexiglass plush plywood
+polished polyester porous prickly pumice quartz quilted ragged ramie rasp rattan ribbed ridged ripstop rubber rubbery rugged
+rugose rusty sandpaper sandstone sandy satin sawn scabrous scaly scored scratchy screen scrubby seersucker serrated shag
+shaggy sheepskin shiny sienna silicone silk silky sisal slate sleek slick slippery smooth spiky spongy sponge stipple
+stippled straw stubbly stucco styrofoam suede tarpaulin tatami teak terracotta terry textured thorny tile timber towel turf
+tweed twill uneven unpolished upholstery vellum velour velvet velveteen velvety veneer vinyl waffle walnut wavy waxed waxy
+weave wicker wiry woollen woolen woolly worsted woven wrinkled wrinkly
+"""
 
 
 def truth_of(folder: Path, entry: Entry) -> np.ndarray:
@@ -81,17 +105,43 @@ def _by_sentences(entry: Entry, rest: list[Entry], encoder: str) -> np.ndarray:
 
 def interval(figures: np.ndarray) -> float:
     """Half of a 95 % interval of a mean, by Student's t."""
-    from scipy.special import stdtrit
+    return student_quantile(len(figures)) * (standard_error(figures) or 0.0)
 
-    return float(stdtrit(len(figures) - 1, 0.975) * figures.std(ddof=1) / np.sqrt(len(figures)))
+
+def write_vectors(path: Path) -> None:
+    """Write the vectors of the words that are kept."""
+    wanted, table = set(SURFACES.split()), dict[str, list[float]]()
+    with path.open(encoding="utf-8") as lines:
+        for line in lines:  # the most frequent first
+            word, _, numbers = line.partition(" ")
+            if re.fullmatch("[a-z]+", word) and (len(table) < N_FREQUENT or word in wanted):
+                table[word] = [float(number) for number in numbers.split()]
+    words = sorted(table)  # which takes 15 kB less than by frequency, and number by number 6 kB less than word by word
+    vectors = np.array([table[word] for word in words])
+    scales = (np.abs(vectors).max(axis=1) / 127).astype(np.float16)
+    rounded = np.round(vectors / scales[:, None].astype(np.float64)).clip(-127, 127).astype(np.int8)
+    arrays = {
+        "vectors": np.ascontiguousarray(rounded.T),
+        "scales": scales,
+        "words": np.frombuffer("\n".join(words).encode(), dtype=np.uint8),
+    }
+    with atomic_write(TABLE) as part, part.open("wb") as file:
+        np.savez_compressed(file, **arrays)
+    print(
+        f"{len(words)} words, {TABLE.stat().st_size / 1e6:.2f} MB; of surfaces missing: {sorted(wanted - set(words))}"
+    )
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--library", dest="folder", metavar="DIR", type=Path, required=True)
+    parser = parser_of(__doc__)
+    sources = parser.add_mutually_exclusive_group(required=True)
+    sources.add_argument("--library", dest="folder", metavar="DIR", type=Path)
+    sources.add_argument("--vectors", metavar="FILE", type=Path, help="glove.6B.50d.txt, to be trimmed")
     parser.add_argument("--encoder", help="a sentence encoder to compare, a folder or a name")
-    parser.add_argument("--csv", type=Path, default=CSV)
+    parser.add_argument("--csv", type=Path, default=RESULTS / "words.csv")
     arguments = parser.parse_args()
+    if arguments.vectors:
+        return write_vectors(arguments.vectors)
     library = open_library(arguments.folder)
     entries = library.entries
     values = values_of(entries)
@@ -106,23 +156,15 @@ def main() -> None:
             octaves = earth_mover_octaves(BANDS_HZ, *(p * BANDS_HZ for p in power)).mean()
             rows.setdefault(method, []).append((lsd, level, octaves))
         print(f"{i + 1}/{len(entries)} {entry.name}", flush=True)
-    heads = [
-        "method",
-        "textures",
-        "lsd_db",
-        "lsd_interval",
-        "level_error_db",
-        "level_interval",
-        "emd_octaves",
-        "emd_interval",
-    ]
     cells = []
     for method, each in rows.items():
         columns = np.array(each).T
         figures = [f"{x:.3f}" for column in columns for x in (column.mean(), interval(column))]
         cells.append([method, str(len(each)), *figures])
-    Table.of(heads, cells).write(arguments.csv)
-    print("\n".join(Table.of(heads, cells).text()))
+    names = ("lsd_db", "lsd_interval", "level_error_db", "level_interval", "emd_octaves", "emd_interval")
+    table = Table.of(("method", "textures", *names), cells)
+    table.write(arguments.csv)
+    print("\n".join(table.text()))
 
 
 if __name__ == "__main__":

@@ -12,7 +12,7 @@ import numpy as np
 from foten.dsp import Array
 
 TABLE = Path(__file__).with_name("words.npz")
-"""GloVe 6B of 50 numbers, 20,000 words and those of surfaces; public domain (PDDL 1.0), made by docs/make/word_vectors.py."""
+"""GloVe 6B of 50 numbers, 20,000 words and those of surfaces; public domain (PDDL 1.0), made by docs/make/words.py."""
 _UNSAID = "a an and the of on in with like as very some made from surface texture textured sample"
 UNSAID = frozenset(_UNSAID.split())
 """Words that say nothing of a surface."""

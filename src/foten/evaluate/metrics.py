@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from foten.dsp import Array
 from foten.dsp.distance import MIN_SCORED_HZ, POWER_FLOOR, max_scored_hz
+from foten.dsp.inference import student_quantile
 
 N_BANDS = 9
 
@@ -95,10 +96,8 @@ def with_intervals(figures: Callable[[NDArray[np.int64]], Mapping[str, Any]], n_
     of_all = figures(all_blocks)
     if n_blocks < 4:
         return {**of_all, "intervals": bounds}
-    from scipy.special import stdtrit
-
     left_out = [figures(np.delete(all_blocks, i)) for i in all_blocks]
-    t = float(stdtrit(n_blocks - 1, 0.975))
+    t = student_quantile(n_blocks)
     for name, figure in of_all.items():
         others = [without[name] for without in left_out]
         if isinstance(figure, float) and None not in others:

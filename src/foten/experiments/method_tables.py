@@ -2,24 +2,34 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from operator import sub, truediv
 from typing import Any
 
 import numpy as np
 
-from foten.dsp import Array
 from foten.evaluate.warm_start import SILENT_DB
+from foten.experiments.aggregate import (
+    FREE_RUN_REFERENCES,
+    PAPER,
+    REFERENCES,
+    Row,
+    as_in_paper,
+    by_place,
+    by_texture,
+    compared,
+    complete,
+    over_textures,
+    paired,
+    rows_of,
+    signed_rank,
+)
 from foten.experiments.results import (
-    BEST_LINEAR,
     FIGURES,
-    LINEAR_RUN,
     VALIDATION,
     WITHOUT,
     Figure,
-    Record,
     Records,
     by_recipe,
     chosen,
@@ -28,131 +38,17 @@ from foten.experiments.results import (
 )
 from foten.reporting.table import Number, Table, mean_number
 
-CHANGES: tuple[tuple[str, str, Callable[[float, float], float]], ...] = (
-    ("validation: one step", "validation.mae_scaled", truediv),
-    ("validation: listener", "validation_listener.area", sub),
-    ("test: one step", "one_step.mae_scaled", truediv),
-    ("test: LSD", "free_run.lsd_db", truediv),
-    ("test: level error", "free_run.level_error_db", truediv),
+CHANGES: tuple[tuple[str, str, Callable[[float, float], float], str], ...] = (
+    ("validation: one step", "validation.mae_scaled", truediv, ".3f"),
+    ("validation: listener", "validation_listener.area", sub, "+.3f"),
+    ("test: one step", "one_step.mae_scaled", truediv, ".3f"),
+    ("test: LSD", "free_run.lsd_db", truediv, ".3f"),
+    ("test: level error", "free_run.level_error_db", truediv, ".3f"),
 )
-"""Figures in which a method is compared with the one that it stands beside: name, path in a record, comparison."""
+"""Figures in which a method is compared with the one that it stands beside: name, path in a record, comparison, format."""
 OF_BLOCKS = ("references.zero.mae_scaled", "references.ar.mae_scaled")  # the second of the training blocks too
 BY_RECIPE = " is shown by the recipe "  # in sentences
 PAPERS = "paper's MAE, unit not stated"
-PAPER = {
-    **{"ar": 0.400, "fnn": 0.378, "dstn": 0.201, "ldhtd": 0.178, "gan": 0.298, "foten": 0.149},
-    **{"ten": 0.318, "ten-mfcc": 0.281, "ten-wavelet": 0.284, "foten-d": 0.193},
-}
-"""The paper's errors, means over its twelve textures; Tables I and II."""
-REFERENCES = {
-    "zero": "references.zero",
-    "persistence": "references.persistence",
-    "AR(20)": "references.ar",
-    "AR(20) by speed and force": "references.ar_scheduled",
-    BEST_LINEAR: "references.ar_best",
-    "least possible": "references.bound",
-}
-FREE_RUN_REFERENCES = {LINEAR_RUN: "free_run_ar", "ceiling": "ceiling"}
-
-
-@dataclass(frozen=True)
-class Row:
-    """One method or reference over textures."""
-
-    name: str  # in tables
-    model: str  # key, "" for a reference
-    values: Mapping[str, Array]  # by texture, one for each split that has one, shape (n_splits,)
-    excited: bool = False  # whether it has the random excitation
-
-    def means(self, textures: Sequence[str]) -> Array:
-        """Mean over splits for each texture, NaN where there is none, shape (n_textures,)."""
-        return np.array([self.values[t].mean() if len(self.values.get(t, ())) else math.nan for t in textures])
-
-
-def rows_of(records: Records, figure: str) -> tuple[list[str], list[Row]]:
-    """Textures, and a row for each reference and each method, references first."""
-    textures = list(dict.fromkeys(record["texture"] for record in records))
-    head, _, key = FIGURES[figure].path.rpartition(".")
-    factor = FIGURES[figure].factor
-
-    def row(name: str, model: str, where: str, of: Iterable[Record], excited: bool = False) -> Row:
-        values: dict[str, list[float]] = {}
-        for record in of:
-            value = record.get(f"{where}.{key}")
-            if value is not None:
-                values.setdefault(record["texture"], []).append(factor * value)
-        return Row(name, model, {texture: np.array(splits) for texture, splits in values.items()}, excited)
-
-    # A reference is the same whatever was trained beside it: once for each recording and split. Not by the recording's hash, as
-    # the same simulation differs in its last digits between instruction sets.
-    distinct = {tuple(record[name] for name in ("texture", "split", "rate_hz")): record for record in records}
-    references = FREE_RUN_REFERENCES if head == "free_run" else REFERENCES
-    rows = [row(name, "", where, distinct.values()) for name, where in references.items()]
-    rows = [reference for reference in rows if reference.values]
-    for name in dict.fromkeys(record["method"] for record in records):
-        runs = [record for record in records if record["method"] == name]
-        model, excitation = runs[-1]["model"], {record["excitation"] for record in runs}
-        if "no" in excitation and "yes" not in excitation:
-            where = "free_run_deterministic" if head == "free_run" else head
-            rows.append(row(name + WITHOUT, model, where, runs))
-        else:
-            rows.append(row(name, model, head, runs, "yes" in excitation))
-    return textures, rows
-
-
-def holm(p: Sequence[float]) -> list[float]:
-    """P-values corrected for multiple comparisons, after Holm (1979), in their order."""
-    order = np.argsort(p, kind="stable")
-    corrected = np.empty(len(p))
-    corrected[order] = np.maximum.accumulate(np.arange(len(p), 0, -1) * np.asarray(p)[order]).clip(max=1.0)
-    return corrected.tolist()
-
-
-def complete(rows: Sequence[Row], textures: Sequence[str]) -> list[Row]:
-    """Methods that have as many splits of each texture as any has."""
-    methods = [row for row in rows if row.model]
-    n_splits = {texture: max(len(row.values.get(texture, ())) for row in methods) for texture in textures}
-    return [row for row in methods if all(len(row.values.get(t, ())) == n_splits[t] > 0 for t in textures)]
-
-
-def compared(rows: Sequence[Row], textures: Sequence[str], better: int) -> tuple[str, dict[str, float]]:
-    """Method that is best on the mean of the textures, and p-values of the others' differences from it.
-
-    Of methods with all splits, as `signed_rank` has them.
-    """
-    methods = complete(rows, textures)
-    if not methods:
-        return "", {}
-    best = max(methods, key=lambda row: better * float(row.means(textures).mean()))
-    return best.name, signed_rank(best, [row for row in methods if row is not best], textures)
-
-
-def signed_rank(first: Row, others: Sequence[Row], textures: Sequence[str]) -> dict[str, float]:
-    """P-values of the differences from a row by name: Wilcoxon's signed-rank test over textures, two-sided, Holm-corrected.
-
-    Textures are replicates where each has another hand, as in sweeps since the simulator's hands are drawn by texture; of earlier
-    ones p is too small. Methods of equal figures are one. Empty with fewer than six textures, where no p can be below 0.05.
-    """
-    from scipy.stats import wilcoxon
-
-    differences = {row.name: tuple(row.means(textures) - first.means(textures)) for row in others}
-    if len(textures) < 6 or not others:
-        return {}
-    distinct = list(dict.fromkeys(differences.values()))
-    p = holm([float(wilcoxon(difference).pvalue) if any(difference) else 1.0 for difference in distinct])
-    of = dict(zip(distinct, p, strict=True))
-    return {name: of[difference] for name, difference in differences.items()}
-
-
-def as_in_paper(rows: Sequence[Row]) -> set[str]:
-    """Names of the methods that the paper has a figure of: models with one setting, with and without excitation counted once."""
-    names = set()
-    for model in PAPER:
-        with_model = [row for row in rows if row.model == model]
-        without = [row for row in with_model if not row.excited]
-        if len(with_model) == 1 or len(without) == 1:
-            names.add((without or with_model)[0].name)
-    return names
 
 
 def tables_of(records: Records) -> dict[str, Table]:
@@ -207,12 +103,11 @@ def warm_start(records: Records) -> Table:
     Means over textures ± standard error; of a free run whole blocks are scored. `start forgotten`: the median time until runs
     from two windows are the same, of those runs where that is ever so, and in how many it is; not of a silent run.
     """
-    textures = list(dict.fromkeys(record["texture"] for record in records))
+    textures = {record["texture"] for record in records}
 
     def cell(runs: Records, path: str, digits: int, factor: float) -> Number:
-        by_texture = [[run.get(path) for run in runs if run["texture"] == texture] for texture in textures]
-        values = [factor * np.array([value for value in of if value is not None], dtype=float) for of in by_texture]
-        return mean_number(values, digits) if all(of.size for of in values) else Number(None)
+        values = by_texture(runs, path, factor=factor)
+        return mean_number([*values.values()], digits) if len(values) == len(textures) else Number(None)
 
     rows: list[list[Number | str]] = []
     for method in dict.fromkeys(record["method"] for record in records):
@@ -265,7 +160,7 @@ def table(records: Records, figure: str) -> Table:
 
 def brief(records: Records) -> list[dict[str, Any]]:
     """Records with their names and the figures that methods and references are compared by."""
-    paths = {figure.path for figure in FIGURES.values()} | {path for _, path, _ in CHANGES} | set(VALIDATION)
+    paths = {figure.path for figure in FIGURES.values()} | {path for _, path, *_ in CHANGES} | set(VALIDATION)
     paths |= {"one_step.mae_m_s2", "references.bound.mae_m_s2"}  # in which loud textures weigh more
     places = {*REFERENCES.values(), *FREE_RUN_REFERENCES.values(), "free_run_deterministic"}
     paths |= {f"{place}.{figure.path.rpartition('.')[2]}" for place in places for figure in FIGURES.values()}
@@ -280,26 +175,13 @@ def ratios(records: Records) -> Table:
 
     Ratios, of areas under a listener's curve differences; means over textures ± their standard error.
     """
-    rows = []
+    rows, methods = [], by_place(records)
     for name, beside in dict.fromkeys((record["method"], record["beside"]) for record in records if record["beside"]):
-        others = {(record["texture"], record["split"]): record for record in records if record["method"] == beside}
-        runs = [record for record in records if record["method"] == name]
-        pairs = [(run, others[key]) for run in runs if (key := (run["texture"], run["split"])) in others]
-        changes = (_change(pairs, path, change) for _, path, change in CHANGES)
-        rows.append((name, beside, str(len(pairs)), *changes))
+        runs, others = methods[name], methods.get(beside, {})
+        pairs = (paired(runs, others, path, change) for _, path, change, _ in CHANGES)
+        cells = (over_textures(p, "ratio", spec=spec) for p, (*_, spec) in zip(pairs, CHANGES, strict=True))
+        rows.append((name, beside, str(len(runs.keys() & others.keys())), *cells))
     return Table.of(("", "beside", "pairs", *(title for title, *_ in CHANGES)), rows)
-
-
-def _change(pairs: Sequence[tuple[Record, Record]], path: str, change: Callable[[float, float], float]) -> Number:
-    by_texture: dict[str, list[float]] = {}
-    for run, other in pairs:
-        if run.get(path) is not None and other.get(path):
-            by_texture.setdefault(run["texture"], []).append(change(run[path], other[path]))
-    if not by_texture:
-        return Number(None)
-    values = np.array([np.mean(splits) for splits in by_texture.values()])
-    error = float(values.std(ddof=1) / np.sqrt(values.size)) if values.size > 1 else None
-    return Number(float(values.mean()), "+.3f" if change is sub else ".3f", error)
 
 
 def caveats(records: Records, name: str = "summary") -> list[str]:

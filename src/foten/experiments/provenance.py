@@ -1,11 +1,11 @@
-"""Provenance of a result: digests of the modules that a run imports, of its data and configuration, and its platform."""
+"""Provenance of a result: the code by git's trees, the recording, the settings, and the platform."""
 
 from __future__ import annotations
 
-import ast
 import hashlib
 import platform
-from collections.abc import Collection, Iterable, Iterator, Mapping
+import subprocess
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from functools import cache
 from pathlib import Path
@@ -15,28 +15,23 @@ import numpy as np
 import torch
 
 import foten
-from foten.experiments.experiment import MEASURES, Run
-from foten.models.trainable import TRAINABLE
-from foten.runtime.binding import LIBRARIES, isa, kernel_file
+from foten.experiments.experiment import Run
+from foten.runtime.binding import isa
 
-EXECUTES = "foten.experiments.run"  # any run
-KERNEL = "kernel/"  # before the names of its libraries: beside modules all that a run reads of the package
+SOURCES = ("src/foten", "native")
+"""Folders of the repository whose content is the code of a result, the first with the package."""
 N_DIGITS = 16  # of a digest; two of a thousand are the same by chance in 1 of 10¹³
+N_TREE_DIGITS = 12  # of a tree's hash, as `git rev-parse HEAD:FOLDER` begins
 
 
 @dataclass(frozen=True)
 class Provenance:
     """Everything that a result depends on."""
 
-    sources: Mapping[str, str]  # digests by name: modules of the import closure, libraries of the kernel
+    code: str  # as `code_here`
     data: str  # digest of the recording
     configuration: str  # digest of the settings
     platform: Mapping[str, str]
-
-    @property
-    def code(self) -> str:
-        """Digest of all sources."""
-        return digest(repr(sorted(self.sources.items())).encode())
 
     @property
     def name(self) -> str:
@@ -44,93 +39,44 @@ class Provenance:
         return digest(f"{self.data} {self.configuration}".encode())
 
     def to_json(self) -> dict[str, Any]:
-        return {**asdict(self), "code": self.code}
+        return asdict(self)
 
     def differences(self, other: Mapping[str, Any]) -> list[str]:
-        """Names of what differs from another result: code and platform with their parts, data, configuration."""
-        code, platform = (
-            sorted({name for name, _ in mine.items() ^ other[part].items()})
-            for part, mine in (("sources", self.sources), ("platform", self.platform))
-        )
-        more = f" and {len(code) - 1} more" if len(code) > 1 else ""
-        parts = [f"code ({code[0]}{more})"] if code else []
-        parts += [part for part in ("data", "configuration") if getattr(self, part) != other[part]]
+        """Names of what differs from another result: code, data, configuration, platform with its parts."""
+        parts = [part for part in ("code", "data", "configuration") if getattr(self, part) != other[part]]
+        platform = sorted({name for name, _ in self.platform.items() ^ other["platform"].items()})
         return parts + ([f"platform ({', '.join(platform)})"] if platform else [])
 
 
 def provenance_of(run: Run, recording_sha256: str) -> Provenance:
     """Provenance of a run that is executed here and now."""
-    return Provenance(sources_of(run.model, tuple(run.measures)), recording_sha256, run.configuration, platform_here())
+    return Provenance(code_here(), recording_sha256, run.configuration, platform_here())
 
 
 @cache
-def sources_of(model: str, measures: tuple[str, ...]) -> dict[str, str]:
-    """Digests of the modules that a run of a model executes, by name, and of the kernel's libraries."""
-    fits = {key: entry.fit.partition(":")[0] for key, entry in TRAINABLE.items()}
-    entries = {EXECUTES, fits[model], *(MEASURES[name] for name in measures)}
-    others = {*fits.values(), *MEASURES.values()} - entries
-    modules = closure(entries, Path(foten.__file__).parent, others)
-    beside = kernel_file(*LIBRARIES).parent.iterdir()
-    libraries = {KERNEL + path.name: path for path in beside if path.suffix in (".so", ".dylib", ".dll")}
-    return {name: digest(path.read_bytes()) for name, path in sorted({**modules, **libraries}.items())}
+def code_here() -> str:
+    """Code that runs: git's trees of `SOURCES`, and a digest of what is modified; of an installed package its version.
 
-
-def closure(entries: Iterable[str], root: Path, others: Collection[str] = ()) -> dict[str, Path]:
-    """Files of some modules of a package and of all that they import, by name.
-
-    Args:
-        root: folder of the package.
-        others: modules that only other runs execute; they do not count where a function imports them.
+    Any edit within these folders makes another tree, one of a comment too.
     """
-    files: dict[str, Path] = {}
-    waiting = list(entries)
-    while waiting:
-        name = waiting.pop()
-        path = file_of(name, root)
-        if path is None or name in files:
-            continue
-        files[name] = path
-        at_once, all_names = _imports(path)
-        waiting += at_once | (all_names - set(others))
-        waiting.append(name.rpartition(".")[0])  # the package that it lies in is imported first
-    return files
+    package = Path(foten.__file__).parent
+    no_checkout = f"{foten.__version__}, no checkout"
+    try:
+        root = Path(_git(package, "rev-parse", "--show-toplevel").decode().strip())
+        if root / SOURCES[0] != package:  # installed somewhere within another repository
+            return no_checkout
+        trees = _git(root, "rev-parse", *(f"HEAD:{folder}" for folder in SOURCES)).decode().split()
+        changes = _git(root, "diff", "HEAD", "--binary", "--", *SOURCES)
+        untracked = _git(root, "ls-files", "-z", "--others", "--exclude-standard", "--", *SOURCES).decode()
+    except (OSError, subprocess.CalledProcessError):
+        return no_checkout
+    new = [name.encode() + (root / name).read_bytes() for name in untracked.split("\0") if name]
+    code = ", ".join(f"{folder} {tree[:N_TREE_DIGITS]}" for folder, tree in zip(SOURCES, trees, strict=True))
+    return f"{code}, modified {digest(changes + b''.join(new))}" if changes or new else code
 
 
-@cache
-def _imports(path: Path) -> tuple[frozenset[str], frozenset[str]]:
-    """Modules that a module imports at once, and those with its functions."""
-    tree = ast.parse(path.read_bytes())
-    return frozenset(imported(tree, within_functions=False)), frozenset(imported(tree))
-
-
-def file_of(module: str, root: Path) -> Path | None:
-    """Source of a module of a package; None where it has none, as of another package or of a name in a module."""
-    package, *parts = module.split(".")
-    path = root.joinpath(*parts)
-    if package != root.name:
-        return None
-    if (path / "__init__.py").exists():
-        return path / "__init__.py"
-    return path.with_suffix(".py") if parts and path.with_suffix(".py").exists() else None
-
-
-def imported(tree: ast.AST, within_functions: bool = True) -> Iterator[str]:
-    """Yield the modules that the code under a node imports, and names from them; not those for type checkers."""
-    waiting = [tree]
-    while waiting:
-        node = waiting.pop()
-        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.Lambda) and not within_functions:
-            continue
-        if isinstance(node, ast.If) and ast.unparse(node.test).endswith("TYPE_CHECKING"):
-            waiting += node.orelse
-        elif isinstance(node, ast.Import):
-            yield from (alias.name for alias in node.names)
-        elif isinstance(node, ast.ImportFrom):
-            assert node.module is not None, "imports are absolute"
-            yield node.module
-            yield from (f"{node.module}.{alias.name}" for alias in node.names)
-        else:
-            waiting += ast.iter_child_nodes(node)
+def _git(folder: Path, *arguments: str) -> bytes:
+    return subprocess.run(["git", "-C", str(folder), *arguments], check=True, capture_output=True).stdout
 
 
 @cache

@@ -6,6 +6,7 @@ import csv
 import io
 import itertools
 import math
+import re
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -43,6 +44,7 @@ FIGURES = {
     "level": Figure("free-run level error [dB]", "free_run.level_error_db", 2, -1, LINEAR_RUN),
 }
 OF_MODEL = "code (of "  # how what runs of one model differ in begins
+DIGEST = re.compile("[0-9a-f]{16}|")  # code of a run of before git's trees, or none
 WITHOUT = ", without excitation"  # after a method's name, where its free run has none
 _SCORES = (
     *("one_step", "free_run", "free_run_deterministic", "free_run_ar", "ceiling", "warm_start"),
@@ -64,9 +66,7 @@ def read_result(path: Path) -> dict[str, Any] | None:
     try:
         result: dict[str, Any] = parse_json(read_whole(path, MAX_PROFILE))
         check_numbers(result, path.name)
-        record = _record(result)
-        sources = record.pop("sources")
-        hash((*record.values(), *sources.items()))  # by which runs are told apart
+        hash(tuple(_record(result).values()))  # by which runs are told apart
     except (AttributeError, ValueError, KeyError, TypeError, OSError):
         return None
     return result
@@ -132,7 +132,6 @@ def _record(result: Mapping[str, Any]) -> dict[str, Any]:
         "measures": " ".join(run.measures),
         "code": provenance["code"],
         "platform": ", ".join(f"{name} {value}" for name, value in provenance["platform"].items()),
-        "sources": provenance["sources"],
     }
     scores = {name: evaluation[name] for name in _SCORES if evaluation.get(name) is not None}
     return record | dict(_flat(scores | result["measures"]))
@@ -167,14 +166,17 @@ def check_alike(records: Records) -> None:
 def mixture(records: Records) -> str:
     """Runs of different code or platform, in words; nothing where all are alike.
 
-    Of result files the modules that both import are compared, of a `runs.csv` the digests of one model and the same measures.
+    A version of before is a digest of what runs of one model and the same measures import: it is compared with theirs alone.
     """
     first: dict[str, tuple[str, str]] = {}
     others: dict[str, list[str]] = {}
     counts: dict[str, Counter[str]] = {}  # of values
+    by_model = any(DIGEST.fullmatch(record.get("code") or "") for record in records)
     for record in records:
         name = f"{record['method']} on {record['texture']}, split {record['split']:g}"
-        for what, value in _provenance(record).items():
+        of_model = f"{OF_MODEL}{record['model']} {record.get('measures', '')}".rstrip() + ")"
+        compared = {of_model if by_model else "code": record.get("code"), "platform": record.get("platform")}
+        for what, value in ((what, value or "") for what, value in compared.items()):
             counts.setdefault(what, Counter())[value] += 1
             known, _ = first.setdefault(what, (value, name))
             if value != known:
@@ -182,24 +184,17 @@ def mixture(records: Records) -> str:
     differences: dict[tuple[str, ...], str] = {}  # of the same runs the first of what they differ in
     for what, names in others.items():
         differences.setdefault((first[what][1], *names), what)
-    by_model = [what for what in differences.values() if what.startswith(OF_MODEL)]
+    models = [what for what in differences.values() if what.startswith(OF_MODEL)]
     clauses = [
         f"{name!r} and {other!r}{f' and {len(more)} more' if more else ''} differ in {what}"
         for (name, other, *more), what in differences.items()
-        if len(by_model) < 2 or what not in by_model
+        if len(models) < 2 or what not in models
     ]
-    if len(by_model) > 1:
-        totals = {what: (counts[what].total(), counts[what].most_common(1)[0][1]) for what in by_model}
+    if len(models) > 1:
+        totals = {what: (counts[what].total(), counts[what].most_common(1)[0][1]) for what in models}
         shares = (f"{what.removeprefix(OF_MODEL).rstrip(')')} {n - most} of {n}" for what, (n, most) in totals.items())
         clauses.append(f"runs of other code than most of their model: {', '.join(shares)}")
     return "; ".join(clauses)
-
-
-def _provenance(record: Record) -> dict[str, str]:
-    """Digests of a run's sources and its platform, by what two that are not alike differ in."""
-    sources = {f"code ({name})": value for name, value in (record.get("sources") or {}).items()}
-    of_all = f"{OF_MODEL}{record['model']} {record.get('measures', '')}".rstrip() + ")"
-    return {**sources, of_all: record.get("code") or "", "platform": record.get("platform") or ""}
 
 
 def joined(parts: Sequence[Records], mixed: bool = False) -> list[dict[str, Any]]:
@@ -287,8 +282,8 @@ def runs_table(records: Records, digits: int | None = None) -> Table:
     Args:
         digits: significant ones; None for all, so that a mean of them is rounded once.
     """
-    keys = [key for key in dict.fromkeys(key for record in records for key in record) if key != "sources"]
-    keys = [key for key in keys if any(record.get(key) not in (None, "") for record in records)]
+    every_key = dict.fromkeys(key for record in records for key in record)
+    keys = [key for key in every_key if any(record.get(key) not in (None, "") for record in records)]
 
     def cell(value: Any) -> str:
         if isinstance(value, bool):

@@ -106,7 +106,7 @@ class DevicePlayer:
 class RoundRobinRenderer:
     """One thread that renders 8 ms for each of its players in turn, every 8 ms, while it has any.
 
-    Threads of their own would wait for Python's lock: twenty pages then fall behind (`benchmarks/studio_load.py`).
+    Threads of their own would wait for Python's lock: twenty pages then fall behind (`benchmarks/pages.py load`).
     """
 
     block_s = BLOCK_MS / 1000

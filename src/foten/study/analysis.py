@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from foten.dsp.inference import student_quantile
 from foten.reporting.table import minus
 from foten.study.design import CHOICES, Task, task_of
 from foten.study.raters import Raters
@@ -296,15 +297,13 @@ def about(ratings: Ratings, correction: str) -> dict[str, Any]:
 
 def means_of(ratings: Ratings) -> list[dict[str, Any]]:
     """Means of each method on each texture, and of all textures, where the texture is None."""
-    from scipy import stats
-
     means = []
     for m, method in enumerate(ratings.conditions):
         columns = [*zip(ratings.textures, ratings.values[:, m].T, strict=True), (None, ratings.y[:, m].mean(-1))]
         for texture, of_texture in columns:
             values = of_texture[np.isfinite(of_texture)]
             n, mean, sd = values.size, float(values.mean()), float(values.std(ddof=1))
-            half = float(stats.t.ppf(0.975, n - 1)) * sd / n**0.5
+            half = student_quantile(n) * sd / n**0.5
             row = {"method": method, "texture": texture, "n": n, "mean": mean, "sd": sd}
             means.append(row | {"ci95_low": mean - half, "ci95_high": mean + half})
     return means

@@ -11,7 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from foten.study.statistics import Array, contrasts, holm, pairs
+from foten.dsp.inference import holm, student_quantile
+from foten.study.statistics import Array, contrasts, pairs
 
 N_ENUMERATED = 14  # participants up to which all patterns of signs are gone through, 8,192
 N_PATTERNS = 20_000  # drawn beyond, the observed one among them; at p = 0.05 the standard error is 0.0015
@@ -89,7 +90,7 @@ def bradley_terry(wins: Array, reference: int | None = None) -> Strengths:
         steps = np.linalg.solve(left, scores[..., None])[..., 0]
         extra = np.linalg.solve(full, added_score)
         covariance = (n - 1) / n * steps.T @ steps + np.outer(extra, extra)
-    half = stats.t.ppf(0.975, n - 1) if n > 1 else np.nan
+    half = student_quantile(n)
     family = pairs(k, reference)
     by_pair = np.array([space[a] - space[b] for a, b in family])
     difference = np.array([log_odds[a] - log_odds[b] for a, b in family])

@@ -12,6 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from foten.dsp.inference import holm, student_quantile
+
 ALPHA = 0.05  # of every test
 Array = NDArray[np.float64]
 Index = NDArray[np.signedinteger[Any]]
@@ -116,16 +118,6 @@ def _mauchly(covariance: Array, n: int) -> Array:
     return np.asarray(np.clip(first + w2 * (second - first), 0.0, 1.0))
 
 
-def holm(p: Array) -> Array:
-    """p values adjusted along the last axis; Holm, Scandinavian Journal of Statistics 6, 65 (1979)."""
-    m = p.shape[-1]
-    order = np.argsort(p, axis=-1)
-    stepped = np.maximum.accumulate(np.take_along_axis(p, order, -1) * np.arange(m, 0, -1), axis=-1)
-    adjusted = np.empty_like(p)
-    np.put_along_axis(adjusted, order, np.minimum(stepped, 1.0), -1)
-    return adjusted
-
-
 def pairs(k: int, reference: int | None = None) -> list[tuple[int, int]]:
     """All pairs of k conditions, or those of a reference with each other condition, the reference first."""
     if reference is None:
@@ -165,7 +157,7 @@ def paired_tests(y: Array, reference: int | None = None) -> Paired:
         dz, d_av = mean / sd, mean / ((first.std(-2, ddof=1) + second.std(-2, ddof=1)) / 2)
         t = dz * np.sqrt(n)
     p = 2 * stats.t.sf(np.abs(t), n - 1)
-    half = stats.t.ppf(0.975, n - 1) * sd / np.sqrt(n)
+    half = student_quantile(n) * sd / np.sqrt(n)
     bonferroni = np.minimum(len(family) * p, 1.0)
     return Paired(family, mean, mean - half, mean + half, t, float(n - 1), p, bonferroni, holm(p), dz, d_av)
 

@@ -24,7 +24,7 @@ MIN_SIDE = 4  # a matrix is wider and taller than that: of what is narrower litt
 class Optimiser:
     """Steps of all parameters, at a share of their learning rates.
 
-    Matrices move along the orthogonal factor of their momentum, so that no direction is slow (`benchmarks/training.py`).
+    Matrices move along the orthogonal factor of their momentum, so that no direction is slow.
 
     PyTorch's own AdamW loads a compiler when it is made, which takes longer than an epoch.
 
