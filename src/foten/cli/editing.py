@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Annotated, Any
 
 from typer import Argument, Option
 
-from foten.cli.render import UserFile, for_user
+from foten.cli.render import for_user
+from foten.cli.stroke_options import UserFile
 from foten.console import JsonOption, TextureFile, check_files, print_result, say
 
 if TYPE_CHECKING:
     from foten.editing.describe import Description
     from foten.models.texture_file import Texture
+
+TextureOutput = Annotated[Path, Option("-o", "--output", help="Texture file to write (.foten).")]
 
 
 def describe(texture_file: TextureFile, as_json: JsonOption = False) -> None:
@@ -25,16 +30,12 @@ def describe(texture_file: TextureFile, as_json: JsonOption = False) -> None:
 
     texture = read_texture(texture_file)
     description = described(texture)
-    print_result(
-        description.to_json(),
-        "\n".join(f"{name:11s}{figure}" for name, figure in description.figures(texture.unit).items()),
-        as_json,
-    )
+    print_result(description.to_json(), "\n".join(_lines(description, texture)), as_json)
 
 
 def edit(
     texture_file: TextureFile,
-    output: Path = Option(..., "-o", "--output", help="Texture file to write (.foten)."),
+    output: TextureOutput,
     level: float = Option(0.0, metavar="DB", help="Raise the level by this much (dB); a negative value lowers it."),
     brighter: float = Option(0.0, metavar="OCTAVES", help="Raise the spectral centroid by this much (octaves)."),
     wider: float = Option(0.0, metavar="OCTAVES", help="Widen the spectrum by this much (octaves)."),
@@ -67,15 +68,15 @@ def edit(
     write_texture(result.texture, output)
     for line in result.unreached:
         say(line)
-    lines = [*_beside(result.texture, ("before", result.before), ("after", result.after)), _wrote(output)]
+    lines = [*_beside(result.texture, before=result.before, after=result.after), _wrote(output)]
     document = {"output": str(output), "before": result.before.to_json(), "after": result.after.to_json()}
     print_result({**document, "unreached": list(result.unreached)}, "\n".join(lines), as_json)
 
 
 def blend(
-    first: Path = Argument(..., metavar="A.foten", help="First texture file."),
-    second: Path = Argument(..., metavar="B.foten", help="Second texture file."),
-    output: Path = Option(..., "-o", "--output", help="Texture file to write (.foten)."),
+    first: Annotated[Path, Argument(metavar="A.foten", help="First texture file.")],
+    second: Annotated[Path, Argument(metavar="B.foten", help="Second texture file.")],
+    output: TextureOutput,
     at: float = Option(0.5, help="Position between the two: 0 is the first texture, 1 the second."),
     as_json: JsonOption = False,
 ) -> None:
@@ -92,7 +93,7 @@ def blend(
     between = blended(*sides, at)
     write_texture(between, output)
     descriptions = {"first": described(sides[0]), f"at {at:g}": described(between), "second": described(sides[1])}
-    lines = [*_beside(between, *descriptions.items()), _wrote(output)]
+    lines = [*_beside(between, **descriptions), _wrote(output)]
     document = {"output": str(output), **{name: one.to_json() for name, one in descriptions.items()}}
     print_result(document, "\n".join(lines), as_json)
 
@@ -104,14 +105,35 @@ def check_texture(output: Path) -> None:
     check_files([output])
 
 
-def _wrote(output: Path) -> str:
-    return f"wrote {output}; next: foten serve {output}"
+def write_described(
+    texture: Texture,
+    output: Path,
+    as_json: bool,
+    following: str | None = None,
+    lines: Sequence[str] = (),
+    document: Mapping[str, Any] = MappingProxyType({}),
+) -> None:
+    """Write a texture and print what it measures, further lines and entries, and the command that may follow."""
+    from foten.editing.describe import describe as described
+    from foten.models.texture_file import write_texture
+
+    write_texture(texture, output)
+    description = described(texture)
+    text = "\n".join([*_lines(description, texture), *lines, _wrote(output, following)])
+    print_result({"output": str(output), **description.to_json(), **document}, text, as_json)
 
 
-def _beside(texture: Texture, *descriptions: tuple[str, Description]) -> list[str]:
+def _wrote(output: Path, following: str | None = None) -> str:
+    return f"wrote {output}; next: {following or f'foten serve {output}'}"
+
+
+def _lines(description: Description, texture: Texture) -> list[str]:
+    return [f"{name:11s}{figure}" for name, figure in description.figures(texture.unit).items()]
+
+
+def _beside(texture: Texture, **descriptions: Description) -> list[str]:
     """Rows of figures, a column for each description."""
     from foten.reporting.table import Table
 
-    rows = [description.figures(texture.unit) for _, description in descriptions]
-    heads = ("", *(name for name, _ in descriptions))
-    return Table.of(heads, [(name, *(row[name] for row in rows)) for name in rows[0]]).text()
+    rows = [description.figures(texture.unit) for description in descriptions.values()]
+    return Table.of(("", *descriptions), [(name, *(row[name] for row in rows)) for name in rows[0]]).text()

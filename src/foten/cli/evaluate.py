@@ -109,28 +109,27 @@ def _linear_model(texture: Texture) -> dict[str, str]:
     sizes = texture.card["sizes"]
     if texture.card["model"] == "ar":
         zeros = f", {sizes['ma']} zeros each" if sizes["ma"] else ""
-        return {
-            "models": f"{sizes['n_models']} of order {sizes['order']}{zeros}, on a mesh of {sizes['n_triangles']} triangles"
-        }
+        mesh = f"on a mesh of {sizes['n_triangles']} triangles"
+        return {"models": f"{sizes['n_models']} of order {sizes['order']}{zeros}, {mesh}"}
     if texture.card["model"] != "foten-plus":
         return {}
     vertices = sizes["n_speed"] * sizes["n_force"]
     over = "for all speeds and forces" if vertices == 1 else f"over {vertices} pairs of speed and force"
-    before_filter = ", gain before the filter"
-    gain = before_filter * sizes["gain_before_filter"]
-    parts = f"the lattice all of them, the network the last {sizes['window']}"
-    rows = {"history": f"a prediction uses the last {texture.window} samples: {parts}"}
-    rows |= {"lattice": f"order {sizes['order']}, {over}{gain}", "tones": "none"}
-    rows["random part"] = random_part_summary(texture.card)
-    rows["network"] = network_summary(texture.card)
+    before_filter, tones = ", gain before the filter", "none"
     if sizes["n_tones"]:
-        every = f" of a surface that repeats every {2 * pi / (texture.tensors['tones.phase_params'][0] * texture.rate_hz):.3g} mm"
+        period_mm = 2 * pi / (texture.tensors["tones.phase_params"][0] * texture.rate_hz)
         residual = f"residual by a lattice of order {sizes['residual_order']}"
-        rows["tones"] = (
-            f"{sizes['n_tones']} harmonics{every}; {residual}{before_filter * sizes['residual_gain_before_filter']}"
-        )
-    rows["equaliser"] = "eight bands, set by speed, change of speed, and force" if sizes.get("equalised") else "none"
-    return rows
+        gain = before_filter * sizes["residual_gain_before_filter"]
+        tones = f"{sizes['n_tones']} harmonics of a surface that repeats every {period_mm:.3g} mm; {residual}{gain}"
+    parts = f"the lattice all of them, the network the last {sizes['window']}"
+    return {
+        "history": f"a prediction uses the last {texture.window} samples: {parts}",
+        "lattice": f"order {sizes['order']}, {over}{before_filter * sizes['gain_before_filter']}",
+        "tones": tones,
+        "random part": random_part_summary(texture.card),
+        "network": network_summary(texture.card),
+        "equaliser": "eight bands, set by speed, change of speed, and force" if sizes.get("equalised") else "none",
+    }
 
 
 def _takes(card: Mapping[str, Any]) -> dict[str, str]:

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 from typer import Argument, Option
 
-from foten.cli.render import Actuator, StrokeOptions, provenance, rendered_by
+from foten.cli.render import provenance, rendered_by
+from foten.cli.stroke_options import Actuator, StrokeOptions
 from foten.console import check_files, check_folder, options_from, print_result
 
 if TYPE_CHECKING:

@@ -26,12 +26,11 @@ def devices(as_json: JsonOption = False) -> None:
     from foten.reporting.table import Table
     from foten.runtime.live.devices import daq_channels, sound_devices
 
-    sound, daq = sound_devices(), daq_channels()
+    sound, daq, rows = sound_devices(), daq_channels(), []
     heads = ("--device", "name", "interface", "channels", "latency [ms]", "rate [Hz]", "")
-    rows = [
-        (f"{d.number}", d.name, d.host, f"{d.channels}", f"{d.latency_ms:.0f}", f"{d.rate_hz:g}", "default" * d.default)
-        for d in sound
-    ]
+    for one in sound:
+        figures = f"{one.channels}", f"{one.latency_ms:.0f}", f"{one.rate_hz:g}"
+        rows.append((f"{one.number}", one.name, one.host, *figures, "default" if one.default else ""))
     lines = Table.of(heads, rows).text() if rows else ["no sound output"]
     lines += [f"NI-DAQ: --to daq:{channel}" for channel in daq]
     lines.append("next: foten play --device NUMBER --channel 1")

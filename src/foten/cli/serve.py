@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING
 from typer import Argument, Option
 
 from foten.atomic_write import reason
-from foten.cli.render import Actuator, Channel, Device, Gain, UserFile, user_with
+from foten.cli.render import user_with
+from foten.cli.stroke_options import Actuator, Channel, Device, Gain, UserFile
 from foten.console import say
 
 if TYPE_CHECKING:

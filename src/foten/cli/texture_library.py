@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 from typer import Argument, Option
 
+from foten.cli.commands import load
 from foten.console import JsonOption, TextureFile, print_result, say
 
 if TYPE_CHECKING:
-    from foten.editing.texture_library import Entry
+    from foten.editing.texture_library import Entry, Library
 
 app = typer.Typer(
     help="Keep textures in a library, a folder that can be searched by similarity and by words.", no_args_is_help=True
@@ -47,7 +49,7 @@ def add(
     print_result(result, text, as_json)
 
 
-def _added(opened: Any, file: Path, tags: list[str], name: str) -> Entry:
+def _added(opened: Library, file: Path, tags: list[str], name: str) -> Entry:
     if file.suffix.lower() != ".xml":
         return opened.add(file, tags, name)
     import hashlib
@@ -59,9 +61,8 @@ def _added(opened: Any, file: Path, tags: list[str], name: str) -> Entry:
 
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / f"{file.stem.removeprefix('Models_')}.foten"
-        write_texture(
-            imported_texture(read_models(file), hashlib.sha256(file.read_bytes()).hexdigest(), path.stem)[0], path
-        )
+        digest = hashlib.sha256(file.read_bytes()).hexdigest()
+        write_texture(imported_texture(read_models(file), digest, path.stem)[0], path)
         return opened.add(path, tags, name)
 
 
@@ -71,7 +72,7 @@ def list_(library: Folder = DEFAULT, as_json: JsonOption = False) -> None:
     from foten.editing.texture_library import open_library
 
     entries = open_library(library).entries
-    _print([(None, entry) for entry in entries], "", as_json, len(entries))
+    print_entries([(None, entry) for entry in entries], "", as_json, len(entries))
 
 
 @app.command()
@@ -81,7 +82,7 @@ def nearest(texture_file: TextureFile, library: Folder = DEFAULT, as_json: JsonO
     from foten.models.texture_file import read_texture
 
     entry = entry_of(read_texture(texture_file), texture_file.name)
-    _print(list(open_library(library).nearest(entry)), "distance [JND]", as_json)
+    print_entries(open_library(library).nearest(entry), "distance [JND]", as_json)
 
 
 @app.command()
@@ -94,36 +95,21 @@ def search(
     as_json: JsonOption = False,
 ) -> None:
     """Show the textures whose names and tags best match some words."""
-    from foten.editing.texture_library import open_library
-    from foten.editing.words import encoder_of
-
-    _print(list(open_library(library).search(text, encoder_of(encoder))), "likeness", as_json)
+    load("library search")(text, library, encoder, as_json)
 
 
-def _print(rows: list[tuple[float | None, Entry]], measure: str, as_json: bool, shown: int = SHOWN) -> None:
+def print_entries(rows: Sequence[tuple[float | None, Entry]], measure: str, as_json: bool, shown: int = SHOWN) -> None:
+    """Print entries of a library by some measure of likeness, the first `shown` of them for people."""
     from foten.reporting.table import Table
 
-    heads = (
-        "texture",
-        *([measure] if measure else []),
-        "level [dB]",
-        "centroid [Hz]",
-        "width [oct]",
-        "roughness [dB]",
-        "tags",
-    )
-    cells = [
-        (
-            entry.name,
-            *([f"{value:.2f}"] if value is not None else []),
-            f"{entry.description.level_db:+.1f}",
-            f"{entry.description.centroid_hz:.0f}",
-            f"{entry.description.width_octaves:.2f}",
-            f"{entry.description.roughness_db:.2f}",
-            ", ".join(entry.tags),
-        )
-        for value, entry in rows[:shown]
-    ]
+    figures = ("level [dB]", "centroid [Hz]", "width [oct]", "roughness [dB]")
+    heads = ("texture", *([measure] if measure else []), *figures, "tags")
+    cells = []
+    for value, entry in rows[:shown]:
+        one, likeness = entry.description, [] if value is None else [f"{value:.2f}"]
+        level, centroid = f"{one.level_db:+.1f}", f"{one.centroid_hz:.0f}"
+        width, roughness = f"{one.width_octaves:.2f}", f"{one.roughness_db:.2f}"
+        cells.append((entry.name, *likeness, level, centroid, width, roughness, ", ".join(entry.tags)))
     lines = Table.of(heads, cells).text() if cells else ["no texture"]
     if len(rows) > shown:
         lines.append(f"and {len(rows) - shown} more")

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 from typer import Argument, Option
 
-from foten.cli.editing import check_texture
+from foten.cli.editing import TextureOutput, check_texture, write_described
 from foten.console import JsonOption, TextureFile, check_files, print_result
 
 if TYPE_CHECKING:
@@ -45,11 +45,12 @@ def measure(
     if len(recordings) % 2:
         raise ValueError(f"{len(recordings)} recordings, expected pairs: a surface with one tool, then with the other")
     check_files([output])
-    loaded, traces = [load_recording(path) for path in recordings], []
-    for recording in loaded:
+    names, traces = [], []
+    for path in recordings:
+        recording = load_recording(path)
+        names.append(recording.tool or path.stem)
         _, block_ms = fitting_cut(recording, 0.0)
         traces.append(preprocess(recording, PreprocessConfig(rate_hz=rate, trim_ms=0.0, block_ms=block_ms)))
-    names = [recording.tool or path.stem for recording, path in zip(loaded[:2], recordings[:2], strict=True)]
     transfer = fitted_transfer(traces[::2], traces[1::2], (names[0], names[1]))
     write_transfer(transfer, output)
     text = "\n".join([*_lines(transfer), f"wrote {output}; next: foten tool apply T.foten {output} -o T-b.foten"])
@@ -71,19 +72,13 @@ def _lines(transfer: Transfer) -> list[str]:
 @app.command()
 def apply(
     texture_file: TextureFile,
-    tool: Path = Argument(..., metavar="TOOL.json", help="Tool file, as written by 'foten tool measure'."),
-    output: Path = Option(..., "-o", "--output", help="Texture file to write (.foten)."),
+    tool: Annotated[Path, Argument(metavar="TOOL.json", help="Tool file, as written by 'foten tool measure'.")],
+    output: TextureOutput,
     as_json: JsonOption = False,
 ) -> None:
     """Write a texture as it would feel through another tool, for a page, an app or a study."""
-    from foten.editing.describe import describe
     from foten.editing.tool import read_transfer, transferred
-    from foten.models.texture_file import read_texture, write_texture
+    from foten.models.texture_file import read_texture
 
     check_texture(output)
-    texture = transferred(read_texture(texture_file), read_transfer(tool))
-    write_texture(texture, output)
-    description = describe(texture)
-    lines = [f"{name:11s}{figure}" for name, figure in description.figures(texture.unit).items()]
-    lines.append(f"wrote {output}; next: foten serve {output}")
-    print_result({"output": str(output), **description.to_json()}, "\n".join(lines), as_json)
+    write_described(transferred(read_texture(texture_file), read_transfer(tool)), output, as_json)
