@@ -1,11 +1,7 @@
 """A user's profile: how strongly she feels five frequencies through her actuator, and how she likes textures moved.
 
-    answers on the page of `foten adapt` ─▶ UserProfile ─▶ adapted(texture): a texture file like any other
-
-The filter has the gains by which tones of five frequencies feel as strong as one of 160 Hz: people feel accelerations of 40 to
-250 Hz at one amplitude, so it takes away what actuator, grip and skin do. Moves are those of `editing.edit`.
-
-Source: ours; equal thresholds of acceleration after Verrillo, J. Acoust. Soc. Am. 35 (1963), as in `dsp.perception`.
+The filter has the gains by which tones of five frequencies feel as strong as one of 160 Hz. Source: ours; equal thresholds of
+acceleration from 40 to 250 Hz after Verrillo, J. Acoust. Soc. Am. 35 (1963), as in `dsp.perception`.
 """
 
 from __future__ import annotations
@@ -55,9 +51,8 @@ class UserProfile:
     answers: tuple[Answer, ...] = ()  # all that were given
 
     def __post_init__(self) -> None:
-        for text in (self.name, self.actuator, self.unit, self.texture):
-            if not isinstance(text, str):
-                raise ValueError("name, actuator, unit and texture of the user are text")
+        if not all(isinstance(text, str) for text in (self.name, self.actuator, self.unit, self.texture)):
+            raise ValueError("name, actuator, unit and texture of the user are text")
         n, k = len(TONES_HZ), len(MOVES)
         sizes = {"threshold_db": n, "threshold_sd_db": n, "gain_db": n, "gain_sd_db": n, "moves": k, "moves_sd": k}
         for name, size in {**sizes, "max_db": n}.items():
@@ -81,15 +76,17 @@ class UserProfile:
 
     def in_words(self) -> list[str]:
         """What is known, a line each."""
+
+        def figures(values: tuple[float, ...]) -> str:
+            return ", ".join(f"{hz:g} Hz {db:+.0f}" for hz, db in zip(TONES_HZ, values, strict=True))
+
         lines = []
         if self.threshold_db:
-            felt = [f"{hz:g} Hz {db:+.0f}" for hz, db in zip(TONES_HZ, self.threshold_db, strict=True)]
-            lines.append(f"felt from {', '.join(felt)} dB re {self.unit}, to {max(self.threshold_sd_db):.0f} dB")
+            sd = max(self.threshold_sd_db)
+            lines.append(f"felt from {figures(self.threshold_db)} dB re {self.unit}, to {sd:.0f} dB")
         if self.gain_db:
-            gains = [f"{hz:g} Hz {db:+.0f}" for hz, db in zip(TONES_HZ, self.gain_db, strict=True)]
-            lines.append(
-                f"as strong as {REFERENCE_HZ:g} Hz with {', '.join(gains)} dB, to {max(self.gain_sd_db):.0f} dB"
-            )
+            sd = max(self.gain_sd_db)
+            lines.append(f"as strong as {REFERENCE_HZ:g} Hz with {figures(self.gain_db)} dB, to {sd:.0f} dB")
         if self.moves:
             at = "" if self.actuator else f", at a volume of {self.volume_db:g} dB"
             lines.append(f"{self.texture} is most like its surface with {self.edit.in_words() or 'no change'}{at}")
@@ -125,11 +122,7 @@ def _is_answer(part: str, shown: tuple[float, ...], which: int) -> bool:
 
 
 def adapted(texture: Texture, profile: UserProfile, seed: int = 0) -> Texture:
-    """The texture as a user with an actuator is given it, proved.
-
-    Raises:
-        ValueError: it is not of foten-plus, is one for a user already, or the profile is empty.
-    """
+    """The texture as a user with an actuator is given it, proved; ValueError where it is one already, or nothing was measured."""
     if FOR_USER in texture.evidence:
         raise ValueError("the texture is one for a user already")
     edit, equalised = profile.edit, equal_strength(texture, profile)

@@ -33,14 +33,11 @@ def render_streams(
     """Render n samples of each stream of a texture's closed loop, shape (s, n), without fade and growth; all scaled.
 
     Args:
-        windows: that the streams go on from, shape (s, window, 3).
+        windows: that the streams go on from, shape (s, window, 3); ValueError for NaN or infinity.
         condition: speed and force of each sample, and the speed that tones go by [mm/s], shape (s, n, 3).
         noise: standard normal, shape (s, n); None for the deterministic loop.
         limit: that samples are cut to.
-        excluded: recorded moments that each stream does not play, none by default.
-
-    Raises:
-        ValueError: a window holds NaN or infinity.
+        excluded: recorded moments that each stream does not play.
     """
     out = np.empty(condition.shape[:2])
 
@@ -75,7 +72,7 @@ def render_strokes(
         seed: of the noise; stroke s draws that of stream `first_stream` + s.
         speed, force: at the texture's own rate [mm/s, N], each of shape (s, n).
         windows: acceleration, speed and force, each (s, window), that strokes go on from; by default the stored warm start.
-        excluded: recorded moments that each stroke does not play, none by default.
+        excluded: recorded moments that each stroke does not play.
     """
     rendered, n_saturated = np.empty(speed.shape), np.zeros(len(speed), dtype=np.int64)
 

@@ -74,7 +74,6 @@ class Stylus:
         block = stylus.render(480)
 
     An event counts from the next block on: render in blocks of 20 ms or less. Positions in whole pixels make an audible grain.
-
     Events that are not finite, late, doubled, out of order or a jump are counted (`stats`) and left out. Beside the 20 Hz
     low-pass speed is 2 to 5 ms late and force 3 to 10 ms, at 240 to 60 events a second that arrive at once.
     """

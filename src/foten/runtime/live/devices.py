@@ -42,8 +42,8 @@ def sound_devices() -> list[SoundDevice]:
     for number, device in enumerate(library.query_devices()):
         if (channels := device["max_output_channels"]) > 0:
             host, latency_ms = hosts[device["hostapi"]]["name"], 1000 * device["default_low_output_latency"]
-            about = number, device["name"], host, channels, number == usual
-            devices.append(SoundDevice(*about, latency_ms, device["default_samplerate"]))
+            rate_hz, default = device["default_samplerate"], number == usual
+            devices.append(SoundDevice(number, device["name"], host, channels, default, latency_ms, rate_hz))
     return devices
 
 
@@ -53,24 +53,22 @@ def _output_of(library: Any, device: str | int | None) -> str | int | None:
     if wasapi is None or isinstance(device, int):
         return device
     if device is None:
-        return wasapi["default_output_device"] if wasapi["default_output_device"] >= 0 else None
-    for number in wasapi["devices"]:
-        about = library.query_devices(number)
-        if about["max_output_channels"] > 0 and device.lower() in about["name"].lower():
-            return int(number)
-    return device
+        usual: int = wasapi["default_output_device"]
+        return usual if usual >= 0 else None
+    outputs = ((int(number), library.query_devices(number)) for number in wasapi["devices"])
+    of_name = (n for n, of in outputs if of["max_output_channels"] > 0 and device.lower() in of["name"].lower())
+    return next(of_name, device)
 
 
 class SoundSink:
-    """Sound card, or an amplifier on it that drives an actuator; `n_device_underruns` counts what the card itself missed.
+    """Sound card, or an amplifier on it that drives an actuator; OSError where PortAudio or the device is missing.
+
+    `n_device_underruns` counts what the card itself missed, `n_cut` samples beyond full scale, which are cut.
 
     Args:
-        gain: full scale for 1 of what is rendered; what goes beyond full scale is cut, and counted in `n_cut`.
+        gain: full scale for 1 of what is rendered.
         device: its name, or its number as an int, as `sound_devices` lists them; None for the usual one.
         channel: that is played on, from 1; those before it are silent.
-
-    Raises:
-        OSError: PortAudio or the device is missing.
     """
 
     def __init__(
@@ -143,10 +141,9 @@ def sound_library() -> Any:
     except ImportError as error:
         raise OSError("playing sound needs the package sounddevice: pip install 'foten[audio]'") from error
     except OSError as error:
-        raise OSError(
-            "playing sound needs PortAudio, which is not here: 'apt install libportaudio2' on Debian and Ubuntu, "
-            "'brew install portaudio' on a Mac; with Windows it comes along"
-        ) from error
+        how = "'apt install libportaudio2' on Debian and Ubuntu, 'brew install portaudio' on a Mac"
+        missing = "playing sound needs PortAudio, which is not here"
+        raise OSError(f"{missing}: {how}; with Windows it comes along") from error
     return sounddevice
 
 
@@ -161,15 +158,14 @@ def daq_channels() -> list[str]:
 
 
 class DaqSink:
-    """Analogue output of an NI-DAQ, clocked by its hardware; what goes beyond ±10 V is cut, and counted in `n_cut`.
+    """Analogue output of an NI-DAQ, clocked by its hardware; OSError where its package, its driver or the device is missing.
+
+    What goes beyond ±10 V is cut, and counted in `n_cut`.
 
     Args:
         channel: as "Dev1/ao0".
         gain: volts for one of what is rendered; 1 where an actuator's drive in V is.
         library: `nidaqmx`, or what stands for it in a test.
-
-    Raises:
-        OSError: the package, its driver or the device is missing.
     """
 
     def __init__(self, channel: str, rate_hz: float, gain: float = 1.0, library: Any = None) -> None:
@@ -178,6 +174,7 @@ class DaqSink:
         self.n_cut = 0
         self.failed: BaseException | None = None
         self._channel, self._gain = channel, gain
+        self._read: Read
         self._stopped, self._fading, self._silent = False, threading.Event(), threading.Event()
         n = max(2, round(_DAQ_BUFFERED_MS * rate_hz / 2000))  # half of the buffer
         self._block = np.zeros(n, dtype=np.float32)
@@ -207,31 +204,31 @@ class DaqSink:
 
     def start(self, read: Read) -> None:
         """Fill the buffer and start the clock; raises what rendering raised, or OSError where the device refuses."""
-
-        def refill(*_: Any) -> int:
-            try:
-                read(self._block)
-                volts = self._block.astype(np.float64) * self._gain
-                self.n_cut += int((np.abs(volts) > _DAQ_LIMIT_V).sum())
-                volts = np.clip(volts, -_DAQ_LIMIT_V, _DAQ_LIMIT_V)
-                if self._silent.is_set():
-                    volts[:] = 0.0
-                elif self._fading.is_set():
-                    volts *= np.linspace(1.0, 0.0, volts.size)
-                    self._silent.set()
-                with self._in_one_line("the NI-DAQ takes no samples"):
-                    self._writer.write_many_sample(volts)
-            except BaseException as error:  # raised by `Live.stop`, in the thread that waits for it
-                self.failed = error
-            return 0
-
+        self._read = read
         for _ in range(2):
-            refill()
+            self._refill()
             if self.failed is not None:
                 raise self.failed
         with self._in_one_line("the NI-DAQ does not start"):
-            self._task.register_every_n_samples_transferred_from_buffer_event(self._block.size, refill)
+            self._task.register_every_n_samples_transferred_from_buffer_event(self._block.size, self._refill)
             self._task.start()
+
+    def _refill(self, *_: Any) -> int:
+        try:
+            self._read(self._block)
+            volts = self._block.astype(np.float64) * self._gain
+            self.n_cut += int((np.abs(volts) > _DAQ_LIMIT_V).sum())
+            volts = np.clip(volts, -_DAQ_LIMIT_V, _DAQ_LIMIT_V)
+            if self._silent.is_set():
+                volts[:] = 0.0
+            elif self._fading.is_set():
+                volts *= np.linspace(1.0, 0.0, volts.size)
+                self._silent.set()
+            with self._in_one_line("the NI-DAQ takes no samples"):
+                self._writer.write_many_sample(volts)
+        except BaseException as error:  # raised by `Live.stop`, in the thread that waits for it
+            self.failed = error
+        return 0
 
     def stop(self) -> None:
         """Fade out, stop the clock, set the output to 0 V and close the device: its last voltage would heat a coil."""

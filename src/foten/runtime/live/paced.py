@@ -52,12 +52,10 @@ class NullSink:
                 self.take(block)
                 due += self._period_s
                 wait = due - time.perf_counter()
-                if wait > 0:
-                    self._stopping.wait(wait)
-                else:
-                    n_late = int(-wait / self._period_s)
-                    due += n_late * self._period_s
-                    self.n_late += n_late
+                self._stopping.wait(max(0.0, wait))
+                n_late = int(max(0.0, -wait) / self._period_s)
+                due += n_late * self._period_s
+                self.n_late += n_late
         except BaseException as error:  # raised by `Live.stop`, in the thread that waits for it
             self.failed = error
 

@@ -153,12 +153,12 @@ def play(
     """Play for so many seconds, or until Ctrl-C; `on_start` is called once it plays."""
     interrupted = False
     live = Live(rendering(renderer, condition), sink, lead_ms=lead_ms)
-    begin = time.monotonic()
+    end = math.inf if seconds is None else time.monotonic() + seconds
     try:
         live.start()
         on_start()
-        while live.running and (seconds is None or time.monotonic() < begin + seconds):
-            time.sleep(0.2 if seconds is None else min(0.2, max(0.0, begin + seconds - time.monotonic())))
+        while live.running and (remaining := end - time.monotonic()) > 0:
+            time.sleep(min(0.2, remaining))
     except KeyboardInterrupt:
         interrupted = True
     finally:
@@ -180,18 +180,18 @@ def gain_for(profile: ActuatorProfile | None, requested: float | None, sd: float
     Raises:
         ValueError: a gain for a sink that takes numbers as they are, or a unit that is not the sink's.
     """
+    is_daq = where.startswith("daq:")
     if requested is not None:
-        if where != "sound" and not where.startswith("daq:"):
+        if where != "sound" and not is_daq:
             raise ValueError(f"--gain is for sound and daq, and {where} takes what is rendered as it is")
         return requested
+    if where == "sound" and profile is None:
+        return LOUDNESS / sd
     unit = "m/s²" if profile is None else profile.unit
-    if where == "sound":
-        if profile is None:
-            return LOUDNESS / sd
-        if unit != "full scale":
-            ask = f"say with --gain how much of it 1 {unit} is"
-            raise ValueError(f"a sound card takes full scale, and the profile drives in {unit}: {ask}")
-    elif where.startswith("daq:") and unit != "V":
+    if where == "sound" and unit != "full scale":
+        ask = f"say with --gain how much of it 1 {unit} is"
+        raise ValueError(f"a sound card takes full scale, and the profile drives in {unit}: {ask}")
+    if is_daq and unit != "V":
         ask = f"say with --gain how many volts 1 {unit} is, or give a profile in V with --actuator"
         raise ValueError(f"a DAQ takes volts, and what is rendered is in {unit}: {ask}")
     return 1.0
