@@ -104,7 +104,7 @@ def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 
 
 def read_profile_json(path: Path, kind: str, version: int, what: str) -> dict[str, Any]:
-    """The entries of a JSON file of a kind, such as "foten-tool", and a version, without these two.
+    """The entries of a JSON file of a kind, such as "foten-tool", and a version, without these two, lists as tuples.
 
     Args:
         what: it is expected to be, for people, such as "a tool of 'foten tool measure'".

@@ -5,17 +5,19 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 from typer import Argument, Option
 
 from foten.cli.render import for_user
 from foten.cli.stroke_options import UserFile
 from foten.console import JsonOption, TextureFile, check_files, print_result, say
-
-if TYPE_CHECKING:
-    from foten.editing.describe import Description
-    from foten.models.texture_file import Texture
+from foten.editing.blend import blend as blended
+from foten.editing.describe import Description
+from foten.editing.describe import describe as described
+from foten.editing.edit import Edit, edited
+from foten.models.texture_file import Texture, read_texture, write_texture
+from foten.reporting.table import Table
 
 TextureOutput = Annotated[Path, Option("-o", "--output", help="Texture file to write (.foten).")]
 
@@ -25,9 +27,6 @@ def describe(texture_file: TextureFile, as_json: JsonOption = False) -> None:
 
     It is rendered and measured at 100 mm/s and 0.7 N, or the nearest that it was trained on. 'foten edit' changes the numbers.
     """
-    from foten.editing.describe import describe as described
-    from foten.models.texture_file import read_texture
-
     texture = read_texture(texture_file)
     description = described(texture)
     print_result(description.to_json(), "\n".join(_lines(description, texture)), as_json)
@@ -56,9 +55,6 @@ def edit(
 
     foten edit mesh.foten --user me.json -o mine.foten: as a user's profile of 'foten adapt' has it.
     """
-    from foten.editing.edit import Edit, edited
-    from foten.models.texture_file import read_texture, write_texture
-
     change = Edit(level, brighter, wider, rougher, period, speed_exponent, force_exponent)
     if not change.in_words() and user is None:
         expected = "--level, --brighter, --wider, --rougher, --period, an exponent or --user"
@@ -84,10 +80,6 @@ def blend(
 
     foten blend denim.foten towel.foten --at 0.3 -o between.foten
     """
-    from foten.editing.blend import blend as blended
-    from foten.editing.describe import describe as described
-    from foten.models.texture_file import read_texture, write_texture
-
     check_texture(output)
     sides = read_texture(first), read_texture(second)
     between = blended(*sides, at)
@@ -114,9 +106,6 @@ def write_described(
     document: Mapping[str, Any] = MappingProxyType({}),
 ) -> None:
     """Write a texture and print what it measures, further lines and entries, and the command that may follow."""
-    from foten.editing.describe import describe as described
-    from foten.models.texture_file import write_texture
-
     write_texture(texture, output)
     description = described(texture)
     text = "\n".join([*_lines(description, texture), *lines, _wrote(output, following)])
@@ -133,7 +122,5 @@ def _lines(description: Description, texture: Texture) -> list[str]:
 
 def _beside(texture: Texture, **descriptions: Description) -> list[str]:
     """Rows of figures, a column for each description."""
-    from foten.reporting.table import Table
-
     rows = [description.figures(texture.unit) for description in descriptions.values()]
     return Table.of(("", *descriptions), [(name, *(row[name] for row in rows)) for name in rows[0]]).text()

@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from typer import Argument, Option
 
 from foten.cli.commands import load
 from foten.cli.editing import check_texture, write_described
 from foten.console import JsonOption, print_result, refuse, say
-
-if TYPE_CHECKING:
-    from foten.models.texture_file import Texture
+from foten.editing.edit import UNMEASURED
+from foten.models.texture_file import Texture
 
 
 def imagine(
@@ -130,9 +128,7 @@ def _texture_of(
 
     from foten.baselines.sizes import trainable_sizes
     from foten.datasets.isolated import read_isolated
-    from foten.editing.edit import UNMEASURED
     from foten.editing.height_map import heights_of, imagined, tool_of
-    from foten.models.texture_file import Texture
     from foten.training.config import recipe_of
     from foten.training.job import TrainingJob
     from foten.training.loop import Monitor

@@ -7,6 +7,11 @@ from dataclasses import asdict
 from typer import Exit, Option
 
 from foten.console import JsonOption, TextureFile, print_result
+from foten.reporting.table import Table
+from foten.runtime import bench as timing
+from foten.runtime import doctor as examination
+from foten.runtime.binding import c_flags as flags_of
+from foten.runtime.live.devices import daq_channels, sound_devices
 
 
 def bench(
@@ -15,17 +20,12 @@ def bench(
     as_json: JsonOption = False,
 ) -> None:
     """Time the rendering of one sample with each instruction set of this processor."""
-    from foten.runtime import bench as timing
-
     times = timing.time_all(texture_file, n)
     print_result([asdict(time) for time in times], timing.as_table(times), as_json)
 
 
 def devices(as_json: JsonOption = False) -> None:
     """List the outputs of this machine: sound cards for --device and --channel, and analogue outputs of NI-DAQs."""
-    from foten.reporting.table import Table
-    from foten.runtime.live.devices import daq_channels, sound_devices
-
     sound, daq, rows = sound_devices(), daq_channels(), []
     heads = ("--device", "name", "interface", "channels", "latency [ms]", "rate [Hz]", "")
     for one in sound:
@@ -45,11 +45,8 @@ def doctor(
 ) -> None:
     """Check what this machine has for rendering, and report what is missing."""
     if c_flags:
-        from foten.runtime.binding import c_flags as flags_of
-
         print_result({"c_flags": flags_of()}, flags_of(), as_json)
         return
-    from foten.runtime import doctor as examination
 
     checks, marks = examination.checks(), {True: "✓", False: "✗", None: " "}
     lines = [f"{marks[check.fine]} {check.name:14s}{check.result}" for check in checks]

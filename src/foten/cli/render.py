@@ -7,18 +7,22 @@ import time
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+import numpy as np
 from typer import Option
 
+from foten import __version__
 from foten.cli.stroke_options import Deterministic, StrokeOptions, UserFile
 from foten.console import TextureFile, check_files, options_from, print_result, refuse, say
-
-if TYPE_CHECKING:
-    from foten.dsp import Array
-    from foten.editing.user import UserProfile
-    from foten.models.texture_file import Texture
-    from foten.runtime.renderer import Renderer
+from foten.dsp import Array
+from foten.editing.tool import read_transfer, transferred
+from foten.editing.user import UserProfile, adapted, read_user
+from foten.models.conditions import EXTRAPOLATION_LIMIT, FADE_FORCE, FADE_SPEED, REACH_FORCE, REACH_SPEED
+from foten.models.texture_file import Texture, read_texture
+from foten.recording.inspection.values import counted
+from foten.runtime.live import sinks
+from foten.runtime.renderer import Renderer
 
 SAY_EVERY_S = 5.0  # how far a long rendering is
 
@@ -48,10 +52,6 @@ class RenderOptions(StrokeOptions):
 @options_from(RenderOptions)
 def render(options: RenderOptions) -> None:
     """Render the vibration of a texture under a stroke, into files."""
-    from foten.models.texture_file import read_texture
-    from foten.runtime.live import sinks
-    from foten.runtime.renderer import Renderer
-
     output, audible = options.output, options.audible
     for path in output:
         sinks.check_suffix(path)
@@ -59,8 +59,6 @@ def render(options: RenderOptions) -> None:
     check_files(written)
     texture = read_texture(options.texture_file)
     if options.tool is not None:
-        from foten.editing.tool import read_transfer, transferred
-
         texture = transferred(texture, read_transfer(options.tool))
     texture = for_user(texture, options.user)
     rate, unit = texture.rate_hz, texture.unit
@@ -93,15 +91,12 @@ def for_user(texture: Texture, user: Path | None, actuator: Path | None = None) 
     """The texture as a user's profile has it; as it is without one."""
     if user is None:
         return texture
-    from foten.editing.user import adapted
 
     return adapted(texture, user_with(user, actuator))
 
 
 def user_with(user: Path, actuator: Path | None) -> UserProfile:
     """The profile in a file, or ValueError where it holds the response of an actuator that is compensated as well."""
-    from foten.editing.user import read_user
-
     profile = read_user(user)
     if actuator is not None and profile.unit == "full scale":
         raise ValueError(
@@ -112,8 +107,6 @@ def user_with(user: Path, actuator: Path | None) -> UserProfile:
 
 def provenance(texture: Texture, source: str, seed: int, deterministic: bool) -> dict[str, Any]:
     """Origin of a rendering, for the file that it is written to."""
-    from foten import __version__
-
     return {
         "foten": __version__,
         "texture": texture.card["texture"],
@@ -128,8 +121,6 @@ def provenance(texture: Texture, source: str, seed: int, deterministic: bool) ->
 
 def rendered_by(renderer: Renderer, speed: Array, force: Array) -> Array:
     """Acceleration [m/s²] under a stroke, second by second, so that Ctrl-C ends it, with progress where it takes long."""
-    import numpy as np
-
     second = max(1, round(renderer.texture_rate))
     pieces, shown_s = [], time.monotonic()
     for start in range(0, speed.size, second):
@@ -144,8 +135,6 @@ def print_rendered(
     document: dict[str, Any], lines: list[str], counts: dict[str, int], texture: Texture, as_json: bool
 ) -> None:
     """Print a result, with how much of it lay outside of the recorded range, and say what the kernel found wrong."""
-    from foten.recording.inspection.values import counted
-
     print_result({**document, **counts}, "\n".join([*lines, *_outside_range(counts, texture)]), as_json)
     if n := counts["n_saturated"]:
         say(f"the saturator cut {counted(n, 'sample')}: the closed loop was unstable there")
@@ -157,8 +146,6 @@ def print_rendered(
 
 def _outside_range(counts: dict[str, int], texture: Texture) -> Iterator[str]:
     """How much of a rendering lay outside of the recorded range, and what was done there."""
-    from foten.models.conditions import EXTRAPOLATION_LIMIT, FADE_FORCE, FADE_SPEED, REACH_FORCE, REACH_SPEED
-
     share = {name: f"{100 * count / counts['n']:.1f} %" for name, count in counts.items() if count}
     for name, unit, reach in (("speed", "mm/s", REACH_SPEED), ("force", "N", REACH_FORCE)):
         if of_time := share.get(f"n_{name}_beyond"):

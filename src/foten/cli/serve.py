@@ -15,9 +15,14 @@ from foten.atomic_write import reason
 from foten.cli.render import user_with
 from foten.cli.stroke_options import Actuator, Channel, Device, Gain, UserFile
 from foten.console import say
+from foten.editing.user import UserProfile, adapted
+from foten.models.texture_file import read_texture, write_texture
+from foten.recording.inspection.values import counted
+from foten.runtime.actuator import read_profile
+from foten.studio.players import OutputDevice
+from foten.studio.shelf import PICTURES, SUFFIX, Shelf, texture_files
 
 if TYPE_CHECKING:
-    from foten.editing.user import UserProfile
     from foten.studio.access import Access
 
 
@@ -52,10 +57,6 @@ def serve(
 
     foten serve --to daq:Dev1/ao0 --actuator coil.json: with a voice coil on an NI-DAQ of this machine.
     """
-    from foten.recording.inspection.values import counted
-    from foten.runtime.actuator import read_profile
-    from foten.studio.players import OutputDevice
-    from foten.studio.shelf import SUFFIX, Shelf
     from foten.studio.studio_server import Studio
     from foten.studio.web_server import serve as serve_studio
 
@@ -98,10 +99,6 @@ def serve(
 
 def _for_user(paths: list[Path], profile: UserProfile, folder: Path) -> list[Path]:
     """Textures as a user's profile has them, as files in a folder, with their pictures."""
-    from foten.editing.user import adapted
-    from foten.models.texture_file import read_texture, write_texture
-    from foten.studio.shelf import PICTURES, texture_files
-
     written = []
     for n, path in enumerate(texture_files(paths)):
         place = folder / str(n)  # files of one name stay apart

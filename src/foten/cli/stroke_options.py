@@ -4,17 +4,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 from typer import Option
 
 from foten.console import JsonOption, refuse, say
-
-if TYPE_CHECKING:
-    from foten.dsp import Array
-    from foten.models.texture_file import Texture
-    from foten.runtime.stroke import Stroke
-    from foten.runtime.stylus import PressureCalibration
+from foten.dsp import Array
+from foten.models.texture_file import Texture
+from foten.runtime.stroke import Stroke, constant_stroke, recorded_stroke, tabled_stroke
+from foten.runtime.stylus import PressureCalibration
 
 Units = Annotated[
     list[str] | None,
@@ -79,8 +77,6 @@ class StrokeOptions:
 
     def conditions(self, texture: Texture) -> tuple[Array, Array, str]:
         """Speed [mm/s] and force [N] at a texture's rate, shapes (n,), and what the stroke is called."""
-        from foten.runtime.stroke import constant_stroke, recorded_stroke
-
         constants = (self.speed, self.force, self.seconds)
         sources = [self.stroke is not None, self.recording_file is not None, constants != (None, None, None)]
         if sum(sources) != 1 or (sources[2] and None in constants):
@@ -111,7 +107,6 @@ def stroke_from(path: Path, units: list[str] | None, curve: str | None, rate_hz:
     """The stroke in a table, at a rate, with `--unit` and `--pressure`."""
     from foten.datasets.importing import read_stroke
     from foten.datasets.options import parse_pairs
-    from foten.runtime.stroke import tabled_stroke
 
     calibration = None if curve is None else pressure_calibration(curve)
     return tabled_stroke(read_stroke(path, dict(parse_pairs(units or [], "--unit"))), rate_hz, calibration)
@@ -119,8 +114,6 @@ def stroke_from(path: Path, units: list[str] | None, curve: str | None, rate_hz:
 
 def pressure_calibration(curve: str | None) -> PressureCalibration:
     """Calibration of a tablet's pressure in `--pressure`; the paper's tablet's by default."""
-    from foten.runtime.stylus import PressureCalibration
-
     if curve is None:
         return PressureCalibration()
     try:

@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
+import hashlib
+import tempfile
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 from typer import Argument, Option
 
 from foten.cli.commands import load
 from foten.console import JsonOption, TextureFile, print_result, say
-
-if TYPE_CHECKING:
-    from foten.editing.texture_library import Entry, Library
+from foten.editing.texture_library import Entry, Library, entry_of, open_library
+from foten.models.texture_file import read_texture, write_texture
+from foten.reporting.table import Table
 
 app = typer.Typer(
     help="Keep textures in a library, a folder that can be searched by similarity and by words.", no_args_is_help=True
@@ -36,8 +38,6 @@ def add(
     as_json: JsonOption = False,
 ) -> None:
     """Copy textures into a library, and measure them for its index."""
-    from foten.editing.texture_library import open_library
-
     if name and len(files) != 1:
         raise ValueError(f"--name is for one texture, got {len(files)}")
     opened, added = open_library(library, make=True), []
@@ -52,12 +52,9 @@ def add(
 def _added(opened: Library, file: Path, tags: list[str], name: str) -> Entry:
     if file.suffix.lower() != ".xml":
         return opened.add(file, tags, name)
-    import hashlib
-    import tempfile
 
     from foten.datasets.hatt import read_models
     from foten.models.piecewise_ar.local_models import imported_texture
-    from foten.models.texture_file import write_texture
 
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / f"{file.stem.removeprefix('Models_')}.foten"
@@ -69,8 +66,6 @@ def _added(opened: Library, file: Path, tags: list[str], name: str) -> Entry:
 @app.command(name="list")
 def list_(library: Folder = DEFAULT, as_json: JsonOption = False) -> None:
     """List the textures of a library."""
-    from foten.editing.texture_library import open_library
-
     entries = open_library(library).entries
     print_entries([(None, entry) for entry in entries], "", as_json, len(entries))
 
@@ -78,9 +73,6 @@ def list_(library: Folder = DEFAULT, as_json: JsonOption = False) -> None:
 @app.command()
 def nearest(texture_file: TextureFile, library: Folder = DEFAULT, as_json: JsonOption = False) -> None:
     """Show the textures nearest to a given one, by level, centroid, width and roughness in just noticeable differences."""
-    from foten.editing.texture_library import entry_of, open_library
-    from foten.models.texture_file import read_texture
-
     entry = entry_of(read_texture(texture_file), texture_file.name)
     print_entries(open_library(library).nearest(entry), "distance [JND]", as_json)
 
@@ -100,8 +92,6 @@ def search(
 
 def print_entries(rows: Sequence[tuple[float | None, Entry]], measure: str, as_json: bool, shown: int = SHOWN) -> None:
     """Print entries of a library by some measure of likeness, the first `shown` of them for people."""
-    from foten.reporting.table import Table
-
     figures = ("level [dB]", "centroid [Hz]", "width [oct]", "roughness [dB]")
     heads = ("texture", *([measure] if measure else []), *figures, "tags")
     cells = []

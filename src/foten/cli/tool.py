@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 from typer import Argument, Option
 
 from foten.cli.editing import TextureOutput, check_texture, write_described
 from foten.console import JsonOption, TextureFile, check_files, print_result
-
-if TYPE_CHECKING:
-    from foten.editing.tool import Transfer
+from foten.editing.tool import PER_OCTAVE, Transfer, fitted_transfer, read_transfer, transferred, write_transfer
+from foten.models.texture_file import read_texture
+from foten.reporting.table import Table
 
 app = typer.Typer(help="Measure once how another tool differs, then apply it to any texture.", no_args_is_help=True)
 
@@ -37,7 +37,6 @@ def measure(
     foten render denim.foten --tool pen-b.json --speed 80 --force 0.8 --seconds 3 -o denim-b.wav
     """
     from foten.datasets.hdf5 import load_recording
-    from foten.editing.tool import fitted_transfer, write_transfer
     from foten.recording.preprocess import PreprocessConfig, fitting_cut, preprocess
 
     if output.suffix != ".json":
@@ -59,9 +58,6 @@ def measure(
 
 def _lines(transfer: Transfer) -> list[str]:
     """A transfer for people: an octave a row."""
-    from foten.editing.tool import PER_OCTAVE
-    from foten.reporting.table import Table
-
     rows = list(zip(transfer.hz, transfer.gain_db, transfer.gain_sd_db, strict=True))[::PER_OCTAVE]
     cells = [(f"{hz:.0f}", f"{gain:+.1f}", f"{sd:.1f}") for hz, gain, sd in rows]
     powers = f"with speed^{transfer.speed_exponent:+.2f} and force^{transfer.force_exponent:+.2f}"
@@ -77,8 +73,5 @@ def apply(
     as_json: JsonOption = False,
 ) -> None:
     """Write a texture as it would feel through another tool, for a page, an app or a study."""
-    from foten.editing.tool import read_transfer, transferred
-    from foten.models.texture_file import read_texture
-
     check_texture(output)
     write_described(transferred(read_texture(texture_file), read_transfer(tool)), output, as_json)

@@ -7,17 +7,16 @@ from pathlib import Path
 from foten.cli.editing import check_texture, write_described
 from foten.cli.texture_library import print_entries
 from foten.console import say
+from foten.editing import words
+from foten.editing.texture_library import Library, open_library
+from foten.models.texture_file import read_texture
+from foten.runtime.renderer import EXAMPLE
 
 
 def imagine(
     text: str, output: Path, folder: Path | None, encoder: str | None, rate_hz: float | None, as_json: bool
 ) -> None:
     """Write a texture of a text, by regression over the library in a folder, or moved from one that comes along."""
-    from foten.editing import words
-    from foten.editing.texture_library import Library, open_library
-    from foten.models.texture_file import read_texture
-    from foten.runtime.renderer import EXAMPLE
-
     check_texture(output)
     own = [read_texture(path) for path in sorted(EXAMPLE.parent.glob("*.foten"))]
     library = open_library(folder) if folder else Library(EXAMPLE.parent, [])
@@ -36,8 +35,5 @@ def imagine(
 
 def search(text: str, folder: Path, encoder: str | None, as_json: bool) -> None:
     """Print the textures of a library by how like their words are to a text."""
-    from foten.editing import words
-    from foten.editing.texture_library import open_library
-
     entries = open_library(folder).entries
     print_entries(words.search(entries, text, words.encoder_of(encoder)), "likeness", as_json)
