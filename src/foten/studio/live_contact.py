@@ -62,15 +62,9 @@ class Contact:
         self._started = self._closed = False
 
     def load(self, textures: Sequence[tuple[bytes, int]]) -> None:
-        """Keep textures ready, each with a seed: `open` then takes as long for one as for another.
-
-        Raises:
-            ValueError: as `open`.
-        """
-        native: dict[bytes, NativeTexture] = {}  # one that is there several times is loaded once
+        """Keep textures ready, each with a seed: `open` then takes as long for one as for another; ValueError as there."""
+        native = {texture: NativeTexture(texture) for texture in dict.fromkeys(texture for texture, _ in textures)}
         for texture, seed in textures:
-            if texture not in native:
-                native[texture] = NativeTexture(texture)
             self._loaded[texture, seed] = self._renderer(native[texture], seed)
 
     def _renderer(self, texture: bytes | NativeTexture, seed: int) -> Renderer:

@@ -82,11 +82,7 @@ CAPTURE = Protocol(
 
 
 def parse_message(text: str, protocol: Protocol = STROKE) -> dict[str, Any]:
-    """Message in text, checked.
-
-    Raises:
-        RefusedError: it is too long, no JSON object, of an unknown kind, or a field is missing, unknown or out of range.
-    """
+    """Message in text, checked; RefusedError where it is too long, no JSON object, unknown, or a field is wrong."""
     if len(text) > MAX_BYTES:
         raise RefusedError(f"the message has {len(text)} characters, expected {MAX_BYTES} at most")
     try:
@@ -126,10 +122,7 @@ def _expectation(name: str, value: Any, allowed: Allowed) -> str:
 
 def parse_events(data: bytes) -> NDArray[np.float64]:
     """Events of a pen in bytes: x, y [mm], pressure 0 … 1 (0 is lifted), the device's time t [s], shape (n, 4), each four
-    little-endian float64.
-
-    Raises:
-        RefusedError: it does not hold 1 to `MAX_EVENTS` complete events, or one is not finite or out of range.
+    little-endian float64; RefusedError unless 1 to `MAX_EVENTS` are there, complete, finite and in range.
     """
     n, remainder = divmod(len(data), 32)
     if remainder or not 1 <= n <= MAX_EVENTS:
@@ -144,10 +137,7 @@ def parse_events(data: bytes) -> NDArray[np.float64]:
 
 def parse_capture_bytes(data: bytes) -> tuple[str, NDArray[np.float64]]:
     """Values in the bytes of a capture: `events` behind a letter `e`, shape (n, 4), or `sound` behind an `s`, shape (n,),
-    little-endian float32.
-
-    Raises:
-        RefusedError: it is neither, or a value is not finite or out of range.
+    little-endian float32; RefusedError for anything else, and for values that are not finite or out of range.
     """
     kind, payload = data[:1], data[1:]
     if kind == b"e":
@@ -165,14 +155,14 @@ class Allowance:
     """How much a page may still send: so many per second, and a second's worth at once after a pause."""
 
     per_s: float
-    left: float = 0.0
+    remaining: float = 0.0
     at_s: float = -math.inf
 
     def take(self, n: float, now_s: float | None = None) -> bool:
         """Whether n more are allowed; they are counted where they are."""
         now_s = time.monotonic() if now_s is None else now_s
-        self.left = min(self.per_s, self.left + (now_s - self.at_s) * self.per_s)
+        self.remaining = min(self.per_s, self.remaining + (now_s - self.at_s) * self.per_s)
         self.at_s = now_s
-        allowed = n <= self.left
-        self.left -= n * allowed
+        allowed = n <= self.remaining
+        self.remaining -= n * allowed
         return allowed

@@ -174,13 +174,11 @@ class StrokePage(PageSocket):
         """How the page does, for people."""
         known: dict[str, Any] = {"texture": self._texture, "sink": self._sink, "n_events": self._n_events}
         known |= {"n_refused": self.n_refused, "n_unsent": self._blocks.n_unsent}
-        contact = self._contact
-        if contact is not None:
+        if (contact := self._contact) is not None:
             live = contact.player.statistics
             known |= {"block_ms": live.block_ms, "n_missed": live.n_missed, "n_underruns": live.n_underruns}
-            for percent in (50, 99):
-                value = 1000 * live.block.percentile_s(percent)
-                known[f"block_p{percent}_ms"] = None if np.isnan(value) else value
+            times = {f"block_p{p}_ms": 1000 * live.block.percentile_s(p) for p in (50, 99)}
+            known |= {name: None if np.isnan(value) else value for name, value in times.items()}
             known["stylus"] = contact.stylus_counts
         return known
 
