@@ -115,9 +115,7 @@ def _status(arguments: list[str]) -> int:
         if package not in _EXTRAS:
             raise
         text = f"this needs {package}, which is not installed: pip install 'foten[{_EXTRAS[package]}]'"
-    except OSError as error:
+    except (OSError, ValueError) as error:
         text = reason(error)
-    except ValueError as error:
-        text = str(error) or type(error).__name__
     say(f"foten: {' '.join(text.split())}")
     return 2

@@ -11,7 +11,7 @@ from typer import Argument, Option
 
 from foten.cli.render import for_user
 from foten.cli.stroke_options import UserFile
-from foten.console import JsonOption, TextureFile, check_files, print_result, say
+from foten.console import JsonOption, TextureFile, check_output, print_result, say
 from foten.editing.blend import blend as blended
 from foten.editing.describe import Description
 from foten.editing.describe import describe as described
@@ -59,7 +59,7 @@ def edit(
     if not change.in_words() and user is None:
         expected = "--level, --brighter, --wider, --rougher, --period, an exponent or --user"
         raise ValueError(f"nothing to change, expected {expected}")
-    check_texture(output)
+    check_output(output, "a texture", ".foten")
     result = edited(for_user(read_texture(texture_file), user), change)
     write_texture(result.texture, output)
     for line in result.unreached:
@@ -80,7 +80,7 @@ def blend(
 
     foten blend denim.foten towel.foten --at 0.3 -o between.foten
     """
-    check_texture(output)
+    check_output(output, "a texture", ".foten")
     sides = read_texture(first), read_texture(second)
     between = blended(*sides, at)
     write_texture(between, output)
@@ -88,13 +88,6 @@ def blend(
     lines = [*_beside(between, **descriptions), _wrote(output)]
     document = {"output": str(output), **{name: one.to_json() for name, one in descriptions.items()}}
     print_result(document, "\n".join(lines), as_json)
-
-
-def check_texture(output: Path) -> None:
-    """Refuse what a texture cannot be written to."""
-    if output.suffix != ".foten":
-        raise ValueError(f"a texture is written as .foten, got -o {output.name}")
-    check_files([output])
 
 
 def write_described(

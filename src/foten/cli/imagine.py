@@ -7,8 +7,8 @@ from pathlib import Path
 from typer import Argument, Option
 
 from foten.cli.commands import load
-from foten.cli.editing import check_texture, write_described
-from foten.console import JsonOption, print_result, refuse, say
+from foten.cli.editing import write_described
+from foten.console import JsonOption, check_output, print_result, refuse, say
 from foten.editing.edit import UNMEASURED
 from foten.models.texture_file import Texture
 
@@ -104,7 +104,7 @@ def _needed(output: Path | None) -> Path:
     """The texture to write, checked."""
     if output is None:
         raise ValueError("expected -o FILE, the texture to write")
-    check_texture(output)
+    check_output(output, "a texture", ".foten")
     return output
 
 

@@ -12,7 +12,17 @@ from typer import Argument, Exit, Option
 from foten.atomic_write import write_json
 from foten.cli.stroke_options import pressure_calibration
 from foten.cli.train import Anyway, check_usable, unusable
-from foten.console import JsonOption, RecordingFile, check_files, check_folder, folder_option, print_result, refuse, say
+from foten.console import (
+    JsonOption,
+    RecordingFile,
+    check_files,
+    check_folder,
+    check_output,
+    folder_option,
+    print_result,
+    refuse,
+    say,
+)
 
 if TYPE_CHECKING:
     from foten.datasets.options import ImportOptions
@@ -61,17 +71,11 @@ def simulate(
         return
     if noise_seed is not None and stroke_seed is not None:
         refuse("has no effect beside --noise-seed and --stroke-seed", seed=seed)
-    _check_recording(output)
+    check_output(output, "a recording", ".h5", ".hdf5", ".H5", ".HDF5")
     recording = simulator.simulate(key, seconds, seed or 0, **of_sensors)
     write_recording(recording, output)
     result = {"output": str(output), "sha256": recording.sha256(), "simulation": dict(recording.simulation or {})}
     print_result(result, f"{output}: {key}, {recording.duration_s:g} s, {', '.join(recording.channels)}", as_json)
-
-
-def _check_recording(output: Path) -> None:
-    if output.suffix.lower() not in (".h5", ".hdf5"):
-        raise ValueError(f"a recording is written as .h5, got -o {output.name}")
-    check_files([output])
 
 
 def _simulate_capture(key: str, seconds: float, seed: int, folder: Path, as_json: bool) -> None:
@@ -177,7 +181,7 @@ def import_(
     from foten.recording.inspection import inspect_recording
     from foten.recording.recording import joined_takes
 
-    _check_recording(output)
+    check_output(output, "a recording", ".h5", ".hdf5", ".H5", ".HDF5")
     if any(os.path.realpath(file) == os.path.realpath(output) for file in (*files, *([pen] if pen else []))):
         raise ValueError(f"-o {output} is a file to import, which it would replace: give another name")
     rate_hz, rates_hz = parse_rates(rate or [])

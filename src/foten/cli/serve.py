@@ -72,8 +72,7 @@ def serve(
         try:
             shelf.put(captured)
         except (OSError, ValueError) as error:  # one bad capture is no reason not to start
-            why = reason(error) if isinstance(error, OSError) else str(error)
-            why = why.removeprefix(f"{captured}: ").removeprefix(f"{captured.name}: ")
+            why = reason(error).removeprefix(f"{captured}: ").removeprefix(f"{captured.name}: ")
             say(f"left out {captured}: {' '.join(why.split())}")
     studio = Studio(shelf, captures, output)
 

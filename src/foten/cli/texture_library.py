@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
@@ -13,8 +12,8 @@ from typer import Argument, Option
 
 from foten.cli.commands import load
 from foten.console import JsonOption, TextureFile, print_result, say
-from foten.editing.texture_library import Entry, Library, entry_of, open_library
-from foten.models.texture_file import read_texture, write_texture
+from foten.editing.texture_library import Entry, entry_of, open_library
+from foten.models.texture_file import Texture, read_texture
 from foten.reporting.table import Table
 
 app = typer.Typer(
@@ -42,25 +41,22 @@ def add(
         raise ValueError(f"--name is for one texture, got {len(files)}")
     opened, added = open_library(library, make=True), []
     for i, file in enumerate(files, 1):
-        added.append(_added(opened, file, tag or [], name))
+        stem = file.stem.removeprefix("Models_") if file.suffix.lower() == ".xml" else file.stem
+        added.append(opened.add(_texture_in(file, stem), f"{stem}.foten", tag or [], name))
         say(f"{i}/{len(files)} {added[-1].name}")
     result = {"library": str(library), "added": [entry.file for entry in added], "textures": len(opened.entries)}
     text = f"{library}: {len(opened.entries)} textures; next: foten library list --library {library}"
     print_result(result, text, as_json)
 
 
-def _added(opened: Library, file: Path, tags: list[str], name: str) -> Entry:
+def _texture_in(file: Path, stem: str) -> Texture:
+    """The texture in a texture file, or of a model file of the Penn Haptic Texture Toolkit."""
     if file.suffix.lower() != ".xml":
-        return opened.add(file, tags, name)
-
+        return read_texture(file)
     from foten.datasets.hatt import read_models
     from foten.models.piecewise_ar.local_models import imported_texture
 
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / f"{file.stem.removeprefix('Models_')}.foten"
-        digest = hashlib.sha256(file.read_bytes()).hexdigest()
-        write_texture(imported_texture(read_models(file), digest, path.stem)[0], path)
-        return opened.add(path, tags, name)
+    return imported_texture(read_models(file), hashlib.sha256(file.read_bytes()).hexdigest(), stem)[0]
 
 
 @app.command(name="list")

@@ -8,8 +8,8 @@ from typing import Annotated
 import typer
 from typer import Argument, Option
 
-from foten.cli.editing import TextureOutput, check_texture, write_described
-from foten.console import JsonOption, TextureFile, check_files, print_result
+from foten.cli.editing import TextureOutput, write_described
+from foten.console import JsonOption, TextureFile, check_output, print_result
 from foten.editing.tool import PER_OCTAVE, Transfer, fitted_transfer, read_transfer, transferred, write_transfer
 from foten.models.texture_file import read_texture
 from foten.reporting.table import Table
@@ -39,11 +39,9 @@ def measure(
     from foten.datasets.hdf5 import load_recording
     from foten.recording.preprocess import PreprocessConfig, fitting_cut, preprocess
 
-    if output.suffix != ".json":
-        raise ValueError(f"a tool is written as .json, got -o {output.name}")
     if len(recordings) % 2:
         raise ValueError(f"{len(recordings)} recordings, expected pairs: a surface with one tool, then with the other")
-    check_files([output])
+    check_output(output, "a tool", ".json")
     names, traces = [], []
     for path in recordings:
         recording = load_recording(path)
@@ -73,5 +71,5 @@ def apply(
     as_json: JsonOption = False,
 ) -> None:
     """Write a texture as it would feel through another tool, for a page, an app or a study."""
-    check_texture(output)
+    check_output(output, "a texture", ".foten")
     write_described(transferred(read_texture(texture_file), read_transfer(tool)), output, as_json)

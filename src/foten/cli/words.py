@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from foten.cli.editing import check_texture, write_described
+from foten.cli.editing import write_described
 from foten.cli.texture_library import print_entries
-from foten.console import say
+from foten.console import check_output, say
 from foten.editing import words
 from foten.editing.texture_library import Library, open_library
 from foten.models.texture_file import read_texture
@@ -17,7 +17,7 @@ def imagine(
     text: str, output: Path, folder: Path | None, encoder: str | None, rate_hz: float | None, as_json: bool
 ) -> None:
     """Write a texture of a text, by regression over the library in a folder, or moved from one that comes along."""
-    check_texture(output)
+    check_output(output, "a texture", ".foten")
     own = [read_texture(path) for path in sorted(EXAMPLE.parent.glob("*.foten"))]
     library = open_library(folder) if folder else Library(EXAMPLE.parent, [])
     made = words.imagine(text, library, words.encoder_of(encoder), rate_hz, own)

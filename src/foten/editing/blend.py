@@ -119,8 +119,7 @@ def blend(
         now = describe(blended, seed)
         target_at = replace(target, speed_mm_s=now.speed_mm_s, force_n=now.force_n)
         blended = with_spectrum(blended, now, target_at, seed, n_steps)
-    level_db = 20 * float(np.log10(max(steady_figures(blended, seed).rms, 1e-15)))
-    return with_level(blended, target.level_db - level_db)
+    return with_level(blended, target.level_db - steady_figures(blended, seed).level_db)
 
 
 def check_blendable(first: Texture, second: Texture) -> None:

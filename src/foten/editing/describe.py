@@ -67,6 +67,11 @@ class SteadyFigures:
     width_octaves: float
     roughness_db: float
 
+    @property
+    def level_db(self) -> float:
+        """Level [dB re 1]; that of silence is −300 dB."""
+        return 20 * float(np.log10(max(self.rms, 1e-15)))
+
 
 def describe(texture: Texture, seed: int = 0) -> Description:
     """The description of a texture, under the same noise for the same seed."""
@@ -75,7 +80,7 @@ def describe(texture: Texture, seed: int = 0) -> Description:
     return Description(
         speed_mm_s=speed,
         force_n=force,
-        level_db=20 * float(np.log10(max(steady.rms, 1e-15))),
+        level_db=steady.level_db,
         centroid_hz=steady.centroid_hz,
         width_octaves=steady.width_octaves,
         roughness_db=steady.roughness_db,

@@ -84,13 +84,9 @@ class Edited:
 
 
 def edited(texture: Texture, edit: Edit, seed: int = 0) -> Edited:
-    """The texture with an edit, proved.
+    """The texture with an edit, proved; ValueError where the model cannot be edited so, or there is no period to change.
 
-    Centroid and width are searched for on renderings, so that `describe` gives what was asked; the level at the described
-    condition stays, but for what is asked.
-
-    Raises:
-        ValueError: the model cannot be edited so, or the texture has no period to change.
+    Centroid and width are searched for on renderings, so that `describe` gives what was asked; the level stays there.
     """
     before = describe(texture, seed)
     moved = moved_by(texture, edit, before, seed)
@@ -106,11 +102,7 @@ def moved_by(
     n_steps: int = N_STEPS,
     curve: EnvelopeCurve | None = None,
 ) -> Texture:
-    """The texture with an edit, as `edited`, from a description and a curve of its envelope that were measured before.
-
-    Args:
-        n_steps: of the search; one step is fast, and does not quite arrive.
-    """
+    """The texture with an edit, as `edited`, of a description and a curve that are measured; in one step it is near, and fast."""
     check_editable(texture, edit, before)
     moved = texture
     if edit.period_mm is not None:
@@ -126,11 +118,14 @@ def moved_by(
             moved = with_roughness(moved, now, target, curve or EnvelopeCurve(texture, seed), seed, n_steps)
         else:
             moved = with_spectrum(moved, now, target, seed, n_steps)
-    level_db = 20 * float(np.log10(max(steady_figures(moved, seed).rms, 1e-15)))
-    moved = with_level(moved, before.level_db + edit.level_db - level_db)
+    moved = with_level(moved, before.level_db + edit.level_db - steady_figures(moved, seed).level_db)
     done = f"edited: {edit.in_words()}, {UNMEASURED}" if edit.in_words() else ""
-    words = "; ".join(part for part in (texture.evidence, done) if part)
-    return reproved(moved, {"evidence": words})
+    return reproved(moved, {"evidence": evidence_of(texture, done)})
+
+
+def evidence_of(texture: Texture, words: str) -> str:
+    """What the card says of the evidence for a texture, with further words."""
+    return "; ".join(part for part in (texture.evidence, words) if part)[:500]
 
 
 def check_editable(texture: Texture, edit: Edit, before: Description) -> None:

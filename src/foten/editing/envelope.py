@@ -20,11 +20,7 @@ ZERO = STRENGTHS.index(0.0)
 
 
 def with_envelope(texture: Texture, strength: float) -> Texture:
-    """The texture with another envelope of its recorded innovations, proved; one of noise is left as it is.
-
-    Args:
-        strength: one of `STRENGTHS`, or between; below 0 smoother.
-    """
+    """The texture with another envelope of its recorded innovations, by a strength of `STRENGTHS` or between, proved."""
     sizes = texture.sizes
     assert isinstance(sizes, FotenPlusSizes)
     if not strength or not sizes.recorded:

@@ -42,12 +42,9 @@ class Spectrum:
 
 
 def texture_of_spectrum(spectrum: Spectrum, rate_hz: float, name: str, evidence: str) -> Texture:
-    """A texture of foten-plus without tones and network, proved.
+    """A texture of foten-plus without tones and network, proved; its card says of what `evidence` it is made.
 
     Its trained range is the reference alone: elsewhere its level follows the powers, as `models.definitions.render` has it.
-
-    Args:
-        evidence: from what it is made, for its card.
     """
     grid = np.linspace(0, rate_hz / 2, N_BINS + 1)
     density = interpolated(grid, spectrum)

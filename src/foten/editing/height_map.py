@@ -46,11 +46,7 @@ def picture_contents(path: Path) -> tuple[None, list[Array]]:
 
 
 def read_picture(path: Path) -> Array:
-    """Values of a picture, 0 to 1 where they are integers: (rows, columns) of grey, or (rows, columns, 3).
-
-    Raises:
-        ValueError: the format is not known, or the picture is damaged, too large or too small.
-    """
+    """Values (rows, columns) of grey, or (rows, columns, 3), integers as 0 to 1; ValueError for no picture, or its size."""
     suffix = path.suffix.lower()
     if suffix not in SUFFIXES:
         raise ValueError(f"{path.name} is no picture, expected one of {' '.join(SUFFIXES)}")
@@ -177,7 +173,6 @@ def imagined(
     Args:
         scale_mm: of a pixel.
         tool: its tip and the contact; what it says of a profile is not used.
-        tiles: whether the picture goes on at its edges.
         seed: of the hand and the sensors.
         stroke: at `RATE_HZ`; by default one over all speeds and forces.
     """

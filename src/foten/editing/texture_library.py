@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -10,10 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from foten.atomic_write import atomic_write, write_json
+from foten.atomic_write import write_json
 from foten.dsp import Array
 from foten.editing.describe import SECONDS, Description, describe, rendered, spectrum
-from foten.models.texture_file import Texture, read_texture
+from foten.models.texture_file import Texture, read_texture, write_texture
 from foten.untrusted import MAX_PROFILE, parse_json, read_whole
 
 INDEX = "library.json"
@@ -90,17 +89,13 @@ class Library:
     folder: Path
     entries: list[Entry]
 
-    def add(self, path: Path, tags: Sequence[str] = (), name: str = "") -> Entry:
-        """Copy a texture into the folder and note what it is like, in place of one of its name; ValueError for too many."""
-        texture = read_texture(path)
+    def add(self, texture: Texture, file: str, tags: Sequence[str] = (), name: str = "") -> Entry:
+        """Write a texture to a file of the folder, in place of one of its name, and note what it is like; ValueError if full."""
         if len(tags) > MAX_TAGS or len(self.entries) >= MAX_TEXTURES:
             raise ValueError(f"expected {MAX_TAGS} tags at most, and {MAX_TEXTURES:,} textures")
-        file = f"{Path(path).stem}{SUFFIX}"
         entry = entry_of(texture, file, tags, name)
         self.folder.mkdir(parents=True, exist_ok=True)
-        if path.resolve() != (self.folder / file).resolve():
-            with atomic_write(self.folder / file) as part:
-                shutil.copyfile(path, part)
+        write_texture(texture, self.folder / file)
         self.entries = [*(one for one in self.entries if one.file != file), entry]
         self.write()
         return entry
@@ -116,12 +111,7 @@ class Library:
 
 
 def open_library(folder: Path, make: bool = False) -> Library:
-    """The library in a folder; one without an index is looked through, and one that is missing is begun where `make` is set.
-
-    Raises:
-        FileNotFoundError: there is no such folder.
-        ValueError: its index is damaged.
-    """
+    """The library in a folder, or one that `make` begins; FileNotFoundError for no folder, ValueError for a damaged index."""
     path = folder / INDEX
     if not path.exists():
         if not folder.is_dir() and not make:

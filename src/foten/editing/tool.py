@@ -18,14 +18,14 @@ from numpy.typing import NDArray
 from foten.atomic_write import write_json
 from foten.dsp import Array
 from foten.dsp.distance import MIN_SCORED_HZ, max_scored_hz
-from foten.editing.edit import fundamental_hz, knots_of, largest_ratio, lattices
+from foten.editing.edit import evidence_of, fundamental_hz, knots_of, largest_ratio, lattices
 from foten.editing.warp import N_BINS, reflections_for, spectra_of
 from foten.models.conditions import MOVING_FORCE, MOVING_SPEED
 from foten.models.excitation import Scale, powers
 from foten.models.texture_file import Texture
 from foten.recording.trace import Trace
 from foten.runtime.proof import reproved
-from foten.untrusted import read_profile_json
+from foten.untrusted import is_number, read_profile_json
 
 FORMAT, VERSION = "foten-tool", 1
 FRAME_S = 0.256  # of a spectrum
@@ -58,7 +58,7 @@ class Transfer:
         numbers += [self.speed_exponent, self.force_exponent]
         if len(sizes) != 1 or not 2 <= len(self.hz) <= MAX_BANDS:
             raise ValueError(f"the filter has {len(self.hz)} frequencies, expected 2 to {MAX_BANDS}, and a gain each")
-        if not all(isinstance(x, int | float) and not isinstance(x, bool) and np.isfinite(x) for x in numbers):
+        if not all(map(is_number, numbers)):
             raise ValueError("a figure of the tool is no finite number")
         if not (np.diff(self.hz) > 0).all() or self.hz[0] <= 0:
             raise ValueError("the frequencies of the filter do not rise")
@@ -74,13 +74,10 @@ class Transfer:
 
 
 def fitted_transfer(first: list[Trace], second: list[Trace], names: tuple[str, str] = ("", "")) -> Transfer:
-    """The transfer between two tools, from traces of the same surface, or of the same surfaces in turn.
+    """The transfer between two tools, from traces of the same surfaces in turn; ValueError where they share no speed and force.
 
     Spectra are compared in cells of speed and force where both have been. The filter is the mean over cells of the ratio in
     bands; powers of speed and force follow the ratio of levels, weighed against a prior of 0 ± 0.2.
-
-    Raises:
-        ValueError: the traces differ in number or rate, or share no speed and force.
     """
     if len(first) != len(second):
         raise ValueError(f"{len(first)} recordings of one tool and {len(second)} of the other, expected as many")
@@ -189,7 +186,7 @@ def filtered(texture: Texture, transfer: Transfer, words: str, tool: str) -> Tex
     exponents = {name: texture.extrapolation_exponent(name) + power for name, power in grown.items()}
     entries = {
         "tool": tool,
-        "evidence": "; ".join(part for part in (texture.evidence, words) if part)[:500],
+        "evidence": evidence_of(texture, words),
         "extrapolation_exponents": {name: float(np.clip(power, 0.0, 2.0)) for name, power in exponents.items()},
         "saturation": float(card["saturation"] * rise),
     }

@@ -8,16 +8,15 @@ from __future__ import annotations
 
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from foten.atomic_write import write_json
 from foten.editing.describe import describe, reference, steady_figures
-from foten.editing.edit import UNMEASURED, Edit, edited, with_level
+from foten.editing.edit import UNMEASURED, Edit, edited, evidence_of, with_level
 from foten.editing.tool import MAX_GAIN_DB, Transfer, filtered
 from foten.models.texture_file import Texture
-from foten.untrusted import read_profile_json
+from foten.untrusted import is_number, read_profile_json
 
 FORMAT, VERSION = "foten-user", 1
 TONES_HZ = (40.0, 63.0, 100.0, 160.0, 250.0)
@@ -59,9 +58,9 @@ class UserProfile:
             values = getattr(self, name)
             if len(values) != size and not (name in sizes and not values):
                 raise ValueError(f"{name} of the user has {len(values)} figures, expected {size}")
-            if not all(map(_is_number, values)):
+            if not all(map(is_number, values)):
                 raise ValueError(f"a figure of {name} of the user is no finite number")
-        if not _is_number(self.volume_db):
+        if not is_number(self.volume_db):
             raise ValueError("volume_db of the user is no finite number")
         if any(abs(gain) > MAX_GAIN_DB for gain in self.gain_db):
             raise ValueError(f"a gain of the user is beyond {MAX_GAIN_DB:g} dB")
@@ -106,13 +105,9 @@ class UserProfile:
         return Edit(level_db=level, brighter=brighter, wider=wider, rougher=rougher)
 
 
-def _is_number(value: Any) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and bool(np.isfinite(value))
-
-
 def _is_answer(part: str, shown: tuple[float, ...], which: int) -> bool:
     """Whether an answer is one to a question of a part."""
-    if not all(map(_is_number, shown)):
+    if not all(map(is_number, shown)):
         return False
     if part == "detect":
         return len(shown) == 3 and shown[0] in TONES_HZ and which in range(3)
@@ -152,8 +147,7 @@ def equal_strength(texture: Texture, profile: UserProfile) -> Texture:
 
 def _words(texture: Texture, profile: UserProfile, how: str) -> str:
     """What the card says of a texture for a user."""
-    parts = [texture.evidence, f"{FOR_USER}{profile.name or 'nameless'}: {how}, {UNMEASURED}"]
-    return "; ".join(part for part in parts if part)[:500]
+    return evidence_of(texture, f"{FOR_USER}{profile.name or 'nameless'}: {how}, {UNMEASURED}")
 
 
 def write_user(profile: UserProfile, path: Path) -> None:

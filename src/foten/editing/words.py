@@ -183,11 +183,7 @@ def values_of(entries: Sequence[Entry]) -> Array:
 
 
 def fit(entries: Sequence[Entry], encoder: Encoder) -> Fitted:
-    """The regression over a library, chosen by leaving out one name after another.
-
-    Raises:
-        ValueError: fewer than `MIN_TEXTURES` have words that are known, or all have one name.
-    """
+    """The regression over a library, chosen by leaving out one name after another; ValueError for fewer than `MIN_TEXTURES`."""
     pairs = list(encoded(entries, encoder))
     if len(pairs) < MIN_TEXTURES:
         raise ValueError(f"the library has {len(pairs)} textures with known words, expected {MIN_TEXTURES} or more")
@@ -224,14 +220,11 @@ class Imagined:
 def imagine(
     text: str, library: Library, encoder: Encoder, rate_hz: float | None = None, base: Sequence[Texture] = ()
 ) -> Imagined:
-    """A texture of a text.
+    """A texture of a text; ValueError where no word is known, there is nothing to choose from, or its rate is another.
 
     Args:
         rate_hz: of the texture, 1000 by default; of a small library, that of the texture that is moved.
         base: textures that words choose from and move where the library is small.
-
-    Raises:
-        ValueError: no word is known, there is nothing to choose from, or what is chosen has another rate.
     """
     vector = encoder.encode(text)
     if len(library.entries) < MIN_TEXTURES:

@@ -101,9 +101,7 @@ class Prediction(NamedTuple):
 def predict_blocks(texture: NativeTexture, blocks: Array, part: PredictionPart = "model") -> Prediction:
     """One-step predictions of recorded blocks, scaled (s, n, 3), from sample `window` on: (s, n − window) each.
 
-    Args:
-        blocks: acceleration, speed and force; each sample is predicted from those before it in its block.
-        part: all of the "model" or its "linear" part alone, which renderings of foten-plus excite: there this has the likelihood.
+    The "linear" part alone is what renderings of foten-plus excite: there it has the likelihood.
     """
     out = np.empty((len(blocks), blocks.shape[1] - texture.info.window, 4))
 

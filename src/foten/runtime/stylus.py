@@ -41,11 +41,8 @@ def fit_pressure(pressure: Array, force: Array) -> PressureCalibration:
     """Fit the curve of least mean square error of force to pairs measured on a scale; it needs SciPy, of the extra `data`.
 
     Args:
-        pressure: 0 … 1, shape (n,); pairs at 0 are left out.
-        force: [N], shape (n,).
-
-    Raises:
-        ValueError: fewer than three pairs, no spread of pressure, or a number that cannot be.
+        pressure, force: 0 … 1 and [N], shape (n,); pairs without pressure are left out. ValueError for fewer than three pairs, no
+            spread of pressure, or a number that cannot be.
     """
     from scipy.optimize import curve_fit
 

@@ -95,9 +95,7 @@ def access_to(
 class Admitted:
     """Those who were let in, by hashes of the secrets that they were given; in a file they are let in again by the next server.
 
-    Args:
-        path: of the file, in a folder for its owner alone; None for as long as this server runs. ValueError where it holds
-            something else, or others may have put it there.
+    The file is in a folder for its owner alone; ValueError where it holds something else, or others may have put it there.
     """
 
     def __init__(self, path: Path | None = None) -> None:
@@ -152,11 +150,7 @@ def _hash(secret: str) -> str:
 
 
 class Guarded:
-    """An application behind its access: wrong hosts, origins and strange devices are refused with a reason before it is asked.
-
-    Args:
-        for_strangers: the reason for a device that was not let in.
-    """
+    """An application behind its access: wrong hosts, origins and strange devices are refused with a reason before it is asked."""
 
     def __init__(
         self, app: ASGIApp, access: Access, admitted: Admitted | None = None, for_strangers: str = STRANGER

@@ -41,12 +41,7 @@ def why_not() -> str:
 
 
 class TrainingQueue:
-    """Trains capture folders, one after another; a page that leaves does not end them, the server's end does.
-
-    Args:
-        captures: the folder of these folders.
-        shelf: takes the textures.
-    """
+    """Trains capture folders, one after another, for a shelf; a page that leaves does not end them, the server's end does."""
 
     def __init__(self, captures: Path, shelf: Shelf) -> None:
         self.captures, self._shelf = captures, shelf
@@ -197,11 +192,7 @@ class CaptureSession:
         self._n_samples += samples.size
 
     def add_events(self, events: NDArray[np.float64]) -> None:
-        """Take in the next events: x, y [mm], pressure, t [s], shape (n, 4); for those that come late see `in_order`.
-
-        Raises:
-            RefusedError: there are too many, or an event is more than `MAX_BACK_S` back in time.
-        """
+        """Take in the next events: x, y [mm], pressure, t [s], shape (n, 4); RefusedError for too many, or one of long ago."""
         if self._n_events + len(events) > MAX_PEN_EVENTS:
             raise RefusedError(f"the capture has more than {MAX_PEN_EVENTS} events")
         latest_s = np.maximum.accumulate(np.append(self._latest_s, events[:, 3]))
@@ -214,12 +205,7 @@ class CaptureSession:
         self._n_events += len(events)
 
     def write(self, captures: Path) -> Path:
-        """Write sound, events and `About` to a new folder below `captures`; the folder.
-
-        Raises:
-            RefusedError: there is no sound, no event, or more than `MAX_LATE_SHARE` of the events came late.
-            OSError: the disk refuses.
-        """
+        """Write sound, events and `About` to a new folder below `captures`; RefusedError for none, or many late events."""
         import scipy.io.wavfile
 
         if not self._n_samples or not self._n_events:
@@ -239,13 +225,10 @@ class CaptureSession:
 
 
 def in_order(events: NDArray[np.float64]) -> tuple[NDArray[np.float64], int]:
-    """Events with increasing times, shape (k, 4), and how many came late: after an event of a later time.
+    """Events (n, 4), times last, in increasing order (k, 4), and how many came late: after an event of a later time.
 
     A late event is left out; a late touch or lift counts at the time of the event before it: without it two touches would be one.
     Of events of one time the last counts; a touch and the lift before it may have one time.
-
-    Args:
-        events: x, y [mm], pressure, t [s] in the order in which they came, shape (n, 4).
     """
     times = np.round(events[:, 3], 6)  # as the file has them
     latest = np.maximum.accumulate(times)

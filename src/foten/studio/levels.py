@@ -17,12 +17,7 @@ MAX_GAIN_DB = 30.0
 
 
 def gains_db(renderers: Sequence[Renderer], scales: Sequence[float]) -> list[float]:
-    """Gain of each method [dB] to the median of their powers over nine conditions.
-
-    Args:
-        renderers: of the methods, at any rate.
-        scales: factors with which they are played at 0 dB.
-    """
+    """Gain of each method [dB], which 0 dB plays at a scale, to the median of their powers over nine conditions."""
     conditions = _conditions(renderers)
     levels = np.array([_level_db(renderer, conditions) for renderer in renderers]) + 20 * np.log10(scales)
     gains: list[float] = np.clip(np.median(levels) - levels, -MAX_GAIN_DB, MAX_GAIN_DB).tolist()

@@ -41,9 +41,7 @@ class _Stroked:
 class Contact:
     """Vibration of a pen's events, given to a player from `open` to `close`.
 
-    Args:
-        player: takes what is rendered, in full scale or, where it is calibrated, as it is.
-        on_block: is given each block before the volume, for the page to draw or to play.
+    `on_block` is given each block before the volume, for the page to draw or to play.
     """
 
     def __init__(self, player: Player, on_block: OnBlock) -> None:
@@ -73,10 +71,7 @@ class Contact:
     def open(
         self, texture: bytes, calibration: PressureCalibration, seed: int = 0, volume_db: float | None = None
     ) -> None:
-        """Put a texture under the pen, in the middle of a stroke too; the first one begins to play.
-
-        Args:
-            volume_db: from the texture's first sample on; None leaves the volume as it is.
+        """Put a texture under the pen, in the middle of a stroke too; the first one begins to play. A volume of None stays.
 
         Raises:
             ValueError: it is no texture file, or its rate and the player's do not go together.

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from foten.untrusted import parse_json
+from foten.untrusted import is_number, parse_json
 
 MAX_BYTES = 4096  # of a message
 MAX_EVENTS = 64  # in a message
@@ -116,8 +116,7 @@ def _expectation(name: str, value: Any, allowed: Allowed) -> str:
     if isinstance(allowed[0], str):
         return "" if value in allowed else f"one of {', '.join(map(str, allowed))}"
     low, high = float(allowed[0]), float(allowed[1])
-    is_number = isinstance(value, int | float) and not isinstance(value, bool)
-    return "" if is_number and low <= value <= high else f"a number from {low:g} to {high:g}"
+    return "" if is_number(value) and low <= value <= high else f"a number from {low:g} to {high:g}"
 
 
 def parse_events(data: bytes) -> NDArray[np.float64]:

@@ -21,12 +21,9 @@ MAX_BEHIND_S = 0.2  # that a machine which stood still catches up with
 
 @dataclass(frozen=True)
 class OutputDevice:
-    """An output that is wired to this machine, as `foten play` names it, and the actuator on it.
+    """An output that is wired to this machine, as `foten play` names it, and its actuator; ValueError for what does not fit.
 
     Where the actuator or a gain is known, a page's 0 dB is the acceleration as it was recorded.
-
-    Raises:
-        ValueError: the output is none, is a file, or its unit and the actuator's do not go together.
     """
 
     to: str = "sound"
@@ -189,12 +186,7 @@ Player = DevicePlayer | RoundRobinPlayer
 
 
 def white_noise(level_db: float, device: str | None) -> Live:
-    """White noise on a sound card of this machine, as a context in which it plays: it masks the sound of an actuator.
-
-    Args:
-        level_db: its RMS [dB re full scale].
-        device: name or number of the sound card; None for the usual one.
-    """
+    """White noise of an RMS [dB re full scale] on a sound card, as a context in which it plays: it masks an actuator's sound."""
     rng, rms = np.random.default_rng(), np.float32(10 ** (level_db / 20))
 
     def render(out: Samples) -> None:

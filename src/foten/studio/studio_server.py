@@ -44,13 +44,7 @@ STATE_S = 1.0  # between two reports of how rendering keeps up
 
 
 class Studio:
-    """What the server has, and who is there.
-
-    Args:
-        shelf: the textures.
-        captures: the folder where pages' captures are kept.
-        output_device: plays here, for a page that asks for it.
-    """
+    """The textures of a server, its folder of captures and its output, and the pages that are there."""
 
     def __init__(self, shelf: Shelf, captures: Path = CAPTURES, output_device: OutputDevice | None = None) -> None:
         self.shelf = shelf

@@ -47,8 +47,7 @@ def moves_of(query: Mapping[str, str]) -> dict[str, float]:
 def tuned(path: Path, other: Path | None, moves: Mapping[str, float], exact: bool) -> bytes:
     """A texture blended with another and moved, as a file's bytes; ValueError where it cannot be moved so.
 
-    Args:
-        exact: search until centroid and width are what was asked, as `foten edit` does; else one step, for a slider that moves.
+    `exact` searches until centroid and width are what was asked; else one step is taken towards them, for a slider that moves.
     """
     file = path, path.stat().st_mtime_ns
     texture, description = _known(*file)

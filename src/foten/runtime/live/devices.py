@@ -63,10 +63,8 @@ def _output_of(library: Any, device: str | int | None) -> str | int | None:
 class SoundSink:
     """Sound card, or an amplifier on it that drives an actuator; OSError where PortAudio or the device is missing.
 
-    `n_device_underruns` counts what the card itself missed, `n_cut` samples beyond full scale, which are cut.
-
     Args:
-        gain: full scale for 1 of what is rendered.
+        gain: full scale for 1 of what is rendered; what goes beyond full scale is cut, and counted in `n_cut`.
         device: its name, or its number as an int, as `sound_devices` lists them; None for the usual one.
         channel: that is played on, from 1; those before it are silent.
     """
@@ -158,13 +156,10 @@ def daq_channels() -> list[str]:
 
 
 class DaqSink:
-    """Analogue output of an NI-DAQ, clocked by its hardware; OSError where its package, its driver or the device is missing.
-
-    What goes beyond ±10 V is cut, and counted in `n_cut`.
+    """Analogue output of an NI-DAQ, such as "Dev1/ao0", clocked by its hardware; OSError where it or its driver is missing.
 
     Args:
-        channel: as "Dev1/ao0".
-        gain: volts for one of what is rendered; 1 where an actuator's drive in V is.
+        gain: volts for one of what is rendered; what goes beyond ±10 V is cut, and counted in `n_cut`.
         library: `nidaqmx`, or what stands for it in a test.
     """
 

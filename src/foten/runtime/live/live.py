@@ -27,9 +27,7 @@ _BINS = np.concatenate([[0.0], np.geomspace(1e-7, 1.0, 701)])  # s; 2.3 % apart
 class Ring:
     """Ring of float32 samples, without a lock: each counter is written by one thread, after its samples are in place.
 
-    Args:
-        size: samples that it holds.
-        n_fade: samples of a fade to silence where there are no more, and of the rise of new ones.
+    Where there are no more, it fades to silence in `n_fade` samples; new ones rise in as many.
     """
 
     def __init__(self, size: int, n_fade: int) -> None:

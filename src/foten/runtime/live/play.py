@@ -94,11 +94,9 @@ def rendering(renderer: Renderer, condition: ConditionAt) -> Read:
 
 
 def sink_of(where: str, rate_hz: float, gain: float, device: str | None = None, channel: int | None = None) -> Sink:
-    """Sink that a text names: sound, null, daq:Dev1/ao0, udp:HOST:PORT or osc:HOST:PORT.
+    """Sink that a text names: sound, null, daq:Dev1/ao0, udp:HOST:PORT or osc:HOST:PORT; ValueError where it names none.
 
-    Raises:
-        ValueError: it names none, or a device or channel of a sink that has none.
-        OSError: the device, its library or the host is missing.
+    OSError where the device, its library or the host is missing.
     """
     if where != "sound" and (device is not None or channel is not None):
         raise ValueError(f"--device and --channel are a sound card's, and it is played to {where}")
@@ -175,11 +173,7 @@ def play(
 
 
 def gain_for(profile: ActuatorProfile | None, requested: float | None, sd: float, where: str) -> float:
-    """Gain of a sink: the requested one; else 1 where the unit is the sink's, or a usual loudness for acceleration as sound.
-
-    Raises:
-        ValueError: a gain for a sink that takes numbers as they are, or a unit that is not the sink's.
-    """
+    """Gain of a sink: the requested one; else 1 where the unit is the sink's (or ValueError), or a usual loudness for sound."""
     is_daq = where.startswith("daq:")
     if requested is not None:
         if where != "sound" and not is_daq:

@@ -119,11 +119,11 @@ def picture(acceleration: Array, speed: Array, force: Array, rate_hz: float, abo
         power = np.abs(np.fft.rfft(frames * np.hanning(n), axis=1)) ** 2
         top = float(power.max()) or 1.0
         level = 10 * np.log10(np.maximum(power / top, 10 ** (-SPECTROGRAM_DB / 10)))
-        left, edge = -0.5 * hop / rate_hz, 0.5 * rate_hz / n
-        extent = (left, left + len(frames) * hop / rate_hz, -edge, (n // 2) * rate_hz / n + edge)
+        frequencies = np.arange(n // 2 + 1, dtype=np.float64) * rate_hz / n
+        begin, edge = -0.5 * hop / rate_hz, 0.5 * rate_hz / n
+        extent = (begin, begin + len(frames) * hop / rate_hz, -edge, frequencies[-1] + edge)
         image = spectrum.imshow(level.T, origin="lower", aspect="auto", cmap="magma", extent=extent)
         figure.colorbar(image, ax=spectrum, label="dB re loudest", pad=0.01)
-        frequencies = np.arange(n // 2 + 1, dtype=np.float64) * rate_hz / n
         highest = max(highest, highest_with_power(frequencies, power.mean(axis=0), rate_hz))
     above = "" if highest == rate_hz / 2 else "\nwhere 99.9 % of the power lies"
     spectrum.set(ylabel=f"frequency [Hz]{above}", ylim=(0, highest), xlim=limits)
