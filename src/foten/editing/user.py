@@ -116,7 +116,7 @@ def _is_answer(part: str, shown: tuple[float, ...], which: int) -> bool:
     return part.startswith("match:") and len(shown) in range(2, 2 * len(MOVES) + 1, 2) and which in range(2)
 
 
-def adapted(texture: Texture, profile: UserProfile, seed: int = 0) -> Texture:
+def adapted(texture: Texture, profile: UserProfile) -> Texture:
     """The texture as a user with an actuator is given it, proved; ValueError where it is one already, or nothing was measured."""
     if FOR_USER in texture.evidence:
         raise ValueError("the texture is one for a user already")
@@ -125,12 +125,12 @@ def adapted(texture: Texture, profile: UserProfile, seed: int = 0) -> Texture:
         if equalised is texture:
             raise ValueError("the user's profile is empty: nothing was measured")
         return equalised
-    before = describe(equalised, seed)
+    before = describe(equalised)
     width = max(edit.wider, 0.05 - before.width_octaves)  # moves were chosen on another texture, which was wider
-    result = edited(equalised, replace(edit, wider=width), seed)
-    filtered_first = "a filter, " if profile.transfer else ""
-    reached = f", as far as it goes ({'; '.join(result.unreached)})" if result.unreached else ""
-    words = _words(texture, profile, f"{filtered_first}{edit.in_words()}{reached}")
+    result = edited(equalised, replace(edit, wider=width))
+    how = f"{'a filter, ' if profile.transfer else ''}{edit.in_words()}"
+    how += f", as far as it goes ({'; '.join(result.unreached)})" if result.unreached else ""
+    words = _words(texture, profile, how)
     return Texture({**result.texture.card, "evidence": words}, result.texture.tensors)
 
 

@@ -57,8 +57,8 @@ class WordTable:
 
     name = "words"
 
-    def __init__(self, path: Path = TABLE) -> None:
-        with np.load(path, allow_pickle=False) as table:
+    def __init__(self) -> None:
+        with np.load(TABLE, allow_pickle=False) as table:
             words = bytes(table["words"]).decode().split("\n")
             vectors = table["vectors"].T.astype(np.float64) * table["scales"].astype(np.float64)[:, None]
         self._rows = {word: i for i, word in enumerate(words)}

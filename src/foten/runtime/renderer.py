@@ -79,7 +79,7 @@ class Renderer:
 
     def counted(self) -> dict[str, int]:
         """Counts by name."""
-        return {name: int(getattr(self.stats, name)) for name, *_ in NativeStatistics._fields_}
+        return self.stats.by_name()
 
     def reset(self, seed: int | None = None) -> None:
         """Begin again, with the same seed or another one."""

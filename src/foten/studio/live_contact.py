@@ -150,10 +150,7 @@ class Contact:
     @property
     def stylus_counts(self) -> dict[str, int]:
         """Events that the stylus counted, by kind."""
-        if self._stroked is None:
-            return {}
-        stats = self._stroked.stylus.stats
-        return {name: int(getattr(stats, name)) for name, *_ in type(stats)._fields_}
+        return {} if self._stroked is None else self._stroked.stylus.stats.by_name()
 
     def close(self) -> None:
         """End playing for good, and give the device back; raises what it died of."""

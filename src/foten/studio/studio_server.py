@@ -111,18 +111,19 @@ class Studio:
             return missing(f"cannot be compared: {error}")
 
     async def _tuned(self, request: Request) -> Response:
+        from foten.studio import tuning
+
         query = request.query_params
         entry, other = self.shelf.get(query.get("texture", "")), self.shelf.get(query.get("other", ""))
         if entry is None or ("other" in query and other is None):
             return missing("there is no such texture here")
-        from foten.studio import tuning
-
         try:
-            moves = tuning.moves_of(query)
+            moves, exact = tuning.moves_of(query), query.get("exact") == "1"
             async with asyncio.timeout(MAX_TUNING_WAIT_S) as waiting, self._tuning:
                 waiting.reschedule(None)
-                path = None if other is None else other.path
-                data = await asyncio.to_thread(tuning.tuned, entry.path, path, moves, query.get("exact") == "1")
+                data = await asyncio.to_thread(
+                    tuning.tuned, entry.path, None if other is None else other.path, moves, exact
+                )
         except TimeoutError:
             return PlainTextResponse("another texture is being moved: try again in some seconds\n", status_code=503)
         except (OSError, ValueError) as error:
