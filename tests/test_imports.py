@@ -209,6 +209,16 @@ def test_a_page_for_any_host_needs_no_server(tmp_path: Path) -> None:
     assert (tmp_path / "site" / "index.html").exists()
 
 
+def test_a_command_loads_itself_alone_and_help_no_heavy_library() -> None:
+    code = "import sys; from foten.cli.command_line import _status; _status(sys.argv[1:]); print(*sys.modules)"
+    assert not {"foten.study.commands", "foten.cli.train", "foten.editing.blend"} & set(
+        run(code, "devices", "-h").split()
+    )
+    loaded = set(run(code, "--help").split())
+    assert {"foten.study.commands", "foten.cli.train", "foten.editing.blend"} <= loaded
+    assert not {"torch", "scipy", "h5py", "matplotlib", "starlette", "onnxruntime"} & loaded
+
+
 def test_training_says_what_it_lacks_without_pytorch() -> None:
     """The other side of the test above: the block works."""
     code = "import sys; sys.modules['torch'] = None\ntry:\n    import foten.training.loop\nexcept ImportError as e: print(e.name)"

@@ -209,6 +209,14 @@ def import_(
         if decision not in refusals:
             say(decision)
     check_usable(refusals)
+    recording = _named(imported, files, stated)
+    whole = joined_takes([load_recording(output), recording]) if append else recording
+    write_recording(whole, output)
+    _print_imported(recording, output, len(whole.takes), as_json)
+
+
+def _named(imported: Recording, files: list[Path], stated: dict[str, str]) -> Recording:
+    """The recording with what is stated of it, and otherwise the names of its files."""
     for field in ("texture", "tool"):
         if (text := getattr(imported, field)) and not stated[field] and not files[0].is_dir():
             say(f"{field}: {text}, read from the lines above the table; --{field} overrides it")
@@ -216,10 +224,7 @@ def import_(
     stem = folder if files[0].stem == "sound" and folder else files[0].stem  # of a `sound.wav` its folder's
     name = imported.name or ", ".join(file.name for file in files)
     named = {"texture": imported.texture or stem, "name": name} | {key: text for key, text in stated.items() if text}
-    recording = replace(imported, **named)  # type: ignore[arg-type]
-    whole = joined_takes([load_recording(output), recording]) if append else recording
-    write_recording(whole, output)
-    _print_imported(recording, output, len(whole.takes), as_json)
+    return replace(imported, **named)  # type: ignore[arg-type]
 
 
 def _print_imported(recording: Recording, output: Path, n_takes: int, as_json: bool) -> None:
