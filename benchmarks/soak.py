@@ -26,8 +26,8 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import numpy as np
 
 from foten.models.texture_file import read_texture
+from foten.runtime.live.devices import NullSink
 from foten.runtime.live.live import Live
-from foten.runtime.live.paced import NullSink
 from foten.runtime.renderer import Renderer
 from foten.runtime.stylus import Stylus
 from result_table import add_csv, report

@@ -26,7 +26,7 @@ COMMANDS = {
     "imagine words": "foten.cli.words:imagine",
     "library": "foten.cli.texture_library:app",
     "library search": "foten.cli.words:search",
-    "tool": "foten.cli.tool:app",
+    "tool": "foten.cli.editing:tool",
     "adapt": "foten.cli.adapt:adapt",
     "sweep": "foten.cli.experiments:sweep",
     "tables": "foten.cli.experiments:tables",

@@ -16,9 +16,8 @@ from foten.atomic_write import atomic_write
 from foten.dsp import Array
 from foten.recording.preprocess import condition
 from foten.runtime.actuator import ActuatorProfile
-from foten.runtime.live.devices import SOUND_RATE_HZ, DaqSink, SoundSink
+from foten.runtime.live.devices import SOUND_RATE_HZ, DaqSink, NullSink, OscSink, SoundSink, UdpSink
 from foten.runtime.live.live import Live, LiveStatistics, Read, Samples, Sink
-from foten.runtime.live.paced import NullSink, OscSink, UdpSink
 from foten.runtime.live.sinks import float_wav
 from foten.runtime.renderer import Renderer
 from foten.runtime.stroke import Stroke
