@@ -26,8 +26,8 @@ import numpy as np
 
 from bench import parser_of, report, untrained
 from foten.models.texture_file import read_texture
+from foten.runtime.live.devices import NullSink
 from foten.runtime.live.live import Live
-from foten.runtime.live.paced import NullSink
 from foten.runtime.renderer import Renderer
 from foten.runtime.stylus import Stylus
 

@@ -421,7 +421,11 @@ MUTANTS = (
         ("pieces fade the wrong way", "joined_pieces", "BinOp Div", "1 - it"),
         ("a loop has a seam", "under_ball", "Constant 5", "'reflect'"),
     ),
-    *of_python("editing/edit.py", ("a residual keeps its exponents", "with_exponents", "IfExp", "[]"), tests="editing"),
+    *of_python(
+        "editing/edit.py",
+        ("a residual keeps its exponents", "with_exponents", "Call lattices", "('lattice.',)"),
+        tests="editing",
+    ),
     *of_python(
         "editing/blend.py",
         ("a blend's tones are out of step", "_blended_tones", "Call in_step", "it.args[0]"),

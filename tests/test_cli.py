@@ -7,6 +7,7 @@ import errno
 import json
 import pickle
 from contextlib import AbstractContextManager, redirect_stderr, redirect_stdout
+from importlib.metadata import EntryPoint
 from io import StringIO
 from pathlib import Path
 from typing import Any
@@ -17,6 +18,7 @@ from rich.text import Text
 from typer.main import get_command
 
 from foten.atomic_write import atomic_write
+from foten.cli import commands
 from foten.cli.command_line import _status, app
 from foten.cli.evaluate import network_summary, random_part_summary
 from foten.cli.train import TrainOptions
@@ -516,6 +518,22 @@ def test_help_is_printed_as_it_is_written() -> None:
         for text in (command.help, *(parameter.help for parameter in command.params)):
             assert Text.from_markup(text).plain == text, name
         foten(name, "--help")
+
+
+def test_commands_of_other_packages_are_found_by_their_entry_points(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(commands, "COMMANDS", {"info": commands.COMMANDS["info"]})
+    line = "foten: study: is in the package foten-study: pip install './packages/foten' './packages/foten-study'"
+    assert refusal("study", "new", "x.toml") == line
+    assert "study" not in foten("--help")[0]
+    found = [
+        EntryPoint(name, "foten.cli.machine:doctor", commands.GROUP) for name in ("study", "imagine words", "more")
+    ]
+    monkeypatch.setattr(commands, "others", lambda: {entry.name: entry for entry in found})
+    assert "-I" in foten("study", "--c-flags")[0]
+    listed = foten("--help")[0]
+    assert " more " in listed
+    assert "imagine" not in listed
+    assert "No such command 'imagine words'" in refusal("imagine words")
 
 
 def test_the_demo_makes_everything_it_names(tmp_path: Path) -> None:

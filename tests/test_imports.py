@@ -102,7 +102,10 @@ def of_project(modules: Iterator[str]) -> set[str]:
 
 
 def test_of_the_command_line_alone_the_study_is_known() -> None:
-    assert {package(m) for m in MODULES if "study" in of_project(imported(source(m)))} == {"study", "cli"}
+    """By the table of commands, which names it without importing it."""
+    assert {package(m) for m in MODULES if "study" in of_project(imported(source(m)))} == {"study"}
+    named = {path.relative_to(ROOT) for path in ROOT.rglob("*.py") if "foten.study" in path.read_text(encoding="utf-8")}
+    assert {path for path in named if path.parts[0] != "study"} == {Path("cli", "commands.py")}
 
 
 def test_every_package_has_its_row() -> None:
@@ -213,6 +216,16 @@ def test_a_page_for_any_host_needs_no_server(tmp_path: Path) -> None:
     done = subprocess.run([sys.executable, "-c", program, *arguments], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     assert (tmp_path / "site" / "index.html").exists()
+
+
+def test_a_command_loads_itself_alone_and_help_no_heavy_library() -> None:
+    code = "import sys; from foten.cli.command_line import _status; _status(sys.argv[1:]); print(*sys.modules)"
+    assert not {"foten.study.commands", "foten.cli.train", "foten.editing.blend"} & set(
+        run(code, "devices", "-h").split()
+    )
+    loaded = set(run(code, "--help").split())
+    assert {"foten.study.commands", "foten.cli.train", "foten.editing.blend"} <= loaded
+    assert not {"torch", "scipy", "h5py", "matplotlib", "starlette", "onnxruntime"} & loaded
 
 
 def test_training_says_what_it_lacks_without_pytorch() -> None:

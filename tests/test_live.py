@@ -29,9 +29,8 @@ from foten.cli.command_line import _status
 from foten.models.texture_file import Texture
 from foten.runtime.actuator import ActuatorProfile
 from foten.runtime.live import devices
-from foten.runtime.live.devices import DaqSink, SoundSink
+from foten.runtime.live.devices import DaqSink, NullSink, OscSink, SoundSink, UdpSink
 from foten.runtime.live.live import Live, LiveStatistics, Ring, Timing
-from foten.runtime.live.paced import NullSink, OscSink, UdpSink
 from foten.runtime.live.play import along, circling, gain_for, holding, rate_for, rendering, sink_of, write_wav
 from foten.runtime.live.sinks import AUDIBLE_PEAK, picture, write_audible, write_rendered
 from foten.runtime.renderer import Renderer
@@ -219,7 +218,7 @@ def test_a_program_that_ends_without_stopping_ends_well(texture: Texture, tmp_pa
     path = tmp_path / "t.foten"
     path.write_bytes(texture.to_bytes())
     program = (
-        "import sys, foten\nfrom foten.runtime.live.paced import NullSink\n"
+        "import sys, foten\nfrom foten.runtime.live.devices import NullSink\n"
         "r = foten.Renderer(sys.argv[1], rate=48000)\nr.native_state.set_condition(80, 0.8)\n"
         "live = foten.Live(r.native_state.render, NullSink(48000))\nlive.start()\n"
     )

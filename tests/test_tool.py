@@ -12,7 +12,8 @@ from foten.cli.command_line import _status
 from foten.dsp.distance import welch
 from foten.dsp.speed_force_table import log_force
 from foten.editing.describe import rendered
-from foten.editing.tool import Transfer, _knots, fitted_transfer, read_transfer, transferred, write_transfer
+from foten.editing.edit import knots_of
+from foten.editing.tool import Transfer, fitted_transfer, read_transfer, transferred, write_transfer
 from foten.models.texture_file import Texture, read_texture
 from foten.recording.trace import Trace
 from foten.runtime.renderer import EXAMPLE, Renderer
@@ -93,7 +94,7 @@ def test_it_costs_what_it_cost_and_is_proved() -> None:
 
 
 def test_knots_of_a_table_are_speeds_and_forces() -> None:
-    knots = _knots({"a.speed_knots": np.array([10.0, 20.0]), "a.force_knots": log_force(np.array([0.5, 1.0]))}, "a.")
+    knots = knots_of({"a.speed_knots": np.array([10.0, 20.0]), "a.force_knots": log_force(np.array([0.5, 1.0]))}, "a.")
     np.testing.assert_allclose(knots, [[10, 0.5], [10, 1], [20, 0.5], [20, 1]])
 
 

@@ -31,9 +31,8 @@ from foten.atomic_write import atomic_write
 from foten.dsp.distance import earth_mover_octaves
 from foten.dsp.inference import standard_error, student_quantile
 from foten.editing.describe import REFERENCE, rendered, spectrum
-from foten.editing.imagine import LAW, fit, values_of
 from foten.editing.texture_library import BANDS_HZ, Entry, bands_db, open_library
-from foten.editing.words import TABLE, encoder_of
+from foten.editing.words import LAW, TABLE, encoder_of, fit, stem_of, text_of, values_of
 from foten.models.texture_file import read_texture
 from foten.reporting.table import Table
 
@@ -81,10 +80,10 @@ def parabola(entry: Entry) -> np.ndarray:
 
 def predictions(i: int, entries: list[Entry], values: np.ndarray, encoder: str | None) -> dict[str, np.ndarray]:
     """Figures of a texture by method, from the others without its namesakes."""
-    others = np.array([j for j, one in enumerate(entries) if one.stem != entries[i].stem])
+    others = np.array([j for j, one in enumerate(entries) if stem_of(one) != stem_of(entries[i])])
     known, rest = encoder_of(None), [entries[j] for j in others]
-    vector = known.encode(entries[i].text)
-    likeness = [float(known.encode(one.text) @ vector) for one in rest]
+    vector = known.encode(text_of(entries[i]))
+    likeness = [float(known.encode(text_of(one)) @ vector) for one in rest]
     rng = np.random.default_rng(i)
     errors = np.abs(values[others, :N_BANDS] - values[i, :N_BANDS]).mean(axis=1)
     return {
@@ -100,7 +99,7 @@ def predictions(i: int, entries: list[Entry], values: np.ndarray, encoder: str |
 
 def _by_sentences(entry: Entry, rest: list[Entry], encoder: str) -> np.ndarray:
     known = encoder_of(encoder)
-    return fit(rest, known).regression.at(known.encode(entry.text))[0]
+    return fit(rest, known).regression.at(known.encode(text_of(entry)))[0]
 
 
 def interval(figures: np.ndarray) -> float:

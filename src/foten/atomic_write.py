@@ -44,8 +44,8 @@ def write_json(path: Path, document: Mapping[str, Any], indent: int | None = 1) 
         part.write_text(json.dumps(document, indent=indent, allow_nan=False) + "\n", encoding="utf-8")
 
 
-def reason(error: OSError) -> str:
-    """Reason of a system's refusal, in a line: the file first, without the number."""
-    if error.strerror and error.filename is not None:
+def reason(error: Exception) -> str:
+    """Reason of an error, in a line; of a system's refusal the file first, without the number."""
+    if isinstance(error, OSError) and error.strerror and error.filename is not None:
         return f"{error.filename}: {error.strerror[:1].lower()}{error.strerror[1:]}"
     return str(error) or type(error).__name__

@@ -90,6 +90,13 @@ def check_files(paths: list[Path]) -> None:
             raise ValueError(f"cannot write {path}: it is a folder")
 
 
+def check_output(path: Path, what: str, *suffixes: str) -> None:
+    """Refuse an output, such as "a texture", whose name ends otherwise, or whose folder does not exist."""
+    if path.suffix not in suffixes:
+        raise ValueError(f"{what} is written as {suffixes[0]}, got -o {path.name}")
+    check_files([path])
+
+
 def check_folder(path: Path | None, option: str = "-o") -> None:
     """Refuse an output folder that is a file, before any work is done."""
     if path is not None and path.exists() and not path.is_dir():

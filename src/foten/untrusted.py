@@ -64,11 +64,7 @@ def check_content(path: Path, n_bytes: int) -> None:
 
 
 def parse_json(text: str | bytes) -> Any:
-    """The value that JSON text holds.
-
-    Raises:
-        ValueError: it is no JSON, is nested more than `DEEPEST`, or holds a name twice or an integer of too many digits.
-    """
+    """The value that JSON text holds; ValueError for none, more than `DEEPEST` levels, a name twice or too long an integer."""
     return _shallow(partial(json.loads, object_pairs_hook=_unique), text)
 
 
@@ -106,12 +102,7 @@ def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 def read_profile_json(path: Path, kind: str, version: int, what: str) -> dict[str, Any]:
     """The entries of a JSON file of a kind, such as "foten-tool", and a version, without these two.
 
-    Args:
-        what: it is expected to be, for people, such as "a tool of 'foten tool measure'".
-
-    Raises:
-        FileNotFoundError: there is none.
-        ValueError: it is none of that kind.
+    ValueError where it is another; it says `what` was expected.
     """
     data = read_whole(path, MAX_PROFILE)
     try:
@@ -137,6 +128,11 @@ def check_numbers(value: Any, what: str, entry: str = "") -> None:
     if isinstance(value, int | float) and not abs(value) < 2**63:
         place = f", in {entry[:40]!r}" if entry else ""
         raise ValueError(f"{what} holds a number that is not finite, or not below 2^63{place}")
+
+
+def is_number(value: Any) -> bool:
+    """Whether parsed JSON is a finite number."""
+    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < float("inf")
 
 
 def printable(text: str) -> str:

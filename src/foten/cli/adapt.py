@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from typer import Argument, Option
 
-from foten.cli.render import Actuator
+from foten.cli.stroke_options import Actuator
 from foten.console import check_files, say
 
 if TYPE_CHECKING:

@@ -1,38 +1,54 @@
 """Command line. Exit status: 0; 1 where a result fails a check; 2 for bad input, one line on stderr; 130 after Ctrl-C.
 
-Results go to stdout, progress to stderr. Heavy imports stay inside the subcommands.
+Results go to stdout, progress to stderr. A command is imported when it is called, heavy libraries inside it.
 """
 
 from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Callable
+from collections.abc import Iterator, Mapping
 from typing import Annotated, Any
 
 import typer
 from typer.exceptions import Abort, TyperException
+from typer.main import get_command, get_group
 
 from foten.atomic_write import reason
-from foten.cli.adapt import adapt
-from foten.cli.editing import blend, describe, edit
-from foten.cli.evaluate import evaluate, info
-from foten.cli.experiments import demo, figures, sweep, tables
-from foten.cli.export import export
-from foten.cli.imagine import imagine
-from foten.cli.machine import bench, devices, doctor
-from foten.cli.recordings import import_, inspect, simulate
-from foten.cli.render import play, render
-from foten.cli.serve import serve
-from foten.cli.texture_library import app as library
-from foten.cli.tool import app as tool
-from foten.cli.train import train
+from foten.cli import commands
 from foten.console import say
-from foten.study.commands import app as study
+
+
+class _Imported(Mapping[str, Any]):
+    """Commands by name, each imported when it is asked for."""
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(commands.panels())
+
+    def __len__(self) -> int:
+        return len(commands.panels())
+
+    def __getitem__(self, name: str) -> Any:
+        panel = commands.panels().get(name)
+        if " " in name or (panel is None and name not in commands.PACKAGES):
+            raise KeyError(name)
+        command = commands.load(name)
+        if isinstance(command, typer.Typer):
+            command = get_group(command)
+        else:
+            single = typer.Typer(add_completion=False)
+            single.command(name)(command)
+            command = get_command(single)
+        command.name, command.rich_help_panel = name, panel
+        return command
 
 
 class _Commands(typer.core.TyperGroup):
     """Subcommands that turn Ctrl-C into an `Abort`: Typer would end silently."""
+
+    def __init__(self, **settings: Any) -> None:
+        super().__init__(**settings)
+        self.commands = _Imported()  # type: ignore[assignment]
 
     def invoke(self, ctx: Any) -> Any:
         try:
@@ -75,24 +91,6 @@ def _global_options(
     pass
 
 
-# In the order in which --help lists them.
-_PANELS: dict[str, tuple[Callable[..., None], ...]] = {
-    "From a recording to a texture": (simulate, import_, inspect, train, evaluate, info),
-    "Stroke, play, take elsewhere": (serve, play, render, export),
-    "Change a texture": (describe, edit, blend, imagine, adapt),
-    "Compare": (sweep, tables, figures),
-    "This machine": (demo, devices, bench, doctor),
-}
-for _panel, _commands in _PANELS.items():
-    for _command in _commands:
-        app.command(_command.__name__.rstrip("_"), rich_help_panel=_panel)(_command)
-    if _panel == "Change a texture":
-        app.add_typer(library, name="library", rich_help_panel=_panel)
-        app.add_typer(tool, name="tool", rich_help_panel=_panel)
-    if _panel == "Compare":
-        app.add_typer(study, name="study", rich_help_panel=_panel)
-
-
 def main() -> None:
     """Run the command line and exit with its status."""
     # Read when NumPy and PyTorch load their libraries: small matrices only lose by more threads.
@@ -117,9 +115,7 @@ def _status(arguments: list[str]) -> int:
         if package not in _EXTRAS:
             raise
         text = f"this needs {package}, which is not installed: pip install 'foten[{_EXTRAS[package]}]'"
-    except OSError as error:
+    except (OSError, ValueError) as error:
         text = reason(error)
-    except ValueError as error:
-        text = str(error) or type(error).__name__
     say(f"foten: {' '.join(text.split())}")
     return 2

@@ -4,17 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
-from math import pi
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from typer import Argument, Option
 
 from foten.console import JsonOption, TextureFile, check_folder, preload, print_result, say
+from foten.editing.describe import period_of
+from foten.models.registry import GRAPH
+from foten.models.texture_file import Texture, read_texture
+from foten.runtime.native import NativeTexture
 from foten.untrusted import printable
-
-if TYPE_CHECKING:
-    from foten.models.texture_file import Texture
 
 
 def evaluate(
@@ -45,7 +45,6 @@ def evaluate(
     from foten.evaluate.report.rows import to_text
     from foten.evaluate.report.verdict import headline
     from foten.experiments.simulator_reference import reference_for
-    from foten.models.texture_file import read_texture
 
     check_folder(report, "--report")
     preload(["scipy.signal"], [texture_file, *recording_files])
@@ -66,10 +65,6 @@ def evaluate(
 
 def info(texture_file: TextureFile, as_json: JsonOption = False) -> None:
     """Show what a texture file holds, and check it by replaying its golden windows (stored predictions)."""
-    from foten.models.registry import GRAPH
-    from foten.models.texture_file import read_texture
-    from foten.runtime.native import NativeTexture
-
     texture = read_texture(texture_file)
     NativeTexture(texture)  # which replays the golden windows
     card = texture.card
@@ -109,28 +104,26 @@ def _linear_model(texture: Texture) -> dict[str, str]:
     sizes = texture.card["sizes"]
     if texture.card["model"] == "ar":
         zeros = f", {sizes['ma']} zeros each" if sizes["ma"] else ""
-        return {
-            "models": f"{sizes['n_models']} of order {sizes['order']}{zeros}, on a mesh of {sizes['n_triangles']} triangles"
-        }
+        mesh = f"on a mesh of {sizes['n_triangles']} triangles"
+        return {"models": f"{sizes['n_models']} of order {sizes['order']}{zeros}, {mesh}"}
     if texture.card["model"] != "foten-plus":
         return {}
     vertices = sizes["n_speed"] * sizes["n_force"]
     over = "for all speeds and forces" if vertices == 1 else f"over {vertices} pairs of speed and force"
-    before_filter = ", gain before the filter"
-    gain = before_filter * sizes["gain_before_filter"]
-    parts = f"the lattice all of them, the network the last {sizes['window']}"
-    rows = {"history": f"a prediction uses the last {texture.window} samples: {parts}"}
-    rows |= {"lattice": f"order {sizes['order']}, {over}{gain}", "tones": "none"}
-    rows["random part"] = random_part_summary(texture.card)
-    rows["network"] = network_summary(texture.card)
+    before_filter, tones = ", gain before the filter", "none"
     if sizes["n_tones"]:
-        every = f" of a surface that repeats every {2 * pi / (texture.tensors['tones.phase_params'][0] * texture.rate_hz):.3g} mm"
         residual = f"residual by a lattice of order {sizes['residual_order']}"
-        rows["tones"] = (
-            f"{sizes['n_tones']} harmonics{every}; {residual}{before_filter * sizes['residual_gain_before_filter']}"
-        )
-    rows["equaliser"] = "eight bands, set by speed, change of speed, and force" if sizes.get("equalised") else "none"
-    return rows
+        gain = before_filter * sizes["residual_gain_before_filter"]
+        tones = f"{sizes['n_tones']} harmonics of a surface that repeats every {period_of(texture):.3g} mm; {residual}{gain}"
+    parts = f"the lattice all of them, the network the last {sizes['window']}"
+    return {
+        "history": f"a prediction uses the last {texture.window} samples: {parts}",
+        "lattice": f"order {sizes['order']}, {over}{before_filter * sizes['gain_before_filter']}",
+        "tones": tones,
+        "random part": random_part_summary(texture.card),
+        "network": network_summary(texture.card),
+        "equaliser": "eight bands, set by speed, change of speed, and force" if sizes.get("equalised") else "none",
+    }
 
 
 def _takes(card: Mapping[str, Any]) -> dict[str, str]:

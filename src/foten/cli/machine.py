@@ -7,6 +7,11 @@ from dataclasses import asdict
 from typer import Exit, Option
 
 from foten.console import JsonOption, TextureFile, print_result
+from foten.reporting.table import Table
+from foten.runtime import bench as timing
+from foten.runtime import doctor as examination
+from foten.runtime.binding import c_flags as flags_of
+from foten.runtime.live.devices import daq_channels, sound_devices
 
 
 def bench(
@@ -15,23 +20,17 @@ def bench(
     as_json: JsonOption = False,
 ) -> None:
     """Time the rendering of one sample with each instruction set of this processor."""
-    from foten.runtime import bench as timing
-
     times = timing.time_all(texture_file, n)
     print_result([asdict(time) for time in times], timing.as_table(times), as_json)
 
 
 def devices(as_json: JsonOption = False) -> None:
     """List the outputs of this machine: sound cards for --device and --channel, and analogue outputs of NI-DAQs."""
-    from foten.reporting.table import Table
-    from foten.runtime.live.devices import daq_channels, sound_devices
-
-    sound, daq = sound_devices(), daq_channels()
+    sound, daq, rows = sound_devices(), daq_channels(), []
     heads = ("--device", "name", "interface", "channels", "latency [ms]", "rate [Hz]", "")
-    rows = [
-        (f"{d.number}", d.name, d.host, f"{d.channels}", f"{d.latency_ms:.0f}", f"{d.rate_hz:g}", "default" * d.default)
-        for d in sound
-    ]
+    for one in sound:
+        figures = f"{one.channels}", f"{one.latency_ms:.0f}", f"{one.rate_hz:g}"
+        rows.append((f"{one.number}", one.name, one.host, *figures, "default" if one.default else ""))
     lines = Table.of(heads, rows).text() if rows else ["no sound output"]
     lines += [f"NI-DAQ: --to daq:{channel}" for channel in daq]
     lines.append("next: foten play --device NUMBER --channel 1")
@@ -46,11 +45,8 @@ def doctor(
 ) -> None:
     """Check what this machine has for rendering, and report what is missing."""
     if c_flags:
-        from foten.runtime.binding import c_flags as flags_of
-
         print_result({"c_flags": flags_of()}, flags_of(), as_json)
         return
-    from foten.runtime import doctor as examination
 
     checks, marks = examination.checks(), {True: "✓", False: "✗", None: " "}
     lines = [f"{marks[check.fine]} {check.name:14s}{check.result}" for check in checks]

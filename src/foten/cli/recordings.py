@@ -10,9 +10,19 @@ from typing import TYPE_CHECKING, Annotated, Any
 from typer import Argument, Exit, Option
 
 from foten.atomic_write import write_json
-from foten.cli.render import pressure_calibration
+from foten.cli.stroke_options import pressure_calibration
 from foten.cli.train import Anyway, check_usable, unusable
-from foten.console import JsonOption, RecordingFile, check_files, check_folder, folder_option, print_result, refuse, say
+from foten.console import (
+    JsonOption,
+    RecordingFile,
+    check_files,
+    check_folder,
+    check_output,
+    folder_option,
+    print_result,
+    refuse,
+    say,
+)
 
 if TYPE_CHECKING:
     from foten.datasets.options import ImportOptions
@@ -46,14 +56,9 @@ def simulate(
     from foten.simulation import simulate as simulator
 
     if show_list:
-        kinds = (
-            simulator.TEXTURES,
-            simulator.CONTACT,
-            simulator.TWO_MASS,
-            simulator.LINEAR_FAMILY,
-            simulator.OTHER_LINEAR,
-        )
-        known = {name: source.description for kind in kinds for name, source in kind.items()}
+        linear: dict[str, Any] = {**simulator.LINEAR_FAMILY, **simulator.OTHER_LINEAR}
+        sources: dict[str, Any] = {**simulator.TEXTURES, **simulator.CONTACT, **simulator.TWO_MASS, **linear}
+        known = {name: source.description for name, source in sources.items()}
         print_result(known, "\n".join(f"{name:18s}{description}" for name, description in known.items()), as_json)
         return
     if key is None or output is None:
@@ -66,17 +71,11 @@ def simulate(
         return
     if noise_seed is not None and stroke_seed is not None:
         refuse("has no effect beside --noise-seed and --stroke-seed", seed=seed)
-    _check_recording(output)
+    check_output(output, "a recording", ".h5", ".hdf5", ".H5", ".HDF5")
     recording = simulator.simulate(key, seconds, seed or 0, **of_sensors)
     write_recording(recording, output)
     result = {"output": str(output), "sha256": recording.sha256(), "simulation": dict(recording.simulation or {})}
     print_result(result, f"{output}: {key}, {recording.duration_s:g} s, {', '.join(recording.channels)}", as_json)
-
-
-def _check_recording(output: Path) -> None:
-    if output.suffix.lower() not in (".h5", ".hdf5"):
-        raise ValueError(f"a recording is written as .h5, got -o {output.name}")
-    check_files([output])
 
 
 def _simulate_capture(key: str, seconds: float, seed: int, folder: Path, as_json: bool) -> None:
@@ -168,11 +167,11 @@ def import_(
 
     foten import Models_Denim.xml -o denim.foten: a model file of the Penn Haptic Texture Toolkit becomes a texture.
     """
+    of_table = dict[str, Any](map=mapping, unit=units, rate=rate, fill_gaps=fill_gaps or None, force_units=force_units)
+    of_table |= {"pen": pen, "pressure": pressure, "normal": normal}
     if any(file.suffix.lower() == ".xml" for file in files):
-        of_table = dict[str, Any](map=mapping, unit=units, rate=rate, fill_gaps=fill_gaps or None, pen=pen)
-        of_recording = {**of_table, "pressure": pressure, "force_units": force_units, "tool": tool, "sensors": sensors}
-        of_recording |= {"surface": surface, "append": append, "anyway": anyway, "normal": normal}
-        refuse("is for recordings, and an .xml file holds models with their units and rate", **of_recording)
+        of_recording = dict[str, Any](tool=tool, sensors=sensors, surface=surface, append=append, anyway=anyway)
+        refuse("is for recordings, and an .xml file holds models with their units and rate", **of_table, **of_recording)
         _import_models(files, output, texture, notes, as_json)
         return
     from foten.datasets.cluster import read_cluster
@@ -182,20 +181,18 @@ def import_(
     from foten.recording.inspection import inspect_recording
     from foten.recording.recording import joined_takes
 
-    _check_recording(output)
+    check_output(output, "a recording", ".h5", ".hdf5", ".H5", ".HDF5")
     if any(os.path.realpath(file) == os.path.realpath(output) for file in (*files, *([pen] if pen else []))):
         raise ValueError(f"-o {output} is a file to import, which it would replace: give another name")
     rate_hz, rates_hz = parse_rates(rate or [])
     pairs, units_of = parse_pairs(mapping or [], "--map"), dict(parse_pairs(units or [], "--unit"))
     along = None if normal is None else parse_normal(normal)
     options = ImportOptions(tuple(pairs), units_of, rate_hz, rates_hz, fill_gaps, force_units, along)
+    stated = {"texture": texture, "tool": tool, "sensors": sensors, "notes": notes}
     if append:
-        refuse("comes from the recording that is extended", texture=texture, tool=tool, sensors=sensors, notes=notes)
+        refuse("comes from the recording that is extended", **stated)
     if any(file.is_dir() for file in files):
-        of_table = dict[str, Any](
-            map=mapping, unit=units, rate=rate, fill_gaps=fill_gaps or None, force_units=force_units
-        )
-        refuse("is for tables, and a dataset's format is known", **of_table, pen=pen, pressure=pressure, normal=normal)
+        refuse("is for tables, and a dataset's format is known", **of_table)
         if len(files) != 1:
             raise ValueError(f"got {len(files)} files, expected only the folder of a dataset")
         imported, decisions = read_cluster(files[0], surface)
@@ -212,49 +209,40 @@ def import_(
         if decision not in refusals:
             say(decision)
     check_usable(refusals)
-    for field, given in {"texture": texture, "tool": tool}.items():
-        if (text := getattr(imported, field)) and not given and not files[0].is_dir():
-            say(f"{field}: {text}, read from the lines above the table; --{field} overrides it")
-    stated = {"texture": texture, "tool": tool, "sensors": sensors, "notes": notes}
-    named = {
-        "texture": imported.texture or _named(files[0]),
-        "name": imported.name or ", ".join(file.name for file in files),
-    }
-    recording = replace(imported, **(named | {key: text for key, text in stated.items() if text}))  # type: ignore[arg-type]
+    recording = _named(imported, files, stated)
     whole = joined_takes([load_recording(output), recording]) if append else recording
     write_recording(whole, output)
     _print_imported(recording, output, len(whole.takes), as_json)
 
 
+def _named(imported: Recording, files: list[Path], stated: dict[str, str]) -> Recording:
+    """The recording with what is stated of it, and otherwise the names of its files."""
+    for field in ("texture", "tool"):
+        if (text := getattr(imported, field)) and not stated[field] and not files[0].is_dir():
+            say(f"{field}: {text}, read from the lines above the table; --{field} overrides it")
+    folder = files[0].resolve().parent.name
+    stem = folder if files[0].stem == "sound" and folder else files[0].stem  # of a `sound.wav` its folder's
+    name = imported.name or ", ".join(file.name for file in files)
+    named = {"texture": imported.texture or stem, "name": name} | {key: text for key, text in stated.items() if text}
+    return replace(imported, **named)  # type: ignore[arg-type]
+
+
 def _print_imported(recording: Recording, output: Path, n_takes: int, as_json: bool) -> None:
     """Print what was imported: rates, lengths and ranges of the channels, and what was done to them."""
-    channels: dict[str, dict[str, Any]] = {
-        name: {
-            "unit": recording.unit(name),
-            "rate_hz": channel.rate_hz,
-            "regular": channel.times_s is None,
-            "n_samples": channel.samples.size,
-            "duration_s": channel.duration_s,
-            "minimum": float(channel.samples.min()),
-            "maximum": float(channel.samples.max()),
-        }
-        for name, channel in recording.channels.items()
-    }
-    row = (
-        "{:<15} {n_samples:>9} samples at {rate_hz:>8g} Hz, {duration_s:7.3f} s, {minimum:.4g} to {maximum:.4g} {unit}"
-    )
-    lines = [row.format(name, **of_channel) for name, of_channel in channels.items()]
+    channels: dict[str, dict[str, Any]] = {}
+    lines = []
+    for name, channel in recording.channels.items():
+        low, high, unit = float(channel.samples.min()), float(channel.samples.max()), recording.unit(name)
+        n, rate_hz, seconds = channel.samples.size, channel.rate_hz, channel.duration_s
+        channels[name] = {"unit": unit, "rate_hz": rate_hz, "regular": channel.times_s is None, "n_samples": n}
+        channels[name] |= {"duration_s": seconds, "minimum": low, "maximum": high}
+        range_of = f"{low:.4g} to {high:.4g} {unit}"
+        lines.append(f"{name:<15} {n:>9} samples at {rate_hz:>8g} Hz, {seconds:7.3f} s, {range_of}")
     lines += [f"  {line}" for line in recording.history]
     document = {"file": str(output), "sha256": recording.sha256(), "channels": channels, "history": recording.history}
     takes = f", which has {n_takes} takes" if n_takes > 1 else ""
     text = "\n".join([*lines, f"wrote {output}{takes}; next: foten inspect {output}"])
     print_result({**document, "n_takes": n_takes}, text, as_json)
-
-
-def _named(file: Path) -> str:
-    """Texture of a file by its name; of a `sound.wav` by its folder's."""
-    folder = file.resolve().parent.name
-    return folder if file.stem == "sound" and folder else file.stem
 
 
 def _import_capture(
@@ -288,11 +276,11 @@ def _import_models(files: list[Path], output: Path, texture: str, notes: str, as
     write_texture(imported, output)
     card, sizes = imported.card, imported.card["sizes"]
     of_card = {key: card[key] for key in ("texture", "rate_hz", "sizes", "trained_range", "notes")}
-    document = {"file": str(output), "sha256": imported.sha256(), "imported_sha256": digest} | of_card
+    document = {"file": str(output), "sha256": imported.sha256(), "imported_sha256": digest, **of_card}
     speed, force = imported.trained_range("speed")[1], imported.trained_range("force")[1]
+    holds = f"{sizes['n_models']} models of order {sizes['order']} at {card['rate_hz']:g} Hz, {sizes['ma']} zeros each"
     text = (
-        f"{card['texture'] or files[0].stem}: {sizes['n_models']} models of order {sizes['order']} at {card['rate_hz']:g} Hz, "
-        f"{sizes['ma']} zeros each, up to {speed:.0f} mm/s and {force:.1f} N\n"
+        f"{card['texture'] or files[0].stem}: {holds}, up to {speed:.0f} mm/s and {force:.1f} N\n"
         "the licence of the model file also applies to the texture: read its notice before you share it\n"
         f"wrote {output}; next: foten render {output} --speed 80 --force 0.8 --seconds 3 -o {output.stem}.wav"
     )

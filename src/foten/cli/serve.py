@@ -12,11 +12,17 @@ from typing import TYPE_CHECKING
 from typer import Argument, Option
 
 from foten.atomic_write import reason
-from foten.cli.render import Actuator, Channel, Device, Gain, UserFile, user_with
+from foten.cli.render import user_with
+from foten.cli.stroke_options import Actuator, Channel, Device, Gain, UserFile
 from foten.console import say
+from foten.editing.user import UserProfile, adapted
+from foten.models.texture_file import read_texture, write_texture
+from foten.recording.recording import counted
+from foten.runtime.actuator import read_profile
+from foten.studio.players import OutputDevice
+from foten.studio.shelf import PICTURES, SUFFIX, Shelf, texture_files
 
 if TYPE_CHECKING:
-    from foten.editing.user import UserProfile
     from foten.studio.access import Access
 
 
@@ -51,10 +57,6 @@ def serve(
 
     foten serve --to daq:Dev1/ao0 --actuator coil.json: with a voice coil on an NI-DAQ of this machine.
     """
-    from foten.recording.recording import counted
-    from foten.runtime.actuator import read_profile
-    from foten.studio.players import OutputDevice
-    from foten.studio.shelf import SUFFIX, Shelf
     from foten.studio.studio_server import Studio
     from foten.studio.web_server import serve as serve_studio
 
@@ -70,8 +72,7 @@ def serve(
         try:
             shelf.put(captured)
         except (OSError, ValueError) as error:  # one bad capture is no reason not to start
-            why = reason(error) if isinstance(error, OSError) else str(error)
-            why = why.removeprefix(f"{captured}: ").removeprefix(f"{captured.name}: ")
+            why = reason(error).removeprefix(f"{captured}: ").removeprefix(f"{captured.name}: ")
             say(f"left out {captured}: {' '.join(why.split())}")
     studio = Studio(shelf, captures, output)
 
@@ -97,10 +98,6 @@ def serve(
 
 def _for_user(paths: list[Path], profile: UserProfile, folder: Path) -> list[Path]:
     """Textures as a user's profile has them, as files in a folder, with their pictures."""
-    from foten.editing.user import adapted
-    from foten.models.texture_file import read_texture, write_texture
-    from foten.studio.shelf import PICTURES, texture_files
-
     written = []
     for n, path in enumerate(texture_files(paths)):
         place = folder / str(n)  # files of one name stay apart

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import hashlib
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated
 
 import typer
 from typer import Argument, Option
 
+from foten.cli.commands import load
 from foten.console import JsonOption, TextureFile, print_result, say
-
-if TYPE_CHECKING:
-    from foten.editing.texture_library import Entry
+from foten.editing.texture_library import Entry, entry_of, open_library
+from foten.models.texture_file import Texture, read_texture
+from foten.reporting.table import Table
 
 app = typer.Typer(
     help="Keep textures in a library, a folder that can be searched by similarity and by words.", no_args_is_help=True
@@ -34,54 +37,40 @@ def add(
     as_json: JsonOption = False,
 ) -> None:
     """Copy textures into a library, and measure them for its index."""
-    from foten.editing.texture_library import open_library
-
     if name and len(files) != 1:
         raise ValueError(f"--name is for one texture, got {len(files)}")
     opened, added = open_library(library, make=True), []
     for i, file in enumerate(files, 1):
-        added.append(_added(opened, file, tag or [], name))
+        stem = file.stem.removeprefix("Models_") if file.suffix.lower() == ".xml" else file.stem
+        added.append(opened.add(_texture_in(file, stem), f"{stem}.foten", tag or [], name))
         say(f"{i}/{len(files)} {added[-1].name}")
     result = {"library": str(library), "added": [entry.file for entry in added], "textures": len(opened.entries)}
     text = f"{library}: {len(opened.entries)} textures; next: foten library list --library {library}"
     print_result(result, text, as_json)
 
 
-def _added(opened: Any, file: Path, tags: list[str], name: str) -> Entry:
+def _texture_in(file: Path, stem: str) -> Texture:
+    """The texture in a texture file, or of a model file of the Penn Haptic Texture Toolkit."""
     if file.suffix.lower() != ".xml":
-        return opened.add(file, tags, name)
-    import hashlib
-    import tempfile
-
+        return read_texture(file)
     from foten.datasets.hatt import read_models
     from foten.models.piecewise_ar.local_models import imported_texture
-    from foten.models.texture_file import write_texture
 
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / f"{file.stem.removeprefix('Models_')}.foten"
-        write_texture(
-            imported_texture(read_models(file), hashlib.sha256(file.read_bytes()).hexdigest(), path.stem)[0], path
-        )
-        return opened.add(path, tags, name)
+    return imported_texture(read_models(file), hashlib.sha256(file.read_bytes()).hexdigest(), stem)[0]
 
 
 @app.command(name="list")
 def list_(library: Folder = DEFAULT, as_json: JsonOption = False) -> None:
     """List the textures of a library."""
-    from foten.editing.texture_library import open_library
-
     entries = open_library(library).entries
-    _print([(None, entry) for entry in entries], "", as_json, len(entries))
+    print_entries([(None, entry) for entry in entries], "", as_json, len(entries))
 
 
 @app.command()
 def nearest(texture_file: TextureFile, library: Folder = DEFAULT, as_json: JsonOption = False) -> None:
     """Show the textures nearest to a given one, by level, centroid, width and roughness in just noticeable differences."""
-    from foten.editing.texture_library import entry_of, open_library
-    from foten.models.texture_file import read_texture
-
     entry = entry_of(read_texture(texture_file), texture_file.name)
-    _print(list(open_library(library).nearest(entry)), "distance [JND]", as_json)
+    print_entries(open_library(library).nearest(entry), "distance [JND]", as_json)
 
 
 @app.command()
@@ -94,36 +83,19 @@ def search(
     as_json: JsonOption = False,
 ) -> None:
     """Show the textures whose names and tags best match some words."""
-    from foten.editing.texture_library import open_library
-    from foten.editing.words import encoder_of
-
-    _print(list(open_library(library).search(text, encoder_of(encoder))), "likeness", as_json)
+    load("library search")(text, library, encoder, as_json)
 
 
-def _print(rows: list[tuple[float | None, Entry]], measure: str, as_json: bool, shown: int = SHOWN) -> None:
-    from foten.reporting.table import Table
-
-    heads = (
-        "texture",
-        *([measure] if measure else []),
-        "level [dB]",
-        "centroid [Hz]",
-        "width [oct]",
-        "roughness [dB]",
-        "tags",
-    )
-    cells = [
-        (
-            entry.name,
-            *([f"{value:.2f}"] if value is not None else []),
-            f"{entry.description.level_db:+.1f}",
-            f"{entry.description.centroid_hz:.0f}",
-            f"{entry.description.width_octaves:.2f}",
-            f"{entry.description.roughness_db:.2f}",
-            ", ".join(entry.tags),
-        )
-        for value, entry in rows[:shown]
-    ]
+def print_entries(rows: Sequence[tuple[float | None, Entry]], measure: str, as_json: bool, shown: int = SHOWN) -> None:
+    """Print entries of a library by some measure of likeness, the first `shown` of them for people."""
+    figures = ("level [dB]", "centroid [Hz]", "width [oct]", "roughness [dB]")
+    heads = ("texture", *([measure] if measure else []), *figures, "tags")
+    cells = []
+    for value, entry in rows[:shown]:
+        one, likeness = entry.description, [] if value is None else [f"{value:.2f}"]
+        level, centroid = f"{one.level_db:+.1f}", f"{one.centroid_hz:.0f}"
+        width, roughness = f"{one.width_octaves:.2f}", f"{one.roughness_db:.2f}"
+        cells.append((entry.name, *likeness, level, centroid, width, roughness, ", ".join(entry.tags)))
     lines = Table.of(heads, cells).text() if cells else ["no texture"]
     if len(rows) > shown:
         lines.append(f"and {len(rows) - shown} more")

@@ -21,6 +21,8 @@ from foten.models.texture_file import Texture
 from foten.recording.scaling import Scaling
 from foten.runtime.proof import Tensors, proved
 
+OF_FILE = ("format_version", "model", "sizes", "window", "units", "scaling")  # entries of a card that `proved` writes
+OF_ONE_TEXTURE = ("takes", "authors", "source", "doi", "photo")
 N_PHASES = 720  # tried, to bring the tones of two surfaces into step
 
 
@@ -76,14 +78,10 @@ class _Side:
         """Tensors of its network, with inputs of the blend."""
         prefix = "network."
         own = {key: t.copy() for key, t in self.texture.tensors.items() if key.startswith(prefix)}
-        log_means = Scale.of(self.texture.tensors, "lattice.level.")
-        now = self.scale("lattice.level.")
-        shift = np.log((now.mean + now.floor) / (log_means.mean + log_means.floor))
-        n_hidden = self.sizes.n_hidden
-        for weight, bias, first in (
-            ("recurrent.weight_ih_l0", "recurrent.bias_ih_l0", 0),
-            ("head.weight", "head.bias", n_hidden),
-        ):
+        before, now = Scale.of(self.texture.tensors, "lattice.level."), self.scale("lattice.level.")
+        shift = np.log((now.mean + now.floor) / (before.mean + before.floor))
+        recurrent = "recurrent.weight_ih_l0", "recurrent.bias_ih_l0", 0
+        for weight, bias, first in (recurrent, ("head.weight", "head.bias", self.sizes.n_hidden)):
             columns = own[prefix + weight][:, first + 3 : first + 5].astype(np.float64)
             own[prefix + bias] = (own[prefix + bias] + columns @ shift).astype(np.float32)
         return own
@@ -99,10 +97,9 @@ def blend(
 ) -> Texture:
     """The texture at a share of the way from a first to a second, 0 to 1, proved.
 
-    Level, centroid and width at the described condition lie between those of the two: level in decibels, centroid over log
-    frequency. The level over speed and force is blended in decibels; reflection coefficients linearly, so that every point is
-    stable; tones in amplitude, once in step, and their periods over log length. Where one of them plays recorded innovations, a
-    stretch is drawn from either side, by its share.
+    Level (in decibels), centroid (over log frequency) and width at the described condition lie between those of the two, and so
+    do the level over speed and force (in decibels), reflection coefficients (linear: every point is stable), amplitudes of tones
+    once in step, and their periods (over log length). Recorded innovations are drawn from either side, by its share.
 
     Args:
         descriptions: of both, where they are known.
@@ -120,10 +117,9 @@ def blend(
     blended = _blended(first, second, at)
     if n_steps:
         now = describe(blended, seed)
-        here = replace(target, speed_mm_s=now.speed_mm_s, force_n=now.force_n)
-        blended = with_spectrum(blended, now, here, seed, n_steps)
-    level_db = 20 * float(np.log10(max(steady_figures(blended, seed).rms, 1e-15)))
-    return with_level(blended, target.level_db - level_db)
+        target_at = replace(target, speed_mm_s=now.speed_mm_s, force_n=now.force_n)
+        blended = with_spectrum(blended, now, target_at, seed, n_steps)
+    return with_level(blended, target.level_db - steady_figures(blended, seed).level_db)
 
 
 def check_blendable(first: Texture, second: Texture) -> None:
@@ -132,113 +128,88 @@ def check_blendable(first: Texture, second: Texture) -> None:
         if texture.card["model"] != "foten-plus":
             raise ValueError(f"a texture is of {texture.card['model']}, expected two of foten-plus")
     if first.rate_hz != second.rate_hz:
-        raise ValueError(
-            f"the textures are of {first.rate_hz:g} and {second.rate_hz:g} Hz, expected one rate: train one again with --rate"
-        )
+        rates = f"{first.rate_hz:g} and {second.rate_hz:g} Hz"
+        raise ValueError(f"the textures are of {rates}, expected one rate: train one again with --rate")
     if first.unit != second.unit:
         raise ValueError(f"one texture is in {first.unit}, the other in {second.unit}: levels cannot be compared")
 
 
 def between(first: Description, second: Description, at: float) -> Description:
     """The level, centroid and width between two descriptions; the rest is the first's."""
-
-    def linear(a: float, b: float) -> float:
-        return (1 - at) * a + at * b
-
-    return replace(
-        first,
-        level_db=linear(first.level_db, second.level_db),
-        centroid_hz=float(np.exp(linear(np.log(first.centroid_hz), np.log(second.centroid_hz)))),
-        width_octaves=linear(first.width_octaves, second.width_octaves),
+    level, octave, width = (
+        (1 - at) * a + at * b
+        for a, b in (
+            (first.level_db, second.level_db),
+            (np.log(first.centroid_hz), np.log(second.centroid_hz)),
+            (first.width_octaves, second.width_octaves),
+        )
     )
+    return replace(first, level_db=level, centroid_hz=float(np.exp(octave)), width_octaves=width)
 
 
 def _blended(first: Texture, second: Texture, at: float) -> Texture:
-    weights = np.array([1 - at, at])
-    both = (first, second)
+    weights, both = np.array([1 - at, at]), (first, second)
     means, sds = (np.array([getattr(t.scaling, name) for t in both]) for name in ("mean", "sd"))
     mean, sd = weights @ means, np.exp(weights @ np.log(sds))
     scaling = Scaling(mean=tuple(mean.tolist()), sd=tuple(sd.tolist()))
-    n_tones = max(int(t.card["sizes"]["n_tones"]) for t in both)
     sides = [_Side(t, scaling) for t in both]
     near = sides[at >= 0.5]
-    level = joined_scales([side.level("lattice.") for side in sides], weights)
-    lattice = joined_tables([side.table("lattice.", "reflections") for side in sides], weights)
-    sigmas = [Excitation.of(side.texture.tensors) for side in sides]
-    in_sigma, in_sd = np.exp(weights @ np.log([[max(x, 1e-9) for x in e.innovation_limit] for e in sigmas]))
+    level, lattice = _joined_lattice(sides, ["lattice.", "lattice."], weights)
+    tensors: Tensors = {**lattice_tensors("lattice.", level, lattice), **near.network()}
+    pairs = list(zip(weights, sides, strict=True))
+    log_gains = [w * Equaliser.of(side.texture.tensors).weights for w, side in pairs if side.sizes.equalised]
+    if log_gains:
+        tensors |= Equaliser.of_weights(np.sum(log_gains, axis=0), first.rate_hz).tensors()
+    limits = [[max(x, 1e-9) for x in Excitation.of(t.tensors).innovation_limit] for t in both]
+    in_sigma, in_sd = np.exp(weights @ np.log(limits))
     in_acceleration = float(in_sd * np.exp(weights @ np.log(sds[:, 0])) / sd[0])
-    sigma = joined_scales([side.scale("excitation.") for side in sides], weights)
-    tensors: Tensors = {**lattice_tensors("lattice.", level, lattice)}
-    equalisers = [
-        (w, Equaliser.of(side.texture.tensors)) for w, side in zip(weights, sides, strict=True) if side.sizes.equalised
-    ]
-    if equalisers:
-        log_gains = np.sum([w * equaliser.weights for w, equaliser in equalisers], axis=0)
-        tensors |= Equaliser.of_weights(log_gains, first.rate_hz).tensors()
-    tensors |= near.network()
     recorded, along_path = any(side.sizes.recorded for side in sides), all(side.sizes.along_path for side in sides)
     if recorded:
         played = _joined_innovations([side.innovations() for side in sides], weights, along_path)
         tensors |= played.tensors()
         in_sigma = max(in_sigma, float(np.abs(played.values).max()))
+    sigma = joined_scales([side.scale("excitation.") for side in sides], weights)
     tensors |= Excitation(sigma, (float(in_sigma), in_acceleration)).tensors()
+    of_tones, tonal = _blended_tones(sides, near, weights)
     sizes = replace(
         near.sizes,
-        equalised=bool(equalisers),
+        equalised=bool(log_gains),
         recorded=recorded,
         along_path=along_path,
         excitation_width=level.hidden_bias.size,
-        **_counts(lattice, "order", "n_speed", "n_force"),
-        n_tones=n_tones,
-        n_tone_speed=1,
-        n_tone_force=1,
-        residual_order=1,
-        n_residual_speed=1,
-        n_residual_force=1,
+        order=lattice.values.shape[1],
+        **_grid(lattice, ""),
+        **of_tones,
     )
-    if n_tones:
-        residual_level = joined_scales([side.level(side.residual) for side in sides], weights)
-        residual = joined_tables([side.table(side.residual, "reflections") for side in sides], weights)
-        tones, params = _blended_tones(sides, weights)
-        tensors |= lattice_tensors("residual.", residual_level, residual)
-        tensors |= {**table_tensors("tones.", tones, "values"), "tones.phase_params": params.astype(np.float32)}
-        counts = _counts(residual, "residual_order", "n_residual_speed", "n_residual_force")
-        counts |= _counts(tones, "", "n_tone_speed", "n_tone_force")
-        counts.pop("")
-        near_gain = near.sizes.residual_gain_before_filter if near.sizes.n_tones else near.sizes.gain_before_filter
-        sizes = replace(sizes, **counts, residual_gain_before_filter=near_gain)
     golden = near.windows("golden.windows", sizes.history)[:-2]
-    start = near.windows("warm_start", sizes.history)
-    return proved("foten-plus", sizes, tensors, scaling, golden, start, _card(both, near.texture, weights)).texture
+    start, card = near.windows("warm_start", sizes.history), _card(both, near.texture, weights)
+    return proved("foten-plus", sizes, tensors | tonal, scaling, golden, start, card).texture
+
+
+def _joined_lattice(sides: list[_Side], prefixes: list[str], weights: Array) -> tuple[Scale, SpeedForceTable]:
+    """The level and the reflection coefficients of a lattice of each side."""
+    pairs = list(zip(sides, prefixes, strict=True))
+    level = joined_scales([side.level(prefix) for side, prefix in pairs], weights)
+    return level, joined_tables([side.table(prefix, "reflections") for side, prefix in pairs], weights)
+
+
+def _grid(table: SpeedForceTable, name: str) -> dict[str, Any]:
+    """Sizes of a table."""
+    return {f"n_{name}speed": len(table.speed_knots), f"n_{name}force": len(table.force_knots)}
 
 
 def _card(both: tuple[Texture, Texture], near: Texture, weights: Array) -> dict[str, Any]:
     """The card of a blend, but for what `proved` writes."""
-    known = {
-        "format_version",
-        "model",
-        "sizes",
-        "window",
-        "units",
-        "scaling",
-        "takes",
-        "authors",
-        "source",
-        "doi",
-        "photo",
-    }
-    card = {key: value for key, value in near.card.items() if key not in known}
 
     def linear(*values: Any) -> Any:
         return (weights @ np.array(values)).tolist()
 
     names = [t.card["texture"] or "a texture" for t in both]
-    whose = [t.evidence for t in both]
-    parts = [f"{name} ({evidence})" if evidence else name for name, evidence in zip(names, whose, strict=True)]
+    parts = [f"{name} ({t.evidence})" if t.evidence else name for name, t in zip(names, both, strict=True)]
     licences = [t.card["licence"] for t in both]
     credits = [", ".join(str(t.card[key]) for key in ("authors", "source") if t.card.get(key)) for t in both]
     channels = ("speed", "force")
-    return card | {
+    return {key: value for key, value in near.card.items() if key not in OF_FILE + OF_ONE_TEXTURE} | {
         "texture": f"{names[0]}–{names[1]}",
         "evidence": f"blended: {weights[0]:.3g} {parts[0]}, {weights[1]:.3g} {parts[1]}, {UNMEASURED}"[:500],
         "source": "; ".join(dict.fromkeys(credit for credit in credits if credit))[:500],
@@ -254,17 +225,11 @@ def _card(both: tuple[Texture, Texture], near: Texture, weights: Array) -> dict[
 
 def _joined_innovations(sides: list[RecordedInnovations], weights: Array, along_path: bool) -> RecordedInnovations:
     """Innovations of two sides, of whose candidates as many are kept as its share says: so are the stretches that are played."""
-    counts = [side.candidates.size for side in sides]
-    total = min(MAX_CANDIDATES, *(count / weight for count, weight in zip(counts, weights, strict=True)))
-    moments = [
-        evenly_thinned(side.moments, max(1, int(total * weight))) for side, weight in zip(sides, weights, strict=True)
-    ]
+    pairs = list(zip(sides, weights, strict=True))
+    total = min(MAX_CANDIDATES, *(side.candidates.size / weight for side, weight in pairs))
+    moments = [evenly_thinned(side.moments, max(1, int(total * weight))) for side, weight in pairs]
     e = np.concatenate([side.innovations for side in sides]).reshape(-1, sides[0].step)
     return encoded(e, np.concatenate(moments), float(np.abs(e).max()), along_path)
-
-
-def _counts(table: SpeedForceTable, *names: str) -> dict[str, Any]:
-    return dict(zip(names, (table.values.shape[1], len(table.speed_knots), len(table.force_knots)), strict=True))
 
 
 def rescaled(scale: Scale, scaling: Scaling) -> Scale:
@@ -277,15 +242,8 @@ def rescaled(scale: Scale, scaling: Scaling) -> Scale:
     powers = np.array([q1 + 2 * q3 * d + q4 * g, q2 + 2 * q5 * g + q4 * d, q3, q4, q5])
     constant = q1 * d + q2 * g + q3 * d * d + q4 * d * g + q5 * g * g
     weight = np.concatenate([linear * (sd / scale.sd), logs], axis=1)
-    return replace(
-        scale,
-        hidden_weight=weight,
-        hidden_bias=bias,
-        out_bias=scale.out_bias + constant,
-        exponents=powers,
-        mean=mean,
-        sd=sd,
-    )
+    moved = {"hidden_weight": weight, "hidden_bias": bias, "out_bias": scale.out_bias + constant, "exponents": powers}
+    return replace(scale, **moved, mean=mean, sd=sd)
 
 
 def joined_scales(scales: list[Scale], weights: Array) -> Scale:
@@ -320,22 +278,33 @@ def joined_tables(tables: list[SpeedForceTable], weights: Array) -> SpeedForceTa
 def _union(knots: list[Array]) -> Array:
     """Knots of several axes; one that a table is constant over needs none."""
     several = [axis for axis in knots if len(axis) > 1]
-    if not several:
-        return knots[0]
-    return np.unique(np.concatenate(several).astype(np.float32)).astype(np.float64)
+    return np.unique(np.concatenate(several).astype(np.float32)).astype(np.float64) if several else knots[0]
 
 
-def _blended_tones(sides: list[_Side], weights: Array) -> tuple[SpeedForceTable, Array]:
-    """The table of amplitudes, and the period, its jitter and its leak."""
+def _blended_tones(sides: list[_Side], near: _Side, weights: Array) -> tuple[dict[str, Any], Tensors]:
+    """Sizes and tensors of the tones, with their period, its jitter and its leak, and of what they leave."""
     tonal = [(w, side) for w, side in zip(weights, sides, strict=True) if side.sizes.n_tones]
+    if not tonal:
+        names = "n_tone_speed n_tone_force residual_order n_residual_speed n_residual_force"
+        return {"n_tones": 0, **dict.fromkeys(names.split(), 1)}, {}
     tables = [side.table("tones.", "values") for _, side in tonal]
     if len(tables) == 2:
         tables[1] = in_step(tables[1], tables[0])
     shares = np.array([w for w, _ in tonal])
-    each = np.array([side.texture.tensors["tones.phase_params"].astype(np.float64) for _, side in tonal])
+    of_sides = np.array([side.texture.tensors["tones.phase_params"].astype(np.float64) for _, side in tonal])
     relative = shares / shares.sum()
-    params = np.array([np.exp(relative @ np.log(each[:, 0])), *(relative @ each[:, 1:])])
-    return joined_tables(tables, shares), params
+    params = np.array([np.exp(relative @ np.log(of_sides[:, 0])), *(relative @ of_sides[:, 1:])])
+    tones = joined_tables(tables, shares)
+    level, residual = _joined_lattice(sides, [side.residual for side in sides], weights)
+    sizes, before_filter = near.sizes, near.sizes.gain_before_filter
+    counts = {
+        "n_tones": max(side.sizes.n_tones for _, side in tonal),
+        "residual_order": residual.values.shape[1],
+        "residual_gain_before_filter": sizes.residual_gain_before_filter if sizes.n_tones else before_filter,
+    }
+    tensors = {**lattice_tensors("residual.", level, residual), **table_tensors("tones.", tones, "values")}
+    tensors["tones.phase_params"] = params.astype(np.float32)
+    return {**counts, **_grid(residual, "residual_"), **_grid(tones, "tone_")}, tensors
 
 
 def in_step(table: SpeedForceTable, other: SpeedForceTable) -> SpeedForceTable:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import asdict, dataclass
 
 import numpy as np
@@ -66,31 +67,39 @@ class SteadyFigures:
     width_octaves: float
     roughness_db: float
 
+    @property
+    def level_db(self) -> float:
+        """Level [dB re 1]; that of silence is −300 dB."""
+        return 20 * float(np.log10(max(self.rms, 1e-15)))
+
 
 def describe(texture: Texture, seed: int = 0) -> Description:
     """The description of a texture, under the same noise for the same seed."""
     speed, force = reference(texture, "speed"), reference(texture, "force")
     steady = steady_figures(texture, seed)
-    exponents: list[float | None] = []
-    for channel in ("speed", "force"):
-        low, high = varied(texture, channel)
-        if high < MIN_RATIO * low:  # learned at one: the level follows the card's power, where it has one
-            exponents.append(texture.extrapolation_exponent(channel) or None)
-            continue
-        ends = [(end, force) if channel == "speed" else (speed, end) for end in (low, high)]
-        powers = [float(np.square(rendered(texture, *end, SECONDS / 2, seed)).mean()) for end in ends]
-        exponents.append(0.5 * float(np.log(max(powers[1], 1e-30) / max(powers[0], 1e-30)) / np.log(high / low)))
     return Description(
         speed_mm_s=speed,
         force_n=force,
-        level_db=20 * float(np.log10(max(steady.rms, 1e-15))),
+        level_db=steady.level_db,
         centroid_hz=steady.centroid_hz,
         width_octaves=steady.width_octaves,
         roughness_db=steady.roughness_db,
         period_mm=period_of(texture),
-        speed_exponent=exponents[0],
-        force_exponent=exponents[1],
+        speed_exponent=_exponent(texture, "speed", lambda end: (end, force), seed),
+        force_exponent=_exponent(texture, "force", lambda end: (speed, end), seed),
     )
+
+
+def _exponent(
+    texture: Texture, channel: str, condition: Callable[[float], tuple[float, float]], seed: int
+) -> float | None:
+    """Power of the level over a channel, whose conditions a function gives; None where it is not known."""
+    low, high = varied(texture, channel)
+    if high < MIN_RATIO * low:  # learned at one: the level follows the card's power, where it has one
+        return texture.extrapolation_exponent(channel) or None
+    ends = (rendered(texture, *condition(end), SECONDS / 2, seed) for end in (low, high))
+    soft, loud = (max(float(np.square(end).mean()), 1e-30) for end in ends)
+    return 0.5 * float(np.log(loud / soft) / np.log(high / low))
 
 
 def steady_figures(texture: Texture, seed: int = 0) -> SteadyFigures:

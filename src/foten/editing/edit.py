@@ -9,13 +9,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from foten.dsp import Array
+from foten.dsp.speed_force_table import FORCE_FLOOR
 from foten.editing.describe import Description, describe, steady_figures
 from foten.editing.envelope import EnvelopeCurve, with_envelope
 from foten.editing.warp import Warp, warped_reflections, warped_tones
 from foten.models.excitation import Scale
-from foten.models.foten_plus.definition import Tones
 from foten.models.texture_file import Texture
-from foten.runtime.proof import Tensors, proved
+from foten.runtime.proof import reproved
 
 MAX_LEVEL_DB = 40.0
 MAX_OCTAVES = 3.0
@@ -61,16 +62,15 @@ class Edit:
 
     def in_words(self) -> str:
         """What it changes, for the card."""
-        exponents = {"speed": self.speed_exponent, "force": self.force_exponent}
+        octaves = {"centroid": self.brighter, "width": self.wider}
         parts = [
             *([f"level {self.level_db:+g} dB"] if self.level_db else []),
-            *([f"centroid {self.brighter:+g} octaves"] if self.brighter else []),
-            *([f"width {self.wider:+g} octaves"] if self.wider else []),
+            *(f"{name} {value:+g} octaves" for name, value in octaves.items() if value),
             *([f"roughness {self.rougher:+g} dB"] if self.rougher else []),
             *([f"period {self.period_mm:g} mm"] if self.period_mm is not None else []),
-            *(f"level ~ {name}^{power:g}" for name, power in exponents.items() if power is not None),
         ]
-        return ", ".join(parts)
+        exponents = {"speed": self.speed_exponent, "force": self.force_exponent}
+        return ", ".join(parts + [f"level ~ {name}^{x:g}" for name, x in exponents.items() if x is not None])
 
 
 @dataclass(frozen=True)
@@ -84,13 +84,9 @@ class Edited:
 
 
 def edited(texture: Texture, edit: Edit, seed: int = 0) -> Edited:
-    """The texture with an edit, proved.
+    """The texture with an edit, proved; ValueError where the model cannot be edited so, or there is no period to change.
 
-    Centroid and width are searched for on renderings, so that `describe` finds what was asked; the level at the described
-    condition stays, but for what is asked.
-
-    Raises:
-        ValueError: the model cannot be edited so, or the texture has no period to change.
+    Centroid and width are searched for on renderings, so that `describe` gives what was asked; the level stays there.
     """
     before = describe(texture, seed)
     moved = moved_by(texture, edit, before, seed)
@@ -106,7 +102,7 @@ def moved_by(
     n_steps: int = N_STEPS,
     curve: EnvelopeCurve | None = None,
 ) -> Texture:
-    """The same from a description, and a curve of the envelope, that are known; with one step soon, and not quite there."""
+    """The texture with an edit, as `edited`, of a description and a curve that are measured; in one step it is near, and fast."""
     check_editable(texture, edit, before)
     moved = texture
     if edit.period_mm is not None:
@@ -122,11 +118,14 @@ def moved_by(
             moved = with_roughness(moved, now, target, curve or EnvelopeCurve(texture, seed), seed, n_steps)
         else:
             moved = with_spectrum(moved, now, target, seed, n_steps)
-    level_db = 20 * float(np.log10(max(steady_figures(moved, seed).rms, 1e-15)))
-    moved = with_level(moved, before.level_db + edit.level_db - level_db)
+    moved = with_level(moved, before.level_db + edit.level_db - steady_figures(moved, seed).level_db)
     done = f"edited: {edit.in_words()}, {UNMEASURED}" if edit.in_words() else ""
-    words = "; ".join(part for part in (texture.evidence, done) if part)
-    return restored(moved, {"evidence": words})
+    return reproved(moved, {"evidence": evidence_of(texture, done)})
+
+
+def evidence_of(texture: Texture, words: str) -> str:
+    """What the card says of the evidence for a texture, with further words."""
+    return "; ".join(part for part in (texture.evidence, words) if part)[:500]
 
 
 def check_editable(texture: Texture, edit: Edit, before: Description) -> None:
@@ -159,35 +158,54 @@ def with_period(texture: Texture, period_mm: float) -> Texture:
     """The texture with another period of its tones."""
     params = texture.tensors["tones.phase_params"].copy()
     params[0] = 2 * np.pi / (period_mm * texture.rate_hz)
-    return restored(texture, {}, {"tones.phase_params": params})
+    return reproved(texture, {}, {"tones.phase_params": params})
 
 
 def with_exponents(texture: Texture, at: Description, edit: Edit) -> Texture:
     """The texture whose level grows with other powers of speed and force, about the described condition."""
-    tensors, card = dict(texture.tensors), dict(texture.card)
-    extrapolation = dict(card["extrapolation_exponents"])
+    tensors = dict(texture.tensors)
+    extrapolation = dict(texture.card["extrapolation_exponents"])
     changes = (
-        (0, "speed", edit.speed_exponent, at.speed_exponent),
-        (1, "force", edit.force_exponent, at.force_exponent),
+        ("speed", edit.speed_exponent, at.speed_exponent, at.speed_mm_s),
+        ("force", edit.force_exponent, at.force_exponent, at.force_n),
     )
-    prefixes = ["lattice.level.", *(["residual.level."] if texture.card["sizes"]["n_tones"] else [])]
-    for prefix in prefixes:
-        level = Scale.of(tensors, prefix)
+    for prefix in lattices(texture):
+        level = Scale.of(tensors, f"{prefix}level.")
         exponents = level.exponents.copy()
-        for row, name, power, now in changes:
-            if power is None:
-                continue
-            value = {"speed": at.speed_mm_s, "force": at.force_n}[name]
-            # d log ℓ / d log v = exponent · v / (v + floor)
-            exponents[row] += (power - (now or 0.0)) * (value + level.floor[row]) / value
-            extrapolation[name] = power
-        low, high = (np.array([texture.trained_range(name)[end] for name in ("speed", "force")]) for end in (0, 1))
-        corners = np.array([[v, f] for v in (low[0], high[0]) for f in (low[1], high[1])])
-        scaled = (corners - level.mean) / level.sd
+        for row, (name, power, now, value) in enumerate(changes):
+            if power is not None:
+                # d log ℓ / d log v = exponent · v / (v + floor)
+                exponents[row] += (power - (now or 0.0)) * (value + level.floor[row]) / value
+                extrapolation[name] = power
         free = replace(level, exponents=exponents, sigma_max=np.array([np.inf]))
-        louder = float((free(scaled) / level(scaled)).max())
-        tensors |= replace(free, sigma_max=level.sigma_max * max(1.0, louder)).tensors(prefix)
-    return restored(texture, {"extrapolation_exponents": extrapolation}, tensors)
+        louder = largest_ratio(free, level, texture, 2)
+        tensors |= replace(free, sigma_max=level.sigma_max * max(1.0, louder)).tensors(f"{prefix}level.")
+    return reproved(texture, {"extrapolation_exponents": extrapolation}, tensors)
+
+
+def lattices(texture: Texture) -> tuple[str, ...]:
+    """Prefixes of a texture's lattices: of the whole signal and, where there are tones, of the residual."""
+    return ("lattice.", "residual.") if texture.card["sizes"]["n_tones"] else ("lattice.",)
+
+
+def largest_ratio(level: Scale, before: Scale, texture: Texture, n: int) -> float:
+    """By how much a level exceeds another one at most, at n speeds and n forces of the trained range."""
+    speeds, forces = (np.linspace(*texture.trained_range(name), n) for name in ("speed", "force"))
+    scaled = (np.array([[v, f] for v in speeds for f in forces]) - level.mean) / level.sd
+    return float((level(scaled) / before(scaled)).max())
+
+
+def knots_of(tensors: Mapping[str, NDArray[Any]], prefix: str) -> Array:
+    """Speeds and forces of a table's knots, (n, 2) [mm/s, N]."""
+    speed, force = (tensors[f"{prefix}{name}"].astype(np.float64) for name in ("speed_knots", "force_knots"))
+    grid = np.meshgrid(speed, np.exp(force) - FORCE_FLOOR, indexing="ij")
+    return np.stack([axis.ravel() for axis in grid], axis=1)
+
+
+def fundamental_hz(texture: Texture) -> Array:
+    """Frequency of the first tone [Hz] at the knots of the table of tones, (n,)."""
+    increment = float(texture.tensors["tones.phase_params"][0])
+    return increment * knots_of(texture.tensors, "tones.")[:, 0] * texture.rate_hz / (2 * np.pi)
 
 
 def with_roughness(
@@ -217,10 +235,10 @@ def with_spectrum(
     """The texture with the centroid and the width of a description, as near as its tones let it come."""
     octaves = float(np.log2(target.centroid_hz / before.centroid_hz))
     stretch = target.width_octaves / before.width_octaves
-    best, moved, error = texture, texture, np.inf
+    best, error = texture, np.inf
     for _ in range(n_steps):
-        warp = Warp(before.centroid_hz, octaves, float(np.clip(stretch, MIN_STRETCH, MAX_STRETCH)))
-        moved = warped(texture, warp)
+        stretch = float(np.clip(stretch, MIN_STRETCH, MAX_STRETCH))
+        moved = warped(texture, Warp(before.centroid_hz, octaves, stretch))
         now = steady_figures(moved, seed)
         missing = float(np.log2(target.centroid_hz / now.centroid_hz)), target.width_octaves - now.width_octaves
         if np.hypot(*missing) < error:
@@ -228,40 +246,21 @@ def with_spectrum(
         if error < CLOSE_OCTAVES:
             break
         octaves += missing[0]
-        stretch = float(np.clip(stretch * target.width_octaves / now.width_octaves, MIN_STRETCH, MAX_STRETCH))
+        stretch *= target.width_octaves / now.width_octaves
     return best
 
 
 def warped(texture: Texture, warp: Warp) -> Texture:
     """The texture with the spectra of its lattices and the envelope of its tones warped."""
-    rate, tensors, sizes = texture.rate_hz, texture.tensors, texture.card["sizes"]
     changed: dict[str, NDArray[Any]] = {}
-    for prefix in ("lattice.", *(("residual.",) if sizes["n_tones"] else ())):
-        reflections = tensors[f"{prefix}reflections"].astype(np.float64)
-        changed[f"{prefix}reflections"] = warped_reflections(reflections, rate, warp).astype(np.float32)
-    if sizes["n_tones"]:
-        tones = Tones(tensors, Scale.of(tensors, "lattice.level."))
-        n_force = len(tensors["tones.force_knots"])
-        speed = np.repeat(tensors["tones.speed_knots"].astype(np.float64), n_force)
-        values = tensors["tones.values"].astype(np.float64)
-        condition = np.stack([speed, speed, speed], axis=1)
-        fundamental = tones.phase_increment(condition) * rate / (2 * np.pi)
-        changed["tones.values"] = warped_tones(values, fundamental, warp).astype(np.float32)
-    return restored(texture, {}, changed)
-
-
-def restored(texture: Texture, card: Mapping[str, Any], tensors: Mapping[str, NDArray[Any]] | None = None) -> Texture:
-    """The texture with changes of its card and its tensors, proved anew; its split and metrics were of what it was."""
-    cost = {key: value for key, value in texture.card["metrics"].items() if key == "multiply_adds"}
-    entries = {**texture.card, "split": None, "metrics": cost, **card}
-    if tensors is None:
-        return Texture(entries, texture.tensors)
-    kept = {name: t for name, t in texture.tensors.items() if not name.startswith("golden.") and name != "warm_start"}
-    windows, start = (texture.tensors[name].astype(np.float64) for name in ("golden.windows", "warm_start"))
-    known = {"format_version", "model", "sizes", "window", "units", "scaling"}
-    about = {key: value for key, value in entries.items() if key not in known}
-    changed: Tensors = {**kept, **tensors}
-    return proved(texture.card["model"], texture.sizes, changed, texture.scaling, windows[:-2], start, about).texture
+    for prefix in lattices(texture):
+        reflections = texture.tensors[f"{prefix}reflections"].astype(np.float64)
+        moved = warped_reflections(reflections, texture.rate_hz, warp)
+        changed[f"{prefix}reflections"] = moved.astype(np.float32)
+    if texture.card["sizes"]["n_tones"]:
+        values = texture.tensors["tones.values"].astype(np.float64)
+        changed["tones.values"] = warped_tones(values, fundamental_hz(texture), warp).astype(np.float32)
+    return reproved(texture, {}, changed)
 
 
 def _unreached(edit: Edit, before: Description, after: Description) -> list[str]:
@@ -269,12 +268,13 @@ def _unreached(edit: Edit, before: Description, after: Description) -> list[str]
     if edit.period_mm is not None:
         return []
     centroid, width = before.centroid_hz * 2**edit.brighter, before.width_octaves + edit.wider
-    roughness, said = before.roughness_db + edit.rougher, []
-    if (edit.brighter or edit.wider) and abs(np.log2(after.centroid_hz / centroid)) > UNREACHED_OCTAVES:
-        said.append(f"the centroid is {after.centroid_hz:.0f} Hz, not {centroid:.0f}: tones stay on the path")
-    if (edit.brighter or edit.wider) and abs(after.width_octaves - width) > UNREACHED_OCTAVES:
-        said.append(f"the width is {after.width_octaves:.2f} octaves, {width:.2f} were asked")
+    roughness, messages = before.roughness_db + edit.rougher, []
+    if edit.brighter or edit.wider:
+        if abs(np.log2(after.centroid_hz / centroid)) > UNREACHED_OCTAVES:
+            messages.append(f"the centroid is {after.centroid_hz:.0f} Hz, not {centroid:.0f}: tones stay on the path")
+        if abs(after.width_octaves - width) > UNREACHED_OCTAVES:
+            messages.append(f"the width is {after.width_octaves:.2f} octaves, {width:.2f} were asked")
     if edit.rougher and abs(after.roughness_db - roughness) > UNREACHED_ROUGHNESS_DB:
         why = "noise and tones have an envelope of their own"
-        said.append(f"the roughness is {after.roughness_db:.2f} dB, {roughness:.2f} were asked: {why}")
-    return said
+        messages.append(f"the roughness is {after.roughness_db:.2f} dB, {roughness:.2f} were asked: {why}")
+    return messages

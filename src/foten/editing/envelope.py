@@ -5,8 +5,6 @@ Noise keeps its envelope, and so do tones. Source: ours.
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -14,33 +12,25 @@ from foten.editing.describe import steady_figures
 from foten.models.foten_plus.recorded_innovations import LEVELS_IN_OCTAVE, RecordedInnovations, encoded
 from foten.models.foten_plus.sizes import FotenPlusSizes
 from foten.models.texture_file import Texture
-from foten.runtime.proof import proved
+from foten.runtime.proof import reproved
 
 TIME_CONSTANT_S = 0.05  # 0.02 s moves the level in frames of 40 ms less, at the same size
 STRENGTHS = (-0.5, -0.25, 0.0, 0.25, 0.5, 1.0, 2.0)  # that the roughness is measured at; below, it rises again
+ZERO = STRENGTHS.index(0.0)
 
 
 def with_envelope(texture: Texture, strength: float) -> Texture:
-    """The texture with another envelope of its recorded innovations, proved; one of noise is left as it is.
-
-    Args:
-        strength: one of `STRENGTHS`, or between; below 0 smoother.
-    """
+    """The texture with another envelope of its recorded innovations, by a strength of `STRENGTHS` or between, proved."""
     sizes = texture.sizes
     assert isinstance(sizes, FotenPlusSizes)
     if not strength or not sizes.recorded:
         return texture
     changed = _powered(RecordedInnovations.of(texture.tensors, sizes.along_path), texture.rate_hz, strength)
-    tensors = {
-        name: tensor
-        for name, tensor in texture.tensors.items()
-        if not name.startswith("golden.") and name != "warm_start"
-    }
     in_sigma, in_acceleration = texture.tensors["excitation.innovation_limit"]
     largest = float(np.abs(changed.values).max())
     limit = [max(largest, in_sigma), in_acceleration * max(1.0, largest / in_sigma)]
-    tensors |= {**changed.tensors(), "excitation.innovation_limit": np.array(limit, dtype=np.float32)}
-    return _reproved(texture, sizes, tensors)
+    tensors = {**changed.tensors(), "excitation.innovation_limit": np.array(limit, dtype=np.float32)}
+    return reproved(texture, {"metrics": {"multiply_adds": sizes.multiply_adds()}}, tensors)
 
 
 def _powered(recorded: RecordedInnovations, rate_hz: float, strength: float) -> RecordedInnovations:
@@ -51,38 +41,22 @@ def _powered(recorded: RecordedInnovations, rate_hz: float, strength: float) -> 
     gain *= np.sqrt(np.square(e).mean() / np.square(gain * e).mean())
     changed, moments = gain * e, recorded.moments.astype(np.float64)
     moments[:, 2:4] += LEVELS_IN_OCTAVE * np.log2(gain[:: recorded.step])[:, None]
-    in_file = np.clip(np.round(moments), 0, 255).astype(np.uint8)
-    shaped = changed.reshape(recorded.codes.shape)
-    return encoded(shaped, in_file, float(np.abs(changed).max()), recorded.along_path)
-
-
-def _reproved(texture: Texture, sizes: FotenPlusSizes, tensors: dict[str, NDArray[Any]]) -> Texture:
-    windows, start = (texture.tensors[name].astype(np.float64) for name in ("golden.windows", "warm_start"))
-    cost = {"multiply_adds": sizes.multiply_adds()}
-    known = {"format_version", "model", "sizes", "window", "units", "scaling", "split", "metrics"}
-    card: dict[str, Any] = {name: value for name, value in texture.card.items() if name not in known}
-    card |= {"split": None, "metrics": cost}
-    return proved("foten-plus", sizes, tensors, texture.scaling, windows[:-2], start, card).texture
+    stored = np.clip(np.round(moments), 0, 255).astype(np.uint8)
+    return encoded(changed.reshape(recorded.codes.shape), stored, float(np.abs(changed).max()), recorded.along_path)
 
 
 class EnvelopeCurve:
-    """Roughness that a texture has at strengths, measured on renderings, and the strength for a roughness.
-
-    Attributes:
-        roughness_db: at `STRENGTHS`, (k,), rising.
-    """
+    """Roughness that a texture has at `STRENGTHS`, (k,), rising [dB], measured on renderings; the strength for a roughness."""
 
     def __init__(self, texture: Texture, seed: int = 0) -> None:
-        found = [steady_figures(with_envelope(texture, strength), seed).roughness_db for strength in STRENGTHS]
-        zero = STRENGTHS.index(0.0)
-        up, down = np.maximum.accumulate(found[zero:]), np.minimum.accumulate(found[zero::-1])[::-1]
+        measured = [steady_figures(with_envelope(texture, strength), seed).roughness_db for strength in STRENGTHS]
+        up, down = np.maximum.accumulate(measured[ZERO:]), np.minimum.accumulate(measured[ZERO::-1])[::-1]
         self.roughness_db: NDArray[np.float64] = np.concatenate([down[:-1], up])
 
     def strength(self, rougher_db: float) -> float:
         """The strength that makes a texture rougher by so much [dB], or as nearly as it can."""
-        zero = STRENGTHS.index(0.0)
-        target = self.roughness_db[zero] + rougher_db
-        side = slice(zero, None) if rougher_db > 0 else slice(None, zero + 1)
+        target = self.roughness_db[ZERO] + rougher_db
+        side = slice(ZERO, None) if rougher_db > 0 else slice(None, ZERO + 1)
         known, strengths = self.roughness_db[side], np.array(STRENGTHS)[side]
         if known[-1] - known[0] < 1e-6:
             return 0.0

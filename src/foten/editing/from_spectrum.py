@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -43,16 +41,10 @@ class Spectrum:
     force_exponent: float
 
 
-def texture_of_spectrum(
-    spectrum: Spectrum, rate_hz: float, name: str, evidence: str, card: Mapping[str, Any] | None = None
-) -> Texture:
-    """A texture of foten-plus without tones and network, proved.
+def texture_of_spectrum(spectrum: Spectrum, rate_hz: float, name: str, evidence: str) -> Texture:
+    """A texture of foten-plus without tones and network, proved; its card says of what `evidence` it is made.
 
     Its trained range is the reference alone: elsewhere its level follows the powers, as `models.definitions.render` has it.
-
-    Args:
-        evidence: from what it is made, for its card.
-        card: further entries.
     """
     grid = np.linspace(0, rate_hz / 2, N_BINS + 1)
     density = interpolated(grid, spectrum)
@@ -69,7 +61,7 @@ def texture_of_spectrum(
     windows = _windows(FotenPlus(sizes, tensors), sizes.history)
     preprocess = PreprocessConfig(rate_hz=rate_hz)
     condition = {"speed": spectrum.speed_mm_s, "force": spectrum.force_n}
-    entries = {
+    card = {
         "rate_hz": rate_hz,
         "trained_range": {channel: [value, value] for channel, value in condition.items()},
         "extrapolation_exponents": {"speed": spectrum.speed_exponent, "force": spectrum.force_exponent},
@@ -85,7 +77,7 @@ def texture_of_spectrum(
         "metrics": {},
         "warm_start": {"asked": condition, "recorded": condition},
     }
-    return proved("foten-plus", sizes, tensors, scaling, windows[1:], windows[0], {**entries, **(card or {})}).texture
+    return proved("foten-plus", sizes, tensors, scaling, windows[1:], windows[0], card).texture
 
 
 def interpolated(grid: Array, spectrum: Spectrum) -> Array:
@@ -113,11 +105,9 @@ def _constant(scaling: Scaling) -> Scale:
 
 def _windows(model: FotenPlus, history: int) -> Array:
     """Scaled windows of its own vibration at the reference, (1 + `N_GOLDEN`, history, 3)."""
-    n = 1 + N_GOLDEN
-    stream = model.start(np.zeros((n, history, 3)))
-    condition = np.zeros((n, history, 3))
+    n, windows = 1 + N_GOLDEN, np.zeros((1 + N_GOLDEN, history, 3))
+    stream = model.start(windows)
     noise = np.stack([gaussian(0, k, 0, stream.n_initial + history) for k in range(n)])
-    stream.begin(condition[:, 0], noise[:, : stream.n_initial])
-    windows = np.zeros((n, history, 3))
-    windows[:, :, 0] = run(stream, condition, noise[:, stream.n_initial :])
-    return windows
+    stream.begin(windows[:, 0], noise[:, : stream.n_initial])
+    vibration = run(stream, windows, noise[:, stream.n_initial :])
+    return np.concatenate([vibration[..., None], np.zeros((n, history, 2))], axis=2)

@@ -2,8 +2,7 @@
 
     picture ─▶ heights [mm] ─▶ profile along the stroke ─▶ contact mechanics under a moving hand ─▶ Recording
 
-A normal map, as of a game's material, is integrated first. Rows are stroked one after another. A picture that tiles goes on at
-its edge; another one is mirrored there, so that no edge is felt.
+A normal map, as of a game's material, is integrated first. A picture that tiles goes on at its edge; another is mirrored there.
 """
 
 from __future__ import annotations
@@ -47,11 +46,7 @@ def picture_contents(path: Path) -> tuple[None, list[Array]]:
 
 
 def read_picture(path: Path) -> Array:
-    """Values of a picture, 0 to 1 where they are integers: (rows, columns) of grey, or (rows, columns, 3).
-
-    Raises:
-        ValueError: the format is not known, or the picture is damaged, too large or too small.
-    """
+    """Values (rows, columns) of grey, or (rows, columns, 3), integers as 0 to 1; ValueError for no picture, or its size."""
     suffix = path.suffix.lower()
     if suffix not in SUFFIXES:
         raise ValueError(f"{path.name} is no picture, expected one of {' '.join(SUFFIXES)}")
@@ -96,14 +91,19 @@ def _read_image(path: Path) -> Array:
 def _read_exr(path: Path) -> Array:
     try:
         import OpenEXR
+
+        channels = OpenEXR.File(str(path), separate_channels=True).channels()
     except ModuleNotFoundError:
         raise ValueError(f"{path.name} needs the package OpenEXR: pip install OpenEXR") from None
-    try:
-        channels = OpenEXR.File(str(path), separate_channels=True).channels()
     except Exception as error:  # whatever the library raises on a damaged file
         raise ValueError(f"{path.name} is truncated or is no EXR picture ({error})") from None
     names = [name for name in ("R", "G", "B") if name in channels] or sorted(channels)[:1]
     return np.squeeze(np.stack([channels[name].pixels.astype(np.float64) for name in names], axis=-1))
+
+
+def grey_of(pixels: Array) -> Array:
+    """Luminance (rows, columns) of a picture; Rec. 601."""
+    return pixels if pixels.ndim == 2 else pixels @ np.array([0.299, 0.587, 0.114])
 
 
 def is_normal_map(pixels: Array) -> bool:
@@ -119,10 +119,7 @@ def is_normal_map(pixels: Array) -> bool:
 
 def heights_of(pixels: Array, scale_mm: float, depth_mm: float) -> Array:
     """Heights [mm], (rows, columns): the darkest pixel to the lightest is `depth_mm`; of a normal map, where that is given."""
-    if is_normal_map(pixels):
-        heights = integrated(2 * pixels - 1, scale_mm)
-    else:
-        heights = pixels if pixels.ndim == 2 else pixels @ np.array([0.299, 0.587, 0.114])  # luminance, Rec. 601
+    heights = integrated(2 * pixels - 1, scale_mm) if is_normal_map(pixels) else grey_of(pixels)
     span = float(np.ptp(heights))
     if not span > 0:
         raise ValueError("the picture is of one height: there is nothing to feel")
@@ -146,10 +143,7 @@ def integrated(normals: Array, scale_mm: float) -> Array:
 
 
 def profile_along(heights: Array, scale_mm: float, tiles: bool, length_mm: float = LOOP_MM) -> Array:
-    """Closed profile [mm], a point every `GRID_MM`: rows of heights (rows, columns), stroked one after another.
-
-    The stroke leaves each row through its edge and comes in at the next, as on a slanted line over the tiled plane.
-    """
+    """Closed profile [mm], a point every `GRID_MM`, along a slanted line over the tiled plane of heights (rows, columns)."""
     from scipy.ndimage import map_coordinates
 
     if (width_mm := heights.shape[1] * scale_mm) > MAX_WIDTH_MM:
@@ -179,9 +173,8 @@ def imagined(
     Args:
         scale_mm: of a pixel.
         tool: its tip and the contact; what it says of a profile is not used.
-        tiles: whether the picture goes on at its edges.
         seed: of the hand and the sensors.
-        stroke: a hand of one's own, at `RATE_HZ`; by default one that moves over all speeds and forces.
+        stroke: at `RATE_HZ`; by default one over all speeds and forces.
     """
     surface = under_ball(profile_along(heights, scale_mm, tiles), tool.tip_mm)
     stroke = stroke or stroking(seconds, seed, RATE_HZ)
@@ -198,11 +191,8 @@ def tool_of(tip_mm: float = 0.8, mass_g: float = 14.0, modulus_mpa: float = 200.
 
 
 def proposed_period(pixels: Array, scale_mm: float) -> float | None:
-    """The period [mm] along the stroke that a photo shows, or None where no peak stands out by 14 dB.
-
-    Nothing more can be taken from a photo: through encoders it was worth nothing (100 textures).
-    """
-    grey = pixels if pixels.ndim == 2 else pixels @ np.array([0.299, 0.587, 0.114])
+    """The period [mm] along the stroke that a photo shows, or None where no peak stands out by 14 dB."""
+    grey = grey_of(pixels)
     rows = grey - grey.mean(axis=1, keepdims=True)
     power = (np.abs(np.fft.rfft(rows * np.hanning(rows.shape[1]), axis=1)) ** 2).mean(axis=0)
     per_mm = np.fft.rfftfreq(rows.shape[1], scale_mm)

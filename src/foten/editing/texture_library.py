@@ -1,8 +1,7 @@
-"""A folder of textures with an index: what each is like, its name and its tags; the nearest, and what words find."""
+"""A folder of textures with an index: what each is like, its name and its tags; the nearest by figures."""
 
 from __future__ import annotations
 
-import shutil
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -10,11 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from foten.atomic_write import atomic_write, write_json
+from foten.atomic_write import write_json
 from foten.dsp import Array
 from foten.editing.describe import SECONDS, Description, describe, rendered, spectrum
-from foten.editing.words import Encoder
-from foten.models.texture_file import Texture, read_texture
+from foten.models.texture_file import Texture, read_texture, write_texture
 from foten.untrusted import MAX_PROFILE, parse_json, read_whole
 
 INDEX = "library.json"
@@ -45,17 +43,6 @@ class Entry:
     bands_db: tuple[float, ...]  # density at the described condition, in `BANDS_HZ` [dB re 1 (m/s²)²/Hz]
 
     @property
-    def text(self) -> str:
-        """What words are compared with."""
-        return " ".join((self.name, *self.tags)).replace("-", " ").replace("_", " ")
-
-    @property
-    def stem(self) -> str:
-        """The name that namesakes share: `steel-mesh` of `steel-mesh-1` and `Steel Mesh 2`."""
-        words = self.name.lower().replace("_", " ").replace("-", " ").split()
-        return " ".join(word for word in words if not word.isdecimal())
-
-    @property
     def figures(self) -> Array:
         """Level, centroid, width and roughness in just noticeable differences, (4,)."""
         one = self.description
@@ -67,26 +54,22 @@ class Entry:
         return float(np.sqrt(np.square(self.figures - other.figures).sum()))
 
 
-def entry_of(texture: Texture, file: str, tags: Sequence[str] = ()) -> Entry:
-    """What a library notes of a texture."""
+def entry_of(texture: Texture, file: str, tags: Sequence[str] = (), name: str = "") -> Entry:
+    """What a library notes of a texture; its name is by default the card's, or the file's."""
     description = describe(texture)
+    at = description.speed_mm_s, description.force_n
+    bands = bands_db(*spectrum(rendered(texture, *at, SECONDS), texture.rate_hz))
     return Entry(
         file=file,
-        name=texture.card["texture"] or Path(file).stem,
+        name=name or texture.card["texture"] or Path(file).stem,
         tags=tuple(tags),
         sha256=texture.sha256(),
         rate_hz=texture.rate_hz,
         unit=texture.unit,
         evidence=texture.evidence,
         description=description,
-        bands_db=tuple(np.round(bands_of(texture, description), 3).tolist()),
+        bands_db=tuple(np.round(bands, 3).tolist()),
     )
-
-
-def bands_of(texture: Texture, at: Description) -> Array:
-    """Densities in thirds of an octave [dB], (17,), of the rendering at the described condition."""
-    hz, density = spectrum(rendered(texture, at.speed_mm_s, at.force_n, SECONDS), texture.rate_hz)
-    return bands_db(hz, density)
 
 
 def bands_db(hz: Array, density: Array) -> Array:
@@ -106,23 +89,13 @@ class Library:
     folder: Path
     entries: list[Entry]
 
-    def add(self, path: Path, tags: Sequence[str] = (), name: str = "") -> Entry:
-        """Copy a texture into the folder and note what it is like; one of its name is replaced.
-
-        Raises:
-            ValueError: it is no texture file, or the library is full.
-        """
-        texture = read_texture(path)
+    def add(self, texture: Texture, file: str, tags: Sequence[str] = (), name: str = "") -> Entry:
+        """Write a texture to a file of the folder, in place of one of its name, and note what it is like; ValueError if full."""
         if len(tags) > MAX_TAGS or len(self.entries) >= MAX_TEXTURES:
             raise ValueError(f"expected {MAX_TAGS} tags at most, and {MAX_TEXTURES:,} textures")
-        file = f"{Path(path).stem}{SUFFIX}"
-        entry = entry_of(texture, file, tags)
-        if name:
-            entry = Entry(**{**vars(entry), "name": name})
+        entry = entry_of(texture, file, tags, name)
         self.folder.mkdir(parents=True, exist_ok=True)
-        if path.resolve() != (self.folder / file).resolve():
-            with atomic_write(self.folder / file) as part:
-                shutil.copyfile(path, part)
+        write_texture(texture, self.folder / file)
         self.entries = [*(one for one in self.entries if one.file != file), entry]
         self.write()
         return entry
@@ -133,32 +106,12 @@ class Library:
 
     def nearest(self, to: Entry) -> list[tuple[float, Entry]]:
         """Other entries by distance, the nearest first."""
-        return sorted(
-            ((to.distance(one), one) for one in self.entries if one.sha256 != to.sha256), key=lambda pair: pair[0]
-        )
-
-    def search(self, text: str, encoder: Encoder) -> list[tuple[float, Entry]]:
-        """Entries by how like their words are to a text, −1 to 1, the most alike first; those of unknown words are left out."""
-        wanted = encoder.encode(text)
-        found = []
-        for entry in self.entries:
-            try:
-                found.append((float(encoder.encode(entry.text) @ wanted), entry))
-            except ValueError:
-                continue
-        return sorted(found, key=lambda pair: -pair[0])
+        others = [(to.distance(entry), entry) for entry in self.entries if entry.sha256 != to.sha256]
+        return sorted(others, key=lambda pair: pair[0])
 
 
 def open_library(folder: Path, make: bool = False) -> Library:
-    """The library in a folder; a folder of textures without an index is looked through.
-
-    Args:
-        make: begin an empty one where there is none.
-
-    Raises:
-        FileNotFoundError: there is no such folder.
-        ValueError: its index is damaged.
-    """
+    """The library in a folder, or one that `make` begins; FileNotFoundError for no folder, ValueError for a damaged index."""
     path = folder / INDEX
     if not path.exists():
         if not folder.is_dir() and not make:

@@ -2,10 +2,8 @@
 
     one surface, both tools ─▶ spectra by speed and force ─▶ Transfer ─▶ a texture as that tool would feel it
 
-The filter, of least delay, multiplies the spectra of lattices and the amplitudes of tones: the result is a texture like any
-other.
-
-Source: ours; measured on eight pens (docs/less-than-a-recording.md).
+The filter, of least delay, multiplies the spectra of lattices and the amplitudes of tones. Source: ours; measured on eight pens
+(docs/less-than-a-recording.md).
 """
 
 from __future__ import annotations
@@ -20,15 +18,14 @@ from numpy.typing import NDArray
 from foten.atomic_write import write_json
 from foten.dsp import Array
 from foten.dsp.distance import MIN_SCORED_HZ, max_scored_hz
-from foten.dsp.speed_force_table import FORCE_FLOOR
-from foten.editing.edit import restored
+from foten.editing.edit import evidence_of, fundamental_hz, knots_of, largest_ratio, lattices
 from foten.editing.warp import N_BINS, reflections_for, spectra_of
 from foten.models.conditions import MOVING_FORCE, MOVING_SPEED
 from foten.models.excitation import Scale, powers
-from foten.models.foten_plus.definition import Tones
 from foten.models.texture_file import Texture
 from foten.recording.trace import Trace
-from foten.untrusted import read_profile_json
+from foten.runtime.proof import reproved
+from foten.untrusted import is_number, read_profile_json
 
 FORMAT, VERSION = "foten-tool", 1
 FRAME_S = 0.256  # of a spectrum
@@ -61,7 +58,7 @@ class Transfer:
         numbers += [self.speed_exponent, self.force_exponent]
         if len(sizes) != 1 or not 2 <= len(self.hz) <= MAX_BANDS:
             raise ValueError(f"the filter has {len(self.hz)} frequencies, expected 2 to {MAX_BANDS}, and a gain each")
-        if not all(isinstance(x, int | float) and not isinstance(x, bool) and np.isfinite(x) for x in numbers):
+        if not all(map(is_number, numbers)):
             raise ValueError("a figure of the tool is no finite number")
         if not (np.diff(self.hz) > 0).all() or self.hz[0] <= 0:
             raise ValueError("the frequencies of the filter do not rise")
@@ -77,13 +74,10 @@ class Transfer:
 
 
 def fitted_transfer(first: list[Trace], second: list[Trace], names: tuple[str, str] = ("", "")) -> Transfer:
-    """The transfer between two tools, from traces of the same surface, or of the same surfaces in turn.
+    """The transfer between two tools, from traces of the same surfaces in turn; ValueError where they share no speed and force.
 
-    Spectra are compared where both have been: in cells of speed and force. The filter is the mean over cells of the ratio in
+    Spectra are compared in cells of speed and force where both have been. The filter is the mean over cells of the ratio in
     bands; powers of speed and force follow the ratio of levels, weighed against a prior of 0 ± 0.2.
-
-    Raises:
-        ValueError: the traces differ in number or rate, or share no speed and force.
     """
     if len(first) != len(second):
         raise ValueError(f"{len(first)} recordings of one tool and {len(second)} of the other, expected as many")
@@ -161,69 +155,51 @@ def _exponents(level_db: Array, logs: Array, counts: Array) -> Array:
 
 
 def transferred(texture: Texture, transfer: Transfer) -> Texture:
-    """The texture as the other tool would feel it, proved.
-
-    Raises:
-        ValueError: it is not of foten-plus.
-    """
+    """The texture as the other tool would feel it, proved; ValueError for one that is not of foten-plus."""
     words = f"for the tool {transfer.second or 'of a transfer'}, by a filter and a level"
     return filtered(texture, transfer, words, transfer.second or texture.card["tool"])
 
 
 def filtered(texture: Texture, transfer: Transfer, words: str, tool: str) -> Texture:
-    """The texture through a filter and with other powers, proved, which its card tells in words; otherwise as `transferred`."""
+    """The texture through a filter and with other powers, proved, with words for its card; otherwise as `transferred`."""
     if texture.card["model"] != "foten-plus":
         raise ValueError(f"the texture is of {texture.card['model']}, expected one of foten-plus")
     card, tensors = texture.card, texture.tensors
-    grid = np.linspace(0, texture.rate_hz / 2, N_BINS + 1)
-    gain = transfer.gain(grid)
+    gain = transfer.gain(np.linspace(0, texture.rate_hz / 2, N_BINS + 1))
     changed: dict[str, NDArray[Any]] = {}
-    own = Scale.of(tensors, "lattice.level.")
-    most = 1.0
-    for prefix in ("lattice.", *(("residual.",) if card["sizes"]["n_tones"] else ())):
+    levels, rise = {}, 1.0
+    for prefix, order in zip(lattices(texture), ("order", "residual_order"), strict=False):
         density = spectra_of(tensors[f"{prefix}reflections"].astype(np.float64))
-        filtered = density * gain
-        reflections = reflections_for(filtered, card["sizes"]["order" if prefix == "lattice." else "residual_order"])
-        changed[f"{prefix}reflections"] = reflections.astype(np.float32)
-        log_gain = 0.5 * np.log(filtered.sum(axis=1) / density.sum(axis=1))
+        through = density * gain
+        changed[f"{prefix}reflections"] = reflections_for(through, card["sizes"][order]).astype(np.float32)
+        log_gain = 0.5 * np.log(through.sum(axis=1) / density.sum(axis=1))
         level = Scale.of(tensors, f"{prefix}level.")
-        louder = _louder(level, log_gain, _knots(tensors, prefix), transfer, texture)
-        changed |= louder.tensors(f"{prefix}level.")
-        most = max(most, float(louder.sigma_max[0] / level.sigma_max[0]))
-        if prefix == "lattice.":
-            own = louder
+        levels[prefix] = _louder(level, log_gain, knots_of(tensors, prefix), transfer, texture)
+        changed |= levels[prefix].tensors(f"{prefix}level.")
+        rise = max(rise, float(levels[prefix].sigma_max[0] / level.sigma_max[0]))
     if card["sizes"]["n_tones"]:
-        changed["tones.values"] = _tones(texture, own, transfer).astype(np.float32)
+        changed["tones.values"] = _tones(texture, levels["lattice."], transfer).astype(np.float32)
     limit = tensors["excitation.innovation_limit"].copy()
-    limit[1] *= most
+    limit[1] *= rise
     changed["excitation.innovation_limit"] = limit
-    powers_of = {
-        "speed": texture.extrapolation_exponent("speed") + transfer.speed_exponent,
-        "force": texture.extrapolation_exponent("force") + transfer.force_exponent,
-    }
+    grown = {"speed": transfer.speed_exponent, "force": transfer.force_exponent}
+    exponents = {name: texture.extrapolation_exponent(name) + power for name, power in grown.items()}
     entries = {
         "tool": tool,
-        "evidence": "; ".join(part for part in (texture.evidence, words) if part)[:500],
-        "extrapolation_exponents": {name: float(np.clip(power, 0.0, 2.0)) for name, power in powers_of.items()},
-        "saturation": float(card["saturation"] * most),
+        "evidence": evidence_of(texture, words),
+        "extrapolation_exponents": {name: float(np.clip(power, 0.0, 2.0)) for name, power in exponents.items()},
+        "saturation": float(card["saturation"] * rise),
     }
-    return restored(texture, entries, changed)
-
-
-def _knots(tensors: Any, prefix: str) -> Array:
-    """Speeds and forces of a table's knots, (n, 2) [mm/s, N]."""
-    speed, force = (tensors[f"{prefix}{name}"].astype(np.float64) for name in ("speed_knots", "force_knots"))
-    grid = np.meshgrid(speed, np.exp(force) - FORCE_FLOOR, indexing="ij")
-    return np.stack([axis.ravel() for axis in grid], axis=1)
+    return reproved(texture, entries, changed)
 
 
 def _louder(level: Scale, log_gain: Array, knots: Array, transfer: Transfer, texture: Texture) -> Scale:
     """A level with the gain of a filter at knots (n,), over speed and force, and the powers of a tool."""
-    at = (knots - level.mean) / level.sd
     terms: Array = np.zeros(5)
     constant = float(log_gain.mean())
     if len(knots) > 1:
-        design = np.column_stack([np.ones(len(knots)), powers(level.logarithms(at))])
+        logs = level.logarithms((knots - level.mean) / level.sd)
+        design = np.column_stack([np.ones(len(knots)), powers(logs)])
         ridge = 1e-3 * len(knots) * np.diag([0.0, 1.0, 1.0, 1.0, 1.0, 1.0])
         solved = np.linalg.solve(design.T @ design + ridge, design.T @ log_gain)
         constant, terms = float(solved[0]), np.asarray(solved[1:], dtype=np.float64)
@@ -231,26 +207,17 @@ def _louder(level: Scale, log_gain: Array, knots: Array, transfer: Transfer, tex
     reference = (np.array([[transfer.speed_mm_s, transfer.force_n]]) - level.mean) / level.sd
     terms[:2] += own
     constant -= float(own @ level.logarithms(reference)[0])
-    free = replace(
-        level, out_bias=level.out_bias + constant, exponents=level.exponents + terms, sigma_max=np.array([np.inf])
-    )
-    low, high = (np.array([texture.trained_range(name)[end] for name in ("speed", "force")]) for end in (0, 1))
-    corners = np.array([[v, f] for v in np.linspace(low[0], high[0], 5) for f in np.linspace(low[1], high[1], 5)])
-    scaled = (corners - level.mean) / level.sd
-    ratio = float((free(scaled) / level(scaled)).max())
-    return replace(free, sigma_max=level.sigma_max * max(ratio, 1e-6))
+    out_bias, exponents = level.out_bias + constant, level.exponents + terms
+    free = replace(level, out_bias=out_bias, exponents=exponents, sigma_max=np.array([np.inf]))
+    return replace(free, sigma_max=level.sigma_max * max(largest_ratio(free, level, texture, 5), 1e-6))
 
 
 def _tones(texture: Texture, level: Scale, transfer: Transfer) -> Array:
     """Amplitudes of tones over the new level, (n, 2 n_tones)."""
-    tensors = texture.tensors
-    before = Scale.of(tensors, "lattice.level.")
-    tones, knots = Tones(tensors, before), _knots(tensors, "tones.")
-    values = tensors["tones.values"].astype(np.float64)
-    condition = np.repeat(knots[:, :1], 3, axis=1)
-    fundamental = tones.phase_increment(condition) * texture.rate_hz / (2 * np.pi)
+    before, knots = Scale.of(texture.tensors, "lattice.level."), knots_of(texture.tensors, "tones.")
+    values = texture.tensors["tones.values"].astype(np.float64)
     multiples = np.repeat(np.arange(1, values.shape[1] // 2 + 1), 2)
-    gain = np.sqrt(transfer.gain(fundamental[:, None] * multiples))
+    gain = np.sqrt(transfer.gain(fundamental_hz(texture)[:, None] * multiples))
     scaled = (knots - before.mean) / before.sd
     own = (knots / [transfer.speed_mm_s, transfer.force_n]) ** [transfer.speed_exponent, transfer.force_exponent]
     return np.asarray(values * gain * (own.prod(axis=1) * before(scaled) / level(scaled))[:, None])

@@ -1,27 +1,22 @@
 """A user's profile: how strongly she feels five frequencies through her actuator, and how she likes textures moved.
 
-    answers on the page of `foten adapt` ─▶ UserProfile ─▶ adapted(texture): a texture file like any other
-
-The filter has the gains by which tones of five frequencies feel as strong as one of 160 Hz: people feel accelerations of 40 to
-250 Hz at one amplitude, so it takes away what actuator, grip and skin do. Moves are those of `editing.edit`.
-
-Source: ours; equal thresholds of acceleration after Verrillo, J. Acoust. Soc. Am. 35 (1963), as in `dsp.perception`.
+The filter has the gains by which tones of five frequencies feel as strong as one of 160 Hz. Source: ours; equal thresholds of
+acceleration from 40 to 250 Hz after Verrillo, J. Acoust. Soc. Am. 35 (1963), as in `dsp.perception`.
 """
 
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from foten.atomic_write import write_json
 from foten.editing.describe import describe, reference, steady_figures
-from foten.editing.edit import UNMEASURED, Edit, edited, with_level
+from foten.editing.edit import UNMEASURED, Edit, edited, evidence_of, with_level
 from foten.editing.tool import MAX_GAIN_DB, Transfer, filtered
 from foten.models.texture_file import Texture
-from foten.untrusted import read_profile_json
+from foten.untrusted import is_number, read_profile_json
 
 FORMAT, VERSION = "foten-user", 1
 TONES_HZ = (40.0, 63.0, 100.0, 160.0, 250.0)
@@ -55,18 +50,17 @@ class UserProfile:
     answers: tuple[Answer, ...] = ()  # all that were given
 
     def __post_init__(self) -> None:
-        for text in (self.name, self.actuator, self.unit, self.texture):
-            if not isinstance(text, str):
-                raise ValueError("name, actuator, unit and texture of the user are text")
+        if not all(isinstance(text, str) for text in (self.name, self.actuator, self.unit, self.texture)):
+            raise ValueError("name, actuator, unit and texture of the user are text")
         n, k = len(TONES_HZ), len(MOVES)
         sizes = {"threshold_db": n, "threshold_sd_db": n, "gain_db": n, "gain_sd_db": n, "moves": k, "moves_sd": k}
         for name, size in {**sizes, "max_db": n}.items():
             values = getattr(self, name)
             if len(values) != size and not (name in sizes and not values):
                 raise ValueError(f"{name} of the user has {len(values)} figures, expected {size}")
-            if not all(map(_is_number, values)):
+            if not all(map(is_number, values)):
                 raise ValueError(f"a figure of {name} of the user is no finite number")
-        if not _is_number(self.volume_db):
+        if not is_number(self.volume_db):
             raise ValueError("volume_db of the user is no finite number")
         if any(abs(gain) > MAX_GAIN_DB for gain in self.gain_db):
             raise ValueError(f"a gain of the user is beyond {MAX_GAIN_DB:g} dB")
@@ -81,15 +75,17 @@ class UserProfile:
 
     def in_words(self) -> list[str]:
         """What is known, a line each."""
+
+        def figures(values: tuple[float, ...]) -> str:
+            return ", ".join(f"{hz:g} Hz {db:+.0f}" for hz, db in zip(TONES_HZ, values, strict=True))
+
         lines = []
         if self.threshold_db:
-            felt = [f"{hz:g} Hz {db:+.0f}" for hz, db in zip(TONES_HZ, self.threshold_db, strict=True)]
-            lines.append(f"felt from {', '.join(felt)} dB re {self.unit}, to {max(self.threshold_sd_db):.0f} dB")
+            sd = max(self.threshold_sd_db)
+            lines.append(f"felt from {figures(self.threshold_db)} dB re {self.unit}, to {sd:.0f} dB")
         if self.gain_db:
-            gains = [f"{hz:g} Hz {db:+.0f}" for hz, db in zip(TONES_HZ, self.gain_db, strict=True)]
-            lines.append(
-                f"as strong as {REFERENCE_HZ:g} Hz with {', '.join(gains)} dB, to {max(self.gain_sd_db):.0f} dB"
-            )
+            sd = max(self.gain_sd_db)
+            lines.append(f"as strong as {REFERENCE_HZ:g} Hz with {figures(self.gain_db)} dB, to {sd:.0f} dB")
         if self.moves:
             at = "" if self.actuator else f", at a volume of {self.volume_db:g} dB"
             lines.append(f"{self.texture} is most like its surface with {self.edit.in_words() or 'no change'}{at}")
@@ -109,13 +105,9 @@ class UserProfile:
         return Edit(level_db=level, brighter=brighter, wider=wider, rougher=rougher)
 
 
-def _is_number(value: Any) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and bool(np.isfinite(value))
-
-
 def _is_answer(part: str, shown: tuple[float, ...], which: int) -> bool:
     """Whether an answer is one to a question of a part."""
-    if not all(map(_is_number, shown)):
+    if not all(map(is_number, shown)):
         return False
     if part == "detect":
         return len(shown) == 3 and shown[0] in TONES_HZ and which in range(3)
@@ -124,12 +116,8 @@ def _is_answer(part: str, shown: tuple[float, ...], which: int) -> bool:
     return part.startswith("match:") and len(shown) in range(2, 2 * len(MOVES) + 1, 2) and which in range(2)
 
 
-def adapted(texture: Texture, profile: UserProfile, seed: int = 0) -> Texture:
-    """The texture as a user with an actuator is given it, proved.
-
-    Raises:
-        ValueError: it is not of foten-plus, is one for a user already, or the profile is empty.
-    """
+def adapted(texture: Texture, profile: UserProfile) -> Texture:
+    """The texture as a user with an actuator is given it, proved; ValueError where it is one already, or nothing was measured."""
     if FOR_USER in texture.evidence:
         raise ValueError("the texture is one for a user already")
     edit, equalised = profile.edit, equal_strength(texture, profile)
@@ -137,12 +125,12 @@ def adapted(texture: Texture, profile: UserProfile, seed: int = 0) -> Texture:
         if equalised is texture:
             raise ValueError("the user's profile is empty: nothing was measured")
         return equalised
-    before = describe(equalised, seed)
+    before = describe(equalised)
     width = max(edit.wider, 0.05 - before.width_octaves)  # moves were chosen on another texture, which was wider
-    result = edited(equalised, replace(edit, wider=width), seed)
-    filtered_first = "a filter, " if profile.transfer else ""
-    reached = f", as far as it goes ({'; '.join(result.unreached)})" if result.unreached else ""
-    words = _words(texture, profile, f"{filtered_first}{edit.in_words()}{reached}")
+    result = edited(equalised, replace(edit, wider=width))
+    how = f"{'a filter, ' if profile.transfer else ''}{edit.in_words()}"
+    how += f", as far as it goes ({'; '.join(result.unreached)})" if result.unreached else ""
+    words = _words(texture, profile, how)
     return Texture({**result.texture.card, "evidence": words}, result.texture.tensors)
 
 
@@ -159,8 +147,7 @@ def equal_strength(texture: Texture, profile: UserProfile) -> Texture:
 
 def _words(texture: Texture, profile: UserProfile, how: str) -> str:
     """What the card says of a texture for a user."""
-    parts = [texture.evidence, f"{FOR_USER}{profile.name or 'nameless'}: {how}, {UNMEASURED}"]
-    return "; ".join(part for part in parts if part)[:500]
+    return evidence_of(texture, f"{FOR_USER}{profile.name or 'nameless'}: {how}, {UNMEASURED}")
 
 
 def write_user(profile: UserProfile, path: Path) -> None:

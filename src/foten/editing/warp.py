@@ -64,14 +64,9 @@ def warped_reflections(reflections: Array, rate_hz: float, warp: Warp) -> Array:
 
 
 def warped_tones(amplitudes: Array, fundamental_hz: Array, warp: Warp) -> Array:
-    """Amplitudes of multiples, the envelope over which is warped: (b, 2 n) → (b, 2 n).
+    """Amplitudes of multiples of fundamentals [Hz] (b,) with a warped envelope: (b, 2 n), cosine and sine in turn → (b, 2 n).
 
-    A tone's frequency is that of the path, which an edit cannot move; what moves is how loud each is. The envelope falls by
-    12 dB an octave below the first multiple and beyond the last.
-
-    Args:
-        amplitudes: of cosine and sine in turn.
-        fundamental_hz: of each, (b,).
+    Frequencies are those of the path and stay; loudness moves. The envelope falls by 12 dB an octave beyond both of its ends.
     """
     b, n = amplitudes.shape[0], amplitudes.shape[1] // 2
     pairs = amplitudes.reshape(b, n, 2)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import struct
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +10,7 @@ import numpy as np
 from foten.atomic_write import atomic_write
 from foten.dsp.resample import interpolate, rate_ratio
 from foten.export.clip import Clip
-from foten.runtime.live.sinks import AUDIBLE_HZ, pcm_wav, wav_comment
+from foten.runtime.live.sinks import AUDIBLE_HZ, pcm_wav
 
 KEEPS = "the samples are kept as they are"
 KEEPS_WAV = "the samples are kept to 16 bits, at 48 kHz"
@@ -20,10 +19,9 @@ KEEPS_WAV = "the samples are kept to 16 bits, at 48 kHz"
 def write_wav(clip: Clip, path: Path) -> None:
     """Write a clip at 48 kHz and 16 bits, full scale for 1. The comment holds `unit`, `full_scale` and `about`."""
     sound = interpolate(clip.drive, rate_ratio(AUDIBLE_HZ, clip.rate_hz))
-    comment = wav_comment(AUDIBLE_HZ, {**clip.about, "full_scale": clip.full_scale})
-    data = pcm_wav(np.clip(sound, -1.0, 1.0), AUDIBLE_HZ) + comment
+    metadata = {**clip.about, "full_scale": clip.full_scale}
     with atomic_write(path) as part:
-        part.write_bytes(data[:4] + struct.pack("<I", len(data) - 8) + data[8:])  # the size, with the comment in it
+        part.write_bytes(pcm_wav(np.clip(sound, -1.0, 1.0), AUDIBLE_HZ, metadata))
 
 
 def write_csv(clip: Clip, path: Path) -> None:

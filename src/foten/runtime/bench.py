@@ -68,12 +68,7 @@ def time_steps(path: Path, n: int) -> StepTimes:
 
 
 def time_all(path: Path, n: int) -> list[StepTimes]:
-    """Times in each instruction set that this processor has, the best first; each in a process of its own.
-
-    Raises:
-        ValueError: the file is none that renders.
-        OSError: one of the processes came to an end.
-    """
+    """Times in each instruction set that this processor has, best first, each in a process of its own; OSError if one ends."""
     if NativeTexture(read_texture(path)).info.asks_predictor:
         # ONNX Runtime chooses its own instructions.
         return [replace(time_steps(path, n), isa="onnxruntime")]

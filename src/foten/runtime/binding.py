@@ -30,8 +30,11 @@ class Info(Structure):
 class _Counts(Structure):
     """Counts, shown by name."""
 
+    def by_name(self) -> dict[str, int]:
+        return {name: int(getattr(self, name)) for name, *_ in self._fields_}
+
     def __repr__(self) -> str:
-        counts = ", ".join(f"{name}={getattr(self, name)}" for name, *_ in self._fields_)
+        counts = ", ".join(f"{name}={value}" for name, value in self.by_name().items())
         return f"{type(self).__name__.removeprefix('Native')}({counts})"
 
 

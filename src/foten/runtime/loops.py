@@ -33,14 +33,11 @@ def render_streams(
     """Render n samples of each stream of a texture's closed loop, shape (s, n), without fade and growth; all scaled.
 
     Args:
-        windows: that the streams go on from, shape (s, window, 3).
+        windows: that the streams go on from, shape (s, window, 3); ValueError for NaN or infinity.
         condition: speed and force of each sample, and the speed that tones go by [mm/s], shape (s, n, 3).
         noise: standard normal, shape (s, n); None for the deterministic loop.
         limit: that samples are cut to.
-        excluded: recorded moments that each stream does not play, none by default.
-
-    Raises:
-        ValueError: a window holds NaN or infinity.
+        excluded: recorded moments that each stream does not play.
     """
     out = np.empty(condition.shape[:2])
 
@@ -75,7 +72,7 @@ def render_strokes(
         seed: of the noise; stroke s draws that of stream `first_stream` + s.
         speed, force: at the texture's own rate [mm/s, N], each of shape (s, n).
         windows: acceleration, speed and force, each (s, window), that strokes go on from; by default the stored warm start.
-        excluded: recorded moments that each stroke does not play, none by default.
+        excluded: recorded moments that each stroke does not play.
     """
     rendered, n_saturated = np.empty(speed.shape), np.zeros(len(speed), dtype=np.int64)
 
@@ -104,9 +101,7 @@ class Prediction(NamedTuple):
 def predict_blocks(texture: NativeTexture, blocks: Array, part: PredictionPart = "model") -> Prediction:
     """One-step predictions of recorded blocks, scaled (s, n, 3), from sample `window` on: (s, n − window) each.
 
-    Args:
-        blocks: acceleration, speed and force; each sample is predicted from those before it in its block.
-        part: all of the "model" or its "linear" part alone, which renderings of foten-plus excite: there this has the likelihood.
+    The "linear" part alone is what renderings of foten-plus excite: there it has the likelihood.
     """
     out = np.empty((len(blocks), blocks.shape[1] - texture.info.window, 4))
 

@@ -112,11 +112,7 @@ class NativeState:
         return library().foten_statistics(self.pointer)
 
     def set_actuator(self, actuator: NativeActuator | None) -> None:
-        """Render what drives an actuator from now on, or acceleration again.
-
-        Raises:
-            ValueError: the rate is less than 4000 Hz or 16 times the resonance, or a figure cannot be.
-        """
+        """Render what drives an actuator from now on, or acceleration again; ValueError for figures or a rate that cannot be."""
         if library().foten_set_actuator(self.pointer, None if actuator is None else byref(actuator)) != 0:
             why = "the actuator's figures cannot be, or the output rate is below 4000 Hz or 16 times its resonance"
             raise ValueError(f"{why}; render at 8000 Hz?")

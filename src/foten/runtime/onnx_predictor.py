@@ -34,12 +34,9 @@ _OPERATORS = re.compile(
 
 
 class OnnxPredictor:
-    """Network in ONNX Runtime, on one thread, in float32: windows (b, m, 3) → (b,).
+    """Network in ONNX Runtime, on one thread, in float32: windows (b, m, 3) → (b,); ValueError where it is missing, or damaged.
 
     A graph takes acceleration, speed and force, or, where its input is `NOISE`, noise in place of acceleration.
-
-    Raises:
-        ValueError: onnxruntime is not installed, or the graph is damaged or another one.
     """
 
     def __init__(self, sizes: ModelSizes, tensors: Mapping[str, NDArray[Any]]) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -40,7 +40,7 @@ def proved(
     card: dict[str, Any],
     definition: MakeModel = model_of,
 ) -> ProvedTexture:
-    """A texture with golden samples, loaded into the kernel, which replays them.
+    """A texture with golden samples, loaded into the kernel; ValueError where that does not reproduce the definition.
 
     Args:
         tensors: as `ModelSizes.tensor_shapes` names them.
@@ -48,9 +48,6 @@ def proved(
         warm_start: scaled, shape (m, 3).
         card: entries beyond model, sizes and scaling.
         definition: gives the model whose predictions are the golden ones.
-
-    Raises:
-        ValueError: the kernel does not reproduce the definition.
     """
     golden = np.concatenate([golden, np.zeros_like(golden[:1]), 4 * golden[:1]])
     # Predictions are of what is stored, in float32.
@@ -61,14 +58,13 @@ def proved(
     defined = definition(sizes, tensors)
     speed = np.maximum(condition[:, :1] * scaling.sd[1] + scaling.mean[1], 0.0)
     noise = gaussian(0, 0, 0, 64)[None] if sizes.excited or definition is not model_of else None
+    followed = np.concatenate([condition, speed], axis=1)
     samples = {
         "warm_start": stored_start,
         "golden.windows": stored,
         "golden.one_step": defined.predict(golden),
         "golden.condition": condition,
-        "golden.closed_loop": run(
-            defined.start(warm_start[None]), np.concatenate([condition, speed], axis=1)[None], noise
-        )[0],
+        "golden.closed_loop": run(defined.start(warm_start[None]), followed[None], noise)[0],
     }
     if sizes.excited:
         samples["golden.sigma"] = defined.start(golden).predict().scale
@@ -89,3 +85,17 @@ def with_golden(
     }
     data = Texture(card={**entries, **card}, tensors=tensors).to_bytes()
     return ProvedTexture(texture_from_bytes(data), NativeTexture(data))
+
+
+def reproved(texture: Texture, card: Mapping[str, Any], tensors: Mapping[str, NDArray[Any]] | None = None) -> Texture:
+    """The texture with changes of its card and its tensors, proved anew; its split and metrics were of what it was."""
+    cost = {key: value for key, value in texture.card["metrics"].items() if key == "multiply_adds"}
+    entries = {**texture.card, "split": None, "metrics": cost, **card}
+    if tensors is None:
+        return Texture(entries, texture.tensors)
+    windows, start = (texture.tensors[name].astype(np.float64) for name in ("golden.windows", "warm_start"))
+    stored = {name: t for name, t in texture.tensors.items() if not name.startswith("golden.") and name != "warm_start"}
+    of_file = {"format_version", "model", "sizes", "window", "units", "scaling"}
+    entries = {key: value for key, value in entries.items() if key not in of_file}
+    model, scaling = texture.card["model"], texture.scaling
+    return proved(model, texture.sizes, {**stored, **tensors}, scaling, windows[:-2], start, entries).texture

@@ -24,9 +24,8 @@ class Renderer:
         renderer = foten.Renderer("denim.foten", rate=48_000, seed=0)
         block = renderer.render(speed_mm_s=80.0, force_n=0.8, n=480)
 
-    It runs in the kernel, without Python's lock. After construction it allocates only the arrays that it returns. The same
-    seed and stroke give the same bytes, whatever the sizes of the blocks. A model that ONNX Runtime runs takes Python's lock
-    and allocates in each sample.
+    After construction it allocates only the arrays that it returns, and takes no lock of Python's; a model that ONNX Runtime runs
+    does both in each sample. The same seed and stroke give the same bytes, whatever the sizes of the blocks.
 
     Args:
         texture: a texture file, its bytes, or a texture in memory, which the kernel may have loaded.
@@ -35,8 +34,8 @@ class Renderer:
         stream: of the noise; two contacts with one texture need different ones to be independent.
         excitation: False runs the deterministic loop.
         actuator: renders its drive; None renders acceleration.
-        smooth: low-pass constant conditions at 20 Hz, as the recordings were, which delays them by 11 ms; for conditions in
-            steps, as of a game at 60 Hz. Arrays are taken as they are.
+        smooth: low-pass constant conditions at 20 Hz, as the recordings were (11 ms late): for conditions in steps, as of a game
+            at 60 Hz. Arrays are taken as they are.
 
     Raises:
         FileNotFoundError: there is no such file.
@@ -80,7 +79,7 @@ class Renderer:
 
     def counted(self) -> dict[str, int]:
         """Counts by name."""
-        return {name: int(getattr(self.stats, name)) for name, *_ in NativeStatistics._fields_}
+        return self.stats.by_name()
 
     def reset(self, seed: int | None = None) -> None:
         """Begin again, with the same seed or another one."""

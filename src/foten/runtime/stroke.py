@@ -74,15 +74,7 @@ def tabled_stroke(
     """
     times = columns["time"] - columns["time"][0]
     lasts = f"the stroke lasts {times[-1]:g} s"
-    if "force" in columns:
-        if calibration is not None:
-            raise ValueError("the stroke has forces, and a pressure's curve is given: leave one of them out")
-        force = columns["force"]
-    else:
-        pressure = columns["pressure"]
-        if pressure.min() < 0 or pressure.max() > 1:
-            raise ValueError(f"pressure runs from {pressure.min():g} to {pressure.max():g}, expected 0 to 1")
-        force = (calibration or PressureCalibration()).force(pressure)
+    force = _force_in(columns, calibration)
     if force.min() < 0 or ("speed" in columns and columns["speed"].min() < 0):
         raise ValueError("speed and force of a stroke are magnitudes, found one below zero")
     if times[-1] > MAX_STROKE_S:
@@ -109,6 +101,18 @@ def tabled_stroke(
         raise ValueError(f"the stroke's force reaches {force.max():g} N; is it in mN or grams?")
     gap = 0.0 if n_lifted else float(np.diff(times)[_holes(times)].max(initial=0.0))
     return Stroke(velocities, at_rate(force, times, rate_hz, n), rate_hz, gap, n_lifted, tuple(doubts))
+
+
+def _force_in(columns: Mapping[str, Array], calibration: PressureCalibration | None) -> Array:
+    """Force [N] of the column of forces or of pressures."""
+    if "force" in columns:
+        if calibration is not None:
+            raise ValueError("the stroke has forces, and a pressure's curve is given: leave one of them out")
+        return columns["force"]
+    pressure = columns["pressure"]
+    if pressure.min() < 0 or pressure.max() > 1:
+        raise ValueError(f"pressure runs from {pressure.min():g} to {pressure.max():g}, expected 0 to 1")
+    return (calibration or PressureCalibration()).force(pressure)
 
 
 def doubts_of(kind: str, largest: float) -> list[str]:

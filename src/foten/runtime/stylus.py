@@ -41,11 +41,8 @@ def fit_pressure(pressure: Array, force: Array) -> PressureCalibration:
     """Fit the curve of least mean square error of force to pairs measured on a scale; it needs SciPy, of the extra `data`.
 
     Args:
-        pressure: 0 … 1, shape (n,); pairs at 0 are left out.
-        force: [N], shape (n,).
-
-    Raises:
-        ValueError: fewer than three pairs, no spread of pressure, or a number that cannot be.
+        pressure, force: 0 … 1 and [N], shape (n,); pairs without pressure are left out. ValueError for fewer than three pairs, no
+            spread of pressure, or a number that cannot be.
     """
     from scipy.optimize import curve_fit
 
@@ -74,7 +71,6 @@ class Stylus:
         block = stylus.render(480)
 
     An event counts from the next block on: render in blocks of 20 ms or less. Positions in whole pixels make an audible grain.
-
     Events that are not finite, late, doubled, out of order or a jump are counted (`stats`) and left out. Beside the 20 Hz
     low-pass speed is 2 to 5 ms late and force 3 to 10 ms, at 240 to 60 events a second that arrive at once.
     """

@@ -95,11 +95,7 @@ def access_to(
 class Admitted:
     """Those who were let in, by hashes of the secrets that they were given; in a file they are let in again by the next server.
 
-    Args:
-        path: of the file, in a folder for its owner alone; None for as long as this server runs.
-
-    Raises:
-        ValueError: the file is none of hashes, or others may have put it there.
+    The file is in a folder for its owner alone; ValueError where it holds something else, or others may have put it there.
     """
 
     def __init__(self, path: Path | None = None) -> None:
@@ -129,8 +125,9 @@ class Admitted:
 
     def drop(self, prefix: str) -> None:
         """Forget all of the kinds whose names begin so."""
-        if any(kind.startswith(prefix) for kind in self._hashes):
-            self._hashes = {kind: hashes for kind, hashes in self._hashes.items() if not kind.startswith(prefix)}
+        remaining = {kind: hashes for kind, hashes in self._hashes.items() if not kind.startswith(prefix)}
+        if remaining != self._hashes:
+            self._hashes = remaining
             self._write()
 
     def has(self, kind: str) -> bool:
@@ -153,11 +150,7 @@ def _hash(secret: str) -> str:
 
 
 class Guarded:
-    """An application behind its access: wrong hosts, origins and strange devices are refused with a reason before it is asked.
-
-    Args:
-        for_strangers: the reason for a device that was not let in.
-    """
+    """An application behind its access: wrong hosts, origins and strange devices are refused with a reason before it is asked."""
 
     def __init__(
         self, app: ASGIApp, access: Access, admitted: Admitted | None = None, for_strangers: str = STRANGER
@@ -269,18 +262,15 @@ def certificate_for(folder: Path, hosts: Iterable[str]) -> tuple[Path, Path]:
     """
     from cryptography import x509
 
-    hosts = list(hosts)
-    paths = folder / "certificate.pem", folder / "key.pem"
+    hosts, paths = list(hosts), (folder / "certificate.pem", folder / "key.pem")
     if all(path.is_file() for path in paths):
-        try:
+        # One of another kind is made anew.
+        with contextlib.suppress(ValueError, x509.ExtensionNotFound):
             certificate = x509.load_pem_x509_certificate(paths[0].read_bytes())
             names = certificate.extensions.get_extension_for_class(x509.SubjectAlternativeName).value
-            known = {str(name.value) for name in names}
-            lasts = certificate.not_valid_after_utc - datetime.datetime.now(datetime.UTC)
-            if lasts > datetime.timedelta(days=1) and known >= set(hosts):
+            remains = certificate.not_valid_after_utc - datetime.datetime.now(datetime.UTC)
+            if remains > datetime.timedelta(days=1) and {str(name.value) for name in names} >= set(hosts):
                 return paths
-        except (ValueError, x509.ExtensionNotFound):
-            pass  # none of ours: made anew
     return write_certificate(folder, hosts)
 
 

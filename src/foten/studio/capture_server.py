@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import importlib.util
-import json
+import itertools
 import sys
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import asdict, replace
@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from starlette.websockets import WebSocket
 
-from foten.atomic_write import atomic_write, reason
+from foten.atomic_write import atomic_write, reason, write_json
 from foten.recording.capture_folder import ABOUT, PEN, SOUND, About, file_name
 from foten.studio.messages import CAPTURE, RefusedError, parse_capture_bytes
 from foten.studio.shelf import Shelf
@@ -41,12 +41,7 @@ def why_not() -> str:
 
 
 class TrainingQueue:
-    """Trains capture folders, one after another; a page that leaves does not end them, the server's end does.
-
-    Args:
-        captures: the folder of these folders.
-        shelf: takes the textures.
-    """
+    """Trains capture folders, one after another, for a shelf; a page that leaves does not end them, the server's end does."""
 
     def __init__(self, captures: Path, shelf: Shelf) -> None:
         self.captures, self._shelf = captures, shelf
@@ -139,7 +134,8 @@ class CapturePage(PageSocket):
         n_all = sum(page.n_bytes for page in self._pages)
         self._is_full = self.n_bytes + len(data) > MAX_CAPTURE_BYTES or n_all + len(data) > MAX_ALL_CAPTURES_BYTES
         if self._is_full:
-            sizes = f"it may have {MAX_CAPTURE_BYTES / 1e6:.3g} MB, and those of all pages {MAX_ALL_CAPTURES_BYTES / 1e6:.3g} MB"
+            own, all_pages = MAX_CAPTURE_BYTES / 1e6, MAX_ALL_CAPTURES_BYTES / 1e6
+            sizes = f"it may have {own:.3g} MB, and those of all pages {all_pages:.3g} MB"
             super().refuse(f"the capture is full, as {sizes}: train from what came before, or save it")
         elif kind == "sound":
             capture.add_sound(values)
@@ -196,61 +192,43 @@ class CaptureSession:
         self._n_samples += samples.size
 
     def add_events(self, events: NDArray[np.float64]) -> None:
-        """Take in the next events: x, y [mm], pressure, t [s], shape (n, 4); for those that come late see `in_order`.
-
-        Raises:
-            RefusedError: there are too many, or an event is more than `MAX_BACK_S` back in time.
-        """
+        """Take in the next events: x, y [mm], pressure, t [s], shape (n, 4); RefusedError for too many, or one of long ago."""
         if self._n_events + len(events) > MAX_PEN_EVENTS:
             raise RefusedError(f"the capture has more than {MAX_PEN_EVENTS} events")
         latest_s = np.maximum.accumulate(np.append(self._latest_s, events[:, 3]))
         back_s = float((latest_s[1:] - events[:, 3]).max())
         if back_s > MAX_BACK_S:
-            raise RefusedError(
-                f"the events are not in the order of their times: one is {1000 * back_s:.0f} ms back, "
-                f"expected {1000 * MAX_BACK_S:g} at most"
-            )
+            back = f"one is {1000 * back_s:.0f} ms back, expected {1000 * MAX_BACK_S:g} at most"
+            raise RefusedError(f"the events are not in the order of their times: {back}")
         self._latest_s = float(latest_s[-1])
         self.events += events.astype("<f8").tobytes()
         self._n_events += len(events)
 
     def write(self, captures: Path) -> Path:
-        """Write sound, events and `About` to a new folder below `captures`; the folder.
-
-        Raises:
-            RefusedError: there is no sound, no event, or more than `MAX_LATE_SHARE` of the events came late.
-            OSError: the disk refuses.
-        """
+        """Write sound, events and `About` to a new folder below `captures`; RefusedError for none, or many late events."""
         import scipy.io.wavfile
 
         if not self._n_samples or not self._n_events:
             raise RefusedError("there is no sound yet" if self._n_events else "the pen has not touched yet")
         events, n_late = in_order(np.frombuffer(self.events, "<f8").reshape(-1, 4))
         if n_late > MAX_LATE_SHARE * self._n_events:
-            raise RefusedError(
-                f"the events are not in the order of their times: {n_late} of {self._n_events} came late, "
-                f"expected {100 * MAX_LATE_SHARE:g} % at most"
-            )
+            late = f"{n_late} of {self._n_events} came late, expected {100 * MAX_LATE_SHARE:g} % at most"
+            raise RefusedError(f"the events are not in the order of their times: {late}")
         folder = _new_folder(captures, self.about.name)
         with atomic_write(folder / SOUND) as part:
             scipy.io.wavfile.write(part, round(self.about.rate_hz), np.frombuffer(self.sound, "<f4"))
         with atomic_write(folder / PEN) as part:
             rows = events[:, [3, 0, 1, 2]]
             np.savetxt(part, rows, "%.6f", ",", header="t [s],x [mm],y [mm],pressure", comments="")
-        about = replace(self.about, n_late_events=n_late)
-        with atomic_write(folder / ABOUT) as part:
-            part.write_text(json.dumps(asdict(about), indent=1) + "\n", encoding="utf-8")
+        write_json(folder / ABOUT, asdict(replace(self.about, n_late_events=n_late)))
         return folder
 
 
 def in_order(events: NDArray[np.float64]) -> tuple[NDArray[np.float64], int]:
-    """Events with increasing times, shape (k, 4), and how many came late: after an event of a later time.
+    """Events (n, 4), times last, in increasing order (k, 4), and how many came late: after an event of a later time.
 
-    A late event is left out. A late touch or lift counts at the time of the event before it: without it two touches would be
-    one. Of events of one time the last counts; a touch and the lift before it may have one time.
-
-    Args:
-        events: x, y [mm], pressure, t [s] in the order in which they came, shape (n, 4).
+    A late event is left out; a late touch or lift counts at the time of the event before it: without it two touches would be one.
+    Of events of one time the last counts; a touch and the lift before it may have one time.
     """
     times = np.round(events[:, 3], 6)  # as the file has them
     latest = np.maximum.accumulate(times)
@@ -263,10 +241,10 @@ def in_order(events: NDArray[np.float64]) -> tuple[NDArray[np.float64], int]:
 
 
 def _new_folder(captures: Path, name: str) -> Path:
-    stem, n = file_name(name), 1
-    while True:
+    stem = file_name(name)
+    for n in itertools.count(1):
         folder = captures / (stem if n == 1 else f"{stem}-{n}")
         with contextlib.suppress(FileExistsError):
             folder.mkdir(parents=True)
-            return folder
-        n += 1
+            break
+    return folder

@@ -17,14 +17,16 @@ MAX_GAIN_DB = 30.0
 
 
 def gains_db(renderers: Sequence[Renderer], scales: Sequence[float]) -> list[float]:
-    """Gain of each method [dB] to the median of their powers over nine conditions.
-
-    Args:
-        renderers: of the methods, at any rate.
-        scales: factors with which they are played at 0 dB.
-    """
-    conditions = _conditions(renderers)
-    levels = np.array([_level_db(renderer, conditions) for renderer in renderers]) + 20 * np.log10(scales)
+    """Gain of each method [dB], which 0 dB plays at a scale, to the median of their powers over nine conditions."""
+    conditions, levels = _conditions(renderers), []
+    for renderer, scale in zip(renderers, scales, strict=True):
+        settle, n = round(SETTLE_S * renderer.rate), round(LEVEL_S * renderer.rate)
+        powers = []
+        for speed, force in conditions:
+            renderer.reset(seed=1)
+            samples = renderer.render(speed, force, settle + n)[settle:]
+            powers.append(float(np.mean(samples.astype(np.float64) ** 2)))
+        levels.append(10 * math.log10(max(1e-30, float(np.mean(powers)))) + 20 * np.log10(scale))
     gains: list[float] = np.clip(np.median(levels) - levels, -MAX_GAIN_DB, MAX_GAIN_DB).tolist()
     return gains
 
@@ -36,13 +38,3 @@ def _conditions(renderers: Sequence[Renderer]) -> list[tuple[float, float]]:
     low, high = ranges[..., 0].max(0), ranges[..., 1].min(0)
     grid: list[tuple[float, float]] = (low + np.array([*product(SHARES, SHARES)]) * np.maximum(0, high - low)).tolist()
     return grid
-
-
-def _level_db(renderer: Renderer, conditions: Sequence[tuple[float, float]]) -> float:
-    settle, n = round(SETTLE_S * renderer.rate), round(LEVEL_S * renderer.rate)
-    powers = []
-    for speed, force in conditions:
-        renderer.reset(seed=1)
-        samples = renderer.render(speed, force, settle + n)[settle:]
-        powers.append(float(np.mean(samples.astype(np.float64) ** 2)))
-    return 10 * math.log10(max(1e-30, float(np.mean(powers))))

@@ -41,9 +41,7 @@ class _Stroked:
 class Contact:
     """Vibration of a pen's events, given to a player from `open` to `close`.
 
-    Args:
-        player: takes what is rendered, in full scale or, where it is calibrated, as it is.
-        on_block: is given each block before the volume, for the page to draw or to play.
+    `on_block` is given each block before the volume, for the page to draw or to play.
     """
 
     def __init__(self, player: Player, on_block: OnBlock) -> None:
@@ -62,15 +60,9 @@ class Contact:
         self._started = self._closed = False
 
     def load(self, textures: Sequence[tuple[bytes, int]]) -> None:
-        """Keep textures ready, each with a seed: `open` then takes as long for one as for another.
-
-        Raises:
-            ValueError: as `open`.
-        """
-        native: dict[bytes, NativeTexture] = {}  # one that is there several times is loaded once
+        """Keep textures ready, each with a seed: `open` then takes as long for one as for another; ValueError as there."""
+        native = {texture: NativeTexture(texture) for texture in dict.fromkeys(texture for texture, _ in textures)}
         for texture, seed in textures:
-            if texture not in native:
-                native[texture] = NativeTexture(texture)
             self._loaded[texture, seed] = self._renderer(native[texture], seed)
 
     def _renderer(self, texture: bytes | NativeTexture, seed: int) -> Renderer:
@@ -79,10 +71,7 @@ class Contact:
     def open(
         self, texture: bytes, calibration: PressureCalibration, seed: int = 0, volume_db: float | None = None
     ) -> None:
-        """Put a texture under the pen, in the middle of a stroke too; the first one begins to play.
-
-        Args:
-            volume_db: from the texture's first sample on; None leaves the volume as it is.
+        """Put a texture under the pen, in the middle of a stroke too; the first one begins to play. A volume of None stays.
 
         Raises:
             ValueError: it is no texture file, or its rate and the player's do not go together.
@@ -161,10 +150,7 @@ class Contact:
     @property
     def stylus_counts(self) -> dict[str, int]:
         """Events that the stylus counted, by kind."""
-        if self._stroked is None:
-            return {}
-        stats = self._stroked.stylus.stats
-        return {name: int(getattr(stats, name)) for name, *_ in type(stats)._fields_}
+        return {} if self._stroked is None else self._stroked.stylus.stats.by_name()
 
     def close(self) -> None:
         """End playing for good, and give the device back; raises what it died of."""

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from foten.untrusted import parse_json
+from foten.untrusted import is_number, parse_json
 
 MAX_BYTES = 4096  # of a message
 MAX_EVENTS = 64  # in a message
@@ -82,11 +82,7 @@ CAPTURE = Protocol(
 
 
 def parse_message(text: str, protocol: Protocol = STROKE) -> dict[str, Any]:
-    """Message in text, checked.
-
-    Raises:
-        RefusedError: it is too long, no JSON object, of an unknown kind, or a field is missing, unknown or out of range.
-    """
+    """Message in text, checked; RefusedError where it is too long, no JSON object, unknown, or a field is wrong."""
     if len(text) > MAX_BYTES:
         raise RefusedError(f"the message has {len(text)} characters, expected {MAX_BYTES} at most")
     try:
@@ -120,16 +116,12 @@ def _expectation(name: str, value: Any, allowed: Allowed) -> str:
     if isinstance(allowed[0], str):
         return "" if value in allowed else f"one of {', '.join(map(str, allowed))}"
     low, high = float(allowed[0]), float(allowed[1])
-    is_number = isinstance(value, int | float) and not isinstance(value, bool)
-    return "" if is_number and low <= value <= high else f"a number from {low:g} to {high:g}"
+    return "" if is_number(value) and low <= value <= high else f"a number from {low:g} to {high:g}"
 
 
 def parse_events(data: bytes) -> NDArray[np.float64]:
     """Events of a pen in bytes: x, y [mm], pressure 0 … 1 (0 is lifted), the device's time t [s], shape (n, 4), each four
-    little-endian float64.
-
-    Raises:
-        RefusedError: it does not hold 1 to `MAX_EVENTS` complete events, or one is not finite or out of range.
+    little-endian float64; RefusedError unless 1 to `MAX_EVENTS` are there, complete, finite and in range.
     """
     n, remainder = divmod(len(data), 32)
     if remainder or not 1 <= n <= MAX_EVENTS:
@@ -144,10 +136,7 @@ def parse_events(data: bytes) -> NDArray[np.float64]:
 
 def parse_capture_bytes(data: bytes) -> tuple[str, NDArray[np.float64]]:
     """Values in the bytes of a capture: `events` behind a letter `e`, shape (n, 4), or `sound` behind an `s`, shape (n,),
-    little-endian float32.
-
-    Raises:
-        RefusedError: it is neither, or a value is not finite or out of range.
+    little-endian float32; RefusedError for anything else, and for values that are not finite or out of range.
     """
     kind, payload = data[:1], data[1:]
     if kind == b"e":
@@ -165,14 +154,14 @@ class Allowance:
     """How much a page may still send: so many per second, and a second's worth at once after a pause."""
 
     per_s: float
-    left: float = 0.0
+    remaining: float = 0.0
     at_s: float = -math.inf
 
     def take(self, n: float, now_s: float | None = None) -> bool:
         """Whether n more are allowed; they are counted where they are."""
         now_s = time.monotonic() if now_s is None else now_s
-        self.left = min(self.per_s, self.left + (now_s - self.at_s) * self.per_s)
+        self.remaining = min(self.per_s, self.remaining + (now_s - self.at_s) * self.per_s)
         self.at_s = now_s
-        allowed = n <= self.left
-        self.left -= n * allowed
+        allowed = n <= self.remaining
+        self.remaining -= n * allowed
         return allowed

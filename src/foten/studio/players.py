@@ -6,7 +6,6 @@ import threading
 import time
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
 
 import numpy as np
 
@@ -20,33 +19,11 @@ BLOCK_MS = 8.0  # that is rendered at once for each page
 MAX_BEHIND_S = 0.2  # that a machine which stood still catches up with
 
 
-class Player(Protocol):
-    """Takes samples from `render`, which fills an array with the next ones, from a start to a stop."""
-
-    rate_hz: float
-    calibrated: bool  # it takes what is rendered as it is, at a volume of 0 dB; else full scale, at a usual loudness
-    actuator: ActuatorProfile | None  # that hangs on it
-    statistics: LiveStatistics
-
-    @property
-    def running(self) -> bool:
-        """Whether it plays; where it ended by itself, `stop` says why."""
-
-    def start(self, render: Read) -> None:
-        """Begin; raises what a device does where it refuses."""
-
-    def stop(self) -> None:
-        """End, and raise what rendering died of; a second time nothing happens."""
-
-
 @dataclass(frozen=True)
 class OutputDevice:
-    """An output that is wired to this machine, as `foten play` names it, and the actuator on it.
+    """An output that is wired to this machine, as `foten play` names it, and its actuator; ValueError for what does not fit.
 
     Where the actuator or a gain is known, a page's 0 dB is the acceleration as it was recorded.
-
-    Raises:
-        ValueError: the output is none, is a file, or its unit and the actuator's do not go together.
     """
 
     to: str = "sound"
@@ -76,7 +53,10 @@ class OutputDevice:
 
 
 class DevicePlayer:
-    """An output of this machine: its sound card, an NI-DAQ, or a program that takes samples."""
+    """Plays what is rendered on an output of this machine: its sound card, an NI-DAQ, or a program that takes samples.
+
+    `calibrated` says that it takes what is rendered as it is, at a volume of 0 dB; else full scale, at a usual loudness.
+    """
 
     def __init__(self, output: OutputDevice, rate_hz: float) -> None:
         self.rate_hz = rate_hz
@@ -88,19 +68,19 @@ class DevicePlayer:
 
     @property
     def running(self) -> bool:
+        """Whether it plays; where it ended by itself, `stop` says why."""
         return self._live is not None and self._live.running
 
     def start(self, render: Read) -> None:
+        """Begin to take samples from `render`; raises what the device does where it refuses."""
         self._live = Live(render, self._sink, block_ms=DEVICE_BLOCK_MS, lead_ms=DEVICE_LEAD_MS)
         self.statistics = self._live.statistics
         self._live.start()
 
     def stop(self) -> None:
+        """End, and raise what rendering died of; a second time nothing happens."""
         live, self._live = self._live, None
-        if live is not None:
-            live.stop()
-        else:
-            self._sink.stop()
+        (live or self._sink).stop()
 
 
 class RoundRobinRenderer:
@@ -138,14 +118,14 @@ class RoundRobinRenderer:
         due = time.perf_counter()
         while self._render_all(due):
             due += self.block_s
-            now = time.perf_counter()
-            if now > due + MAX_BEHIND_S:  # blocks are left out, and missed
+            behind = time.perf_counter() - due
+            if behind > MAX_BEHIND_S:  # blocks are left out, and missed
                 with self._changing:
                     for player in self._players:
-                        player.statistics.n_missed += int((now - due) / self.block_s)
-                due = now
-            elif now < due:
-                time.sleep(due - now)
+                        player.statistics.n_missed += int(behind / self.block_s)
+                due += behind
+            elif behind < 0:
+                time.sleep(-behind)
 
     def _render_all(self, due: float) -> bool:
         """Render a block for each player; whether there is any."""
@@ -202,16 +182,11 @@ class RoundRobinPlayer:
         return True
 
 
+Player = DevicePlayer | RoundRobinPlayer
+
+
 def white_noise(level_db: float, device: str | None) -> Live:
-    """White noise on a sound card of this machine, as a context in which it plays: it masks the sound of an actuator.
-
-    Args:
-        level_db: its RMS [dB re full scale].
-        device: name or number of the sound card; None for the usual one.
-
-    Raises:
-        OSError: there is none.
-    """
+    """White noise of an RMS [dB re full scale] on a sound card, as a context in which it plays: it masks an actuator's sound."""
     rng, rms = np.random.default_rng(), np.float32(10 ** (level_db / 20))
 
     def render(out: Samples) -> None:

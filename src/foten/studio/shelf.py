@@ -33,12 +33,7 @@ class Entry:
 
 
 class Shelf:
-    """Texture files by key. Only these are ever read: a name in a request is looked up, and is no path.
-
-    Raises:
-        FileNotFoundError: a path is missing.
-        ValueError: a file is no texture file.
-    """
+    """Texture files by key. Only these are ever read: a name in a request is looked up, and is no path."""
 
     def __init__(self, paths: Sequence[Path] = ()) -> None:
         self._entries: dict[str, Entry] = {}
@@ -55,11 +50,10 @@ class Shelf:
         while key in self._entries and self._entries[key].path != path:
             key, n = f"{path.stem}-{n}{SUFFIX}", n + 1
         picture = next((file for end in PICTURES if (file := path.with_suffix(end)).is_file()), None)
-        card = texture.card
-        relative = card["units"].get("acceleration") == RELATIVE
-        entry = Entry(key, path, str(card["texture"]) or path.stem, str(card["model"]), picture, relative)
-        self._entries[key] = entry
-        return entry
+        name, method = str(texture.card["texture"]) or path.stem, str(texture.card["model"])
+        relative = texture.card["units"].get("acceleration") == RELATIVE
+        self._entries[key] = Entry(key, path, name, method, picture, relative)
+        return self._entries[key]
 
     def get(self, key: str) -> Entry | None:
         """Entry, or None where there is none."""

@@ -44,13 +44,7 @@ STATE_S = 1.0  # between two reports of how rendering keeps up
 
 
 class Studio:
-    """What the server has, and who is there.
-
-    Args:
-        shelf: the textures.
-        captures: the folder where pages' captures are kept.
-        output_device: plays here, for a page that asks for it.
-    """
+    """The textures of a server, its folder of captures and its output, and the pages that are there."""
 
     def __init__(self, shelf: Shelf, captures: Path = CAPTURES, output_device: OutputDevice | None = None) -> None:
         self.shelf = shelf
@@ -117,18 +111,19 @@ class Studio:
             return missing(f"cannot be compared: {error}")
 
     async def _tuned(self, request: Request) -> Response:
+        from foten.studio import tuning
+
         query = request.query_params
         entry, other = self.shelf.get(query.get("texture", "")), self.shelf.get(query.get("other", ""))
         if entry is None or ("other" in query and other is None):
             return missing("there is no such texture here")
-        from foten.studio import tuning
-
         try:
-            moves = tuning.moves_of(query)
+            moves, exact = tuning.moves_of(query), query.get("exact") == "1"
             async with asyncio.timeout(MAX_TUNING_WAIT_S) as waiting, self._tuning:
                 waiting.reschedule(None)
-                path = None if other is None else other.path
-                data = await asyncio.to_thread(tuning.tuned, entry.path, path, moves, query.get("exact") == "1")
+                data = await asyncio.to_thread(
+                    tuning.tuned, entry.path, None if other is None else other.path, moves, exact
+                )
         except TimeoutError:
             return PlainTextResponse("another texture is being moved: try again in some seconds\n", status_code=503)
         except (OSError, ValueError) as error:
@@ -174,13 +169,11 @@ class StrokePage(PageSocket):
         """How the page does, for people."""
         known: dict[str, Any] = {"texture": self._texture, "sink": self._sink, "n_events": self._n_events}
         known |= {"n_refused": self.n_refused, "n_unsent": self._blocks.n_unsent}
-        contact = self._contact
-        if contact is not None:
+        if (contact := self._contact) is not None:
             live = contact.player.statistics
             known |= {"block_ms": live.block_ms, "n_missed": live.n_missed, "n_underruns": live.n_underruns}
-            for percent in (50, 99):
-                value = 1000 * live.block.percentile_s(percent)
-                known[f"block_p{percent}_ms"] = None if np.isnan(value) else value
+            times = {f"block_p{p}_ms": 1000 * live.block.percentile_s(p) for p in (50, 99)}
+            known |= {name: None if np.isnan(value) else value for name, value in times.items()}
             known["stylus"] = contact.stylus_counts
         return known
 

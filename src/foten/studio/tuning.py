@@ -23,10 +23,6 @@ def _known(path: Path, modified_ns: int) -> tuple[Texture, Description]:
     return texture, describe(texture)
 
 
-def known(path: Path) -> tuple[Texture, Description]:
-    return _known(path, path.stat().st_mtime_ns)
-
-
 @lru_cache(maxsize=16)
 def _curve(path: Path, modified_ns: int) -> EnvelopeCurve:
     return EnvelopeCurve(_known(path, modified_ns)[0])
@@ -35,35 +31,31 @@ def _curve(path: Path, modified_ns: int) -> EnvelopeCurve:
 def moves_of(query: Mapping[str, str]) -> dict[str, float]:
     """The sliders of a request, those in the middle left out; ValueError where one is no number within its range."""
     moves = {}
-    for name, most in SLIDERS.items():
+    for name, high in SLIDERS.items():
         try:
             value = float(query.get(name, "0"))
         except ValueError:
             raise ValueError(f"{name} is no number") from None
-        if not -most <= value <= most or (name == "at" and value < 0):
-            raise ValueError(f"{name} is {value:g}, expected {-most if name != 'at' else 0:g} to {most:g}")
+        low = 0.0 if name == "at" else -high
+        if not low <= value <= high:
+            raise ValueError(f"{name} is {value:g}, expected {low:g} to {high:g}")
         if value:
             moves[name] = value
     return moves
 
 
 def tuned(path: Path, other: Path | None, moves: Mapping[str, float], exact: bool) -> bytes:
-    """A texture blended with another and moved, as a file's bytes.
+    """A texture blended with another and moved, as a file's bytes; ValueError where it cannot be moved so.
 
-    Args:
-        exact: search until centroid and width are what was asked, as `foten edit` does; else one step towards them, for a slider
-            that moves.
-
-    Raises:
-        ValueError: it cannot be moved so.
+    `exact` searches until centroid and width are what was asked; else one step is taken towards them, for a slider that moves.
     """
-    texture, description = known(path)
-    curve = _curve(path, path.stat().st_mtime_ns) if "rougher" in moves and not moves.get("at") else None
+    file = path, path.stat().st_mtime_ns
+    texture, description = _known(*file)
+    curve = _curve(*file) if "rougher" in moves and not moves.get("at") else None
     if other is not None and moves.get("at"):
-        towards, its = known(other)
-        own = (description, its)
+        towards, of_towards = _known(other, other.stat().st_mtime_ns)
         n_steps = N_STEPS if exact and not moves.keys() & {"brighter", "wider"} else 0  # which search by themselves
-        texture = blend(texture, towards, moves["at"], 0, own, n_steps)
+        texture = blend(texture, towards, moves["at"], 0, (description, of_towards), n_steps)
         description = describe(texture)
     period = period_of(texture)
     edit = Edit(

@@ -45,11 +45,7 @@ def addresses() -> list[str]:
 
 
 def listening(host: str, port: int) -> socket.socket:
-    """Socket that listens at a host and port, 0 for any that is free.
-
-    Raises:
-        OSError: the host is not this machine's, or the port is taken; one line says which.
-    """
+    """Socket that listens at a host and port, 0 for any that is free; OSError says in a line why it cannot."""
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
     listener = socket.socket(family, socket.SOCK_STREAM)
     listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
@@ -70,16 +66,13 @@ def serve(
     announce: Callable[[Access, str, bool], None],
     folder: Path | None = None,
 ) -> None:
-    """Serve until Ctrl-C or SIGTERM.
+    """Serve until Ctrl-C or SIGTERM; OSError where it cannot listen there.
 
     Args:
         app: gives the application, behind its access.
         announce: takes the access, the host to open, and whether a device came in by the link before: once it listens, and
             with each new link.
         folder: where the certificate is kept, for the owner alone; None for one that ends with the server.
-
-    Raises:
-        OSError: it cannot listen there.
     """
     with listening(host, port) as listener, contextlib.ExitStack() as stack:
         port = listener.getsockname()[1]
@@ -242,9 +235,10 @@ class Connections:
     def _drop_oldest(self) -> None:
         counts = Counter(connection.peer[0] for connection in self._waiting)
         max_count = max(counts.values(), default=0)
-        oldest = next((connection for connection in self._waiting if counts[connection.peer[0]] == max_count), None)
-        if oldest is not None:
-            self._drop(oldest)
+        for connection in self._waiting:
+            if counts[connection.peer[0]] == max_count:
+                self._drop(connection)
+                return
 
 
 async def _whole(receive: Receive) -> Receive | None:

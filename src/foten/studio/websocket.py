@@ -37,13 +37,9 @@ Sender = Callable[[], Coroutine[Any, Any, None]]
 
 
 class PageSocket:
-    """A page: a message that is refused is answered with the reason, and changes nothing.
+    """A page at an accepted socket: a message that is refused is answered with the reason, and changes nothing.
 
-    Args:
-        socket: accepted.
-        protocol: the messages that it may send.
-        senders: run while the page is served.
-        max_messages_per_s: after a second of silence a second's worth may come at once.
+    `senders` run while the page is served. After a second of silence a second's worth of messages may come at once.
     """
 
     def __init__(

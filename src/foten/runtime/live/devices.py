@@ -1,8 +1,10 @@
-"""Devices that play: a sound card, through PortAudio, and an analogue output of National Instruments."""
+"""Where samples are played as time passes: a sound card, through PortAudio, an NI-DAQ, silence, and other programs."""
 
 from __future__ import annotations
 
 import math
+import socket
+import struct
 import threading
 import time
 from collections.abc import Iterator
@@ -18,6 +20,7 @@ SOUND_RATE_HZ = 48_000.0
 _SOUND_BLOCK_MS = 5.0
 _DAQ_BUFFERED_MS = 20.0
 _DAQ_LIMIT_V = 10.0
+PACKET_MS = 4.0
 
 
 @dataclass(frozen=True)
@@ -42,8 +45,8 @@ def sound_devices() -> list[SoundDevice]:
     for number, device in enumerate(library.query_devices()):
         if (channels := device["max_output_channels"]) > 0:
             host, latency_ms = hosts[device["hostapi"]]["name"], 1000 * device["default_low_output_latency"]
-            about = number, device["name"], host, channels, number == usual
-            devices.append(SoundDevice(*about, latency_ms, device["default_samplerate"]))
+            rate_hz, default = device["default_samplerate"], number == usual
+            devices.append(SoundDevice(number, device["name"], host, channels, default, latency_ms, rate_hz))
     return devices
 
 
@@ -53,24 +56,20 @@ def _output_of(library: Any, device: str | int | None) -> str | int | None:
     if wasapi is None or isinstance(device, int):
         return device
     if device is None:
-        return wasapi["default_output_device"] if wasapi["default_output_device"] >= 0 else None
-    for number in wasapi["devices"]:
-        about = library.query_devices(number)
-        if about["max_output_channels"] > 0 and device.lower() in about["name"].lower():
-            return int(number)
-    return device
+        usual: int = wasapi["default_output_device"]
+        return usual if usual >= 0 else None
+    outputs = ((int(number), library.query_devices(number)) for number in wasapi["devices"])
+    of_name = (n for n, of in outputs if of["max_output_channels"] > 0 and device.lower() in of["name"].lower())
+    return next(of_name, device)
 
 
 class SoundSink:
-    """Sound card, or an amplifier on it that drives an actuator; `n_device_underruns` counts what the card itself missed.
+    """Sound card, or an amplifier on it that drives an actuator; OSError where PortAudio or the device is missing.
 
     Args:
         gain: full scale for 1 of what is rendered; what goes beyond full scale is cut, and counted in `n_cut`.
         device: its name, or its number as an int, as `sound_devices` lists them; None for the usual one.
         channel: that is played on, from 1; those before it are silent.
-
-    Raises:
-        OSError: PortAudio or the device is missing.
     """
 
     def __init__(
@@ -143,10 +142,9 @@ def sound_library() -> Any:
     except ImportError as error:
         raise OSError("playing sound needs the package sounddevice: pip install 'foten[audio]'") from error
     except OSError as error:
-        raise OSError(
-            "playing sound needs PortAudio, which is not here: 'apt install libportaudio2' on Debian and Ubuntu, "
-            "'brew install portaudio' on a Mac; with Windows it comes along"
-        ) from error
+        how = "'apt install libportaudio2' on Debian and Ubuntu, 'brew install portaudio' on a Mac"
+        missing = "playing sound needs PortAudio, which is not here"
+        raise OSError(f"{missing}: {how}; with Windows it comes along") from error
     return sounddevice
 
 
@@ -161,15 +159,11 @@ def daq_channels() -> list[str]:
 
 
 class DaqSink:
-    """Analogue output of an NI-DAQ, clocked by its hardware; what goes beyond ±10 V is cut, and counted in `n_cut`.
+    """Analogue output of an NI-DAQ, such as "Dev1/ao0", clocked by its hardware; OSError where it or its driver is missing.
 
     Args:
-        channel: as "Dev1/ao0".
-        gain: volts for one of what is rendered; 1 where an actuator's drive in V is.
+        gain: volts for one of what is rendered; what goes beyond ±10 V is cut, and counted in `n_cut`.
         library: `nidaqmx`, or what stands for it in a test.
-
-    Raises:
-        OSError: the package, its driver or the device is missing.
     """
 
     def __init__(self, channel: str, rate_hz: float, gain: float = 1.0, library: Any = None) -> None:
@@ -178,6 +172,7 @@ class DaqSink:
         self.n_cut = 0
         self.failed: BaseException | None = None
         self._channel, self._gain = channel, gain
+        self._read: Read
         self._stopped, self._fading, self._silent = False, threading.Event(), threading.Event()
         n = max(2, round(_DAQ_BUFFERED_MS * rate_hz / 2000))  # half of the buffer
         self._block = np.zeros(n, dtype=np.float32)
@@ -207,31 +202,31 @@ class DaqSink:
 
     def start(self, read: Read) -> None:
         """Fill the buffer and start the clock; raises what rendering raised, or OSError where the device refuses."""
-
-        def refill(*_: Any) -> int:
-            try:
-                read(self._block)
-                volts = self._block.astype(np.float64) * self._gain
-                self.n_cut += int((np.abs(volts) > _DAQ_LIMIT_V).sum())
-                volts = np.clip(volts, -_DAQ_LIMIT_V, _DAQ_LIMIT_V)
-                if self._silent.is_set():
-                    volts[:] = 0.0
-                elif self._fading.is_set():
-                    volts *= np.linspace(1.0, 0.0, volts.size)
-                    self._silent.set()
-                with self._in_one_line("the NI-DAQ takes no samples"):
-                    self._writer.write_many_sample(volts)
-            except BaseException as error:  # raised by `Live.stop`, in the thread that waits for it
-                self.failed = error
-            return 0
-
+        self._read = read
         for _ in range(2):
-            refill()
+            self._refill()
             if self.failed is not None:
                 raise self.failed
         with self._in_one_line("the NI-DAQ does not start"):
-            self._task.register_every_n_samples_transferred_from_buffer_event(self._block.size, refill)
+            self._task.register_every_n_samples_transferred_from_buffer_event(self._block.size, self._refill)
             self._task.start()
+
+    def _refill(self, *_: Any) -> int:
+        try:
+            self._read(self._block)
+            volts = self._block.astype(np.float64) * self._gain
+            self.n_cut += int((np.abs(volts) > _DAQ_LIMIT_V).sum())
+            volts = np.clip(volts, -_DAQ_LIMIT_V, _DAQ_LIMIT_V)
+            if self._silent.is_set():
+                volts[:] = 0.0
+            elif self._fading.is_set():
+                volts *= np.linspace(1.0, 0.0, volts.size)
+                self._silent.set()
+            with self._in_one_line("the NI-DAQ takes no samples"):
+                self._writer.write_many_sample(volts)
+        except BaseException as error:  # raised by `Live.stop`, in the thread that waits for it
+            self.failed = error
+        return 0
 
     def stop(self) -> None:
         """Fade out, stop the clock, set the output to 0 V and close the device: its last voltage would heat a coil."""
@@ -283,3 +278,86 @@ def _nidaqmx() -> Any:
 def _check_gain(gain: float) -> None:
     if not math.isfinite(gain):
         raise ValueError(f"the gain is {gain}, expected a finite number")
+
+
+class NullSink:
+    """Sink that plays nowhere: it takes a block every `PACKET_MS` in a thread of its own, for which subclasses have `take`.
+
+    Blocks that a stalled machine missed are left out, as taking them at once would empty the ring; `n_late` counts them.
+    """
+
+    def __init__(self, rate_hz: float) -> None:
+        self.rate_hz = float(rate_hz)
+        self.n_at_once = max(1, round(PACKET_MS * rate_hz / 1000))
+        self.n_late = 0
+        self.failed: BaseException | None = None
+        self._period_s = self.n_at_once / rate_hz
+        self._stopping = threading.Event()
+        self._thread: threading.Thread | None = None
+
+    def start(self, read: Read) -> None:
+        """Begin to take samples."""
+        self._thread = threading.Thread(target=self._run, args=(read,), name="foten-sink", daemon=True)
+        self._thread.start()
+
+    def stop(self) -> None:
+        """End after the block that is being taken."""
+        self._stopping.set()
+        if self._thread is not None:
+            self._thread.join()
+
+    def take(self, block: Samples) -> None:
+        """Do something with a block."""
+
+    def _run(self, read: Read) -> None:
+        block = np.zeros(self.n_at_once, dtype=np.float32)
+        due = time.perf_counter()
+        try:
+            while not self._stopping.is_set():
+                read(block)
+                self.take(block)
+                due += self._period_s
+                wait = due - time.perf_counter()
+                self._stopping.wait(max(0.0, wait))
+                n_late = int(max(0.0, -wait) / self._period_s)
+                due += n_late * self._period_s
+                self.n_late += n_late
+        except BaseException as error:  # raised by `Live.stop`, in the thread that waits for it
+            self.failed = error
+
+
+class UdpSink(NullSink):
+    """Packets to another program, little-endian: b"FOT1", packets before, rate [Hz, float32], number of samples, samples."""
+
+    def __init__(self, host: str, port: int, rate_hz: float) -> None:
+        super().__init__(rate_hz)
+        try:
+            self._to = socket.getaddrinfo(host, port, socket.AF_INET, socket.SOCK_DGRAM)[0][4]
+        except socket.gaierror as error:
+            raise OSError(f"no host {host!r} is known ({error.strerror})") from error
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._n = 0
+
+    def take(self, block: Samples) -> None:
+        """Send a block."""
+        samples = block.astype("<f4").tobytes()
+        self._socket.sendto(self._head(len(samples)) + samples, self._to)
+        self._n += 1
+
+    def stop(self) -> None:
+        """End, and close the socket."""
+        super().stop()
+        self._socket.close()
+
+    def _head(self, n_bytes: int) -> bytes:
+        return struct.pack("<4sIfI", b"FOT1", self._n & 0xFFFFFFFF, self.rate_hz, n_bytes // 4)
+
+
+class OscSink(UdpSink):
+    """OSC messages to "/foten": messages before, rate [Hz] and a blob of little-endian float32.
+
+    Source: Open Sound Control 1.0; types `ifb`, big-endian, padded to four bytes.
+    """
+
+    def _head(self, n_bytes: int) -> bytes:
+        return b"/foten\0\0,ifb\0\0\0\0" + struct.pack(">ifI", self._n & 0x7FFFFFFF, self.rate_hz, n_bytes)

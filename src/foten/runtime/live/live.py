@@ -27,9 +27,7 @@ _BINS = np.concatenate([[0.0], np.geomspace(1e-7, 1.0, 701)])  # s; 2.3 % apart
 class Ring:
     """Ring of float32 samples, without a lock: each counter is written by one thread, after its samples are in place.
 
-    Args:
-        size: samples that it holds.
-        n_fade: samples of a fade to silence where there are no more, and of the rise of new ones.
+    Where there are no more, it fades to silence in `n_fade` samples; new ones rise in as many.
     """
 
     def __init__(self, size: int, n_fade: int) -> None:
@@ -115,11 +113,9 @@ class LiveStatistics:
     def line(self) -> str:
         """One line for people."""
         times = " / ".join(f"{1000 * self.block.percentile_s(p):.2f}" for p in (50, 99, 99.9))
-        return (
-            f"blocks of {self.block_ms:g} ms rendered in {times} ms (p50 / p99 / p99.9), at most "
-            f"{1000 * self.block.largest_s:.2f} ms; {self.n_missed} late, {self.n_underruns} under-runs, ring at least "
-            f"{self.min_ms:.1f} ms"
-        )
+        rendered = f"blocks of {self.block_ms:g} ms rendered in {times} ms (p50 / p99 / p99.9)"
+        counts = f"{self.n_missed} late, {self.n_underruns} under-runs, ring at least {self.min_ms:.1f} ms"
+        return f"{rendered}, at most {1000 * self.block.largest_s:.2f} ms; {counts}"
 
 
 class Sink(Protocol):
@@ -148,8 +144,7 @@ class Live:
 
     Args:
         render: fills an array with the next samples, in this class's thread.
-        block_ms: rendered at once.
-        lead_ms: rendered ahead, or what the sink takes at once where that is more.
+        block_ms, lead_ms: rendered at once; rendered ahead, or what the sink takes at once where that is more.
     """
 
     def __init__(self, render: Read, sink: Sink, block_ms: float = BLOCK_MS, lead_ms: float = LEAD_MS) -> None:

@@ -16,9 +16,8 @@ from foten.atomic_write import atomic_write
 from foten.dsp import Array
 from foten.recording.preprocess import condition
 from foten.runtime.actuator import ActuatorProfile
-from foten.runtime.live.devices import SOUND_RATE_HZ, DaqSink, SoundSink
+from foten.runtime.live.devices import SOUND_RATE_HZ, DaqSink, NullSink, OscSink, SoundSink, UdpSink
 from foten.runtime.live.live import Live, LiveStatistics, Read, Samples, Sink
-from foten.runtime.live.paced import NullSink, OscSink, UdpSink
 from foten.runtime.live.sinks import float_wav
 from foten.runtime.renderer import Renderer
 from foten.runtime.stroke import Stroke
@@ -94,11 +93,9 @@ def rendering(renderer: Renderer, condition: ConditionAt) -> Read:
 
 
 def sink_of(where: str, rate_hz: float, gain: float, device: str | None = None, channel: int | None = None) -> Sink:
-    """Sink that a text names: sound, null, daq:Dev1/ao0, udp:HOST:PORT or osc:HOST:PORT.
+    """Sink that a text names: sound, null, daq:Dev1/ao0, udp:HOST:PORT or osc:HOST:PORT; ValueError where it names none.
 
-    Raises:
-        ValueError: it names none, or a device or channel of a sink that has none.
-        OSError: the device, its library or the host is missing.
+    OSError where the device, its library or the host is missing.
     """
     if where != "sound" and (device is not None or channel is not None):
         raise ValueError(f"--device and --channel are a sound card's, and it is played to {where}")
@@ -153,12 +150,12 @@ def play(
     """Play for so many seconds, or until Ctrl-C; `on_start` is called once it plays."""
     interrupted = False
     live = Live(rendering(renderer, condition), sink, lead_ms=lead_ms)
-    begin = time.monotonic()
+    end = math.inf if seconds is None else time.monotonic() + seconds
     try:
         live.start()
         on_start()
-        while live.running and (seconds is None or time.monotonic() < begin + seconds):
-            time.sleep(0.2 if seconds is None else min(0.2, max(0.0, begin + seconds - time.monotonic())))
+        while live.running and (remaining := end - time.monotonic()) > 0:
+            time.sleep(min(0.2, remaining))
     except KeyboardInterrupt:
         interrupted = True
     finally:
@@ -175,23 +172,19 @@ def play(
 
 
 def gain_for(profile: ActuatorProfile | None, requested: float | None, sd: float, where: str) -> float:
-    """Gain of a sink: the requested one; else 1 where the unit is the sink's, or a usual loudness for acceleration as sound.
-
-    Raises:
-        ValueError: a gain for a sink that takes numbers as they are, or a unit that is not the sink's.
-    """
+    """Gain of a sink: the requested one; else 1 where the unit is the sink's (or ValueError), or a usual loudness for sound."""
+    is_daq = where.startswith("daq:")
     if requested is not None:
-        if where != "sound" and not where.startswith("daq:"):
+        if where != "sound" and not is_daq:
             raise ValueError(f"--gain is for sound and daq, and {where} takes what is rendered as it is")
         return requested
+    if where == "sound" and profile is None:
+        return LOUDNESS / sd
     unit = "m/s²" if profile is None else profile.unit
-    if where == "sound":
-        if profile is None:
-            return LOUDNESS / sd
-        if unit != "full scale":
-            ask = f"say with --gain how much of it 1 {unit} is"
-            raise ValueError(f"a sound card takes full scale, and the profile drives in {unit}: {ask}")
-    elif where.startswith("daq:") and unit != "V":
+    if where == "sound" and unit != "full scale":
+        ask = f"say with --gain how much of it 1 {unit} is"
+        raise ValueError(f"a sound card takes full scale, and the profile drives in {unit}: {ask}")
+    if is_daq and unit != "V":
         ask = f"say with --gain how many volts 1 {unit} is, or give a profile in V with --actuator"
         raise ValueError(f"a DAQ takes volts, and what is rendered is in {unit}: {ask}")
     return 1.0

@@ -1,11 +1,9 @@
-"""Where a rendered vibration goes: WAV, CSV, NPZ and a picture, each written under a temporary name first."""
+"""Where a rendered vibration goes: WAV, CSV, NPZ and a picture, each written whole or not at all."""
 
 from __future__ import annotations
 
-import io
 import json
 import struct
-import wave
 from collections.abc import Mapping
 from fractions import Fraction
 from pathlib import Path
@@ -67,15 +65,6 @@ def write_audible(path: Path, acceleration: Array, rate_hz: float) -> float:
     return gain
 
 
-def pcm_wav(samples: Array, rate_hz: int) -> bytes:
-    """Mono WAV of 16 bits, of samples (n,) whose full scale is 1."""
-    buffer = io.BytesIO()
-    with wave.open(buffer, "wb") as file:
-        file.setparams((1, 2, rate_hz, samples.size, "NONE", ""))
-        file.writeframes(np.round(samples * 32767).astype("<i2").tobytes())
-    return buffer.getvalue()
-
-
 def audible_factor(rate_hz: float) -> Fraction:
     """Ratio of 48 kHz to a rate, to 100 ppm, or raise ValueError where that is below 1 or no simple ratio."""
     if rate_hz > AUDIBLE_HZ:
@@ -84,23 +73,30 @@ def audible_factor(rate_hz: float) -> Fraction:
 
 
 def float_wav(samples: NDArray[np.floating], rate_hz: float, about: Mapping[str, Any]) -> bytes:
-    """Mono WAV of 32-bit floats, of samples (n,); the standard library's `wave` writes integers only.
+    """Mono WAV of 32-bit floats, of samples (n,); its header holds a whole rate, and its comment the exact one."""
+    fact = struct.pack("<4sII", b"fact", 4, samples.size)  # which only floats need, as the size of no extension
+    return _wav(3, samples.astype("<f4"), rate_hz, b"\0\0", fact, _comment(rate_hz, about))
 
-    The header holds a whole rate; the comment behind the samples holds the exact one.
-    """
-    tail, rate = wav_comment(rate_hz, about), round(rate_hz)
-    head = b"WAVE" + b"fmt " + struct.pack("<IHHIIHHH", 18, 3, 1, rate, 4 * rate, 4, 32, 0)
-    head += b"fact" + struct.pack("<II", 4, samples.size) + b"data" + struct.pack("<I", 4 * samples.size)
-    body = head + samples.astype("<f4").tobytes() + tail
+
+def pcm_wav(samples: Array, rate_hz: int, about: Mapping[str, Any] | None = None) -> bytes:
+    """Mono WAV of 16 bits, of samples (n,) whose full scale is 1, with a comment where there is one."""
+    comment = b"" if about is None else _comment(rate_hz, about)
+    return _wav(1, np.round(samples * 32767).astype("<i2"), rate_hz, b"", b"", comment)
+
+
+def _wav(kind: int, samples: NDArray[Any], rate_hz: float, extension: bytes, fact: bytes, comment: bytes) -> bytes:
+    rate, width, data = round(rate_hz), samples.dtype.itemsize, samples.tobytes()
+    form = struct.pack("<HHIIHH", kind, 1, rate, width * rate, width, 8 * width) + extension
+    head = b"WAVE" + struct.pack("<4sI", b"fmt ", len(form)) + form + fact
+    body = head + struct.pack("<4sI", b"data", len(data)) + data + comment
     return b"RIFF" + struct.pack("<I", len(body)) + body
 
 
-def wav_comment(rate_hz: float, about: Mapping[str, Any]) -> bytes:
-    """Chunk behind the samples of a WAV that holds, as JSON, what made them, with the unit and the exact rate."""
-    comment = json.dumps({"unit": "m/s^2", "rate_hz": rate_hz, **about}, sort_keys=True).encode() + b"\0"
-    comment += b"\0" * (len(comment) % 2)
-    info = b"INFO" + b"ICMT" + struct.pack("<I", len(comment)) + comment
-    return b"LIST" + struct.pack("<I", len(info)) + info
+def _comment(rate_hz: float, about: Mapping[str, Any]) -> bytes:
+    """Chunk behind the samples that holds, as JSON, what made them, with the unit and the exact rate."""
+    text = json.dumps({"unit": "m/s^2", "rate_hz": rate_hz, **about}, sort_keys=True).encode() + b"\0"
+    text += b"\0" * (len(text) % 2)
+    return struct.pack("<4sI4s4sI", b"LIST", len(text) + 12, b"INFO", b"ICMT", len(text)) + text
 
 
 def picture(acceleration: Array, speed: Array, force: Array, rate_hz: float, about: Mapping[str, Any]) -> Figure:
@@ -123,11 +119,11 @@ def picture(acceleration: Array, speed: Array, force: Array, rate_hz: float, abo
         power = np.abs(np.fft.rfft(frames * np.hanning(n), axis=1)) ** 2
         top = float(power.max()) or 1.0
         level = 10 * np.log10(np.maximum(power / top, 10 ** (-SPECTROGRAM_DB / 10)))
-        left, edge = -0.5 * hop / rate_hz, 0.5 * rate_hz / n
-        extent = (left, left + len(frames) * hop / rate_hz, -edge, (n // 2) * rate_hz / n + edge)
+        frequencies = np.arange(n // 2 + 1, dtype=np.float64) * rate_hz / n
+        begin, edge = -0.5 * hop / rate_hz, 0.5 * rate_hz / n
+        extent = (begin, begin + len(frames) * hop / rate_hz, -edge, frequencies[-1] + edge)
         image = spectrum.imshow(level.T, origin="lower", aspect="auto", cmap="magma", extent=extent)
         figure.colorbar(image, ax=spectrum, label="dB re loudest", pad=0.01)
-        frequencies = np.arange(n // 2 + 1, dtype=np.float64) * rate_hz / n
         highest = max(highest, highest_with_power(frequencies, power.mean(axis=0), rate_hz))
     above = "" if highest == rate_hz / 2 else "\nwhere 99.9 % of the power lies"
     spectrum.set(ylabel=f"frequency [Hz]{above}", ylim=(0, highest), xlim=limits)
