@@ -78,7 +78,7 @@ def test_a_draft_goes_on_from_its_warm_start_and_is_proved_on_validation_windows
     blocks, sizes = speeding_up, sizes_with("foten", SMALL)
     tensors = untrained_tensors("foten", sizes, untrained("foten", sizes))
     card = {name: value for name, value in CARD.items() if name not in ("warm_start", "metrics")}
-    texture = TextureBuilder("foten", blocks, card).texture(sizes, tensors, CARD["metrics"]).texture
+    texture = TextureBuilder("foten", blocks, card, model_of).texture(sizes, tensors, CARD["metrics"]).texture
     window, condition = pick_warm_start(blocks, sizes.window)
     assert texture.card["warm_start"] == condition
     np.testing.assert_allclose(texture.tensors["warm_start"], window, rtol=1e-6)
