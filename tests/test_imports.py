@@ -163,7 +163,11 @@ def defaults(tree: ast.AST) -> Iterator[tuple[str, ast.Call | ast.expr]]:
 
 
 def test_switches_of_commands_are_off_and_seeds_begin_at_0() -> None:
-    commands = [module for module in MODULES if package(module) == "cli" or module == "foten.study.commands"]
+    commands = [
+        module
+        for module in MODULES
+        if package(module) == "cli" or (module.startswith("foten.study.") and "command" in module)
+    ]
     options = [(name, ast.unparse(value)) for module in commands for name, value in defaults(source(module))]
     on = {name for name, text in options if text == "True" or text.startswith("Option(True")}
     assert on == {"feel", "open_page", "tiles"}
@@ -195,6 +199,16 @@ for name in sys.argv[1:]:
     importlib.import_module(name)
 """
     run(code, *free)
+
+
+def test_adapt_needs_nothing_of_the_statistics_of_a_study() -> None:
+    code = """
+import sys
+for name in ("pandas", "statsmodels", "scipy.stats"):
+    sys.modules[name] = None
+import foten.study.adapt_command, foten.study.adapt_server
+"""
+    run(code)
 
 
 def test_a_page_for_any_host_needs_no_server(tmp_path: Path) -> None:

@@ -21,7 +21,7 @@ from foten.dsp import Array
 from foten.dsp.adaptive import Comparison, Detection, LevelSearch, PreferenceSearch
 from foten.editing.user import MOVES, TONES_HZ, UserProfile
 from foten.reporting.table import Table
-from foten.studio.adapt_session import Question, Session, answered_by
+from foten.study.adapt_session import Question, Session, answered_by
 
 CSV = Path(__file__).resolve().parents[1] / "results" / "users.csv"
 WRONG = 0.1

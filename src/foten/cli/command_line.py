@@ -14,7 +14,6 @@ import typer
 from typer.exceptions import Abort, TyperException
 
 from foten.atomic_write import reason
-from foten.cli.adapt import adapt
 from foten.cli.editing import blend, describe, edit
 from foten.cli.evaluate import evaluate, info
 from foten.cli.experiments import demo, figures, sweep, tables
@@ -28,6 +27,7 @@ from foten.cli.texture_library import app as library
 from foten.cli.tool import app as tool
 from foten.cli.train import train
 from foten.console import say
+from foten.study.adapt_command import adapt
 from foten.study.commands import app as study
 
 
