@@ -19,13 +19,15 @@ import pandas
 
 from foten import __version__
 from foten.recording.inspection.values import counted
-from foten.study.analysis import Ratings, read_ratings
-from foten.study.design import CHOICES, task_of
-from foten.study.orders import N_TARGETS, Trial
+from foten.study.analysis import read_ratings
+from foten.study.design import task_of
+from foten.study.orders import Trial
 from foten.study.report import OF_THRESHOLDS, SUMMARY, dictionary_of, participants_frame, rows_of, written
 from foten.study.schema import Stimulus
-from foten.study.session import INTERVALS, MAX_APART_S
 from foten.study.store import Store, Stroked, measured_of
+from foten.study.strokes import MAX_APART_S
+from foten.study.tasks.kind import Ratings, TaskKind
+from foten.study.tasks.table import TASKS
 
 BIDS_VERSION = "1.9.0"
 ANSWERS = (  # columns of the answers that are not private, meaning, unit
@@ -157,15 +159,15 @@ def _description(ratings: Ratings) -> str:
 def events_of(store: Store, participant: int) -> list[dict[str, Any]]:
     """Events of a participant in the order of time, each by the columns of `EVENTS`."""
     stimuli, trials = store.stimuli(), {trial.number: trial for trial in store.trials(participant)}
-    kind = task_of(str(store.study["design"]))[0].kind
-    names, choices = INTERVALS[kind] or ("virtual",), CHOICES.get(kind, ())
+    kind = TASKS[task_of(str(store.study["design"]))[0].kind]
+    names, choices = kind.intervals or ("virtual",), kind.choices
     events: list[dict[str, Any]] = []
     answered: dict[int, float] = {}
     for row in store.moments(participant, "ratings"):
         answered[row["trial"]] = row["at_s"]
         answer = {"at": row["at_s"], "trial_type": "answer", "trial": row["trial"], "scale": row["scale"]}
         answer["value"] = choices[int(row["rating"])] if choices else row["rating"]
-        if kind in N_TARGETS:
+        if kind.order.n_targets:
             answer["right"] = int(row["rating"] == trials[row["trial"]].target)
         events.append({**answer, "level_db": measured_of(row).get("level_db")})
     for row in store.moments(participant, "switches"):
@@ -189,23 +191,16 @@ def events_of(store: Store, participant: int) -> list[dict[str, Any]]:
         (event["at"] for event in events if event["trial_type"] == "trial"), events[0]["at"] if events else 0.0
     )
     return [
-        {
-            "duration": 0.0,
-            **event,
-            "onset": event["at"] - begin,
-            **_conditions(stimuli, trials[event["trial"]], choices, kind),
-        }
+        {"duration": 0.0, **event, "onset": event["at"] - begin, **_conditions(stimuli, trials[event["trial"]], kind)}
         for event in events
     ]
 
 
-def _conditions(
-    stimuli: Mapping[tuple[int, int], Stimulus], trial: Trial, choices: Sequence[str], kind: str
-) -> dict[str, Any]:
+def _conditions(stimuli: Mapping[tuple[int, int], Stimulus], trial: Trial, kind: TaskKind) -> dict[str, Any]:
     """What a trial compared."""
     shown = stimuli[trial.texture, trial.method]
     other = None if trial.other is None else stimuli[trial.texture, trial.other].method_key
-    target = choices[trial.target] if kind in N_TARGETS else None
+    target = kind.choices[trial.target] if kind.order.n_targets else None
     return {"texture": shown.texture_key, "method": shown.method_key, "other": other, "target": target}
 
 

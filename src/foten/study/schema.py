@@ -152,4 +152,9 @@ def faults_of(connection: sqlite3.Connection) -> list[str]:
 
 def now() -> str:
     """Present time (UTC) as it is stored."""
-    return datetime.fromtimestamp(time.time(), UTC).isoformat(timespec="milliseconds")
+    return as_stored(time.time())
+
+
+def as_stored(system_s: float) -> str:
+    """A time of the system's clock [s] as it is stored (UTC)."""
+    return datetime.fromtimestamp(system_s, UTC).isoformat(timespec="milliseconds")

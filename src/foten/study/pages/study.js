@@ -1,7 +1,11 @@
 // A participant's page: one step after another, as the server says. An answer is kept here until the server has it.
+import * as choice from "./choice.js";
+import { el, scale, worded, words } from "./elements.js";
 import { Pad } from "./pad.js";
-import { filled, Settings, written } from "./settings.js";
+import * as rating from "./rating.js";
+import { Settings, written } from "./settings.js";
 
+const FORMS = { choice, rating }; // parts of the page that take the answer of a trial
 const RETRY_MS = [200, 400, 800, 1000];
 const ELSEWHERE = 4001; // as the server closes a page that another one takes the place of
 const NOT_ALLOWED = 4002; // and one that the operator does not let go on where another device was
@@ -13,19 +17,6 @@ const MOST_AT_ONCE = 64; // events in a message
 const now = () => performance.timeOrigin + performance.now(); // ms; the system's clock may be set back
 const $ = (id) => document.getElementById(id);
 const given = new URLSearchParams(location.search);
-const words = JSON.parse($("words").textContent); // of the study's language
-const worded = (key, values = {}) => filled(words[key], values);
-
-/** Return an element with attributes and children. */
-function el(name, attributes = {}, ...children) {
-  const element = document.createElement(name);
-  for (const [key, value] of Object.entries(attributes))
-    if (key.startsWith("on")) element.addEventListener(key.slice(2), value);
-    else if (key in element && key !== "list") element[key] = value;
-    else element.setAttribute(key, value);
-  element.append(...children.filter((child) => child !== null && child !== undefined));
-  return element;
-}
 
 /** The sound output of the tablet, for samples that the server renders. */
 class Output extends EventTarget {
@@ -329,24 +320,11 @@ class Study {
       };
     }
     if (kind === "slider") {
-      const scale = this.scale(written(0), written(100), label);
-      return { element: el("div", {}, el("p", {}, label), scale.element), value: () => (scale.input.dataset.set ? scale.input.value : "") };
+      const { input, element } = scale(written(0), written(100), label);
+      return { element: el("div", {}, el("p", {}, label), element), value: () => (input.dataset.set ? input.value : "") };
     }
     const input = kind === "number" ? el("input", { type: "number", step: "any", min: low, max: high, required, name: key, ...checks }) : el("textarea", { rows: 2, maxLength: 2000, required, name: key, ...checks });
     return { element: el("label", {}, label, input), value: () => input.value };
-  }
-
-  /** A slider without a position until one is chosen. */
-  scale(lowest, highest, label) {
-    const input = el("input", { type: "range", min: 0, max: 100, step: 1, value: 50, ariaLabel: label });
-    input.setAttribute("aria-valuetext", words.not_set);
-    const set = () => {
-      input.dataset.set = "true";
-      input.setAttribute("aria-valuetext", written(input.value));
-      input.dispatchEvent(new Event("set"));
-    };
-    for (const type of ["input", "pointerup"]) input.addEventListener(type, set);
-    return { input, element: el("div", { className: "scale" }, input, el("span", {}, lowest), el("span", {}, highest)) };
   }
 
   trial(step) {
@@ -362,7 +340,7 @@ class Study {
       this.picture(step.picture);
     }
     if (answers) {
-      const answer = step.choices.length ? this.choosing(step) : this.rating(step);
+      const answer = FORMS[step.form].answer(step, () => this.check());
       const next = el("button", { className: "big", type: "button", onclick: () => this.done({ values: answer.values(), seconds: this.seconds, ...(strokes && { underruns: this.sound.underruns }) }) }, words.next);
       next.dataset.needs = "rating";
       next.setAttribute("aria-describedby", "lacks");
@@ -380,40 +358,6 @@ class Study {
     this.lacks = answers ? () => this.lacking() : null;
     this.pad.resize();
     this.side(step.side, step.interval);
-  }
-
-  /** An answer on scales, one or several. */
-  rating({ scales }) {
-    const fields = scales.map(({ key, question, lowest, highest }) => ({ key, question, ...this.scale(lowest, highest, question) }));
-    for (const { input } of fields) input.addEventListener("set", () => this.check());
-    return {
-      elements: [el("div", { className: "scales" }, ...fields.map(({ question, element }) => el("div", { className: "asked" }, el("h2", {}, question), element)))],
-      given: () => fields.every(({ input }) => input.dataset.set),
-      lacks: words.choose_place,
-      values: () => Object.fromEntries(fields.map(({ key, input }) => [key, Number(input.value)])),
-      set: (values) => {
-        for (const { key, input } of fields) {
-          input.value = values[key];
-          input.dispatchEvent(new Event("input"));
-        }
-      },
-    };
-  }
-
-  /** An answer that is one of the surfaces. */
-  choosing({ question, choices }) {
-    const inputs = choices.map((_, i) => el("input", { type: "radio", name: "choice", value: i, onchange: () => this.check() }));
-    const labels = choices.map((name, i) => el("label", { className: "choice" }, inputs[i], el("span", {}, name)));
-    return {
-      elements: [el("fieldset", { className: "asked" }, el("legend", {}, question), ...labels)],
-      given: () => inputs.some((input) => input.checked),
-      lacks: words.choose,
-      values: () => ({ choice: inputs.findIndex((input) => input.checked) }),
-      set: ({ choice }) => {
-        inputs[choice].checked = true;
-        this.check();
-      },
-    };
   }
 
   /** What a trial lacks before it can be answered, in words; empty where it lacks nothing. */
