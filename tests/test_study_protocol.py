@@ -23,7 +23,7 @@ from foten.study.design import Design, Setup, Texture
 from foten.study.orders import Trial
 from foten.study.participant_store import ParticipantStore
 from foten.study.protocol import Measured, Moment, NotYetError, State
-from foten.study.store import FullError
+from foten.study.study_file import FullError
 from foten.study.tasks.kind import Task
 from foten.study.trial_sound import TrialSound
 

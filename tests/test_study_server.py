@@ -40,7 +40,7 @@ from foten.studio.messages import MAX_EVENTS, RefusedError
 from foten.studio.websocket import MAX_WAITING_BLOCKS, MAX_WAITING_TEXTS
 from foten.study import participant_store, study_server
 from foten.study import session as session_module
-from foten.study import store as store_module
+from foten.study import study_file as file_module
 from foten.study.analysis import read_ratings
 from foten.study.design import titled
 from foten.study.languages import read_language
@@ -49,8 +49,9 @@ from foten.study.new_study import study_text
 from foten.study.participants import JOIN_AGAIN, NOT_ALLOWED, RETURNED
 from foten.study.results import of_trials
 from foten.study.session import BEFORE_MISSED, ELSEWHERE, MISSED, Session
-from foten.study.store import FullError, Store
+from foten.study.store import Store
 from foten.study.strokes import conditions_of
+from foten.study.study_file import FullError
 from foten.study.study_server import OPERATOR, OPERATOR_COOKIE, StudyServer, study_files
 from test_studio_server import HERE, LOCAL, WS
 
@@ -343,8 +344,8 @@ def test_a_trial_that_was_not_stroked_is_not_rated(tmp_path: Path) -> None:
 
 def test_another_program_that_holds_the_file_costs_no_answer(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Nor a page that strokes its connection: it is answered before it could seem lost."""
-    assert store_module.BUSY_S <= 3.0
-    monkeypatch.setattr(store_module, "BUSY_S", 0.4)
+    assert file_module.BUSY_S <= 3.0
+    monkeypatch.setattr(file_module, "BUSY_S", 0.4)
     server = server_of(study_file(tmp_path, practice="0"))
     with joined(server, rate_hz=8000) as page:
         page.to_trial()

@@ -32,16 +32,11 @@ OF_VARIANCE |= {"partial_eta2": "η² partial", "generalised_eta2": "η² genera
 OF_MIXED = {"name": "effect", "f": "F", "df": "df", "p": "p"}
 MARK = "Simulated ratings: of a model of raters, and not of people."
 OF_STRENGTHS = {"method": "method", "log_odds": "log-odds", "ci95": CI}
-OF_CHOICES = {
-    "pair": "pair",
-    "share": "wins of the first named [%]",
-    "difference": "difference of log-odds",
-    "ci95": CI,
-    "t": "t",
-}
-OF_CHOICES |= {"p_bonferroni": "p Bonferroni", "p_holm": "p Holm"}
+ADJUSTED = {"p_bonferroni": "p Bonferroni", "p_holm": "p Holm"}
+OF_CHOICES = {"pair": "pair", "share": "wins of the first named [%]", "difference": "difference of log-odds"}
+OF_CHOICES |= {"ci95": CI, "t": "t", **ADJUSTED}
 OF_SENSITIVITY = {"pair": "pair", "n_trials": "trials", "share": "right [%]", "d_prime": "d′", "ci95": CI}
-OF_SENSITIVITY |= {"p_bonferroni": "p Bonferroni", "p_holm": "p Holm"}
+OF_SENSITIVITY |= ADJUSTED
 SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 WITHIN = "Tests within textures"
 MIN_SUMMED = 3  # private answers: of one alone the mean is the answer

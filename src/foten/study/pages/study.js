@@ -88,8 +88,6 @@ class Study {
     if (given.get("code")) this.join(given.get("code"));
   }
 
-  // The server
-
   join(code) {
     this.wanted = code;
     this.connect();
@@ -108,8 +106,8 @@ class Study {
     socket.onmessage = ({ data }) => (typeof data === "string" ? this.told(JSON.parse(data)) : this.played(data));
     socket.onclose = ({ code }) => {
       if (socket !== this.socket) return;
-      if (code === ELSEWHERE) return this.put(el("div", { className: "page" }, el("h2", {}, words.moved_heading), el("p", {}, words.moved)));
-      if (code === NOT_ALLOWED) return this.put(el("div", { className: "page" }, el("h2", {}, words.not_allowed_heading), el("p", {}, words.not_allowed)));
+      if (code === ELSEWHERE) return this.plain(words.moved_heading, words.moved);
+      if (code === NOT_ALLOWED) return this.plain(words.not_allowed_heading, words.not_allowed);
       if (code === RETURNED) return location.replace(this.role === "all" ? "?" : `?role=${this.role}`); // to begin anew
       this.show(code === TOO_MANY ? words.too_many_pages : this.code ? words.no_connection : words.no_server, true);
       setTimeout(() => this.connect(), RETRY_MS[Math.min(this.tries++, RETRY_MS.length - 1)]);
@@ -130,7 +128,7 @@ class Study {
       this.show("");
     } else if (message.asks) {
       this.step = null; // what is shown once it is allowed is shown anew
-      this.put(el("div", { className: "page" }, el("h2", {}, words.one_moment), el("p", {}, worded("asks", { n: message.asks }))));
+      this.plain(words.one_moment, worded("asks", { n: message.asks }));
       this.show("");
     } else if (message.refused) this.refused(message);
     else if (message.feedback) this.show(message.feedback.right ? words.right : worded("wrong", { n: message.feedback.was }));
@@ -246,8 +244,6 @@ class Study {
     if ($("lacks")) $("lacks").textContent = on ? words.one_moment : lacks;
   }
 
-  // The pages
-
   put(...children) {
     this.lacks = null;
     $("content").replaceChildren(...children);
@@ -267,28 +263,24 @@ class Study {
   }
 
   page(step) {
-    const pages = { consent: this.consent, questions: this.questions, instructions: this.instructions, trial: this.trial, break: this.pause, end: this.end };
-    pages[step.kind].call(this, step);
+    const { kind, n, of, text } = step;
+    const plain = {
+      consent: [words.consent_heading, text, words.agree],
+      instructions: [words.instructions_heading, text, words.start],
+      break: [words.break_heading, worded("break", { n: written(n ?? 0), total: written(of ?? 0) }), words.go_on],
+      end: [words.end_heading, words.end],
+    };
+    if (plain[kind]) this.plain(...plain[kind]);
+    else (kind === "trial" ? this.trial : this.questions).call(this, step);
   }
 
-  next(label, answer = () => ({})) {
-    return el("button", { className: "big", type: "button", onclick: () => (this.busy(true), this.start().then(() => this.done(answer()))) }, label);
+  /** A page that is read, and left by a button if it has one. */
+  plain(heading, text, label) {
+    this.put(el("div", { className: "page" }, el("h2", {}, heading), el("p", {}, text), label && this.next(label)));
   }
 
-  consent({ text }) {
-    this.put(el("div", { className: "page" }, el("h2", {}, words.consent_heading), el("p", {}, text), this.next(words.agree)));
-  }
-
-  instructions({ text }) {
-    this.put(el("div", { className: "page" }, el("h2", {}, words.instructions_heading), el("p", {}, text), this.next(words.start)));
-  }
-
-  pause({ n, of }) {
-    this.put(el("div", { className: "page" }, el("h2", {}, words.break_heading), el("p", {}, worded("break", { n: written(n), total: written(of) })), this.next(words.go_on)));
-  }
-
-  end() {
-    this.put(el("div", { className: "page" }, el("h2", {}, words.end_heading), el("p", {}, words.end)));
+  next(label) {
+    return el("button", { className: "big", type: "button", onclick: () => (this.busy(true), this.start().then(() => this.done({}))) }, label);
   }
 
   questions({ questions }) {
@@ -423,8 +415,6 @@ class Study {
     this.side(side, interval);
     this.say({ do: "side", side, ...(step.intervals.length && { interval }) });
   }
-
-  // Sound and strokes
 
   /** From a tap: browsers ask for one before they play. */
   async start() {
