@@ -32,7 +32,7 @@ from foten.study.orders import balance, orders
 from foten.study.raters import raters_for
 from foten.study.rating_figures import figures_of
 from foten.study.record import _contacts, bids, events_of, psych_ds
-from foten.study.report import DICTIONARY, write_data, write_report
+from foten.study.report import COLUMNS, write_data, write_report
 from foten.study.simulation import simulate_study
 from foten.study.statistics import ALPHA, anova
 from foten.study.store import Rated, Store, Stroked
@@ -179,7 +179,7 @@ def test_a_task_of_the_table_is_whole(kind: str) -> None:
     assert task.order.n_targets in (0, len(task.choices))
     assert (Path(study_server.PAGES) / f"{task.form}.js").is_file()
     assert task.question(Task(kind)) in read_language().words
-    assert set(task.columns) <= {name for name, *_ in DICTIONARY}
+    assert set(task.columns) <= {name for name, *_ in COLUMNS["ratings"]}
     assert set(task.settings) <= {one.name for one in fields(Task)}
     assert all(line.format_map(dict.fromkeys(("question", "lowest", "highest"), "''")) for line in task.new_lines)
 

@@ -10,11 +10,11 @@ import numpy as np
 
 from foten.reporting.table import minus
 from foten.study.choosing import COUNTED, by_texture, ends, position_shares, power_of_choices, shares_of, who_compared
-from foten.study.orders import Trial
+from foten.study.orders import Order, Trial
 from foten.study.results import about, json_value, means_of, of_trials, p_text, who_left
 from foten.study.sensitivity import Sensitivity
 from foten.study.statistics import Array, holm, pairs
-from foten.study.tasks.kind import CHOICE, Answer, Population, Power, PowerQuery, Ratings, Result
+from foten.study.tasks.kind import CHOICE, Answer, People, Population, Power, PowerQuery, Ratings, Result, TaskKind
 
 EFFECT = 1.0  # d′ between two methods
 SPREAD = 0.4  # of the logarithm of d′ between people
@@ -38,6 +38,25 @@ class Discrimination:
     share_of: Callable[[Array], Array]
     sensitivity_of: Callable[[Sequence[int], Sequence[dict[str, Any]]], Sensitivity]
     draw: Callable[[np.random.Generator, Array, int], Sensitivity]
+
+    def kind(self, surfaces: Callable[[Trial], tuple[int, ...]], intervals: tuple[str, ...], question: str) -> TaskKind:
+        """The task, with its surfaces, their names, and the key of its question in the words of a language."""
+        return TaskKind(
+            surfaces=surfaces,
+            read=self.read,
+            analyse=self.analyse,
+            simulate=self.simulate,
+            power=self.power,
+            effect=EFFECT,
+            effect_in_words=f"d′ = {EFFECT:g} between two methods",
+            n_studies=(200, 60),
+            order=Order(pairs=True, n_targets=len(self.choices)),
+            intervals=intervals,
+            choices=self.choices,
+            settings=("repeats", "feedback"),
+            question=lambda task: question,
+            columns=("other", "choice", "target", "right", "contact_s_1", "contact_s_2", "contact_s_3"),
+        )
 
     def read(self, ratings: Ratings, _document: Mapping[str, Any]) -> list[Ratings]:
         """Shares of right answers to each pair of methods."""
@@ -99,9 +118,7 @@ class Discrimination:
         deviates = rng.standard_normal((n, len(pairs(n_methods))))
         return np.asarray(d_prime * np.exp(SPREAD * deviates - SPREAD**2 / 2))
 
-    def simulate(
-        self, population: Population, rng: np.random.Generator
-    ) -> Callable[[int, float], Callable[[Trial], Answer]]:
+    def simulate(self, population: Population, rng: np.random.Generator) -> People:
         """People who are right as often as their d′ lets them."""
         people, family = (
             self.people(rng, population.n, population.n_methods, population.effect),

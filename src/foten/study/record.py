@@ -22,7 +22,7 @@ from foten.recording.inspection.values import counted
 from foten.study.analysis import read_ratings
 from foten.study.design import task_of
 from foten.study.orders import Trial
-from foten.study.report import OF_THRESHOLDS, SUMMARY, dictionary_of, participants_frame, rows_of, written
+from foten.study.report import COLUMNS, dictionary_of, of_thresholds, participants_frame, rows_of, written
 from foten.study.schema import Stimulus
 from foten.study.store import Store, Stroked, measured_of
 from foten.study.strokes import MAX_APART_S
@@ -30,34 +30,7 @@ from foten.study.tasks.kind import Ratings, TaskKind
 from foten.study.tasks.table import TASKS
 
 BIDS_VERSION = "1.9.0"
-ANSWERS = (  # columns of the answers that are not private, meaning, unit
-    ("question", "key of the question", ""),
-    ("answer", "what was answered", ""),
-)
-OF_SUMMARY = {
-    "n": "how many answered it",
-    "mean": "mean of answers that are numbers",
-    "sd": "their standard deviation",
-    "count": "how many gave this answer",
-}
-EVENTS = {
-    "onset": ("from when the first trial was shown", "s"),
-    "duration": ("how long it lasted; 0 for a moment", "s"),
-    "trial_type": (
-        "trial: from shown to answered; contact: the pen on a virtual surface; switch: to another; answer",
-        "",
-    ),
-    "trial": ("number of the trial; 0 and below are practice", ""),
-    "texture": ("key of the texture", ""),
-    "method": ("key of the method; of several surfaces that of the first, or of both that are alike", ""),
-    "other": ("key of the method that it is compared with", ""),
-    "target": ("which surface would have been right", ""),
-    "level_db": ("of an answer to a threshold: the level that was played", "dB"),
-    "surface": ("of a contact or switch: which surface, virtual where there is one, or real", ""),
-    "scale": ("of an answer: key of the scale, or choice", ""),
-    "value": ("of an answer: the rating, or the chosen surface", ""),
-    "right": ("of an answer: 1 where it was right", ""),
-}
+EVENTS = {name: (meaning, unit) for name, meaning, unit in COLUMNS["events"]}
 
 
 def psych_ds(store: Store) -> dict[str, str]:
@@ -75,20 +48,17 @@ def psych_ds(store: Store) -> dict[str, str]:
     columns = dictionary_of(ratings)
     rows = sorted(rows_of(every), key=lambda row: (row["participant"], row["trial"]))
     frames = {f"{name}_data.csv": pandas.DataFrame(rows, columns=[column for column, *_ in columns])}
-    variables = {column: (meaning, unit) for column, meaning, unit in columns}
     if ratings.answers:
         frame = pandas.DataFrame(ratings.answers, columns=["participant", "question", "answer", "at"])
         frames[f"{name}_description-answers_data.csv"] = frame
-        variables |= {column: (meaning, unit) for column, meaning, unit in ANSWERS}
+        columns = columns + COLUMNS["answers"]
     if ratings.abouts:
         frames[f"{name}_description-participants_data.csv"] = participants_frame(ratings)
-        variables |= {column: (meaning, unit) for column, meaning, unit in ANSWERS}
-        variables |= {column: (OF_SUMMARY[column], "") for column in SUMMARY if column in OF_SUMMARY}
+        columns = columns + COLUMNS["answers"] + COLUMNS["summary"]
     if ratings.thresholds:
         frames[f"{name}_description-thresholds_data.csv"] = pandas.DataFrame(ratings.thresholds)
-        variables |= {
-            column: (meaning, unit) for column, meaning, unit in OF_THRESHOLDS if column in ratings.thresholds[0]
-        }
+        columns = columns + of_thresholds(ratings)
+    variables = {column: (meaning, unit) for column, meaning, unit in columns}
     description = {
         "@context": "https://schema.org",
         "@type": "Dataset",

@@ -19,6 +19,7 @@ from foten.study.rating_figures import figures_of
 from foten.study.tasks.kind import Ratings, Result
 from foten.study.tasks.table import TASKS
 from foten.study.variance import MIN_CORRELATED
+from foten.untrusted import parse_toml
 
 MAX_ROWS = 12  # of a table that people read; the rest is CSV
 CI = "95 % CI, not adjusted"
@@ -42,48 +43,10 @@ WITHIN = "Tests within textures"
 MIN_SUMMED = 3  # private answers: of one alone the mean is the answer
 SUMMARY = ["question", "n", "mean", "sd", "answer", "count"]  # of what participants say of themselves
 STYLE = Path(__file__).with_name("report.css")
-LEVEL = "of the target: re recorded, with the gain that matches methods, at a volume of 0 dB; or of the increment re the others"
-OF_THRESHOLDS = (  # columns of thresholds.csv, meaning, unit
-    ("threshold_db", "level that is just felt, at a volume of 0 dB; or the increment that is just noticeable", "dB"),
-    ("sd_db", "standard deviation of what is known of it", "dB"),
-    ("n_answers", "answers that it is of", ""),
-    ("reached", "1 where it lies within the levels that were played", ""),
-    ("difference_db", "difference in level that the increment makes", "dB"),
-    ("volume_range_db", "by how much the volume was changed meanwhile", "dB"),
-)
-DICTIONARY = (  # columns of ratings.csv, meaning, unit
-    ("participant", "number of the participant", ""),
-    ("trial", "in which order it was answered, from 1", ""),
-    ("scale", "key of the scale", ""),
-    ("texture", "key of the texture", ""),
-    ("method", "key of the method; of several surfaces that of the first, or of both that are alike", ""),
-    ("other", "key of the method that it is compared with", ""),
-    ("rating", "0 to 100 from the lowest to the highest end of the scale", "points"),
-    ("choice", "which surface was chosen", ""),
-    ("chosen", "key of its method", ""),
-    ("target", "which surface would have been right", ""),
-    ("right", "1 where it was chosen", ""),
-    ("level_db", LEVEL, "dB"),
-    ("response_s", "from when the trial was shown to the answer", "s"),
-    ("switches", "how often the hand went over to another surface", ""),
-    ("corrected", "1 where a correction holds, and not the first answer", ""),
-    ("simulated", "1 where a model of raters answered", ""),
-    ("contact_s", "the pen on virtual surfaces", "s"),
-    *((f"contact_s_{n}", f"the pen on surface {n}", "s") for n in (1, 2, 3)),
-    *((f"speed_mm_s_p{p}", f"{p}th percentile of the speed while in contact", "mm/s") for p in (10, 50, 90)),
-    *((f"force_n_p{p}", f"{p}th percentile of the force while in contact", "N") for p in (10, 50, 90)),
-    ("volume_db", "volume that was set on the page, 0 as a study begins", "dB"),
-    ("rate_hz", "rate of the page's sound", "Hz"),
-    ("newtons", "a of the tablet's curve from pressure p to force, a·exp(b·p), 0.13 in the paper", "N"),
-    ("steepness", "b of the curve, 3.32 in the paper", ""),
-    ("block_p99_ms", "99 % of blocks were rendered within", "ms"),
-    ("n_missed", "blocks that came late", ""),
-    ("n_underruns", "times that the sound had nothing to play", ""),
-    ("n_stopped", "times that the output ended by itself", ""),
-    ("software", "version of foten that stored the answer", ""),
-    ("sha256", "of the texture file", ""),
-    ("at", "when the answer was stored (UTC)", ""),
-)
+COLUMNS: dict[str, list[tuple[str, str, str]]] = {  # name, meaning, unit
+    table: [(name, meaning, unit) for name, (meaning, unit) in columns.items()]
+    for table, columns in parse_toml(Path(__file__).with_name("columns.toml").read_bytes()).items()
+}
 
 
 def write_report(results: Sequence[Result], folder: Path) -> list[Path]:
@@ -134,7 +97,7 @@ def write_data(every: Sequence[Ratings], folder: Path) -> list[Path]:
     marked = {"answers.csv": answers, "participants.csv": participants_frame(ratings)}
     if ratings.thresholds:
         marked["thresholds.csv"] = pandas.DataFrame(ratings.thresholds)
-        columns = columns + [column for column in OF_THRESHOLDS if column[0] in ratings.thresholds[0]]
+        columns = columns + of_thresholds(ratings)
     frames = {
         "ratings.csv": pandas.DataFrame(rows, columns=[name for name, *_ in dictionary_of(ratings)]),
         "ratings-wide.csv": wide,
@@ -147,7 +110,12 @@ def write_data(every: Sequence[Ratings], folder: Path) -> list[Path]:
 def dictionary_of(ratings: Ratings) -> list[tuple[str, str, str]]:
     """Columns of a study's ratings.csv, their meaning and unit: those of all tasks, and of its own."""
     left_out = {column for kind in TASKS.values() for column in kind.columns} - {*TASKS[ratings.task.kind].columns}
-    return [column for column in DICTIONARY if column[0] not in left_out]
+    return [column for column in COLUMNS["ratings"] if column[0] not in left_out]
+
+
+def of_thresholds(ratings: Ratings) -> list[tuple[str, str, str]]:
+    """Columns of thresholds that are there."""
+    return [column for column in COLUMNS["thresholds"] if column[0] in ratings.thresholds[0]]
 
 
 def rows_of(every: Sequence[Ratings]) -> list[dict[str, Any]]:

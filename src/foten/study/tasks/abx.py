@@ -7,11 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from foten.study.discrimination import EFFECT, Discrimination
-from foten.study.orders import Order, Trial
+from foten.study.discrimination import Discrimination
+from foten.study.orders import Trial
 from foten.study.sensitivity import Sensitivity, abx, abx_share
 from foten.study.statistics import Array
-from foten.study.tasks.kind import TaskKind
 
 CHOICES = ("A", "B")
 
@@ -42,19 +41,4 @@ def draw(rng: np.random.Generator, share: Array, per_pair: int) -> Sensitivity:
 
 
 ABX = Discrimination("ABX", CHOICES, abx_share, sensitivity_of, draw)
-KIND = TaskKind(
-    surfaces=surfaces,
-    read=ABX.read,
-    analyse=ABX.analyse,
-    simulate=ABX.simulate,
-    power=ABX.power,
-    effect=EFFECT,
-    effect_in_words=f"d′ = {EFFECT:g} between two methods",
-    n_studies=(200, 60),
-    order=Order(pairs=True, n_targets=2),
-    intervals=("A", "B", "X"),
-    choices=CHOICES,
-    settings=("repeats", "feedback"),
-    question=lambda task: "which_x",
-    columns=("other", "choice", "target", "right", "contact_s_1", "contact_s_2", "contact_s_3"),
-)
+KIND = ABX.kind(surfaces, ("A", "B", "X"), "which_x")

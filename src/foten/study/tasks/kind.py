@@ -99,6 +99,8 @@ class Population:
 
 Answer = tuple[dict[str, float], dict[str, float]]
 """Values of a trial, and what was measured in it."""
+People = Callable[[int, float], Callable[[Trial], Answer]]
+"""From a number and a standard normal deviate to a person: from a trial to her answer."""
 
 
 @dataclass(frozen=True)
@@ -133,7 +135,6 @@ class TaskKind:
         surfaces: methods of what is stroked in a trial, in the order shown.
         read: answers with their values, by scale, of all answers without values and the study file as a document.
         analyse: results of what `read` gives, with a reference (or None) and the correction of the stars.
-        simulate: a function of a number and a standard normal deviate, a person; which is one of a trial, her answer.
         power: by simulated studies.
         level_db: of a trial, after some answers (level [dB], right); `gain_db` is that of a surface at a level.
     """
@@ -141,7 +142,7 @@ class TaskKind:
     surfaces: Callable[[Trial], tuple[int, ...]]
     read: Callable[[Ratings, Mapping[str, Any]], list[Ratings]]
     analyse: Callable[[list[Ratings], str | None, str], list[Result]]
-    simulate: Callable[[Population, np.random.Generator], Callable[[int, float], Callable[[Trial], Answer]]]
+    simulate: Callable[[Population, np.random.Generator], People]
     power: Callable[[PowerQuery], Power]
     effect: float  # that a new study is planned to find
     effect_in_words: str

@@ -7,11 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from foten.study.discrimination import EFFECT, Discrimination
-from foten.study.orders import Order, Trial
+from foten.study.discrimination import Discrimination
+from foten.study.orders import Trial
 from foten.study.sensitivity import Sensitivity, oddity, oddity_share
 from foten.study.statistics import Array
-from foten.study.tasks.kind import TaskKind
 
 INTERVALS = ("1", "2", "3")
 
@@ -38,19 +37,4 @@ def draw(rng: np.random.Generator, share: Array, per_pair: int) -> Sensitivity:
 
 
 ODDITY = Discrimination("the three-interval oddity task", INTERVALS, oddity_share, sensitivity_of, draw)
-KIND = TaskKind(
-    surfaces=surfaces,
-    read=ODDITY.read,
-    analyse=ODDITY.analyse,
-    simulate=ODDITY.simulate,
-    power=ODDITY.power,
-    effect=EFFECT,
-    effect_in_words=f"d′ = {EFFECT:g} between two methods",
-    n_studies=(200, 60),
-    order=Order(pairs=True, n_targets=3),
-    intervals=INTERVALS,
-    choices=INTERVALS,
-    settings=("repeats", "feedback"),
-    question=lambda task: "which_odd",
-    columns=("other", "choice", "target", "right", "contact_s_1", "contact_s_2", "contact_s_3"),
-)
+KIND = ODDITY.kind(surfaces, INTERVALS, "which_odd")

@@ -14,7 +14,7 @@ from foten.study.orders import Order, Trial
 from foten.study.results import about, json_value, means_of, of_trials, p_text, who_left
 from foten.study.statistics import ALPHA, Array, pairs
 from foten.study.strengths import Strengths, bradley_terry
-from foten.study.tasks.kind import CHOICE, Answer, Population, Power, PowerQuery, Ratings, Result, TaskKind
+from foten.study.tasks.kind import CHOICE, Answer, People, Population, Power, PowerQuery, Ratings, Result, TaskKind
 
 INTERVALS = ("A", "B")
 CHANCE = 1 / 2
@@ -157,7 +157,7 @@ class Choosers:
         return strengths.overall_p, strengths.p_holm[[better in pair for pair in strengths.pairs]]
 
 
-def simulate(population: Population, rng: np.random.Generator) -> Callable[[int, float], Callable[[Trial], Answer]]:
+def simulate(population: Population, rng: np.random.Generator) -> People:
     """People who choose by log-odds of their own."""
     choosers = Choosers(population.n_methods, population.effect, better=population.better)
     people = choosers.people(rng, population.n)

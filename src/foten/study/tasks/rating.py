@@ -10,7 +10,7 @@ import numpy as np
 
 from foten.study.orders import Trial
 from foten.study.raters import MIN_DIFFERENCE, PAPER_SD, paper_raters, raters_for
-from foten.study.tasks.kind import Answer, Population, Power, PowerQuery, Ratings, TaskKind
+from foten.study.tasks.kind import Answer, People, Population, Power, PowerQuery, Ratings, TaskKind
 from foten.study.variance import analyse_means, power_of_means
 
 SIMILARITY = "similarity"  # key of the one scale where a study file has none
@@ -33,7 +33,7 @@ def read(ratings: Ratings, document: Mapping[str, Any]) -> list[Ratings]:
     return result
 
 
-def simulate(population: Population, rng: np.random.Generator) -> Callable[[int, float], Callable[[Trial], Answer]]:
+def simulate(population: Population, rng: np.random.Generator) -> People:
     """People who rate as a model of raters does."""
     drawn = {key: np.round(population.raters.draw(rng, population.n)) for key in population.scales}
 

@@ -10,7 +10,18 @@ import numpy as np
 
 from foten.study.orders import Order, Trial
 from foten.study.raters import Raters
-from foten.study.tasks.kind import CHOICE, Answer, Population, Power, PowerQuery, Ratings, Task, TaskKind, check_answers
+from foten.study.tasks.kind import (
+    CHOICE,
+    Answer,
+    People,
+    Population,
+    Power,
+    PowerQuery,
+    Ratings,
+    Task,
+    TaskKind,
+    check_answers,
+)
 from foten.study.thresholds import (
     QUANTITIES,
     UNITS,
@@ -79,7 +90,7 @@ def _thresholds(task: Task, rows: Sequence[dict[str, Any]], plays_in_page: bool)
     return result
 
 
-def simulate(population: Population, rng: np.random.Generator) -> Callable[[int, float], Callable[[Trial], Answer]]:
+def simulate(population: Population, rng: np.random.Generator) -> People:
     """People of a threshold each; that of the better method, or of one method's last texture, is lower by the effect."""
     task, n_methods, n_textures = population.task, population.n_methods, population.n_textures
 
