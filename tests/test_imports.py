@@ -103,6 +103,16 @@ def test_of_the_command_line_alone_the_study_is_known() -> None:
     assert {package(m) for m in MODULES if "study" in of_project(imported(source(m)))} == {"study", "cli"}
 
 
+def test_the_modules_of_the_study_import_one_another_in_one_direction() -> None:
+    """Also those that are imported for type checkers alone, or in functions."""
+    waiting = {m: {n for n in imported(source(m)) if n in MODULES} for m in MODULES if package(m) == "study"}
+    waiting["foten.study"] = waiting["foten.study.tasks"] = set()
+    while free := [module for module, needed in waiting.items() if not needed & waiting.keys()]:
+        for module in free:
+            del waiting[module]
+    assert not waiting
+
+
 def test_every_package_has_its_row() -> None:
     assert {package(module) for module in MODULES} == MAY_IMPORT.keys() | FOR_ALL | {""}
 

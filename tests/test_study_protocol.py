@@ -72,20 +72,24 @@ def test_an_answer_that_comes_again_or_out_of_turn_changes_nothing() -> None:
 
 
 @pytest.mark.parametrize(
-    ("setup", "seconds", "measured", "why", "again"),
+    ("kind", "setup", "seconds", "measured", "why", "again"),
     [
-        (Setup(operator=True), 9, Measured((1.0,)), "operator_holds", True),
-        (Setup(), 9, Measured((1.0,), events_coming=True), "one_moment", True),
-        (Setup(), 1, Measured((1.0,)), "explore_first", False),
-        (Setup(), 9, Measured((0.0,)), "stroke_first", False),
-        (Setup(real_checked=True), 9, Measured((1.0,)), "touch_real", False),
+        ("rating", Setup(operator=True), 9, Measured((1.0,)), "operator_holds", True),
+        ("rating", Setup(), 9, Measured((1.0,), events_coming=True), "one_moment", True),
+        ("rating", Setup(), 1, Measured((1.0,)), "explore_first", False),
+        ("abx", Setup(), 1, Measured((1.0, 1.0, 1.0)), "wait", False),  # there is no real surface
+        ("rating", Setup(), 9, Measured((0.0,)), "stroke_first", False),
+        ("abx", Setup(), 9, Measured((1.0, 0.0, 1.0)), "stroke_each", False),
+        ("rating", Setup(real_checked=True), 9, Measured((1.0,)), "touch_real", False),
     ],
 )
-def test_a_trial_may_not_end_before(setup: Setup, seconds: float, measured: Measured, why: str, again: bool) -> None:
-    design = replace(design_of(min_seconds=3.0), setup=setup)
+def test_a_trial_may_not_end_before(
+    kind: str, setup: Setup, seconds: float, measured: Measured, why: str, again: bool
+) -> None:
+    design = replace(design_of(kind, min_seconds=3.0), setup=setup)
     say = design.language.say
     with pytest.raises(RefusedError) as refused:
-        protocol.finish(design, at_trial(design), "trial:1", RATED, measured, later(seconds))
+        protocol.finish(design, at_trial(design, [Trial(1, 0, 1, 0)]), "trial:1", RATED, measured, later(seconds))
     assert str(refused.value) == say(why, **{"s": 3, "real": say("real_surface")})
     assert isinstance(refused.value, NotYetError) == again
 

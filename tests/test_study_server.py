@@ -789,14 +789,6 @@ def test_under_runs_are_those_of_the_page_that_plays(tmp_path: Path) -> None:
     assert [row["measured"]["n_underruns"] for row in server.store.ratings()] == [3, None]
 
 
-def test_who_has_no_real_surface_is_not_sent_to_both(tmp_path: Path) -> None:
-    server = server_of(abx_file(tmp_path, min_seconds="30"))
-    with joined(server) as page:
-        page.to_trial()
-        refused = page.done(values={"choice": 1})["refused"]
-    assert refused == "Explore the surfaces for 30\u00a0s first"
-
-
 def test_strokes_on_a_tablet_are_waited_for_where_the_answer_comes_back_first(tmp_path: Path) -> None:
     """Those that come later still are stored with their trial, and count for no other one; none is stored twice."""
     path = study_file(tmp_path, screens="2", practice="0")

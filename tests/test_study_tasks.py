@@ -293,11 +293,6 @@ def test_feedback_says_what_would_have_been_right(tmp_path: Path) -> None:
         trial = server.store.trials(1)[0]
         page.say(do="done", step=page.step["id"], values={"choice": (trial.target + 1) % 3})
         assert page.until("feedback")["feedback"] == {"right": False, "was": "123"[trial.target]}
-    server = server_of(task_file(tmp_path / ".", "oddity").rename(tmp_path / "other.toml"))
-    with joined(server) as page:
-        page.to_trial()
-        page.done(values={"choice": 0})
-        assert not [text for text in page.texts if "feedback" in text]  # of practice alone, by default
 
 
 def test_a_surface_of_detection_is_silent_but_the_target_and_one_of_a_difference_is_louder() -> None:
