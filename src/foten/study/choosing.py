@@ -11,12 +11,12 @@ import numpy as np
 
 from foten.recording.inspection.values import counted
 from foten.study.raters import AIM
+from foten.study.results import about, means_of, who_left
 from foten.study.statistics import ALPHA, Array
 from foten.study.tasks.kind import Power, PowerQuery, Ratings, check_answers
 
 MAX_LEANING = 0.1  # of the share of a position, above an even one
 SHOWN = (4, 8, 12, 16, 21, 30, 40, 60)  # numbers of participants whose power is printed
-COUNTED = "what they answered is counted"
 PValues = Callable[[np.random.Generator, int, int], tuple[float, Array]]
 """p of a study's overall test and of pairs, of so many participants with so many trials of each pair."""
 
@@ -34,8 +34,8 @@ def shares_of(
     return replace(ratings, quantity=quantity, unit="%", noun="choices", conditions=conditions, values=values)
 
 
-def position_shares(ratings: Ratings, names: Sequence[str]) -> tuple[dict[str, float], list[str]]:
-    """Share of trials in which each surface was chosen, and a caution where people lean to one."""
+def beginning(ratings: Ratings, names: Sequence[str], correction: str) -> tuple[dict[str, Any], list[str]]:
+    """Beginning of a document about choices between surfaces, and cautions: about who left, and a leaning to a position."""
     counts = Counter(int(row["rating"]) for row in ratings.rows)
     shares = {name: counts[k] / len(ratings.rows) for k, name in enumerate(names)}
     even = 1 / len(names)
@@ -44,7 +44,8 @@ def position_shares(ratings: Ratings, names: Sequence[str]) -> tuple[dict[str, f
         f"{name} was chosen in {100 * shares[name]:.0f} % of trials, {100 * even:.0f} % is even: a leaning to a position"
         for name in leaning[:1]
     ]
-    return shares, cautions
+    document = {**about(ratings, correction), "means": means_of(ratings), "chance": even, "positions": shares}
+    return document, who_left(ratings, "what they answered is counted") + cautions
 
 
 def by_texture(ratings: Ratings) -> dict[str, list[dict[str, Any]]]:

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 
 from foten.reporting.table import minus
-from foten.study.choosing import COUNTED, by_texture, ends, position_shares, power_of_choices, shares_of, who_compared
+from foten.study.choosing import beginning, by_texture, ends, power_of_choices, shares_of, who_compared
 from foten.study.orders import Order, Trial
-from foten.study.results import about, json_value, means_of, of_trials, p_text, who_left
+from foten.study.results import json_value, of_trials, p_text
 from foten.study.sensitivity import Sensitivity
 from foten.study.statistics import Array, holm, pairs
 from foten.study.tasks.kind import CHOICE, Answer, People, Population, Power, PowerQuery, Ratings, Result, TaskKind
@@ -72,15 +72,13 @@ class Discrimination:
     def analyse(self, every: list[Ratings], reference: str | None, correction: str) -> list[Result]:
         """d′ of each pair of methods, or of those with a reference."""
         (ratings,) = every
-        positions, leanings = position_shares(ratings, self.choices)
-        chance = 1 / len(self.choices)
-        document = {**about(ratings, correction), "means": means_of(ratings), "chance": chance, "positions": positions}
+        document, cautions = beginning(ratings, self.choices, correction)
         overall = document["sensitivity"] = self._of_pairs(ratings, ratings.rows, reference)
         document["sensitivity_within_textures"] = {
             texture: self._of_pairs(ratings, rows, reference) for texture, rows in by_texture(ratings).items()
         }
         sentences = [minus(sentence) for sentence in self._sentences(ratings, overall)]
-        return [Result(ratings, document, sentences, who_left(ratings, COUNTED) + leanings + of_trials(ratings))]
+        return [Result(ratings, document, sentences, cautions + of_trials(ratings))]
 
     def _of_pairs(
         self, ratings: Ratings, rows: Sequence[dict[str, Any]], reference: str | None

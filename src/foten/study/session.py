@@ -128,12 +128,6 @@ class Session:
             await self._apply(protocol.pen(self.state, down=bool(events[-1, 2] > 0)))
             await self.strokes.kept.save_when_due()
 
-    async def push_missed(
-        self, page: ParticipantPage, trial: int, interval: int, first: int, events: NDArray[np.float64]
-    ) -> None:
-        """Take in events of an outage."""
-        await self.strokes.push_missed(page, self.state, trial, interval, first, events)
-
     async def leave(self, page: ParticipantPage) -> None:
         """Go on without a page: its strokes are saved, and its trial stays where it is."""
         self.pages.discard(page)
@@ -269,8 +263,8 @@ class ParticipantPage(PageSocket):
             return
         try:
             _, interval, trial, first = BEFORE_MISSED.unpack_from(data)
-            events = parse_events(data[BEFORE_MISSED.size :])
-            await self._stroking().push_missed(self, trial, interval, first, events)
+            events, session = parse_events(data[BEFORE_MISSED.size :]), self._stroking()
+            await session.strokes.push_missed(self, session.state, trial, interval, first, events)
         finally:
             self.n_again -= len(data) // EVENT_BYTES
 

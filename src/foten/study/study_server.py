@@ -176,13 +176,10 @@ class StudyServer:
         return self.admitted.knows(connection.cookies.get(OPERATOR_COOKIE), OPERATOR)
 
     async def _serve_page(self, socket: WebSocket) -> None:
-        await serve_page(socket, self.pages, MAX_PAGES, self._page_at)
-
-    def _page_at(self, socket: WebSocket) -> ParticipantPage:
-        return ParticipantPage(self.study, self.participants, socket, self.device_of(socket))
-
-    def _operator_at(self, socket: WebSocket) -> OperatorPage:
-        return OperatorPage(self.participants, socket, self._about)
+        study, door = self.study, self.participants
+        await serve_page(
+            socket, self.pages, MAX_PAGES, lambda one: ParticipantPage(study, door, one, self.device_of(one))
+        )
 
     def _about(self) -> dict[str, Any]:
         """What an operator's page is told of the study."""
@@ -193,7 +190,8 @@ class StudyServer:
 
     async def _serve_operator(self, socket: WebSocket) -> None:
         if self._is_operator(socket):
-            await serve_page(socket, self.participants.operators, MAX_OPERATOR_PAGES, self._operator_at)
+            people, about = self.participants, self._about
+            await serve_page(socket, people.operators, MAX_OPERATOR_PAGES, lambda one: OperatorPage(people, one, about))
         else:
             await socket.close(1008, "this is the operator's")
 

@@ -9,15 +9,14 @@ from typing import Any
 import numpy as np
 
 from foten.reporting.table import minus
-from foten.study.choosing import COUNTED, by_texture, ends, position_shares, power_of_choices, shares_of, who_compared
+from foten.study.choosing import beginning, by_texture, ends, power_of_choices, shares_of, who_compared
 from foten.study.orders import Order, Trial
-from foten.study.results import about, json_value, means_of, of_trials, p_text, who_left
+from foten.study.results import json_value, of_trials, p_text
 from foten.study.statistics import ALPHA, Array, pairs
 from foten.study.strengths import Strengths, bradley_terry
 from foten.study.tasks.kind import CHOICE, Answer, People, Population, Power, PowerQuery, Ratings, Result, TaskKind
 
 INTERVALS = ("A", "B")
-CHANCE = 1 / 2
 EFFECT = 0.65  # share of choices of the better method over another one
 
 
@@ -39,9 +38,7 @@ def read(ratings: Ratings, _document: Mapping[str, Any]) -> list[Ratings]:
 def analyse(every: list[Ratings], reference: str | None, correction: str) -> list[Result]:
     """Strengths of methods."""
     (ratings,) = every
-    positions, leanings = position_shares(ratings, INTERVALS)
-    document = {**about(ratings, correction), "means": means_of(ratings), "chance": CHANCE, "positions": positions}
-    cautions = who_left(ratings, COUNTED) + leanings
+    document, cautions = beginning(ratings, INTERVALS, correction)
     index = None if reference is None else ratings.methods.index(reference)
     strengths = bradley_terry(wins_in(ratings, ratings.rows), index)
     document["strengths"] = _as_json(ratings.methods, strengths)
