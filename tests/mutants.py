@@ -467,7 +467,7 @@ MUTANTS = (
         ("practice answers lead the level search", "Store.levels", "Constant 1", "it.replace('> 0', '>= 0')"),
         tests="study_store",
     ),
-    *of_python("study/session.py", ("pauses are contact", "contact_s", "Compare Gt 0", "True"), tests="study_store"),
+    *of_python("study/strokes.py", ("pauses are contact", "contact_s", "Compare Gt 0", "True"), tests="study_store"),
     *of_python(
         "studio/levels.py",
         ("gains are over the widest range", "_conditions", "Call max", "it.func.value.min(0)"),

@@ -108,6 +108,16 @@ def test_of_the_command_line_alone_the_study_is_known() -> None:
     assert {path for path in named if path.parts[0] != "study"} == {Path("cli", "commands.py")}
 
 
+def test_the_modules_of_the_study_import_one_another_in_one_direction() -> None:
+    """Also those that are imported for type checkers alone, or in functions."""
+    waiting = {m: {n for n in imported(source(m)) if n in MODULES} for m in MODULES if package(m) == "study"}
+    waiting["foten.study"] = waiting["foten.study.tasks"] = set()
+    while free := [module for module, needed in waiting.items() if not needed & waiting.keys()]:
+        for module in free:
+            del waiting[module]
+    assert not waiting
+
+
 def test_every_package_has_its_row() -> None:
     assert {package(module) for module in MODULES} == MAY_IMPORT.keys() | FOR_ALL | {""}
 
@@ -175,7 +185,11 @@ def defaults(tree: ast.AST) -> Iterator[tuple[str, ast.Call | ast.expr]]:
 
 
 def test_switches_of_commands_are_off_and_seeds_begin_at_0() -> None:
-    commands = [module for module in MODULES if package(module) == "cli" or module == "foten.study.commands"]
+    commands = [
+        module
+        for module in MODULES
+        if package(module) == "cli" or (module.startswith("foten.study.") and "command" in module)
+    ]
     options = [(name, ast.unparse(value)) for module in commands for name, value in defaults(source(module))]
     on = {name for name, text in options if text == "True" or text.startswith("Option(True")}
     assert on == {"feel", "open_page", "tiles"}
@@ -207,6 +221,16 @@ for name in sys.argv[1:]:
     importlib.import_module(name)
 """
     run(code, *free)
+
+
+def test_adapt_needs_nothing_of_the_statistics_of_a_study() -> None:
+    code = """
+import sys
+for name in ("pandas", "statsmodels", "scipy.stats"):
+    sys.modules[name] = None
+import foten.study.adapt_command, foten.study.adapt_server
+"""
+    run(code)
 
 
 def test_a_page_for_any_host_needs_no_server(tmp_path: Path) -> None:

@@ -34,9 +34,10 @@ import pytest
 from scipy import stats
 from scipy.special import expit, ndtr, ndtri
 
-from foten.study import choices
-from foten.study.choices import Sensitivity, Strengths, abx, abx_share, bradley_terry, d_prime_at, oddity, oddity_share
+from foten.study import sensitivity
+from foten.study.sensitivity import Sensitivity, abx, abx_share, d_prime_at, oddity, oddity_share
 from foten.study.statistics import Array
+from foten.study.strengths import Strengths, bradley_terry
 
 SLOW = pytest.mark.slow
 ALARMS = 0.0365, 0.0635  # shares of 1,000 null studies within two standard errors of 5 %
@@ -71,7 +72,7 @@ STRENGTHS = {
 def test_shares_of_all_right_or_none_are_half_an_answer_from_the_end() -> None:
     for n_right, share in ((0.0, 0.1), (2.0, 0.5), (4.0, 0.9)):
         right, trials = np.full((2, 1), n_right), np.full((2, 1), 4.0)
-        assert choices._unbiased_share(np.ones((1, 1)), right, trials)[0] == pytest.approx(share)
+        assert sensitivity._unbiased_share(np.ones((1, 1)), right, trials)[0] == pytest.approx(share)
 
 
 @pytest.mark.parametrize("shape", STRENGTHS, ids=str)

@@ -11,9 +11,11 @@ import numpy as np
 import pytest
 
 from foten.study import languages
-from foten.study.design import TASKS, read_design, study_text, task_of, titled
+from foten.study.design import read_design, task_of, titled
 from foten.study.languages import read_language
+from foten.study.new_study import study_text
 from foten.study.orders import balance, orders, planned, square, williams
+from foten.study.tasks.table import TASKS
 
 FILES = {
     "mesh": {"ar": "mesh-ar.foten", "foten": "mesh.foten"},

@@ -17,8 +17,8 @@ from typing import Any
 import pytest
 
 from foten.study.languages import Language, read_language
-from foten.study.orders import SWAPPED
 from foten.study.store import Store
+from foten.study.tasks.table import TASKS
 from test_studio_page import CHROMIUM, chromium, look, playwright, until
 from test_study_commands import SAID, started_study
 from test_study_server import study_file
@@ -631,7 +631,7 @@ def test_a_trial_of_each_kind_is_stroked_and_answered(
     """Each surface is asked for, what is chosen is stored with its contact, and the page looks well."""
     language = read_language(code)
     study = study_file(tmp_path, 1, 2, language=code, practice="0", min_seconds="0.5")
-    task = f'kind = "{kind}"' + "\nrepeats = 4" * (kind in SWAPPED)
+    task = f'kind = "{kind}"' + "\nrepeats = 4" * TASKS[kind].order.pairs
     text = study.read_text(encoding="utf-8").replace('kind = "rating"', task)
     # Questions are those of the task, in the study's language.
     text = re.sub("^(question|lowest|highest) = .*\n", "", text, flags=re.M)

@@ -38,16 +38,20 @@ from foten.studio.access import LOOPBACK, Access, Admitted, access_to
 from foten.studio.levels import gains_db
 from foten.studio.messages import MAX_EVENTS, RefusedError
 from foten.studio.websocket import MAX_WAITING_BLOCKS, MAX_WAITING_TEXTS
-from foten.study import page_sockets, study_server
+from foten.study import participant_store, study_server
 from foten.study import session as session_module
-from foten.study import store as store_module
-from foten.study.analysis import of_trials, read_ratings
-from foten.study.design import study_text, titled
+from foten.study import study_file as file_module
+from foten.study.analysis import read_ratings
+from foten.study.design import titled
 from foten.study.languages import read_language
 from foten.study.loading import load_study
-from foten.study.page_sockets import BEFORE_MISSED, ELSEWHERE, JOIN_AGAIN, MISSED, NOT_ALLOWED
-from foten.study.session import RETURNED, Session, conditions_of
-from foten.study.store import FullError, Store
+from foten.study.new_study import study_text
+from foten.study.participants import JOIN_AGAIN, NOT_ALLOWED, RETURNED
+from foten.study.results import of_trials
+from foten.study.session import BEFORE_MISSED, ELSEWHERE, MISSED, Session
+from foten.study.store import Store
+from foten.study.strokes import conditions_of
+from foten.study.study_file import FullError
 from foten.study.study_server import OPERATOR, OPERATOR_COOKIE, StudyServer, study_files
 from test_studio_server import HERE, LOCAL, WS
 
@@ -78,9 +82,9 @@ def study_file(
     return path
 
 
-def server_of(path: Path) -> StudyServer:
+def server_of(path: Path, admitted: Admitted | None = None) -> StudyServer:
     study = load_study(path)
-    return StudyServer(study.open_store(path.with_suffix(".db")), study)
+    return StudyServer(study.open_store(path.with_suffix(".db")), study, admitted)
 
 
 @contextlib.contextmanager
@@ -228,7 +232,7 @@ def test_no_byte_that_a_participant_is_sent_names_or_orders_methods(tmp_path: Pa
     assert len({tuple(one) for one in stored}) == 3  # they were given different orders
     assert said[0] == said[1] == said[2]
     everything = "\n".join(text for texts in said for text in texts).lower()
-    for word in ("dstn", "ldhtd", ".foten", '"method', *(one.sha256 for one in server.stimuli.listed)):
+    for word in ("dstn", "ldhtd", ".foten", '"method', *(one.sha256 for one in server.study.stimuli.listed)):
         assert word not in everything
     assert not re.search(r"[\"' -]ar[\"' ,.]", "\n".join(text for texts in said[:3] for text in texts).lower())
 
@@ -340,8 +344,8 @@ def test_a_trial_that_was_not_stroked_is_not_rated(tmp_path: Path) -> None:
 
 def test_another_program_that_holds_the_file_costs_no_answer(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Nor a page that strokes its connection: it is answered before it could seem lost."""
-    assert store_module.BUSY_S <= 3.0
-    monkeypatch.setattr(store_module, "BUSY_S", 0.4)
+    assert file_module.BUSY_S <= 3.0
+    monkeypatch.setattr(file_module, "BUSY_S", 0.4)
     server = server_of(study_file(tmp_path, practice="0"))
     with joined(server, rate_hz=8000) as page:
         page.to_trial()
@@ -497,7 +501,7 @@ def test_places_of_those_who_answer_nothing_are_returned_with_their_orders(tmp_p
         assert asked(client, "DDDDD")["joined"] == "DDDDD"
         assert closed_by(c) == RETURNED
         assert server.store.codes() == {"AAAAA": 1, "BBBBB": 2, "DDDDD": 3}
-        steps = server.sessions[3].steps
+        steps = server.sessions[3].state.steps
         assert [step["trial"] for step in steps if step["kind"] == "trial"] == server.store.trials(3)
         assert asked(client, "CCCCC") == all_begun
     server.store.close()
@@ -559,7 +563,7 @@ def test_pages_that_do_not_join_keep_nobody_out(tmp_path: Path, monkeypatch: pyt
             with pytest.raises(WebSocketDisconnect), devices.operator() as operate:
                 operate(lambda said: True)
             third.answer()
-        monkeypatch.setattr(page_sockets, "JOIN_S", 0.1)
+        monkeypatch.setattr(session_module, "JOIN_S", 0.1)
         monkeypatch.setattr(study_server, "MAX_PAGES", 5)
         asking, _ = stack.enter_context(devices.asking(devices.new(), code="AAAAA"))
         assert closed_by(idle()) == 1008
@@ -580,7 +584,7 @@ def test_contact_before_a_restart_counts_too(tmp_path: Path) -> None:
         page.stroke(40)
         page.stroke_until_it_sounds()
         code = page.code
-        log = first.sessions[1]._log
+        log = first.sessions[1].strokes.log
         deadline = time.monotonic() + 10
         while len(log.conditions) < 20:
             page.bytes += len(page.socket.receive().get("bytes") or b"")
@@ -636,7 +640,7 @@ def test_strokes_of_a_long_outage_are_all_stored_in_their_order(
         send_again(page, events[1300:], 1300)
         page.answer(33.0)
         assert not any("refused" in text for text in page.texts)
-        monkeypatch.setattr(session_module, "MAX_MISSED", 100)
+        monkeypatch.setattr(participant_store, "MAX_MISSED", 100)
         send_again(page, outage(128), trial=2)
         assert page.until("refused")["refused"] == "more than 100 events of trial 2 that are sent again"
     np.testing.assert_array_equal(server.store.strokes(1, 1), events)
@@ -653,14 +657,14 @@ def abx_file(folder: Path, **changes: str) -> Path:
 
 def slow_to_open(session: Session) -> None:
     """Let the contact of a session take half a second to go over to another surface."""
-    assert session.contact is not None
-    open_at_once = session.contact.open
+    assert session.strokes.sound.contact is not None
+    open_at_once = session.strokes.sound.contact.open
 
     def open_later(*about: Any) -> None:
         time.sleep(0.5)
         open_at_once(*about)
 
-    session.contact.open = open_later  # type: ignore[method-assign]
+    session.strokes.sound.contact.open = open_later  # type: ignore[method-assign]
 
 
 def test_a_page_learns_of_a_switch_at_once_and_nothing_is_loaded_for_it(
@@ -749,7 +753,7 @@ def test_markers_come_in_pairs_wherever_the_hand_goes(tmp_path: Path, compared: 
         def send(self, event: str, trial: int, surface: int | None = None, **about: Any) -> None:
             sent.append((event, trial, surface))
 
-    server.markers = Recorder()  # type: ignore[assignment]
+    server.study.markers = Recorder()  # type: ignore[assignment]
     sides = [("virtual", 1), ("virtual", 0)] if compared else [("real", 0), ("virtual", 0)]
     with served(server) as client, client.websocket_connect(SESSION) as socket:
         page = Page(socket, rate_hz=8000)
@@ -783,14 +787,6 @@ def test_under_runs_are_those_of_the_page_that_plays(tmp_path: Path) -> None:
         for _ in range(2):
             screen.done(values={"similarity": 40.0})
     assert [row["measured"]["n_underruns"] for row in server.store.ratings()] == [3, None]
-
-
-def test_who_has_no_real_surface_is_not_sent_to_both(tmp_path: Path) -> None:
-    server = server_of(abx_file(tmp_path, min_seconds="30"))
-    with joined(server) as page:
-        page.to_trial()
-        refused = page.done(values={"choice": 1})["refused"]
-    assert refused == "Explore the surfaces for 30\u00a0s first"
 
 
 def test_strokes_on_a_tablet_are_waited_for_where_the_answer_comes_back_first(tmp_path: Path) -> None:
@@ -913,12 +909,12 @@ def test_an_output_that_ends_by_itself_is_said_counted_and_begun_again(tmp_path:
         page.to_trial()
         page.stroke_until_it_sounds()
         session = server.sessions[1]
-        assert session.contact is not None
+        assert session.strokes.sound.contact is not None
 
         def unplugged(out: np.ndarray) -> None:
             raise OSError("the device was unplugged")
 
-        player = session.contact.player
+        player = session.strokes.sound.contact.player
         player._render = unplugged  # type: ignore[attr-defined]
         while player.running:
             time.sleep(0.01)
@@ -938,7 +934,7 @@ def test_an_output_that_ends_by_itself_is_said_counted_and_begun_again(tmp_path:
 def test_a_device_that_refuses_to_begin_is_given_back(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Each event of the pen opened it once more."""
     server, stopped = server_of(study_file(tmp_path, practice="0")), list[bool]()
-    make = server.player
+    make = server.study.player
 
     def player(rate_hz: float) -> Any:
         made = make(rate_hz)
@@ -946,7 +942,7 @@ def test_a_device_that_refuses_to_begin_is_given_back(tmp_path: Path, monkeypatc
         monkeypatch.setattr(made, "stop", lambda: stopped.append(True))
         return made
 
-    monkeypatch.setattr(server, "player", player)
+    monkeypatch.setattr(server.study, "player", player)
     with joined(server, rate_hz=8000) as page:
         page.to_trial()
         page.stroke(1)
@@ -1139,8 +1135,7 @@ def test_who_knows_a_code_goes_on_where_another_device_was_once_the_operator_all
 
 def test_the_first_device_of_each_role_joins_freely_and_they_stay_theirs_after_a_restart(tmp_path: Path) -> None:
     path, known = study_file(tmp_path, screens="2"), tmp_path / "devices.json"
-    server = server_of(path)
-    server.admitted = Admitted(known)
+    server = server_of(path, Admitted(known))
     with on_the_network(server) as devices:
         tablet, screen, other = devices.new(), devices.new(), devices.new()
         with (
@@ -1155,10 +1150,9 @@ def test_the_first_device_of_each_role_joins_freely_and_they_stay_theirs_after_a
                 pass
     server.store.close()
     assert not any(secret in known.read_text() for secret in (tablet, screen, other))
-    server = server_of(path)
-    server.admitted = Admitted(known)
+    server = server_of(path, Admitted(known))
     said: list[str] = []
-    server.say = said.append
+    server.participants.say = said.append
     with on_the_network(server) as devices:
         with devices.asking(other, code="KXWQA", role="stroke"), devices.page(tablet, code="KXWQA", role="stroke"):
             pass
@@ -1171,8 +1165,7 @@ def test_the_first_device_of_each_role_joins_freely_and_they_stay_theirs_after_a
 
 
 def test_a_disk_that_refuses_the_devices_shuts_none_out(tmp_path: Path) -> None:
-    server = server_of(study_file(tmp_path))
-    server.admitted = Admitted(tmp_path / "no folder" / "devices.json")
+    server = server_of(study_file(tmp_path), Admitted(tmp_path / "no folder" / "devices.json"))
     with (
         on_the_network(server) as devices,
         devices.page(devices.new(), fresh="KXWQA") as page,
@@ -1267,7 +1260,7 @@ def test_nothing_is_lost_while_the_file_cannot_be_written(tmp_path: Path) -> Non
         server.store._connection.execute(f"PRAGMA query_only = {'ON' if on else 'OFF'}")
 
     with served(server) as client, client.websocket_connect(SESSION) as socket:
-        code = client.portal.call(server.begin).code
+        code = client.portal.call(server.participants.begin).code
         session, page = server.sessions[1], Page(socket, code=code, rate_hz=8000)
 
         def go() -> None:
@@ -1356,7 +1349,7 @@ def test_a_participant_is_refused_in_the_language_of_the_study(tmp_path: Path, m
         assert page.answer()["refused"] == "Erkunden Sie zuerst 1\u00a0s lang beide Oberflächen"
         time.sleep(0.5)
         assert page.answer()["refused"] == german.words["stroke_first"]
-        monkeypatch.setattr(server, "player", lambda _: (_ for _ in ()).throw(OSError("no such device")))
+        monkeypatch.setattr(server.study, "player", lambda _: (_ for _ in ()).throw(OSError("no such device")))
         page.stroke(1)
         assert page.until("refused")["refused"] == german.words["cannot_play"]
         assert server.sessions[1].for_operator()["trouble"] == "nothing can be played: no such device"

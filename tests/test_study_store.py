@@ -21,8 +21,9 @@ from foten import __version__
 from foten.study.analysis import read_ratings
 from foten.study.orders import orders
 from foten.study.schema import GUARDS, VERSION, Stimulus, create, now
-from foten.study.session import contact_s
-from foten.study.store import MAX_VALUE, FullError, Rated, Store, Stroked
+from foten.study.store import Rated, Store, Stroked
+from foten.study.strokes import contact_s
+from foten.study.study_file import MAX_VALUE, FullError
 
 TEXTURES, METHODS = 3, 2
 SECOND_RATING = (

@@ -9,6 +9,7 @@ import re
 import time
 import zipfile
 from collections import Counter
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -21,19 +22,26 @@ from scipy import stats
 
 from conftest import check_figures
 from foten.studio.access import Admitted
-from foten.study import raters
+from foten.study import choosing, raters, study_server
 from foten.study.analysis import TooFewError, analyse, read_ratings
-from foten.study.choosers import Choosers, power, simulate_study, threshold_raters
-from foten.study.design import TASKS, Task, read_design
+from foten.study.design import read_design
+from foten.study.languages import read_language
 from foten.study.loading import load_study
 from foten.study.markers import NAME, Markers
 from foten.study.orders import balance, orders
 from foten.study.raters import raters_for
 from foten.study.rating_figures import figures_of
 from foten.study.record import _contacts, bids, events_of, psych_ds
-from foten.study.report import write_data, write_report
+from foten.study.report import COLUMNS, write_data, write_report
+from foten.study.simulation import simulate_study
 from foten.study.statistics import ALPHA, anova
 from foten.study.store import Rated, Store, Stroked
+from foten.study.tasks.abx import ABX
+from foten.study.tasks.kind import Task
+from foten.study.tasks.oddity import ODDITY
+from foten.study.tasks.paired import Choosers
+from foten.study.tasks.table import TASKS
+from foten.study.tasks.threshold import threshold_raters
 from foten.study.thresholds import SILENT_DB, gain_db, level_search, noticeable_db, simulated_answers, thresholds_of
 from test_study_commands import foten
 from test_study_server import joined, served, server_of, study_file
@@ -73,7 +81,7 @@ def simulated(folder: Path, kind: str, lines: str = "", effect: float = 0.0, **o
 @pytest.mark.parametrize("kind", COMPARING)
 def test_every_pair_is_shown_in_both_orders_as_often(kind: str) -> None:
     """Either method of a pair is the first as often as the other in the trials of a participant, up to one, and in practice."""
-    for trials in orders(9, 6, 3, 5, 2, "balanced", kind, repeats=2):
+    for trials in orders(9, 6, 3, 5, 2, "balanced", TASKS[kind].order, repeats=2):
         counted = [trial for trial in trials if not trial.practice]
         shown = Counter((t.method, t.other) for t in counted)
         assert len(shown) == 6
@@ -87,7 +95,7 @@ def test_every_pair_is_shown_in_both_orders_as_often(kind: str) -> None:
 def test_who_counts_knows_no_more_of_what_is_right(kind: str, n_targets: int) -> None:
     """Someone who feels nothing and names what has been right least often so far, of this pair or texture, is right by chance."""
     right = n = 0
-    for trials in orders(100, 2, 2, 8, 2, "balanced", kind, repeats=20):
+    for trials in orders(100, 2, 2, 8, 2, "balanced", TASKS[kind].order, repeats=20):
         seen: dict[Any, Counter[int]] = {}
         for trial in trials:
             counts = seen.setdefault((trial.texture, frozenset((trial.method, trial.other))), Counter())
@@ -100,8 +108,8 @@ def test_who_counts_knows_no_more_of_what_is_right(kind: str, n_targets: int) ->
 
 def test_intervals_hold_what_the_task_says() -> None:
     for kind in ("abx", "oddity"):
-        for trial in orders(1, 3, 3, 1, 0, "random", kind)[0]:
-            shown = trial.intervals(kind)
+        for trial in orders(1, 3, 3, 1, 0, "random", TASKS[kind].order)[0]:
+            shown = TASKS[kind].surfaces(trial)
             assert len(shown) == 3
             if kind == "abx":
                 assert shown[2] == shown[trial.target]
@@ -113,10 +121,11 @@ def test_intervals_hold_what_the_task_says() -> None:
 
 
 def test_thresholds_are_asked_in_rounds_that_each_hold_all() -> None:
-    for trials in orders(3, 2, 3, 1, 0, "balanced", "threshold", repeats=12):
+    order = TASKS["threshold"].order
+    for trials in orders(3, 2, 3, 1, 0, "balanced", order, repeats=12):
         rounds = np.array([(t.texture, t.method) for t in trials]).reshape(12, 6, 2)
         assert all(len(set(map(tuple, one))) == 6 for one in rounds.tolist())
-    first = balance(orders(6, 2, 3, 1, 0, "balanced", "threshold", repeats=9), 2, 3, "threshold")["method first"]
+    first = balance(orders(6, 2, 3, 1, 0, "balanced", order, repeats=9), 2, 3, order)["method first"]
     assert first == (108, 108)
 
 
@@ -154,6 +163,25 @@ def test_one_method_is_enough_for_a_threshold_alone(tmp_path: Path) -> None:
     assert read_design(task_file(tmp_path, "threshold", n_methods=1))[0].n_trials == 2 * 25
     with pytest.raises(ValueError, match="has 1 method, expected two or more"):
         read_design(task_file(tmp_path, "oddity", n_methods=1))
+
+
+@pytest.mark.parametrize("kind", TASKS)
+def test_a_task_of_the_table_is_whole(kind: str) -> None:
+    """Its surfaces, answers, words, columns and script are there, and its settings those of a study file."""
+    task = TASKS[kind]
+    for trials in orders(3, 2, 3, 1, 2, "balanced", task.order, repeats=2):
+        for trial in trials:
+            surfaces = task.surfaces(trial)
+            assert len(surfaces) == max(1, len(task.intervals))
+            assert set(surfaces) <= {trial.method, trial.other}
+            assert 0 <= trial.target < max(1, task.order.n_targets)
+    assert set(task.choices) <= set(task.intervals)
+    assert task.order.n_targets in (0, len(task.choices))
+    assert (Path(study_server.PAGES) / f"{task.form}.js").is_file()
+    assert task.question(Task(kind)) in read_language().words
+    assert set(task.columns) <= {name for name, *_ in COLUMNS["ratings"]}
+    assert set(task.settings) <= {one.name for one in fields(Task)}
+    assert all(line.format_map(dict.fromkeys(("question", "lowest", "highest"), "''")) for line in task.new_lines)
 
 
 # Trials
@@ -195,14 +223,14 @@ def test_surfaces_of_one_trial_sound_as_their_methods_do(tmp_path: Path) -> None
         page.to_trial()
         session = server.sessions[1]
         page.stroke_until_it_sounds()
-        assert session.contact is not None
-        original = session.contact.open
+        assert session.strokes.sound.contact is not None
+        original = session.strokes.sound.contact.open
 
         def watched(texture: bytes, *others: Any) -> None:
             opened.append(texture)
             original(texture, *others)
 
-        session.contact.open = watched  # type: ignore[method-assign]
+        session.strokes.sound.contact.open = watched  # type: ignore[method-assign]
         for interval in (1, 2):
             page.say(do="side", side="virtual", interval=interval)
             page.until("step")
@@ -211,7 +239,7 @@ def test_surfaces_of_one_trial_sound_as_their_methods_do(tmp_path: Path) -> None
             while len(opened) < interval and time.monotonic() < until:
                 time.sleep(0.01)
         trial = server.store.trials(1)[0]
-    expected = [server.stimuli.bytes_of[trial.texture, method] for method in trial.intervals("oddity")[1:]]
+    expected = [server.study.stimuli.bytes_of[trial.texture, method] for method in TASKS["oddity"].surfaces(trial)[1:]]
     assert opened == expected
 
 
@@ -265,11 +293,6 @@ def test_feedback_says_what_would_have_been_right(tmp_path: Path) -> None:
         trial = server.store.trials(1)[0]
         page.say(do="done", step=page.step["id"], values={"choice": (trial.target + 1) % 3})
         assert page.until("feedback")["feedback"] == {"right": False, "was": "123"[trial.target]}
-    server = server_of(task_file(tmp_path / ".", "oddity").rename(tmp_path / "other.toml"))
-    with joined(server) as page:
-        page.to_trial()
-        page.done(values={"choice": 0})
-        assert not [text for text in page.texts if "feedback" in text]  # of practice alone, by default
 
 
 def test_a_surface_of_detection_is_silent_but_the_target_and_one_of_a_difference_is_louder() -> None:
@@ -327,6 +350,14 @@ def test_thresholds_of_simulated_people_are_found() -> None:
     assert errors.std() < 4.0
 
 
+def p_values_of(kind: str, n_methods: int, effect: float) -> choosing.PValues:
+    """p values of simulated studies of a task."""
+    if kind == "paired":
+        return Choosers(n_methods, effect).p_values
+    task = {"abx": ABX, "oddity": ODDITY}[kind]
+    return lambda rng, n, per_pair: task.p_values(rng, n, per_pair, n_methods, effect)
+
+
 def null_rate(kind: str, n_studies: int = N_NULL) -> float:
     """Share of null studies of 16 people in which the overall test of a task finds something; of a single pair where d′ is
     tested, since the smallest adjusted p of several is conservative.
@@ -334,8 +365,8 @@ def null_rate(kind: str, n_studies: int = N_NULL) -> float:
     rng = np.random.default_rng(7)
     if kind in COMPARING:
         n_methods, per_pair = (3, 6) if kind == "paired" else (2, 12)
-        choosers = NoPreference(kind, n_methods, 0.5) if kind == "paired" else Choosers(kind, n_methods, 0.0)
-        return float(np.mean([choosers.p_values(rng, 16, per_pair)[0] < ALPHA for _ in range(n_studies)]))
+        p_values = NoPreference(n_methods, 0.5).p_values if kind == "paired" else p_values_of(kind, n_methods, 0.0)
+        return float(np.mean([p_values(rng, 16, per_pair)[0] < ALPHA for _ in range(n_studies)]))
     if kind == "rating":
         y = raters_for(2, 1, 0.0).draw(rng, 16, n_studies)
         return float((anova(y)[0].p_corrected < ALPHA).mean())
@@ -362,8 +393,8 @@ def test_null_studies_find_something_in_one_of_twenty(kind: str) -> None:
 
 @pytest.mark.parametrize(("kind", "weak", "strong"), [("paired", 0.55, 0.8), ("abx", 0.5, 2.0), ("oddity", 0.5, 2.0)])
 def test_power_grows_with_the_effect_and_with_people(kind: str, weak: float, strong: float) -> None:
-    few, many = (power(Choosers(kind, 3, strong), n, 6, 40, 0)["pair"] for n in (4, 21))
-    assert power(Choosers(kind, 3, weak), 21, 6, 40, 0)["pair"] < many
+    few, many = (choosing.power(p_values_of(kind, 3, strong), n, 6, 40, 0)["pair"] for n in (4, 21))
+    assert choosing.power(p_values_of(kind, 3, weak), 21, 6, 40, 0)["pair"] < many
     assert few < many
     assert many > 0.8
 
@@ -596,7 +627,7 @@ def test_markers_name_trials_contacts_and_answers_and_no_method(tmp_path: Path) 
         def send(self, event: str, **about: Any) -> None:
             sent.append({"event": event, **about})
 
-    server.markers = Recorder()  # type: ignore[assignment]
+    server.study.markers = Recorder()  # type: ignore[assignment]
     with joined(server) as page:
         page.to_trial()
         page.stroke()

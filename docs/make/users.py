@@ -21,7 +21,7 @@ from foten.dsp.adaptive import Comparison, Detection, LevelSearch, PreferenceSea
 from foten.dsp.inference import standard_error
 from foten.editing.user import MOVES, TONES_HZ, UserProfile
 from foten.reporting.table import Table
-from foten.studio.adapt_session import Question, Session, answered_by
+from foten.study.adapt_session import Question, Session, answered_by
 
 WRONG = 0.1
 JND = 0.2  # of half of a range

@@ -71,6 +71,21 @@ def say(text: str) -> None:
     print(_shown_lines(text), file=sys.stderr, flush=True)
 
 
+def open_in_browser(link: str) -> None:
+    """Open a page on this machine, or say that it has to be opened by hand."""
+    import webbrowser
+
+    if not webbrowser.open(link):
+        say("no browser could be opened here: open the link above")
+
+
+def say_code(link: str) -> None:
+    """Print a link as a code that a tablet scans."""
+    import segno
+
+    segno.make(link, error="l").terminal(out=sys.stderr, compact=True)
+
+
 def _shown_lines(text: str) -> str:
     """Text for a terminal; names in it may come from a file of anyone's."""
     return "\n".join(shown(line) for line in text.split("\n"))

@@ -27,7 +27,7 @@ COMMANDS = {
     "library": "foten.cli.texture_library:app",
     "library search": "foten.cli.words:search",
     "tool": "foten.cli.editing:tool",
-    "adapt": "foten.cli.adapt:adapt",
+    "adapt": "foten.study.adapt_command:adapt",
     "sweep": "foten.cli.experiments:sweep",
     "tables": "foten.cli.experiments:tables",
     "figures": "foten.cli.experiments:figures",

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import shutil
-import sys
 from contextlib import ExitStack
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -14,7 +13,7 @@ from typer import Argument, Option
 from foten.atomic_write import reason
 from foten.cli.render import user_with
 from foten.cli.stroke_options import Actuator, Channel, Device, Gain, UserFile
-from foten.console import say
+from foten.console import open_in_browser, say, say_code
 from foten.editing.user import UserProfile, adapted
 from foten.models.texture_file import read_texture, write_texture
 from foten.recording.recording import counted
@@ -114,18 +113,3 @@ def _for_user(paths: list[Path], profile: UserProfile, folder: Path) -> list[Pat
             if picture.is_file():
                 shutil.copy(picture, place)
     return written
-
-
-def open_in_browser(link: str) -> None:
-    """Open a page on this machine, or say that it has to be opened by hand."""
-    import webbrowser
-
-    if not webbrowser.open(link):
-        say("no browser could be opened here: open the link above")
-
-
-def say_code(link: str) -> None:
-    """Print a link as a code that a tablet scans."""
-    import segno
-
-    segno.make(link, error="l").terminal(out=sys.stderr, compact=True)

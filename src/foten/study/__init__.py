@@ -1,1 +1,1 @@
-"""The perceptual study (Sec. VII): design, power, store, statistics, report. Its pages and server live in `studio`."""
+"""People are asked: the perceptual study (Sec. VII), from its file to its report, and the session of `foten adapt`."""

@@ -98,8 +98,8 @@ class Study:
     def orders(self) -> list[list[Trial]]:
         """Trials of the participants, and of some more for those who leave."""
         design, counts = self.design, (len(self.design.textures), len(self.design.methods))
-        task = {"task": design.task.kind, "repeats": design.repeats}
-        return planned(design.participants, *counts, design.seed, design.practice, design.order, **task)
+        task = design.kind.order, design.repeats
+        return planned(design.participants, *counts, design.seed, design.practice, design.order, *task)
 
     def noise(self) -> AbstractContextManager[Any]:
         """A context in which white noise plays, where the study asks for it."""

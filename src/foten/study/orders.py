@@ -16,12 +16,17 @@ from numpy.typing import NDArray
 Rows = NDArray[np.int64]
 Condition = tuple[int, int | None]  # a method, and another one that it is compared with
 
-SWAPPED = ("paired", "abx", "oddity")  # tasks that compare two methods: either is the first as often as the other
-N_TARGETS = {
-    "abx": 2,
-    "oddity": 3,
-    "threshold": 3,
-}  # places of what is right, drawn anew for each trial: nothing to count
+
+@dataclass(frozen=True)
+class Order:
+    """How the trials of a task follow from textures and methods."""
+
+    pairs: bool = False  # two methods are compared: either is the first as often as the other
+    n_targets: int = 0  # places of what is right, drawn anew for each trial: nothing to count
+    rounds: bool = False  # answers come in rounds, each of all textures and methods in an order of its own
+
+
+SINGLE = Order()  # each method by itself
 
 
 @dataclass(frozen=True)
@@ -42,25 +47,12 @@ class Trial:
         """Whether it does not count."""
         return self.number < 1
 
-    def intervals(self, task: str) -> tuple[int, ...]:
-        """Methods of what is stroked, in the order shown."""
-        pair = self.method, self.method if self.other is None else self.other
-        if task == "paired":
-            return pair
-        if task == "abx":
-            return (*pair, pair[self.target])
-        if task in ("oddity", "threshold"):
-            return tuple(pair[i == self.target] for i in range(3))
-        return (self.method,)
 
-
-def conditions(task: str, n_methods: int, repeats: int = 1) -> list[Condition]:
+def conditions(kind: Order, n_methods: int, repeats: int = 1) -> list[Condition]:
     """What a participant judges on each texture: methods, or pairs of them."""
-    methods = range(n_methods)
-    asked: list[Condition] = [(method, None) for method in methods]
-    if task in SWAPPED:
-        asked = [*combinations(methods, 2)]
-    return repeats * asked
+    single: list[Condition] = [(method, None) for method in range(n_methods)]
+    pairs: list[Condition] = [*combinations(range(n_methods), 2)]
+    return repeats * (pairs if kind.pairs else single)
 
 
 def williams(k: int) -> Rows:
@@ -79,7 +71,7 @@ def orders(
     seed: int,
     practice: int,
     order: str,
-    task: str = "rating",
+    kind: Order = SINGLE,
     repeats: int = 1,
 ) -> list[list[Trial]]:
     """Trials of each participant, practice first.
@@ -88,15 +80,14 @@ def orders(
         n_textures, n_methods: each texture with each method, or each pair of them, is a trial.
         seed: of everything that is drawn.
         practice: how many trials come before, drawn from the same.
-        order: "balanced", or "random" for a permutation drawn for each participant, as in Sec. VII. A threshold's answers come in
-            rounds, each of all textures and methods in an order of its own.
-        task: rating, paired, abx, oddity or threshold.
+        order: "balanced", or "random" for a permutation drawn for each participant, as in Sec. VII; of no effect on rounds.
+        kind: that of the task.
         repeats: how often each condition is asked; of a threshold, how many answers it takes.
     """
-    rng, per_texture = np.random.default_rng(seed), conditions(task, n_methods, repeats)
+    rng, per_texture = np.random.default_rng(seed), conditions(kind, n_methods, repeats)
     n_conditions = len(per_texture)
     n_trials = n_textures * n_conditions
-    if task == "threshold":
+    if kind.rounds:
         rounds = [np.arange(n_trials).reshape(n_textures, repeats, n_methods)[:, r].ravel() for r in range(repeats)]
         counted = [[int(i) for one in rounds for i in rng.permutation(one)] for _ in range(n_participants)]
     elif order == "balanced":
@@ -116,7 +107,7 @@ def orders(
                 if not deck:
                     deck += [bool(i) for i in rng.permutation(2)]
                 method, other = (other, method) if deck.pop() else (method, other)
-            target = int(rng.integers(N_TARGETS[task])) if task in N_TARGETS else 0
+            target = int(rng.integers(kind.n_targets)) if kind.n_targets else 0
             trials.append(Trial(number, texture, method, other, target))
         result.append(trials)
     return result
@@ -150,11 +141,11 @@ def square(n_textures: int, n_methods: int) -> int:
     return math.lcm(len(williams(n_textures)), len(williams(n_methods)))
 
 
-def planned(n_participants: int, *plan: Any, **task: Any) -> list[list[Trial]]:
+def planned(n_participants: int, *plan: Any) -> list[list[Trial]]:
     """Orders that a study stores, of the arguments of `orders`: its participants', and a quarter more for those who leave."""
     # Not the first of a longer list: within a square those who come would then be any of its rows.
     n_with_reserves = n_participants + max(2, n_participants // 4)
-    return orders(n_participants, *plan, **task) + orders(n_with_reserves, *plan, **task)[n_participants:]
+    return orders(n_participants, *plan) + orders(n_with_reserves, *plan)[n_participants:]
 
 
 def _rounds(rng: np.random.Generator, rows: Rows, n_rounds: int) -> list[int]:
@@ -170,11 +161,11 @@ def _rounds(rng: np.random.Generator, rows: Rows, n_rounds: int) -> list[int]:
 
 
 def balance(
-    orders: list[list[Trial]], n_textures: int, n_methods: int, task: str = "rating"
+    orders: list[list[Trial]], n_textures: int, n_methods: int, kind: Order = SINGLE
 ) -> dict[str, tuple[int, int]]:
     """Smallest and largest count of a texture's method in a round, of a texture at a place of a round, and of a texture behind
-    another one within a round; of other tasks than ratings, how often each method is shown first and each answer is right,
-    instead of the method's round.
+    another one within a round; of pairs and rounds, how often each method is shown first and each answer is right, instead of the
+    method's round.
     """
     counted = [[trial for trial in trials if not trial.practice] for trials in orders]
     # (participants, rounds, places).
@@ -185,13 +176,13 @@ def balance(
     np.add.at(behind, (texture[..., :-1], texture[..., 1:]), 1)
     named = {"texture at place": places, "neighbours": behind[~np.eye(n_textures, dtype=bool)]}
     methods = np.array([[trial.method for trial in trials] for trials in counted])
-    if task == "rating":
+    if kind == SINGLE:
         rounds = np.zeros((n_textures, n_methods, n_methods), dtype=int)
         np.add.at(rounds, (texture, methods.reshape(texture.shape), np.indices(texture.shape)[1]), 1)
         named["method in round"] = rounds
     else:
         named["method first"] = np.bincount(methods.ravel(), minlength=n_methods)
-    if task in N_TARGETS:
+    if kind.n_targets:
         targets = [trial.target for trials in counted for trial in trials]
-        named["right answer"] = np.bincount(targets, minlength=N_TARGETS[task])
+        named["right answer"] = np.bincount(targets, minlength=kind.n_targets)
     return {name: (int(counts.min()), int(counts.max())) for name, counts in named.items() if counts.size}

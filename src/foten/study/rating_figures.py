@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from foten.reporting.figure import COLOURS, PAGE, add_legend, new_figure, panel_grid
-from foten.study.analysis import CORRECTIONS, Result, stars
+from foten.study.results import CORRECTIONS, stars
+from foten.study.tasks.kind import Result
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

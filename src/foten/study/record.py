@@ -19,43 +19,18 @@ import pandas
 
 from foten import __version__
 from foten.recording.recording import counted
-from foten.study.analysis import Ratings, read_ratings
-from foten.study.design import CHOICES, task_of
-from foten.study.orders import N_TARGETS, Trial
-from foten.study.report import OF_THRESHOLDS, SUMMARY, dictionary_of, participants_frame, rows_of, written
+from foten.study.analysis import read_ratings
+from foten.study.design import task_of
+from foten.study.orders import Trial
+from foten.study.report import COLUMNS, dictionary_of, of_thresholds, participants_frame, rows_of, written
 from foten.study.schema import Stimulus
-from foten.study.session import INTERVALS, MAX_APART_S
 from foten.study.store import Store, Stroked, measured_of
+from foten.study.strokes import MAX_APART_S
+from foten.study.tasks.kind import Ratings, TaskKind
+from foten.study.tasks.table import TASKS
 
 BIDS_VERSION = "1.9.0"
-ANSWERS = (  # columns of the answers that are not private, meaning, unit
-    ("question", "key of the question", ""),
-    ("answer", "what was answered", ""),
-)
-OF_SUMMARY = {
-    "n": "how many answered it",
-    "mean": "mean of answers that are numbers",
-    "sd": "their standard deviation",
-    "count": "how many gave this answer",
-}
-EVENTS = {
-    "onset": ("from when the first trial was shown", "s"),
-    "duration": ("how long it lasted; 0 for a moment", "s"),
-    "trial_type": (
-        "trial: from shown to answered; contact: the pen on a virtual surface; switch: to another; answer",
-        "",
-    ),
-    "trial": ("number of the trial; 0 and below are practice", ""),
-    "texture": ("key of the texture", ""),
-    "method": ("key of the method; of several surfaces that of the first, or of both that are alike", ""),
-    "other": ("key of the method that it is compared with", ""),
-    "target": ("which surface would have been right", ""),
-    "level_db": ("of an answer to a threshold: the level that was played", "dB"),
-    "surface": ("of a contact or switch: which surface, virtual where there is one, or real", ""),
-    "scale": ("of an answer: key of the scale, or choice", ""),
-    "value": ("of an answer: the rating, or the chosen surface", ""),
-    "right": ("of an answer: 1 where it was right", ""),
-}
+EVENTS = {name: (meaning, unit) for name, meaning, unit in COLUMNS["events"]}
 
 
 def psych_ds(store: Store) -> dict[str, str]:
@@ -73,20 +48,17 @@ def psych_ds(store: Store) -> dict[str, str]:
     columns = dictionary_of(ratings)
     rows = sorted(rows_of(every), key=lambda row: (row["participant"], row["trial"]))
     frames = {f"{name}_data.csv": pandas.DataFrame(rows, columns=[column for column, *_ in columns])}
-    variables = {column: (meaning, unit) for column, meaning, unit in columns}
     if ratings.answers:
         frame = pandas.DataFrame(ratings.answers, columns=["participant", "question", "answer", "at"])
         frames[f"{name}_description-answers_data.csv"] = frame
-        variables |= {column: (meaning, unit) for column, meaning, unit in ANSWERS}
+        columns = columns + COLUMNS["answers"]
     if ratings.abouts:
         frames[f"{name}_description-participants_data.csv"] = participants_frame(ratings)
-        variables |= {column: (meaning, unit) for column, meaning, unit in ANSWERS}
-        variables |= {column: (OF_SUMMARY[column], "") for column in SUMMARY if column in OF_SUMMARY}
+        columns = columns + COLUMNS["answers"] + COLUMNS["summary"]
     if ratings.thresholds:
         frames[f"{name}_description-thresholds_data.csv"] = pandas.DataFrame(ratings.thresholds)
-        variables |= {
-            column: (meaning, unit) for column, meaning, unit in OF_THRESHOLDS if column in ratings.thresholds[0]
-        }
+        columns = columns + of_thresholds(ratings)
+    variables = {column: (meaning, unit) for column, meaning, unit in columns}
     description = {
         "@context": "https://schema.org",
         "@type": "Dataset",
@@ -157,15 +129,15 @@ def _description(ratings: Ratings) -> str:
 def events_of(store: Store, participant: int) -> list[dict[str, Any]]:
     """Events of a participant in the order of time, each by the columns of `EVENTS`."""
     stimuli, trials = store.stimuli(), {trial.number: trial for trial in store.trials(participant)}
-    kind = task_of(str(store.study["design"]))[0].kind
-    names, choices = INTERVALS[kind] or ("virtual",), CHOICES.get(kind, ())
+    kind = TASKS[task_of(str(store.study["design"]))[0].kind]
+    names, choices = kind.intervals or ("virtual",), kind.choices
     events: list[dict[str, Any]] = []
     answered: dict[int, float] = {}
     for row in store.moments(participant, "ratings"):
         answered[row["trial"]] = row["at_s"]
         answer = {"at": row["at_s"], "trial_type": "answer", "trial": row["trial"], "scale": row["scale"]}
         answer["value"] = choices[int(row["rating"])] if choices else row["rating"]
-        if kind in N_TARGETS:
+        if kind.order.n_targets:
             answer["right"] = int(row["rating"] == trials[row["trial"]].target)
         events.append({**answer, "level_db": measured_of(row).get("level_db")})
     for row in store.moments(participant, "switches"):
@@ -189,23 +161,16 @@ def events_of(store: Store, participant: int) -> list[dict[str, Any]]:
         (event["at"] for event in events if event["trial_type"] == "trial"), events[0]["at"] if events else 0.0
     )
     return [
-        {
-            "duration": 0.0,
-            **event,
-            "onset": event["at"] - begin,
-            **_conditions(stimuli, trials[event["trial"]], choices, kind),
-        }
+        {"duration": 0.0, **event, "onset": event["at"] - begin, **_conditions(stimuli, trials[event["trial"]], kind)}
         for event in events
     ]
 
 
-def _conditions(
-    stimuli: Mapping[tuple[int, int], Stimulus], trial: Trial, choices: Sequence[str], kind: str
-) -> dict[str, Any]:
+def _conditions(stimuli: Mapping[tuple[int, int], Stimulus], trial: Trial, kind: TaskKind) -> dict[str, Any]:
     """What a trial compared."""
     shown = stimuli[trial.texture, trial.method]
     other = None if trial.other is None else stimuli[trial.texture, trial.other].method_key
-    target = choices[trial.target] if kind in N_TARGETS else None
+    target = kind.choices[trial.target] if kind.order.n_targets else None
     return {"texture": shown.texture_key, "method": shown.method_key, "other": other, "target": target}
 
 

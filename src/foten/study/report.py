@@ -15,9 +15,11 @@ import pandas
 from foten.atomic_write import atomic_write
 from foten.reporting.figure import inline_svg, write_figure
 from foten.reporting.table import Table, minus
-from foten.study.analysis import MIN_CORRELATED, Ratings, Result
-from foten.study.design import CHOICES
 from foten.study.rating_figures import figures_of
+from foten.study.tasks.kind import Ratings, Result
+from foten.study.tasks.table import TASKS
+from foten.study.variance import MIN_CORRELATED
+from foten.untrusted import parse_toml
 
 MAX_ROWS = 12  # of a table that people read; the rest is CSV
 CI = "95 % CI, not adjusted"
@@ -31,64 +33,20 @@ OF_VARIANCE |= {"partial_eta2": "η² partial", "generalised_eta2": "η² genera
 OF_MIXED = {"name": "effect", "f": "F", "df": "df", "p": "p"}
 MARK = "Simulated ratings: of a model of raters, and not of people."
 OF_STRENGTHS = {"method": "method", "log_odds": "log-odds", "ci95": CI}
-OF_CHOICES = {
-    "pair": "pair",
-    "share": "wins of the first named [%]",
-    "difference": "difference of log-odds",
-    "ci95": CI,
-    "t": "t",
-}
-OF_CHOICES |= {"p_bonferroni": "p Bonferroni", "p_holm": "p Holm"}
+ADJUSTED = {"p_bonferroni": "p Bonferroni", "p_holm": "p Holm"}
+OF_CHOICES = {"pair": "pair", "share": "wins of the first named [%]", "difference": "difference of log-odds"}
+OF_CHOICES |= {"ci95": CI, "t": "t", **ADJUSTED}
 OF_SENSITIVITY = {"pair": "pair", "n_trials": "trials", "share": "right [%]", "d_prime": "d′", "ci95": CI}
-OF_SENSITIVITY |= {"p_bonferroni": "p Bonferroni", "p_holm": "p Holm"}
+OF_SENSITIVITY |= ADJUSTED
 SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 WITHIN = "Tests within textures"
 MIN_SUMMED = 3  # private answers: of one alone the mean is the answer
 SUMMARY = ["question", "n", "mean", "sd", "answer", "count"]  # of what participants say of themselves
 STYLE = Path(__file__).with_name("report.css")
-LEVEL = "of the target: re recorded, with the gain that matches methods, at a volume of 0 dB; or of the increment re the others"
-OF_THRESHOLDS = (  # columns of thresholds.csv, meaning, unit
-    ("threshold_db", "level that is just felt, at a volume of 0 dB; or the increment that is just noticeable", "dB"),
-    ("sd_db", "standard deviation of what is known of it", "dB"),
-    ("n_answers", "answers that it is of", ""),
-    ("reached", "1 where it lies within the levels that were played", ""),
-    ("difference_db", "difference in level that the increment makes", "dB"),
-    ("volume_range_db", "by how much the volume was changed meanwhile", "dB"),
-)
-DICTIONARY = (  # columns of ratings.csv, meaning, unit, and of which tasks; of all where there is none
-    ("participant", "number of the participant", "", ()),
-    ("trial", "in which order it was answered, from 1", "", ()),
-    ("scale", "key of the scale", "", ("rating",)),
-    ("texture", "key of the texture", "", ()),
-    ("method", "key of the method; of several surfaces that of the first, or of both that are alike", "", ()),
-    ("other", "key of the method that it is compared with", "", ("paired", "abx", "oddity")),
-    ("rating", "0 to 100 from the lowest to the highest end of the scale", "points", ("rating",)),
-    ("choice", "which surface was chosen", "", ("paired", "abx", "oddity", "threshold")),
-    ("chosen", "key of its method", "", ("paired",)),
-    ("target", "which surface would have been right", "", ("abx", "oddity", "threshold")),
-    ("right", "1 where it was chosen", "", ("abx", "oddity", "threshold")),
-    ("level_db", LEVEL, "dB", ("threshold",)),
-    ("response_s", "from when the trial was shown to the answer", "s", ()),
-    ("switches", "how often the hand went over to another surface", "", ()),
-    ("corrected", "1 where a correction holds, and not the first answer", "", ()),
-    ("simulated", "1 where a model of raters answered", "", ()),
-    ("contact_s", "the pen on virtual surfaces", "s", ()),
-    *((f"contact_s_{n}", f"the pen on surface {n}", "s", ("paired", "abx", "oddity", "threshold")) for n in (1, 2)),
-    ("contact_s_3", "the pen on surface 3", "s", ("abx", "oddity", "threshold")),
-    *((f"speed_mm_s_p{p}", f"{p}th percentile of the speed while in contact", "mm/s", ()) for p in (10, 50, 90)),
-    *((f"force_n_p{p}", f"{p}th percentile of the force while in contact", "N", ()) for p in (10, 50, 90)),
-    ("volume_db", "volume that was set on the page, 0 as a study begins", "dB", ()),
-    ("rate_hz", "rate of the page's sound", "Hz", ()),
-    ("newtons", "a of the tablet's curve from pressure p to force, a·exp(b·p), 0.13 in the paper", "N", ()),
-    ("steepness", "b of the curve, 3.32 in the paper", "", ()),
-    ("block_p99_ms", "99 % of blocks were rendered within", "ms", ()),
-    ("n_missed", "blocks that came late", "", ()),
-    ("n_underruns", "times that the sound had nothing to play", "", ()),
-    ("n_stopped", "times that the output ended by itself", "", ()),
-    ("software", "version of foten that stored the answer", "", ()),
-    ("sha256", "of the texture file", "", ()),
-    ("at", "when the answer was stored (UTC)", "", ()),
-)
+COLUMNS: dict[str, list[tuple[str, str, str]]] = {  # name, meaning, unit
+    table: [(name, meaning, unit) for name, (meaning, unit) in columns.items()]
+    for table, columns in parse_toml(Path(__file__).with_name("columns.toml").read_bytes()).items()
+}
 
 
 def write_report(results: Sequence[Result], folder: Path) -> list[Path]:
@@ -139,7 +97,7 @@ def write_data(every: Sequence[Ratings], folder: Path) -> list[Path]:
     marked = {"answers.csv": answers, "participants.csv": participants_frame(ratings)}
     if ratings.thresholds:
         marked["thresholds.csv"] = pandas.DataFrame(ratings.thresholds)
-        columns = columns + [column for column in OF_THRESHOLDS if column[0] in ratings.thresholds[0]]
+        columns = columns + of_thresholds(ratings)
     frames = {
         "ratings.csv": pandas.DataFrame(rows, columns=[name for name, *_ in dictionary_of(ratings)]),
         "ratings-wide.csv": wide,
@@ -150,10 +108,14 @@ def write_data(every: Sequence[Ratings], folder: Path) -> list[Path]:
 
 
 def dictionary_of(ratings: Ratings) -> list[tuple[str, str, str]]:
-    """Columns of a study's ratings.csv, their meaning and unit."""
-    return [
-        (name, meaning, unit) for name, meaning, unit, tasks in DICTIONARY if not tasks or ratings.task.kind in tasks
-    ]
+    """Columns of a study's ratings.csv, their meaning and unit: those of all tasks, and of its own."""
+    left_out = {column for kind in TASKS.values() for column in kind.columns} - {*TASKS[ratings.task.kind].columns}
+    return [column for column in COLUMNS["ratings"] if column[0] not in left_out]
+
+
+def of_thresholds(ratings: Ratings) -> list[tuple[str, str, str]]:
+    """Columns of thresholds that are there."""
+    return [column for column in COLUMNS["thresholds"] if column[0] in ratings.thresholds[0]]
 
 
 def rows_of(every: Sequence[Ratings]) -> list[dict[str, Any]]:
@@ -162,7 +124,7 @@ def rows_of(every: Sequence[Ratings]) -> list[dict[str, Any]]:
     for row in (row for ratings in every for row in ratings.rows):
         tidy = {**row["measured"], **row, "corrected": int(row["corrected"])}
         tidy |= {"texture": row["texture_key"], "method": row["method_key"], "other": row["other_key"]}
-        if labels := CHOICES.get(every[0].task.kind):
+        if labels := TASKS[every[0].task.kind].choices:
             number = int(row["rating"])
             tidy |= {"choice": labels[number], "target": labels[row["target"]], "right": int(number == row["target"])}
             tidy["chosen"] = tidy["other"] if number else tidy["method"]
@@ -259,7 +221,7 @@ def _tables(result: Result) -> list[Table]:
 
 def _title(result: Result) -> str:
     quantity = result.ratings.quantity
-    return "Ratings" if result.ratings.task.kind == "rating" else f"{quantity.capitalize()} [{result.ratings.unit}]"
+    return "Ratings" if result.ratings.noun == "ratings" else f"{quantity.capitalize()} [{result.ratings.unit}]"
 
 
 def _tables_of_tests(result: Result) -> list[Table]:
@@ -267,7 +229,6 @@ def _tables_of_tests(result: Result) -> list[Table]:
     across = ", averaged across textures" if several else ""
     (one_way,) = document["anova_one_way"]
     effects = [{**one_way, "name": "method, averaged" if several else one_way["name"]}, *document["anova_two_way"]]
-    what = "ratings" if result.ratings.task.kind == "rating" else "thresholds"
     tables = [
         _table("Analyses of variance", effects, OF_VARIANCE),
         _tests(f"Pairs{across}", document["pairs_overall"], OF_PAIRS, "pairs.csv"),
@@ -275,7 +236,9 @@ def _tables_of_tests(result: Result) -> list[Table]:
     ]
     model, agreement = document["mixed_model"], document["reliability"]
     if model is not None:
-        tables.append(_table(f"Linear mixed model of all {model['n_ratings']} {what}", model["terms"], OF_MIXED))
+        tables.append(
+            _table(f"Linear mixed model of all {model['n_ratings']} {result.ratings.noun}", model["terms"], OF_MIXED)
+        )
     icc = [
         {"of": "of one rater, ICC(2,1)", "value": agreement["icc_single"]},
         {"of": "of the mean of all, ICC(2,k)", "value": agreement["icc_mean"]},

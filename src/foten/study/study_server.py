@@ -6,10 +6,8 @@ import asyncio
 import contextlib
 import html
 import io
-import itertools
 import json
 import secrets
-import time
 from collections.abc import AsyncIterator, Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
@@ -29,20 +27,18 @@ from foten.runtime.live.live import Live
 from foten.studio.access import COOKIE, Access, Admitted, Guarded, is_same
 from foten.studio.messages import RefusedError
 from foten.studio.page_files import page_files
-from foten.studio.players import Player, RoundRobinRenderer
 from foten.studio.studio_server import missing, page_file
 from foten.studio.websocket import serve_page
 from foten.study.loading import Study
 from foten.study.markers import Markers
-from foten.study.page_sockets import CODE_LENGTH, LETTERS, OperatorPage, ParticipantPage
-from foten.study.session import Session
+from foten.study.participants import OperatorPage, Participants
+from foten.study.running_study import RunningStudy
+from foten.study.session import ParticipantPage, Session
 from foten.study.store import Store
 
 OPERATOR_COOKIE = "foten-operator"
 OPERATOR = "operator"  # a kind of those who were let in
-KEEP_PLACE_S = 600.0  # from the last message of its page, where no step was completed
 MAX_PAGES, MAX_OPERATOR_PAGES = 64, 16
-SAVE_AGAIN_S = 5.0  # between two tries to write strokes that the disk had no room for
 PAGES = Path(__file__).with_name("pages")
 PAGE, OPERATOR_PAGE = "study.html", "operator.html"
 SHARED = ("studio.css", "pad.js", "settings.js", "stream.js")  # not the kernel, whose bytes name models
@@ -59,60 +55,22 @@ class StudyServer:
     def __init__(
         self, store: Store, study: Study, admitted: Admitted | None = None, markers: Markers | None = None
     ) -> None:
-        self.markers = markers
+        self.study = RunningStudy(store, study, markers)
+        self.store, self.design = store, study.design
         self.admitted = admitted or Admitted()
-        self.store, self.design, self.stimuli, self.output = store, study.design, study.stimuli, study.output
         self._pictures = study.pictures
         self.operator_key = secrets.token_urlsafe(16)
-        self.gains = {key: stimulus.gain_db for key, stimulus in store.stimuli().items()}
-        self.player: Callable[[float], Player] = (study.output or RoundRobinRenderer()).player
         self.link: Callable[..., str]  # by which the next device comes in, as `Access.link` gives it
         self.noise: Live | None = None  # that masks the sound of the actuator
-        self.say: Callable[[str], None] = lambda line: None  # to who began the server
-        self.requests = itertools.count(1)  # of devices that ask to go on where another was
+        self.participants = Participants(self.study, self.admitted, lambda: self.operator_link)
         self._has_devices = False
-        self.sessions: dict[int, Session] = {}
-        self._beginning = asyncio.Lock()
         self.pages: set[ParticipantPage] = set()
-        self.operators: set[OperatorPage] = set()
-        # One thread: SQLite waits for the disk, which the sound must not.
-        self.disk = ThreadPoolExecutor(1, thread_name_prefix="foten-store")
         self._downloading = ThreadPoolExecutor(1, thread_name_prefix="foten-download")  # which keeps no answer waiting
-        for code, number in store.codes().items():
-            self._session(number, code)
 
-    def _session(self, number: int, code: str) -> Session:
-        self.sessions[number] = Session(self, number, code, self.store.trials(number), self.store.done(number))
-        return self.sessions[number]
-
-    async def on_disk(self, work: Callable[[], Any]) -> Any:
-        """Result of some work with the database."""
-        return await asyncio.get_running_loop().run_in_executor(self.disk, work)
-
-    async def begin(self, code: str | None = None) -> Session:
-        """Session of a new participant, under a code that the page drew: a page that asks again gets the same.
-
-        Raises:
-            ValueError: all participants of the design have begun.
-            OSError: nothing can be stored.
-        """
-        code = code or "".join(secrets.choice(LETTERS) for _ in range(CODE_LENGTH))
-        async with self._beginning:  # two pages may ask with one code
-            known = next((session for session in list(self.sessions.values()) if session.code == code), None)
-            if known is not None:
-                return known
-            for session in list(self.sessions.values()):
-                if not session.done and time.monotonic() - session.last_message_at > KEEP_PLACE_S:
-                    with contextlib.suppress(RefusedError):  # it has answered by now
-                        await session.return_place()
-            return await self.on_disk(lambda: self._session(self.store.join(code), code))
-
-    def by_code(self, code: str) -> Session:
-        """Session that a code names, or raise RefusedError."""
-        for session in list(self.sessions.values()):
-            if is_same(code.strip().upper(), session.code):
-                return session
-        raise RefusedError(self.design.language.say("no_such_code"))
+    @property
+    def sessions(self) -> dict[int, Session]:
+        """Sessions of those who have begun, by number."""
+        return self.participants.sessions
 
     def app(self, access: Access) -> ASGIApp:
         """Application, behind its access."""
@@ -131,21 +89,13 @@ class StudyServer:
 
     @contextlib.asynccontextmanager
     async def _lifespan(self, _app: Starlette) -> AsyncIterator[None]:
-        again = asyncio.create_task(self._save_again())
+        again = asyncio.create_task(self.participants.save_again())
         yield
         again.cancel()
         for session in list(self.sessions.values()):
             await session.end_contact()
         self._downloading.shutdown()
-        self.disk.shutdown()
-
-    async def _save_again(self) -> None:
-        """Write what the disk had no room for, once it has."""
-        while True:
-            await asyncio.sleep(SAVE_AGAIN_S)
-            for session in list(self.sessions.values()):
-                if session.n_unsaved:
-                    await session.save_strokes()
+        self.study.disk.shutdown()
 
     async def _file(self, request: Request) -> Response:
         name = request.path_params["name"]
@@ -187,7 +137,7 @@ class StudyServer:
         import segno
 
         try:
-            query = {"code": self.by_code(request.path_params["code"]).code}
+            query = {"code": self.participants.by_code(request.path_params["code"]).code}
         except RefusedError as error:
             return missing(str(error))
         if (role := request.query_params.get("role")) in ("stroke", "answer"):
@@ -226,11 +176,22 @@ class StudyServer:
         return self.admitted.knows(connection.cookies.get(OPERATOR_COOKIE), OPERATOR)
 
     async def _serve_page(self, socket: WebSocket) -> None:
-        await serve_page(socket, self.pages, MAX_PAGES, lambda socket: ParticipantPage(self, socket))
+        study, door = self.study, self.participants
+        await serve_page(
+            socket, self.pages, MAX_PAGES, lambda one: ParticipantPage(study, door, one, self.device_of(one))
+        )
+
+    def _about(self) -> dict[str, Any]:
+        """What an operator's page is told of the study."""
+        design, noise = self.design, self.noise
+        about = {"title": design.title, "planned": design.participants, "simulated": self.store.simulated}
+        about |= {name: getattr(design.setup, name) for name in ("operator", "screens", "real_checked")}
+        return {**about, "link": self.link(), "noise_ended": noise is not None and not noise.running}
 
     async def _serve_operator(self, socket: WebSocket) -> None:
         if self._is_operator(socket):
-            await serve_page(socket, self.operators, MAX_OPERATOR_PAGES, lambda socket: OperatorPage(self, socket))
+            people, about = self.participants, self._about
+            await serve_page(socket, people.operators, MAX_OPERATOR_PAGES, lambda one: OperatorPage(people, one, about))
         else:
             await socket.close(1008, "this is the operator's")
 

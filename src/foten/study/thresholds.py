@@ -11,12 +11,14 @@ from collections.abc import Iterable
 import numpy as np
 
 from foten.dsp.adaptive import Detection, LevelSearch
-from foten.study.design import Task
 from foten.study.statistics import Array
+from foten.study.tasks.kind import Task
 
 SILENT_DB = -240.0
 SLOPE, LAPSE = 0.2, 0.02  # of simulated people; [1/dB] and a share
 N_INTERVALS = 3
+UNITS = {"detection": "dB re recorded", "difference": "dB re the other surfaces"}
+QUANTITIES = {"detection": "threshold of detection", "difference": "just noticeable increment"}
 
 
 def level_search(task: Task, answers: Iterable[tuple[float, bool]] = ()) -> LevelSearch:

@@ -1,7 +1,11 @@
 // A participant's page: one step after another, as the server says. An answer is kept here until the server has it.
+import * as choice from "./choice.js";
+import { el, scale, worded, words } from "./elements.js";
 import { Pad } from "./pad.js";
-import { filled, Settings, written } from "./settings.js";
+import * as rating from "./rating.js";
+import { Settings, written } from "./settings.js";
 
+const FORMS = { choice, rating }; // parts of the page that take the answer of a trial
 const RETRY_MS = [200, 400, 800, 1000];
 const ELSEWHERE = 4001; // as the server closes a page that another one takes the place of
 const NOT_ALLOWED = 4002; // and one that the operator does not let go on where another device was
@@ -13,19 +17,6 @@ const MOST_AT_ONCE = 64; // events in a message
 const now = () => performance.timeOrigin + performance.now(); // ms; the system's clock may be set back
 const $ = (id) => document.getElementById(id);
 const given = new URLSearchParams(location.search);
-const words = JSON.parse($("words").textContent); // of the study's language
-const worded = (key, values = {}) => filled(words[key], values);
-
-/** Return an element with attributes and children. */
-function el(name, attributes = {}, ...children) {
-  const element = document.createElement(name);
-  for (const [key, value] of Object.entries(attributes))
-    if (key.startsWith("on")) element.addEventListener(key.slice(2), value);
-    else if (key in element && key !== "list") element[key] = value;
-    else element.setAttribute(key, value);
-  element.append(...children.filter((child) => child !== null && child !== undefined));
-  return element;
-}
 
 /** The sound output of the tablet, for samples that the server renders. */
 class Output extends EventTarget {
@@ -97,8 +88,6 @@ class Study {
     if (given.get("code")) this.join(given.get("code"));
   }
 
-  // The server
-
   join(code) {
     this.wanted = code;
     this.connect();
@@ -117,8 +106,8 @@ class Study {
     socket.onmessage = ({ data }) => (typeof data === "string" ? this.told(JSON.parse(data)) : this.played(data));
     socket.onclose = ({ code }) => {
       if (socket !== this.socket) return;
-      if (code === ELSEWHERE) return this.put(el("div", { className: "page" }, el("h2", {}, words.moved_heading), el("p", {}, words.moved)));
-      if (code === NOT_ALLOWED) return this.put(el("div", { className: "page" }, el("h2", {}, words.not_allowed_heading), el("p", {}, words.not_allowed)));
+      if (code === ELSEWHERE) return this.plain(words.moved_heading, words.moved);
+      if (code === NOT_ALLOWED) return this.plain(words.not_allowed_heading, words.not_allowed);
       if (code === RETURNED) return location.replace(this.role === "all" ? "?" : `?role=${this.role}`); // to begin anew
       this.show(code === TOO_MANY ? words.too_many_pages : this.code ? words.no_connection : words.no_server, true);
       setTimeout(() => this.connect(), RETRY_MS[Math.min(this.tries++, RETRY_MS.length - 1)]);
@@ -139,7 +128,7 @@ class Study {
       this.show("");
     } else if (message.asks) {
       this.step = null; // what is shown once it is allowed is shown anew
-      this.put(el("div", { className: "page" }, el("h2", {}, words.one_moment), el("p", {}, worded("asks", { n: message.asks }))));
+      this.plain(words.one_moment, worded("asks", { n: message.asks }));
       this.show("");
     } else if (message.refused) this.refused(message);
     else if (message.feedback) this.show(message.feedback.right ? words.right : worded("wrong", { n: message.feedback.was }));
@@ -255,8 +244,6 @@ class Study {
     if ($("lacks")) $("lacks").textContent = on ? words.one_moment : lacks;
   }
 
-  // The pages
-
   put(...children) {
     this.lacks = null;
     $("content").replaceChildren(...children);
@@ -276,28 +263,24 @@ class Study {
   }
 
   page(step) {
-    const pages = { consent: this.consent, questions: this.questions, instructions: this.instructions, trial: this.trial, break: this.pause, end: this.end };
-    pages[step.kind].call(this, step);
+    const { kind, n, of, text } = step;
+    const plain = {
+      consent: [words.consent_heading, text, words.agree],
+      instructions: [words.instructions_heading, text, words.start],
+      break: [words.break_heading, worded("break", { n: written(n ?? 0), total: written(of ?? 0) }), words.go_on],
+      end: [words.end_heading, words.end],
+    };
+    if (plain[kind]) this.plain(...plain[kind]);
+    else (kind === "trial" ? this.trial : this.questions).call(this, step);
   }
 
-  next(label, answer = () => ({})) {
-    return el("button", { className: "big", type: "button", onclick: () => (this.busy(true), this.start().then(() => this.done(answer()))) }, label);
+  /** A page that is read, and left by a button if it has one. */
+  plain(heading, text, label) {
+    this.put(el("div", { className: "page" }, el("h2", {}, heading), el("p", {}, text), label && this.next(label)));
   }
 
-  consent({ text }) {
-    this.put(el("div", { className: "page" }, el("h2", {}, words.consent_heading), el("p", {}, text), this.next(words.agree)));
-  }
-
-  instructions({ text }) {
-    this.put(el("div", { className: "page" }, el("h2", {}, words.instructions_heading), el("p", {}, text), this.next(words.start)));
-  }
-
-  pause({ n, of }) {
-    this.put(el("div", { className: "page" }, el("h2", {}, words.break_heading), el("p", {}, worded("break", { n: written(n), total: written(of) })), this.next(words.go_on)));
-  }
-
-  end() {
-    this.put(el("div", { className: "page" }, el("h2", {}, words.end_heading), el("p", {}, words.end)));
+  next(label) {
+    return el("button", { className: "big", type: "button", onclick: () => (this.busy(true), this.start().then(() => this.done({}))) }, label);
   }
 
   questions({ questions }) {
@@ -329,24 +312,11 @@ class Study {
       };
     }
     if (kind === "slider") {
-      const scale = this.scale(written(0), written(100), label);
-      return { element: el("div", {}, el("p", {}, label), scale.element), value: () => (scale.input.dataset.set ? scale.input.value : "") };
+      const { input, element } = scale(written(0), written(100), label);
+      return { element: el("div", {}, el("p", {}, label), element), value: () => (input.dataset.set ? input.value : "") };
     }
     const input = kind === "number" ? el("input", { type: "number", step: "any", min: low, max: high, required, name: key, ...checks }) : el("textarea", { rows: 2, maxLength: 2000, required, name: key, ...checks });
     return { element: el("label", {}, label, input), value: () => input.value };
-  }
-
-  /** A slider without a position until one is chosen. */
-  scale(lowest, highest, label) {
-    const input = el("input", { type: "range", min: 0, max: 100, step: 1, value: 50, ariaLabel: label });
-    input.setAttribute("aria-valuetext", words.not_set);
-    const set = () => {
-      input.dataset.set = "true";
-      input.setAttribute("aria-valuetext", written(input.value));
-      input.dispatchEvent(new Event("set"));
-    };
-    for (const type of ["input", "pointerup"]) input.addEventListener(type, set);
-    return { input, element: el("div", { className: "scale" }, input, el("span", {}, lowest), el("span", {}, highest)) };
   }
 
   trial(step) {
@@ -362,7 +332,7 @@ class Study {
       this.picture(step.picture);
     }
     if (answers) {
-      const answer = step.choices.length ? this.choosing(step) : this.rating(step);
+      const answer = FORMS[step.form].answer(step, () => this.check());
       const next = el("button", { className: "big", type: "button", onclick: () => this.done({ values: answer.values(), seconds: this.seconds, ...(strokes && { underruns: this.sound.underruns }) }) }, words.next);
       next.dataset.needs = "rating";
       next.setAttribute("aria-describedby", "lacks");
@@ -380,40 +350,6 @@ class Study {
     this.lacks = answers ? () => this.lacking() : null;
     this.pad.resize();
     this.side(step.side, step.interval);
-  }
-
-  /** An answer on scales, one or several. */
-  rating({ scales }) {
-    const fields = scales.map(({ key, question, lowest, highest }) => ({ key, question, ...this.scale(lowest, highest, question) }));
-    for (const { input } of fields) input.addEventListener("set", () => this.check());
-    return {
-      elements: [el("div", { className: "scales" }, ...fields.map(({ question, element }) => el("div", { className: "asked" }, el("h2", {}, question), element)))],
-      given: () => fields.every(({ input }) => input.dataset.set),
-      lacks: words.choose_place,
-      values: () => Object.fromEntries(fields.map(({ key, input }) => [key, Number(input.value)])),
-      set: (values) => {
-        for (const { key, input } of fields) {
-          input.value = values[key];
-          input.dispatchEvent(new Event("input"));
-        }
-      },
-    };
-  }
-
-  /** An answer that is one of the surfaces. */
-  choosing({ question, choices }) {
-    const inputs = choices.map((_, i) => el("input", { type: "radio", name: "choice", value: i, onchange: () => this.check() }));
-    const labels = choices.map((name, i) => el("label", { className: "choice" }, inputs[i], el("span", {}, name)));
-    return {
-      elements: [el("fieldset", { className: "asked" }, el("legend", {}, question), ...labels)],
-      given: () => inputs.some((input) => input.checked),
-      lacks: words.choose,
-      values: () => ({ choice: inputs.findIndex((input) => input.checked) }),
-      set: ({ choice }) => {
-        inputs[choice].checked = true;
-        this.check();
-      },
-    };
   }
 
   /** What a trial lacks before it can be answered, in words; empty where it lacks nothing. */
@@ -479,8 +415,6 @@ class Study {
     this.side(side, interval);
     this.say({ do: "side", side, ...(step.intervals.length && { interval }) });
   }
-
-  // Sound and strokes
 
   /** From a tap: browsers ask for one before they play. */
   async start() {

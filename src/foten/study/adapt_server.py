@@ -23,9 +23,9 @@ from foten.editing.user import MOVES, TONES_HZ, UserProfile, adapted, equal_stre
 from foten.models.texture_file import Texture
 from foten.runtime.actuator import ActuatorProfile
 from foten.studio.access import Access, Guarded
-from foten.studio.adapt_session import FULL_RANGES, Question, Session
 from foten.studio.page_files import page_files
 from foten.studio.studio_server import missing, page_file
+from foten.study.adapt_session import FULL_RANGES, Question, Session
 from foten.untrusted import parse_json
 
 PAGES = Path(__file__).with_name("adapt_pages")

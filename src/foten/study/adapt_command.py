@@ -7,21 +7,22 @@ from typing import TYPE_CHECKING
 
 from typer import Argument, Option
 
-from foten.cli.stroke_options import Actuator
-from foten.console import check_files, say
+from foten.console import check_files, open_in_browser, say, say_code
 
 if TYPE_CHECKING:
     from foten.editing.user import UserProfile
     from foten.studio.access import Access
 
-MAX_OFF_DB = 0.01  # of the largest tones of an actuator, from one session to the next
+MAX_CHANGE_DB = 0.01  # of the largest tones of an actuator, from one session to the next
 
 
-def _going_on(stored: UserProfile, now: UserProfile, output: Path) -> UserProfile:
+def _resume_or_new(stored: UserProfile, now: UserProfile, output: Path) -> UserProfile:
     """The stored profile, or ValueError where it is another user's, or of another actuator."""
     if now.name and now.name != stored.name:
         raise ValueError(f"{output} is the profile of {stored.name or 'nobody'}, not of {now.name}: give another -o")
-    if stored.unit != now.unit or any(abs(a - b) > MAX_OFF_DB for a, b in zip(stored.max_db, now.max_db, strict=True)):
+    if stored.unit != now.unit or any(
+        abs(a - b) > MAX_CHANGE_DB for a, b in zip(stored.max_db, now.max_db, strict=True)
+    ):
         was = f"with the actuator {stored.actuator}" if stored.actuator else "without an actuator profile"
         also = ", whose profile was different then" if stored.actuator == now.actuator else ""
         raise ValueError(f"{output} was measured {was}{also}: continue in the same way, or give another -o")
@@ -37,7 +38,9 @@ def adapt(
     feel: bool = Option(
         True, "--feel/--no-feel", help="Measure thresholds and equal strength at five frequencies (four minutes)."
     ),
-    actuator: Actuator = None,
+    actuator: Path | None = Option(
+        None, metavar="P.json", help="Profile of the actuator (.json), whose response is compensated."
+    ),
     host: str = Option(
         "127.0.0.1",
         help="Address to listen on: 127.0.0.1 for this machine only, 0.0.0.0 for a tablet on the network, as in 'foten "
@@ -52,13 +55,12 @@ def adapt(
 
     foten render denim.foten --user me.json …; foten serve --user me.json; foten edit denim.foten --user me.json -o mine.foten
     """
-    from foten.cli.serve import open_in_browser, say_code
     from foten.editing.user import UserProfile, read_user
     from foten.models.texture_file import read_texture
     from foten.runtime.actuator import read_profile
-    from foten.studio.adapt_server import AdaptServer, largest_tones_db, reachable
-    from foten.studio.adapt_session import FULL_RANGES, Session
     from foten.studio.web_server import serve as serve_page
+    from foten.study.adapt_server import AdaptServer, largest_tones_db, reachable
+    from foten.study.adapt_session import FULL_RANGES, Session
 
     if output.suffix != ".json":
         raise ValueError(f"a user's profile is written as .json, got -o {output.name}")
@@ -69,7 +71,7 @@ def adapt(
     known = "" if profile is None else profile.name or str(actuator)
     before = UserProfile(name, known, "full scale" if profile is None else "m/s²", largest_tones_db(profile))
     if output.exists():
-        before = _going_on(read_user(output), before, output)
+        before = _resume_or_new(read_user(output), before, output)
     texture, ranges = None if texture_file is None else read_texture(texture_file), {}
     if texture is not None:
         if (model := texture.card["model"]) != "foten-plus":
