@@ -11,9 +11,9 @@ PYTEST := $(THREADS) $(BIN)/python -m pytest -q --numprocesses auto --maxprocess
 .PHONY: demo test lint check slow random-mutants browser docs paper-small wasm wasm-check wheels wheels-check clean
 
 # An editable install takes Python from here, and the kernel from when it was built.
-$(VENV)/.installed: pyproject.toml constraints.txt CMakeLists.txt $(wildcard native/src/* native/training/* native/include/* native/wasm/foten.*)
+$(VENV)/.installed: $(wildcard packages/*/pyproject.toml) constraints.txt packages/foten/CMakeLists.txt $(wildcard $(addprefix packages/foten/native/,src/* training/* include/* wasm/foten.*))
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[dev]'
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable './packages/foten[dev]' --editable './packages/foten-study[analysis]' --editable './packages/foten-lab[sweep]'
 	touch $@
 
 demo: $(VENV)/.installed
@@ -38,7 +38,7 @@ $(VENV)/.docs: $(VENV)/.installed
 docs: $(VENV)/.docs
 	$(THREADS) $(BIN)/python docs/make/tables.py --check
 	$(BIN)/zensical build --strict --clean
-	$(BIN)/python native/wasm/pack.py --out build/site/live && cp -R src/foten/textures build/site/live # of the first page
+	$(BIN)/python packages/foten/native/wasm/pack.py --out build/site/live && cp -R packages/foten/src/foten/textures build/site/live # of the first page
 	$(BIN)/python docs/make/screenshots.py
 
 # Every table and figure of the paper, reduced as each says, in a quarter of an hour on two cores: build/paper. It goes on where it stopped.
@@ -59,7 +59,7 @@ browser: $(VENV)/.browser
 	$(PYTEST) -m 'browser and not slow' tests/test_studio_page.py tests/test_capture_page.py tests/test_study_page.py tests/test_adapt_page.py
 
 lint: $(VENV)/.installed
-	$(BIN)/clang-format --dry-run -Werror native/*/*.[ch]
+	$(BIN)/clang-format --dry-run -Werror packages/foten/native/*/*.[ch]
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
 	$(BIN)/mypy
@@ -72,10 +72,10 @@ $(VENV)/.wasm: $(VENV)/.installed
 	touch $@
 
 wasm: $(VENV)/.wasm
-	$(BIN)/python native/wasm/build.py
+	$(BIN)/python packages/foten/native/wasm/build.py
 
 wasm-check: $(VENV)/.wasm
-	$(BIN)/python native/wasm/build.py --check
+	$(BIN)/python packages/foten/native/wasm/build.py --check
 
 # All of what a release holds, in dist. A C compiler is not needed: Zig's is one of the packages.
 $(VENV)/.wheels: constraints.txt
@@ -84,8 +84,9 @@ $(VENV)/.wheels: constraints.txt
 	touch $@
 
 wheels: $(VENV)/.wheels
-	$(BIN)/python native/wheels.py
-	$(BIN)/python native/wasm/pack.py
+	$(BIN)/python packages/foten/native/wheels.py
+	$(BIN)/python -m pip wheel --quiet --no-deps --no-build-isolation --wheel-dir dist ./packages/foten-study ./packages/foten-lab
+	$(BIN)/python packages/foten/native/wasm/pack.py
 
 # The wheel of this machine by its own compiler: what its libraries export, and that it renders where no compiler is. Those of a release
 # in 'make slow', after 'make wheels' once.

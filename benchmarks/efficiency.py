@@ -30,12 +30,6 @@ import numpy as np
 import torch
 
 from bench import parser_of, report, times_us, write_rows
-from foten.baselines.dftnet import Dftnet
-from foten.baselines.fit import log_spectra
-from foten.baselines.gan import STEPS, Gan, fit_adversarial
-from foten.baselines.networks import build
-from foten.baselines.sizes import HapinfSizes, NoiseModelSizes
-from foten.experiments.provenance import code_here, processor
 from foten.models.foten.transformer import EncoderLayer
 from foten.models.graph import graph_of
 from foten.models.registry import GraphSizes
@@ -54,6 +48,12 @@ from foten.training.loop import Monitor
 from foten.training.reproducible import reproducible
 from foten.training.texture_builder import tensors_of
 from foten.training.window_fit import fit_windows, one_step_windows
+from foten_lab.baselines.dftnet import Dftnet
+from foten_lab.baselines.fit import log_spectra
+from foten_lab.baselines.gan import STEPS, Gan, fit_adversarial
+from foten_lab.baselines.networks import build
+from foten_lab.baselines.sizes import HapinfSizes, NoiseModelSizes
+from foten_lab.provenance import code_here, processor
 
 MODELS = ("dstn", "ldhtd", "gan", "dftnet", "hapinf", "fnn", "ten", "ten-mfcc", "ten-wavelet", "foten", "foten-d")
 

@@ -65,7 +65,7 @@ def main() -> None:
             for name, wanted in (("numpy", "numpy"), ("foten", str(wheel.resolve()))):
                 environment = Path(folder) / f"{name}-{repeat}"
                 times[name].append(seconds(environment, wanted, FIRST[name]))
-        sizes = json.loads(run(environment, ROOT / "native" / "tests" / "installed.py"))
+        sizes = json.loads(run(environment, ROOT / "packages/foten/native" / "tests" / "installed.py"))
     ratios = [ours / theirs for ours, theirs in zip(times["foten"], times["numpy"], strict=True)]
     cells = [["", "install to first use [s]", "÷ NumPy", "installed [MB]"]]
     rows = (("NumPy alone", "numpy", 1.0, "numpy_bytes"), ("foten with NumPy", "foten", statistics.median(ratios), ""))

@@ -4,9 +4,9 @@
 
 Each engine predicts the next sample from one window, called from Python one by one as an application would, the wasm from Node.
 They take turns, a few hundred calls each, so that a machine that is slower for a while is so for all. Engines that are not
-installed are said to be missing: `pip install 'foten[bench]'` has ONNX Runtime and OpenVINO. The floor is the multiply-adds of
-the exactly pruned network over the peak of this core, measured beside them by `native/tests/peak.c` with the compiler that is
-here.
+installed are said to be missing: `pip install ./packages/foten './packages/foten-lab[bench]'` has ONNX Runtime and OpenVINO.
+The floor is the multiply-adds of the exactly pruned network over the peak of this core, measured beside them by
+`native/tests/peak.c` with the compiler that is here.
 """
 
 from __future__ import annotations
@@ -111,7 +111,7 @@ def engines(texture: Texture, file: Path) -> dict[str, Any]:
         else:
             child.close()
     if shutil.which("node"):
-        wasm = ROOT / "native" / "wasm"
+        wasm = ROOT / "packages/foten/native" / "wasm"
         program = NODE % {
             "module": json.dumps((wasm / "foten.mjs").as_uri()),
             "wasm": json.dumps(str(wasm / "foten.wasm")),
@@ -127,8 +127,8 @@ def frameworks(texture: Texture, file: Path) -> dict[str, Any]:
     """What times PyTorch, eager and compiled, ONNX Runtime and OpenVINO on the same window."""
     import torch
 
-    from foten.baselines.networks import build
     from foten.models.graph import graph_of
+    from foten_lab.baselines.networks import build
 
     torch.set_num_threads(1)
     network = build(texture.sizes)
@@ -158,7 +158,7 @@ def frameworks(texture: Texture, file: Path) -> dict[str, Any]:
         _agrees("ONNX Runtime", session.run(None, inputs)[0], network, tensor)
         runners["onnxruntime"] = partial(times_us, lambda: session.run(None, inputs))
     except ImportError as error:
-        print(f"onnxruntime: left out, {error}; pip install 'foten[bench]'", file=sys.stderr)
+        print(f"onnxruntime: left out, {error}; pip install './packages/foten-lab[bench]'", file=sys.stderr)
     try:
         import openvino
 
@@ -171,7 +171,7 @@ def frameworks(texture: Texture, file: Path) -> dict[str, Any]:
         _agrees("OpenVINO", request.infer([window])[0], network, tensor)
         runners["openvino"] = partial(times_us, lambda: request.infer([window]))
     except ImportError as error:
-        print(f"openvino: left out, {error}; pip install 'foten[bench]'", file=sys.stderr)
+        print(f"openvino: left out, {error}; pip install './packages/foten-lab[bench]'", file=sys.stderr)
     return runners
 
 
@@ -202,7 +202,14 @@ def peaks(folder: Path) -> dict[str, float]:
         return {}
     program = folder / "peak"
     subprocess.run(
-        [compiler, "-O2", "-ffp-contract=fast", str(ROOT / "native" / "tests" / "peak.c"), "-o", str(program)],
+        [
+            compiler,
+            "-O2",
+            "-ffp-contract=fast",
+            str(ROOT / "packages/foten/native" / "tests" / "peak.c"),
+            "-o",
+            str(program),
+        ],
         check=True,
     )
     done = subprocess.run([str(program)], check=True, capture_output=True, text=True)

@@ -29,8 +29,8 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 os.environ.setdefault("RAY_AUTH_MODE", "token")
 os.environ.setdefault("RAY_AUTH_TOKEN", secrets.token_hex(32))
 
-from foten.experiments.experiment import Experiment, Method
-from foten.experiments.sweep import sweep
+from foten_lab.experiment import Experiment, Method
+from foten_lab.sweep import sweep
 
 RAY = shutil.which("ray", path=str(Path(sys.executable).parent)) or "ray"
 HOST, PORT = "127.0.0.2", 6399  # of the loopback, where Ray does not take it for the machine's own address

@@ -16,7 +16,6 @@ import numpy as np
 import pytest
 import torch
 
-from foten.baselines.sizes import NoiseModelSizes
 from foten.dsp.equaliser import N_TERMS, Equaliser
 from foten.dsp.level import N_BANDS
 from foten.models.excitation import Excitation, Scale
@@ -43,6 +42,7 @@ from foten.recording.preprocess import PreprocessConfig
 from foten.recording.scaling import Scaling
 from foten.recording.split import Split
 from foten.training.config import TrainConfig
+from foten_lab.baselines.sizes import NoiseModelSizes
 
 if TYPE_CHECKING:
     from foten.models.piecewise_ar.local_models import LocalModels
@@ -117,7 +117,7 @@ def untrained(model: str, sizes: ModelSizes | None = None, seed: int = 0) -> Any
     """A seeded network in PyTorch whose every parameter matters."""
     import torch
 
-    from foten.baselines.networks import build
+    from foten_lab.baselines.networks import build
 
     torch.manual_seed(seed)
     return perturbed(build(sizes or TRAINABLE[model].sizes()))
@@ -252,7 +252,7 @@ def exported(
 
 def packed(network: Any, sizes: GraphSizes | NoiseModelSizes) -> Packed:
     """A baseline's network as its texture file holds it."""
-    from foten.baselines.fit import noise_graph, one_step_graph
+    from foten_lab.baselines.fit import noise_graph, one_step_graph
 
     return noise_graph(network, sizes, 0.5) if isinstance(sizes, NoiseModelSizes) else one_step_graph(network, sizes)
 

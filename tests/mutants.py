@@ -36,13 +36,18 @@ def files_of(tests: str) -> tuple[str, ...]:
 def of_c(path: str, *rows: tuple[str, ...], tests: str = KERNEL) -> list[Mutant]:
     """Mutants of a file in `native`: what is wrong, the tokens that are replaced, by what, other tests than the kernel's."""
     return [
-        Mutant(what, f"native/{path}", partial(_tokens_replaced, before, after), files_of(more[0] if more else tests))
+        Mutant(
+            what,
+            f"packages/foten/native/{path}",
+            partial(_tokens_replaced, before, after),
+            files_of(more[0] if more else tests),
+        )
         for what, before, after, *more in rows
     ]
 
 
 def of_python(path: str, *rows: tuple[str, ...], tests: str = "") -> list[Mutant]:
-    """Mutants of a file in `src/foten`: what is wrong, the scope, the node in it, what it becomes, and other tests than its own.
+    """Mutants of a file in `foten`: what is wrong, the scope, the node in it, what it becomes, and other tests than its own.
 
     Scope: names of nested classes, functions and assigned names, joined by dots.
     Node: its class in `ast`; a label where it needs one: the function of a call, the name of a name or attribute, the class of an
@@ -51,7 +56,12 @@ def of_python(path: str, *rows: tuple[str, ...], tests: str = "") -> list[Mutant
     """
     own = tests or PurePath(path).stem
     return [
-        Mutant(what, f"src/foten/{path}", partial(_node_replaced, *change), files_of(others[0] if others else own))
+        Mutant(
+            what,
+            path if path.startswith("packages/") else f"packages/foten/src/foten/{path}",
+            partial(_node_replaced, *change),
+            files_of(others[0] if others else own),
+        )
         for what, *change, others in ((*row[:4], row[4:]) for row in rows)
     ]
 
@@ -448,7 +458,7 @@ MUTANTS = (
         ("gains of the equaliser are not held", "MAX_LOG_GAIN", "Constant", "9.0"),
     ),
     *of_python(
-        "dsp/adaptive.py",
+        "packages/foten-study/src/foten_study/adaptive.py",
         ("particles that are drawn anew spread too little", "PreferenceSearch._draw_anew", "Call sqrt", "1 - SHRINK"),
     ),
     *of_python(
@@ -463,11 +473,15 @@ MUTANTS = (
         tests="tones",
     ),
     *of_python(
-        "study/store.py",
+        "packages/foten-study/src/foten_study/store.py",
         ("practice answers lead the level search", "Store.levels", "Constant 1", "it.replace('> 0', '>= 0')"),
         tests="study_store",
     ),
-    *of_python("study/strokes.py", ("pauses are contact", "contact_s", "Compare Gt 0", "True"), tests="study_store"),
+    *of_python(
+        "packages/foten-study/src/foten_study/strokes.py",
+        ("pauses are contact", "contact_s", "Compare Gt 0", "True"),
+        tests="study_store",
+    ),
     *of_python(
         "studio/levels.py",
         ("gains are over the widest range", "_conditions", "Call max", "it.func.value.min(0)"),
@@ -480,11 +494,11 @@ MUTANTS = (
         tests="clips",
     ),
     *of_python("export/hjif.py", ("an RMS as an amplitude", "_chirp", "BinOp Mult 1", "it.right"), tests="clips"),
-    *of_python("experiments/simulator_reference.py", ("chosen by the test hand", "VALIDATION_HAND", "Constant", "1")),
+    *of_python("cli/simulator_reference.py", ("chosen by the test hand", "VALIDATION_HAND", "Constant", "1")),
     *of_python(
         "cli/train.py",
         ("the playable texture is not written", "on_playable", "Expr write_texture", ""),
-        ("what a training notes is not shown", "train", "Expr note 2", ""),
+        ("what a training notes is not shown", "_shown", "Expr note 3", ""),
         tests="cli",
     ),
     *of_python("console.py", ("a name is shown as it is", "_shown_lines", "Call shown", "it.args[0]"), tests="hostile"),

@@ -35,8 +35,9 @@ from typing import Any, cast
 
 ROOT = Path(__file__).parents[1]
 WORK = ROOT / "build" / "mutants"
-SOURCES = ROOT / "src" / "foten"
-CONSTANTS = ROOT / "native" / "src" / "constants.h"
+PACKAGES = ROOT / "packages"
+SOURCES = [PACKAGES / "foten/src/foten", PACKAGES / "foten-study/src/foten_study", PACKAGES / "foten-lab/src/foten_lab"]
+CONSTANTS = ROOT / "packages/foten/native" / "src" / "constants.h"
 # That of the extra `dev` lies beside this Python, which need not be in the path.
 CMAKE = shutil.which("cmake", path=os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]]))
 C, TOP = "native", "foten"  # packages of the kernel, and of the modules that are in none
@@ -82,7 +83,9 @@ class Change:
     @property
     def key(self) -> str:
         """Hash of what stays while other lines are written."""
-        text = "\0".join((self.path, self.scope, self.operator, self.what, str(self.number)))
+        text = "\0".join(
+            (self.path.removeprefix("packages/foten/"), self.scope, self.operator, self.what, str(self.number))
+        )
         return hashlib.sha256(text.encode()).hexdigest()[:10]
 
     def row(self) -> list[str]:
@@ -94,17 +97,24 @@ class Change:
 
 
 def package_of(path: Path) -> str:
-    """The folder in `src/foten` that a file is in; `native` of C, `foten` of the modules above."""
+    """The folder in `foten` that a file is in, or the other package; `native` of C, `foten` of the modules above."""
     if path.suffix in (".c", ".h"):
         return C
-    parts = path.relative_to(SOURCES).parts
+    if not path.is_relative_to(SOURCES[0]):
+        return path.relative_to(PACKAGES).parts[0]
+    parts = path.relative_to(SOURCES[0]).parts
     return parts[0] if len(parts) > 1 else TOP
 
 
 def sources() -> list[Path]:
-    """All Python of the package and all C of the kernel, without the table that a script writes."""
-    c = [path for folder in ("src", "training") for path in (ROOT / "native" / folder).glob("*.[ch]")]
-    return sorted([*SOURCES.rglob("*.py"), *(path for path in c if path.name != "resample_table.h")])
+    """All Python of the packages and all C of the kernel, without the table that a script writes."""
+    c = [path for folder in ("src", "training") for path in (ROOT / "packages/foten/native" / folder).glob("*.[ch]")]
+    return sorted(
+        [
+            *(path for source in SOURCES for path in source.rglob("*.py")),
+            *(path for path in c if path.name != "resample_table.h"),
+        ]
+    )
 
 
 def changes(path: Path, root: Path = ROOT) -> list[Change]:
@@ -285,7 +295,7 @@ class LineRecorder:
 
     def __init__(self, folder: Path) -> None:
         self._coverage = importlib.import_module("coverage").Coverage(
-            data_file=None, include=[f"{folder}/src/foten/*"], config_file=False
+            data_file=None, include=[f"{folder}/packages/*/src/*"], config_file=False
         )
         self._folder = folder
         self.result: dict[str, Any] = {"seconds": {}, "failed": [], "lines": {}}
@@ -340,7 +350,7 @@ def _pytest(folder: Path, arguments: list[str], recorder: LineRecorder | None) -
     os.dup2(log, 1)
     os.dup2(log, 2)
     sys.meta_path[:] = [finder for finder in sys.meta_path if "ScikitBuild" not in type(finder).__name__]
-    sys.path[:0] = [str(folder / "src"), str(folder / "tests")]
+    sys.path[:0] = [*import_paths(folder), str(folder / "tests")]
     os.environ["PYTHONPATH"] = python_path(folder)
     import pytest
 
@@ -369,31 +379,38 @@ def copy_tree(folder: Path) -> None:
     (folder / "shadow" / "_editable_skbc_foten.py").touch()  # in place of the finder of the installed package
     assert CMAKE is not None
     subprocess.run(
-        [CMAKE, "-S", folder, "-B", folder / "build", "-D", "FOTEN_TRAINING=ON"], check=True, capture_output=True
+        [CMAKE, "-S", folder / "packages/foten", "-B", folder / "build", "-D", "FOTEN_TRAINING=ON"],
+        check=True,
+        capture_output=True,
     )
+
+
+def import_paths(folder: Path) -> list[str]:
+    """Folders that a copy's packages are imported from."""
+    return [str(folder / source.parent.relative_to(ROOT)) for source in SOURCES]
 
 
 def python_path(folder: Path) -> str:
     """`PYTHONPATH` of a process, and of all that it starts, that is to import a copy's package and no installed one."""
-    return os.pathsep.join([str(folder / "src"), str(folder / "shadow")])
+    return os.pathsep.join([*import_paths(folder), str(folder / "shadow")])
 
 
 def build(folder: Path) -> None:
     """Build a copy's kernel beside its package."""
     assert CMAKE is not None
     subprocess.run([CMAKE, "--build", folder / "build", "--parallel", "2"], check=True, capture_output=True)
-    kernel = folder / "src/foten/runtime/kernel"
+    kernel = folder / "packages/foten/src/foten/runtime/kernel"
     kernel.mkdir(exist_ok=True)
     for name in ("libfoten", "libfoten_training"):
         shutil.copy(next((folder / "build").glob(f"{name}.*")).resolve(), kernel / f"{name}.so")
     for path in ("include/foten.h", "wasm/foten.mjs", "wasm/foten.wasm"):
-        shutil.copy(folder / "native" / path, kernel)
+        shutil.copy(folder / "packages/foten/native" / path, kernel)
 
 
 def fresh_copy(number: int) -> Path:
     """A copy of the sources and tests in `build/mutants`, its kernel built."""
     folder = WORK / f"copy-{number}"
-    for name in ("src", "tests", "native", "docs"):
+    for name in ("packages", "tests", "docs"):
         shutil.rmtree(folder / name, ignore_errors=True)
     copy_tree(folder)
     build(folder)
@@ -429,11 +446,11 @@ def judges(change: Change, records: dict[str, dict[str, Any]]) -> Judges:
 
     Where no test executes it, those that execute the module, and all files that import it. Of C: those that call the kernel.
     """
-    path, in_c = change.path, change.path.startswith("native")
+    path, in_c = change.path, change.path.endswith((".c", ".h"))
     if in_c:
-        path = f"src/foten/{'training/training_kernel' if '/training/' in path else 'runtime/native'}.py"
+        path = f"packages/foten/src/foten/{'training/training_kernel' if '/training/' in path else 'runtime/native'}.py"
     # Any command is run by the package's `main`.
-    module = "foten.cli" if "/cli/" in path else path[4:-3].replace("/", ".")
+    module = "foten.cli" if "/cli/" in path else path[path.index("/src/") + 5 : -3].replace("/", ".")
     imported = re.compile(rf"\b{re.escape(module)}\b")
     on_line: dict[str, float] = {}
     in_module: dict[str, float] = {}
@@ -463,7 +480,7 @@ def fate(folder: Path, change: Change, tests: Judges, limit_s: float) -> str:
     """`dies`, `survives` or `does not compile`, after a change was made in a copy and tested."""
     path = folder / change.path
     original, stat = path.read_text(), path.stat()
-    in_c = change.path.startswith("native")
+    in_c = change.path.endswith((".c", ".h"))
     try:
         path.write_text(change.apply())
         if not in_c:
@@ -533,7 +550,9 @@ def main() -> None:
     parser.add_argument("--n", type=int, default=25, help="mutants of each package (default: 25)")
     parser.add_argument("--jobs", type=int, default=2, help="copies that are tested at once (default: 2)")
     parser.add_argument("--limit", type=float, default=240, help="s of its tests that a mutant survives (default: 240)")
-    parser.add_argument("packages", nargs="*", help="packages of src/foten, or native (default: all)")
+    parser.add_argument(
+        "packages", nargs="*", help="folders of foten, foten-study, foten-lab, or native (default: all)"
+    )
     options = parser.parse_args()
     by_package: dict[str, list[Change]] = {}
     for path in sources():

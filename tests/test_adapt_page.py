@@ -27,8 +27,8 @@ from foten.studio.access import LOOPBACK, Access
 from foten.studio.page_files import page_files
 from foten.studio.shelf import Shelf
 from foten.studio.studio_server import Studio
-from foten.study.adapt_server import AdaptServer
-from foten.study.adapt_session import Limits, Session
+from foten_study.adapt_server import AdaptServer
+from foten_study.adapt_session import Limits, Session
 
 TOWEL = EXAMPLE.parent / "towel.foten"
 HERE = "http://127.0.0.1:8000"
@@ -178,8 +178,8 @@ PROGRAM = """
 from pathlib import Path
 from foten.editing.user import UserProfile
 from foten.models.texture_file import read_texture
-from foten.study.adapt_server import AdaptServer
-from foten.study.adapt_session import Limits, Session
+from foten_study.adapt_server import AdaptServer
+from foten_study.adapt_session import Limits, Session
 from foten.studio.web_server import serve
 session = Session(UserProfile("Ada"), "towel", limits=Limits(detect=(1, 1), compare=(1, 1), match=(2, 3)))
 server = AdaptServer(session, Path({output!r}), read_texture(Path({texture!r})))

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from foten.dsp.adaptive import Comparison, Detection, LevelSearch, PreferenceSearch
+from foten_study.adaptive import Comparison, Detection, LevelSearch, PreferenceSearch
 
 WRONG = 0.1  # share of answers that are drawn
 

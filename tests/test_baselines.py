@@ -10,13 +10,6 @@ import torch
 from scipy.fft import dct
 from scipy.signal import welch
 
-from foten.baselines.fit import distilled, log_spectra
-from foten.baselines.fnn import EDGES, lagged_bands
-from foten.baselines.gan import Gan, fit_adversarial
-from foten.baselines.networks import build
-from foten.baselines.noise_filter import NoiseFilter, log_magnitudes
-from foten.baselines.sizes import BASELINES, DftnetSizes, GanSizes, TenMfccSizes, TenWaveletSizes
-from foten.baselines.ten_variants import MfccBranch, WaveletBranch, cosine_transform, mel_bands, wavelet_transform
 from foten.models.graph import multiply_adds
 from foten.recording.split import Split
 from foten.recording.trace import Trace
@@ -25,6 +18,13 @@ from foten.training.config import WindowConfig
 from foten.training.job import ScaledBlocks, scaled_blocks
 from foten.training.loop import Monitor
 from foten.training.window_fit import TrainingWindows, fit_windows
+from foten_lab.baselines.fit import distilled, log_spectra
+from foten_lab.baselines.fnn import EDGES, lagged_bands
+from foten_lab.baselines.gan import Gan, fit_adversarial
+from foten_lab.baselines.networks import build
+from foten_lab.baselines.noise_filter import NoiseFilter, log_magnitudes
+from foten_lab.baselines.sizes import BASELINES, DftnetSizes, GanSizes, TenMfccSizes, TenWaveletSizes
+from foten_lab.baselines.ten_variants import MfccBranch, WaveletBranch, cosine_transform, mel_bands, wavelet_transform
 
 
 def test_bands_add_up_to_the_vibration() -> None:
@@ -142,7 +142,7 @@ def test_recurrent_layers_are_counted() -> None:
 
 
 def test_an_interrupted_teacher_ends_the_training(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("foten.baselines.fit.fit_windows", lambda *_: Progress(interrupted=True))
+    monkeypatch.setattr("foten_lab.baselines.fit.fit_windows", lambda *_: Progress(interrupted=True))
     windows = TrainingWindows(np.zeros((100, 3)), np.arange(20, 60), np.arange(60, 100), 20)
     with pytest.raises(KeyboardInterrupt):
         distilled(windows, 20, WindowConfig(), Monitor())
@@ -234,7 +234,7 @@ def test_an_adversarial_training_goes_on_where_it_stopped(tmp_path: Path) -> Non
         network = small_gan()
         torch.manual_seed(seed)
         with pytest.MonkeyPatch.context() as patch:
-            patch.setattr("foten.baselines.gan.STEPS", 10)
+            patch.setattr("foten_lab.baselines.gan.STEPS", 10)
             progress = fit_adversarial(network, 42, blocks, config, monitor)
         return network, progress
 

@@ -247,10 +247,10 @@ def test_only_so_many_pages_capture_at_once_and_one_that_left_makes_room(
 
 
 def test_without_what_trains_a_capture_says_so_before_it_begins(client: TestClient, monkeypatch: Any) -> None:
-    monkeypatch.setattr(capture_server, "why_not", lambda: "pip install 'foten[train]'")
+    monkeypatch.setattr(capture_server, "why_not", lambda: "pip install './packages/foten[train]'")
     with client.websocket_connect(WS) as socket:
         socket.send_text(json.dumps(BEGIN))
-        assert "pip install 'foten[train]'" in answered(socket, "ready")["refused"]
+        assert "pip install './packages/foten[train]'" in answered(socket, "ready")["refused"]
 
 
 def test_noise_without_taps_is_refused_in_words_and_kept(client: TestClient, studio: Studio) -> None:

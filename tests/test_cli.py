@@ -104,7 +104,7 @@ def test_listeners_are_asked_where_they_are_asked_for(
 ) -> None:
     """Under a long stroke of a simulated truth, beside two true ones; here with next to no training and a short one."""
     monkeypatch.setattr("foten.evaluate.listener_network.N_STEPS", 2)
-    monkeypatch.setattr("foten.experiments.simulator_reference.LONG_S", 46.0)
+    monkeypatch.setattr("foten.cli.simulator_reference.LONG_S", 46.0)
     printed, said = foten("evaluate", texture, recording, "--json", "--listener")
     assert "listener 1 of 3" in said
     scores = json.loads(printed)["listener"]

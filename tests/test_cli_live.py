@@ -103,7 +103,7 @@ def test_what_cannot_be_played_is_one_line(file: Path, arguments: list[str], exp
 def test_without_the_package_it_names_the_extra(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "sounddevice", None)
     extra = re.search(r"foten\[(\w+)\]", only_line("play", file, "--seconds", "0.1"))
-    project = tomllib.loads((Path(__file__).parents[1] / "pyproject.toml").read_text())["project"]
+    project = tomllib.loads((Path(__file__).parents[1] / "packages/foten/pyproject.toml").read_text())["project"]
     assert extra is not None
     assert extra[1] in project["optional-dependencies"]
 

@@ -13,7 +13,6 @@ import pytest
 from torch import Tensor, nn
 
 from conftest import config_of, sizes_with
-from foten.baselines.sizes import BASELINES
 from foten.cli.command_line import _status
 from foten.datasets.hdf5 import write_recording
 from foten.evaluate.evaluate import evaluate
@@ -31,6 +30,7 @@ from foten.runtime.renderer import Renderer
 from foten.simulation.simulate import simulate
 from foten.training import calibration
 from foten.training.job import TrainingJob
+from foten_lab.baselines.sizes import BASELINES
 
 FROM_NOISE = [key for key, model in BASELINES.items() if not model.sizes.predicts_samples]
 

@@ -13,16 +13,16 @@ import pytest
 from conftest import TINY, check_figures, experiment, exported
 from foten.datasets.hdf5 import write_recording
 from foten.evaluate.evaluate import Judgement
-from foten.experiments.experiment import Experiment, Method, Run, experiment_path, read_experiment, recording_of
-from foten.experiments.figures import convergence, spectra, split, thresholds, waveforms, windows_and_losses
-from foten.experiments.onset import onset
-from foten.experiments.results import by_recipe, read_records
-from foten.experiments.run import _result
-from foten.experiments.stability import into, proven, render_streams, stability
-from foten.experiments.sweep import planned
 from foten.models.foten_plus.sizes import FotenPlusSizes
 from foten.models.texture_file import Texture
 from foten.simulation.simulate import simulate
+from foten_lab.experiment import Experiment, Method, Run, experiment_path, read_experiment, recording_of
+from foten_lab.figures import convergence, spectra, split, thresholds, waveforms, windows_and_losses
+from foten_lab.onset import onset
+from foten_lab.results import by_recipe, read_records
+from foten_lab.run import _result
+from foten_lab.stability import into, proven, render_streams, stability
+from foten_lab.sweep import planned
 from test_cli import foten
 
 RESULTS = Path(__file__).parents[1] / "docs" / "results"
@@ -263,7 +263,7 @@ def texture() -> Texture:
 
 def test_a_texture_is_bounded_and_forgets(texture: Texture, monkeypatch: pytest.MonkeyPatch) -> None:
     paths: list[np.ndarray] = []
-    watched = "foten.experiments.stability.render_streams"
+    watched = "foten_lab.stability.render_streams"
     monkeypatch.setattr(watched, lambda *of, **more: [paths.append(of[2]), render_streams(*of, **more)][1])
     figures = stability(texture, minutes=0.5, n_attack=12_000)
     ranges = [texture.trained_range(name) for name in ("speed", "force")]
@@ -301,14 +301,10 @@ def test_what_a_file_names_is_measured(
     recording = simulate("linear-hum", 4)
     judgement = Judgement({"recording_sha256": ""}, None, (), slice(None), {}, {})  # type: ignore[arg-type]
     called: list[str] = []
-    monkeypatch.setattr(
-        "foten.experiments.run.reference_for", lambda *_, listener: called.extend(["listener"] * listener)
-    )
-    monkeypatch.setattr(
-        "foten.experiments.run.evaluate", lambda *_, listener: called.append(str(listener)) or judgement
-    )
+    monkeypatch.setattr("foten_lab.run.reference_for", lambda *_, listener: called.extend(["listener"] * listener))
+    monkeypatch.setattr("foten_lab.run.evaluate", lambda *_, listener: called.append(str(listener)) or judgement)
     for name in ("stability.stability", "onset.onset", "run.validation_listener"):
-        monkeypatch.setattr(f"foten.experiments.{name}", lambda *_, name=name: name)
+        monkeypatch.setattr(f"foten_lab.{name}", lambda *_, name=name: name)
     run = next(iter(Experiment("t", ("linear-hum",), (Method("foten", measures=measures),)).runs()))
     texture = dataclasses.replace(texture, card={**texture.card, "training": {"versions": {}}})
     measured = _result(run, recording, texture, 0.0)["measures"]

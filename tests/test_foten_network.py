@@ -12,10 +12,10 @@ from torch.nn import TransformerEncoderLayer
 from torch.nn.functional import layer_norm, linear
 
 from conftest import SMALL, untrained
-from foten.baselines.networks import build
 from foten.models.foten.definition import Network
 from foten.models.foten.sizes import FotenSizes
 from foten.training.texture_builder import tensors_of
+from foten_lab.baselines.networks import build
 
 SIZES = {
     "paper": FotenSizes(),

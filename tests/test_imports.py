@@ -11,13 +11,17 @@ import numpy as np
 import pytest
 
 import foten
+import foten_lab
+import foten_study
 from foten.models.texture_file import Texture, write_texture
 from foten.runtime.renderer import Renderer
 
-ROOT = Path(foten.__file__).parent
+ROOTS = {package.__name__: Path(package.__file__).parent for package in (foten, foten_study, foten_lab)}
+OTHERS = {"foten_study": "foten-study", "foten_lab": "foten-lab"}
 MODULES = sorted(
-    ".".join(("foten", *path.relative_to(ROOT).with_suffix("").parts)).removesuffix(".__init__")
-    for path in ROOT.rglob("*.py")
+    ".".join((name, *path.relative_to(root).with_suffix("").parts)).removesuffix(".__init__")
+    for name, root in ROOTS.items()
+    for path in root.rglob("*.py")
 )
 
 DOCUMENT = Path(__file__).parent.parent / "docs" / "architecture.md"
@@ -28,7 +32,9 @@ def table() -> dict[str, set[str] | None]:
     _, rows, _ = re.split(r"<!-- /?imports -->\n", DOCUMENT.read_text(encoding="utf-8"))
     cells = [[cell.strip() for cell in row.strip("|").split("|")] for row in rows.splitlines()[2:]]
     return {
-        package.strip(" `"): None if names == "everything" else {name.strip(" `") for name in names.split(",") if name}
+        package.strip(" `"): None
+        if names.startswith("everything")
+        else {name.strip(" `") for name in names.split(",") if name}
         for packages, names in cells
         for package in packages.split(",")
     }
@@ -36,14 +42,16 @@ def table() -> dict[str, set[str] | None]:
 
 MAY_IMPORT = table()
 FOR_ALL = {"atomic_write", "untrusted"}
-EVERYTHING = {"", *(package for package, names in MAY_IMPORT.items() if names is None)}  # "": foten itself, lazily
-WITH_TORCH = {"training", "baselines", "experiments", "cli"}
+EVERYTHING = {"", "cli"}  # "": foten itself, lazily
+WITH_TORCH = {"training", "foten-lab", "cli"}
 TRAINED = re.compile(
     r"foten\.models\.(graph|\w+\.(?!definition$|sizes$|config$|recorded_innovations$|recorded_store$)\w+)"
 )  # by PyTorch
 SETTINGS = re.compile(r"foten\.models\.(trainable|\w+\.config)")  # of trainings, without PyTorch
 SHARED = {f"foten.models.{name}" for name in ("conditions", "excitation", "model_sizes", "texture_file")}
-NO_TORCH = {"foten.training", "foten.baselines", "foten.baselines.sizes", "foten.training.config", "foten.experiments"}
+NO_TORCH = {"foten.training", "foten.training.config", "foten_lab", "foten_lab.baselines", "foten_lab.baselines.sizes"}
+NO_TORCH |= {f"foten_lab.{name}" for name in ("commands", "from_spectrum", "words", "words_commands")}
+HEAVY = re.compile(r"foten\.cli\.(train_capture|simulator_reference|demo)")  # no commands
 LISTENER = re.compile(r"foten\.evaluate\.listener(_network)?")  # loads PyTorch when it is asked
 WITHOUT_SCIPY = {"atomic_write", "untrusted", "dsp", "recording", "models", "runtime", ""}  # at import
 EXTERNAL = {"atomic_write": set(), "untrusted": set(), "dsp": {"numpy", "scipy"}, "models": {"numpy", "safetensors"}}
@@ -53,17 +61,19 @@ def may_train(module: str) -> bool:
     """Whether a module is of what may import PyTorch as soon as it is imported."""
     if module in NO_TORCH:
         return False
-    trained = TRAINED.fullmatch(module) or LISTENER.fullmatch(module) or module == "foten.cli.train_capture"
-    return bool(trained) or package(module) in {"training", "baselines", "experiments"}
+    trained = TRAINED.fullmatch(module) or LISTENER.fullmatch(module) or HEAVY.fullmatch(module)
+    return bool(trained) or package(module) in {"training", "foten-lab"}
 
 
 def package(module: str) -> str:
-    """The part of a module's name that the table speaks of."""
-    return module.split(".")[1] if "." in module else ""
+    """What the table calls the package that a module is in: a folder of foten, or another distribution."""
+    first, *rest = module.split(".")
+    return OTHERS.get(first, rest[0] if rest else "")
 
 
 def source(module: str) -> ast.Module:
-    path = ROOT.joinpath(*module.split(".")[1:])
+    first, *rest = module.split(".")
+    path = ROOTS[first].joinpath(*rest)
     path = path / "__init__.py" if path.is_dir() else path.with_suffix(".py")
     return ast.parse(path.read_text(encoding="utf-8"))
 
@@ -98,20 +108,18 @@ def imported_at_once(module: str) -> Iterator[str]:
 
 
 def of_project(modules: Iterator[str]) -> set[str]:
-    return {package(name) for name in modules if name.startswith("foten.")}
+    return {package(name) for name in modules if name.split(".")[0] in ROOTS and name != "foten"}
 
 
-def test_of_the_command_line_alone_the_study_is_known() -> None:
-    """By the table of commands, which names it without importing it."""
-    assert {package(m) for m in MODULES if "study" in of_project(imported(source(m)))} == {"study"}
-    named = {path.relative_to(ROOT) for path in ROOT.rglob("*.py") if "foten.study" in path.read_text(encoding="utf-8")}
-    assert {path for path in named if path.parts[0] != "study"} == {Path("cli", "commands.py")}
+def test_no_distribution_imports_another_but_foten() -> None:
+    for module in MODULES:
+        assert of_project(imported(source(module))) & set(OTHERS.values()) <= {package(module)}, module
 
 
 def test_the_modules_of_the_study_import_one_another_in_one_direction() -> None:
     """Also those that are imported for type checkers alone, or in functions."""
-    waiting = {m: {n for n in imported(source(m)) if n in MODULES} for m in MODULES if package(m) == "study"}
-    waiting["foten.study"] = waiting["foten.study.tasks"] = set()
+    waiting = {m: {n for n in imported(source(m)) if n in MODULES} for m in MODULES if package(m) == "foten-study"}
+    waiting["foten_study"] = waiting["foten_study.tasks"] = set()
     while free := [module for module, needed in waiting.items() if not needed & waiting.keys()]:
         for module in free:
             del waiting[module]
@@ -128,11 +136,11 @@ def test_a_module_imports_what_its_layer_may(module: str) -> None:
     if layer in EVERYTHING | FOR_ALL:
         return
     allowed = (
-        MAY_IMPORT[layer]
+        (MAY_IMPORT[layer] or MAY_IMPORT.keys() - OTHERS.values())
         | FOR_ALL
         | {layer}
         | ({"training", "datasets", "runtime"} if may_train(module) else set())
-        | ({"training", "baselines"} if SETTINGS.fullmatch(module) else set())
+        | ({"training"} if SETTINGS.fullmatch(module) else set())
     )
     beyond = of_project(imported(source(module))) - allowed
     assert not beyond, f"{module} imports {', '.join(sorted(beyond))}"
@@ -188,7 +196,7 @@ def test_switches_of_commands_are_off_and_seeds_begin_at_0() -> None:
     commands = [
         module
         for module in MODULES
-        if package(module) == "cli" or (module.startswith("foten.study.") and "command" in module)
+        if package(module) == "cli" or (module.startswith("foten_study.") and "command" in module)
     ]
     options = [(name, ast.unparse(value)) for module in commands for name, value in defaults(source(module))]
     on = {name for name, text in options if text == "True" or text.startswith("Option(True")}
@@ -228,7 +236,7 @@ def test_adapt_needs_nothing_of_the_statistics_of_a_study() -> None:
 import sys
 for name in ("pandas", "statsmodels", "scipy.stats"):
     sys.modules[name] = None
-import foten.study.adapt_command, foten.study.adapt_server
+import foten_study.adapt_command, foten_study.adapt_server
 """
     run(code)
 
@@ -244,11 +252,11 @@ def test_a_page_for_any_host_needs_no_server(tmp_path: Path) -> None:
 
 def test_a_command_loads_itself_alone_and_help_no_heavy_library() -> None:
     code = "import sys; from foten.cli.command_line import _status; _status(sys.argv[1:]); print(*sys.modules)"
-    assert not {"foten.study.commands", "foten.cli.train", "foten.editing.blend"} & set(
+    assert not {"foten_study.commands", "foten.cli.train", "foten.editing.blend"} & set(
         run(code, "devices", "-h").split()
     )
     loaded = set(run(code, "--help").split())
-    assert {"foten.study.commands", "foten.cli.train", "foten.editing.blend"} <= loaded
+    assert {"foten_study.commands", "foten.cli.train", "foten.editing.blend"} <= loaded
     assert not {"torch", "scipy", "h5py", "matplotlib", "starlette", "onnxruntime"} & loaded
 
 
@@ -266,6 +274,8 @@ import sys
 for name in ("torch", "scipy", "h5py", "matplotlib"):
     sys.modules[name] = None
 import foten
+import foten_lab
+import foten_study
 import importlib, pkgutil, foten.runtime
 for module in pkgutil.walk_packages(foten.runtime.__path__, "foten.runtime."):
     importlib.import_module(module.name)

@@ -25,13 +25,13 @@ from foten.datasets.hdf5 import load_recording, write_recording
 from foten.datasets.importing import DATASETS, read_columns
 from foten.datasets.isolated import contents_of, read_isolated
 from foten.editing.texture_library import open_library
-from foten.experiments.experiment import read_experiment
 from foten.models.texture_file import Texture, read_texture, write_texture
 from foten.recording.recording import Channel, Recording
 from foten.runtime.actuator import read_profile
 from foten.runtime.renderer import Renderer
-from foten.study.design import read_design
 from foten.untrusted import check_numbers, max_content, parse_json, parse_toml, read_whole, shown, too_much
+from foten_lab.experiment import read_experiment
+from foten_study.design import read_design
 
 FORCE = np.linspace(0, 3, 400)
 
@@ -258,9 +258,9 @@ def test_a_missing_library_is_named(recording: Path, monkeypatch: pytest.MonkeyP
         monkeypatch.delitem(sys.modules, name)
     monkeypatch.syspath_prepend(tmp_path)
     assert _status(["inspect", str(recording)]) == 2
-    assert "this needs h5py, which is not installed: pip install 'foten[data]'" in capsys.readouterr().err
+    assert "this needs h5py, which is not installed: pip install './packages/foten[data]'" in capsys.readouterr().err
     assert _status(["imagine", str(tmp_path / "map.png"), "--scale", "0.05", "--photo"]) == 2
-    assert "this needs PIL, which is not installed: pip install 'foten[data]'" in capsys.readouterr().err
+    assert "this needs PIL, which is not installed: pip install './packages/foten[data]'" in capsys.readouterr().err
 
 
 def test_libraries_are_imported_beside_the_reading_of_files_that_exist(

@@ -27,7 +27,7 @@ from random_mutants import CMAKE
 from test_rendering import with_card
 
 ROOT = Path(__file__).parents[1]
-WASM = ROOT / "native" / "wasm"
+WASM = ROOT / "packages/foten/native" / "wasm"
 
 needs_cmake = pytest.mark.skipif(CMAKE is None or shutil.which("cc") is None, reason="needs CMake and a C compiler")
 needs_node = pytest.mark.skipif(shutil.which("node") is None, reason="needs Node")
@@ -44,7 +44,7 @@ def ran(*command: str | Path, cwd: Path | None = None, **env: str) -> str:
 
 def built(folder: Path, targets: tuple[str, ...], *options: str) -> Path:
     assert CMAKE is not None
-    ran(CMAKE, "-S", ROOT, "-B", folder, "-DFOTEN_TESTS=ON", *options)
+    ran(CMAKE, "-S", ROOT / "packages/foten", "-B", folder, "-DFOTEN_TESTS=ON", *options)
     ran(CMAKE, "--build", folder, "--parallel", "2", "--target", *targets)
     return folder
 
@@ -97,9 +97,19 @@ def test_kernels_for_other_processors_compile_without_a_warning(
 ) -> None:
     """The vectors are the compiler's own, so that it knows them whatever the processor."""
     ran(
-        *("cc", "-std=c11", "-O3", "-Wall", "-Wextra", "-Wno-psabi", "-Werror", "-I", ROOT / "native" / "include"),
-        *(f"-DKERNEL={kernel}", "-DLANES=4", f"-DROWS={rows}", "-I", ROOT / "native" / "src"),
-        *("-c", ROOT / "native" / source, "-o", tmp_path / "kernel.o"),
+        *(
+            "cc",
+            "-std=c11",
+            "-O3",
+            "-Wall",
+            "-Wextra",
+            "-Wno-psabi",
+            "-Werror",
+            "-I",
+            ROOT / "packages/foten/native" / "include",
+        ),
+        *(f"-DKERNEL={kernel}", "-DLANES=4", f"-DROWS={rows}", "-I", ROOT / "packages/foten/native" / "src"),
+        *("-c", ROOT / "packages/foten/native" / source, "-o", tmp_path / "kernel.o"),
     )
 
 
@@ -108,7 +118,7 @@ def test_kernels_are_those_of_the_processor_that_is_built_for(tmp_path: Path) ->
     """On a Mac with Apple silicon a build for x86-64 had the kernel for NEON, and did not link."""
     assert CMAKE is not None
     mac = ("-DCMAKE_SYSTEM_NAME=Linux", "-DCMAKE_SYSTEM_PROCESSOR=arm64", "-DCMAKE_OSX_ARCHITECTURES=x86_64")
-    ran(CMAKE, "-S", ROOT, "-B", tmp_path, *mac)
+    ran(CMAKE, "-S", ROOT / "packages/foten", "-B", tmp_path, *mac)
     targets = ran(CMAKE, "--build", tmp_path, "--target", "help")
     assert "foten_avx2" in targets
     assert "foten_neon" not in targets
@@ -161,7 +171,7 @@ def test_a_c_program_renders_what_python_does(build: Path, texture: Texture, rat
     assert compiled == "$(foten doctor --c-flags)"  # as in the tutorial, where the library that is installed is meant
     ran(
         *("cc", "-std=c11", "-Wall", "-Werror", source, "-o", program),
-        *("-I", ROOT / "native" / "include", "-L", build, "-lfoten", "-lm", f"-Wl,-rpath,{build}"),
+        *("-I", ROOT / "packages/foten/native" / "include", "-L", build, "-lfoten", "-lm", f"-Wl,-rpath,{build}"),
     )
     table = ran(program, file)
     np.testing.assert_array_equal(accelerations(table), [float(f"{x:g}") for x in stroke_of(file)])
@@ -182,7 +192,7 @@ def test_examples_refuse_a_library_of_another_version(
     """Of which they call nothing but `foten_abi`: all else of it ends the program."""
     if shutil.which(compiler[0]) is None:
         pytest.skip(f"needs {compiler[0]}")
-    header = (ROOT / "native" / "include" / "foten.h").read_text()
+    header = (ROOT / "packages/foten/native" / "include" / "foten.h").read_text()
     others = set(re.findall(r"\b(foten_\w+)\(", header)) - {"foten_abi", "foten_predictor"}
     library = tmp_path / "other.c"
     ends = "".join(f"void {name}(void) {{ abort(); }}\n" for name in sorted(others))
@@ -191,7 +201,7 @@ def test_examples_refuse_a_library_of_another_version(
     program = tmp_path / "program"
     ran(
         *(*compiler, "-pthread", ROOT / "examples" / path, tmp_path / "other.o", "-o", program),
-        *("-I", ROOT / "native" / "include", "-lm"),
+        *("-I", ROOT / "packages/foten/native" / "include", "-lm"),
     )
     done = subprocess.run([program, file], capture_output=True, text=True, check=False)
     assert done.returncode == 2
@@ -206,7 +216,7 @@ def test_a_haptic_callback_in_cpp_runs(build: Path, file: Path, tmp_path: Path) 
     ran(
         *("c++", "-std=c++17", "-Wall", "-Werror", "-pthread"),
         *(ROOT / "examples" / "cpp" / "haptic_callback.cpp", "-o", program),
-        *("-I", ROOT / "native" / "include", "-L", build, "-lfoten", "-lm", f"-Wl,-rpath,{build}"),
+        *("-I", ROOT / "packages/foten/native" / "include", "-L", build, "-lfoten", "-lm", f"-Wl,-rpath,{build}"),
     )
     ticks, rms = (ran(program, file).replace(",", "").replace(";", "").split()[i] for i in (0, 4))
     assert ticks == "2000"

@@ -19,8 +19,8 @@ from foten.studio.messages import (
     parse_events,
     parse_message,
 )
-from foten.study.participants import OPERATOR
-from foten.study.protocol import PARTICIPANT
+from foten_study.participants import OPERATOR
+from foten_study.protocol import PARTICIPANT
 
 
 def event(x: float, t: float, pressure: float = 0.5) -> bytes:

@@ -7,8 +7,6 @@ from typing import Any
 import pytest
 
 from conftest import exported, sizes_with, untrained, untrained_tensors
-from foten.baselines.networks import NETWORKS
-from foten.baselines.sizes import BASELINES
 from foten.models.foten.sizes import FotenSizes
 from foten.models.foten_plus.sizes import FotenPlusSizes
 from foten.models.graph import multiply_adds
@@ -16,6 +14,8 @@ from foten.models.model_sizes import MAX_WINDOW
 from foten.models.piecewise_ar.sizes import PiecewiseArSizes
 from foten.models.registry import MAX_GRAPH_WINDOW, MODELS
 from foten.models.trainable import TRAINABLE, trainable_sizes
+from foten_lab.baselines.networks import NETWORKS
+from foten_lab.baselines.sizes import BASELINES
 
 VARIANTS: dict[str, dict[str, Any]] = {
     "default": {},

@@ -151,7 +151,7 @@ def test_a_draw_stays_what_it_was_while_other_code_is_written() -> None:
 
 
 def test_a_mutant_is_judged_by_tests_that_pass_without_it_and_execute_its_line() -> None:
-    change = Change("src/foten/dsp/level.py", "rms", 12, "constant", "2.0 → 4.0", 0, str)
+    change = Change("packages/foten/src/foten/dsp/level.py", "rms", 12, "constant", "2.0 → 4.0", 0, str)
     digest = _digest((ROOT / change.path).read_bytes())
     lines = {"12": ["slow", "quick", "fails"], "14": ["other"]}
     seconds = {"slow": 3.0, "quick": 0.5, "fails": 0.1, "other": 0.2}

@@ -393,7 +393,7 @@ def test_a_constant_stays_itself_at_any_rate(rate: float) -> None:
     assert out[out.size * 3 // 4 :].mean() == pytest.approx(0.7, rel=1e-3)
 
 
-NATIVE = Path(__file__).parents[1] / "native"
+NATIVE = Path(__file__).parents[1] / "packages/foten/native"
 
 
 def test_a_change_of_rate_stops_what_its_header_says() -> None:

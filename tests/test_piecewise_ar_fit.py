@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 from foten.cli.command_line import _status
+from foten.cli.simulator_reference import reference_for
 from foten.datasets.hdf5 import write_recording
 from foten.dsp.ar import MIN_GAP_RAD
 from foten.dsp.segmentation import MAX_ORDER
 from foten.evaluate.evaluate import evaluate
-from foten.experiments.simulator_reference import reference_for
 from foten.models.piecewise_ar.fit import ORDERS, local_models
 from foten.models.piecewise_ar.sizes import PiecewiseArSizes
 from foten.models.texture_file import read_texture

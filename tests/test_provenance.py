@@ -13,22 +13,22 @@ import pytest
 import foten
 from conftest import TINY, experiment
 from foten.cli.command_line import _status
-from foten.experiments import sweep as sweeping
-from foten.experiments.experiment import read_experiment
-from foten.experiments.provenance import SOURCES, code_here, platform_here
-from foten.experiments.results import check_alike, joined, mixture, read_records, read_results, records_of, runs_table
-from foten.experiments.sweep import lacking, planned
+from foten_lab import sweep as sweeping
+from foten_lab.experiment import read_experiment
+from foten_lab.provenance import SOURCES, code_here, platform_here
+from foten_lab.results import check_alike, joined, mixture, read_records, read_results, records_of, runs_table
+from foten_lab.sweep import lacking, planned
 
 
 @pytest.fixture
 def checkout(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     """A repository that the package lies in."""
-    for folder in SOURCES:
+    for folder in SOURCES.values():
         (tmp_path / folder).mkdir(parents=True)
         (tmp_path / folder / "__init__.py").write_text("SIZE = 1\n")
     for command in (["init", "--quiet"], ["add", "."], ["commit", "--quiet", "--message", "A version"]):
         subprocess.run(["git", "-C", tmp_path, "-c", "user.name=a", "-c", "user.email=a@b", *command], check=True)
-    monkeypatch.setattr(foten, "__file__", str(tmp_path / SOURCES[0] / "__init__.py"))
+    monkeypatch.setattr(foten, "__file__", str(tmp_path / SOURCES["foten"] / "foten" / "__init__.py"))
     code_here.cache_clear()
     yield tmp_path
     code_here.cache_clear()
@@ -40,15 +40,15 @@ def code() -> str:
 
 
 def test_the_code_of_a_result_is_what_git_says_of_its_folders(checkout: Path) -> None:
-    command = ["git", "-C", checkout, "rev-parse", *(f"HEAD:{folder}" for folder in SOURCES)]
+    command = ["git", "-C", checkout, "rev-parse", *(f"HEAD:{folder}" for folder in SOURCES.values())]
     trees = subprocess.run(command, check=True, capture_output=True, text=True).stdout.split()
     committed = code()
-    assert committed == ", ".join(f"{folder} {tree[:12]}" for folder, tree in zip(SOURCES, trees, strict=True))
+    assert committed == ", ".join(f"{name} {tree[:12]}" for name, tree in zip(SOURCES, trees, strict=True))
     (checkout / "README.md").write_text("Not of a result.")
     assert code() == committed
     codes = {committed}
     for name, text in (("__init__.py", "SIZE = 2\n"), ("__init__.py", "SIZE = 3\n"), ("other.py", "SIZE = 2\n")):
-        (checkout / SOURCES[1] / name).write_text(text)
+        (checkout / SOURCES["native"] / name).write_text(text)
         assert code().startswith(f"{committed}, modified ")
         codes.add(code())
     assert len(codes) == 4  # a sweep in a changed checkout does not go on as if nothing had changed since
@@ -60,7 +60,7 @@ def test_what_is_installed_has_a_version_and_no_checkout(checkout: Path, monkeyp
     (checkout / "site" / "foten").mkdir(parents=True)
     monkeypatch.setattr(foten, "__file__", str(checkout / "site" / "foten" / "__init__.py"))
     assert code() == expected
-    monkeypatch.setattr(foten, "__file__", str(checkout / SOURCES[0] / "__init__.py"))
+    monkeypatch.setattr(foten, "__file__", str(checkout / SOURCES["foten"] / "foten" / "__init__.py"))
     assert code() != expected
     monkeypatch.setenv("PATH", "")
     assert code() == expected
@@ -95,7 +95,7 @@ def changed(path: Path, **provenance: Any) -> None:
     path.write_text(json.dumps(content))
 
 
-OTHER = {"code": "src/foten 0, native 0"}
+OTHER = {"code": "foten 0, foten-study 0, foten-lab 0, native 0"}
 
 
 def test_a_sweep_goes_on_with_what_is_alike_in_all_and_says_why_the_rest_is_run_again(folder: Path) -> None:

@@ -10,15 +10,15 @@ import numpy as np
 import pytest
 
 from conftest import PLUS, SMALL, exported, sizes_with
-from foten.evaluate.evaluate import evaluate
-from foten.evaluate.listener import N_LISTENERS
-from foten.experiments.simulator_reference import (
+from foten.cli.simulator_reference import (
     VALIDATION_HAND,
     judged_spans_s,
     long_strokes,
     reference_for,
     validation_listener,
 )
+from foten.evaluate.evaluate import evaluate
+from foten.evaluate.listener import N_LISTENERS
 from foten.models.foten_plus.config import FotenPlusConfig
 from foten.models.foten_plus.sizes import FotenPlusSizes
 from foten.models.texture_file import Texture, texture_from_bytes
@@ -94,7 +94,7 @@ def test_a_recording_that_was_not_simulated_or_cannot_be_again_has_no_truth(untr
 
 
 def test_listeners_have_true_vibrations_under_another_and_longer_hand(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("foten.experiments.simulator_reference.LONG_S", 12.0)
+    monkeypatch.setattr("foten.cli.simulator_reference.LONG_S", 12.0)
     recording = simulate("linear-hum", 8, seed=3)
     texture = exported("foten", preprocess={"block_ms": 500.0})
     first, *others = reference_for(recording, texture, listener=True).strokes
@@ -114,7 +114,7 @@ def test_listeners_have_true_vibrations_under_another_and_longer_hand(monkeypatc
 
 @pytest.fixture
 def short_listener(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("foten.experiments.simulator_reference.LONG_S", 60.0)
+    monkeypatch.setattr("foten.cli.simulator_reference.LONG_S", 60.0)
     monkeypatch.setattr("foten.evaluate.listener_network.N_STEPS", 150)
 
 

@@ -18,11 +18,11 @@ import pytest
 from matplotlib.figure import Figure
 from PIL import Image
 
-from foten.experiments.experiment import experiment_path, read_experiment
-from foten.experiments.figures import convergence
-from foten.experiments.method_tables import BY_RECIPE, OF_BLOCKS, findings
 from foten.recording.preprocess import PreprocessConfig, preprocess
 from foten.simulation.simulate import simulate
+from foten_lab.experiment import experiment_path, read_experiment
+from foten_lab.figures import convergence
+from foten_lab.method_tables import BY_RECIPE, OF_BLOCKS, findings
 
 TEXTURES = read_experiment(experiment_path("table-1")).textures
 ERRORS = {
@@ -747,7 +747,7 @@ def picture(name: str) -> Figure:
 
 
 def test_more_methods_than_colours_are_dashed(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("foten.experiments.figures.label_of", lambda result: result["method"])
+    monkeypatch.setattr("foten_lab.figures.label_of", lambda result: result["method"])
     signals = {"error_to_silence": np.ones(4), "level_db": np.zeros(4)}
     warm = {"warm_start": {"silence_mae_scaled": 1.0}}
     names = [f"system {k}" for k in range(10)]

@@ -34,10 +34,10 @@ import pytest
 from scipy import stats
 from scipy.special import expit, ndtr, ndtri
 
-from foten.study import sensitivity
-from foten.study.sensitivity import Sensitivity, abx, abx_share, d_prime_at, oddity, oddity_share
-from foten.study.statistics import Array
-from foten.study.strengths import Strengths, bradley_terry
+from foten_study import sensitivity
+from foten_study.sensitivity import Sensitivity, abx, abx_share, d_prime_at, oddity, oddity_share
+from foten_study.statistics import Array
+from foten_study.strengths import Strengths, bradley_terry
 
 SLOW = pytest.mark.slow
 ALARMS = 0.0365, 0.0635  # shares of 1,000 null studies within two standard errors of 5 %

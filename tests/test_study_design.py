@@ -10,12 +10,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from foten.study import languages
-from foten.study.design import read_design, task_of, titled
-from foten.study.languages import read_language
-from foten.study.new_study import study_text
-from foten.study.orders import balance, orders, planned, square, williams
-from foten.study.tasks.table import TASKS
+from foten_study import languages
+from foten_study.design import read_design, task_of, titled
+from foten_study.languages import read_language
+from foten_study.new_study import study_text
+from foten_study.orders import balance, orders, planned, square, williams
+from foten_study.tasks.table import TASKS
 
 FILES = {
     "mesh": {"ar": "mesh-ar.foten", "foten": "mesh.foten"},
@@ -49,7 +49,7 @@ def test_a_new_study_file_reads_back(study: Path, monkeypatch: pytest.MonkeyPatc
     assert [(q.private, q.at) for q in design.questions] == 4 * [(True, "start")] + [(False, "end")]
     assert text == study.read_text(encoding="utf-8")
     for name, most in (("MAX_FILES", 3), ("MAX_ALL_TRIALS", 47)):  # of which it has 4 and 48
-        monkeypatch.setattr(f"foten.study.design.{name}", most)
+        monkeypatch.setattr(f"foten_study.design.{name}", most)
         with pytest.raises(ValueError, match=f"expected [12] to {most}"):
             read_design(study)
 

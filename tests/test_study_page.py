@@ -16,9 +16,9 @@ from typing import Any
 
 import pytest
 
-from foten.study.languages import Language, read_language
-from foten.study.store import Store
-from foten.study.tasks.table import TASKS
+from foten_study.languages import Language, read_language
+from foten_study.store import Store
+from foten_study.tasks.table import TASKS
 from test_studio_page import CHROMIUM, chromium, look, playwright, until
 from test_study_commands import SAID, started_study
 from test_study_server import study_file

@@ -18,14 +18,14 @@ from foten.runtime.renderer import EXAMPLE
 from foten.runtime.stylus import PressureCalibration
 from foten.studio.messages import RefusedError
 from foten.studio.players import RoundRobinRenderer
-from foten.study import protocol
-from foten.study.design import Design, Setup, Texture
-from foten.study.orders import Trial
-from foten.study.participant_store import ParticipantStore
-from foten.study.protocol import Measured, Moment, NotYetError, State
-from foten.study.study_file import FullError
-from foten.study.tasks.kind import Task
-from foten.study.trial_sound import TrialSound
+from foten_study import protocol
+from foten_study.design import Design, Setup, Texture
+from foten_study.orders import Trial
+from foten_study.participant_store import ParticipantStore
+from foten_study.protocol import Measured, Moment, NotYetError, State
+from foten_study.study_file import FullError
+from foten_study.tasks.kind import Task
+from foten_study.trial_sound import TrialSound
 
 FILES = {"ar": Path("a"), "foten": Path("b")}
 NOON = Moment(100.0, 1e9)

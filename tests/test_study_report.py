@@ -11,15 +11,15 @@ import pytest
 
 from foten import __version__
 from foten.reporting.table import minus
-from foten.study.analysis import analyse
-from foten.study.orders import orders
-from foten.study.raters import Raters
-from foten.study.report import MAX_ROWS, _markdown, write_report
-from foten.study.results import stars
-from foten.study.schema import Stimulus, create
-from foten.study.store import Rated, Store
-from foten.study.tasks.kind import Result
-from foten.study.variance import null_rates
+from foten_study.analysis import analyse
+from foten_study.orders import orders
+from foten_study.raters import Raters
+from foten_study.report import MAX_ROWS, _markdown, write_report
+from foten_study.results import stars
+from foten_study.schema import Stimulus, create
+from foten_study.store import Rated, Store
+from foten_study.tasks.kind import Result
+from foten_study.variance import null_rates
 
 
 def database(path: Path, n: int, methods: int, textures: int, simulated: bool = True) -> Path:

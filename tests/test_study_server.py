@@ -38,21 +38,21 @@ from foten.studio.access import LOOPBACK, Access, Admitted, access_to
 from foten.studio.levels import gains_db
 from foten.studio.messages import MAX_EVENTS, RefusedError
 from foten.studio.websocket import MAX_WAITING_BLOCKS, MAX_WAITING_TEXTS
-from foten.study import participant_store, study_server
-from foten.study import session as session_module
-from foten.study import study_file as file_module
-from foten.study.analysis import read_ratings
-from foten.study.design import titled
-from foten.study.languages import read_language
-from foten.study.loading import load_study
-from foten.study.new_study import study_text
-from foten.study.participants import JOIN_AGAIN, NOT_ALLOWED, RETURNED
-from foten.study.results import of_trials
-from foten.study.session import BEFORE_MISSED, ELSEWHERE, MISSED, Session
-from foten.study.store import Store
-from foten.study.strokes import conditions_of
-from foten.study.study_file import FullError
-from foten.study.study_server import OPERATOR, OPERATOR_COOKIE, StudyServer, study_files
+from foten_study import participant_store, study_server
+from foten_study import session as session_module
+from foten_study import study_file as file_module
+from foten_study.analysis import read_ratings
+from foten_study.design import titled
+from foten_study.languages import read_language
+from foten_study.loading import load_study
+from foten_study.new_study import study_text
+from foten_study.participants import JOIN_AGAIN, NOT_ALLOWED, RETURNED
+from foten_study.results import of_trials
+from foten_study.session import BEFORE_MISSED, ELSEWHERE, MISSED, Session
+from foten_study.store import Store
+from foten_study.strokes import conditions_of
+from foten_study.study_file import FullError
+from foten_study.study_server import OPERATOR, OPERATOR_COOKIE, StudyServer, study_files
 from test_studio_server import HERE, LOCAL, WS
 
 SESSION = f"{WS}/session"
@@ -724,7 +724,7 @@ def test_who_downloads_the_data_keeps_nobody_waiting(tmp_path: Path, monkeypatch
         counts.append(len(store.ratings()))
         return b"all"
 
-    monkeypatch.setattr("foten.study.record.zipped", zipped)
+    monkeypatch.setattr("foten_study.record.zipped", zipped)
     with served(server) as client, client.websocket_connect(SESSION) as socket:
         page = Page(socket)
         page.to_trial()

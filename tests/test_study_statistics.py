@@ -19,10 +19,10 @@ import numpy as np
 import pytest
 from scipy import stats
 
-import foten.study.statistics as statistics
+import foten_study.statistics as statistics
 from foten.dsp.inference import holm
-from foten.study.raters import PAPER_PARTICIPANTS, Raters, needed, paper_raters, power, raters_for
-from foten.study.statistics import Array, anova, friedman, paired_tests, wilcoxon_tests
+from foten_study.raters import PAPER_PARTICIPANTS, Raters, needed, paper_raters, power, raters_for
+from foten_study.statistics import Array, anova, friedman, paired_tests, wilcoxon_tests
 
 
 def data(n: int, a: int, b: int) -> Array:

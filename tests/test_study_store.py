@@ -18,12 +18,12 @@ import numpy as np
 import pytest
 
 from foten import __version__
-from foten.study.analysis import read_ratings
-from foten.study.orders import orders
-from foten.study.schema import GUARDS, VERSION, Stimulus, create, now
-from foten.study.store import Rated, Store, Stroked
-from foten.study.strokes import contact_s
-from foten.study.study_file import MAX_VALUE, FullError
+from foten_study.analysis import read_ratings
+from foten_study.orders import orders
+from foten_study.schema import GUARDS, VERSION, Stimulus, create, now
+from foten_study.store import Rated, Store, Stroked
+from foten_study.strokes import contact_s
+from foten_study.study_file import MAX_VALUE, FullError
 
 TEXTURES, METHODS = 3, 2
 SECOND_RATING = (

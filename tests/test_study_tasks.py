@@ -22,27 +22,27 @@ from scipy import stats
 
 from conftest import check_figures
 from foten.studio.access import Admitted
-from foten.study import choosing, raters, study_server
-from foten.study.analysis import TooFewError, analyse, read_ratings
-from foten.study.design import read_design
-from foten.study.languages import read_language
-from foten.study.loading import load_study
-from foten.study.markers import NAME, Markers
-from foten.study.orders import balance, orders
-from foten.study.raters import raters_for
-from foten.study.rating_figures import figures_of
-from foten.study.record import _contacts, bids, events_of, psych_ds
-from foten.study.report import COLUMNS, write_data, write_report
-from foten.study.simulation import simulate_study
-from foten.study.statistics import ALPHA, anova
-from foten.study.store import Rated, Store, Stroked
-from foten.study.tasks.abx import ABX
-from foten.study.tasks.kind import Task
-from foten.study.tasks.oddity import ODDITY
-from foten.study.tasks.paired import Choosers
-from foten.study.tasks.table import TASKS
-from foten.study.tasks.threshold import threshold_raters
-from foten.study.thresholds import SILENT_DB, gain_db, level_search, noticeable_db, simulated_answers, thresholds_of
+from foten_study import choosing, raters, study_server
+from foten_study.analysis import TooFewError, analyse, read_ratings
+from foten_study.design import read_design
+from foten_study.languages import read_language
+from foten_study.loading import load_study
+from foten_study.markers import NAME, Markers
+from foten_study.orders import balance, orders
+from foten_study.raters import raters_for
+from foten_study.rating_figures import figures_of
+from foten_study.record import _contacts, bids, events_of, psych_ds
+from foten_study.report import COLUMNS, write_data, write_report
+from foten_study.simulation import simulate_study
+from foten_study.statistics import ALPHA, anova
+from foten_study.store import Rated, Store, Stroked
+from foten_study.tasks.abx import ABX
+from foten_study.tasks.kind import Task
+from foten_study.tasks.oddity import ODDITY
+from foten_study.tasks.paired import Choosers
+from foten_study.tasks.table import TASKS
+from foten_study.tasks.threshold import threshold_raters
+from foten_study.thresholds import SILENT_DB, gain_db, level_search, noticeable_db, simulated_answers, thresholds_of
 from test_study_commands import foten
 from test_study_server import joined, served, server_of, study_file
 

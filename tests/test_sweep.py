@@ -25,18 +25,18 @@ from scipy.stats import false_discovery_control
 from conftest import TINY, experiment
 from foten.datasets.hdf5 import write_recording
 from foten.dsp.inference import holm
-from foten.experiments import sweep as sweeping
-from foten.experiments.aggregate import PAPER, Row, compared, signed_rank
-from foten.experiments.experiment import Run, read_experiment, recording_of
-from foten.experiments.figures import figures, windows_and_losses
-from foten.experiments.method_tables import PAPERS, WARM_START, findings, ratios, summary, table, tables_of, warm_start
-from foten.experiments.provenance import platform_here, provenance_of
-from foten.experiments.results import by_recipe, chosen, read_records, read_results, records_of, runs_table, title_of
-from foten.experiments.sweep import _stoppable, lacking, planned, sweep
 from foten.models.texture_file import read_texture
 from foten.reporting.table import Number
 from foten.simulation.simulate import simulate
 from foten.training.checkpoint import Checkpoint, Progress
+from foten_lab import sweep as sweeping
+from foten_lab.aggregate import PAPER, Row, compared, signed_rank
+from foten_lab.experiment import Run, read_experiment, recording_of
+from foten_lab.figures import figures, windows_and_losses
+from foten_lab.method_tables import PAPERS, WARM_START, findings, ratios, summary, table, tables_of, warm_start
+from foten_lab.provenance import platform_here, provenance_of
+from foten_lab.results import by_recipe, chosen, read_records, read_results, records_of, runs_table, title_of
+from foten_lab.sweep import _stoppable, lacking, planned, sweep
 from test_cli import foten
 
 

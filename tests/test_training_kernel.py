@@ -20,7 +20,7 @@ from foten.training import encoder_kernel
 from foten.training import training_kernel as kernel
 from foten.training.dropout import bits_from, random_bits, set_dropout
 
-C_SOURCES = Path(__file__).parents[1] / "native/training"
+C_SOURCES = Path(__file__).parents[1] / "packages/foten/native/training"
 
 
 @pytest.mark.parametrize("of", ["portable", kernel.isa()])

@@ -25,8 +25,8 @@ from foten.models.texture_file import read_texture
 from foten.models.trainable import TRAINABLE
 from foten.runtime.actuator import ActuatorProfile, write_profile
 from foten.runtime.renderer import EXAMPLE
-from foten.study.adapt_server import largest_tones_db, reachable
-from foten.study.adapt_session import ABOVE_THRESHOLD_DB, ROOM_DB, Limits, Question, Session, answered_by
+from foten_study.adapt_server import largest_tones_db, reachable
+from foten_study.adapt_session import ABOVE_THRESHOLD_DB, ROOM_DB, Limits, Question, Session, answered_by
 
 TOWEL = EXAMPLE.parent / "towel.foten"
 GAINS = UserProfile("Ada", gain_db=(6.0, 3.0, 0.0, 0.0, -6.0), gain_sd_db=(1.0,) * 5)

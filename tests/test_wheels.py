@@ -33,7 +33,7 @@ from random_mutants import CMAKE
 from test_kernel_build import WASM, accelerations, needs_node, ran, stroke_of
 
 ROOT = Path(__file__).parents[1]
-NATIVE = ROOT / "native"
+NATIVE = ROOT / "packages/foten/native"
 TOOLS = ("lief", "scikit_build_core", "ziglang")
 needs_tools = pytest.mark.skipif(
     any(importlib.util.find_spec(name) is None for name in TOOLS), reason=f"needs {', '.join(TOOLS)}: make wheels"
@@ -67,7 +67,7 @@ def wheels() -> ModuleType:
 
 def test_cmake_names_every_source() -> None:
     """The wasm is built from all files of native/src; what CMake left out would be missing in the wheels alone."""
-    text = (ROOT / "CMakeLists.txt").read_text()
+    text = (ROOT / "packages/foten/CMakeLists.txt").read_text()
     named = re.search(r"set\(sources ([^)]*)\)", text)
     assert named is not None
     sources = {path.stem for path in (NATIVE / "src").glob("*.c")}
@@ -156,9 +156,10 @@ def test_the_npm_package_renders_what_python_does(tmp_path: Path) -> None:
         archive.extractall(modules, filter="data")
     (modules / "package").rename(modules / "foten")
     program = (ROOT / "examples" / "node" / "stroke.mjs").read_text()
-    program = program.replace('"../../native/wasm/foten.mjs"', '"foten"')
+    program = program.replace('"../../packages/foten/native/wasm/foten.mjs"', '"foten"')
     program = program.replace(
-        'new URL("../../native/wasm/foten.wasm", import.meta.url)', 'new URL(import.meta.resolve("foten/foten.wasm"))'
+        'new URL("../../packages/foten/native/wasm/foten.wasm", import.meta.url)',
+        'new URL(import.meta.resolve("foten/foten.wasm"))',
     )
     (tmp_path / "stroke.mjs").write_text(program)
     assert "native" not in program
@@ -222,7 +223,7 @@ def test_the_wheel_at_hand_exports_what_it_should_and_renders(wheels: ModuleType
     """By this machine's own compiler, as `pip install .` builds it: whom its tag promises nothing to, so that is not checked."""
     (target,) = (target for target in wheels.TARGETS if target.tags[0] == NATIVE_TAG)
     pip = (sys.executable, "-m", "pip", "wheel", "--quiet", "--disable-pip-version-check")
-    ran(*pip, "--no-deps", "--no-build-isolation", "--wheel-dir", tmp_path, ROOT)
+    ran(*pip, "--no-deps", "--no-build-isolation", "--wheel-dir", tmp_path, ROOT / "packages/foten")
     (wheel,) = tmp_path.glob("*.whl")
     wheels.check_functions(target, wheel)
     with zipfile.ZipFile(wheel) as archive:  # the word vectors in it are not under the project's own licence
@@ -304,7 +305,7 @@ def test_the_tests_of_the_kernel_pass_on_arm(
     """Linked statically, so that QEMU needs nothing of that system."""
     assert CMAKE is not None
     chain = ("--toolchain", NATIVE / "zig.cmake", f"-DFOTEN_ZIG={wheels.zig()}", "-DFOTEN_TARGET=aarch64-linux-musl")
-    ran(CMAKE, "-S", ROOT, "-B", tmp_path, *chain, "-DFOTEN_TESTS=ON")
+    ran(CMAKE, "-S", ROOT / "packages/foten", "-B", tmp_path, *chain, "-DFOTEN_TESTS=ON")
     ran(CMAKE, "--build", tmp_path, "--parallel", "2")
     for isa in ("neon", "portable"):
         out = ran("qemu-aarch64", tmp_path / "hot_path", *textures, FOTEN_ISA=isa)
@@ -341,21 +342,21 @@ def test_the_release_job_installs_by_hash_what_the_constraints_name() -> None:
 def test_the_version_is_the_same_everywhere() -> None:
     assert {
         foten.__version__,
-        tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["version"],
-        json.loads((ROOT / "src/foten/export/unity_package/package.json").read_text())["version"],
-        found("native/include/foten.h", r'^#define FOTEN_VERSION "(.+)"'),
+        *(tomllib.loads(path.read_text())["project"]["version"] for path in ROOT.glob("packages/*/pyproject.toml")),
+        json.loads((ROOT / "packages/foten/src/foten/export/unity_package/package.json").read_text())["version"],
+        found("packages/foten/native/include/foten.h", r'^#define FOTEN_VERSION "(.+)"'),
         library().foten_version().decode(),
-        found("CMakeLists.txt", r"PROPERTIES VERSION (\S+) SOVERSION"),
+        found("packages/foten/CMakeLists.txt", r"PROPERTIES VERSION (\S+) SOVERSION"),
         found("CITATION.cff", r"^version: (\S+)"),
     } == {foten.__version__}
 
 
 def test_the_binary_interface_is_the_same_everywhere() -> None:
     assert {
-        found("native/include/foten.h", r"^#define FOTEN_ABI (\d+)"),
+        found("packages/foten/native/include/foten.h", r"^#define FOTEN_ABI (\d+)"),
         str(library().foten_abi()),
         str(ABI),
-        found("CMakeLists.txt", r"SOVERSION (\d+)"),
-        found("native/wasm/foten.mjs", r"^const ABI = (\d+)"),
-        found("src/foten/export/unity_package/Runtime/Foten.cs", r"const int Abi = (\d+)"),
+        found("packages/foten/CMakeLists.txt", r"SOVERSION (\d+)"),
+        found("packages/foten/native/wasm/foten.mjs", r"^const ABI = (\d+)"),
+        found("packages/foten/src/foten/export/unity_package/Runtime/Foten.cs", r"const int Abi = (\d+)"),
     } == {str(ABI)}

@@ -11,7 +11,6 @@ import pytest
 import torch
 from torch import nn
 
-from foten.baselines.networks import build
 from foten.models.foten.sizes import FotenSizes
 from foten.models.trainable import TRAINABLE
 from foten.training.checkpoint import Checkpoint, Epoch
@@ -20,6 +19,7 @@ from foten.training.dropout import Dropout, set_dropout
 from foten.training.initial_weights import draw_glorot
 from foten.training.loop import Monitor
 from foten.training.window_fit import DeviceWindows, TrainingWindows, fit_windows, loss_of, predict
+from foten_lab.baselines.networks import build
 
 SIZES = FotenSizes(window=12, d_model=8, n_heads=2, n_layers=2, d_feedforward=16, head=(16, 8), spectral_width=8)
 QUICK = WindowConfig(epochs=3, batch=64, threads=1)

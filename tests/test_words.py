@@ -10,9 +10,11 @@ import pytest
 
 from foten.dsp.distance import log_spectral_distance
 from foten.editing.describe import describe, rendered, spectrum
-from foten.editing.from_spectrum import Spectrum, interpolated, texture_of_spectrum
 from foten.editing.texture_library import BANDS_HZ, Library, entry_of
-from foten.editing.words import (
+from foten.models.texture_file import read_texture
+from foten.runtime.renderer import EXAMPLE
+from foten_lab.from_spectrum import Spectrum, interpolated, texture_of_spectrum
+from foten_lab.words import (
     MIN_TEXTURES,
     Regression,
     SentenceEncoder,
@@ -23,8 +25,6 @@ from foten.editing.words import (
     left_out_error,
     stem_of,
 )
-from foten.models.texture_file import read_texture
-from foten.runtime.renderer import EXAMPLE
 from test_cli import foten
 from test_texture_library import entry
 
@@ -64,7 +64,7 @@ def test_words_are_near_what_they_mean() -> None:
 
 
 def test_the_table_of_words_is_small_and_says_whose_it_is() -> None:
-    from foten.editing import words
+    from foten_lab import words
 
     assert words.TABLE.stat().st_size < 2e6
     assert "PDDL 1.0" in (FOLDER.parent / "editing" / "words.py").read_text(encoding="utf-8")
@@ -74,7 +74,10 @@ def test_a_sentence_encoder_that_is_missing_says_how_to_get_it(monkeypatch: pyte
     monkeypatch.setitem(sys.modules, "sentence_transformers", None)
     with pytest.raises(ModuleNotFoundError):
         SentenceEncoder()
-    assert "pip install 'foten[words]'" in foten("imagine", "linen", "--encoder", "none", "-o", "a.foten", status=2)[1]
+    assert (
+        "pip install './packages/foten-lab[words]'"
+        in foten("imagine", "linen", "--encoder", "none", "-o", "a.foten", status=2)[1]
+    )
 
 
 def test_a_regression_recovers_what_vectors_say() -> None:

@@ -12,11 +12,11 @@ from typing import Any
 
 import numpy as np
 
-from foten.experiments.aggregate import by_place, mean_of
-from foten.experiments.experiment import experiment_path, read_experiment
-from foten.experiments.results import Record, Records, read_records
 from foten.reporting.table import Cell, Number, Table
 from foten.untrusted import parse_toml
+from foten_lab.aggregate import by_place, mean_of
+from foten_lab.experiment import experiment_path, read_experiment
+from foten_lab.results import Record, Records, read_records
 
 DOCS = Path(__file__).resolve().parents[1]
 RESULTS = DOCS / "results"

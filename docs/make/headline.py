@@ -22,14 +22,13 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import numpy as np
 
 from csv_records import RESULTS, parser_of
+from foten.cli.simulator_reference import SEED_STEP
 from foten.datasets.hdf5 import write_recording
 from foten.dsp import Array
 from foten.dsp.filters import butterworth, filter_recorded
 from foten.evaluate.free_run import synthesize_linear
 from foten.evaluate.metrics import goodness_of_fit
 from foten.evaluate.one_step import fit_linear
-from foten.experiments.experiment import experiment_path, read_experiment, recording_of
-from foten.experiments.simulator_reference import SEED_STEP
 from foten.recording.preprocess import PreprocessConfig, preprocess
 from foten.recording.recording import Recording
 from foten.recording.scaling import fit_scaling
@@ -38,6 +37,7 @@ from foten.recording.trace import Trace
 from foten.recording.windows import first_scored, targets
 from foten.reporting.table import Table
 from foten.simulation.simulate import second_realisation
+from foten_lab.experiment import experiment_path, read_experiment, recording_of
 
 ORDER = 20  # of the predictor, as long as the paper's window
 FILTER_ORDER = 4  # of the low-pass

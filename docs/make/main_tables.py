@@ -26,10 +26,10 @@ from csv_records import (
     runs,
     table,
 )
-from foten.experiments.aggregate import mean_of, over_textures
-from foten.experiments.results import Record, Records
 from foten.reporting.table import Table
 from foten.simulation import contact_mechanics, linear_family, simulate
+from foten_lab.aggregate import mean_of, over_textures
+from foten_lab.results import Record, Records
 from paper_findings import interval
 
 

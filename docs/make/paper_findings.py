@@ -11,7 +11,8 @@ import csv_records as data
 from csv_records import AR_LSD, BEST_AR, EXCITED, LEVEL, LSD, MAIN, ONE_STEP, OURS
 from foten.dsp.inference import holm, student_quantile
 from foten.evaluate.warm_start import SILENT_DB
-from foten.experiments.aggregate import (
+from foten.recording.windows import first_scored
+from foten_lab.aggregate import (
     Row,
     by_place,
     by_texture,
@@ -22,10 +23,9 @@ from foten.experiments.aggregate import (
     rows_of,
     signed_rank,
 )
-from foten.experiments.experiment import experiment_path, read_experiment
-from foten.experiments.method_tables import BY_RECIPE, findings, same_blocks
-from foten.experiments.results import VALIDATION, WITHOUT, Record, Records, chosen
-from foten.recording.windows import first_scored
+from foten_lab.experiment import experiment_path, read_experiment
+from foten_lab.method_tables import BY_RECIPE, findings, same_blocks
+from foten_lab.results import VALIDATION, WITHOUT, Record, Records, chosen
 
 SYSTEM_NAMES = {"ar": "AR", "fnn": "FNN", "dstn": "DSTN", "ldhtd": "LDHTD", "gan": "GAN", "foten": "FoTEN"}
 QUICKER = 0.9  # times the seconds of another in one run of the benchmark, so that chance alone does not make an order

@@ -15,11 +15,11 @@ import csv_records as data
 import paper_findings as findings
 from csv_records import BEST_AR, ERROR, LEVEL, LSD, ONE_STEP, OURS, mean
 from foten.evaluate.warm_start import CONVERGED_MS, SILENT_DB
-from foten.experiments.aggregate import PAPER, Place, by_place, by_texture, mean_of, over_textures
-from foten.experiments.experiment import experiment_path, read_experiment
-from foten.experiments.method_tables import summary, warm_start
-from foten.experiments.results import BEST_LINEAR, VALIDATION, WITHOUT, Record, Records, by_recipe, chosen
 from foten.reporting.table import Cell, Table
+from foten_lab.aggregate import PAPER, Place, by_place, by_texture, mean_of, over_textures
+from foten_lab.experiment import experiment_path, read_experiment
+from foten_lab.method_tables import summary, warm_start
+from foten_lab.results import BEST_LINEAR, VALIDATION, WITHOUT, Record, Records, by_recipe, chosen
 from paper_findings import PIECEWISE, SHORT_LINEAR, SYSTEM_NAMES, beside, ours_over_others
 
 PAPER_GFC = {"ar": 86.28, "fnn": 87.83, "dstn": 90.33, "ldhtd": 91.02, "gan": 88.65, "foten": 92.15}

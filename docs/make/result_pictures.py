@@ -28,15 +28,15 @@ from csv_records import (
 from csv_records import OURS as OURS_KEY
 from drawing import CEILING, INK, LINEAR, OURS, PAPER, STYLE, drawn, image_of, legend_of
 from foten.dsp.inference import standard_error
-from foten.experiments import figures
-from foten.experiments.aggregate import by_texture
-from foten.experiments.experiment import experiment_path, read_experiment
-from foten.experiments.results import VALIDATION, chosen_results, read_results
 from foten.reporting.figure import add_legend
 from foten.reporting.table import mean_number
 from foten.simulation.contact_mechanics import CONTACT
 from foten.simulation.linear_family import LINEAR_FAMILY
 from foten.simulation.simulate import TEXTURES
+from foten_lab import figures
+from foten_lab.aggregate import by_texture
+from foten_lab.experiment import experiment_path, read_experiment
+from foten_lab.results import VALIDATION, chosen_results, read_results
 
 COMPARED = ("steel-mesh-1", "cardboard", "towel")  # of the twelve of Table I
 

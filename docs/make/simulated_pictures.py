@@ -13,6 +13,7 @@ from scipy.signal import welch
 from csv_records import OURS as OURS_KEY
 from csv_records import REAL, runs
 from drawing import CEILING, DOCS, INK, LINEAR, OURS, PAPER, STYLE, drawn, legend_of, write_sound
+from foten.cli.simulator_reference import linear_bounds
 from foten.datasets.hdf5 import load_recording
 from foten.dsp.distance import log_spectral_distance, scored_bins, segment_length
 from foten.dsp.distance import welch as spectra
@@ -20,8 +21,6 @@ from foten.dsp.level import frame_levels
 from foten.dsp.perception import RATES_HZ, carried
 from foten.evaluate.free_run import scored, synthesize, synthesize_linear
 from foten.evaluate.one_step import ORDERS, fit_linear, predict
-from foten.experiments.experiment import Run, experiment_path, read_experiment, recording_of
-from foten.experiments.simulator_reference import linear_bounds
 from foten.models.texture_file import Texture, read_texture, write_texture
 from foten.models.trainable import TRAINABLE, recipe_of, train
 from foten.recording.preprocess import PreprocessConfig, preprocess
@@ -35,6 +34,7 @@ from foten.simulation.simulate import second_realisation, simulate
 from foten.simulation.simulated_capture import PLAN_HZ, simulate_capture
 from foten.simulation.simulated_capture import SOUND_HZ as CAPTURED_HZ
 from foten.training.job import TrainingJob
+from foten_lab.experiment import Run, experiment_path, read_experiment, recording_of
 
 BUILD = DOCS.parent / "build" / "pictures"
 SHOWN = "towel"  # the easiest of the simulated textures to predict, and the paper's network falls silent on it

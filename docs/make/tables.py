@@ -22,10 +22,10 @@ import paper_tables
 import trial_tables
 from csv_records import FULL_LENGTH, MAIN, REAL_2_5, REAL_10, REAL_TABLE_1, place_of, runs_of
 from foten.atomic_write import atomic_write
-from foten.experiments.experiment import experiment_path, read_experiment
-from foten.experiments.method_tables import brief, same_blocks
-from foten.experiments.results import Records, read_records, runs_table
 from foten.reporting.table import Table
+from foten_lab.experiment import experiment_path, read_experiment
+from foten_lab.method_tables import brief, same_blocks
+from foten_lab.results import Records, read_records, runs_table
 
 MAX_COLUMNS, MAX_ROWS = 8, 12  # of a table that people read, a row of means not counted; the rest is CSV
 NOT_RUN = "*Not measured yet with this version.*"

@@ -17,11 +17,11 @@ import numpy as np
 
 from csv_records import RESULTS, parser_of
 from foten.dsp import Array
-from foten.dsp.adaptive import Comparison, Detection, LevelSearch, PreferenceSearch
 from foten.dsp.inference import standard_error
 from foten.editing.user import MOVES, TONES_HZ, UserProfile
 from foten.reporting.table import Table
-from foten.study.adapt_session import Question, Session, answered_by
+from foten_study.adapt_session import Question, Session, answered_by
+from foten_study.adaptive import Comparison, Detection, LevelSearch, PreferenceSearch
 
 WRONG = 0.1
 JND = 0.2  # of half of a range

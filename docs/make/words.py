@@ -8,10 +8,10 @@ Spectra in thirds of an octave, at the described condition and, by the powers of
 centroid and width: what a user who knows them can set without a library. Figures are means over textures with 95 % intervals;
 dB, and octaves.
 
-With --vectors nothing is measured: the word vectors that come along, src/foten/editing/words.npz, are trimmed from GloVe 6B of 50
-numbers. The file is in https://nlp.stanford.edu/data/glove.6B.zip (J. Pennington, R. Socher and C. D. Manning, "GloVe: Global
-vectors for word representation", 2014), under the Public Domain Dedication and License 1.0. Kept are the most frequent words of
-letters, and words of surfaces that are rarer; each vector as 8 bits and a scale.
+With --vectors nothing is measured: the word vectors that come along, packages/foten-lab/src/foten_lab/words.npz, are trimmed from
+GloVe 6B of 50 numbers. The file is in https://nlp.stanford.edu/data/glove.6B.zip (J. Pennington, R. Socher and C. D. Manning,
+"GloVe: Global vectors for word representation", 2014), under the Public Domain Dedication and License 1.0. Kept are the most
+frequent words of letters, and words of surfaces that are rarer; each vector as 8 bits and a scale.
 """
 
 from __future__ import annotations
@@ -32,9 +32,9 @@ from foten.dsp.distance import earth_mover_octaves
 from foten.dsp.inference import standard_error, student_quantile
 from foten.editing.describe import REFERENCE, rendered, spectrum
 from foten.editing.texture_library import BANDS_HZ, Entry, bands_db, open_library
-from foten.editing.words import LAW, TABLE, encoder_of, fit, stem_of, text_of, values_of
 from foten.models.texture_file import read_texture
 from foten.reporting.table import Table
+from foten_lab.words import LAW, TABLE, encoder_of, fit, stem_of, text_of, values_of
 
 CONDITIONS = [REFERENCE, *product((30.0, 60.0, 150.0, 200.0), (0.3, 1.0, 2.0))]
 N_BANDS = len(BANDS_HZ)

@@ -1,6 +1,6 @@
 // A texture under a stroke of two seconds that speeds up, as CSV on stdout: node stroke.mjs denim.foten > stroke.csv
 import { readFileSync } from "node:fs";
-import { Foten } from "../../native/wasm/foten.mjs";
+import { Foten } from "../../packages/foten/native/wasm/foten.mjs";
 
 const [path] = process.argv.slice(2);
 if (!path) {
@@ -8,7 +8,7 @@ if (!path) {
   process.exit(2);
 }
 try {
-  const foten = await Foten.load(readFileSync(new URL("../../native/wasm/foten.wasm", import.meta.url)));
+  const foten = await Foten.load(readFileSync(new URL("../../packages/foten/native/wasm/foten.wasm", import.meta.url)));
   const texture = foten.texture(readFileSync(path));
   const { info } = texture;
   console.error(`${info.texture}, ${info.model}, ${info.rate} Hz, rendered with ${foten.isa}`);

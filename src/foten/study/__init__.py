@@ -1,1 +1,0 @@
-"""People are asked: the perceptual study (Sec. VII), from its file to its report, and the session of `foten adapt`."""
