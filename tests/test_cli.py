@@ -521,14 +521,15 @@ def test_help_is_printed_as_it_is_written() -> None:
 
 
 def test_commands_of_other_packages_are_found_by_their_entry_points(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(commands, "COMMANDS", {"info": commands.COMMANDS["info"]})
-    line = "foten: study: is in the package foten-study: pip install './packages/foten' './packages/foten-study'"
+    monkeypatch.setattr(commands, "others", dict)
+    line = "foten: study is in the package foten-study: pip install './packages/foten' './packages/foten-study'"
     assert refusal("study", "new", "x.toml") == line
     assert "study" not in foten("--help")[0]
     found = [
         EntryPoint(name, "foten.cli.machine:doctor", commands.GROUP) for name in ("study", "imagine words", "more")
     ]
     monkeypatch.setattr(commands, "others", lambda: {entry.name: entry for entry in found})
+    monkeypatch.setattr(commands, "COMMANDS", {"info": commands.COMMANDS["info"]})
     assert "-I" in foten("study", "--c-flags")[0]
     listed = foten("--help")[0]
     assert " more " in listed

@@ -242,7 +242,7 @@ def test_a_graph_is_timed_once_and_called_by_what_runs_it(textures: dict[str, Te
 
 def test_without_onnx_runtime_one_line_says_so(textures: dict[str, Texture], monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "onnxruntime", None)
-    with pytest.raises(ValueError, match=r"pip install 'foten\[onnx\]'"):
+    with pytest.raises(ValueError, match=r"pip install './packages/foten\[onnx\]'"):
         Renderer(textures["dstn"])
     assert Renderer(textures["foten"]).render(speed_mm_s=80.0, force_n=1.0, n=10).size == 10
 

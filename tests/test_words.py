@@ -67,7 +67,7 @@ def test_the_table_of_words_is_small_and_says_whose_it_is() -> None:
     from foten_lab import words
 
     assert words.TABLE.stat().st_size < 2e6
-    assert "PDDL 1.0" in (FOLDER.parent / "editing" / "words.py").read_text(encoding="utf-8")
+    assert "PDDL 1.0" in words.TABLE.with_suffix(".py").read_text(encoding="utf-8")
 
 
 def test_a_sentence_encoder_that_is_missing_says_how_to_get_it(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -67,4 +67,4 @@ def load(name: str) -> Any:
     if name in others():
         return others()[name].load()
     package = PACKAGES[name]
-    raise ValueError(f"{name}: is in the package {package}: pip install './packages/foten' './packages/{package}'")
+    raise ValueError(f"{name} is in the package {package}: pip install './packages/foten' './packages/{package}'")
