@@ -15,7 +15,7 @@ import tomllib
 import venv
 import zipfile
 from collections.abc import Callable
-from pathlib import Path
+from pathlib import Path, PurePath
 from types import ModuleType
 from typing import Any
 
@@ -220,16 +220,30 @@ def test_a_wheel_renders_without_a_compiler(built: Callable[[str], Path], tmp_pa
 @pytest.mark.slow
 @pytest.mark.skipif(NATIVE_TAG is None, reason="there is no wheel for this system")
 def test_the_wheel_at_hand_exports_what_it_should_and_renders(wheels: ModuleType, tmp_path: Path) -> None:
-    """By this machine's own compiler, as `pip install .` builds it: whom its tag promises nothing to, so that is not checked."""
+    """By this machine's own compiler, as pip builds it: whom its tag promises nothing to, so that is not checked."""
     (target,) = (target for target in wheels.TARGETS if target.tags[0] == NATIVE_TAG)
     pip = (sys.executable, "-m", "pip", "wheel", "--quiet", "--disable-pip-version-check")
-    ran(*pip, "--no-deps", "--no-build-isolation", "--wheel-dir", tmp_path, ROOT / "packages/foten")
-    (wheel,) = tmp_path.glob("*.whl")
-    wheels.check_functions(target, wheel)
-    with zipfile.ZipFile(wheel) as archive:  # the word vectors in it are not under the project's own licence
-        (notice,) = (name for name in archive.namelist() if name.endswith(".dist-info/licenses/NOTICE"))
-        assert "Public Domain Dedication and License 1.0" in archive.read(notice).decode()
-    installed(wheel, tmp_path)
+    ran(*pip, "--no-deps", "--no-build-isolation", "--wheel-dir", tmp_path, *sorted(ROOT.glob("packages/*/")))
+    built = {path.name.partition("-")[0]: path for path in tmp_path.glob("*.whl")}
+    assert built.keys() == {"foten", "foten_study", "foten_lab"}
+    for name, path in built.items():
+        with zipfile.ZipFile(path) as archive:
+            licences = (read for read in archive.namelist() if ".dist-info/licenses/" in read)
+            texts = {PurePath(read).name: archive.read(read).decode() for read in licences}
+        assert texts["LICENSE"] == (ROOT / "LICENSE").read_text()
+        # The word vectors are not under the project's own licence.
+        assert ("Public Domain Dedication and License 1.0" in texts["NOTICE"]) == (name == "foten_lab")
+    wheels.check_functions(target, built["foten"])
+    installed(built["foten"], tmp_path)
+
+
+def test_the_top_of_the_repository_says_what_to_install() -> None:
+    code = "import no_package; no_package.build_wheel('.')"
+    environment = {**os.environ, "PYTHONPATH": str(ROOT / "packages")}
+    done = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, check=False)
+    assert (
+        done.stderr.decode().strip().startswith("this repository holds three packages: pip install './packages/foten[")
+    )
 
 
 @pytest.fixture(scope="module")
