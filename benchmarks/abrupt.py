@@ -15,8 +15,6 @@ Textures and truths stay in a folder and rows in the CSV: what is there is not r
 anew.
 """
 
-from __future__ import annotations
-
 import json
 import os
 from collections.abc import Iterator, Mapping, Sequence

@@ -9,8 +9,6 @@ for the paper's network, and for foten-plus with a minute of recorded innovation
 time is the same. The loop, `native/tests/contacts.c`, is built here.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import shutil

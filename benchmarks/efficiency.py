@@ -13,8 +13,6 @@ in three rounds, then one epoch each, all in PyTorch's own operations; the GAN t
 costs depends on the texture: `foten bench T.foten`.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import os
 import sys

@@ -7,8 +7,6 @@ the index that pip is set to, then the first import and the first sample (NumPy:
 The ratio is the median over pairs that follow each other.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import shutil

@@ -17,8 +17,6 @@ same for one page alone, in the same run.
 four methods, under other names those that come along, rated by simulated raters.
 """
 
-from __future__ import annotations
-
 import argparse
 import asyncio
 import json

@@ -9,8 +9,6 @@ What was done to it is counted here, what was noticed there. Exit 1 where a coun
 grows.
 """
 
-from __future__ import annotations
-
 import math
 import os
 import sys

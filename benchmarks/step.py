@@ -9,8 +9,6 @@ The floor is the multiply-adds of the exactly pruned network over the peak of th
 `native/tests/peak.c` with the compiler that is here.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import shutil

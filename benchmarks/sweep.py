@@ -6,8 +6,6 @@ Starts two Ray nodes of one core each on this machine, sweeps once undisturbed a
 the results: all of them there, and equal but for the seconds.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import os

@@ -7,8 +7,6 @@ same. Both on one simulated recording and one thread, in turn, so that a machine
 quickest counts, and the ratio is what to read. What a training takes in all: `foten train` says so.
 """
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable
 from unittest.mock import patch

@@ -18,8 +18,6 @@ Seeds of recordings, hands and noise are those below, and were written down befo
 its first row in the CSV, another approach is refused; but for the default before recorded innovations on the new kept half.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import os

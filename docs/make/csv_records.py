@@ -1,7 +1,5 @@
 """Runs and rows of the CSV files in docs/results, which of them each table is of, and cells that are means over them."""
 
-from __future__ import annotations
-
 import argparse
 import csv
 from collections import Counter

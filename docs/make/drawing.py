@@ -1,7 +1,5 @@
 """How pictures of the documents look: colours, sizes, a palette of few colours, sounds; and block diagrams."""
 
-from __future__ import annotations
-
 import argparse
 from collections.abc import Mapping, Sequence
 from fractions import Fraction

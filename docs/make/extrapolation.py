@@ -17,8 +17,6 @@ compared where the hand was: level bias, level error and the distance of the poo
 `clamp` hands it the range's end, `fade` takes that down again by the factor that the range was exceeded by.
 """
 
-from __future__ import annotations
-
 import argparse
 import dataclasses
 import os

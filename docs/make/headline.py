@@ -10,8 +10,6 @@ With --recordings nothing is measured: recordings of three of the textures behin
 `foten sweep table-1-350hz --recordings DIR` trains networks.
 """
 
-from __future__ import annotations
-
 import os
 from dataclasses import replace
 from pathlib import Path

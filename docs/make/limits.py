@@ -9,8 +9,6 @@ which this figure favours; the other blocks themselves, which are the real textu
 each test block, noise with the mean spectrum of the test blocks, and with each test block's own.
 """
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Tables of README.md, *Results* and *A trained listener* from the CSV files of the main experiments and of `listener`."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Sentences of *Compared systems*: what its tables show, with p-values and intervals, from the CSV files in docs/results."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 from itertools import pairwise
 

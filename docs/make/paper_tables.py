@@ -1,7 +1,5 @@
 """Tables of *Compared systems*: Table I to III, Fig. 5 and what stands beside them, from the CSV files in docs/results."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace

@@ -7,8 +7,6 @@ holds the real recordings, for the picture `rates`; those of `--sweep` are what 
 table-1-tuned` wrote, for `compared` and the paper's Fig. 6 and 7.
 """
 
-from __future__ import annotations
-
 import argparse
 import os
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """Pictures of figures in docs/results and of result files: ceilings, limits, abrupt changes, listeners, Fig. 5 to 7."""
 
-from __future__ import annotations
-
 import argparse
 import re
 from itertools import chain

@@ -7,8 +7,6 @@ Those of the site go into build/screenshots, to be looked at; they need Chromium
 served on this machine and end with the script.
 """
 
-from __future__ import annotations
-
 import argparse
 import contextlib
 import functools

@@ -1,7 +1,5 @@
 """Pictures and sounds of simulations that are made on the spot, and of recordings."""
 
-from __future__ import annotations
-
 import argparse
 from collections.abc import Sequence
 from typing import Any

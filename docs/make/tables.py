@@ -7,8 +7,6 @@ which --add puts there; the others are what benchmarks keep by `--csv`. With --c
 where a page is not what the CSV files give. A table without a CSV says so.
 """
 
-from __future__ import annotations
-
 import sys
 from collections import Counter
 from collections.abc import Callable, Iterator

@@ -9,8 +9,6 @@ conditions, twice: measured at 100 mm/s and 1.5 N, judged at the others in the o
 errors, by leaving out a pen or a surface with all its pairs; dB.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import replace
 from itertools import permutations

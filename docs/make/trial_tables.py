@@ -1,7 +1,5 @@
 """Tables of trials, abrupt changes, few strokes, tools, users and words, from the CSV files that scripts and benchmarks write."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from itertools import product
 

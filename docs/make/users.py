@@ -9,8 +9,6 @@ is drawn. `random` shows levels and pairs at random; `grid` shows levels in turn
 the other, keeping the better. The last row is the whole session of `foten adapt`. Means ± standard errors over people.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

@@ -14,8 +14,6 @@ GloVe 6B of 50 numbers. The file is in https://nlp.stanford.edu/data/glove.6B.zi
 frequent words of letters, and words of surfaces that are rarer; each vector as 8 bits and a scale.
 """
 
-from __future__ import annotations
-
 import os
 import re
 from itertools import product

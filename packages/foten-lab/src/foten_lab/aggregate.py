@@ -1,7 +1,5 @@
 """Aggregates of runs: figures by texture, means over textures with standard errors, paired ratios, signed ranks."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """`foten sweep`, and `foten tables` and `foten figures`, which read its results."""
 
-from __future__ import annotations
-
 import dataclasses
 from pathlib import Path
 from typing import Annotated

@@ -1,7 +1,5 @@
 """The paper's figures from result files: the split, windows, losses and thresholds, waveforms, spectra."""
 
-from __future__ import annotations
-
 import itertools
 import json
 import re

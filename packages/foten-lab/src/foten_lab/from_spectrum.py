@@ -1,7 +1,5 @@
 """A texture of a spectrum at one speed and force, and of the powers that its level follows elsewhere."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

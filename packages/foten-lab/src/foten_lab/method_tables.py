@@ -1,7 +1,5 @@
 """Tables of runs: methods beside references and the paper's figures, and the same in sentences."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from operator import sub, truediv

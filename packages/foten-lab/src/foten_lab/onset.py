@@ -1,7 +1,5 @@
 """The first 100 ms of a stroke beside the same stroke from 1 s on: level, spectrum, clicks."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 from typing import Any
 

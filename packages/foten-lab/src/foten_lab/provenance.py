@@ -1,7 +1,5 @@
 """Provenance of a result: the code by git's trees, the recording, the settings, and the platform."""
 
-from __future__ import annotations
-
 import hashlib
 import platform
 import subprocess

@@ -1,7 +1,5 @@
 """Result files of a sweep as flat records, and records as `runs.csv`: read, joined, chosen, refused."""
 
-from __future__ import annotations
-
 import csv
 import io
 import itertools

@@ -1,7 +1,5 @@
 """A run of an experiment: train, judge, and the content of its result file."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict

@@ -1,7 +1,5 @@
 """Stability of a texture file under random strokes and under attack: is it bounded, and does it forget."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
@@ -18,7 +16,6 @@ from foten.runtime.native import NativeTexture
 from foten.runtime.onnx_predictor import model_of_graph
 from foten.simulation.stroking import stroking
 
-BOUNDED = ("foten-plus", "ar", "gan", "dftnet")  # models that are bounded without a saturator
 MAX_NOISE = 5.68  # standard deviations, of the counter-based generator
 COMPARED_S, COMPARED = 12.0, 30_000  # two streams that are to meet: seconds, and samples at most
 MINUTES, N_STROKES = 10.0, 60  # of strokes in all, and into how many they are divided
@@ -80,7 +77,7 @@ def attack(texture: Texture, n_steps: int, n_streams: int = N_ATTACKED) -> dict[
     n_after = min(COMPARED, round(COMPARED_S * rate))
     middle = np.broadcast_to(corners.mean(axis=0), (n_streams, n_after, 2))
     path = with_path(texture, np.concatenate([corners[where.T], middle], axis=1))
-    limit = np.inf if texture.card["model"] in BOUNDED else float(texture.card["saturation"])
+    limit = np.inf if texture.sizes.bounded or not texture.predicts_samples else float(texture.card["saturation"])
     noise = ordinary = None
     if excited:
         ordinary = rng.standard_normal(path.shape[:2])

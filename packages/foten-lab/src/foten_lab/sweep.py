@@ -1,7 +1,5 @@
 """Every run of an experiment, on one machine or a cluster: Ray distributes them, this process writes a file for each."""
 
-from __future__ import annotations
-
 import itertools
 import json
 import os

@@ -6,8 +6,6 @@ K is linear in the vectors or falls with their distance (a Gaussian process); ki
 name after another. The spread is the posterior's [dB]. Source: ours; measured on 100 models (docs/less-than-a-recording.md).
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -250,7 +248,7 @@ def imagine(
 def _guessed(text: str, library: Library, encoder: Encoder, base: Sequence[Texture]) -> Imagined:
     vector = encoder.encode(text)
     textures = [*(read_texture(library.folder / entry.file) for entry in library.entries), *base]
-    textures = [texture for texture in textures if texture.card["model"] == "foten-plus"]
+    textures = [texture for texture in textures if texture.sizes.editable]
     if not textures:
         raise ValueError("there is no texture of foten-plus to begin from: add some with 'foten library add'")
 

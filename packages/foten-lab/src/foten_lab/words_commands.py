@@ -1,7 +1,5 @@
 """Textures from words: what `foten imagine "words"` and `foten library search` do."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from foten.cli.editing import write_described

@@ -74,8 +74,10 @@ def adapt(
         before = _resume_or_new(read_user(output), before, output)
     texture, ranges = None if texture_file is None else read_texture(texture_file), {}
     if texture is not None:
-        if (model := texture.card["model"]) != "foten-plus":
-            raise ValueError(f"{texture_file} has the model {model}, expected foten-plus: others cannot be adjusted")
+        if not texture.sizes.editable:
+            raise ValueError(
+                f"{texture_file} has the model {texture.card['model']}, expected foten-plus: others cannot be adjusted"
+            )
         ranges = reachable(texture)
     title = "" if texture is None or texture_file is None else str(texture.card["texture"]) or texture_file.stem
     session = Session(before, title, ranges or FULL_RANGES, feel)

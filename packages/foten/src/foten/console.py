@@ -1,7 +1,5 @@
 """What the subcommands share: arguments, results on stdout, progress on stderr, checks of output paths."""
 
-from __future__ import annotations
-
 import json
 import sys
 from collections.abc import Callable, Sequence

@@ -1,7 +1,5 @@
 """Checks of what comes from outside: files, JSON, and text that is shown on a terminal."""
 
-from __future__ import annotations
-
 import json
 import os
 import tomllib

@@ -1,7 +1,5 @@
 """The action-conditional model of spectra [14], without its images."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 
 import torch

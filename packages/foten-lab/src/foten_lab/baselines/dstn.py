@@ -1,7 +1,5 @@
 """DSTN [15]: convolutions and recurrent layers that attend to channels and to time."""
 
-from __future__ import annotations
-
 import torch
 from torch import Tensor, nn
 

@@ -1,7 +1,5 @@
 """Fit of the baselines: one step ahead, to spectra, by a teacher, or against a discriminator."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from typing import Any
@@ -60,7 +58,7 @@ def fit_generator(job: TrainingJob, monitor: Monitor) -> Trained:
     blocks, network = _prepared(job, job.config.seed), build(job.sizes)
     assert isinstance(network, Gan)
     progress = fit_adversarial(network, job.sizes.window, blocks, job.config, monitor)
-    packed = noise_graph(network, job.sizes, progress.best.validation_mae)
+    packed = noise_graph(network, job.sizes, progress.best.validation_mae, "means")
     return one_step_texture(job, blocks, network, progress, packed, monitor)
 
 
@@ -111,8 +109,8 @@ def one_step_graph(network: nn.Module, sizes: ModelSizes) -> Packed:
     return Packed(in_card, {GRAPH: graph}, definition, {"multiply_adds": cost})
 
 
-def noise_graph(network: nn.Module, sizes: ModelSizes, spectrum_error_nat: float) -> Packed:
-    """A filter of noise as the graph of a texture file, with the error of its mean log spectra [nat]."""
+def noise_graph(network: nn.Module, sizes: ModelSizes, spectrum_error_nat: float, of: str = "frames") -> Packed:
+    """A filter of noise as the graph of a texture file, with the error [nat] of the log spectra of single frames, or of means."""
     assert isinstance(sizes, NoiseModelSizes)
     in_double = in_float64(network)
 
@@ -121,6 +119,7 @@ def noise_graph(network: nn.Module, sizes: ModelSizes, spectrum_error_nat: float
 
     error_db = 20 / math.log(10) * spectrum_error_nat
     metrics: dict[str, Any] = {"validation_mae_scaled": None, "validation_spectrum_db": error_db}
+    metrics["validation_spectrum_of"] = of
     metrics["multiply_adds"] = multiply_adds(network, sizes.window)
     graph = graph_of(network, sizes.window, name=NOISE)
     return Packed(GraphSizes(sizes.window), {GRAPH: graph}, definition, metrics)

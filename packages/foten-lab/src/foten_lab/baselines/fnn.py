@@ -1,7 +1,5 @@
 """FNN [13]: the vibration in four bands, a small network for each."""
 
-from __future__ import annotations
-
 import numpy as np
 import torch
 from torch import Tensor, nn

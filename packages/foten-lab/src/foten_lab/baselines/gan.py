@@ -1,7 +1,5 @@
 """A generator of spectra and its discriminator [34], causal so that it renders sample by sample."""
 
-from __future__ import annotations
-
 import math
 from itertools import pairwise
 

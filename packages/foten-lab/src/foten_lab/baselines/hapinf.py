@@ -1,7 +1,5 @@
 """HapInf-like: an encoder and a decoder after Informer, the teacher that LDHTD is distilled from."""
 
-from __future__ import annotations
-
 import torch
 from torch import Tensor, nn
 

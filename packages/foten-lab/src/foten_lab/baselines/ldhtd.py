@@ -1,7 +1,5 @@
 """LDHTD [20], the student: a recurrent encoder of speed and force and one decoder layer over the acceleration."""
 
-from __future__ import annotations
-
 import torch
 from torch import Tensor, nn
 

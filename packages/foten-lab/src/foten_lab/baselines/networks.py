@@ -1,7 +1,5 @@
 """Networks in PyTorch by the sizes of their model."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

@@ -1,7 +1,5 @@
 """White noise through a spectrum, which makes samples of a model that predicts spectra alone."""
 
-from __future__ import annotations
-
 import numpy as np
 import torch
 from torch import Tensor, nn

@@ -3,8 +3,6 @@
 Sizes that a source does not state are our choice.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any, ClassVar
 

@@ -1,7 +1,5 @@
 """The other rows of Table II: TEN with cepstral or wavelet coefficients, and FoTEN with a decoder layer."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

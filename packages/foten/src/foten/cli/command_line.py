@@ -3,8 +3,6 @@
 Results go to stdout, progress to stderr. A command is imported when it is called, heavy libraries inside it.
 """
 
-from __future__ import annotations
-
 import os
 import sys
 from collections.abc import Iterator, Mapping

@@ -1,7 +1,5 @@
 """The commands by name: foten's own in one table, those of other packages by their entry points."""
 
-from __future__ import annotations
-
 from functools import cache
 from importlib import import_module
 from importlib.metadata import EntryPoint, entry_points

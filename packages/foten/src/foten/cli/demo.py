@@ -1,7 +1,5 @@
 """All stages once, on a simulated recording: inspect, train, evaluate, render."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """`foten describe`, `foten edit`, `foten blend` and `foten tool`: measure a texture, change it, blend two, for another tool."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType

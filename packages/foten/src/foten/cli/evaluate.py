@@ -1,7 +1,5 @@
 """`foten evaluate` and `foten info`: quality and content of a texture file."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -11,6 +9,8 @@ from typer import Argument, Option
 
 from foten.console import JsonOption, TextureFile, check_folder, preload, print_result, say
 from foten.editing.describe import period_of
+from foten.models.foten_plus.sizes import FotenPlusSizes
+from foten.models.piecewise_ar.sizes import PiecewiseArSizes
 from foten.models.registry import GRAPH
 from foten.models.texture_file import Texture, read_texture
 from foten.runtime.native import NativeTexture
@@ -102,11 +102,11 @@ def info(texture_file: TextureFile, as_json: JsonOption = False) -> None:
 def _linear_model(texture: Texture) -> dict[str, str]:
     """Rows of `info` on the local models, or on the lattice and the tones."""
     sizes = texture.card["sizes"]
-    if texture.card["model"] == "ar":
+    if isinstance(texture.sizes, PiecewiseArSizes):
         zeros = f", {sizes['ma']} zeros each" if sizes["ma"] else ""
         mesh = f"on a mesh of {sizes['n_triangles']} triangles"
         return {"models": f"{sizes['n_models']} of order {sizes['order']}{zeros}, {mesh}"}
-    if texture.card["model"] != "foten-plus":
+    if not isinstance(texture.sizes, FotenPlusSizes):
         return {}
     vertices = sizes["n_speed"] * sizes["n_force"]
     over = "for all speeds and forces" if vertices == 1 else f"over {vertices} pairs of speed and force"
@@ -168,6 +168,6 @@ def validation_summary(card: Mapping[str, Any]) -> str:
     if metrics["validation_mae_scaled"] is not None:
         return f"one-step error {metrics['validation_mae_scaled']:.4f} sd"
     distance = f"{metrics['validation_spectrum_db']:.2f} dB"
-    if card["model"] == "gan":
+    if metrics.get("validation_spectrum_of") == "means":
         return f"mean spectra differ by {distance}"
     return f"spectra of single frames differ by {distance}, of which 4.3 dB is chance"

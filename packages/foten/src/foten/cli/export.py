@@ -1,7 +1,5 @@
 """`foten export`: a texture, or its vibration under one stroke, in other formats."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial

@@ -1,7 +1,5 @@
 """`foten imagine`: a texture from words, or from a height map."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from typer import Argument, Option

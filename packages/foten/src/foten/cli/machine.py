@@ -1,7 +1,5 @@
 """`foten demo`, `bench`, `doctor` and `devices`: all stages on this machine, its speed and equipment."""
 
-from __future__ import annotations
-
 from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated

@@ -1,7 +1,5 @@
 """`foten play`: vibration of a texture under a stroke, live."""
 
-from __future__ import annotations
-
 from dataclasses import asdict, dataclass
 from math import inf
 from pathlib import Path

@@ -1,7 +1,5 @@
 """`foten render`: vibration of a texture under a stroke, into files."""
 
-from __future__ import annotations
-
 import os
 import time
 from collections.abc import Iterator

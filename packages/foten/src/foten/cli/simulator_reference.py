@@ -1,7 +1,5 @@
 """What the simulator knows of a recording: further realisations, bounds of any predictor, strokes for listeners."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor

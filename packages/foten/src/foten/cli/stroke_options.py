@@ -1,7 +1,5 @@
 """Options of a stroke that several commands have, and the strokes that they stand for."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated

@@ -1,7 +1,5 @@
 """`foten library`: keep textures in a folder, and search it by similarity and by words."""
 
-from __future__ import annotations
-
 import hashlib
 from collections.abc import Sequence
 from pathlib import Path

@@ -318,7 +318,7 @@ def _summary(trained: Trained) -> str:
     card, trace = trained.texture.card, trained.trace
     metrics, sizes, condition = card["metrics"], card["sizes"], card["warm_start"]["recorded"]
     summary, origin = f"validation blocks: {validation_summary(card)}", "recorded"
-    if card["model"] == "ar":
+    if "n_pieces" in metrics:
         summary += f", order {sizes['order']}, {sizes['n_models']} models from {metrics['n_pieces']} segments"
         summary += ", including those around the trained range"
         if metrics["n_pieces_left_out"]:
@@ -332,7 +332,7 @@ def _summary(trained: Trained) -> str:
     takes = f"{len(trace.take_blocks)} takes, " if trace.take_blocks else ""
     trim_ms, block_ms = trace.preprocess["trim_ms"], 1000 * trace.block / trace.rate_hz
     lines.append(f"{takes}{len(trace) / trace.rate_hz:g} s in {trace.n_blocks} {cut_in_words(trim_ms, block_ms)}")
-    if card["model"] == "foten-plus":
+    if trained.texture.sizes.editable:
         lines += [f"random part: {random_part_summary(card)}", f"network: {network_summary(card)}"]
     lines.append(f"above the trained range, {trained.texture.extrapolation_in_words()}")
     if trace.n_uncovered:

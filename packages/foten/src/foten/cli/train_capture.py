@@ -3,8 +3,6 @@
 It writes a JSON object a line to stdout: `joined`, `notes`, `stage` with `share`, `playable`, `done` or `refused`.
 """
 
-from __future__ import annotations
-
 import contextlib
 import dataclasses
 import json

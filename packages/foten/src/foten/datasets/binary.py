@@ -1,7 +1,5 @@
 """NumPy, HDF5 and WAV files as columns; ValueError where one is truncated, foreign, or holds pickled objects."""
 
-from __future__ import annotations
-
 import math
 import warnings
 import zipfile

@@ -1,7 +1,5 @@
 """Bounds of a recording: beyond them a file is damaged, or a rate or a unit is wrong, and a check raises a ValueError."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 
 import numpy as np

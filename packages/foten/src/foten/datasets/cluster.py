@@ -8,8 +8,6 @@ the real files, which could not be reached. Source: Eguchi, Hayase, Hiroi and Hi
 10.6084/m9.figshare.29438288, `dataset_details.md`.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Sequence
 from pathlib import Path

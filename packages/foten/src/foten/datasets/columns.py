@@ -1,7 +1,5 @@
 """Columns of a file, before they are mapped to channels."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager

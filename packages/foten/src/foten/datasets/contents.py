@@ -1,7 +1,5 @@
 """Contents of HDF5, MATLAB and TDMS files, as plain values and arrays; `isolated` runs this in a process of its own."""
 
-from __future__ import annotations
-
 import contextlib
 import logging
 from pathlib import Path

@@ -4,8 +4,6 @@ Source: the public files (Culbertson, Lopez Delgado and Kuchenbecker, Haptics Sy
 gain at 1 kHz; m/s², mm/s, N. Their notice allows non-profit research and no distribution.
 """
 
-from __future__ import annotations
-
 import xml.etree.ElementTree as Xml
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -3,8 +3,6 @@
 The same recording always gives the same bytes.
 """
 
-from __future__ import annotations
-
 import contextlib
 import json
 from collections.abc import Mapping, Sequence

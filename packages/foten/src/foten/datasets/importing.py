@@ -3,8 +3,6 @@
 Nothing is resampled or padded. Every conversion and every filled gap is written into the recording's history.
 """
 
-from __future__ import annotations
-
 import hashlib
 import shlex
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence

@@ -1,7 +1,5 @@
 """Files whose readers are libraries in C, each read in a process of its own, which a damaged file may crash."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 import os

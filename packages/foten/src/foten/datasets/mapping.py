@@ -1,7 +1,5 @@
 """Mapping of columns to channels, by the user or by unambiguous headers."""
 
-from __future__ import annotations
-
 import difflib
 import re
 import shlex

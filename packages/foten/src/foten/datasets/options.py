@@ -1,7 +1,5 @@
 """Options of an import: `--map`, `--unit`, `--rate` and the others."""
 
-from __future__ import annotations
-
 import difflib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field

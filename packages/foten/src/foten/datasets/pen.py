@@ -3,8 +3,6 @@
 Each tap is a knock in the sound and a short touch in the events; a line through the pairs gives delay and drift.
 """
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Callable
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Tables of text (CSV, TSV, …) and Excel sheets, with a header or none, as columns; ValueError where one is damaged."""
 
-from __future__ import annotations
-
 import contextlib
 import csv
 import re

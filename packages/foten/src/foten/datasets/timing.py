@@ -1,7 +1,5 @@
 """Times and rate of samples, from a column, the file or the user, and gaps in them; ValueError where they are impossible."""
 
-from __future__ import annotations
-
 import re
 import shlex
 from collections.abc import Sequence

@@ -1,7 +1,5 @@
 """Units: their factors, and where a header states one; `factor_of` converts or refuses each."""
 
-from __future__ import annotations
-
 import contextlib
 import re
 import tomllib

@@ -11,8 +11,6 @@ Source: Itakura, J. Acoust. Soc. Am. 57 (1975) S35; used between local models of
 IEEE Trans. Haptics 7 (2014).
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Three axes of vibration to one, with the energy of all three (DFT321)."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 

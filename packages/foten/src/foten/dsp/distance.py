@@ -1,7 +1,5 @@
 """How far apart two spectra are: what training chooses by and what the judge scores."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

@@ -1,7 +1,5 @@
 """Butterworth low- and high-passes as biquads, streaming and offline with the same result."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

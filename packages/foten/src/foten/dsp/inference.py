@@ -1,7 +1,5 @@
 """Inference on means: standard error, Student's quantile, and Holm's correction for many comparisons."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from foten.dsp import Array

@@ -1,7 +1,5 @@
 """Movement: slow signals at a higher rate, and speed from positions, the same way for recordings and strokes."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from foten.dsp import Array

@@ -12,8 +12,6 @@ variance.
 Source: Gray & Markel, "A normalized digital filter structure", IEEE Trans. ASSP 23 (1975), for the structure.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from foten.dsp import Array

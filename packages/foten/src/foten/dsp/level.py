@@ -3,8 +3,6 @@
 A band is about as wide as a just noticeable difference of frequency on the skin (Israr & Tan, 2006).
 """
 
-from __future__ import annotations
-
 from functools import lru_cache
 from itertools import pairwise
 from typing import Any

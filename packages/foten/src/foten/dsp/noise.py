@@ -10,8 +10,6 @@ sum of eight uniform numbers, up to the twelfth). |g| < 5.68.
 Integers and four float64 operations: they agree to the last bit wherever IEEE arithmetic is not contracted.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

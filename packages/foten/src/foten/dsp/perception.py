@@ -1,7 +1,5 @@
 """What a person can feel of a vibration: frequencies, levels, and the share of its power that a sampling rate keeps."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from statistics import NormalDist
 

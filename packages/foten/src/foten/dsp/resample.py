@@ -1,7 +1,5 @@
 """Changing the rate of a signal: anti-aliased decimation offline, interpolation for listening."""
 
-from __future__ import annotations
-
 from fractions import Fraction
 
 import numpy as np

@@ -8,8 +8,6 @@ Source: AutoPARM of Davis, Lee and Rodriguez-Yam, J. Am. Stat. Assoc. 101 (2006)
 it: the cuts are found by dynamic programming on a grid and then moved by single samples, not by a genetic search.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

@@ -1,7 +1,5 @@
 """Estimators that shrink: what little data say is taken as far as it is beyond chance."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from foten.dsp import Array

@@ -1,7 +1,5 @@
 """The fixed matrices of Eq. 6 and 9 and the positions of Eq. 2."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from foten.dsp import Array

@@ -1,7 +1,5 @@
 """Values over speed and force: a table between whose vertices is interpolated, and triangles between scattered models."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -9,8 +9,6 @@
 so its variance grows by q = 4π² s²/λ a mm. It returns to the path's in half a second. A lattice renders the rest. Source: ours.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

@@ -1,7 +1,5 @@
 """A texture between two: levels, reflection coefficients and tones blended, each stretch of innovations from either side."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -125,7 +123,7 @@ def blend(
 def check_blendable(first: Texture, second: Texture) -> None:
     """Refuse two textures that have no blend."""
     for texture in (first, second):
-        if texture.card["model"] != "foten-plus":
+        if not texture.sizes.editable:
             raise ValueError(f"a texture is of {texture.card['model']}, expected two of foten-plus")
     if first.rate_hz != second.rate_hz:
         rates = f"{first.rate_hz:g} and {second.rate_hz:g} Hz"

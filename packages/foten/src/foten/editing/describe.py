@@ -1,7 +1,5 @@
 """Seven figures of a texture, measured on what the kernel renders: those that `editing.edit` sets."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 

@@ -1,7 +1,5 @@
 """A texture moved by figures that `editing.describe` measures: level, centroid, width, roughness, period, exponents."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
@@ -131,7 +129,7 @@ def evidence_of(texture: Texture, words: str) -> str:
 def check_editable(texture: Texture, edit: Edit, before: Description) -> None:
     """Refuse what a texture's model cannot do."""
     model = texture.card["model"]
-    if model != "foten-plus" and edit != Edit(level_db=edit.level_db):
+    if not texture.sizes.editable and edit != Edit(level_db=edit.level_db):
         raise ValueError(f"only the level of {model} can be edited, expected foten-plus for the rest")
     if edit.period_mm is not None:
         if before.period_mm is None:

@@ -3,8 +3,6 @@
 Noise keeps its envelope, and so do tones. Source: ours.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

@@ -5,8 +5,6 @@
 A normal map, as of a game's material, is integrated first. A picture that tiles goes on at its edge; another is mirrored there.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from typing import Any

@@ -6,8 +6,6 @@ The filter, of least delay, multiplies the spectra of lattices and the amplitude
 (docs/less-than-a-recording.md).
 """
 
-from __future__ import annotations
-
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -162,7 +160,7 @@ def transferred(texture: Texture, transfer: Transfer) -> Texture:
 
 def filtered(texture: Texture, transfer: Transfer, words: str, tool: str) -> Texture:
     """The texture through a filter and with other powers, proved, with words for its card; otherwise as `transferred`."""
-    if texture.card["model"] != "foten-plus":
+    if not texture.sizes.editable:
         raise ValueError(f"the texture is of {texture.card['model']}, expected one of foten-plus")
     card, tensors = texture.card, texture.tensors
     gain = transfer.gain(np.linspace(0, texture.rate_hz / 2, N_BINS + 1))

@@ -4,8 +4,6 @@ The filter has the gains by which tones of five frequencies feel as strong as on
 acceleration from 40 to 250 Hz after Verrillo, J. Acoust. Soc. Am. 35 (1963), as in `dsp.perception`.
 """
 
-from __future__ import annotations
-
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 

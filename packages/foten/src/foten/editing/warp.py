@@ -1,7 +1,5 @@
 """Spectra moved and stretched over log frequency, as reflection coefficients and as amplitudes of tones."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

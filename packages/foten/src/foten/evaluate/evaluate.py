@@ -1,7 +1,5 @@
 """The judge: one document of figures for a texture on the test blocks of a recording."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial

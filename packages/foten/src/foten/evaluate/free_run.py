@@ -1,7 +1,5 @@
 """Free-run scores: what is synthesized under recorded speed and force, against what was recorded."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

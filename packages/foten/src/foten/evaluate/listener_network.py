@@ -3,8 +3,6 @@
 Source: the classifier two-sample test (Lopez-Paz & Oquab, ICLR 2017).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

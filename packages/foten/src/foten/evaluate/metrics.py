@@ -1,7 +1,5 @@
 """Figures of merit on arrays, and their intervals."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping
 from itertools import pairwise

@@ -1,7 +1,5 @@
 """Free runs as the paper's: of a whole block, from one short window that does not belong to it (Sec. V-a, Figs. 6 and 7)."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

@@ -3,8 +3,6 @@
 An event lasts at most 30 s; the times of points count from their curve's. Source: Apple's documentation of Core Haptics.
 """
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

@@ -3,8 +3,6 @@
 Source: Android's reference of `VibratorEnvelopeEffectInfo` and `WaveformEnvelopeBuilder`; docs/tutorials/page.md plays it.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

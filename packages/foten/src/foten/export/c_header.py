@@ -1,7 +1,5 @@
 """A texture as a C header: the bytes of the texture file, aligned, for `foten_model_load`."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """A rendered stroke for other formats: a drive within ±1, and its envelopes."""
 
-from __future__ import annotations
-
 import heapq
 from collections.abc import Mapping
 from dataclasses import dataclass

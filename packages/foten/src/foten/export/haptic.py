@@ -1,7 +1,5 @@
 """The .haptic format, version 1.0, of Lofelt and Meta, by its published specification: envelopes in JSON."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from foten.atomic_write import write_json

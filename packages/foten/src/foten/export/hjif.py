@@ -4,8 +4,6 @@ Source: the reference software: a curve needs three keyframes or more and positi
 that one more is written; a vectorial wave counts in milliseconds.
 """
 
-from __future__ import annotations
-
 import datetime
 import json
 from pathlib import Path

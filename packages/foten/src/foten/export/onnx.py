@@ -1,7 +1,5 @@
 """A texture's one-step network as an ONNX graph, its card in the metadata."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """A clip as samples: WAV for a sound card, CSV and NPZ for programs."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

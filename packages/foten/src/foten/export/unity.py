@@ -1,7 +1,5 @@
 """A Unity package with a texture inside: the C# binding, a component, the kernel of this system."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from pathlib import Path

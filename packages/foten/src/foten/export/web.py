@@ -1,7 +1,5 @@
 """The studio's page as files for any host: it renders in the browser, and needs no server of ours."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from collections.abc import Mapping

@@ -3,8 +3,6 @@
 Training makes golden samples with it, and tests hold the kernel against it; nothing that a user calls renders with it.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

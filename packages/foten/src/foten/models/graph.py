@@ -1,7 +1,5 @@
 """Networks in PyTorch as ONNX graphs, with their cost."""
 
-from __future__ import annotations
-
 import copy
 import io
 import warnings

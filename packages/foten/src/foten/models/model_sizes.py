@@ -1,7 +1,5 @@
 """Sizes of models, whichever framework trains them and whichever engine runs them."""
 
-from __future__ import annotations
-
 from dataclasses import asdict, dataclass, fields
 from typing import Any, ClassVar
 
@@ -21,6 +19,7 @@ class ModelSizes:
     window: int = 20  # m, samples that its network or filter is given
     max_window: ClassVar[int] = MAX_WINDOW
     predicts_samples: ClassVar[bool] = True  # False where a network filters noise
+    bounded: ClassVar[bool] = False  # whether its closed loop is bounded without a saturator
     editable: ClassVar[bool] = False  # whether its level, spectrum and tones can be changed (`foten.editing`)
     has_linear_part: ClassVar[bool] = False  # whether a prediction without its network can be asked for
     learns_growth: ClassVar[bool] = False  # whether its fit learns how the level grows beyond the trained range

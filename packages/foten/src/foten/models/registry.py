@@ -1,7 +1,5 @@
 """Models that the kernel runs, by the key that names each on the command line and in a card; sizes of any file."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from typing import Any, ClassVar

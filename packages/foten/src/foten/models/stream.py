@@ -1,7 +1,5 @@
 """Parts that the definitions of models share: tensors by name, streams, their closed loop (Sec. V); all scaled."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any, NamedTuple, Protocol
 

@@ -3,8 +3,6 @@
 A runtime that does not reproduce these within `ONE_STEP_TOLERANCE` and `CLOSED_LOOP_TOLERANCE` refuses the file.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 import struct

@@ -1,7 +1,5 @@
 """Models that predict from the last m samples alone: one-step networks, and filters of noise."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import ClassVar

@@ -1,7 +1,5 @@
 """Standardising: zero mean and unit standard deviation over the training blocks."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

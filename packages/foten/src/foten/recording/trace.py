@@ -1,7 +1,5 @@
 """Preprocessed, synchronised acceleration, speed and force at one rate."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any

@@ -1,7 +1,5 @@
 """The sliding window of Eq. 1: the only definition of it, and which samples of a block are scored."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

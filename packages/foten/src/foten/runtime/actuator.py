@@ -1,7 +1,5 @@
 """Actuator profiles: the drive that moves a stylus as rendered, and their identification from a sweep."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path

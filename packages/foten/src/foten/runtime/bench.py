@@ -1,7 +1,5 @@
 """Time of a rendered sample on this machine, and contacts that a core holds."""
 
-from __future__ import annotations
-
 import json
 import os
 import re

@@ -1,7 +1,5 @@
 """The kernel's C interface in ctypes: structures, signatures, and the library itself. See `native/include/foten.h`."""
 
-from __future__ import annotations
-
 import ctypes
 from ctypes import POINTER, Structure, c_char_p, c_double, c_float, c_int, c_size_t, c_uint64, c_void_p
 from functools import cache

@@ -1,7 +1,5 @@
 """What this machine has for rendering, and what is missing, with what to do."""
 
-from __future__ import annotations
-
 import importlib.metadata
 import importlib.util
 import math

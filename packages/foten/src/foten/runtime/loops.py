@@ -1,7 +1,5 @@
 """Many streams of a texture over all cores: closed loops, and one-step predictions of recordings."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor

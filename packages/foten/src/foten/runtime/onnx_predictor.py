@@ -1,7 +1,5 @@
 """Networks that the kernel has no code for, as graphs in ONNX Runtime."""
 
-from __future__ import annotations
-
 import functools
 import re
 import threading

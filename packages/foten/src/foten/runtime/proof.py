@@ -1,7 +1,5 @@
 """Textures of tensors with their proof: golden samples that the definition makes and the kernel replays."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any

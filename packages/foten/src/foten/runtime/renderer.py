@@ -1,7 +1,5 @@
 """A texture under one stroke, at any output rate, in real time."""
 
-from __future__ import annotations
-
 from os import PathLike
 from pathlib import Path
 

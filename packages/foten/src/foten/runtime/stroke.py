@@ -1,7 +1,5 @@
 """Strokes to render: from a table, from constants, or from a trace."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass

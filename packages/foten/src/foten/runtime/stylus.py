@@ -1,7 +1,5 @@
 """Pen events to conditions: positions and pressures at a tablet's irregular times, to speed and force."""
 
-from __future__ import annotations
-
 import threading
 from ctypes import byref, c_float, c_void_p
 from dataclasses import dataclass

@@ -8,8 +8,6 @@ with δ = h − z and K = 4/3 E* √R (Hertz; Hunt & Crossley, Journal of Applie
 under the hand's force P; along the stroke m q̈ = −k q − d q̇ ± μF, with μ(1 + s) at rest. Not fitted to any surface.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache, partial

@@ -1,7 +1,5 @@
 """Textures whose best possible prediction is known: autoregressions scaled by speed and force."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Tables of simulated textures: a row for each, a column for each parameter, and the lowest and highest value of each."""
 
-from __future__ import annotations
-
 import csv
 from collections.abc import Mapping
 from pathlib import Path

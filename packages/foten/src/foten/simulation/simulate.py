@@ -7,8 +7,6 @@
 This is the model of one of the twelve. Not fitted to any surface. A way back meets new roughness of the same kind.
 """
 
-from __future__ import annotations
-
 import json
 import threading
 from collections.abc import Iterable, Mapping, Sequence

@@ -5,8 +5,6 @@
 Each tap and the landing of each stroke knock. Pen and microphone have their own clocks.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from pathlib import Path
 

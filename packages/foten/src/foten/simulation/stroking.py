@@ -1,7 +1,5 @@
 """Simulated unconstrained stroking of a plate, a function of seed and length; any rate samples the same motion."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache

@@ -11,8 +11,6 @@ carries the sensor, the hand's mass m₃ presses with the force P by the springs
 Where b > a the contact sticks and slips; the regularised form is that of Rice & Ben-Zion (1996). Not fitted to any surface.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache, partial

@@ -1,7 +1,5 @@
 """Gains that bring the methods of a texture to one level, so that not their levels are compared."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from itertools import product

@@ -1,7 +1,5 @@
 """The pen of a page on a texture that is rendered here, with a state and a player of its own."""
 
-from __future__ import annotations
-
 import threading
 from collections import deque
 from collections.abc import Callable, Sequence

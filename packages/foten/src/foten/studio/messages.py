@@ -3,8 +3,6 @@
 Text is JSON, an object such as {"do": "volume", "volume_db": -6}; bytes are events of a pen or samples of a sound.
 """
 
-from __future__ import annotations
-
 import math
 import time
 from collections.abc import Mapping

@@ -1,7 +1,5 @@
 """Files of the page, for a server and for a folder that any host serves."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from foten.runtime.binding import kernel_file

@@ -1,7 +1,5 @@
 """The textures that a server has: those that come along, and files or folders that were named."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path

@@ -3,8 +3,6 @@
 Each page has its own state, which is freed when the page is lost.
 """
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import mimetypes

@@ -1,7 +1,5 @@
 """Textures of the server moved by sliders, for the page that strokes them meanwhile."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from functools import lru_cache
 from pathlib import Path

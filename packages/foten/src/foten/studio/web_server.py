@@ -1,7 +1,5 @@
 """A server as a process: it listens, says where, and ends cleanly; connections that ask nothing are few and short."""
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import ipaddress

@@ -1,7 +1,5 @@
 """A page at a WebSocket: its messages, in order, until it goes; JSON and blocks of samples back."""
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import json

@@ -1,7 +1,5 @@
 """Settings of a training: what every training has, what gradient steps add, and the recipes of networks of windows."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
@@ -27,11 +25,11 @@ class TrainConfig:
             name, value = field.name, getattr(self, field.name)
             if name in self.choices and value not in self.choices[name]:
                 raise ValueError(f"{name} is {value!r}, expected one of {', '.join(self.choices[name])}")
-            if field.type == "int" and type(value) is not int:
+            if field.type is int and type(value) is not int:
                 raise ValueError(f"{name} is {value!r}, expected a whole number")
-            if field.type == "bool" and type(value) is not bool:
+            if field.type is bool and type(value) is not bool:
                 raise ValueError(f"{name} is {value!r}, expected true or false")
-            if field.type == "float" and (type(value) not in (int, float) or not math.isfinite(value)):
+            if field.type is float and (type(value) not in (int, float) or not math.isfinite(value)):
                 raise ValueError(f"{name} is {value!r}, expected a finite number")
 
     def check_at_least(self, minimum: int, *names: str) -> None:

@@ -1,7 +1,5 @@
 """Dropout that a recipe switches on, and whose masks do not depend on which thread came first."""
 
-from __future__ import annotations
-
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager

@@ -3,8 +3,6 @@
 Source: Eq. 3–5; the layer and its gradients in float32 equal PyTorch's to rounding (`tests/test_training_kernel.py`).
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from ctypes import Structure, byref, c_float, c_int, c_void_p
 from typing import Any

@@ -6,8 +6,6 @@ Errors of mean levels that differ from block to block, as 64 s leave them, are o
 Source: the classifier two-sample test (Lopez-Paz & Oquab, 2017), with a linear classifier.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

@@ -1,7 +1,5 @@
 """Initial weights as Keras draws them, in which the paper trained: Glorot's."""
 
-from __future__ import annotations
-
 import math
 
 import torch

@@ -1,7 +1,5 @@
 """The training loop: optimiser, gradients shared by threads, averaging, best weights, early stop."""
 
-from __future__ import annotations
-
 import copy
 import math
 import time

@@ -1,7 +1,5 @@
 """A training that gives the same numbers each time."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager

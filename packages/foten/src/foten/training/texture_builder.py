@@ -1,7 +1,5 @@
 """Textures of a recording's tensors: card, warm start and golden windows of its blocks."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

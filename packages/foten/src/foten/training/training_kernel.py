@@ -1,7 +1,5 @@
 """Training's library in C (`native/training`): a recurrent unit over chunks, and lattices of blocks."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from ctypes import CDLL, Structure, byref, c_double, c_int, c_void_p
 from functools import cache

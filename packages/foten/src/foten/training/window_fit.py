@@ -1,7 +1,5 @@
 """Fit of networks to windows, and the texture of one, with an excitation or without."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor

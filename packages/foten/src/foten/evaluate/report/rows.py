@@ -1,7 +1,5 @@
 """Tables of a judgement, one-step errors and figures of the free runs: as HTML, and for a terminal."""
 
-from __future__ import annotations
-
 import csv
 from collections.abc import Mapping
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Signals of a judgement that the report shows: runs, blocks, levels, densities and sound."""
 
-from __future__ import annotations
-
 from fractions import Fraction
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The verdict: the figures of a judgement in plain language, and how much of it the data bear."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any

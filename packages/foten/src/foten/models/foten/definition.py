@@ -1,7 +1,5 @@
 """The paper's network and TEN, equation by equation: nothing is left out because the output does not depend on it."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

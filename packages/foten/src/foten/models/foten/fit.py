@@ -1,7 +1,5 @@
 """FoTEN and TEN fitted to a recording, as Sec. IV-e or our recipe has it."""
 
-from __future__ import annotations
-
 import torch
 
 from foten.models.definitions import model_of

@@ -1,7 +1,5 @@
 """The paper's network (Sec. IV): windows in, next samples out."""
 
-from __future__ import annotations
-
 import math
 
 import torch

@@ -1,7 +1,5 @@
 """FoTEN, the paper's network (Sec. IV), and TEN, the same without its Fourier branch (Table II)."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import ClassVar
 

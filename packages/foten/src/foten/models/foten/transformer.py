@@ -1,7 +1,5 @@
 """Layers of the Transformer: the encoder's of Eq. 3–5, for all tokens or the last, and the decoder's."""
 
-from __future__ import annotations
-
 import torch
 from torch import Tensor, nn
 

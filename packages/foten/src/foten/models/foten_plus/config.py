@@ -1,7 +1,5 @@
 """Settings of the training of foten-plus; its epochs are of 100 steps, its batches of chunks."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar

@@ -1,7 +1,5 @@
 """Fit of the equaliser: free runs as strong as the recording in every band, however speed moves."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

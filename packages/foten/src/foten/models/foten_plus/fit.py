@@ -1,7 +1,5 @@
 """Fit of foten-plus: level → lattice → tones → excitation → recorded innovations → equaliser → network → proof."""
 
-from __future__ import annotations
-
 import copy
 import math
 from collections.abc import Callable, Sequence

@@ -1,7 +1,5 @@
 """The innovation network, which gives the distribution of the next innovation, and its fit by likelihood."""
 
-from __future__ import annotations
-
 import copy
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass

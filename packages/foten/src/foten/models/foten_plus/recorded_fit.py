@@ -1,7 +1,5 @@
 """Recorded innovations of a linear model: those of the training and validation blocks."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

@@ -1,7 +1,5 @@
 """How innovations are stored: in runs, with a moment every 4 ms, of which some are candidates to begin a stretch with."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

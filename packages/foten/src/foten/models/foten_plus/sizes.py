@@ -11,8 +11,6 @@ most E = σ · (largest innovation), there times the largest ℓ: the lattice's 
 Source: ours (docs/model.md). Differs from the paper: its network (Sec. IV) is `foten`.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -48,6 +46,7 @@ class FotenPlusSizes(ModelSizes):
     recorded: bool = False  # whether a rendering plays recorded innovations
     along_path: bool = False  # and reads them at the pace of the hand
     excited: ClassVar[bool] = True
+    bounded: ClassVar[bool] = True
     editable: ClassVar[bool] = True
     has_linear_part: ClassVar[bool] = True
     learns_growth: ClassVar[bool] = True

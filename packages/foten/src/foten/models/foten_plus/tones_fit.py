@@ -1,7 +1,5 @@
 """Tones of a periodic surface: its wavelength, the tool's phase on it, and the amplitude of each multiple."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """Recording to local linear models: pieces, a filter each, and a mesh between them."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from itertools import product
 from typing import Any

@@ -1,7 +1,5 @@
 """Piecewise AR [12]: local linear models scattered over speed and force, mixed between the three around a condition."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -19,6 +17,7 @@ class PiecewiseArSizes(ModelSizes):
     ma: int = 0  # q, of what the innovations go through before
     n_models: int = 3
     n_triangles: int = 1
+    bounded: ClassVar[bool] = True
     excited: ClassVar[bool] = True  # by white noise of each model's variance
 
     def __post_init__(self) -> None:

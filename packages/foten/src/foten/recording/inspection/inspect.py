@@ -1,7 +1,5 @@
 """All checks of a recording, in one call."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Checks of the values of one channel: units, spikes, clipping, noise, whiteness, repeated patterns, narrow lines."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 
 import numpy as np

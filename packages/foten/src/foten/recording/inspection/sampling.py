@@ -1,7 +1,5 @@
 """Checks of how a recording was sampled: missing channels, durations, gaps, repeated values, rows in a wrong order."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Speed and force in a recording: losses of contact, signs, and the conditions that it covered."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """The result of an inspection: numbers of each channel, findings, coverage of speed and force."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Any

@@ -1,7 +1,5 @@
 """Where samples are played as time passes: a sound card, through PortAudio, an NI-DAQ, silence, and other programs."""
 
-from __future__ import annotations
-
 import math
 import socket
 import struct

@@ -1,7 +1,5 @@
 """A stroke over a texture, live: what `foten play` does."""
 
-from __future__ import annotations
-
 import math
 import time
 from collections.abc import Callable, Mapping
