@@ -59,7 +59,7 @@ browser: $(VENV)/.browser
 	$(PYTEST) -m 'browser and not slow' tests/test_studio_page.py tests/test_capture_page.py tests/test_study_page.py tests/test_adapt_page.py
 
 lint: $(VENV)/.installed
-	$(BIN)/clang-format --dry-run -Werror packages/foten/native/*/*.[ch]
+	$(BIN)/clang-format --dry-run -Werror packages/foten/native/*/*.[ch] benchmarks/*.c
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
 	$(BIN)/mypy

@@ -31,9 +31,8 @@ def built(folder: Path) -> Path:
     cmake = shutil.which("cmake")
     if cmake is None:
         sys.exit("cmake is missing: pip install cmake")
-    subprocess.run(
-        [cmake, "-S", str(ROOT), "-B", str(folder), "-DFOTEN_TESTS=ON"], check=True, stdout=subprocess.DEVNULL
-    )
+    source = str(ROOT / "packages" / "foten")
+    subprocess.run([cmake, "-S", source, "-B", str(folder), "-DFOTEN_TESTS=ON"], check=True, stdout=subprocess.DEVNULL)
     subprocess.run([cmake, "--build", str(folder), "--target", "contacts"], check=True, stdout=subprocess.DEVNULL)
     return folder / "contacts"
 

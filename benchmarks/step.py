@@ -6,7 +6,7 @@ Each engine predicts the next sample from one window, called from Python one by 
 They take turns, a few hundred calls each, so that a machine that is slower for a while is so for all. Engines that are not
 installed are said to be missing: `pip install ./packages/foten './packages/foten-lab[bench]'` has ONNX Runtime and OpenVINO.
 The floor is the multiply-adds of the exactly pruned network over the peak of this core, measured beside them by
-`native/tests/peak.c` with the compiler that is here.
+`benchmarks/peak.c` with the compiler that is here.
 """
 
 import json
@@ -200,15 +200,7 @@ def peaks(folder: Path) -> dict[str, float]:
         return {}
     program = folder / "peak"
     subprocess.run(
-        [
-            compiler,
-            "-O2",
-            "-ffp-contract=fast",
-            str(ROOT / "packages/foten/native" / "tests" / "peak.c"),
-            "-o",
-            str(program),
-        ],
-        check=True,
+        [compiler, "-O2", "-ffp-contract=fast", str(ROOT / "benchmarks" / "peak.c"), "-o", str(program)], check=True
     )
     done = subprocess.run([str(program)], check=True, capture_output=True, text=True)
     return {name: float(rate) for name, rate in (line.split() for line in done.stdout.splitlines())}
