@@ -478,7 +478,7 @@ MUTANTS = (
         tests="study_store",
     ),
     *of_python(
-        "packages/foten-study/src/foten_study/strokes.py",
+        "packages/foten-study/src/foten_study/participant_store.py",
         ("pauses are contact", "contact_s", "Compare Gt 0", "True"),
         tests="study_store",
     ),

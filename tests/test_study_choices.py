@@ -34,10 +34,18 @@ import pytest
 from scipy import stats
 from scipy.special import expit, ndtr, ndtri
 
-from foten_study import sensitivity
-from foten_study.sensitivity import Sensitivity, abx, abx_share, d_prime_at, oddity, oddity_share
+from foten_study import choice_statistics
+from foten_study.choice_statistics import (
+    Sensitivity,
+    Strengths,
+    abx,
+    abx_share,
+    bradley_terry,
+    d_prime_at,
+    oddity,
+    oddity_share,
+)
 from foten_study.statistics import Array
-from foten_study.strengths import Strengths, bradley_terry
 
 SLOW = pytest.mark.slow
 ALARMS = 0.0365, 0.0635  # shares of 1,000 null studies within two standard errors of 5 %
@@ -72,7 +80,7 @@ STRENGTHS = {
 def test_shares_of_all_right_or_none_are_half_an_answer_from_the_end() -> None:
     for n_right, share in ((0.0, 0.1), (2.0, 0.5), (4.0, 0.9)):
         right, trials = np.full((2, 1), n_right), np.full((2, 1), 4.0)
-        assert sensitivity._unbiased_share(np.ones((1, 1)), right, trials)[0] == pytest.approx(share)
+        assert choice_statistics._unbiased_share(np.ones((1, 1)), right, trials)[0] == pytest.approx(share)
 
 
 @pytest.mark.parametrize("shape", STRENGTHS, ids=str)
@@ -83,17 +91,18 @@ def test_strengths_are_those_of_r(shape: tuple[int, int]) -> None:
     assert not strengths.separated
     assert strengths.log_odds.sum() == pytest.approx(0, abs=1e-12)
     np.testing.assert_allclose(strengths.log_odds[1:] - strengths.log_odds[0], expected, rtol=1e-9)
-    np.testing.assert_allclose(strengths.difference, -np.array(expected), rtol=1e-9)
-    np.testing.assert_allclose(strengths.t, -np.array(expected) / errors, rtol=1e-9)
+    np.testing.assert_allclose(strengths.tests["difference"], -np.array(expected), rtol=1e-9)
+    np.testing.assert_allclose(strengths.tests["t"], -np.array(expected) / errors, rtol=1e-9)
     half = stats.t.ppf(0.975, n - 1) * np.array(errors)
-    np.testing.assert_allclose(strengths.difference_high - strengths.difference, half, rtol=1e-9)
-    assert strengths.overall_f == pytest.approx(f, rel=1e-9)
-    assert strengths.overall_df == (k - 1, n - k + 1)
+    np.testing.assert_allclose(strengths.tests["ci95_high"] - strengths.tests["difference"], half, rtol=1e-9)
+    assert strengths.overall["f"] == pytest.approx(f, rel=1e-9)
+    assert strengths.overall["df"] == (k - 1, n - k + 1)
     every = bradley_terry(wins(n, k))
-    assert len(every.pairs) == k * (k - 1) / 2
-    np.testing.assert_allclose(every.difference, [every.log_odds[a] - every.log_odds[b] for a, b in every.pairs])
-    np.testing.assert_allclose(every.p[: k - 1], strengths.p, rtol=1e-9)
-    np.testing.assert_allclose(every.p_bonferroni, np.minimum(1, len(every.p) * every.p))
+    assert len(every.tests["pairs"]) == k * (k - 1) / 2
+    differences = [every.log_odds[a] - every.log_odds[b] for a, b in every.tests["pairs"]]
+    np.testing.assert_allclose(every.tests["difference"], differences)
+    np.testing.assert_allclose(every.tests["p"][: k - 1], strengths.tests["p"], rtol=1e-9)
+    np.testing.assert_allclose(every.tests["p_bonferroni"], np.minimum(1, len(every.tests["p"]) * every.tests["p"]))
 
 
 @pytest.mark.parametrize(
@@ -199,8 +208,8 @@ def coverage_of_strengths(sd: float, n: int, trials: int, studies: int) -> float
     covered = []
     for _ in range(studies):
         found = bradley_terry(choosers(rng, log_odds, n, trials, sd))
-        d = np.array([truth[a] - truth[b] for a, b in found.pairs])
-        covered.append(np.mean((found.difference_low <= d) & (d <= found.difference_high)))
+        d = np.array([truth[a] - truth[b] for a, b in found.tests["pairs"]])
+        covered.append(np.mean((found.tests["ci95_low"] <= d) & (d <= found.tests["ci95_high"])))
     return float(np.mean(covered))
 
 
@@ -262,7 +271,7 @@ def check_alarms(p: Callable[[np.random.Generator], float], studies: int = 1000)
 
 @pytest.mark.parametrize("sd", [0.0, 2.0], ids=["by a coin", "private preferences"])
 def test_false_alarms_of_a_preference(sd: float) -> None:
-    check_alarms(lambda rng: bradley_terry(choosers(rng, np.zeros(4), 12, 3, sd)).overall_p)
+    check_alarms(lambda rng: bradley_terry(choosers(rng, np.zeros(4), 12, 3, sd)).overall["p"])
 
 
 @pytest.mark.parametrize("leaning", [pytest.param(1 / 3, marks=SLOW), 0.6, pytest.param(0.9, marks=SLOW)])
@@ -292,7 +301,7 @@ def test_false_alarms_in_other_studies() -> None:
         rng, found = np.random.default_rng(4), []
         for _ in range(1000):
             study = bradley_terry(choosers(rng, np.zeros(k), n, trials, sd))
-            found.append((study.overall_p <= 0.05, (study.p_holm <= 0.05).any()))
+            found.append((study.overall["p"] <= 0.05, (study.tests["p_holm"] <= 0.05).any()))
         rates = np.mean(found, axis=0)
         print("strengths, pairs", k, n, trials, sd, rates)
         assert rates.max() <= ALARMS[1]
@@ -306,8 +315,8 @@ def test_signs_hold_where_f_does_not() -> None:
         w[:first, 0, 1], w[first:, 1, 0] = 1, 1
         found = bradley_terry(w)
         weight = float(stats.binom.pmf(first, 21, 0.5))
-        by_f += weight * (first in (0, 21) or stats.f.sf(found.overall_f, *found.overall_df) <= 0.05)
-        by_signs += weight * (found.overall_p <= 0.05)
+        by_f += weight * (first in (0, 21) or stats.f.sf(found.overall["f"], *found.overall["df"]) <= 0.05)
+        by_signs += weight * (found.overall["p"] <= 0.05)
     assert by_f == pytest.approx(0.0784, abs=1e-4)
     assert by_signs == pytest.approx(0.0266, abs=1e-4)  # of the sign test
 
@@ -316,10 +325,10 @@ def test_signs_of_few_participants_and_of_many() -> None:
     """Of two methods p is the sign test's. Beyond 14 participants patterns are drawn, and p is about that of F."""
     w = np.zeros((8, 2, 2))
     w[:7, 0, 1], w[7, 1, 0] = 1, 1
-    assert bradley_terry(w).overall_p == pytest.approx(2 * 9 / 2**8)
+    assert bradley_terry(w).overall["p"] == pytest.approx(2 * 9 / 2**8)
     w = choosers(np.random.default_rng(5), np.array([0.0, 0.2, 0.5]), 15, 4)
     f = bradley_terry(w)
-    assert f.overall_p == pytest.approx(float(stats.f.sf(f.overall_f, *f.overall_df)), rel=0.3)
+    assert f.overall["p"] == pytest.approx(float(stats.f.sf(f.overall["f"], *f.overall["df"])), rel=0.3)
 
 
 def test_leaning_leaves_d_prime() -> None:
@@ -333,7 +342,13 @@ def test_leaning_leaves_d_prime() -> None:
 
 
 def is_unknown(strengths: Strengths) -> bool:
-    values = strengths.ci95_low, strengths.ci95_high, strengths.difference_low, strengths.t, strengths.p_holm
+    values = (
+        strengths.ci95_low,
+        strengths.ci95_high,
+        strengths.tests["ci95_low"],
+        strengths.tests["t"],
+        strengths.tests["p_holm"],
+    )
     return bool(np.isnan(np.concatenate(values)).all())
 
 
@@ -344,22 +359,22 @@ def test_strengths_of_few_participants() -> None:
     won, expected = total.sum(1), (total + total.T) * expit(alone.log_odds[:, None] - alone.log_odds)
     np.testing.assert_allclose(won, expected.sum(1), rtol=1e-9)  # the likelihood's maximum
     assert is_unknown(alone)
-    assert np.isnan([alone.overall_f, alone.overall_p]).all()
+    assert np.isnan([alone.overall["f"], alone.overall["p"]]).all()
     assert is_unknown(bradley_terry(wins(12, 4)[:2]))
     three = bradley_terry(wins(12, 4)[:3])
     assert not is_unknown(three)
-    assert np.isnan([three.overall_f, three.overall_p]).all()  # as many as there are differences
+    assert np.isnan([three.overall["f"], three.overall["p"]]).all()  # as many as there are differences
     idle = np.concatenate([wins(8, 4), np.zeros((5, 4, 4))])
     assert bradley_terry(idle).n_participants == 8
-    np.testing.assert_array_equal(bradley_terry(idle).p, bradley_terry(wins(8, 4)).p)
+    np.testing.assert_array_equal(bradley_terry(idle).tests["p"], bradley_terry(wins(8, 4)).tests["p"])
 
 
 def test_participants_who_choose_alike_have_no_interval() -> None:
     alike = np.repeat(wins(8, 4)[:1], 6, axis=0)
     found = bradley_terry(alike)
     assert is_unknown(found)
-    assert np.isnan(found.overall_f)
-    assert found.overall_p == 2 / 2**6
+    assert np.isnan(found.overall["f"])
+    assert found.overall["p"] == 2 / 2**6
 
 
 def test_separated_choices() -> None:
@@ -368,15 +383,15 @@ def test_separated_choices() -> None:
     w[:, 0, 1] = 1
     found = bradley_terry(w)
     assert found.separated
-    assert found.difference[0] == pytest.approx(np.log(10.5 / 0.5))
-    assert 0.002 < found.p[0] < 0.05
-    assert found.overall_p == pytest.approx(2 / 2**10)
+    assert found.tests["difference"][0] == pytest.approx(np.log(10.5 / 0.5))
+    assert 0.002 < found.tests["p"][0] < 0.05
+    assert found.overall["p"] == pytest.approx(2 / 2**10)
     w = wins(8, 4)
     w[:, :3, 3] = 0  # nobody prefers another to the last
     found = bradley_terry(w)
     assert found.separated
     assert found.log_odds.argmax() == 3
-    assert np.isfinite(found.difference_high).all()
+    assert np.isfinite(found.tests["ci95_high"]).all()
 
 
 def test_a_pair_that_is_not_compared_is_known_by_the_others() -> None:
@@ -384,13 +399,13 @@ def test_a_pair_that_is_not_compared_is_known_by_the_others() -> None:
     w[:, 0, 1], w[:, 1, 0] = [3, 2, 3, 3, 2, 3], [1, 2, 1, 1, 2, 1]
     w[:, 1, 2], w[:, 2, 1] = [2, 3, 3, 2, 3, 3], [2, 1, 1, 2, 1, 1]
     found = bradley_terry(w)
-    assert found.difference[1] == pytest.approx(np.log(16 / 8) + np.log(16 / 8))
+    assert found.tests["difference"][1] == pytest.approx(np.log(16 / 8) + np.log(16 / 8))
     w[:, 1, 2] = w[:, 2, 1] = 0
     with pytest.raises(ValueError, match="methods 0 and 2 are compared by no chain of pairs"):
         bradley_terry(w)
     w[0, 1, 2] = w[0, 2, 1] = 2  # one participant alone
     found = bradley_terry(w)
-    assert found.difference[2] == pytest.approx(0, abs=1e-9)
+    assert found.tests["difference"][2] == pytest.approx(0, abs=1e-9)
     assert is_unknown(found)
 
 

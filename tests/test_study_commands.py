@@ -24,8 +24,8 @@ from foten.cli.command_line import _status
 from foten.datasets.importing import read_stroke
 from foten.runtime.stroke import tabled_stroke
 from foten_study.languages import read_language
-from foten_study.schema import GUARDS
 from foten_study.store import Store, Stroked
+from foten_study.study_file import GUARDS
 from test_study_server import study_file
 
 STUDY = [sys.executable, "-c", "from foten.cli import main; main()", "study"]

@@ -13,8 +13,8 @@ import pytest
 from foten_study import languages
 from foten_study.design import read_design, task_of, titled
 from foten_study.languages import read_language
-from foten_study.new_study import study_text
 from foten_study.orders import balance, orders, planned, square, williams
+from foten_study.planning import study_text
 from foten_study.tasks.table import TASKS
 
 FILES = {
@@ -164,7 +164,7 @@ def test_each_task_has_its_question_and_its_instructions_in_the_language(study: 
     assert design.instructions == words[f"instructions_{kind}"]
     questions = {"paired": "which_nearer", "abx": "which_x", "oddity": "which_odd", "threshold": "which_felt"}
     assert design.task.question == words[questions[kind]]
-    assert task_of(study.read_text(encoding="utf-8"))[0] == design.task
+    assert task_of(study.read_text(encoding="utf-8")) == design.task
 
 
 @pytest.mark.parametrize(

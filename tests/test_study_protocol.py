@@ -23,9 +23,9 @@ from foten_study.design import Design, Setup, Texture
 from foten_study.orders import Trial
 from foten_study.participant_store import ParticipantStore
 from foten_study.protocol import Measured, Moment, NotYetError, State
+from foten_study.strokes import TrialSound
 from foten_study.study_file import FullError
 from foten_study.tasks.kind import Task
-from foten_study.trial_sound import TrialSound
 
 FILES = {"ar": Path("a"), "foten": Path("b")}
 NOON = Moment(100.0, 1e9)
@@ -47,7 +47,7 @@ def later(seconds: float) -> Moment:
 
 
 def names(effects: Sequence[protocol.Effect]) -> list[str]:
-    return [effect.about.get("event", effect.name) for effect in effects]
+    return [about.get("what", about.get("event", name)) for name, about in effects]
 
 
 def test_an_answer_is_stored_before_the_step_is_done_and_the_next_begins_afresh() -> None:
@@ -55,9 +55,9 @@ def test_an_answer_is_stored_before_the_step_is_done_and_the_next_begins_afresh(
     state = protocol.turn(design, at_trial(design), NOON, "real", "participant").state
     change = protocol.finish(design, state, "trial:1", RATED, Measured((1.0,), log={"contact_s": 1.0}), later(9))
     assert names(change.first) == ["save_strokes", "store", "end_contact"]
-    number, rated = change.first[1].about["rated"]
-    assert (number, rated["values"], rated["switches"], rated["response_s"]) == (1, {"similarity": 40.0}, 1, 2.5)
-    assert rated["log"] == {"contact_s": 1.0, "n_underruns": None}
+    number, rated = change.first[1][1]["rated"]
+    assert (number, rated.values, rated.switches, rated.response_s) == (1, {"similarity": 40.0}, 1, 2.5)
+    assert rated.log == {"contact_s": 1.0, "n_underruns": None}
     assert names(change.then) == ["answer"]
     assert change.state == State(state.steps, state.done | {"trial:1"})
     assert "trial:1" not in state.done  # frozen: where the disk refuses, nothing has changed
@@ -98,9 +98,8 @@ def test_a_hand_that_goes_over_is_shown_first_and_written_last() -> None:
     design = design_of("abx")
     state = protocol.pen(at_trial(design, [Trial(1, 0, 0, 1)]), down=True).state
     change = protocol.turn(design, state, later(2), "virtual", "participant", 2)
-    assert names(change.then) == ["lift", "show", "put_under_pen", "write_switch"]
-    about = {"trial": 1, "side": "virtual X", "by": "participant", "at_s": NOON.system_s + 2}
-    assert change.then[-1].about == about
+    assert names(change.then) == ["lift", "show", "put_under_pen", "add_switch"]
+    assert change.then[-1][1]["values"] == (1, "virtual X", "participant", NOON.system_s + 2)
     assert protocol.turn(design, change.state, NOON, "virtual", "participant", 2) == protocol.Change(change.state)
     for side, interval, why in (("real", None, "no real surface"), ("virtual", 3, "expected one of 3")):
         with pytest.raises(RefusedError, match=why):
@@ -153,8 +152,8 @@ def test_what_the_disk_refuses_is_written_once_in_its_order() -> None:
             add_strokes=lambda number, trial, parts: write((trial, sum(len(p.events) for p in parts)))
         )
         kept = ParticipantStore(store, 1, on_disk, lambda trial, n: written.append(("stored", trial, n)))  # type: ignore[arg-type]
-        kept.of_trial(1).events.append((0, np.zeros((5, 4))))
-        kept.count(1, 5)
+        kept.logs[1].events.append((0, np.zeros((5, 4))))
+        kept.n_taken[1] += 5
         await kept.write(lambda: write("first"), lambda: write("second"))
         await kept.save()
         counts = [kept.n_unsaved(None)]
@@ -170,7 +169,7 @@ def test_what_the_disk_refuses_is_written_once_in_its_order() -> None:
 def test_a_trial_sounds_at_the_gain_of_its_surface_and_a_level_follows_the_answers() -> None:
     design, opened = design_of("threshold"), list[float]()
     study: Any = SimpleNamespace(design=design, plays_in_page=True, player=RoundRobinRenderer().player)
-    study.gains, study.stimuli = {(0, 1): -3.0}, SimpleNamespace(bytes_of={(0, 1): EXAMPLE.read_bytes()})
+    study.gains, study.bytes_of = {(0, 1): -3.0}, {(0, 1): EXAMPLE.read_bytes()}
 
     async def scenario() -> None:
         sound, trial = TrialSound(study, 1), Trial(0, 0, 1, None, 2)  # of practice, at the highest level

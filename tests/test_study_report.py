@@ -13,13 +13,12 @@ from foten import __version__
 from foten.reporting.table import minus
 from foten_study.analysis import analyse
 from foten_study.orders import orders
-from foten_study.raters import Raters
-from foten_study.report import MAX_ROWS, _markdown, write_report
+from foten_study.report import MAX_ROWS, texts_of, write_report
 from foten_study.results import stars
-from foten_study.schema import Stimulus, create
-from foten_study.store import Rated, Store
-from foten_study.tasks.kind import Result
-from foten_study.variance import null_rates
+from foten_study.store import Store
+from foten_study.study_file import Stimulus, create
+from foten_study.tasks.kind import Rated, Result
+from foten_study.variance import Raters, null_rates
 
 
 def database(path: Path, n: int, methods: int, textures: int, simulated: bool = True) -> Path:
@@ -43,6 +42,10 @@ def database(path: Path, n: int, methods: int, textures: int, simulated: bool = 
 def results(path: Path, reference: str | None = None) -> Result:
     with Store(path) as store:
         return analyse(store, reference)[0]
+
+
+def markdown(result: Result) -> str:
+    return texts_of([result], [{"ratings": "", "textures": ""}])["report.md"]
 
 
 def table(path: Path) -> list[dict[str, str]]:
@@ -108,7 +111,7 @@ def test_every_column_has_a_meaning_and_every_table_says_that_ratings_are_simula
 
 def test_those_of_people_do_not(tmp_path: Path) -> None:
     path = database(tmp_path / "s.db", 4, 2, 2, simulated=False)
-    assert "## Participants" not in _markdown([results(path)])
+    assert "## Participants" not in markdown(results(path))
     with Store(path) as store:
         store.take_step(1, "questions:end", answers={"remarks": "fine"}, private={"age": "30"})
     write_report([results(path)], tmp_path / "r")
@@ -174,11 +177,11 @@ def test_tables_hold_the_numbers_and_are_short(tmp_path: Path) -> None:
 
 
 def test_few_tests_within_textures_are_one_table_and_many_show_the_lowest_p(tmp_path: Path) -> None:
-    report = _markdown([results(database(tmp_path / "few.db", 5, 3, 4))])
+    report = markdown(results(database(tmp_path / "few.db", 5, 3, 4)))
     within = section(report, "Tests within textures")
     assert within.count("\n| ") - 1 == 12
     assert "| t3 | m1 − m2 |" in within
-    report = _markdown([results(database(tmp_path / "many.db", 5, 6, 2))])
+    report = markdown(results(database(tmp_path / "many.db", 5, 6, 2)))
     assert report.count("The 12 lowest p of 15 pairs; pairs.csv has all.") == 3
     assert max(part.count("\n| ") - 1 for part in report.split("\n## ")) == MAX_ROWS
 
@@ -207,4 +210,4 @@ def test_sentences_name_the_family(
     if textures == 1:
         assert f"methods on 1 texture ({8 * methods} ratings)" in text
         assert "textures" not in text
-        assert "across textures" not in _markdown([result])
+        assert "across textures" not in markdown(result)

@@ -45,8 +45,8 @@ from foten_study.analysis import read_ratings
 from foten_study.design import titled
 from foten_study.languages import read_language
 from foten_study.loading import load_study
-from foten_study.new_study import study_text
 from foten_study.participants import JOIN_AGAIN, NOT_ALLOWED, RETURNED
+from foten_study.planning import study_text
 from foten_study.results import of_trials
 from foten_study.session import BEFORE_MISSED, ELSEWHERE, MISSED, Session
 from foten_study.store import Store
@@ -232,7 +232,7 @@ def test_no_byte_that_a_participant_is_sent_names_or_orders_methods(tmp_path: Pa
     assert len({tuple(one) for one in stored}) == 3  # they were given different orders
     assert said[0] == said[1] == said[2]
     everything = "\n".join(text for texts in said for text in texts).lower()
-    for word in ("dstn", "ldhtd", ".foten", '"method', *(one.sha256 for one in server.study.stimuli.listed)):
+    for word in ("dstn", "ldhtd", ".foten", '"method', *(one.sha256 for one in server.store.stimuli().values())):
         assert word not in everything
     assert not re.search(r"[\"' -]ar[\"' ,.]", "\n".join(text for texts in said[:3] for text in texts).lower())
 
@@ -1017,7 +1017,7 @@ def test_a_page_that_reads_nothing_holds_nobody_up(tmp_path: Path) -> None:
         tablet = page_of(connect(max_queue=1, close_timeout=0.1), code=screen.code, role="stroke", rate_hz=192_000)
         (page,) = [page for page in server.pages if page.strokes]
         deadline, n = time.monotonic() + 20, 0
-        while page.blocks.n_unsent < 200:  # the socket took nothing for a second and a half
+        while page.tablet.blocks.n_unsent < 200:  # the socket took nothing for a second and a half
             tablet.stroke(10)
             n += 10
             time.sleep(0.05)
@@ -1028,7 +1028,7 @@ def test_a_page_that_reads_nothing_holds_nobody_up(tmp_path: Path) -> None:
         screen.answer(61.0)
         assert screen.step["id"] == "trial:2"
         assert time.monotonic() - begin < 2.0
-        assert page.blocks._waiting.qsize() <= MAX_WAITING_BLOCKS
+        assert page.tablet.blocks._waiting.qsize() <= MAX_WAITING_BLOCKS
         for _ in range(MAX_WAITING_TEXTS + 1):
             page.say({"step": screen.step})
         assert page._waiting.qsize() <= MAX_WAITING_TEXTS + 1
@@ -1434,7 +1434,7 @@ def test_a_page_has_no_device_of_this_machine(tmp_path: Path) -> None:
 
 def test_levels_are_matched_and_stored(tmp_path: Path) -> None:
     study = load_study(study_file(tmp_path, n_textures=3))
-    listed = study.stimuli.listed
+    listed = study.stimuli
     assert max(abs(stimulus.gain_db) for stimulus in listed) > 0.3
     assert all(abs(stimulus.gain_db) <= 30 for stimulus in listed)
     for t, texture in enumerate(study.design.textures):  # with them, nothing is left to match
@@ -1447,7 +1447,7 @@ def test_levels_are_matched_and_stored(tmp_path: Path) -> None:
     with study.open_store(tmp_path / "study.db") as store:
         assert list(store.stimuli().values()) == listed
     unmatched = load_study(study_file(tmp_path, match_levels="false", to='"null"'))
-    assert {stimulus.gain_db for stimulus in unmatched.stimuli.listed} == {0.0}
+    assert {stimulus.gain_db for stimulus in unmatched.stimuli} == {0.0}
 
 
 def test_texts_that_no_speaker_has_read_are_a_doubt(tmp_path: Path) -> None:

@@ -21,8 +21,8 @@ from scipy import stats
 
 import foten_study.statistics as statistics
 from foten.dsp.inference import holm
-from foten_study.raters import PAPER_PARTICIPANTS, Raters, needed, paper_raters, power, raters_for
 from foten_study.statistics import Array, anova, friedman, paired_tests, wilcoxon_tests
+from foten_study.variance import PAPER_PARTICIPANTS, Raters, needed, paper_raters, power, raters_for
 
 
 def data(n: int, a: int, b: int) -> Array:
@@ -62,13 +62,20 @@ def test_an_analysis_of_variance_is_that_of_r_and_pingouin(shape: tuple[int, int
     degrees = [(a - 1, (a - 1) * (n - 1)), (b - 1, (b - 1) * (n - 1)), ((a - 1) * (b - 1), (a - 1) * (b - 1) * (n - 1))]
     assert len(effects) == len(ANOVAS[shape])
     for effect, expected, df in zip(effects, ANOVAS[shape], degrees, strict=False):
-        assert effect.df == df
-        values = effect.f, effect.epsilon, effect.p, effect.p_corrected, effect.generalised_eta2, effect.partial_eta2
+        assert effect["df"] == df
+        values = (
+            effect["f"],
+            effect["epsilon"],
+            effect["p"],
+            effect["p_corrected"],
+            effect["generalised_eta2"],
+            effect["partial_eta2"],
+        )
         # Both print ten digits; R's and this sine differ in the last bits of a large argument.
         np.testing.assert_allclose(np.array(values, dtype=float), expected[:6], rtol=2e-7)
         # With two contrasts the second term is none; else R's differs, as `_mauchly` says.
         if not np.isnan(expected[6]):
-            np.testing.assert_allclose(float(effect.mauchly_p), expected[6], rtol=1e-6 if df[0] <= 2 else 0.05)
+            np.testing.assert_allclose(float(effect["mauchly_p"]), expected[6], rtol=1e-6 if df[0] <= 2 else 0.05)
 
 
 def test_many_studies_at_once_are_those_one_by_one() -> None:
@@ -76,15 +83,15 @@ def test_many_studies_at_once_are_those_one_by_one() -> None:
     at_once = anova(studies)
     for i, study in enumerate(studies):
         for one, many in zip(anova(study), at_once, strict=True):
-            np.testing.assert_allclose(many.f[i], one.f, rtol=1e-10)
-            np.testing.assert_allclose(many.p_corrected[i], one.p_corrected, rtol=1e-8)
+            np.testing.assert_allclose(many["f"][i], one["f"], rtol=1e-10)
+            np.testing.assert_allclose(many["p_corrected"][i], one["p_corrected"], rtol=1e-8)
 
 
 def test_what_cannot_be_computed_is_nan() -> None:
     same = np.full((5, 3), 7.0)
     (effect,) = anova(same[..., None])
-    assert np.isnan([effect.f, effect.p, friedman(same).p, friedman(same).chi2]).all()
-    assert wilcoxon_tests(same).p.tolist() == [1.0, 1.0, 1.0]
+    assert np.isnan([effect["f"], effect["p"], friedman(same)["p"], friedman(same)["chi2"]]).all()
+    assert wilcoxon_tests(same)["p"].tolist() == [1.0, 1.0, 1.0]
 
 
 def test_adjusted_p_values_are_those_of_statsmodels(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -104,27 +111,27 @@ def test_adjusted_p_values_are_those_of_statsmodels(monkeypatch: pytest.MonkeyPa
 def test_pairs_by_t_and_by_ranks_are_those_of_r() -> None:
     y = data(12, 4, 1)[..., 0]
     paired, signed = paired_tests(y), wilcoxon_tests(y)
-    assert paired.pairs == signed.pairs == [(0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3)]
+    assert paired["pairs"] == signed["pairs"] == [(0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3)]
     t = [0.05051914788, -4.083607779, -1.668819601, -2.056132934, -3.168701084, 0.2705381283]
     p = [0.9606143754, 0.001809073399, 0.1233347927, 0.06429260695, 0.008939276629, 0.7917551144]
     low = [-5.0807572, -6.9123312, -9.0453476, -9.546546, -6.8124437, -4.2155069]
     high = [5.3194733, -2.0706689, 1.2438929, 0.32482971, -1.2277273, 5.3970523]
     by_ranks = [1.0, 0.00048828125, 0.1098632813, 0.05224609375, 0.00927734375, 0.791015625]
     for values, expected in (
-        (paired.t, t),
-        (paired.p, p),
-        (paired.ci95_low, low),
-        (paired.ci95_high, high),
-        (signed.p, by_ranks),
+        (paired["t"], t),
+        (paired["p"], p),
+        (paired["ci95_low"], low),
+        (paired["ci95_high"], high),
+        (signed["p"], by_ranks),
     ):
         np.testing.assert_allclose(values, expected, rtol=1e-6)
     d = y[:, 0] - y[:, 2]
-    assert paired.dz[1] == pytest.approx(d.mean() / d.std(ddof=1))
-    assert signed.rank_biserial[1] == pytest.approx(-1.0)  # all of them lower
+    assert paired["dz"][1] == pytest.approx(d.mean() / d.std(ddof=1))
+    assert signed["rank_biserial"][1] == pytest.approx(-1.0)  # all of them lower
     assert statistics.pairs(4, reference=3) == [(3, 0), (3, 1), (3, 2)]
     against = paired_tests(y, reference=3)
-    np.testing.assert_allclose(against.t, [-t[2], -t[4], -t[5]], rtol=1e-6)
-    np.testing.assert_allclose(against.p_bonferroni, np.minimum(1, 3 * against.p))
+    np.testing.assert_allclose(against["t"], [-t[2], -t[4], -t[5]], rtol=1e-6)
+    np.testing.assert_allclose(against["p_bonferroni"], np.minimum(1, 3 * against["p"]))
 
 
 def test_equal_differences_share_their_ranks() -> None:
@@ -133,35 +140,35 @@ def test_equal_differences_share_their_ranks() -> None:
     """
     d, ranks = np.array([1.0, -2, 2, 2, 0, 3, 5, -5]), np.array([1, 3, 3, 3, 5, 6.5, 6.5])
     test = wilcoxon_tests(np.column_stack([d, np.zeros(8)]))
-    assert test.w[0] == 3 + 6.5
-    assert test.rank_biserial[0] == pytest.approx((28 - 2 * 9.5) / 28)
+    assert test["w"][0] == 3 + 6.5
+    assert test["rank_biserial"][0] == pytest.approx((28 - 2 * 9.5) / 28)
     sums = np.array(list(product((0, 1), repeat=7))) @ ranks
-    assert test.p[0] == pytest.approx(np.mean(np.abs(sums - 14) >= 4.5))
+    assert test["p"][0] == pytest.approx(np.mean(np.abs(sums - 14) >= 4.5))
     many = np.repeat(d, 9)  # 63 differences: 9 of 1, 27 of 2, 9 of 3, 18 of 5
     ranks_of = {1: 5, 2: 23, 3: 41, 5: 54.5}
     down = 9 * ranks_of[2] + 9 * ranks_of[5]
     variance = 63 * 64 * 127 / 24 - sum(t**3 - t for t in (9, 27, 9, 18)) / 48
     test = wilcoxon_tests(np.column_stack([many, np.zeros(72)]))
-    assert test.w[0] == down
-    assert test.p[0] == pytest.approx(2 * stats.norm.sf((63 * 64 / 4 - down) / np.sqrt(variance)), rel=1e-9)
+    assert test["w"][0] == down
+    assert test["p"][0] == pytest.approx(2 * stats.norm.sf((63 * 64 / 4 - down) / np.sqrt(variance)), rel=1e-9)
 
 
 def test_friedman_is_that_of_r() -> None:
     for shape, chi2, p in (((8, 3, 1), 9.75, 0.007635094219), ((12, 4, 1), 11.5, 0.009307797106)):
         test = friedman(data(*shape)[..., 0])
-        assert test.chi2 == pytest.approx(chi2, rel=1e-9)
-        assert test.p == pytest.approx(p, rel=1e-9)
+        assert test["chi2"] == pytest.approx(chi2, rel=1e-9)
+        assert test["p"] == pytest.approx(p, rel=1e-9)
     ties = np.array([[1, 1, 2], [2, 3, 3], [1, 2, 2], [5, 5, 6]])  # friedman.test: chi-squared = 6
-    assert friedman(ties).chi2 == pytest.approx(6.0, rel=1e-9)
+    assert friedman(ties)["chi2"] == pytest.approx(6.0, rel=1e-9)
 
 
 def test_reliability_is_that_of_pingouin() -> None:
-    test = statistics.reliability(data(8, 3, 1)[..., 0])
-    assert test.single == pytest.approx(0.201007, abs=1e-6)
-    assert test.mean == pytest.approx(0.668061, abs=1e-6)
+    single, mean, _ = statistics.reliability(data(8, 3, 1)[..., 0])
+    assert single == pytest.approx(0.201007, abs=1e-6)
+    assert mean == pytest.approx(0.668061, abs=1e-6)
     opposite = np.tile(np.array([10.0, 40.0, 90.0, 20.0]), (6, 1))
     opposite[2] = 100 - opposite[2]
-    assert statistics.reliability(opposite).with_others[2] == pytest.approx(-1.0)
+    assert statistics.reliability(opposite)[2][2] == pytest.approx(-1.0)
 
 
 def test_a_mixed_model_of_complete_ratings_is_the_analysis_of_variance() -> None:
@@ -172,11 +179,11 @@ def test_a_mixed_model_of_complete_ratings_is_the_analysis_of_variance() -> None
     y = raters.draw(np.random.default_rng(3), 15)
     participant, method, texture = (index.ravel() for index in np.indices(y.shape))
     model = statistics.mixed_model(participant, method, texture, y.ravel())
-    assert model.converged
-    for term, effect in zip(model.terms, anova(y), strict=True):
-        assert (term["name"], tuple(term["df"])) == (effect.name, effect.df)
-        assert term["f"] == pytest.approx(float(effect.f), rel=5e-3)
-        assert term["p"] == pytest.approx(float(effect.p), rel=0.05, abs=1e-6)
+    assert model["converged"]
+    for term, effect in zip(model["terms"], anova(y), strict=True):
+        assert (term["name"], tuple(term["df"])) == (effect["name"], effect["df"])
+        assert term["f"] == pytest.approx(float(effect["f"]), rel=5e-3)
+        assert term["p"] == pytest.approx(float(effect["p"]), rel=0.05, abs=1e-6)
 
 
 def test_a_mixed_model_takes_ratings_that_are_not_complete() -> None:
@@ -184,8 +191,8 @@ def test_a_mixed_model_takes_ratings_that_are_not_complete() -> None:
     rated = np.random.default_rng(5).random(y.shape) < 0.8
     participant, method, texture = (axis[rated] for axis in np.indices(y.shape))
     model = statistics.mixed_model(participant, method, texture, y[rated])
-    assert model.terms[0]["name"] == "method"
-    assert model.terms[0]["p"] < 1e-4 < 1e-3 < model.terms[1]["p"]
+    assert model["terms"][0]["name"] == "method"
+    assert model["terms"][0]["p"] < 1e-4 < 1e-3 < model["terms"][1]["p"]
 
 
 def test_raters_are_as_their_model_says() -> None:
@@ -229,14 +236,14 @@ def test_error_rates_of_null_studies() -> None:
     """
     null = Raters(np.full((4, 12), 60.0))
     y = null.draw(np.random.default_rng(1), 21, 2000)
-    rates = {effect.name: float((effect.p_corrected < 0.05).mean()) for effect in anova(y)}
-    rates["one way"] = float((anova(y.mean(-1, keepdims=True))[0].p_corrected < 0.05).mean())
+    rates = {effect["name"]: float((effect["p_corrected"] < 0.05).mean()) for effect in anova(y)}
+    rates["one way"] = float((anova(y.mean(-1, keepdims=True))[0]["p_corrected"] < 0.05).mean())
     by_texture = paired_tests(np.moveaxis(y, -1, -3))
-    rates["pairs, not adjusted"] = float((by_texture.p < 0.05).mean())
+    rates["pairs, not adjusted"] = float((by_texture["p"] < 0.05).mean())
     for name in ("p_holm", "p_bonferroni"):
-        rates[name] = float((getattr(by_texture, name) < 0.05).any(-1).mean())
-    rates["Friedman"] = float((friedman(y.mean(-1)).p < 0.05).mean())
-    rates["Wilcoxon, Holm"] = float(np.mean([(wilcoxon_tests(one.mean(-1)).p_holm < 0.05).any() for one in y[:500]]))
+        rates[name] = float((by_texture[name] < 0.05).any(-1).mean())
+    rates["Friedman"] = float((friedman(y.mean(-1))["p"] < 0.05).mean())
+    rates["Wilcoxon, Holm"] = float(np.mean([(wilcoxon_tests(one.mean(-1))["p_holm"] < 0.05).any() for one in y[:500]]))
     assert max(rates.values()) <= 0.06, rates
     assert rates["method × texture"] < 0.02
     assert min(rates[name] for name in ("one way", "method", "pairs, not adjusted", "Friedman")) > 0.03
@@ -248,7 +255,7 @@ def test_error_rates_of_the_mixed_model() -> None:
     null = Raters(np.full((4, 12), 60.0))
     y = null.draw(np.random.default_rng(2), 21, 2000)
     index = [axis.ravel() for axis in np.indices(y.shape[1:])]
-    found = np.array([[term["p"] < 0.05 for term in statistics.mixed_model(*index, one.ravel()).terms] for one in y])
+    found = np.array([[term["p"] < 0.05 for term in statistics.mixed_model(*index, one.ravel())["terms"]] for one in y])
     rates = found.mean(0)
     print(dict(zip(("method", "texture", "method × texture"), rates, strict=True)))
     assert rates.max() <= 0.06

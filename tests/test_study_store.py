@@ -20,10 +20,10 @@ import pytest
 from foten import __version__
 from foten_study.analysis import read_ratings
 from foten_study.orders import orders
-from foten_study.schema import GUARDS, VERSION, Stimulus, create, now
-from foten_study.store import Rated, Store, Stroked
-from foten_study.strokes import contact_s
-from foten_study.study_file import MAX_VALUE, FullError
+from foten_study.participant_store import contact_s
+from foten_study.store import Store, Stroked
+from foten_study.study_file import GUARDS, MAX_VALUE, VERSION, FullError, Stimulus, create
+from foten_study.tasks.kind import Rated
 
 TEXTURES, METHODS = 3, 2
 SECOND_RATING = (
@@ -166,7 +166,7 @@ def filled(store: Store) -> list[int]:
         store.take_step(number, "questions:start", answers=answers, private=private)
         for trial in range(1, 7):
             store.add_strokes(number, trial, [Stroked(0, np.full((50, 4), float(number)))])
-            store.add_switch(number, trial, "real", "operator", now())
+            store.add_switch(number, trial, "real", "operator", time.time())
             rated = Rated({"similarity": 10.0 * number}, 3.0, 1, {"note": f"MEASURED-{number}"})
             store.take_step(number, f"trial:{trial}", (trial, rated))
     return numbers

@@ -22,27 +22,34 @@ from scipy import stats
 
 from conftest import check_figures
 from foten.studio.access import Admitted
-from foten_study import choosing, raters, study_server
+from foten_study import choosing, study_server, variance
 from foten_study.analysis import TooFewError, analyse, read_ratings
 from foten_study.design import read_design
 from foten_study.languages import read_language
-from foten_study.loading import load_study
-from foten_study.markers import NAME, Markers
+from foten_study.loading import LSL_NAME as NAME
+from foten_study.loading import Markers, load_study
 from foten_study.orders import balance, orders
-from foten_study.raters import raters_for
+from foten_study.planning import simulate_study
 from foten_study.rating_figures import figures_of
 from foten_study.record import _contacts, bids, events_of, psych_ds
 from foten_study.report import COLUMNS, write_data, write_report
-from foten_study.simulation import simulate_study
 from foten_study.statistics import ALPHA, anova
-from foten_study.store import Rated, Store, Stroked
+from foten_study.store import Store, Stroked
+from foten_study.tasks import paired
 from foten_study.tasks.abx import ABX
-from foten_study.tasks.kind import Task
+from foten_study.tasks.kind import Plan, Rated, Task
 from foten_study.tasks.oddity import ODDITY
-from foten_study.tasks.paired import Choosers
 from foten_study.tasks.table import TASKS
-from foten_study.tasks.threshold import threshold_raters
-from foten_study.thresholds import SILENT_DB, gain_db, level_search, noticeable_db, simulated_answers, thresholds_of
+from foten_study.tasks.threshold import (
+    SILENT_DB,
+    gain_db,
+    level_search,
+    noticeable_db,
+    simulated_answers,
+    threshold_raters,
+    thresholds_of,
+)
+from foten_study.variance import raters_for
 from test_study_commands import foten
 from test_study_server import joined, served, server_of, study_file
 
@@ -70,8 +77,7 @@ def rows_of(path: Path) -> list[dict[str, str]]:
 def simulated(folder: Path, kind: str, lines: str = "", effect: float = 0.0, **options: Any) -> Store:
     study = load_study(task_file(folder, kind, lines, **options))
     store = study.open_store(folder / "s.db", simulated=True)
-    raters = raters_for(len(study.design.methods), len(study.design.textures), 10.0)
-    simulate_study(store, study.design, raters, effect, -1, 0.0, 3)
+    simulate_study(store, study.design, 0.0, 3, effect=10.0 if kind == "rating" else effect)
     return store
 
 
@@ -239,7 +245,7 @@ def test_surfaces_of_one_trial_sound_as_their_methods_do(tmp_path: Path) -> None
             while len(opened) < interval and time.monotonic() < until:
                 time.sleep(0.01)
         trial = server.store.trials(1)[0]
-    expected = [server.study.stimuli.bytes_of[trial.texture, method] for method in TASKS["oddity"].surfaces(trial)[1:]]
+    expected = [server.study.bytes_of[trial.texture, method] for method in TASKS["oddity"].surfaces(trial)[1:]]
     assert opened == expected
 
 
@@ -350,51 +356,44 @@ def test_thresholds_of_simulated_people_are_found() -> None:
     assert errors.std() < 4.0
 
 
-def p_values_of(kind: str, n_methods: int, effect: float) -> choosing.PValues:
-    """p values of simulated studies of a task."""
-    if kind == "paired":
-        return Choosers(n_methods, effect).p_values
-    task = {"abx": ABX, "oddity": ODDITY}[kind]
-    return lambda rng, n, per_pair: task.p_values(rng, n, per_pair, n_methods, effect)
+P_VALUES = {"paired": paired.p_values, "abx": ABX.p_values, "oddity": ODDITY.p_values}
 
 
-def null_rate(kind: str, n_studies: int = N_NULL) -> float:
+def null_rate(kind: str, monkeypatch: pytest.MonkeyPatch, n_studies: int = N_NULL) -> float:
     """Share of null studies of 16 people in which the overall test of a task finds something; of a single pair where d′ is
     tested, since the smallest adjusted p of several is conservative.
     """
     rng = np.random.default_rng(7)
     if kind in COMPARING:
         n_methods, per_pair = (3, 6) if kind == "paired" else (2, 12)
-        p_values = NoPreference(n_methods, 0.5).p_values if kind == "paired" else p_values_of(kind, n_methods, 0.0)
-        return float(np.mean([p_values(rng, 16, per_pair)[0] < ALPHA for _ in range(n_studies)]))
+        # People with preferences of their own, and none that they share.
+        monkeypatch.setattr(
+            paired, "people_of", lambda plan, rng, n: paired.SPREAD * rng.standard_normal((n, plan.methods))
+        )
+        plan = Plan(Task(kind), n_methods, 1, 0.0)
+        return float(np.mean([P_VALUES[kind](plan, rng, 16, per_pair)[0] < ALPHA for _ in range(n_studies)]))
     if kind == "rating":
         y = raters_for(2, 1, 0.0).draw(rng, 16, n_studies)
-        return float((anova(y)[0].p_corrected < ALPHA).mean())
+        return float((anova(y)[0]["p_corrected"] < ALPHA).mean())
     task = Task("threshold", answers=8)
     people = rng.normal(-30.0, 5.0, (n_studies, 10, 1)) + rng.normal(0.0, 1.0, (n_studies, 10, 2))
     y = thresholds_of(task, people, rng)[..., None]
-    return float((anova(y)[0].p_corrected < ALPHA).mean())
-
-
-class NoPreference(Choosers):
-    """People with preferences of their own, and none that they share."""
-
-    def people(self, rng: np.random.Generator, n: int) -> Any:
-        return self.spread * rng.standard_normal((n, self.n_methods))
+    return float((anova(y)[0]["p_corrected"] < ALPHA).mean())
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", TASKS)
-def test_null_studies_find_something_in_one_of_twenty(kind: str) -> None:
-    rate = null_rate(kind)
+def test_null_studies_find_something_in_one_of_twenty(kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    rate = null_rate(kind, monkeypatch)
     print(f"{kind}: {100 * rate:.1f} % of {N_NULL} null studies")
     assert NULL_LIMITS[0] <= rate <= NULL_LIMITS[1]
 
 
 @pytest.mark.parametrize(("kind", "weak", "strong"), [("paired", 0.55, 0.8), ("abx", 0.5, 2.0), ("oddity", 0.5, 2.0)])
 def test_power_grows_with_the_effect_and_with_people(kind: str, weak: float, strong: float) -> None:
-    few, many = (choosing.power(p_values_of(kind, 3, strong), n, 6, 40, 0)["pair"] for n in (4, 21))
-    assert choosing.power(p_values_of(kind, 3, weak), 21, 6, 40, 0)["pair"] < many
+    weakly, strongly = (Plan(Task(kind), 3, 1, effect) for effect in (weak, strong))
+    few, many = (choosing.power(P_VALUES[kind], strongly, n, 6, 40, 0)["pair"] for n in (4, 21))
+    assert choosing.power(P_VALUES[kind], weakly, 21, 6, 40, 0)["pair"] < many
     assert few < many
     assert many > 0.8
 
@@ -514,10 +513,10 @@ def test_of_one_method_textures_are_compared_and_said_to_be(tmp_path: Path) -> N
 def test_power_of_thresholds_is_that_of_simulated_searches() -> None:
     """Against studies of the same people that are simulated and analysed whole."""
     task, rng = Task("threshold", answers=12), np.random.default_rng(4)
-    modelled = raters.power(threshold_raters(task, 2, 1, 4.0, 0), 12, 2000, 0)["pair"]
+    modelled = variance.power(threshold_raters(task, 2, 1, 4.0, 0), 12, 2000, 0)["pair"]
     shared = rng.normal(-30.0, 5.0, (60, 12, 1))
     true = shared + rng.normal(0.0, 1.0, (60, 12, 2)) - [0.0, 4.0]
-    whole = float((anova(thresholds_of(task, true, rng)[..., None])[0].p_corrected < ALPHA).mean())
+    whole = float((anova(thresholds_of(task, true, rng)[..., None])[0]["p_corrected"] < ALPHA).mean())
     assert whole == pytest.approx(modelled, abs=0.2)
 
 
@@ -600,11 +599,11 @@ def test_events_say_when_each_trial_was_shown_stroked_and_answered(tmp_path: Pat
 
 
 def test_a_page_that_is_loaded_again_has_another_clock(tmp_path: Path) -> None:
-    def part(begin: float) -> Stroked:
-        return Stroked(0, np.array([[k, 0.0, 0.5 * (k < 9), begin + 0.01 * k] for k in range(10)]))
+    def part(begin: float, at_s: float) -> Stroked:
+        events = np.array([[k, 0.0, 0.5 * (k < 9), begin + 0.01 * k] for k in range(10)])
+        return Stroked(0, events, at_s=at_s)
 
-    timed = [(part(600.0), 1000.2), (part(1.0), 1003.2)]  # stored 0.11 s after its last event, each
-    contacts = _contacts(timed)
+    contacts = _contacts([part(600.0, 1000.2), part(1.0, 1003.2)])  # stored 0.11 s after its last event, each
     assert [contact[0] for contact in contacts] == pytest.approx([1000.11, 1003.11])
     assert [contact[1] for contact in contacts] == pytest.approx([0.09, 0.09])
 

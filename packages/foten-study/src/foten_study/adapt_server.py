@@ -1,7 +1,5 @@
 """Server of the page on which a user is measured: one session, whose profile is written after each answer."""
 
-from __future__ import annotations
-
 import asyncio
 from collections.abc import Callable, Mapping
 from dataclasses import asdict
@@ -19,7 +17,7 @@ from foten.atomic_write import reason
 from foten.editing.describe import Description, describe
 from foten.editing.edit import Edit, moved_by
 from foten.editing.envelope import STRENGTHS, EnvelopeCurve
-from foten.editing.user import MOVES, TONES_HZ, UserProfile, adapted, equal_strength, write_user
+from foten.editing.user import MOVES, TONES_HZ, adapted, equal_strength, write_user
 from foten.models.texture_file import Texture
 from foten.runtime.actuator import ActuatorProfile
 from foten.studio.access import Access, Guarded
@@ -51,34 +49,14 @@ def reachable(texture: Texture) -> dict[str, tuple[float, float]]:
     return ranges | ({"rougher": reached} if reached[1] - reached[0] >= MIN_ROUGHER_DB else {})
 
 
-class Matched:
-    """A texture that is matched to a surface, heard through a user's gains."""
-
-    def __init__(self, texture: Texture, profile: UserProfile) -> None:
-        self.base = equal_strength(texture, profile)
-        self._before: Description = describe(self.base)
-        self._curve = EnvelopeCurve(self.base)
-
-    def moved(self, level: float, brighter: float, wider: float, rougher: float) -> bytes:
-        """The texture with moves, roughly: a search would take seconds."""
-        width = max(wider, 0.05 - self._before.width_octaves)
-        edit = Edit(level_db=level, brighter=brighter, wider=width, rougher=rougher)
-        return moved_by(self.base, edit, self._before, n_steps=1, curve=self._curve).to_bytes()
-
-
 class AdaptServer:
-    """A session, with the texture that is matched and the file that the profile is kept in.
-
-    Args:
-        texture: to be matched to the surface beside it; None for thresholds and gains alone.
-        output: the profile's file.
-    """
+    """A session, with the texture that is matched, None for thresholds and gains alone, and the file of the profile."""
 
     def __init__(
         self, session: Session, output: Path, texture: Texture | None = None, actuator: ActuatorProfile | None = None
     ) -> None:
         self.session, self.output, self.texture, self.actuator = session, output, texture, actuator
-        self._matched: Matched | None = None
+        self._matched: tuple[Texture, Description, EnvelopeCurve] | None = None  # heard through the user's gains
         self._pair: tuple[int, tuple[bytes, bytes]] | None = None
         self._one = asyncio.Lock()
         # Where an actuator is known, what is rendered is an acceleration, and has one volume.
@@ -170,9 +148,18 @@ class AdaptServer:
     def _made(self, question: Question) -> tuple[bytes, bytes]:
         if self._matched is None:
             assert self.texture is not None
-            self._matched = Matched(self.texture, self.session.profile)
+            base = equal_strength(self.texture, self.session.profile)
+            self._matched = base, describe(base), EnvelopeCurve(base)
         first, second = np.split(np.array(question.shown), 2)
-        return self._matched.moved(*self.session.moves(first)), self._matched.moved(*self.session.moves(second))
+        return self._changed(*self.session.moves(first)), self._changed(*self.session.moves(second))
+
+    def _changed(self, level: float, brighter: float, wider: float, rougher: float) -> bytes:
+        """The matched texture with moves, roughly: a search would take seconds."""
+        assert self._matched is not None
+        base, before, curve = self._matched
+        width = max(wider, 0.05 - before.width_octaves)
+        edit = Edit(level_db=level, brighter=brighter, wider=width, rougher=rougher)
+        return moved_by(base, edit, before, n_steps=1, curve=curve).to_bytes()
 
     async def _texture(self, request: Request) -> Response:
         """The texture as it is, as strong at all frequencies, and as the profile has it."""

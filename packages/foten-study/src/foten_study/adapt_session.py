@@ -7,8 +7,6 @@
 A session goes on from the answers in a profile, as if it had not ended.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 
@@ -63,7 +61,7 @@ class Question:
 
 
 class Session:
-    """The state of a user's session.
+    """The state of a user's session; `question` is the one that is open, None at the end.
 
     Args:
         profile: of an earlier session, whose answers are taken over; or one without answers. Its `max_db` are the largest tones.
@@ -71,11 +69,6 @@ class Session:
         ranges: moves that change it, from where to where in the units of `MOVES`.
         feel: whether thresholds and gains are measured.
         seed: of the order of intervals and of the pairs.
-
-    Attributes:
-        question: that is open; None at the end.
-        silent: whether nothing was felt at 160 Hz, so that nothing was measured.
-        n_dropped: choices between textures that no longer count: they were made without the gains that are measured now.
     """
 
     def __init__(
@@ -92,10 +85,10 @@ class Session:
         self._max_db = dict(zip(TONES_HZ, profile.max_db, strict=True))
         self.thresholds: dict[float, LevelSearch] = {}
         self.gains: dict[float, LevelSearch] = {}
-        half = np.array([(high - low) / 2 for low, high in self._ranges.values()])
-        steps = np.array([MOVES[name] / STEPS_OF_RANGE for name in self._ranges])
-        self._jnd = steps / half
-        self.preference = PreferenceSearch(len(half), self._jnd, seed)
+        low, high = np.array(list(self._ranges.values())).T
+        self._centre, self._half = (low + high) / 2, (high - low) / 2
+        self._jnd = np.array([MOVES[name] / STEPS_OF_RANGE for name in self._ranges]) / self._half
+        self.preference = PreferenceSearch(len(self._half), self._jnd, seed)
         self.answers: list[Answer] = []
         self.silent, self._enough, self.n_dropped = False, False, 0
         if feel and not profile.gain_db:
@@ -124,11 +117,7 @@ class Session:
                 self.question = next(self._questions, None)
 
     def answer(self, n: int, which: int) -> None:
-        """Take in the answer to question n: the number of what was chosen, from 0.
-
-        Raises:
-            ValueError: another question is open, or there is no such choice.
-        """
+        """Take in the number of what was chosen, from 0; ValueError where another question is open, or it is no choice."""
         question = self.question
         if question is None or n != question.n:
             raise ValueError(f"answer to question {n}, expected one to {question.n if question else 'none'}")
@@ -247,10 +236,7 @@ class Session:
             out = replace(out, gain_db=_rounded(gains), gain_sd_db=_rounded(sds))
         if self.texture and self.preference.n_answers >= self.limits.match[0]:
             point, sd = self.preference.point, self.preference.sd
-            spread = {
-                name: deviation * (high - low) / 2
-                for (name, (low, high)), deviation in zip(self._ranges.items(), sd.tolist(), strict=True)
-            }
+            spread = dict(zip(self._ranges, (sd * self._half).tolist(), strict=True))
             moves, moves_sd = self.moves(point), [spread.get(name, 0.0) for name in MOVES]
             out = replace(out, texture=self.texture, moves=_rounded(moves, 3), moves_sd=_rounded(moves_sd, 3))
         return out
@@ -260,15 +246,11 @@ class Session:
         every = [*self.answers, *(answer for stored in self._stored.values() for answer in stored)]
         if self.silent:
             every = [answer for answer in every if answer[0].startswith("match:")]
-        return tuple(
-            sorted(every, key=lambda answer: ("detect", "compare").index(answer[0]) if ":" not in answer[0] else 2)
-        )
+        parts = {"detect": 0, "compare": 1}
+        return tuple(sorted(every, key=lambda answer: parts.get(answer[0], len(parts))))
 
     def _gain(self, hertz: float) -> tuple[float, float]:
-        """Gain [dB] by which a tone feels as strong as the reference, and its standard deviation.
-
-        That of the nearest frequency that was felt, and hardly known, where this one was not.
-        """
+        """Gain [dB] by which a tone, or the nearest that was felt, is as strong as the reference, and its standard deviation."""
         if hertz == REFERENCE_HZ:
             return 0.0, 0.0
         if (search := self.gains.get(hertz)) is None:
@@ -279,10 +261,7 @@ class Session:
 
     def moves(self, point: Array) -> list[float]:
         """Moves in their units, in the order of `MOVES`, at a point of the searched box."""
-        at = {
-            name: (low + high) / 2 + share * (high - low) / 2
-            for (name, (low, high)), share in zip(self._ranges.items(), point.tolist(), strict=True)
-        }
+        at = dict(zip(self._ranges, (self._centre + point * self._half).tolist(), strict=True))
         return [at.get(name, 0.0) for name in MOVES]
 
     def set_volume(self, volume_db: float) -> None:

@@ -8,8 +8,6 @@ Source: levels after Watson, "QUEST+: a general multidimensional Bayesian adapti
 (2017); the point after Coombs, "A theory of data" (1964): of two, the nearer to one's own ideal is chosen.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from itertools import product
 from typing import Any, ClassVar

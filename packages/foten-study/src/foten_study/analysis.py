@@ -1,7 +1,5 @@
 """Analysis of a study, from a database to numbers and sentences; the task's own part is its `TaskKind`'s."""
 
-from __future__ import annotations
-
 from collections import Counter
 
 from foten.untrusted import parse_toml
@@ -18,41 +16,30 @@ class TooFewError(ValueError):
 
 
 def analyse(store: Store, reference: str | None = None, correction: str = "bonferroni") -> list[Result]:
-    """Results of a study, one for each scale.
+    """Results of a study, one for each scale; the stars of Fig. 9 are by a correction of `results.CORRECTIONS`.
 
-    Args:
-        reference: a method that the others are compared with; None for all pairs.
-        correction: of the stars of Fig. 9, a key of `results.CORRECTIONS`.
-
-    Raises:
-        ValueError: there is no answer, or the reference is no method.
-        TooFewError: fewer than three participants answered everything.
+    ValueError where there is no answer, or the reference is no method; TooFewError for fewer than three complete participants.
     """
     every = read_ratings(store)
     ratings = every[0]
     if reference is not None and reference not in ratings.methods:
         raise ValueError(f"the reference is {reference!r}, expected one of {', '.join(ratings.methods)}")
     if len(ratings.complete) < MIN_COMPLETE:
-        answered = (
-            f"participants who have answered everything: {len(ratings.complete)}, of {len(ratings.numbers)} who began"
-        )
+        n, began = len(ratings.complete), len(ratings.numbers)
+        answered = f"participants who have answered everything: {n}, of {began} who began"
         raise TooFewError(f"{answered}; expected three or more; foten study status says who is where")
     return TASKS[ratings.task.kind].analyse(every, reference, correction)
 
 
 def read_ratings(store: Store) -> list[Ratings]:
-    """Answers in a database, by scale.
-
-    Raises:
-        ValueError: there is none yet, or they are of another task than the design's.
-    """
+    """Answers in a database, by scale; ValueError where there is none yet, or they are of another task than the design's."""
     stimuli, rows = store.stimuli(), store.ratings()
     if not rows:
         raise ValueError(f"{store.path} holds no answers yet; foten study status says who is where")
     numbers = sorted({row["participant"] for row in rows})
     answered = Counter(row["participant"] for row in rows)
     text = str(store.study["design"])
-    task, _ = task_of(text)
+    task = task_of(text)
     ratings = Ratings(
         str(store.study["title"]),
         store.simulated,

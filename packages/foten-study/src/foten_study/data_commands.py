@@ -11,6 +11,7 @@ import typer
 from typer import Argument, Option
 
 from foten.console import JsonOption, check_files, check_folder, folder_option, print_result, say
+from foten.recording.recording import counted
 
 if TYPE_CHECKING:
     from foten_study.store import Store
@@ -24,7 +25,6 @@ TrialNumber = Annotated[int, Option("--trial", min=0, max=10**6, help="Number of
 
 def status(database: Database, as_json: JsonOption = False) -> None:
     """Print the progress of each participant, and check the database; works while the study runs."""
-    from foten.recording.recording import counted
 
     with _store(database) as store:
         counts, faults, log = store.counts(), store.check(), store.log()
@@ -99,7 +99,6 @@ def export(
 
     foten study export similarity.db -o dataset
     """
-    from foten.recording.recording import counted
     from foten_study.record import FORMATS, write_record
 
     check_folder(output)
@@ -126,7 +125,6 @@ def strokes(
     import numpy as np
 
     from foten.atomic_write import atomic_write
-    from foten.recording.recording import counted
 
     check_files([output])
     with _store(database) as store:
@@ -169,7 +167,7 @@ def correct(
     from foten_study.tasks.table import TASKS
 
     with _store(database) as store:
-        kind = task_of(str(store.study["design"]))[0].kind
+        kind = task_of(str(store.study["design"])).kind
         choices = TASKS[kind].choices
         if (rating is None) == (choice is None) or (choice is None) == bool(choices):
             raise ValueError(
@@ -205,7 +203,6 @@ def backup(
     database: Database, output: Path = Option(..., "-o", "--output", metavar="COPY.db", help="Copy to write (.db).")
 ) -> None:
     """Copy a study's database; works while the study runs."""
-    from foten.recording.recording import counted
 
     check_files([output])
     with _store(database) as store:

@@ -1,7 +1,5 @@
 """A study's TOML file: what is compared, by how many people, in which words."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Mapping
 from dataclasses import MISSING, dataclass, field, fields, replace
@@ -11,16 +9,12 @@ from typing import Any
 from foten.untrusted import MAX_TOML, parse_toml, read_whole
 from foten_study.languages import ENGLISH, Language, filled, read_language
 from foten_study.orders import conditions
-from foten_study.tasks.kind import Task, TaskKind
+from foten_study.tasks.kind import Task, TaskKind, limited
 from foten_study.tasks.rating import SIMILARITY
 from foten_study.tasks.table import TASKS
 
 WHEN = ("start", "end")
 KINDS = ("text", "number", "choice", "slider")
-SIDES = ("left", "right", "none")
-ORDERS = ("balanced", "random")
-FEEDBACK = ("none", "practice", "all")
-MEASURES = ("detection", "difference")
 MAX_SCALES = 4  # that a page has room for
 MAX_PARTICIPANTS, MAX_TRIALS, MAX_ALL_TRIALS = 1000, 2000, 200_000
 MAX_FILES = 200  # of textures: each is loaded, and rendered to match levels
@@ -42,9 +36,11 @@ class Scale:
 class Setup:
     """How participants sit, as in Fig. 8 or all alone."""
 
-    screens: int = 1  # 2: they stroke on a tablet and answer on another screen
+    screens: int = limited(1, 1, 2)  # 2: they stroke on a tablet and answer on another screen
     operator: bool = False  # who lays down the real sample, and lets each trial begin
-    real_side: str = "right"  # of the virtual surface, where the real sample lies; Fig. 8
+    real_side: str = limited(
+        "right", "left", "right", "none"
+    )  # of the virtual surface, where the real sample lies; Fig. 8
     real_checked: bool = False  # a trial is not rated before it was said that the real surface is touched
     show_names: bool = True  # of textures, to participants
 
@@ -58,14 +54,14 @@ class Output:
     gain: float | None = None
     device: str | None = None
     channel: int | None = None
-    volume_db: float = 0.0  # of everything, the same for all participants
+    volume_db: float = limited(0.0, -60, 24)  # of everything, the same for all participants
 
 
 @dataclass(frozen=True)
 class Noise:
     """White noise from a sound card of the machine that serves, which masks the actuator."""
 
-    level_db: float = -30.0  # re full scale
+    level_db: float = limited(-30.0, -90, 0)  # re full scale
     device: str | None = None
 
 
@@ -101,11 +97,11 @@ class Design:
 
     title: str
     textures: tuple[Texture, ...]
-    participants: int = 21
-    seed: int = 0  # of the order of trials, stored before the first participant
-    order: str = "balanced"  # by Latin squares, or "random" as in Sec. VII
+    participants: int = limited(21, 1, MAX_PARTICIPANTS)
+    seed: int = limited(0, 0, 2**63 - 1)  # of the order of trials, stored before the first participant
+    order: str = limited("balanced", "balanced", "random")  # by Latin squares, or as in Sec. VII
     practice: int = 2  # trials before those that count
-    break_every: int = 16  # trials; 0 for none
+    break_every: int = limited(16, 0, MAX_TRIALS)  # trials; 0 for none
     match_levels: bool = True  # methods of a texture are played equally loud
     language: Language = field(default_factory=read_language)  # that participants read
     instructions: str = ""  # those of the language
@@ -140,7 +136,9 @@ class Design:
     @property
     def asked(self) -> tuple[Scale, ...]:
         """Scales of a trial; none where one of several surfaces is chosen."""
-        return asked_in(self.task, self.scales)
+        if self.kind.choices:
+            return ()
+        return self.scales or (Scale(SIMILARITY, self.task.question, self.task.lowest, self.task.highest),)
 
     @property
     def n_surfaces(self) -> int:
@@ -159,12 +157,7 @@ class Design:
 
 
 def read_design(path: Path) -> tuple[Design, str]:
-    """Study in a TOML file, and the file's text.
-
-    Raises:
-        FileNotFoundError: there is none.
-        ValueError: it is no TOML, a field is missing, unknown or out of range, or the textures cannot be compared.
-    """
+    """Study in a TOML file, and the file's text; FileNotFoundError, or ValueError that says which field is wrong."""
     data = read_whole(path, 4 * MAX_TOML)
     try:
         text = data.decode()
@@ -173,28 +166,10 @@ def read_design(path: Path) -> tuple[Design, str]:
         raise ValueError(f"{path.name}: {error}") from error
 
 
-def task_of(text: str) -> tuple[Task, tuple[Scale, ...]]:
-    """Task and scales of a study file's text, whatever became of the files that it names."""
+def task_of(text: str) -> Task:
+    """Task of a study file's text, whatever became of the files that it names."""
     document = parse_toml(text)
-    task = _worded(_task(document.get("task", {})), _language(document))
-    scales = tuple(
-        _filled(Scale, table, f"scale {i + 1}", Path()) for i, table in enumerate(document.get("scales", []))
-    )
-    return task, asked_in(task, scales)
-
-
-def asked_in(task: Task, scales: tuple[Scale, ...]) -> tuple[Scale, ...]:
-    """Scales of a trial; none where one of several surfaces is chosen."""
-    if TASKS[task.kind].choices:
-        return ()
-    return scales or (Scale(SIMILARITY, task.question, task.lowest, task.highest),)
-
-
-def _task(table: Any) -> Task:
-    """Task of a table, of a kind that is known."""
-    task: Task = _filled(Task, table, "[task]", Path())
-    _check_one_of("task: kind", task.kind, tuple(TASKS))
-    return task
+    return _task(document, _language(document))
 
 
 def _design(document: Mapping[str, Any], folder: Path) -> Design:
@@ -208,15 +183,13 @@ def _design(document: Mapping[str, Any], folder: Path) -> Design:
         if name in tables
     }
     parts["textures"] = tuple(_texture(key, table, folder) for key, table in textures.items())
-    parts["questions"] = tuple(
-        _filled(Question, table, f"question {i + 1}", folder) for i, table in enumerate(questions)
-    )
-    parts["scales"] = tuple(_filled(Scale, table, f"scale {i + 1}", folder) for i, table in enumerate(scales))
+    for name, kind, listed in (("question", Question, questions), ("scale", Scale, scales)):
+        parts[f"{name}s"] = tuple(_filled(kind, one, f"{name} {i + 1}", folder) for i, one in enumerate(listed))
     language = parts["language"] = _language(tables)
-    task = parts["task"] = _worded(_task(tables.pop("task", {})), language)
+    task = parts["task"] = _task(tables, language)
     design: Design = _filled(Design, tables, "the study", folder, **parts)
     _check(design)
-    known = ["question", "min_seconds", *TASKS[task.kind].settings]
+    known = ["question", "min_seconds", *design.kind.settings]
     if unused := sorted(document.get("task", {}).keys() - {"kind", *known}):
         raise ValueError(
             f"[task] has {unused[0]!r}, which {task.kind} does not know, expected some of {', '.join(known)}"
@@ -232,12 +205,13 @@ def _language(tables: dict[str, Any]) -> Language:
     return read_language(tables.pop("language", ENGLISH), tables.pop("words", None))
 
 
-def _worded(task: Task, language: Language) -> Task:
-    """A task with the words of the language where it has none."""
-    key = TASKS[task.kind].question(task)
-    texts = {"question": language.words[key], "lowest": language.words["lowest"], "highest": language.words["highest"]}
-    question, lowest, highest = (getattr(task, name) or text for name, text in texts.items())
-    return replace(task, question=question, lowest=lowest, highest=highest)
+def _task(tables: dict[str, Any], language: Language) -> Task:
+    """Task of a study file, which is taken out, with the words of the language where it has none."""
+    task: Task = _filled(Task, tables.pop("task", {}), "[task]", Path())
+    _check_allowed("task: kind", task.kind, tuple(TASKS))
+    keys = {"question": TASKS[task.kind].question(task), "lowest": "lowest", "highest": "highest"}
+    texts: dict[str, Any] = {name: getattr(task, name) or language.words[key] for name, key in keys.items()}
+    return replace(task, **texts)
 
 
 def _texture(key: str, table: Any, folder: Path) -> Texture:
@@ -277,6 +251,7 @@ def _filled(kind: type, table: Any, where: str, folder: Path, **parts: Any) -> A
         values[name] = _converted(value, type_names, folder)
         if values[name] is None:
             raise ValueError(f"{where}: {name} is {value!r:.40}, expected {_TYPE_NAMES[type_names[0]]}")
+        _check_allowed(name, values[name], known[name].metadata.get("allowed"))
     for name, known_field in known.items():
         if name not in values and known_field.default is MISSING and known_field.default_factory is MISSING:
             raise ValueError(f"{where}: {name} is missing")
@@ -318,43 +293,28 @@ def _check(design: Design) -> None:
         raise ValueError(f"the key of a scale is {wrong[0]!r:.40}, expected letters, digits and _, a letter first")
     if design.scales and design.kind.choices:
         raise ValueError(f"there are [[scales]], and the task is {task.kind}: they belong to the task rating")
-    _check_bounds(design)
-    chosen = {"order": (design.order, ORDERS), "real_side": (design.setup.real_side, SIDES)}
-    chosen |= {"feedback": (task.feedback, FEEDBACK), "measures": (task.measures, MEASURES)}
-    for name, (text, choices) in chosen.items():
-        _check_one_of(name, text, choices)
+    n_trials = design.n_trials
+    for name, value, bounds in (
+        ("trials", n_trials, (2, MAX_TRIALS)),
+        ("the trials of all participants", n_trials * design.participants, (2, MAX_ALL_TRIALS)),
+        ("the number of texture files", len(design.textures) * len(methods), (1, MAX_FILES)),
+        ("practice", design.practice, (0, n_trials)),
+        ("low_db", task.low_db, (-90, task.high_db - 4)),
+    ):
+        _check_allowed(name, value, bounds)
     for question in design.questions:
-        _check_question(question, design.n_trials)
+        _check_question(question, n_trials)
 
 
-def _check_bounds(design: Design) -> None:
-    task, n_files = design.task, len(design.textures) * len(design.methods)
-    bounds: dict[str, tuple[float, float, float]] = {
-        "participants": (design.participants, 1, MAX_PARTICIPANTS),
-        "repeats": (task.repeats, 1, 100),
-        "answers": (task.answers, 8, 200),
-        "trials": (design.n_trials, 2, MAX_TRIALS),
-        "the trials of all participants": (design.n_trials * design.participants, 2, MAX_ALL_TRIALS),
-        "the number of texture files": (n_files, 1, MAX_FILES),
-        "seed": (design.seed, 0, 2**63 - 1),
-        "practice": (design.practice, 0, design.n_trials),
-        "break_every": (design.break_every, 0, MAX_TRIALS),
-        "min_seconds": (task.min_seconds, 0, 600),
-        "low_db": (task.low_db, -90, task.high_db - 4),
-        "high_db": (task.high_db, -86, 24),
-        "screens": (design.setup.screens, 1, 2),
-        "volume_db": (design.output.volume_db, -60, 24),
-    }
-    if design.noise is not None:
-        bounds["level_db"] = (design.noise.level_db, -90, 0)
-    for name, (value, low, high) in bounds.items():
-        if not low <= value <= high:
-            raise ValueError(f"{name} is {value:,.10g}, expected {low:,g} to {high:,g}")
-
-
-def _check_one_of(name: str, text: str, choices: tuple[str, ...]) -> None:
-    if text not in choices:
-        raise ValueError(f"{name} is {text!r:.40}, expected {', '.join(choices[:-1])} or {choices[-1]}")
+def _check_allowed(name: str, value: Any, allowed: tuple[Any, ...] | None) -> None:
+    """Refuse a number beyond its bounds, or a text that is none of some."""
+    if allowed is None:
+        return
+    if isinstance(allowed[0], str):
+        if value not in allowed:
+            raise ValueError(f"{name} is {value!r:.40}, expected {', '.join(allowed[:-1])} or {allowed[-1]}")
+    elif not allowed[0] <= value <= allowed[1]:
+        raise ValueError(f"{name} is {value:,.10g}, expected {allowed[0]:,g} to {allowed[1]:,g}")
 
 
 def _check_question(question: Question, n_trials: int) -> None:

@@ -1,7 +1,5 @@
 """What participants read, in their language: the tables of languages.toml, and what a study file says instead."""
 
-from __future__ import annotations
-
 import difflib
 import json
 import re
@@ -41,14 +39,7 @@ def filled(text: str, **values: object) -> str:
 
 
 def read_language(code: str = ENGLISH, instead: Any = None) -> Language:
-    """Language of a code.
-
-    Args:
-        instead: words by key that are said instead of the language's own, as a study file has them.
-
-    Raises:
-        ValueError: there is no such language, it lacks something, or what is said instead has no such key or other placeholders.
-    """
+    """Language of a code, with a study file's words by key instead of some; ValueError where one is missing or does not fit."""
     tables = _tables()
     if not isinstance(code, str) or code not in tables:
         raise ValueError(f"language is {code!r:.40}, expected one of {', '.join(tables)}")

@@ -1,11 +1,12 @@
-"""A study ready to run: its file, its stimuli, the output, and its database, which has to be of this very file."""
+"""A study ready to run: its file, its stimuli, the output, its database, which has to be of this very file; and what runs."""
 
-from __future__ import annotations
-
+import asyncio
 import hashlib
+import json
 import math
 import re
 from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from functools import partial
@@ -17,13 +18,14 @@ from foten.models.texture_file import read_texture
 from foten.runtime.actuator import read_profile
 from foten.runtime.renderer import Renderer
 from foten.studio.levels import gains_db
-from foten.studio.players import OutputDevice, white_noise
+from foten.studio.players import OutputDevice, Player, RoundRobinRenderer, white_noise
 from foten.untrusted import check_regular, read_whole
 from foten_study.design import Design, Output, read_design
 from foten_study.orders import Trial, planned
-from foten_study.schema import Stimulus, create
 from foten_study.store import Store
+from foten_study.study_file import Stimulus, create
 
+LSL_NAME, LSL_KIND = "foten-study", "Markers"  # of a stream of the Lab Streaming Layer
 DOUBTFUL_GAIN_DB = 10.0
 MAX_PICTURES_BYTES = 2**28  # of all pictures of a study, which stay in memory
 PICTURE = re.compile(  # the beginning of a file, by media type
@@ -31,26 +33,14 @@ PICTURE = re.compile(  # the beginning of a file, by media type
 )
 
 
-@dataclass(frozen=True)
-class Stimuli:
-    """What is compared, and what of it is doubtful."""
+def load_stimuli(
+    design: Design, calibrated: bool, loaded: Sequence[Sequence[Renderer]]
+) -> tuple[list[Stimulus], dict[tuple[int, int], bytes], list[str]]:
+    """Stimuli of a study, their files, and doubts: of files by texture and method, with gains [dB] of methods to be equally loud.
 
-    listed: list[Stimulus]
-    bytes_of: Mapping[tuple[int, int], bytes]  # by texture and method
-    doubts: list[str]
-
-
-def load_stimuli(design: Design, calibrated: bool, loaded: Sequence[Sequence[Renderer]]) -> Stimuli:
-    """Texture files of a study, and the gains that make the methods of a texture equally loud.
-
-    Equally loud is equal power over nine conditions (`gains_db`). Without matching, methods keep their recorded levels.
-
-    Args:
-        calibrated: the output takes m/s², and not shares of each file's own standard deviation.
-        loaded: its files, by texture and then by method.
-
-    Raises:
-        ValueError: methods of a texture are in different units, or are the same file.
+    Equally loud is equal power over nine conditions (`gains_db`). Without matching, methods keep their recorded levels. A
+    calibrated output takes m/s², another one shares of each file's own standard deviation. ValueError where methods of a
+    texture are in different units, or are the same file.
     """
     listed: list[Stimulus] = []
     bytes_of: dict[tuple[int, int], bytes] = {}
@@ -75,7 +65,7 @@ def load_stimuli(design: Design, calibrated: bool, loaded: Sequence[Sequence[Ren
         for m, (method, digest, gain) in enumerate(zip(texture.files, digests, gains, strict=True)):
             listed.append(Stimulus(t, m, texture.key, method, digest, gain))
             bytes_of[t, m] = data[m]
-    return Stimuli(listed, bytes_of, doubts)
+    return listed, bytes_of, doubts
 
 
 @dataclass(frozen=True)
@@ -85,7 +75,9 @@ class Study:
     path: Path
     text: str
     design: Design
-    stimuli: Stimuli
+    stimuli: list[Stimulus]
+    bytes_of: Mapping[tuple[int, int], bytes]  # of texture files, by texture and method
+    levels_doubted: list[str]
     output: OutputDevice | None  # None where the pages play
     pictures: Mapping[str, tuple[str, bytes]]  # media type and bytes, by the number of the texture
 
@@ -93,7 +85,7 @@ class Study:
     def doubts(self) -> list[str]:
         """What a person should know before the first participant."""
         name, reviewed = self.design.language.name, self.design.language.reviewed
-        return [*self.stimuli.doubts, *([] if reviewed else [f"the {name} texts have not been reviewed by a speaker"])]
+        return [*self.levels_doubted, *([] if reviewed else [f"the {name} texts have not been reviewed by a speaker"])]
 
     def orders(self) -> list[list[Trial]]:
         """Trials of the participants, and of some more for those who leave."""
@@ -114,15 +106,11 @@ class Study:
             pass
 
     def open_store(self, database: Path, simulated: bool = False) -> Store:
-        """The study's database: a new file, or one that is there and is of this very study.
-
-        Raises:
-            ValueError: the file is of another study, or its ratings are not simulated as these are.
-        """
+        """Database of this study, new or begun; ValueError where the file is of another, or simulated as this is not."""
         if not database.exists():
             check_files([database])
             design = (self.design.title, self.text, self.path.parent, self.design.seed)
-            create(database, *design, self.stimuli.listed, self.orders(), simulated)
+            create(database, *design, self.stimuli, self.orders(), simulated)
         store = Store(database)
         try:
             self._check_is_of_this_study(store, simulated)
@@ -141,18 +129,56 @@ class Study:
                 f"{self.path} has changed since {database} was begun: bring it back, or begin another with -o"
             )
         then = {key: stimulus.sha256 for key, stimulus in store.stimuli().items()}
-        others = [s for s in self.stimuli.listed if then.get((s.texture, s.method)) != s.sha256]
+        others = [s for s in self.stimuli if then.get((s.texture, s.method)) != s.sha256]
         if others:
             which = f"{others[0].method_key} of {others[0].texture_key} is another file than when {database} was begun"
             raise ValueError(f"{which}: bring it back, or begin another")
 
 
-def load_study(path: Path) -> Study:
-    """Study in a TOML file.
+class Markers:
+    """Markers in a stream of the Lab Streaming Layer (Kothe et al., Imaging Neuroscience 3, 2025), each a JSON object.
 
-    Raises:
-        FileNotFoundError, ValueError: as `read_design` and `load_stimuli` do; all files that are not what they should be.
+    Methods are not named: whoever watches the stream stays blind. ValueError without pylsl, OSError without its library.
     """
+
+    def __init__(self, title: str) -> None:
+        try:
+            import pylsl
+        except ImportError as error:
+            raise ValueError("--lsl needs pylsl: pip install './packages/foten-study[lsl]'") from error
+        except RuntimeError as error:
+            raise OSError(f"pylsl does not find its library, liblsl: {str(error).splitlines()[0]}") from error
+        info = pylsl.StreamInfo(LSL_NAME, LSL_KIND, 1, pylsl.IRREGULAR_RATE, "string", f"{LSL_NAME}-{title}")
+        self._outlet = pylsl.StreamOutlet(info)
+
+    def send(self, event: str, **about: Any) -> None:
+        """Send a marker; it is stamped now."""
+        self._outlet.push_sample([json.dumps({"event": event, **about})])
+
+
+class RunningStudy:
+    """A study with its database, and what plays; `markers` takes what happens in trials."""
+
+    def __init__(self, store: Store, study: Study, markers: Markers | None = None) -> None:
+        self.store, self.design, self.output, self.bytes_of = store, study.design, study.output, study.bytes_of
+        self.markers = markers
+        self.gains = {key: stimulus.gain_db for key, stimulus in store.stimuli().items()}
+        self.player: Callable[[float], Player] = (study.output or RoundRobinRenderer()).player
+        # One thread: SQLite waits for the disk, which the sound must not.
+        self.disk = ThreadPoolExecutor(1, thread_name_prefix="foten-store")
+
+    @property
+    def plays_in_page(self) -> bool:
+        """Whether pages play, and not a device of this machine."""
+        return self.output is None
+
+    async def on_disk(self, work: Callable[[], Any]) -> Any:
+        """Result of some work with the database."""
+        return await asyncio.get_running_loop().run_in_executor(self.disk, work)
+
+
+def load_study(path: Path) -> Study:
+    """Study in a TOML file; FileNotFoundError or ValueError as `read_design` and `load_stimuli`, and of all files at once."""
     design, text = read_design(path)
     faults: list[str] = []
     output = _read(_output_device, design.output, faults)
@@ -162,7 +188,7 @@ def load_study(path: Path) -> Study:
     if faults:
         raise ValueError(f"{path.name}: {'; '.join(faults)}")
     stimuli = load_stimuli(design, output is not None and output.calibrated, loaded)
-    return Study(path, text, design, stimuli, output, pictures)
+    return Study(path, text, design, *stimuli, output, pictures)
 
 
 def _read(read: Callable[[Any], Any], what: Any, faults: list[str]) -> Any:

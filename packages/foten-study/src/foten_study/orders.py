@@ -1,9 +1,4 @@
-"""Orders of trials that are balanced over textures and methods, by Williams squares.
-
-Source: Williams, Australian Journal of Scientific Research A 2, 149 (1949).
-"""
-
-from __future__ import annotations
+"""Orders of trials, balanced over textures and methods by the squares of Williams, Austral. J. Sci. Res. A 2, 149 (1949)."""
 
 import math
 from dataclasses import dataclass
@@ -74,14 +69,10 @@ def orders(
     kind: Order = SINGLE,
     repeats: int = 1,
 ) -> list[list[Trial]]:
-    """Trials of each participant, practice first.
+    """Trials of each participant, practice first, drawn from the same: each texture with each method, or each pair of them.
 
     Args:
-        n_textures, n_methods: each texture with each method, or each pair of them, is a trial.
-        seed: of everything that is drawn.
-        practice: how many trials come before, drawn from the same.
         order: "balanced", or "random" for a permutation drawn for each participant, as in Sec. VII; of no effect on rounds.
-        kind: that of the task.
         repeats: how often each condition is asked; of a threshold, how many answers it takes.
     """
     rng, per_texture = np.random.default_rng(seed), conditions(kind, n_methods, repeats)
@@ -164,8 +155,7 @@ def balance(
     orders: list[list[Trial]], n_textures: int, n_methods: int, kind: Order = SINGLE
 ) -> dict[str, tuple[int, int]]:
     """Smallest and largest count of a texture's method in a round, of a texture at a place of a round, and of a texture behind
-    another one within a round; of pairs and rounds, how often each method is shown first and each answer is right, instead of the
-    method's round.
+    another one; of pairs and rounds, of each method shown first and each right answer, instead of the method's round.
     """
     counted = [[trial for trial in trials if not trial.practice] for trials in orders]
     # (participants, rounds, places).

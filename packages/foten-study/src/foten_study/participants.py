@@ -1,7 +1,5 @@
 """The participants of a running study: who has begun, on which devices they go on, and the operator's page about them."""
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import itertools
@@ -16,8 +14,8 @@ from starlette.websockets import WebSocket
 from foten.studio.access import Admitted, is_same
 from foten.studio.messages import Protocol, RefusedError
 from foten.studio.websocket import PageSocket
+from foten_study.loading import RunningStudy
 from foten_study.protocol import SIDES
-from foten_study.running_study import RunningStudy
 from foten_study.session import CODE_LENGTH, LETTERS, ParticipantPage, Session
 
 REFRESH_S = 0.5  # between two pictures of the study
@@ -41,12 +39,7 @@ OPERATOR = Protocol(
 
 
 class Participants:
-    """Sessions of a study by the number of the participant.
-
-    Args:
-        admitted: devices that were let in, also by a server before this one.
-        operator_link: address of the operator's page.
-    """
+    """Sessions of a study by the number of the participant; `admitted` are devices, also of a server before this one."""
 
     def __init__(self, study: RunningStudy, admitted: Admitted, operator_link: Callable[[], str]) -> None:
         self._study, self._admitted, self._operator_link = study, admitted, operator_link
@@ -57,12 +50,7 @@ class Participants:
         self.sessions = {number: Session(study, number, code) for code, number in study.store.codes().items()}
 
     async def begin(self, code: str | None = None) -> Session:
-        """Session of a new participant, under a code that the page drew: a page that asks again gets the same.
-
-        Raises:
-            ValueError: all participants of the design have begun.
-            OSError: nothing can be stored.
-        """
+        """Session of a new participant under its page's code; ValueError where all have begun, OSError of the disk."""
         code = code or "".join(secrets.choice(LETTERS) for _ in range(CODE_LENGTH))
         async with self._beginning:  # two pages may ask with one code
             known = next((session for session in list(self.sessions.values()) if session.code == code), None)
@@ -139,15 +127,12 @@ class Participants:
         while True:
             await asyncio.sleep(SAVE_AGAIN_S)
             for session in list(self.sessions.values()):
-                await session.save_again()
+                if session.n_unsaved:
+                    await session.strokes.kept.save()
 
 
 class OperatorPage(PageSocket):
-    """The operator's page.
-
-    Args:
-        about: what it is told of the study.
-    """
+    """The operator's page; `about` is what it is told of the study."""
 
     def __init__(self, participants: Participants, socket: WebSocket, about: Callable[[], Mapping[str, Any]]) -> None:
         super().__init__(socket, OPERATOR, self._show)

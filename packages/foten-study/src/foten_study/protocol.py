@@ -1,23 +1,22 @@
 """What a participant's session does, without doing it: from a state and a message to the next state and its effects.
 
-Nothing here has a server, a socket, a clock or a database. `session.Session` carries effects out: those `first` before the state
-is the next one, so that a refusal by the disk leaves all as it was, and `then` after it.
+Nothing here has a server, a socket, a clock or a database: `session.Session` carries effects out.
 """
 
-from __future__ import annotations
-
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 from foten.studio.messages import CALIBRATION, PLAYING_FIELDS, Protocol, RefusedError
 from foten_study.design import Design, Question
+from foten_study.languages import Language
 from foten_study.orders import Trial
-from foten_study.questionnaire import checked_answers
-from foten_study.tasks.kind import CHOICE
+from foten_study.tasks.kind import CHOICE, Rated
 from foten_study.tasks.table import TASKS
 
+MAX_ANSWER_LENGTH = 2000  # characters
 CLOCK_TOLERANCE_S = 0.25  # by which a page's clock may be ahead of the server's
 SIDES = ("virtual", "real")
 PARTICIPANT = Protocol(
@@ -43,6 +42,7 @@ PARTICIPANT = Protocol(
 )
 
 Step = dict[str, Any]  # with an `id` and a `kind`
+Effect = tuple[str, dict[str, Any]]  # a method of `session.Session`, and its arguments
 
 
 class NotYetError(RefusedError):
@@ -55,14 +55,6 @@ class Moment:
 
     steady_s: float
     system_s: float
-
-
-@dataclass(frozen=True)
-class Effect:
-    """Something to be done; `name` is a key of `Session`'s table."""
-
-    name: str
-    about: Mapping[str, Any] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -134,20 +126,15 @@ def showing(state: State, now: Moment) -> Change:
     """Count the time of a trial from when it is shown first; the end is completed once it is shown."""
     trial, step = state.trial, state.step
     if trial is not None and not state.held and state.shown_at_s is None:
-        shown = Effect("write_shown", {"trial": trial.number, "at_s": now.system_s})
+        shown = _writing("add_shown", trial.number, now.system_s)
         return Change(replace(state, shown_at_s=now.steady_s), then=(_marker(trial, "trial"), shown))
     if step["kind"] == "end" and step["id"] not in state.done:
-        return Change(
-            replace(state, done=state.done | {step["id"]}), then=(Effect("write_step", {"step": step["id"]}),)
-        )
+        return Change(replace(state, done=state.done | {step["id"]}), then=(_writing("take_step", step["id"]),))
     return Change(state)
 
 
 def turn(design: Design, state: State, now: Moment, side: str, marked_by: str, interval: int | None = None) -> Change:
-    """Go over to the real surface, or to a virtual one, of several by its number; on the real one the virtual are silent.
-
-    The page is told first, however long the rest takes: that might tell methods apart.
-    """
+    """Go over to another surface; the page learns it first, however long the rest takes: that might tell methods apart."""
     names, trial = design.kind.intervals, state.trial
     interval = state.interval if interval is None else int(interval)
     if side == "real" and design.real_side == "none":
@@ -157,13 +144,13 @@ def turn(design: Design, state: State, now: Moment, side: str, marked_by: str, i
     if trial is None or state.held or (side, interval) == (state.side, state.interval):
         return Change(state)
     lifted = lift(state)
-    then = [*lifted.then, Effect("show")]
+    then = [*lifted.then, ("show", {})]
     if side == "real":
-        then.append(Effect("lift"))
+        then.append(("lift", {}))
     if interval != state.interval:
-        then.append(Effect("put_under_pen"))
+        then.append(("put_under_pen", {}))
     named = f"virtual {names[interval]}" if side == "virtual" and names else side
-    then.append(Effect("write_switch", {"trial": trial.number, "side": named, "by": marked_by, "at_s": now.system_s}))
+    then.append(_writing("add_switch", trial.number, named, marked_by, now.system_s))
     n_switches, n_real = state.n_switches + 1, state.n_real + (side == "real")
     after = replace(lifted.state, side=side, interval=interval, n_switches=n_switches, n_real=n_real)
     return Change(after, then=tuple(then))
@@ -172,8 +159,8 @@ def turn(design: Design, state: State, now: Moment, side: str, marked_by: str, i
 def hold(state: State, held: bool) -> Change:
     """Hold the trial that is shown, or let it go on."""
     held = held and state.trial is not None
-    ends = (Effect("end_contact"),) if held else ()
-    return Change(replace(state, held=held), then=(*ends, Effect("show")))
+    ends: tuple[Effect, ...] = (("end_contact", {}),) if held else ()
+    return Change(replace(state, held=held), then=(*ends, ("show", {})))
 
 
 def pen(state: State, down: bool) -> Change:
@@ -199,7 +186,12 @@ def count_underruns(state: State, step_id: str, n: int) -> State:
 
 
 def _marker(trial: Trial, event: str, **about: Any) -> Effect:
-    return Effect("mark", {"trial": trial, "event": event, **about})
+    return "mark", {"trial": trial, "event": event, **about}
+
+
+def _writing(what: str, *values: Any) -> Effect:
+    """Effect of a method of the store that stores something of the participant."""
+    return "write", {"what": what, "values": values}
 
 
 def finish(
@@ -207,9 +199,7 @@ def finish(
 ) -> Change:
     """Take the answers of a step and go on; a completed step is left as it is.
 
-    Raises:
-        RefusedError: it is not this step's turn, or an answer is missing or wrong.
-        NotYetError: the answer may be sent again as it is.
+    RefusedError where it is not this step's turn, or an answer is wrong; NotYetError where it may be sent again as it is.
     """
     step, trial = state.step, state.trial
     if step_id in state.done:  # sent again by a page that did not learn that it was taken
@@ -223,7 +213,11 @@ def finish(
         _check_trial_may_end(design, state, measured, now)
         values = checked_values(design, message.get("values"))
         rated = trial.number, _rated(design, state, values, measured, message)
-        first = Effect("save_strokes"), Effect("store", {"step": step_id, "rated": rated}), Effect("end_contact")
+        first: tuple[Effect, ...] = (
+            ("save_strokes", {}),
+            ("store", {"step": step_id, "rated": rated}),
+            ("end_contact", {}),
+        )
         then = _marker(trial, "answer", values=message["values"])
         return Change(after, first, (then,), _feedback(design, trial, values))
     answers: dict[str, Any] = {}
@@ -232,7 +226,7 @@ def finish(
     elif step["kind"] == "questions":
         public, private = checked_answers(step["questions"], message.get("answers", {}), design.language)
         answers = {"answers": public, "private": private}
-    return Change(after, (Effect("store", {"step": step_id, **answers}),))
+    return Change(after, (("store", {"step": step_id, **answers}),))
 
 
 def _check_trial_may_end(design: Design, state: State, measured: Measured, now: Moment) -> None:
@@ -256,11 +250,7 @@ def lacks_real(design: Design, state: State) -> bool:
 
 
 def checked_values(design: Design, values: Any) -> dict[str, float]:
-    """Answer of a trial: a number for each scale, or which surface was chosen.
-
-    Raises:
-        RefusedError: a value is missing, or out of range.
-    """
+    """Answer of a trial: a number for each scale, or the surface that was chosen; RefusedError for anything else."""
     choices = design.kind.choices
     keys = [scale.key for scale in design.asked] or [CHOICE]
     highest = len(choices) - 1 if choices else 100
@@ -272,16 +262,52 @@ def checked_values(design: Design, values: Any) -> dict[str, float]:
     return {key: float(values[key]) for key in keys}
 
 
+def checked_answers(
+    questions: Sequence[Question], answers: Any, language: Language
+) -> tuple[dict[str, str], dict[str, str]]:
+    """Answers by question, public and private; RefusedError where one is missing, or is none to its question."""
+    public: dict[str, str] = {}
+    private: dict[str, str] = {}
+    if not isinstance(answers, dict):
+        raise RefusedError("answers are no object")
+    for question in questions:
+        answer = answers.get(question.key, "")
+        if (
+            not isinstance(answer, str)
+            or len(answer) > MAX_ANSWER_LENGTH
+            or answer.encode(errors="replace").decode() != answer
+        ):
+            raise RefusedError(f"{question.text}: expected up to {MAX_ANSWER_LENGTH} characters of text")
+        answer = answer.strip()
+        if not answer:
+            if question.required:
+                raise RefusedError(language.say("answer_missing", question=question.text))
+            continue
+        if question.kind in ("number", "slider"):
+            number = math.nan
+            with suppress(ValueError):
+                number = float(answer)
+            if not math.isfinite(number):
+                raise RefusedError(language.say("not_a_number", question=question.text))
+            low, high = (0, 100) if question.kind == "slider" else (question.low, question.high)
+            if not low <= number <= high:
+                raise RefusedError(language.say("not_a_number", question=f"{question.text} ({low:g}–{high:g})"))
+        if question.kind == "choice" and answer not in question.options:
+            raise RefusedError(f"{question.text}: {answer[:40]!r} is none of the choices")
+        (private if question.private else public)[question.key] = answer
+    return public, private
+
+
 def _rated(
     design: Design, state: State, values: Mapping[str, float], measured: Measured, message: Mapping[str, Any]
-) -> dict[str, Any]:
-    """Outcome of a trial, by the fields of `store.Rated`."""
+) -> Rated:
+    """Outcome of a trial."""
     log = dict(measured.log)
     if design.n_surfaces > 1:
         log |= {f"contact_s_{i + 1}": round(seconds, 3) for i, seconds in enumerate(measured.contact_s)}
     if design.output.to == "page":  # the sound runs dry in the tablet, if anywhere, and its page counts that
         log["n_underruns"] = message.get("underruns", state.n_underruns)
-    return {"values": values, "response_s": message.get("seconds"), "switches": state.n_switches, "log": log}
+    return Rated(values, message.get("seconds"), state.n_switches, log)
 
 
 def _feedback(design: Design, trial: Trial, values: Mapping[str, float]) -> dict[str, Any] | None:
@@ -293,13 +319,8 @@ def _feedback(design: Design, trial: Trial, values: Mapping[str, float]) -> dict
     return {"feedback": {"right": right, "was": design.kind.choices[trial.target]}}
 
 
-def shown(design: Design, state: State, touched: Sequence[int], n_stored: Callable[[int], int]) -> Step:
-    """The step as a participant's page gets it: nothing of methods.
-
-    Args:
-        touched: surfaces that were in contact in this trial.
-        n_stored: events that were taken of a trial, by its number.
-    """
+def shown(design: Design, state: State, touched: Sequence[int], n_stored: Mapping[int, int]) -> Step:
+    """The step as a participant's page gets it: nothing of methods; with surfaces touched, and events stored by trial."""
     step, trial = state.step, state.trial
     page: Step = {name: value for name, value in step.items() if name not in ("trial", "questions")}
     page["held"] = state.held
@@ -312,7 +333,7 @@ def shown(design: Design, state: State, touched: Sequence[int], n_stored: Callab
         page |= {"task": task.kind, "form": kind.form, "question": task.question}
         page |= {"scales": [asdict(scale) for scale in design.asked]}
         page |= {"intervals": kind.intervals, "choices": kind.choices, "interval": state.interval, "touched": touched}
-        page |= {"min_s": task.min_seconds, "side": state.side, "stored": n_stored(trial.number)}
+        page |= {"min_s": task.min_seconds, "side": state.side, "stored": n_stored[trial.number]}
         page |= {"lacks_real": lacks_real(design, state)}
         if setup.show_names:
             page |= {"name": texture.name, "picture": f"pictures/{trial.texture}" if texture.picture else None}

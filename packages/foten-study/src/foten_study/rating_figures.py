@@ -31,14 +31,10 @@ def figures_of(result: Result) -> dict[str, tuple[Figure, str]]:
 
 def strengths(result: Result) -> Figure:
     """Log-odds of each method with 95 % intervals, over all textures and, smaller, of each."""
-    document, methods = result.document, result.ratings.methods
-    figure, axes = new_figure(7.0, 0.5 * len(methods) + 1.6, PAGE)
-    for m in range(len(methods)):
-        within = [one["methods"][m]["log_odds"] for one in document["strengths_within_textures"].values()]
-        axes.plot(within, np.full(len(within), m) + 0.22, "|", color=COLOURS[m % len(COLOURS)], ms=7, alpha=0.7)
-    _intervals(axes, document["strengths"]["methods"], "log_odds")
+    document = result.document
+    within = [one["methods"] for one in document["strengths_within_textures"].values()]
+    figure, axes = _intervals(document["strengths"]["methods"], within, "log_odds", result.ratings.methods)
     axes.axvline(0.0, color=PAGE.ink, lw=0.8, alpha=0.4)
-    axes.set_yticks(range(len(methods)), methods)
     axes.set_xlabel("strength [log-odds, mean 0]")
     _add_note(figure, result, "chosen more often to the right; 95 % over participants; ticks: each texture")
     return figure
@@ -46,29 +42,27 @@ def strengths(result: Result) -> Figure:
 
 def sensitivity(result: Result) -> Figure:
     """d′ of each pair with 95 % intervals, over all textures and, smaller, of each."""
-    document, pairs = result.document, result.ratings.conditions
-    overall = document["sensitivity"]
-    figure, axes = new_figure(7.0, 0.5 * len(overall) + 1.6, PAGE)
-    for k in range(len(overall)):
-        within = [rows[k]["d_prime"] for rows in document["sensitivity_within_textures"].values()]
-        axes.plot(within, np.full(len(within), k) + 0.22, "|", color=COLOURS[k % len(COLOURS)], ms=7, alpha=0.7)
-    _intervals(axes, overall, "d_prime")
-    axes.set_yticks(
-        range(len(overall)), pairs if len(pairs) == len(overall) else [", ".join(row["pair"]) for row in overall]
-    )
+    rows, within = result.document["sensitivity"], [*result.document["sensitivity_within_textures"].values()]
+    figure, axes = _intervals(rows, within, "d_prime", [", ".join(row["pair"]) for row in rows])
     axes.set_xlim(left=-0.05)
     axes.set_xlabel("d′ (0: nobody can tell)")
     _add_note(figure, result, "95 % over participants; ticks: each texture")
     return figure
 
 
-def _intervals(axes: Any, rows: list[dict[str, Any]], key: str) -> None:
-    """Draw a point and its interval for each row; an end that is not known is left open."""
+def _intervals(rows: list[dict[str, Any]], within: list[Any], key: str, names: list[str]) -> tuple[Figure, Any]:
+    """A point and its interval for each row, with ticks of each texture's; an end that is not known is left open."""
+    figure, axes = new_figure(7.0, 0.5 * len(rows) + 1.6, PAGE)
+    for k in range(len(rows)):
+        colour = COLOURS[k % len(COLOURS)]
+        axes.plot([one[k][key] for one in within], np.full(len(within), k) + 0.22, "|", color=colour, ms=7, alpha=0.7)
     for k, row in enumerate(rows):
-        ends = [row[f"ci95_{end}"] for end in ("low", "high")]
-        axes.plot([row[key] if end is None else end for end in ends], [k, k], color=COLOURS[k % len(COLOURS)], lw=2)
-        axes.plot(row[key], k, "o", color=COLOURS[k % len(COLOURS)], ms=7)
+        ends, colour = [row[f"ci95_{end}"] for end in ("low", "high")], COLOURS[k % len(COLOURS)]
+        axes.plot([row[key] if end is None else end for end in ends], [k, k], color=colour, lw=2)
+        axes.plot(row[key], k, "o", color=colour, ms=7)
     axes.set_ylim(len(rows) - 0.4, -0.6)
+    axes.set_yticks(range(len(rows)), names)
+    return figure, axes
 
 
 def bars(result: Result) -> Figure:
@@ -101,15 +95,9 @@ def bars(result: Result) -> Figure:
             if best not in (i, j) or not mark:
                 continue
             ends = [t + (m - (len(methods) - 1) / 2) * width for m in (i, j)]
-            axes.plot(
-                [ends[0], ends[0], ends[1], ends[1]],
-                [height, height + step / 4, height + step / 4, height],
-                color=PAGE.ink,
-                lw=0.8,
-            )
-            axes.text(
-                float(np.mean(ends)), height + step / 10, mark, ha="center", va="bottom", fontsize=8, color=PAGE.ink
-            )
+            up, middle = height + step / 4, float(np.mean(ends))
+            axes.plot([ends[0], ends[0], ends[1], ends[1]], [height, up, up, height], color=PAGE.ink, lw=0.8)
+            axes.text(middle, height + step / 10, mark, ha="center", va="bottom", fontsize=8, color=PAGE.ink)
             height += step
         top = max(top, height + step / 2)
     axes.set_xticks(range(len(textures)), textures, rotation=30 if many else 0, ha="right" if many else "center")
@@ -141,9 +129,8 @@ def panels(result: Result) -> Figure:
         for axes in grid:
             axes.axhline(100 * result.document["chance"], color=PAGE.ink, lw=0.8, ls="--")
     figure.supylabel(result.ratings.label, fontsize=8.5, color=PAGE.ink)
-    _add_note(
-        figure, result, "each participant, and the mean" + "; dashed: chance" * ("sensitivity" in result.document)
-    )
+    chance = "; dashed: chance" * ("sensitivity" in result.document)
+    _add_note(figure, result, f"each participant, and the mean{chance}")
     return figure
 
 

@@ -1,10 +1,7 @@
-"""A study for the record: as a Psych-DS data set, and as events in BIDS.
+"""A study for the record: as a Psych-DS data set (its conventions of 2025), and as behavioural events in BIDS.
 
-Sources: Psych-DS, rules and conventions of its documentation (2025); Gorgolewski et al., Scientific Data 3, 160044 (2016), for
-BIDS, here with behavioural data alone.
+Source: Gorgolewski et al., Scientific Data 3, 160044 (2016), for BIDS.
 """
-
-from __future__ import annotations
 
 import io
 import json
@@ -22,10 +19,9 @@ from foten.recording.recording import counted
 from foten_study.analysis import read_ratings
 from foten_study.design import task_of
 from foten_study.orders import Trial
-from foten_study.report import COLUMNS, dictionary_of, of_thresholds, participants_frame, rows_of, written
-from foten_study.schema import Stimulus
-from foten_study.store import Store, Stroked, measured_of
-from foten_study.strokes import MAX_APART_S
+from foten_study.report import COLUMNS, tables_of, written
+from foten_study.store import MAX_APART_S, Store, Stroked, measured_of
+from foten_study.study_file import Stimulus
 from foten_study.tasks.kind import Ratings, TaskKind
 from foten_study.tasks.table import TASKS
 
@@ -36,29 +32,18 @@ EVENTS = {name: (meaning, unit) for name, meaning, unit in COLUMNS["events"]}
 def psych_ds(store: Store) -> dict[str, str]:
     """Texts of a Psych-DS data set by file: a tidy table of all answers, those to questionnaires, and what every column means.
 
-    Answers to private questions are there in sum, without numbers of participants.
-
-    Raises:
-        ValueError: there is no answer yet.
+    Answers to private questions are there in sum, without numbers of participants. ValueError where there is no answer yet.
     """
     every = read_ratings(store)
     ratings = every[0]
     study = re.sub(r"[^a-zA-Z0-9]", "", ratings.title)[:40] or "study"
     name = f"study-{study}_task-{ratings.task.kind}"
-    columns = dictionary_of(ratings)
-    rows = sorted(rows_of(every), key=lambda row: (row["participant"], row["trial"]))
-    frames = {f"{name}_data.csv": pandas.DataFrame(rows, columns=[column for column, *_ in columns])}
-    if ratings.answers:
-        frame = pandas.DataFrame(ratings.answers, columns=["participant", "question", "answer", "at"])
-        frames[f"{name}_description-answers_data.csv"] = frame
-        columns = columns + COLUMNS["answers"]
-    if ratings.abouts:
-        frames[f"{name}_description-participants_data.csv"] = participants_frame(ratings)
-        columns = columns + COLUMNS["answers"] + COLUMNS["summary"]
-    if ratings.thresholds:
-        frames[f"{name}_description-thresholds_data.csv"] = pandas.DataFrame(ratings.thresholds)
-        columns = columns + of_thresholds(ratings)
-    variables = {column: (meaning, unit) for column, meaning, unit in columns}
+    variables: dict[str, tuple[str, str]] = {}
+    frames = {}
+    for table, (frame, columns) in tables_of(every).items():
+        if table == "ratings" or len(frame):
+            frames[f"{name}{'' if table == 'ratings' else f'_description-{table}'}_data.csv"] = frame
+            variables |= {column: (meaning, unit) for column, meaning, unit in columns}
     description = {
         "@context": "https://schema.org",
         "@type": "Dataset",
@@ -70,7 +55,7 @@ def psych_ds(store: Store) -> dict[str, str]:
         ],
     }
     texts = {
-        "dataset_description.json": json.dumps(description, indent=1, ensure_ascii=False) + "\n",
+        "dataset_description.json": _json(description),
         "README.md": f"# {ratings.title}\n\n{_description(ratings)}\n\nWhat columns mean: `dataset_description.json`.\n",
         "CHANGES.md": f"# Changes\n\n- exported by foten {__version__}\n",
     }
@@ -82,10 +67,8 @@ def psych_ds(store: Store) -> dict[str, str]:
 def bids(store: Store) -> dict[str, str]:
     """Texts of a BIDS data set by file: each participant's trials, contacts, switches and answers as events in time.
 
-    A contact's time is that of its storing less the pen's own clock, right to about the delay of the network.
-
-    Raises:
-        ValueError: there is no answer yet.
+    A contact's time is that of its storing less the pen's own clock, right to about the delay of the network. ValueError where
+    there is no answer yet.
     """
     every = read_ratings(store)
     ratings = every[0]
@@ -95,26 +78,27 @@ def bids(store: Store) -> dict[str, str]:
         "DatasetType": "raw",
         "GeneratedBy": [{"Name": "foten", "Version": ratings.software}],
     }
+    columns = {
+        column: {"Description": meaning} | ({"Units": unit} if unit else {})
+        for column, (meaning, unit) in EVENTS.items()
+        if column not in ("onset", "duration")
+    }
     width = len(str(max(ratings.numbers)))
     texts = {
-        "dataset_description.json": json.dumps(description, indent=1, ensure_ascii=False) + "\n",
+        "dataset_description.json": _json(description),
         "README": f"{ratings.title}\n\n{_description(ratings)}\n",
         "participants.tsv": "participant_id\n" + "".join(f"sub-{n:0{width}d}\n" for n in ratings.numbers),
-        f"task-{ratings.task.kind}_events.json": json.dumps(
-            {
-                column: {"Description": meaning} | ({"Units": unit} if unit else {})
-                for column, (meaning, unit) in EVENTS.items()
-                if column not in ("onset", "duration")
-            },
-            indent=1,
-        )
-        + "\n",
+        f"task-{ratings.task.kind}_events.json": _json(columns),
     }
     for number in ratings.numbers:
         frame = pandas.DataFrame(events_of(store, number), columns=list(EVENTS))
         tsv = frame.to_csv(index=False, sep="\t", float_format="%.3f", na_rep="n/a", lineterminator="\n")
         texts[f"sub-{number:0{width}d}/beh/sub-{number:0{width}d}_task-{ratings.task.kind}_events.tsv"] = tsv
     return texts
+
+
+def _json(document: dict[str, Any]) -> str:
+    return json.dumps(document, indent=1, ensure_ascii=False) + "\n"
 
 
 def _description(ratings: Ratings) -> str:
@@ -129,7 +113,7 @@ def _description(ratings: Ratings) -> str:
 def events_of(store: Store, participant: int) -> list[dict[str, Any]]:
     """Events of a participant in the order of time, each by the columns of `EVENTS`."""
     stimuli, trials = store.stimuli(), {trial.number: trial for trial in store.trials(participant)}
-    kind = TASKS[task_of(str(store.study["design"]))[0].kind]
+    kind = TASKS[task_of(str(store.study["design"])).kind]
     names, choices = kind.intervals or ("virtual",), kind.choices
     events: list[dict[str, Any]] = []
     answered: dict[int, float] = {}
@@ -147,23 +131,14 @@ def events_of(store: Store, participant: int) -> list[dict[str, Any]]:
         duration = max(0.0, answered.get(row["trial"], row["at_s"]) - row["at_s"])
         events.append({"at": row["at_s"], "duration": duration, "trial_type": "trial", "trial": row["trial"]})
     for number in sorted(trials):
-        for at, duration, interval in _contacts(store.timed_parts(participant, number)):
-            contact = {
-                "at": at,
-                "duration": duration,
-                "trial_type": "contact",
-                "trial": number,
-                "surface": names[interval],
-            }
-            events.append(contact)
+        for at, duration, interval in _contacts(store.parts(participant, number)):
+            contact = {"at": at, "duration": duration, "trial_type": "contact", "trial": number}
+            events.append({**contact, "surface": names[interval]})
     events.sort(key=lambda event: event["at"])
-    begin = next(
-        (event["at"] for event in events if event["trial_type"] == "trial"), events[0]["at"] if events else 0.0
-    )
-    return [
-        {"duration": 0.0, **event, "onset": event["at"] - begin, **_conditions(stimuli, trials[event["trial"]], kind)}
-        for event in events
-    ]
+    shown = [event["at"] for event in events if event["trial_type"] == "trial"] or [event["at"] for event in events]
+    for event in events:
+        event |= {"onset": event["at"] - shown[0], **_conditions(stimuli, trials[event["trial"]], kind)}
+    return [{"duration": 0.0, **event} for event in events]
 
 
 def _conditions(stimuli: Mapping[tuple[int, int], Stimulus], trial: Trial, kind: TaskKind) -> dict[str, Any]:
@@ -174,14 +149,14 @@ def _conditions(stimuli: Mapping[tuple[int, int], Stimulus], trial: Trial, kind:
     return {"texture": shown.texture_key, "method": shown.method_key, "other": other, "target": target}
 
 
-def _contacts(timed: Sequence[tuple[Stroked, float]]) -> list[tuple[float, float, int]]:
+def _contacts(parts: Sequence[Stroked]) -> list[tuple[float, float, int]]:
     """Contacts of a trial: system time of its begin [s], how long it lasted [s], and the number of the surface."""
-    parts = [(part, at) for part, at in timed if len(part.events)]
+    parts = [part for part in parts if len(part.events)]
     if not parts:
         return []
-    interval = np.concatenate([np.full(len(part.events), part.interval) for part, _ in parts])
-    events = np.concatenate([part.events for part, _ in parts])
-    stored = np.concatenate([np.full(len(part.events), at) for part, at in parts])
+    interval = np.concatenate([np.full(len(part.events), part.interval) for part in parts])
+    events = np.concatenate([part.events for part in parts])
+    stored = np.concatenate([np.full(len(part.events), part.at_s) for part in parts])
     times, down = events[:, 3], events[:, 2] > 0
     step = np.diff(times, prepend=times[0])
     clock = np.cumsum(step < 0)  # a page that was loaded again begins to count anew

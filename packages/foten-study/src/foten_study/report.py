@@ -1,10 +1,8 @@
 """The report of a study: one self-contained HTML page, the same as Markdown, figures, tidy tables and what their columns mean."""
 
-from __future__ import annotations
-
 import html
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -23,21 +21,17 @@ from foten_study.variance import MIN_CORRELATED
 
 MAX_ROWS = 12  # of a table that people read; the rest is CSV
 CI = "95 % CI, not adjusted"
-# Keys of results.json in its tables, and their headings.
-OF_MEANS = {"method": "method", "mean": "mean", "sd": "SD", "ci95": "95 % CI of the mean, not adjusted"}
-OF_PAIRS = {"pair": "pair", "difference": "difference", "ci95": CI, "t": "t"}
-OF_PAIRS |= {"p_bonferroni": "p Bonferroni", "p_holm": "p Holm", "dz": "dz"}
-OF_RANKS = {"pair": "pair", "w": "W", "p": "p", "p_holm": "p Holm", "rank_biserial": "rank-biserial"}
-OF_VARIANCE = {"name": "effect", "f": "F", "df": "df", "epsilon": "ε", "p_corrected": "p (Greenhouse–Geisser)"}
-OF_VARIANCE |= {"partial_eta2": "η² partial", "generalised_eta2": "η² generalised", "mauchly_p": "Mauchly p"}
-OF_MIXED = {"name": "effect", "f": "F", "df": "df", "p": "p"}
+# Headings of keys of results.json in tables; any other key is its own.
+HEADS = {"sd": "SD", "ci95": CI, "p_bonferroni": "p Bonferroni", "p_holm": "p Holm", "w": "W", "r": "correlation"}
+HEADS |= {"rank_biserial": "rank-biserial", "name": "effect", "f": "F", "epsilon": "ε", "mauchly_p": "Mauchly p"}
+HEADS |= {"p_corrected": "p (Greenhouse–Geisser)", "partial_eta2": "η² partial", "generalised_eta2": "η² generalised"}
+HEADS |= {"log_odds": "log-odds", "n_trials": "trials", "d_prime": "d′", "icc": "intraclass correlation"}
+OF_PAIRS = ("pair", "difference", "ci95", "p_bonferroni", "p_holm", "dz")
+OF_CHOICES = ("pair", "share", "difference", "ci95", "t", "p_bonferroni", "p_holm")
+OF_SENSITIVITY = ("pair", "n_trials", "share", "d_prime", "ci95", "p_bonferroni", "p_holm")
+OF_VARIANCE = ("name", "f", "df", "epsilon", "p_corrected", "partial_eta2", "generalised_eta2", "mauchly_p")
+WINS = {"share": "wins of the first named [%]", "difference": "difference of log-odds"}  # of paired comparisons
 MARK = "Simulated ratings: of a model of raters, and not of people."
-OF_STRENGTHS = {"method": "method", "log_odds": "log-odds", "ci95": CI}
-ADJUSTED = {"p_bonferroni": "p Bonferroni", "p_holm": "p Holm"}
-OF_CHOICES = {"pair": "pair", "share": "wins of the first named [%]", "difference": "difference of log-odds"}
-OF_CHOICES |= {"ci95": CI, "t": "t", **ADJUSTED}
-OF_SENSITIVITY = {"pair": "pair", "n_trials": "trials", "share": "right [%]", "d_prime": "d′", "ci95": CI}
-OF_SENSITIVITY |= ADJUSTED
 SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 WITHIN = "Tests within textures"
 MIN_SUMMED = 3  # private answers: of one alone the mean is the answer
@@ -50,9 +44,7 @@ COLUMNS: dict[str, list[tuple[str, str, str]]] = {  # name, meaning, unit
 
 
 def write_report(results: Sequence[Result], folder: Path) -> list[Path]:
-    """Write report.html, report.md, results.json, pairs.csv, the figures as PDF and PNG, and what `write_data` does; return their
-    paths.
-    """
+    """Write report.html and .md, results.json, pairs.csv, figures as PDF and PNG, and what `write_data` does; their paths."""
     paths = write_data([result.ratings for result in results], folder)
     svgs: list[dict[str, str]] = []
     for result in results:
@@ -63,15 +55,9 @@ def write_report(results: Sequence[Result], folder: Path) -> list[Path]:
                 write_figure(figure, paths[-1], dpi=150)
             letters = name + "abcd"[len(svgs) - 1]
             svgs[-1][name] = inline_svg(figure, letters, description)
-    document = {
-        name: value for name, value in results[0].document.items() if name in ("title", "simulated", "software", "task")
-    }
+    document = {name: results[0].document[name] for name in ("title", "simulated", "software", "task")}
     document["results"] = {result.ratings.key: result.document for result in results}
-    texts = {
-        "report.html": _html(results, svgs),
-        "report.md": _markdown(results),
-        "results.json": json.dumps(document, indent=1, allow_nan=False) + "\n",
-    }
+    texts = texts_of(results, svgs) | {"results.json": json.dumps(document, indent=1, allow_nan=False) + "\n"}
     return [*written(folder, texts | _csv({"pairs.csv": _pairs_frame(results)})), *paths]
 
 
@@ -81,10 +67,8 @@ def write_data(every: Sequence[Ratings], folder: Path) -> list[Path]:
 
     The wide one has a row for each participant, as JASP and jamovi want repeated measures.
     """
-    folder.mkdir(parents=True, exist_ok=True)
-    ratings = every[0]
-    columns = dictionary_of(ratings)
-    rows = sorted(rows_of(every), key=lambda row: (row["participant"], row["trial"]))
+    ratings, tables = every[0], tables_of(every)
+    columns = [*tables["ratings"][1], *(tables["thresholds"][1] if "thresholds" in tables else [])]
     wide = pandas.DataFrame({"participant": ratings.numbers})
     for one in every:
         scale = f"{one.key}." if len(every) > 1 else ""
@@ -93,29 +77,33 @@ def write_data(every: Sequence[Ratings], folder: Path) -> list[Path]:
         wide = pandas.concat([wide, values], axis=1)
     if ratings.simulated:
         wide.insert(1, "simulated", 1)
-    answers = pandas.DataFrame(ratings.answers, columns=["participant", "question", "answer", "at"])
-    marked = {"answers.csv": answers, "participants.csv": participants_frame(ratings)}
-    if ratings.thresholds:
-        marked["thresholds.csv"] = pandas.DataFrame(ratings.thresholds)
-        columns = columns + of_thresholds(ratings)
     frames = {
-        "ratings.csv": pandas.DataFrame(rows, columns=[name for name, *_ in dictionary_of(ratings)]),
+        "ratings.csv": tables["ratings"][0],
         "ratings-wide.csv": wide,
         "dictionary.csv": pandas.DataFrame(columns, columns=["column", "meaning", "unit"]),
-        **{name: frame.assign(simulated=int(ratings.simulated)) for name, frame in marked.items()},
     }
+    for name, (frame, _) in tables.items():
+        if name != "ratings":
+            frames[f"{name}.csv"] = frame.assign(simulated=int(ratings.simulated))
     return written(folder, _csv(frames))
 
 
-def dictionary_of(ratings: Ratings) -> list[tuple[str, str, str]]:
-    """Columns of a study's ratings.csv, their meaning and unit: those of all tasks, and of its own."""
+def tables_of(every: Sequence[Ratings]) -> dict[str, tuple[pandas.DataFrame, list[tuple[str, str, str]]]]:
+    """Tables of a study by name, each with its columns (name, meaning, unit), of all tasks and of its own."""
+    ratings = every[0]
     left_out = {column for kind in TASKS.values() for column in kind.columns} - {*TASKS[ratings.task.kind].columns}
-    return [column for column in COLUMNS["ratings"] if column[0] not in left_out]
-
-
-def of_thresholds(ratings: Ratings) -> list[tuple[str, str, str]]:
-    """Columns of thresholds that are there."""
-    return [column for column in COLUMNS["thresholds"] if column[0] in ratings.thresholds[0]]
+    columns = [column for column in COLUMNS["ratings"] if column[0] not in left_out]
+    rows = sorted(rows_of(every), key=lambda row: (row["participant"], row["trial"]))
+    answers = pandas.DataFrame(ratings.answers, columns=["participant", "question", "answer", "at"])
+    tables = {
+        "ratings": (pandas.DataFrame(rows, columns=[name for name, *_ in columns]), columns),
+        "answers": (answers, COLUMNS["answers"]),
+        "participants": (participants_frame(ratings), COLUMNS["answers"] + COLUMNS["summary"]),
+    }
+    if ratings.thresholds:
+        of_thresholds = [column for column in COLUMNS["thresholds"] if column[0] in ratings.thresholds[0]]
+        tables["thresholds"] = (pandas.DataFrame(ratings.thresholds), of_thresholds)
+    return tables
 
 
 def rows_of(every: Sequence[Ratings]) -> list[dict[str, Any]]:
@@ -155,7 +143,7 @@ def _pairs_frame(results: Sequence[Result]) -> pandas.DataFrame:
     rows = []
     for result in results:
         scale = {"scale": result.ratings.key} if len(results) > 1 else {}
-        for texture, tests in _tests_by_texture(result).items():
+        for texture, tests in _tests_by_texture(result)[0].items():
             for test in tests:
                 first, second = test["pair"]
                 numbers = {name: value for name, value in test.items() if name != "pair"}
@@ -164,21 +152,19 @@ def _pairs_frame(results: Sequence[Result]) -> pandas.DataFrame:
     return pandas.DataFrame(rows, columns=columns).assign(simulated=int(results[0].ratings.simulated))
 
 
-def _tests_by_texture(result: Result) -> dict[str, list[dict[str, Any]]]:
-    """Tests of pairs by texture, of all textures under an empty name."""
+def _tests_by_texture(result: Result) -> tuple[dict[str, list[dict[str, Any]]], tuple[str, ...]]:
+    """Tests of pairs by texture, of all textures under an empty name, and the keys of them that are shown."""
     document = result.document
     if "strengths" in document:
         within = {texture: one["pairs"] for texture, one in document["strengths_within_textures"].items()}
-        return {"": document["strengths"]["pairs"], **within}
+        return {"": document["strengths"]["pairs"], **within}, OF_CHOICES
     if "sensitivity" in document:
-        return {"": document["sensitivity"], **document["sensitivity_within_textures"]}
-    return {"": document.get("pairs_overall", []), **document.get("pairs_within_textures", {})}
+        return {"": document["sensitivity"], **document["sensitivity_within_textures"]}, OF_SENSITIVITY
+    return {"": document.get("pairs_overall", []), **document.get("pairs_within_textures", {})}, OF_PAIRS
 
 
 def participants_frame(ratings: Ratings) -> pandas.DataFrame:
-    """Summary of the private answers: a row for a question that has numbers, else a row for each answer; of fewer than
-    `MIN_SUMMED` people only how many.
-    """
+    """Private answers in sum: a row of their mean, or a row for each; of fewer than `MIN_SUMMED` people only how many."""
     abouts = pandas.DataFrame(ratings.abouts, columns=["question", "answer"], dtype=str)
     abouts["answer"] = abouts["answer"].str.split().str.join(" ")
     rows: list[dict[str, Any]] = []
@@ -208,14 +194,13 @@ def _tables(result: Result) -> list[Table]:
     """Tables for people, but for those of each texture."""
     document = result.document
     if "strengths" in document:
-        return [
-            _table("Strengths", document["strengths"]["methods"], OF_STRENGTHS),
-            _tests("Pairs", document["strengths"]["pairs"], OF_CHOICES, "pairs.csv"),
-        ]
+        strengths = _table("Strengths", document["strengths"]["methods"], ("method", "log_odds", "ci95"))
+        return [strengths, _tests("Pairs", document["strengths"]["pairs"], OF_CHOICES)]
     if "sensitivity" in document:
-        return [_tests("Pairs", document["sensitivity"], OF_SENSITIVITY, "pairs.csv")]
-    heads = {**OF_MEANS, "method": result.ratings.factor}
-    means = _table(_title(result), [row for row in document["means"] if row["texture"] is None], heads)
+        return [_tests("Pairs", document["sensitivity"], OF_SENSITIVITY)]
+    heads = {"method": result.ratings.factor, "ci95": "95 % CI of the mean, not adjusted"}
+    overall = [row for row in document["means"] if row["texture"] is None]
+    means = _table(_title(result), overall, ("method", "mean", "sd", "ci95"), heads=heads)
     return [means, *_tables_of_tests(result)] if "anova_one_way" in document else [means]
 
 
@@ -229,57 +214,64 @@ def _tables_of_tests(result: Result) -> list[Table]:
     across = ", averaged across textures" if several else ""
     (one_way,) = document["anova_one_way"]
     effects = [{**one_way, "name": "method, averaged" if several else one_way["name"]}, *document["anova_two_way"]]
+    pairs, ranks = (*OF_PAIRS[:3], "t", *OF_PAIRS[3:]), ("pair", "w", "p", "p_holm", "rank_biserial")
+    signed_ranks = f"Wilcoxon's signed-rank tests{across}"
     tables = [
         _table("Analyses of variance", effects, OF_VARIANCE),
-        _tests(f"Pairs{across}", document["pairs_overall"], OF_PAIRS, "pairs.csv"),
-        _tests(f"Wilcoxon's signed-rank tests{across}", document["wilcoxon"], OF_RANKS, "results.json"),
+        _tests(f"Pairs{across}", document["pairs_overall"], pairs),
+        _tests(signed_ranks, document["wilcoxon"], ranks, "results.json"),
     ]
     model, agreement = document["mixed_model"], document["reliability"]
     if model is not None:
-        tables.append(
-            _table(f"Linear mixed model of all {model['n_ratings']} {result.ratings.noun}", model["terms"], OF_MIXED)
-        )
+        title = f"Linear mixed model of all {model['n_ratings']} {result.ratings.noun}"
+        tables.append(_table(title, model["terms"], ("name", "f", "df", "p")))
     icc = [
-        {"of": "of one rater, ICC(2,1)", "value": agreement["icc_single"]},
-        {"of": "of the mean of all, ICC(2,k)", "value": agreement["icc_mean"]},
+        {"icc": "of one rater, ICC(2,1)", "value": agreement["icc_single"]},
+        {"icc": "of the mean of all, ICC(2,k)", "value": agreement["icc_mean"]},
     ]
-    tables.append(_table("Reliability", icc, {"of": "intraclass correlation", "value": "value"}))
+    tables.append(_table("Reliability", icc, ("icc", "value")))
     if len(result.ratings.conditions) * len(result.ratings.textures) < MIN_CORRELATED:
         return tables
     each = [{"participant": number, "r": r} for number, r in agreement["with_others"].items()]
     each.sort(key=lambda row: -2.0 if row["r"] is None else row["r"])
     notes = (f"The lowest {MAX_ROWS} of {len(each)}; results.json has all.",) if len(each) > MAX_ROWS else ()
     who = "Each participant's correlation with the others"
-    return [*tables, _table(who, each[:MAX_ROWS], {"participant": "participant", "r": "correlation"}, notes)]
+    return [*tables, _table(who, each[:MAX_ROWS], ("participant", "r"), notes)]
 
 
 def _within(result: Result) -> list[Table]:
     """Tests within textures: a single table, or a table for each texture where that has too many rows; none of one texture."""
-    tests_of = {texture: tests for texture, tests in _tests_by_texture(result).items() if texture}
-    heads = {"strengths": OF_CHOICES, "sensitivity": OF_SENSITIVITY}
-    usual = {key: head for key, head in OF_PAIRS.items() if key != "t"}
-    columns = next((head for key, head in heads.items() if key in result.document), usual)
+    tests_of, keys = _tests_by_texture(result)
+    del tests_of[""]
     if len(tests_of) < 2:
         return []
     if sum(len(tests) for tests in tests_of.values()) > MAX_ROWS:
-        return [_tests(f"Tests within {texture}", tests, columns, "pairs.csv") for texture, tests in tests_of.items()]
+        return [_tests(f"Tests within {texture}", tests, keys) for texture, tests in tests_of.items()]
     rows = [{"texture": texture, **test} for texture, tests in tests_of.items() for test in tests]
-    return [_table(WITHIN, rows, {"texture": "texture", **columns})]
+    return [_table(WITHIN, rows, ("texture", *keys))]
 
 
-def _tests(title: str, tests: list[dict[str, Any]], columns: dict[str, str], file: str) -> Table:
+def _tests(title: str, tests: list[dict[str, Any]], keys: Sequence[str], file: str = "pairs.csv") -> Table:
     """Tests of pairs, those of the lowest p where they are too many, in their order."""
     if len(tests) <= MAX_ROWS:
-        return _table(title, tests, columns)
+        return _table(title, tests, keys)
     lowest = sorted(range(len(tests)), key=lambda k: 2.0 if tests[k]["p"] is None else tests[k]["p"])[:MAX_ROWS]
     note = f"The {MAX_ROWS} lowest p of {len(tests)} pairs; {file} has all."
-    return _table(title, [tests[k] for k in sorted(lowest)], columns, (note,))
+    return _table(title, [tests[k] for k in sorted(lowest)], keys, (note,))
 
 
-def _table(title: str, rows: Sequence[dict[str, Any]], columns: dict[str, str], notes: tuple[str, ...] = ()) -> Table:
-    """Table of rows, with a heading for each key."""
-    cells = [[_cell(row, key) for key in columns] for row in rows]
-    return replace(Table.of(columns.values(), cells), title=title, notes=notes)
+def _table(
+    title: str,
+    rows: Sequence[dict[str, Any]],
+    keys: Sequence[str],
+    notes: tuple[str, ...] = (),
+    heads: Mapping[str, str] | None = None,
+) -> Table:
+    """Table of some keys of rows, with their headings."""
+    if "share" in keys:
+        heads = {"share": "right [%]"} if "d_prime" in keys else WINS
+    cells, named = [[_cell(row, key) for key in keys] for row in rows], {**HEADS, **(heads or {})}
+    return replace(Table.of([named.get(key, key) for key in keys], cells), title=title, notes=notes)
 
 
 def _cell(row: dict[str, Any], key: str) -> str:
@@ -310,58 +302,44 @@ def _short(value: float | None) -> str:
     return minus(f"{value:.3f}" if abs(value) < 10 else f"{value:.2f}")
 
 
-def _html(results: Sequence[Result], figures: Sequence[Mapping[str, str]]) -> str:
-    first = results[0]
-    title = html.escape(first.ratings.title)
-    parts = [f"<h1>{title}</h1>"]
-    if first.ratings.simulated:
-        parts.append(f'<p class="mark">{html.escape(MARK)}</p>')
-    for result, drawn in zip(results, figures, strict=True):
-        if len(results) > 1:
-            parts.append(f"<h2>{html.escape(result.ratings.quantity.capitalize())}</h2>")
-        parts += _html_of_result(result, drawn)
-    parts += [f"<h2>{html.escape(table.title)}</h2>{_html_of(table)}" for table in _participants_table(first)]
-    parts.append("<p>ratings.csv beside this page holds every answer; dictionary.csv says what its columns mean.</p>")
+def texts_of(results: Sequence[Result], figures: Sequence[Mapping[str, str]]) -> dict[str, str]:
+    """The report as a page and as Markdown, with each result's figures as SVG by name."""
+    parts, title = [*_parts(results, figures)], html.escape(results[0].ratings.title)
     head = f'<meta charset="utf-8"><meta name="viewport" content="width=device-width"><title>{title}</title>'
     style = STYLE.read_text(encoding="utf-8")
-    body = "\n".join(parts)
+    body = "\n".join(part for part, _ in parts)
     page = f'<html lang="en"><head>{head}<style>{style}</style></head>\n<body><main>\n{body}\n</main></body></html>'
-    return f"<!doctype html>\n{page}\n"
+    markdown = "\n\n".join(part for _, part in parts if part)
+    return {"report.html": f"<!doctype html>\n{page}\n", "report.md": f"{markdown}\n"}
 
 
-def _html_of_result(result: Result, figures: Mapping[str, str]) -> list[str]:
-    parts = [f'<p class="note">{html.escape(caution)}</p>' for caution in result.cautions]
-    names = list(figures)
-    parts.append(f"<figure>{figures[names[0]]}</figure><h2>In words</h2>")
-    parts += [f"<p>{html.escape(sentence)}</p>" for sentence in result.sentences]
-    parts += [f"<h2>{html.escape(table.title)}</h2>{_html_of(table)}" for table in _tables(result)]
-    if within := _within(result):
-        parts.append(f"<h2>{WITHIN}</h2>")
-        folded = "<details><summary>{}</summary>{}</details>" if len(within) > 1 else "{1}"
-        parts += [folded.format(html.escape(table.title), _html_of(table)) for table in within]
-    parts += [f"<h2>Each texture</h2><figure>{figures[name]}</figure>" for name in names[1:]]
-    return parts
-
-
-def _html_of(table: Table) -> str:
-    return "".join(f"<p>{html.escape(note)}</p>" for note in table.notes) + table.html("")
-
-
-def _markdown(results: Sequence[Result]) -> str:
-    parts = [f"# {results[0].ratings.title}"]
-    if results[0].ratings.simulated:
-        parts.append(f"**{MARK}**")
-    for result in results:
-        suffix, (first, *others) = _suffix(result, results), figures_of(result)
+def _parts(results: Sequence[Result], figures: Sequence[Mapping[str, str]]) -> Iterator[tuple[str, str]]:
+    """The report in parts, each as HTML and as Markdown."""
+    escaped, first = html.escape, results[0].ratings
+    yield f"<h1>{escaped(first.title)}</h1>", f"# {first.title}"
+    if first.simulated:
+        yield f'<p class="mark">{escaped(MARK)}</p>', f"**{MARK}**"
+    for result, drawn in zip(results, figures, strict=True):
+        suffix, (name, *others) = _suffix(result, results), drawn
         if len(results) > 1:
-            parts.append(f"# {result.ratings.quantity.capitalize()}")
-        parts += [f"> {caution}" for caution in result.cautions]
-        parts += [f"![{_title(result)}]({first}{suffix}.png)", *result.sentences]
-        tables = *_tables(result), *_within(result)
-        parts += [
-            f"#{html.escape(table.markdown().rstrip(), quote=False)}" for table in tables
-        ]  # HTML would pass through
-        parts += [f"![Each texture]({name}{suffix}.png)" for name in others]
-    tables = tuple(_participants_table(results[0]))
-    parts += [f"#{html.escape(table.markdown().rstrip(), quote=False)}" for table in tables]
-    return "\n\n".join(parts) + "\n"
+            quantity = result.ratings.quantity.capitalize()
+            yield f"<h2>{escaped(quantity)}</h2>", f"# {quantity}"
+        yield from ((f'<p class="note">{escaped(caution)}</p>', f"> {caution}") for caution in result.cautions)
+        yield f"<figure>{drawn[name]}</figure><h2>In words</h2>", f"![{_title(result)}]({name}{suffix}.png)"
+        yield from ((f"<p>{escaped(sentence)}</p>", sentence) for sentence in result.sentences)
+        yield from (_both(table, "<h2>{}</h2>{}") for table in _tables(result))
+        if within := _within(result):
+            yield f"<h2>{WITHIN}</h2>", ""
+            folded = "<details><summary>{}</summary>{}</details>" if len(within) > 1 else "{1}"
+            yield from (_both(table, folded) for table in within)
+        for name in others:
+            yield f"<h2>Each texture</h2><figure>{drawn[name]}</figure>", f"![Each texture]({name}{suffix}.png)"
+    yield from (_both(table, "<h2>{}</h2>{}") for table in _participants_table(results[0]))
+    yield "<p>ratings.csv beside this page holds every answer; dictionary.csv says what its columns mean.</p>", ""
+
+
+def _both(table: Table, form: str) -> tuple[str, str]:
+    """A table as HTML, with its title, and as Markdown, which HTML in a name would pass through."""
+    notes = "".join(f"<p>{html.escape(note)}</p>" for note in table.notes)
+    markdown = html.escape(table.markdown().rstrip(), quote=False)
+    return form.format(html.escape(table.title), notes + table.html("")), f"#{markdown}"

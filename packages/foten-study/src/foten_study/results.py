@@ -1,13 +1,12 @@
 """What analyses of all tasks share: the beginning of a document, means, cautions, numbers as people read them."""
 
-from __future__ import annotations
-
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
-from foten_study.statistics import ALPHA, Paired, SignedRank
+from foten.dsp.inference import student_quantile
+from foten_study.statistics import ALPHA
 from foten_study.tasks.kind import Ratings
 
 CORRECTIONS = {"bonferroni": "Bonferroni", "holm": "Holm"}  # of many tests: the paper's, and one of more power
@@ -29,29 +28,33 @@ def about(ratings: Ratings, correction: str) -> dict[str, Any]:
 
 def means_of(ratings: Ratings) -> list[dict[str, Any]]:
     """Means of each method on each texture, and of all textures, where the texture is None."""
-    from scipy import stats
-
     means = []
     for m, method in enumerate(ratings.conditions):
         columns = [*zip(ratings.textures, ratings.values[:, m].T, strict=True), (None, ratings.y[:, m].mean(-1))]
         for texture, of_texture in columns:
             values = of_texture[np.isfinite(of_texture)]
             n, mean, sd = values.size, float(values.mean()), float(values.std(ddof=1))
-            half = float(stats.t.ppf(0.975, n - 1)) * sd / n**0.5
+            half = student_quantile(n) * sd / n**0.5
             row = {"method": method, "texture": texture, "n": n, "mean": mean, "sd": sd}
             means.append(row | {"ci95_low": mean - half, "ci95_high": mean + half})
     return means
 
 
-def by_pair(methods: Sequence[str], tests: Paired | SignedRank) -> list[dict[str, Any]]:
+def by_pair(methods: Sequence[str], tests: Mapping[str, Any]) -> list[dict[str, Any]]:
     """Tests as JSON has them, a row for each pair."""
-    columns = {
-        name: np.broadcast_to(values, len(tests.pairs)) for name, values in vars(tests).items() if name != "pairs"
-    }
-    return [
-        {"pair": [methods[i], methods[j]], **{name: json_value(values[k]) for name, values in columns.items()}}
-        for k, (i, j) in enumerate(tests.pairs)
-    ]
+    family, columns = tests["pairs"], {name: values for name, values in tests.items() if name != "pairs"}
+    rows = json_rows({name: np.broadcast_to(values, len(family)) for name, values in columns.items()})
+    return [{"pair": [methods[i], methods[j]], **row} for (i, j), row in zip(family, rows, strict=True)]
+
+
+def json_rows(columns: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """Rows of columns by name."""
+    return [json_values(dict(zip(columns, row, strict=True))) for row in zip(*columns.values(), strict=True)]
+
+
+def json_values(values: Mapping[str, Any]) -> dict[str, Any]:
+    """Values by name as JSON has them, None for NaN and the infinite."""
+    return {name: json_value(value) for name, value in values.items()}
 
 
 def who_left(ratings: Ratings, tests: str) -> list[str]:
@@ -64,18 +67,18 @@ def who_left(ratings: Ratings, tests: str) -> list[str]:
 
 def of_trials(ratings: Ratings) -> list[str]:
     """Cautions about trials."""
-    trials = list({(row["participant"], row["trial"]): row for row in ratings.rows}.values())
-    cautions = []
-    if corrected := sum(row["corrected"] for row in ratings.rows):
-        cautions.append(f"ratings corrected by hand: {corrected}; the log of the study says which")
-    if under := sum(bool(row["measured"].get("n_underruns")) for row in trials):
-        cautions.append(f"trials in which the sound had under-runs: {under}")
-    if stopped := sum(bool(row["measured"].get("n_stopped")) for row in trials):
-        cautions.append(f"trials in which the output ended by itself: {stopped}")
-    if without := sum(row["measured"].get("contact_s") == 0 for row in trials):
-        cautions.append(f"trials that were answered without a stroke on the virtual surface: {without}")
-    cautions += _of_thresholds(ratings)
-    if partly := sum(_misses_one(row["measured"]) for row in trials):
+    measured = [row["measured"] for row in {(row["participant"], row["trial"]): row for row in ratings.rows}.values()]
+    counts = {
+        "ratings corrected by hand: {}; the log of the study says which": [row["corrected"] for row in ratings.rows],
+        "trials in which the sound had under-runs: {}": [bool(one.get("n_underruns")) for one in measured],
+        "trials in which the output ended by itself: {}": [bool(one.get("n_stopped")) for one in measured],
+        "trials that were answered without a stroke on the virtual surface: {}": [
+            one.get("contact_s") == 0 for one in measured
+        ],
+    }
+    cautions = [text.format(sum(which)) for text, which in counts.items() if any(which)] + _of_thresholds(ratings)
+    of_surfaces = [[seconds for name, seconds in one.items() if name.startswith("contact_s_")] for one in measured]
+    if partly := sum(0 in seconds and any(seconds) for seconds in of_surfaces):
         cautions.append(f"trials that were answered without a stroke on each of the surfaces: {partly}")
     return cautions
 
@@ -93,11 +96,6 @@ def _of_thresholds(ratings: Ratings) -> list[str]:
     if changed := sum(one["volume_range_db"] > 0 for one in of):
         cautions.append(f"the volume was changed while a threshold was searched for: {changed} of {len(of)}")
     return cautions
-
-
-def _misses_one(measured: dict[str, Any]) -> bool:
-    seconds = [value for name, value in measured.items() if name.startswith("contact_s_")]
-    return 0 in seconds and any(seconds)
 
 
 def p_text(value: float) -> str:

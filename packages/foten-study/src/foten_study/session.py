@@ -6,7 +6,7 @@ import asyncio
 import math
 import struct
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from functools import partial
 from typing import Any, Protocol
 
@@ -15,16 +15,13 @@ from numpy.typing import NDArray
 from starlette.websockets import WebSocket
 
 from foten.runtime.live.devices import SOUND_RATE_HZ
-from foten.runtime.stylus import PressureCalibration
 from foten.studio.messages import RefusedError, parse_events
 from foten.studio.websocket import STAYS, BlockQueue, PageSocket, pressure_calibration
 from foten_study import protocol
+from foten_study.loading import RunningStudy
 from foten_study.orders import Trial
 from foten_study.protocol import PARTICIPANT, Change, Measured, Moment, NotYetError, Step
-from foten_study.running_study import RunningStudy
-from foten_study.schema import as_stored
-from foten_study.store import Rated
-from foten_study.stroking import Stroking
+from foten_study.strokes import Stroking, Tablet
 
 COME_BACK_S = 5.0  # for the tablet of two screens, before an answer is taken without it
 MISSED, EVENT_BYTES = b"m", 32
@@ -50,24 +47,10 @@ class Session:
         self.trouble = ""  # for the operator: why the last answer was not stored
         # Where an operator gives out the codes, a place waits for its first page.
         self.last_message_at = math.inf if study.design.setup.operator else time.monotonic()
-        self.strokes = Stroking(study, number, self._say_stored)
         self._alone_since_s = time.monotonic()  # without a page to stroke on, where there is none
         self.changing = asyncio.Lock()
-        store, write = study.store, self.strokes.kept.write
-        self._effects: dict[str, Callable[..., Any]] = {
-            "show": self.show,
-            "lift": self._lift,
-            "put_under_pen": lambda: self.strokes.put_under_pen(self.state.step["trial"], self.state.interval),
-            "end_contact": self.end_contact,
-            "save_strokes": self.strokes.kept.save,
-            "store": self._store,
-            "mark": self._mark,
-            "write_step": lambda step: write(partial(store.take_step, number, step)),
-            "write_shown": lambda trial, at_s: write(partial(store.add_shown, number, trial, at_s)),
-            "write_switch": lambda trial, side, by, at_s: write(
-                partial(store.add_switch, number, trial, side, by, as_stored(at_s))
-            ),
-        }
+        self.strokes = Stroking(study, number, self._say_stored, lambda: self.state, self.changing)
+        store = study.store
         self.state = protocol.begin(study.design, store.trials(number), store.done(number))
         if (trial := self.state.trial) is not None:  # as it was before the server ended
             self.strokes.resume(trial)
@@ -76,20 +59,16 @@ class Session:
 
     async def _apply(self, change: Change) -> None:
         """Carry out what follows from a message; whoever changes a step has `_changing`."""
-        for effect in change.first:
-            await self._effects[effect.name](**effect.about)
+        for name, about in change.first:
+            await getattr(self, name)(**about)
         if change.state.done != self.state.done:
-            self.strokes.begin_trial()
+            self.strokes.kept.begin_trial()
         self.state = change.state
-        for effect in change.then:
-            await self._effects[effect.name](**effect.about)
+        for name, about in change.then:
+            await getattr(self, name)(**about)
 
     async def finish(self, step_id: str, message: Mapping[str, Any]) -> Mapping[str, Any] | None:
-        """Take the answers of a step, into the database, and go on; a reply to the page, if any.
-
-        Raises:
-            RefusedError: as `protocol.finish`, or the answer cannot be stored.
-        """
+        """Take the answers of a step, into the database; a reply to the page, if any. RefusedError as `protocol.finish`."""
         async with self.changing:
             if self.returned and step_id not in self.state.done:
                 raise RefusedError(self.study.design.language.say("no_such_code"))
@@ -105,7 +84,7 @@ class Session:
         coming = any(page.n_again > 0 for page in stroking)
         if not stroking and self.study.design.setup.screens > 1:
             coming = time.monotonic() - self._alone_since_s < COME_BACK_S
-        log = await self.strokes.measured(trial, stroking[0] if stroking else None)
+        log = await self.strokes.measured(trial, stroking[0].tablet if stroking else None)
         return Measured(self.strokes.contact_s, coming, log)
 
     async def turn(self, side: str, marked_by: str, interval: int | None = None) -> None:
@@ -118,13 +97,9 @@ class Session:
         async with self.changing:
             await self._apply(protocol.hold(self.state, held))
 
-    def count_underruns(self, step_id: str, n: int) -> None:
-        """Take how many under-runs a trial has had so far."""
-        self.state = protocol.count_underruns(self.state, step_id, n)
-
     async def push(self, page: ParticipantPage, events: NDArray[np.float64]) -> None:
         """Take in events of the pen."""
-        if await self.strokes.push(page, lambda: self.state, self.changing, events):
+        if await self.strokes.push(page.tablet, events):
             await self._apply(protocol.pen(self.state, down=bool(events[-1, 2] > 0)))
             await self.strokes.kept.save_when_due()
 
@@ -134,9 +109,9 @@ class Session:
         if page.strokes:
             self._alone_since_s = time.monotonic()
         async with self.changing:
-            if self.strokes.page is page:
+            if self.strokes.tablet is page.tablet:
                 await self.end_contact()
-                self.strokes.page = None
+                self.strokes.tablet = None
 
     def shown(self) -> Step:
         """The step as a participant's page gets it."""
@@ -146,18 +121,14 @@ class Session:
 
     def for_operator(self) -> dict[str, Any]:
         """What the operator's page gets."""
-        page: dict[str, Any] = {
-            "number": self.number,
-            "code": self.code,
-            **protocol.described(self.study.design, self.state),
-        }
-        page["pages"] = sorted(page.role for page in self.pages)
+        page = protocol.described(self.study.design, self.state)
+        page |= {"number": self.number, "code": self.code, "pages": sorted(page.role for page in self.pages)}
         contact = self.strokes.sound.contact
         if n := self.n_unsaved:
             page["n_unsaved"] = n
         if self.asking:
             page["asks"] = min(self.asking)
-        if trouble := self.trouble or self.strokes.trouble:
+        if trouble := self.trouble or self.strokes.sound.trouble:
             page["trouble"] = trouble
         if contact is not None:
             live = contact.player.statistics  # how long a block takes would tell methods apart
@@ -178,31 +149,38 @@ class Session:
         await self._apply(protocol.lift(self.state))
         await self.strokes.end()
 
-    async def save_again(self) -> None:
-        """Write what the disk had no room for, if anything."""
-        if self.n_unsaved:
-            await self.strokes.kept.save()
-
     @property
     def n_unsaved(self) -> int:
         """Events, of the pen and others, that the disk has had no room for."""
         return self.strokes.kept.n_unsaved(None if self.state.trial is None else self.state.trial.number)
 
-    async def _lift(self) -> None:
+    async def put_under_pen(self) -> None:
+        """Render the surface that the pen is on now."""
+        await self.strokes.sound.put_under_pen(self.state.step["trial"], self.state.interval)
+
+    async def save_strokes(self) -> None:
+        """Save the strokes."""
+        await self.strokes.kept.save()
+
+    async def write(self, what: str, values: tuple[Any, ...]) -> None:
+        """Store something of the participant by a method of the store, when the disk has room."""
+        await self.strokes.kept.write(partial(getattr(self.study.store, what), self.number, *values))
+
+    async def lift(self) -> None:
+        """The pen has left what is rendered."""
         if self.strokes.sound.contact is not None:
             self.strokes.sound.contact.lift()
 
-    async def _store(self, step: str, rated: tuple[int, dict[str, Any]] | None = None, **answers: Any) -> None:
-        outcome = None if rated is None else (rated[0], Rated(**rated[1]))
-        take = partial(self.study.store.take_step, self.number, step, rated=outcome, **answers)
+    async def store(self, step: str, **answers: Any) -> None:
+        """Store a step with its answers."""
         try:
-            await self.study.on_disk(take)
+            await self.study.on_disk(partial(self.study.store.take_step, self.number, step, **answers))
         except OSError as error:
             self.trouble = str(error)
             raise NotYetError(self.study.design.language.say("not_stored")) from error
-        self.trouble = self.strokes.trouble = ""
+        self.trouble = self.strokes.sound.trouble = ""
 
-    async def _mark(self, event: str, trial: Trial, **about: Any) -> None:
+    async def mark(self, event: str, trial: Trial, **about: Any) -> None:
         """Send a marker of a trial, where somebody asked for them."""
         if self.study.markers is not None:
             texture = self.study.design.textures[trial.texture].key
@@ -226,16 +204,16 @@ class ParticipantPage(PageSocket):
     """A page of a session, which it joins by its code."""
 
     def __init__(self, study: RunningStudy, door: Door, socket: WebSocket, device: str | None) -> None:
-        self._study, self._door, self.device, self.blocks = study, door, device, BlockQueue(socket)
-        super().__init__(socket, PARTICIPANT, self.blocks.send, self._expect_join)
+        self._study, self._door, self.device = study, door, device
+        self.tablet = Tablet(BlockQueue(socket))
+        super().__init__(socket, PARTICIPANT, self.tablet.blocks.send, self._expect_join)
         self._session: Session | None = None
         self._fresh: str | None = None  # code of the new participant who began here
         self._asks: Session | None = None  # where another device was
         self._request = 0  # its number, also of one that was decided
         self.rank = 0
         self.n_again = 0  # events that it still has to send again
-        self.role, self.rate_hz, self.volume_db = "all", SOUND_RATE_HZ, 0.0
-        self.calibration = PressureCalibration()
+        self.role = "all"
 
     @property
     def strokes(self) -> bool:
@@ -264,7 +242,7 @@ class ParticipantPage(PageSocket):
         try:
             _, interval, trial, first = BEFORE_MISSED.unpack_from(data)
             events, session = parse_events(data[BEFORE_MISSED.size :]), self._stroking()
-            await session.strokes.push_missed(self, session.state, trial, interval, first, events)
+            await session.strokes.push_missed(self.tablet, trial, interval, first, events)
         finally:
             self.n_again -= len(data) // EVENT_BYTES
 
@@ -287,7 +265,7 @@ class ParticipantPage(PageSocket):
         elif kind == "side":
             await session.turn(str(message["side"]), "participant", message.get("interval"))
         elif kind == "count":
-            session.count_underruns(str(message["step"]), int(message["underruns"]))
+            session.state = protocol.count_underruns(session.state, str(message["step"]), int(message["underruns"]))
 
     async def _finish(self, session: Session, message: Mapping[str, Any]) -> None:
         """Take an answer; a refusal says whether it may be sent again as it is."""
@@ -307,10 +285,9 @@ class ParticipantPage(PageSocket):
         session = await self._begin(message.get("fresh")) if code is None else self._door.by_code(str(code))
         await self.leave()
         self.role = str(message.get("role", "all"))
-        self.rate_hz = float(message.get("rate_hz", SOUND_RATE_HZ))
-        self.volume_db = float(message.get("volume_db", 0.0))
+        sound = float(message.get("rate_hz", SOUND_RATE_HZ)), float(message.get("volume_db", 0.0))
+        self.tablet = Tablet(self.tablet.blocks, *sound, pressure_calibration(message))
         self.n_again = int(message.get("again", 0))
-        self.calibration = pressure_calibration(message)
         if not self._door.is_open_to(session, self):
             self._asks, self.rank = session, 1
             self._request = self._door.ask(session, self, again=self._request > 0)

@@ -3,9 +3,6 @@
 Ratings are complete, but for the mixed model. What cannot be computed, where every value is the same, is NaN.
 """
 
-from __future__ import annotations
-
-from dataclasses import dataclass
 from itertools import combinations
 from typing import Any
 
@@ -19,34 +16,18 @@ Array = NDArray[np.float64]
 Index = NDArray[np.signedinteger[Any]]
 
 
-@dataclass(frozen=True)
-class Effect:
-    """A row of an analysis of variance; each value a number, or an array over studies."""
-
-    name: str
-    f: Array
-    df: tuple[float, float]
-    p: Array
-    epsilon: Array  # Greenhouse and Geisser's
-    p_corrected: Array  # with it
-    partial_eta2: Array
-    generalised_eta2: Array
-    mauchly_p: Array  # of the hypothesis that ε is 1; NaN where there are fewer participants than it needs
-
-
 def contrasts(k: int) -> Array:
     """Orthonormal contrasts of k conditions, shape (k, k − 1)."""
     q, _ = np.linalg.qr(np.concatenate([np.ones((k, 1)), np.eye(k)[:, :-1]], axis=1))
     return np.asarray(q[:, 1:])
 
 
-def anova(y: Array) -> list[Effect]:
+def anova(y: Array) -> list[dict[str, Any]]:
     """Repeated-measures analysis of variance of complete ratings, shape (…, n, a, b): both main effects and their interaction.
 
-    With one texture, or ratings averaged over textures, b is 1, and there is the effect of method alone.
-
-    Sources: Greenhouse & Geisser, Psychometrika 24, 95 (1959), for ε; Olejnik & Algina, Psychological Methods 8, 434 (2003),
-    for generalised η².
+    Where b is 1 there is the effect of method alone. An effect has `name`, `f` of two degrees `df`, `p`, and `p_corrected` by
+    `epsilon` (Greenhouse & Geisser, Psychometrika 24, 95, 1959); `partial_eta2`, `generalised_eta2` (Olejnik & Algina,
+    Psychological Methods 8, 434, 2003); `mauchly_p` of the hypothesis that ε is 1, NaN where participants are too few.
     """
     n, a, b = y.shape[-3:]
     flat = y.reshape(*y.shape[:-2], a * b)
@@ -71,7 +52,7 @@ def _parts(scores: Array) -> tuple[Array, Array, Array]:
     return n * (mean**2).sum((-2, -1)), (deviations**2).sum((-2, -1)), covariance
 
 
-def _effect(name: str, n: int, effect: Array, error: Array, covariance: Array, noise: Array) -> Effect:
+def _effect(name: str, n: int, effect: Array, error: Array, covariance: Array, noise: Array) -> dict[str, Any]:
     from scipy import stats
 
     d = covariance.shape[-1]
@@ -81,26 +62,17 @@ def _effect(name: str, n: int, effect: Array, error: Array, covariance: Array, n
         f = np.where(error > 1e-18 * (effect + error + 1e-300), (effect / df[0]) / (error / df[1]), np.nan)
         epsilon = np.clip(trace**2 / (d * (covariance**2).sum((-2, -1))), 1 / d, 1.0)
         partial, generalised = effect / (effect + error), effect / (effect + noise)
-    return Effect(
-        name,
-        f,
-        df,
-        stats.f.sf(f, *df),
-        epsilon,
-        stats.f.sf(f, df[0] * epsilon, df[1] * epsilon),
-        partial,
-        generalised,
-        _mauchly(covariance, n),
-    )
+    corrected = {"epsilon": epsilon, "p_corrected": stats.f.sf(f, df[0] * epsilon, df[1] * epsilon)}
+    sizes = {"partial_eta2": partial, "generalised_eta2": generalised}
+    test = {"name": name, "f": f, "df": df, "p": stats.f.sf(f, *df)}
+    return {**test, **corrected, **sizes, "mauchly_p": _mauchly(covariance, n)}
 
 
 def _mauchly(covariance: Array, n: int) -> Array:
-    """p of Mauchly's test of sphericity, with the second term of its expansion.
+    """p of Mauchly's test of sphericity (Ann. Math. Stat. 11, 204, 1940), with the second term of its expansion.
 
     R 4.2's `mauchly.test` has the number of conditions in one place of that term where the number of contrasts belongs, which
     moves p by less than a hundredth where it is above 0.03.
-
-    Source: Mauchly, Annals of Mathematical Statistics 11, 204 (1940).
     """
     from scipy import stats
 
@@ -125,29 +97,11 @@ def pairs(k: int, reference: int | None = None) -> list[tuple[int, int]]:
     return [(reference, other) for other in range(k) if other != reference]
 
 
-@dataclass(frozen=True)
-class Paired:
-    """Comparisons of two conditions within participants; arrays over studies and, last, pairs."""
-
-    pairs: list[tuple[int, int]]
-    difference: Array  # of the means
-    ci95_low: Array  # not adjusted
-    ci95_high: Array
-    t: Array
-    df: float
-    p: Array
-    p_bonferroni: Array
-    p_holm: Array
-    dz: Array  # Cohen's d of the differences
-    d_av: Array  # the difference over the mean of both standard deviations
-
-
-def paired_tests(y: Array, reference: int | None = None) -> Paired:
+def paired_tests(y: Array, reference: int | None = None) -> dict[str, Any]:
     """Paired t-tests of all pairs of conditions y (…, n, a), or of a reference with each other one: a family for Bonferroni and
-    Holm.
+    Holm. `difference` is of means, with its interval, not adjusted; `dz` is Cohen's d of the differences, `d_av` the difference
+    over the mean of both standard deviations; arrays are over studies and, last, pairs.
     """
-    from scipy import stats
-
     n, a = y.shape[-2:]
     family = pairs(a, reference)
     first, second = np.moveaxis(y[..., family], -1, 0)
@@ -156,24 +110,21 @@ def paired_tests(y: Array, reference: int | None = None) -> Paired:
     with np.errstate(divide="ignore", invalid="ignore"):
         dz, d_av = mean / sd, mean / ((first.std(-2, ddof=1) + second.std(-2, ddof=1)) / 2)
         t = dz * np.sqrt(n)
-    p = 2 * stats.t.sf(np.abs(t), n - 1)
     half = student_quantile(n) * sd / np.sqrt(n)
-    bonferroni = np.minimum(len(family) * p, 1.0)
-    return Paired(family, mean, mean - half, mean + half, t, float(n - 1), p, bonferroni, holm(p), dz, d_av)
+    interval = {"ci95_low": mean - half, "ci95_high": mean + half}
+    return {"pairs": family, "difference": mean, **interval, **t_tests(t, n - 1), "dz": dz, "d_av": d_av}
 
 
-@dataclass(frozen=True)
-class Friedman:
-    """Friedman's test by ranks; each value a number, or an array over studies."""
+def t_tests(t: Array, df: int) -> dict[str, Any]:
+    """A family of two-sided t-tests, last axis, of so many degrees of freedom."""
+    from scipy import stats
 
-    chi2: Array
-    df: int
-    p: Array
-    w: Array  # Kendall's coefficient of concordance
+    p = 2 * stats.t.sf(np.abs(t), df)
+    return {"t": t, "df": float(df), "p": p, "p_bonferroni": np.minimum(t.shape[-1] * p, 1.0), "p_holm": holm(p)}
 
 
-def friedman(y: Array) -> Friedman:
-    """Friedman's test of conditions y (…, n, a), corrected for ties."""
+def friedman(y: Array) -> dict[str, Any]:
+    """Friedman's test of conditions y (…, n, a), corrected for ties: `chi2`, `df`, `p`, and Kendall's `w`."""
     from scipy import stats
 
     n, a = y.shape[-2:]
@@ -181,24 +132,12 @@ def friedman(y: Array) -> Friedman:
     with np.errstate(invalid="ignore"):  # of equal ratings there is none
         w = n * (ranks.mean(-2) ** 2).sum(-1) / (ranks**2).sum((-2, -1))
     chi2 = n * (a - 1) * w
-    return Friedman(chi2, a - 1, stats.chi2.sf(chi2, a - 1), w)
+    return {"chi2": chi2, "df": a - 1, "p": stats.chi2.sf(chi2, a - 1), "w": w}
 
 
-@dataclass(frozen=True)
-class SignedRank:
-    """Wilcoxon's signed-rank tests of pairs."""
-
-    pairs: list[tuple[int, int]]
-    w: Array
-    p: Array
-    p_holm: Array
-    rank_biserial: Array  # −1 … 1
-
-
-def wilcoxon_tests(y: Array, reference: int | None = None) -> SignedRank:
-    """Signed-rank tests of conditions y (n, a), adjusted by Holm's method; p is 1 where nothing differs.
-
-    Zero differences are left out; equal ones share the mean of their ranks.
+def wilcoxon_tests(y: Array, reference: int | None = None) -> dict[str, Any]:
+    """Wilcoxon's signed-rank tests of conditions y (n, a): `pairs`, `w`, `p`, 1 where nothing differs, `p_holm`, and
+    `rank_biserial` from −1 to 1. Zero differences are left out; equal ones share the mean of their ranks.
     """
     from scipy import stats
 
@@ -214,20 +153,12 @@ def wilcoxon_tests(y: Array, reference: int | None = None) -> SignedRank:
         up = stats.wilcoxon(d, alternative="greater").statistic
         rows.append((test.statistic, test.pvalue, 2 * up / total - 1))
     w, p, rank_biserial = np.array(rows).T
-    return SignedRank(family, w, p, holm(p), rank_biserial)
+    return {"pairs": family, "w": w, "p": p, "p_holm": holm(p), "rank_biserial": rank_biserial}
 
 
-@dataclass(frozen=True)
-class Reliability:
-    """Agreement of participants."""
-
-    with_others: Array  # (n,): correlation of a participant's ratings with the mean of the others'
-    single: float  # intraclass correlation of a single rater, ICC(2,1)
-    mean: float  # of the mean of all, ICC(2,k)
-
-
-def reliability(y: Array) -> Reliability:
-    """Reliability of ratings y (n, conditions); NaN where a participant rated all the same.
+def reliability(y: Array) -> tuple[float, float, Array]:
+    """Reliability of ratings y (n, conditions): ICC(2,1) of a single rater, ICC(2,k) of the mean of all, and the correlation of
+    each participant's ratings with the mean of the others' (n,), NaN where a participant rated all the same.
 
     Source: Shrout & Fleiss, Psychological Bulletin 86, 420 (1979).
     """
@@ -242,21 +173,12 @@ def reliability(y: Array) -> Reliability:
         error = (left**2).sum() / ((n - 1) * (k - 1))
         single = (between_targets - error) / (between_targets + (n - 1) * error + n * (between_raters - error) / k)
         mean = (between_targets - error) / (between_targets + (between_raters - error) / k)
-    return Reliability(r, float(single), float(mean))
+    return float(single), float(mean), r
 
 
-@dataclass(frozen=True)
-class MixedModel:
-    """A linear mixed model of ratings, for those that are not complete."""
-
-    terms: list[dict[str, Any]]  # name, f, its two degrees of freedom df, p
-    sd: dict[str, float]  # of the random effects, and of the residual
-    converged: bool
-
-
-def mixed_model(participant: Index, method: Index, texture: Index, rating: Array) -> MixedModel:
+def mixed_model(participant: Index, method: Index, texture: Index, rating: Array) -> dict[str, Any]:
     """Linear mixed model of ratings in long form, shapes (rows,): method × texture fixed, and by participant a random intercept,
-    a random effect of each method and of each texture; fitted by REML.
+    a random effect of each method and of each texture; fitted by REML. `terms` have name, f, df, p; `sd` is of random effects.
 
     F is Wald's over its degrees of freedom; those of the denominator are of the stratum in which an effect lies, as in an
     analysis of variance, so that complete ratings give the same F.
@@ -289,4 +211,4 @@ def mixed_model(participant: Index, method: Index, texture: Index, rating: Array
     variances = {"participants": np.asarray(fitted.cov_re)[0, 0], **dict.fromkeys(random, 0.0)}
     variances |= dict(zip(model.exog_vc.names, fitted.vcomp, strict=True), residual=fitted.scale)
     sd = {name: float(np.sqrt(max(0.0, variance))) for name, variance in variances.items()}
-    return MixedModel(terms, sd, bool(fitted.converged))
+    return {"terms": terms, "sd": sd, "converged": bool(fitted.converged)}

@@ -1,7 +1,5 @@
 """A study's database while it is read and written. A commit that returned has reached the disk."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import sqlite3
@@ -16,20 +14,13 @@ from numpy.typing import NDArray
 
 from foten import __version__
 from foten.untrusted import brief, check_numbers, parse_json
-from foten_study import schema
 from foten_study.orders import Trial
-from foten_study.schema import Stimulus, now
-from foten_study.study_file import MAX_VALUE, StudyFile
+from foten_study.study_file import MAX_VALUE, VALID_RATINGS, Stimulus, StudyFile, as_stored, now
+from foten_study.tasks.kind import Rated
 
-
-@dataclass(frozen=True)
-class Rated:
-    """Outcome of a trial."""
-
-    values: Mapping[str, float]  # by scale: 0 … 100, or under `choice` which surface was chosen, from 0
-    response_s: float | None = None  # from when the trial was shown
-    switches: int | None = None  # between the real and the virtual surface
-    log: Mapping[str, Any] = field(default_factory=dict)  # of `session.TrialLog`
+RATED = "participant, trial, scale, rating, response_s, switches, measured, at, software, simulated, corrects, reason"
+MAX_APART_S = 0.25  # of two events of one contact: a pen at rest sends few
+NO_CONDITIONS: NDArray[np.float64] = np.zeros((0, 2))
 
 
 @dataclass(frozen=True)
@@ -38,9 +29,9 @@ class Stroked:
 
     interval: int
     events: NDArray[np.float64]  # of the pen: x, y [mm], pressure, t [s], shape (n, 4)
-    conditions: NDArray[np.float64] = field(
-        default_factory=lambda: np.zeros((0, 2))
-    )  # speed [mm/s], force [N] by block
+    # Speed [mm/s], force [N] at each block's end, shape (n, 2).
+    conditions: NDArray[np.float64] = field(default_factory=lambda: NO_CONDITIONS)
+    at_s: float = 0.0  # when it was stored, the system's clock
 
 
 class Store(StudyFile):
@@ -94,15 +85,9 @@ class Store(StudyFile):
         private: Mapping[str, str] | None = None,
         consent: str | None = None,
     ) -> bool:
-        """Store a step with its answers; False where it was stored before, and nothing changes.
+        """Store a step with the outcome of its trial by number, answers by question, or the text that was agreed to.
 
-        Args:
-            rated: number of the trial, and its outcome.
-            answers, private: of a questionnaire, by question.
-            consent: the text that was agreed to.
-
-        Raises:
-            FullError: the disk has no room.
+        False where it was stored before, and nothing changes; FullError where the disk has no room.
         """
         at = now()
         with self._writing():
@@ -131,34 +116,27 @@ class Store(StudyFile):
         about = (rated.response_s, rated.switches, log, at, __version__, self.simulated)
         for scale, value in rated.values.items():
             self._execute(
-                "INSERT INTO ratings (participant, trial, scale, rating, response_s, switches, measured, at, software, "
-                "simulated, reason) VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, '')",
+                f"INSERT INTO ratings ({RATED}) VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, NULL, '')",
                 *(participant, trial, scale, value, *about),
             )
 
     def correct(self, participant: int, trial: int, rating: float, reason: str, scale: str | None = None) -> None:
-        """Put another rating in the place of the valid one; the old row stays.
+        """Put another rating, of a scale where a trial has several, in the place of the valid one; the old row stays.
 
-        Args:
-            scale: its key, where a trial has several.
-
-        Raises:
-            ValueError: that trial has no rating, or several, the new one is out of range, or the reason is empty.
+        ValueError where that trial has no rating, or several, the new one is out of range, or the reason is empty.
         """
         if not 0 <= rating <= 100:
             raise ValueError(f"the rating is {rating:g}, expected 0 to 100")
         if not reason.strip():
             raise ValueError("a correction needs a reason")
-        rated = f"({schema.VALID_RATINGS}) WHERE participant = ? AND trial = ?"
+        rated = f"({VALID_RATINGS}) WHERE participant = ? AND trial = ?"
         scales = [str(row[0]) for row in self._rows(f"SELECT scale FROM {rated}", participant, trial)]
         if scale is None and len(scales) > 1:
             raise ValueError(f"trial {trial} has a rating on each of {', '.join(scales)}: which one?")
         with self._writing():
             corrected = self._execute(
-                "INSERT INTO ratings (participant, trial, scale, rating, response_s, switches, measured, at, software, "
-                "simulated, corrects, reason) SELECT participant, trial, scale, ?, response_s, switches, measured, ?, ?, "
-                "simulated, id, ? "
-                f"FROM {rated} AND scale = ?",
+                f"INSERT INTO ratings ({RATED}) SELECT participant, trial, scale, ?, response_s, switches, measured, ?, ?, "
+                f"simulated, id, ? FROM {rated} AND scale = ?",
                 *(rating, now(), __version__, reason, participant, trial, scale or "".join(scales)),
             )
             if not corrected.rowcount:
@@ -166,12 +144,11 @@ class Store(StudyFile):
                 raise ValueError(f"participant {participant} has no rating of {of}")
             self._log(f"participant {participant}, trial {trial}: corrected to {rating:g}: {reason}")
 
-    def add_switch(self, participant: int, trial: int, side: str, marked_by: str, at: str) -> None:
-        """Store that a hand went over to the real or the virtual surface, and when, as `now` gives it."""
-        columns = "participant, trial, side, marked_by, at"
+    def add_switch(self, participant: int, trial: int, side: str, marked_by: str, at_s: float) -> None:
+        """Store that a hand went over to the real or the virtual surface, and when [s, the system's clock]."""
+        at = as_stored(at_s)
         with self._writing():
-            values = participant, trial, side, marked_by, at
-            self._execute(f"INSERT INTO switches ({columns}) VALUES (?, ?, ?, ?, ?)", *values)
+            self._execute("INSERT INTO switches VALUES (NULL, ?, ?, ?, ?, ?)", participant, trial, side, marked_by, at)
 
     def add_shown(self, participant: int, trial: int, at: float) -> None:
         """Store since when a trial is shown [s, the system's clock], the first time."""
@@ -205,10 +182,6 @@ class Store(StudyFile):
 
     def parts(self, participant: int, trial: int) -> list[Stroked]:
         """Parts of a trial's contact, in their order."""
-        return [part for part, _ in self.timed_parts(participant, trial)]
-
-    def timed_parts(self, participant: int, trial: int) -> list[tuple[Stroked, float]]:
-        """Parts of a trial's contact, and when each was stored [s, the system's clock]."""
         parts, remaining_bytes = [], MAX_VALUE
         query = "SELECT * FROM strokes WHERE participant = ? AND trial = ? ORDER BY part"
         for row in self._rows(query, participant, trial):
@@ -219,7 +192,7 @@ class Store(StudyFile):
                 where = f"{self.path.name}, participant {participant}, trial {trial}"
                 raise ValueError(f"{where}: a stroke is damaged ({error})") from error
             remaining_bytes -= events.nbytes + conditions.nbytes
-            parts.append((Stroked(int(row["interval"]), events, conditions), _seconds(row["at"])))
+            parts.append(Stroked(int(row["interval"]), events, conditions, _seconds(row["at"])))
         return parts
 
     def moments(self, participant: int, table: str) -> list[dict[str, Any]]:
@@ -234,7 +207,7 @@ class Store(StudyFile):
         """
         rows = self._rows(
             "SELECT r.*, t.texture, t.method, t.other, t.target, s.texture_key, s.method_key, s.sha256, "
-            f"o.method_key AS other_key FROM ({schema.VALID_RATINGS}) r "
+            f"o.method_key AS other_key FROM ({VALID_RATINGS}) r "
             "JOIN trials t ON t.participant = r.participant AND t.trial = r.trial "
             "JOIN stimuli s ON s.texture = t.texture AND s.method = t.method "
             "LEFT JOIN stimuli o ON o.texture = t.texture AND o.method = t.other "

@@ -1,7 +1,5 @@
 """Server of a study: the participants' page, the operator's page by the key in its link, and their WebSockets."""
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import html
@@ -29,10 +27,8 @@ from foten.studio.messages import RefusedError
 from foten.studio.page_files import page_files
 from foten.studio.studio_server import missing, page_file
 from foten.studio.websocket import serve_page
-from foten_study.loading import Study
-from foten_study.markers import Markers
+from foten_study.loading import Markers, RunningStudy, Study
 from foten_study.participants import OperatorPage, Participants
-from foten_study.running_study import RunningStudy
 from foten_study.session import ParticipantPage, Session
 from foten_study.store import Store
 
@@ -45,12 +41,7 @@ SHARED = ("studio.css", "pad.js", "settings.js", "stream.js")  # not the kernel,
 
 
 class StudyServer:
-    """A study that runs, with its database.
-
-    Args:
-        admitted: devices and operators who were let in, also by a server before this one.
-        markers: takes what happens in trials.
-    """
+    """A study that runs, with its database; `admitted` are devices and operators, also of a server before this one."""
 
     def __init__(
         self, store: Store, study: Study, admitted: Admitted | None = None, markers: Markers | None = None
@@ -112,9 +103,9 @@ class StudyServer:
 
     async def _picture(self, request: Request) -> Response:
         picture = self._pictures.get(request.path_params["number"]) if self.design.setup.show_names else None
-        return (
-            missing("there is no such picture here") if picture is None else Response(picture[1], media_type=picture[0])
-        )
+        if picture is None:
+            return missing("there is no such picture here")
+        return Response(picture[1], media_type=picture[0])
 
     async def _operator(self, request: Request) -> Response:
         key = request.query_params.get("key")

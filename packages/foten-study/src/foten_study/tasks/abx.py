@@ -1,15 +1,13 @@
 """ABX: two methods and X, which is one of both: which?"""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
-from foten_study.discrimination import Discrimination
+from foten_study.choice_statistics import Sensitivity, abx, abx_share
+from foten_study.choosing import Discrimination
 from foten_study.orders import Trial
-from foten_study.sensitivity import Sensitivity, abx, abx_share
 from foten_study.statistics import Array
 
 CHOICES = ("A", "B")

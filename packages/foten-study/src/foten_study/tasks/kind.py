@@ -1,7 +1,5 @@
 """What there is to say of a task, and what its analysis takes and gives. `table.TASKS` has a `TaskKind` for each."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -9,11 +7,17 @@ from typing import Any
 import numpy as np
 
 from foten_study.orders import SINGLE, Order, Trial
-from foten_study.raters import Raters
 from foten_study.statistics import Array
 
+PAPER_SD = 10.67  # of the ratings of FoTEN; Sec. VIII
+AIM = 0.8  # power that a study should have
 CHOICE = "choice"  # key of an answer that is one of several
 MINUTES_PER_CHOICE = 1 / 3  # of one of two or three surfaces; assumed
+
+
+def limited(default: Any, *allowed: Any) -> Any:
+    """A field of a study file: its default, and its bounds, or the texts that it may be."""
+    return field(default=default, metadata={"allowed": allowed})
 
 
 @dataclass(frozen=True)
@@ -24,13 +28,23 @@ class Task:
     question: str = ""
     lowest: str = ""  # 0
     highest: str = ""  # 100, as in Sec. VII
-    min_seconds: float = 0.0  # of a trial, before an answer is taken
-    repeats: int = 1  # of each comparison
-    feedback: str = "practice"  # whether the answer was right, where one is
-    measures: str = "detection"  # of a threshold: or the difference in level that is just noticeable
-    answers: int = 25  # to each threshold
+    min_seconds: float = limited(0.0, 0, 600)  # of a trial, before an answer is taken
+    repeats: int = limited(1, 1, 100)  # of each comparison
+    feedback: str = limited("practice", "none", "practice", "all")  # whether the answer was right, where one is
+    measures: str = limited("detection", "detection", "difference")  # the difference in level that is just noticeable
+    answers: int = limited(25, 8, 200)  # to each threshold
     low_db: float = -60.0  # of what a threshold's trials play: re recorded, or of the increment re the pedestal
-    high_db: float = 0.0
+    high_db: float = limited(0.0, -86, 24)
+
+
+@dataclass(frozen=True)
+class Rated:
+    """Outcome of a trial."""
+
+    values: Mapping[str, float]  # by scale: 0 … 100, or under `CHOICE` which surface was chosen, from 0
+    response_s: float | None = None  # from when the trial was shown
+    switches: int | None = None  # between the real and the virtual surface
+    log: Mapping[str, Any] = field(default_factory=dict)  # what else was measured
 
 
 @dataclass(frozen=True)
@@ -55,6 +69,7 @@ class Ratings:
     values: Array = field(default_factory=lambda: np.zeros((0, 0, 0)))
     factor: str = "method"  # what conditions are of
     noun: str = "ratings"  # what the answers are called
+    in_other_words: Callable[[float], str] = lambda mean: ""  # what is said behind a mean
     thresholds: list[dict[str, Any]] = field(default_factory=list)  # each, with what is known of it
 
     @property
@@ -84,37 +99,23 @@ class Result:
 
 
 @dataclass(frozen=True)
-class Population:
-    """Simulated people who take part in a study."""
+class Plan:
+    """A study that is simulated: to try its analysis, or to learn how many people it needs."""
 
     task: Task
-    scales: tuple[str, ...]  # keys
-    n: int
-    n_methods: int
-    n_textures: int
-    raters: Raters  # of ratings, each scale on its own
-    effect: float  # of other tasks, as `TaskKind.effect` has it
-    better: int  # number of the better method
+    methods: int
+    textures: int
+    effect: float | None = None  # of the kind that `TaskKind.effect` has; None for that one, or for the paper's
+    sd: float = PAPER_SD  # of ratings between raters
+    correlation: float = 0.3  # between two ratings by one rater
+    better: int = -1  # number of the better method
+    scales: tuple[str, ...] = ()  # keys
 
 
 Answer = tuple[dict[str, float], dict[str, float]]
 """Values of a trial, and what was measured in it."""
 People = Callable[[int, float], Callable[[Trial], Answer]]
 """From a number and a standard normal deviate to a person: from a trial to her answer."""
-
-
-@dataclass(frozen=True)
-class PowerQuery:
-    """A study whose power is asked for."""
-
-    task: Task
-    methods: int
-    textures: int
-    effect: float | None = None
-    sd: float | None = None  # of ratings between raters
-    correlation: float = 0.3  # between two ratings by one rater
-    studies: int = 0  # simulated for each number of participants
-    seed: int = 0
 
 
 @dataclass(frozen=True)
@@ -131,19 +132,16 @@ class Power:
 class TaskKind:
     """A task. Each callable is the task's own part of a stage of the study.
 
-    Attributes:
-        surfaces: methods of what is stroked in a trial, in the order shown.
-        read: answers with their values, by scale, of all answers without values and the study file as a document.
-        analyse: results of what `read` gives, with a reference (or None) and the correction of the stars.
-        power: by simulated studies.
-        level_db: of a trial, after some answers (level [dB], right); `gain_db` is that of a surface at a level.
+    `read` gives answers with their values, by scale, of all answers without values and the study file as a document; `analyse`
+    takes them with a reference (or None) and the correction of the stars; `simulate` so many people; `power` so many studies and
+    a seed; `level_db` is that of a trial after answers (level [dB], right), `gain_db` that of a surface at a level.
     """
 
     surfaces: Callable[[Trial], tuple[int, ...]]
     read: Callable[[Ratings, Mapping[str, Any]], list[Ratings]]
     analyse: Callable[[list[Ratings], str | None, str], list[Result]]
-    simulate: Callable[[Population, np.random.Generator], People]
-    power: Callable[[PowerQuery], Power]
+    simulate: Callable[[Plan, int, np.random.Generator], People]
+    power: Callable[[Plan, int, int], Power]
     effect: float  # that a new study is planned to find
     effect_in_words: str
     n_studies: tuple[int, int]  # that are simulated to plan: by `foten study power`, by `foten study new`

@@ -1,15 +1,13 @@
 """Oddity: three surfaces, one of them by another method: which?"""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
-from foten_study.discrimination import Discrimination
+from foten_study.choice_statistics import Sensitivity, oddity, oddity_share
+from foten_study.choosing import Discrimination
 from foten_study.orders import Trial
-from foten_study.sensitivity import Sensitivity, oddity, oddity_share
 from foten_study.statistics import Array
 
 INTERVALS = ("1", "2", "3")

@@ -1,23 +1,21 @@
 """Paired comparison: two methods of a texture; which is nearer to the real surface?"""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from foten.reporting.table import minus
+from foten_study.choice_statistics import Strengths, bradley_terry
 from foten_study.choosing import beginning, by_texture, ends, power_of_choices, shares_of, who_compared
 from foten_study.orders import Order, Trial
-from foten_study.results import json_value, of_trials, p_text
+from foten_study.results import by_pair, json_rows, json_values, of_trials, p_text
 from foten_study.statistics import ALPHA, Array, pairs
-from foten_study.strengths import Strengths, bradley_terry
-from foten_study.tasks.kind import CHOICE, Answer, People, Population, Power, PowerQuery, Ratings, Result, TaskKind
+from foten_study.tasks.kind import CHOICE, Answer, People, Plan, Power, Ratings, Result, TaskKind
 
 INTERVALS = ("A", "B")
 EFFECT = 0.65  # share of choices of the better method over another one
+SPREAD = 0.4  # of log-odds of each method between people
 
 
 def surfaces(trial: Trial) -> tuple[int, ...]:
@@ -68,28 +66,13 @@ def wins_in(ratings: Ratings, rows: Sequence[dict[str, Any]]) -> Array:
 
 def _as_json(methods: Sequence[str], strengths: Strengths) -> dict[str, Any]:
     """Strengths as JSON has them."""
-    by_method = zip(methods, strengths.log_odds, strengths.ci95_low, strengths.ci95_high, strict=True)
-    names = ("difference", "t", "p", "p_bonferroni", "p_holm")
-    rows = []
-    for k, (i, j) in enumerate(strengths.pairs):
-        row = {"pair": [methods[i], methods[j]], "df": strengths.df}
-        row |= {name: json_value(getattr(strengths, name)[k]) for name in names}
-        row |= {
-            "ci95_low": json_value(strengths.difference_low[k]),
-            "ci95_high": json_value(strengths.difference_high[k]),
-        }
-        rows.append({**row, "share": float(1 / (1 + np.exp(-strengths.difference[k])))})
+    of_methods = {name: getattr(strengths, name) for name in ("log_odds", "ci95_low", "ci95_high")}
+    share = 1 / (1 + np.exp(-strengths.tests["difference"]))
+    tests = {"pairs": strengths.tests["pairs"], "df": strengths.tests["df"], **strengths.tests, "share": share}
     return {
-        "methods": [
-            {"method": name, "log_odds": float(value), "ci95_low": json_value(low), "ci95_high": json_value(high)}
-            for name, value, low, high in by_method
-        ],
-        "pairs": rows,
-        "overall": {
-            "f": json_value(strengths.overall_f),
-            "df": list(strengths.overall_df),
-            "p": json_value(strengths.overall_p),
-        },
+        "methods": [{"method": method, **row} for method, row in zip(methods, json_rows(of_methods), strict=True)],
+        "pairs": by_pair(methods, tests),
+        "overall": json_values(strengths.overall),
         "separated": strengths.separated,
     }
 
@@ -112,52 +95,31 @@ def _sentences(ratings: Ratings, document: dict[str, Any]) -> list[str]:
     return [*sentences, f"The strongest is {best['method']}." if preferred else "No method is shown to be preferred."]
 
 
-@dataclass(frozen=True)
-class Choosers:
-    """A model of people who prefer a method.
-
-    Args:
-        n_methods: that are compared.
-        effect: share of choices of the better method over each other one.
-        spread: of log-odds of each method between people.
-        better: number of the method that is chosen more often.
-    """
-
-    n_methods: int
-    effect: float
-    spread: float = 0.4
-    better: int = -1
-
-    def __post_init__(self) -> None:
-        if not 0.01 <= self.effect <= 0.99:
-            raise ValueError(f"the share of choices is {self.effect:g}, expected 0.01 to 0.99")
-
-    def people(self, rng: np.random.Generator, n: int) -> Array:
-        """Log-odds of each method (n, methods)."""
-        strengths = np.zeros(self.n_methods)
-        strengths[self.better] = np.log(self.effect / (1 - self.effect))
-        return strengths + self.spread * rng.standard_normal((n, self.n_methods))
-
-    def p_values(self, rng: np.random.Generator, n: int, per_pair: int) -> tuple[float, Array]:
-        """p of a simulated study's overall test, and of each pair of the better method, by Holm's adjustment.
-
-        Args:
-            per_pair: trials of each pair by each participant.
-        """
-        people = self.people(rng, n)
-        wins = np.zeros((n, self.n_methods, self.n_methods))
-        for a, b in pairs(self.n_methods):
-            wins[:, a, b] = rng.binomial(per_pair, 1 / (1 + np.exp(people[:, b] - people[:, a])))
-            wins[:, b, a] = per_pair - wins[:, a, b]
-        strengths = bradley_terry(wins)
-        better = self.better % self.n_methods
-        return strengths.overall_p, strengths.p_holm[[better in pair for pair in strengths.pairs]]
+def people_of(plan: Plan, rng: np.random.Generator, n: int) -> Array:
+    """Log-odds of each method (n, methods) of people who choose the better one over each other with the share of the effect."""
+    effect = EFFECT if plan.effect is None else plan.effect
+    if not 0.01 <= effect <= 0.99:
+        raise ValueError(f"the share of choices is {effect:g}, expected 0.01 to 0.99")
+    strengths = np.zeros(plan.methods)
+    strengths[plan.better] = np.log(effect / (1 - effect))
+    return strengths + SPREAD * rng.standard_normal((n, plan.methods))
 
 
-def simulate(population: Population, rng: np.random.Generator) -> People:
+def p_values(plan: Plan, rng: np.random.Generator, n: int, per_pair: int) -> tuple[float, Array]:
+    """p of a simulated study's overall test, and of each pair of the better method, by Holm's adjustment."""
+    people = people_of(plan, rng, n)
+    wins = np.zeros((n, plan.methods, plan.methods))
+    for a, b in pairs(plan.methods):
+        wins[:, a, b] = rng.binomial(per_pair, 1 / (1 + np.exp(people[:, b] - people[:, a])))
+        wins[:, b, a] = per_pair - wins[:, a, b]
+    strengths = bradley_terry(wins)
+    of_better = [plan.better % plan.methods in pair for pair in strengths.tests["pairs"]]
+    return strengths.overall["p"], strengths.tests["p_holm"][of_better]
+
+
+def simulate(plan: Plan, n: int, rng: np.random.Generator) -> People:
     """People who choose by log-odds of their own."""
-    choosers = Choosers(population.n_methods, population.effect, better=population.better)
-    people = choosers.people(rng, population.n)
+    people = people_of(plan, rng, n)
 
     def person(i: int, _deviate: float) -> Callable[[Trial], Answer]:
         def answer(trial: Trial) -> Answer:
@@ -170,12 +132,10 @@ def simulate(population: Population, rng: np.random.Generator) -> People:
     return person
 
 
-def power(query: PowerQuery) -> Power:
+def power(plan: Plan, studies: int, seed: int) -> Power:
     """Power of the tests of strengths."""
-    effect = EFFECT if query.effect is None else query.effect
-    choosers = Choosers(query.methods, effect)
-    of = f"{100 * effect:.0f} % of choices for one method"
-    return power_of_choices(choosers.p_values, query, of, "the better method from another one")
+    of = f"{100 * (EFFECT if plan.effect is None else plan.effect):.0f} % of choices for one method"
+    return power_of_choices(p_values, plan, studies, seed, of, "the better method from another one")
 
 
 KIND = TaskKind(

@@ -1,7 +1,5 @@
 """Rating: one surface beside the real one, on one scale of 0 to 100 or several, as in Sec. VII."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any
@@ -9,9 +7,8 @@ from typing import Any
 import numpy as np
 
 from foten_study.orders import Trial
-from foten_study.raters import MIN_DIFFERENCE, PAPER_SD, paper_raters, raters_for
-from foten_study.tasks.kind import Answer, People, Population, Power, PowerQuery, Ratings, TaskKind
-from foten_study.variance import analyse_means, power_of_means
+from foten_study.tasks.kind import Answer, People, Plan, Power, Ratings, TaskKind
+from foten_study.variance import MIN_DIFFERENCE, analyse_means, paper_raters, power_of_means, raters_for
 
 SIMILARITY = "similarity"  # key of the one scale where a study file has none
 MINUTES = 90 / 48  # Sec. VII: 90 minutes for 48 comparisons
@@ -33,9 +30,11 @@ def read(ratings: Ratings, document: Mapping[str, Any]) -> list[Ratings]:
     return result
 
 
-def simulate(population: Population, rng: np.random.Generator) -> People:
+def simulate(plan: Plan, n: int, rng: np.random.Generator) -> People:
     """People who rate as a model of raters does."""
-    drawn = {key: np.round(population.raters.draw(rng, population.n)) for key in population.scales}
+    points = MIN_DIFFERENCE if plan.effect is None else plan.effect
+    raters = raters_for(plan.methods, plan.textures, points, plan.sd, plan.correlation, plan.better)
+    drawn = {key: np.round(raters.draw(rng, n)) for key in plan.scales}
 
     def person(i: int, _deviate: float) -> Callable[[Trial], Answer]:
         return lambda trial: ({key: float(y[i, trial.method, trial.texture]) for key, y in drawn.items()}, {})
@@ -43,16 +42,15 @@ def simulate(population: Population, rng: np.random.Generator) -> People:
     return person
 
 
-def power(query: PowerQuery) -> Power:
+def power(plan: Plan, studies: int, seed: int) -> Power:
     """Power of the tests of means."""
-    sd = query.sd or PAPER_SD
-    if query.effect is None and (query.methods, query.textures) == PAPER_SIZE:
-        raters, of = paper_raters(sd, query.correlation), "the paper's effects (Sec. VII)"
+    if plan.effect is None and (plan.methods, plan.textures) == PAPER_SIZE:
+        raters, of = paper_raters(plan.sd, plan.correlation), "the paper's effects (Sec. VII)"
     else:
-        points = MIN_DIFFERENCE if query.effect is None else query.effect
-        raters = raters_for(query.methods, query.textures, points, sd, query.correlation)
+        points = MIN_DIFFERENCE if plan.effect is None else plan.effect
+        raters = raters_for(plan.methods, plan.textures, points, plan.sd, plan.correlation)
         of = f"a difference of {points:g} point{'s' * (points != 1)}"
-    return power_of_means(raters, query, of)
+    return power_of_means(raters, plan, studies, seed, of)
 
 
 KIND = TaskKind(

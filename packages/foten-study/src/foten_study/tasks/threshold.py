@@ -1,45 +1,31 @@
-"""Threshold: three surfaces, one of which vibrates, or vibrates more, at a level that follows the answers."""
+"""Threshold: three surfaces, one of which vibrates, or vibrates more, at a level that follows the answers.
 
-from __future__ import annotations
+Levels L are in dB: of the vibration re its recorded level, or of the increment re the pedestal that the other two have: a
+difference in level of 20 log₁₀(1 + 10^(L/20)).
+"""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
+from foten_study.adaptive import Detection, LevelSearch
 from foten_study.orders import Order, Trial
-from foten_study.raters import Raters
-from foten_study.tasks.kind import (
-    CHOICE,
-    Answer,
-    People,
-    Population,
-    Power,
-    PowerQuery,
-    Ratings,
-    Task,
-    TaskKind,
-    check_answers,
-)
-from foten_study.thresholds import (
-    QUANTITIES,
-    UNITS,
-    gain_db,
-    is_reached,
-    level_search,
-    noticeable_db,
-    simulated_answers,
-    thresholds_of,
-)
-from foten_study.variance import analyse_means, power_of_means
+from foten_study.statistics import Array
+from foten_study.tasks.kind import CHOICE, Answer, People, Plan, Power, Ratings, Task, TaskKind, check_answers
+from foten_study.variance import Raters, analyse_means, power_of_means
 
 MIN_ANSWERS = 8  # of a threshold
+SILENT_DB = -240.0
+SLOPE, LAPSE = 0.2, 0.02  # of simulated people; [1/dB] and a share
 PERSON_SD_DB = 5.0  # of thresholds between people
 CONDITION_SD_DB = 1.0  # and of each person's between conditions
 N_ERRORS = 200  # simulated, for what a search leaves open
 EFFECT_DB = 3.0
 INTERVALS = ("1", "2", "3")
+UNITS = {"detection": "dB re recorded", "difference": "dB re the other surfaces"}
+QUANTITIES = {"detection": "threshold of detection", "difference": "just noticeable increment"}
 QUESTIONS = {"detection": "which_felt", "difference": "which_stronger"}  # by what is measured, keys of words
 
 
@@ -53,6 +39,43 @@ def level_db(task: Task, answers: Sequence[tuple[float, bool]], practice: bool) 
     return task.high_db if practice else level_search(task, answers).stimulus()
 
 
+def level_search(task: Task, answers: Iterable[tuple[float, bool]] = ()) -> LevelSearch:
+    """Search for a threshold, after some answers: levels [dB], and whether each was right."""
+    search = LevelSearch(task.low_db, task.high_db, Detection(1 / len(INTERVALS)))
+    for level, right in answers:
+        search.answer(level, right)
+    return search
+
+
+def gain_db(task: Task, level_db: float, is_target: bool) -> float:
+    """Gain of a surface in a trial of a threshold [dB]."""
+    if task.measures == "detection":
+        return level_db if is_target else SILENT_DB
+    return noticeable_db(level_db) if is_target else 0.0
+
+
+def noticeable_db(increment_db: float) -> float:
+    """Difference in level [dB] that an increment re the pedestal [dB] makes."""
+    return float(20 * np.log10(1 + 10 ** (increment_db / 20)))
+
+
+def simulated_answers(task: Task, threshold_db: float, rng: np.random.Generator) -> list[tuple[float, bool]]:
+    """Answers of a person of a known threshold [dB] to as many trials as the task has."""
+    person, search, answers = Detection(1 / len(INTERVALS)), level_search(task), []
+    for _ in range(task.answers):
+        level = search.stimulus()
+        right = bool(rng.random() < person(level, np.array(threshold_db), np.array(SLOPE), np.array(LAPSE)))
+        search.answer(level, right)
+        answers.append((level, right))
+    return answers
+
+
+def thresholds_of(task: Task, true_db: Array, rng: np.random.Generator) -> Array:
+    """Thresholds [dB] that are measured with people whose true ones are some, of any shape."""
+    measured = [level_search(task, simulated_answers(task, true, rng)).point for true in true_db.ravel()]
+    return np.reshape(measured, true_db.shape)
+
+
 def read(ratings: Ratings, document: Mapping[str, Any]) -> list[Ratings]:
     """Thresholds of all participants."""
     task = ratings.task
@@ -64,14 +87,13 @@ def read(ratings: Ratings, document: Mapping[str, Any]) -> list[Ratings]:
         participant, texture = ratings.numbers.index(one["participant"]), ratings.textures.index(one["texture"])
         values[participant, ratings.methods.index(one["method"]), texture] = one["threshold_db"]
     named = replace(ratings, quantity=QUANTITIES[task.measures], unit=UNITS[task.measures], noun="thresholds")
+    if task.measures == "difference":
+        named = replace(named, in_other_words=lambda db: f", a difference in level of {noticeable_db(db):.1f} dB")
     return [replace(named, conditions=ratings.methods, values=values, thresholds=thresholds)]
 
 
 def _thresholds(task: Task, rows: Sequence[dict[str, Any]], plays_in_page: bool) -> list[dict[str, Any]]:
-    """Thresholds of all answers so far, by participant, texture and method.
-
-    A threshold of detection is re the recorded level at a volume of 0 dB: a page's volume is added.
-    """
+    """Thresholds by participant, texture and method; of detection re the recorded level, with a page's volume."""
     tracks: dict[tuple[Any, ...], list[dict[str, Any]]] = {}
     for row in rows:
         tracks.setdefault((row["participant"], row["texture_key"], row["method_key"]), []).append(row)
@@ -83,25 +105,26 @@ def _thresholds(task: Task, rows: Sequence[dict[str, Any]], plays_in_page: bool)
         volumes = [float(row["measured"].get("volume_db") or 0.0) for row in answers]
         volume = float(np.median(volumes)) if plays_in_page and task.measures == "detection" else 0.0
         one = {"participant": participant, "texture": texture, "method": method, "threshold_db": search.point + volume}
-        one |= {"sd_db": search.sd, "n_answers": len(answers), "reached": int(is_reached(task, search))}
+        reached = task.low_db + 2 * search.sd < search.point < task.high_db - 2 * search.sd  # within what was played
+        one |= {"sd_db": search.sd, "n_answers": len(answers), "reached": int(reached)}
         if task.measures == "difference":
             one["difference_db"] = noticeable_db(search.point)
         result.append({**one, "volume_db": float(np.median(volumes)), "volume_range_db": float(np.ptp(volumes))})
     return result
 
 
-def simulate(population: Population, rng: np.random.Generator) -> People:
+def simulate(plan: Plan, _n: int, rng: np.random.Generator) -> People:
     """People of a threshold each; that of the better method, or of one method's last texture, is lower by the effect."""
-    task, n_methods, n_textures = population.task, population.n_methods, population.n_textures
+    task, effect = plan.task, EFFECT_DB if plan.effect is None else plan.effect
 
     def is_better(t: int, m: int) -> bool:
-        return m == population.better % n_methods if n_methods > 1 else t == n_textures - 1
+        return m == plan.better % plan.methods if plan.methods > 1 else t == plan.textures - 1
 
     def person(_i: int, deviate: float) -> Callable[[Trial], Answer]:
         level = (task.low_db + task.high_db) / 2 + PERSON_SD_DB * deviate
         tracks = {}
-        for t, m in np.ndindex(n_textures, n_methods):
-            true_db = level - population.effect * is_better(t, m) + CONDITION_SD_DB * rng.standard_normal()
+        for t, m in np.ndindex(plan.textures, plan.methods):
+            true_db = level - effect * is_better(t, m) + CONDITION_SD_DB * rng.standard_normal()
             tracks[t, m] = iter(simulated_answers(task, true_db, rng))
 
         def answer(trial: Trial) -> Answer:
@@ -130,12 +153,11 @@ def threshold_raters(task: Task, methods: int, textures: int, effect: float, see
     return Raters(means, float(np.sqrt(own + shared)), float(shared / (own + shared)), 0.0, 0.0)
 
 
-def power(query: PowerQuery) -> Power:
+def power(plan: Plan, studies: int, seed: int) -> Power:
     """Power of the tests of means of thresholds."""
-    db = EFFECT_DB if query.effect is None else query.effect
-    people = threshold_raters(query.task, query.methods, query.textures, db, query.seed)
-    of = f"a difference of {db:g} dB between thresholds"
-    return power_of_means(people, query, of)
+    db = EFFECT_DB if plan.effect is None else plan.effect
+    people = threshold_raters(plan.task, plan.methods, plan.textures, db, seed)
+    return power_of_means(people, plan, studies, seed, f"a difference of {db:g} dB between thresholds")
 
 
 KIND = TaskKind(

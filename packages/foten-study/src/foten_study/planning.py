@@ -1,6 +1,4 @@
-"""A new study's TOML file, from texture files."""
-
-from __future__ import annotations
+"""A study before its participants: a new one's TOML file from texture files, how many people it needs, simulated ones."""
 
 import json
 import os
@@ -8,14 +6,22 @@ import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from string import Template
+from typing import Any
+
+import numpy as np
 
 from foten.models.texture_file import read_texture
-from foten_study.design import titled
+from foten_study.design import Design, titled
 from foten_study.languages import ENGLISH, read_language
-from foten_study.orders import conditions
+from foten_study.orders import conditions, square
+from foten_study.store import Store
+from foten_study.tasks.kind import Plan, Rated, Task
 from foten_study.tasks.table import TASKS
 
 TRIALS_OF_NEW = 24  # of a new study of choices, about
+PARTICIPANTS_OF_ONE = 12  # where there is nothing to compare
+MAX_CYCLE = 48  # participants, of squares that a new study fills
+MANY = 40  # participants of a new study that would need more than are simulated
 TEMPLATE = Path(__file__).with_name("new_study.toml")
 
 
@@ -39,11 +45,8 @@ def study_text(
     values |= {"participants": str(participants), "seed": str(seed), "language": _quoted(language)}
     instructions = texts.words.get(f"instructions_{task}", texts.words["instructions"])
     repeats = repeats_of_new(task, len(textures), len(next(iter(textures.values()))))
-    values |= {
-        "task": _task_lines(task, values, repeats),
-        "instructions": instructions,
-        "consent": texts.new["consent"],
-    }
+    values |= {"instructions": instructions, "consent": texts.new["consent"]}
+    values["task"] = _task_lines(task, values, repeats)
     text = Template(TEMPLATE.read_text(encoding="utf-8")).substitute(values) + "\n".join(lines) + "\n"
     return text if TASKS[task].beside_real else re.sub("^real_.*\n", "", text, flags=re.M)
 
@@ -51,6 +54,16 @@ def study_text(
 def repeats_of_new(task: str, n_textures: int, n_methods: int) -> int:
     """How often each comparison of a new study is asked, for about `TRIALS_OF_NEW` trials."""
     return max(1, round(TRIALS_OF_NEW / (n_textures * len(conditions(TASKS[task].order, n_methods)))))
+
+
+def participants_for(task: str, methods: int, textures: int) -> tuple[int, int | None]:
+    """Participants of a new study, in complete squares where these are small, and how many find its effect, if 60 do."""
+    kind, repeats = TASKS[task], repeats_of_new(task, textures, methods)
+    if methods * textures < 2:
+        return PARTICIPANTS_OF_ONE, None
+    n = kind.power(Plan(Task(task, repeats=repeats), methods, textures, kind.effect), kind.n_studies[1], 0).needed
+    many, cycle = n or MANY, square(textures, len(conditions(kind.order, methods, repeats)))
+    return (-(-many // cycle) * cycle if cycle <= MAX_CYCLE else many), n
 
 
 def _task_lines(task: str, texts: Mapping[str, str], repeats: int) -> str:
@@ -71,10 +84,7 @@ def files_by_method(
     """Texture files by texture and method, as seen from a folder, and textures that lack a method and are left out.
 
     The texture is that of a file's card, the method its model; where two files of a texture have one model, the method is what
-    their names have beside the texture's: mesh-slow, mesh-quick.
-
-    Raises:
-        ValueError: a file is no texture file, or there is one method alone.
+    their names have beside the texture's: mesh-slow, mesh-quick. ValueError where there are too few methods.
     """
     models_of: dict[str, dict[Path, str]] = {}
     for path in paths:
@@ -104,3 +114,21 @@ def _key(name: str) -> str:
 
 def _quoted(text: str) -> str:
     return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")  # TOML escapes this one too
+
+
+def simulate_study(store: Store, design: Design, missing: float, seed: int, **people: Any) -> None:
+    """Let people, as `Plan` describes them, answer all that a design asks; a share of them leaves before the end."""
+    rng, kind, n = np.random.default_rng(seed), design.kind, design.participants
+    scales = tuple(scale.key for scale in design.asked)
+    plan = Plan(design.task, len(design.methods), len(design.textures), scales=scales, **people)
+    person = kind.simulate(plan, n, rng)
+    for i in range(n):
+        number = store.join(f"SIM{i + 1:03d}")
+        trials = [trial for trial in store.trials(number) if not (trial.practice and kind.order.rounds)]
+        n_done = len(trials) if rng.random() >= missing else int(rng.integers(1, len(trials)))
+        answer = person(i, float(rng.standard_normal()))
+        rated = {}
+        for trial in trials[:n_done]:
+            values, measured = answer(trial)
+            rated[f"trial:{trial.number}"] = Rated(values, float(rng.gamma(9, 2.5)), 0, measured)
+        store.take_steps(number, rated)
