@@ -229,6 +229,9 @@ def test_surfaces_of_one_trial_sound_as_their_methods_do(tmp_path: Path) -> None
         page.to_trial()
         session = server.sessions[1]
         page.stroke_until_it_sounds()
+        until = time.monotonic() + 10
+        while session.strokes.sound.contact is None and time.monotonic() < until:  # its first block may be sooner
+            time.sleep(0.01)
         assert session.strokes.sound.contact is not None
         original = session.strokes.sound.contact.open
 

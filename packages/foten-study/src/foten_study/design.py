@@ -1,5 +1,7 @@
 """A study's TOML file: what is compared, by how many people, in which words."""
 
+from __future__ import annotations
+
 import re
 from collections.abc import Mapping
 from dataclasses import MISSING, dataclass, field, fields, replace

@@ -1,5 +1,7 @@
 """What there is to say of a task, and what its analysis takes and gives. `table.TASKS` has a `TaskKind` for each."""
 
+from __future__ import annotations
+
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
