@@ -162,3 +162,5 @@ def test_settings_that_mean_nothing_to_a_model_are_refused() -> None:
         check_used("gan", ["epochs", "clip_norm"])
     with pytest.raises(ValueError, match="max-order means nothing to foten"):
         check_used("foten", ["max_order"])
+    with pytest.raises(ValueError, match="dropout means nothing to ar"):
+        recipe_of("ar", dropout=0.1)
