@@ -80,9 +80,7 @@ class TrainOptions:
     )
     split_seed: int = Option(0, min=0, help="Seed of the regrouped split.")
     epochs: int | None = Option(
-        None,
-        help="Maximum number of epochs; by default the recipe's. Below 8, foten-plus trains less in closed loop; a gan "
-        "epoch is 50 steps.",
+        None, help="Maximum number of epochs; by default the recipe's. An epoch of foten-plus is 100 steps, of gan 50."
     )
     loss: str | None = Option(
         None, help="Training loss: huber, mse or mae; foten-plus uses a likelihood instead.", show_default=_of("loss")

@@ -21,7 +21,7 @@ def fit_equaliser(loop: ClosedLoop, excitation: Excitation, seed: int) -> Equali
     """The equaliser after which free runs have the recording's band levels; None where it is not borne out, or blocks are few.
 
     Free runs of the training and validation blocks are compared with the recording: by how much their log energies in bands and
-    frames (`dsp.bands`) are too low on the mean of runs is regressed on the terms of speed and force, with a penalty of squared
+    frames (`dsp.level`) are too low on the mean of runs is regressed on the terms of speed and force, with a penalty of squared
     weights. It is the one that predicts blocks best that were left out, the same for all bands; of no equaliser too. The gains
     are found in `N_STEPS`, each with the last one's in effect.
     """

@@ -122,6 +122,7 @@ def fit(job: TrainingJob, monitor: Monitor) -> Trained:
     chosen = fit_random_part(excited, run)
     play(chosen, run)
     network = fit_network(chosen.model, run)
+    monitor.on_stage("proving the texture file")
     texture = texture_of(chosen, network, run)
     mae = texture.card["metrics"]["validation_mae_scaled_lattice"]
     return Trained(texture, run.blocks.trace, run.blocks.split, network.progress, mae)
@@ -276,7 +277,6 @@ def texture_of(chosen: Candidate, fitted: FittedNetwork | None, run: FitContext)
     metrics["validation_mae_scaled"] = linear_mae
     network = run.network
     if fitted is not None:
-        run.monitor.on_stage("proving the texture file")
         network = fitted.network
         best, last = fitted.progress.best, fitted.progress.epochs[-1]
         metrics = {"best_epoch": best.epoch, "n_epochs": last.epoch, "validation_loss": best.validation_loss}
